@@ -11,7 +11,7 @@ Every command of `hesr` is one call, and every object one name::
 
 Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor; HesrError, the base of all errors
 Commands  new, inspect, run, report, results, excite, identify, fit, evaluate, audit, properties,
-          arena, laws, export, check, replay, monitor, fleet, simulate,
+          arena, laws, export, check, replay, monitor, simulate,
           package
 
 Paths are text or paths. Logs, bodies, laws and comparisons show themselves as tables in a notebook;
@@ -33,9 +33,7 @@ if TYPE_CHECKING:
         evaluate,
         excite,
         export,
-        fleet,
         inspect,
-        monitor,
         new,
         package,
         properties,
@@ -47,6 +45,7 @@ if TYPE_CHECKING:
     )
     from cosim.workflow.fit import fit, laws
     from cosim.workflow.identify import identify
+    from hesr.extras.adaptive.workflow import monitor
     from hesr_model.errors import HesrError
     from hesr_model.friction.model import FrictionModel
     from hesr_model.logs.robot_log import RobotLog as Log
@@ -68,7 +67,6 @@ if TYPE_CHECKING:
         "excite",
         "export",
         "fit",
-        "fleet",
         "identify",
         "inspect",
         "laws",
@@ -94,8 +92,7 @@ _COMMANDS = (
         "evaluate",
         "audit",
     ),
-    *("properties", "arena", "export", "replay", "monitor"),
-    "fleet",
+    *("properties", "arena", "export", "replay"),
     "simulate",
     "package",
 )
@@ -104,6 +101,7 @@ _HOMES = dict.fromkeys(_COMMANDS, "cosim.workflow.commands") | {
     "fit": "cosim.workflow.fit",
     "identify": "cosim.workflow.identify",
     "laws": "cosim.workflow.fit",
+    "monitor": "hesr.extras.adaptive.workflow",
     "FrictionModel": "hesr_model.friction.model",
     "FrictionRegressor": "cosim.regressor",
     "HesrError": "hesr_model.errors",

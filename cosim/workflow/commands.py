@@ -39,9 +39,8 @@ if TYPE_CHECKING:
     from cosim.study.scores import Comparison
     from cosim.study.starter import NewProject
     from cosim.systems.simulation import Result
-    from hesr.extras.adaptive.monitor import Watched
-    from hesr.extras.fleet.result import Fleet
-    from hesr.extras.leaderboard.leaderboard import Leaderboard
+    from cosim.workflow.answer import Answer
+    from cosim.workflow.jobs import PluginJob
     from hesr_model.audit.audit import Audit
     from hesr_model.audit.properties import Properties
     from hesr_model.health.proposal import Proposal
@@ -146,40 +145,6 @@ def replay(
     return compare(records, {file.stem: predict_fmu(file, records)})
 
 
-def monitor(
-    logs: Log | Sequence[Log],
-    law: Model,
-    rigid_body: Body,
-    robot: RobotLike | None = None,
-    *,
-    accept: Sequence[str] = (),
-) -> "Watched":
-    """Follow friction over days of logs, in their order, from a law of other logs.
-
-    Raises
-    ------
-    HesrError
-        If a log, the robot or the law do not allow it.
-    """
-    from hesr.extras.adaptive.monitor import watch
-
-    model = model_given(law)
-    return watch(model, _records(logs, robot, rigid_body, accept))
-
-
-def fleet(file: PathArg, output: PathArg | None = None, *, workers: int | None = None) -> "Fleet":
-    """Look at all robots of a fleet; see `hesr.extras.fleet.run`.
-
-    Results stand in ``results/NAME`` where no folder is given.
-    """
-    from hesr.extras.fleet.run import run_fleet
-    from hesr.extras.fleet.study import FleetStudy
-
-    path = path_of(file, "a fleet")
-    folder = path_of(output or Path("results") / FleetStudy.read(path).name, "a folder")
-    return run_fleet(path, folder, workers=workers)
-
-
 def audit(model: Model) -> "dict[str, Audit]":
     """Audit a fitted friction model: does it brake, is it bounded. By joint.
 
@@ -209,10 +174,8 @@ def properties(
     return {subject.name: of_law for subject, of_law in zip(subjects, found, strict=True)}
 
 
-def arena(
-    file: PathArg, entries: Sequence[PathArg], output: PathArg | None = None
-) -> "Leaderboard":
-    """Score friction FMUs of anybody on the logs of an arena file; see `hesr.extras.leaderboard`.
+def arena(file: PathArg, entries: Sequence[PathArg], output: PathArg | None = None) -> "Answer":
+    """Score friction FMUs on the logs of a leaderboard file.
 
     Parameters
     ----------
@@ -220,16 +183,10 @@ def arena(
     entries : FMUs; "ROBOT=FILE" where the arena has several robots.
     output : page to write; none where not given.
     """
-    from hesr.extras.leaderboard.board_file import Arena
-    from hesr.extras.leaderboard.leaderboard import entries_of, run_arena
-    from hesr.extras.leaderboard.page import write_page
-
-    read = Arena.read(path_of(file, "an arena file"))
-    entered = entries_of([str(path_of(entry, "an FMU")) for entry in listed(entries)], read)
-    board = run_arena(read, entered)
-    if output is not None:
-        write_page(board, path_of(output, "a page"))
-    return board
+    fmus = [path_of(entry, "an FMU") for entry in listed(entries)]
+    page = None if output is None else path_of(output, "a page")
+    job: PluginJob = plugins.find("hesr.jobs", "leaderboard")
+    return job.run(path_of(file, "an arena file"), fmus=fmus, output=page)
 
 
 def export(

@@ -58,7 +58,7 @@ class _Verbs(click.Group):
 OLD = {
     *("new", "inspect", "constants", "run", "report", "results", "view", "excite"),
     *("evaluate", "properties", "audit", "arena", "export", "replay"),
-    *("monitor", "fleet", "simulate", "sweep", "package"),
+    *("simulate", "sweep", "package"),
 }
 
 

@@ -1,13 +1,13 @@
 """The command that compares friction FMUs of anybody: arena."""
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from hesr.cli.console import answer, shown_progress
-from hesr.cli.old_app import Json, Trust, app, trusted
+from hesr.cli.old_app import Json, Trust, app
+from hesr_model.support import plugins
 
 
 @app.command()
@@ -35,18 +35,10 @@ def arena(
     Example: hesr arena arena.toml lugre.fmu theirs.fmu -o leaderboard.html
     """
     from cosim.report.tables.terminal import show
-    from hesr.extras.leaderboard.board_file import Arena
-    from hesr.extras.leaderboard.leaderboard import FORMAT, entries_of, run_arena
-    from hesr.extras.leaderboard.page import write_page
-    from hesr.extras.leaderboard.tables import standings
-    from hesr_model.support.typed_json import to_json
 
-    read = Arena.read(file)
-    entered = entries_of(entries, read)
-    trusted((entry.fmu for entry in entered), trust=trust)
+    job = plugins.find("hesr.jobs", "leaderboard")
     with shown_progress() as progress:
-        board = run_arena(read, entered, progress=partial(progress, "scoring entries"))
-    write_page(board, output)
-    answer(json_file, {"format": FORMAT, **to_json(board)})
-    show(*standings(board))
-    typer.echo(f"The leaderboard is {output}.")
+        board = job.run(file, fmus=entries, output=output, trust=trust, progress=progress)
+    answer(json_file, board.to_json())
+    show(*board.tables())
+    typer.echo(board.summary())

@@ -13,7 +13,10 @@ import click
 from hesr_model.errors import HesrError
 from hesr_model.support.text import plain
 
-MOVED: dict[str, str] = {"interop": "'interop' is now 'make interop', in a checkout of HESR."}
+MOVED = {
+    "fleet": "'hesr fleet' is now 'hesr monitor FLEET.toml -o FOLDER'.",
+    "interop": "'interop' is now 'make interop', in a checkout of HESR.",
+}
 """Sentence of each verb of earlier versions: its new form."""
 
 _REFUSED = 2

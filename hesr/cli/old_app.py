@@ -40,7 +40,7 @@ programs; --json - writes them to standard output, and nothing else there.
 _ORDER = (
     *("new", "inspect", "constants", "run", "report", "results", "view"),
     *("excite", "identify", "fit", "evaluate", "properties", "audit", "arena", "laws"),
-    *("export", "check", "replay", "thermal", "monitor", "fleet", "simulate", "sweep"),
+    *("export", "check", "replay", "thermal", "monitor", "simulate", "sweep"),
     "package",
 )
 """Of the commands in the help, as they are needed; others follow."""

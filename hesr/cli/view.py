@@ -1,13 +1,13 @@
 """The command that shows the arm of a closed loop: view."""
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hesr.cli.console import shown_progress, working
+from hesr.cli.console import shown_progress
 from hesr.cli.old_app import Result, app
+from hesr_model.support import plugins
 
 
 @app.command()
@@ -51,18 +51,15 @@ def view(
     Examples: hesr view results/uf850; hesr view results/uf850 --law stribeck --law parfam_h
     --magnify 20; hesr view results/uf850 --speed 0.5 --video arm.mp4
     """
-    from hesr.extras.view.runs import Choice, choose
-
-    choice = Choice(laws=law or (), scheme=scheme, magnify=magnify, speed=speed)
-    with working(f"reading {result}"):
-        shown = choose(result, choice)
-    if video is None:
-        from hesr.extras.view.window import show
-
-        show(shown, choice)
-        return
-    from hesr.extras.view.video import write_video
-
+    show_arm = plugins.find("hesr.reports", "view")
     with shown_progress() as progress:
-        seconds = write_video(video, shown, choice, progress=partial(progress, "drawing"))
-    typer.echo(f"{seconds:.1f} s of video, written to {video}.")
+        found = show_arm(
+            result,
+            video,
+            law=law or (),
+            scheme=scheme,
+            magnify=magnify,
+            speed=speed,
+            progress=progress,
+        )
+    typer.echo(found.summary())

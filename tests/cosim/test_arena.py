@@ -182,8 +182,9 @@ def test_a_command_writes_page_and_json(
     said = hesr("arena", laid / "arena.toml", *entries[1:], "-o", page, "--json", answer)
     assert said.code == 0, said.err
     assert "Coulomb (foreign)" in said.out
-    data = json.loads(answer.read_text(encoding="utf-8"))
-    assert data["format"] == "hesr-arena-1"
+    envelope = json.loads(answer.read_text(encoding="utf-8"))
+    assert envelope["format"] == "hesr-arena-1"
+    data = envelope["result"]
     text = page.read_text(encoding="utf-8")
     for standing in data["standings"]:
         assert standing["sha256"] in text

@@ -9,12 +9,16 @@ from adaptive_models import model as model_of
 from fmpy import read_model_description
 from small_study import Run, hesr_here, uf850
 
-from cosim.workflow.commands import fit
+from cosim.workflow.fit import fit
 from hesr.extras.adaptive.tuning import TUNING
+from hesr.extras.thermal.thermal_fit import fit_thermal
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.lugre import LuGre
 from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import friction_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
 
 
 def test_an_adaptive_fmu(tmp_path: Path, capsys, monkeypatch) -> None:
@@ -40,22 +44,24 @@ def test_an_adaptive_fmu(tmp_path: Path, capsys, monkeypatch) -> None:
 def test_temperature_is_found_in_logs(study_run: Run, tmp_path: Path, capsys, monkeypatch) -> None:
     hesr = hesr_here(capsys, monkeypatch)
     robot, body, law = uf850("robot.toml"), study_run.rigid_body, tmp_path / "law.json"
-    fit("lugre", study_run.log("sweep"), robot, body).write(law)
-    log, out, found = tmp_path / "warm.csv", tmp_path / "warm.json", tmp_path / "found.json"
+    fit(study_run.log("sweep"), law="lugre", robot=robot, rigid_body=body).write(law)
+    log, out = tmp_path / "warm.csv", tmp_path / "warm.json"
     cold = RobotLog.read(study_run.log("sweep"), robot)
-    options = ("--law", law, "--robot", robot, "--rigid-body", body, "-o", out, "--json", found)
-    answer = hesr("thermal", study_run.log("sweep"), *options)
+    options = ("--law", law, "--add", "temperature", "--robot", robot, "--rigid-body", body)
+    options += ("-o", out)
+    answer = hesr("fit", study_run.log("sweep"), *options)
     assert answer.code == 2
     assert "without temperatures, logs of at least 300 s" in answer.err
     assert not out.exists()
     warm = np.linspace(20.0, 40.0, len(cold.t))[:, None] * np.ones(cold.q.shape[1])
     replace(cold, temperature=warm).write(log)
-    answer = hesr("thermal", log, *options)
+    answer = hesr("fit", log, *options)
     assert answer.code == 0, answer.err
-    # The twin knows no temperature.
-    for joint in json.loads(found.read_text(encoding="utf-8")):
-        thermal = joint["thermal"]
-        assert abs(thermal["viscous"]) < 0.005 + 4.0 * joint["viscous_error"]
+    # The twin does not depend on temperature.
+    model = RobotModel(RobotDescription.read(robot))
+    records = friction_records(RobotLog.read(log, robot), model, RigidBody.read(body))
+    for joint in fit_thermal(FrictionModel.read(law), [records])[1]:
+        assert abs(joint.thermal.viscous) < 0.005 + 4.0 * joint.viscous_error
     assert len(FrictionModel.read(out).thermal) == 3
     assert "Coulomb friction falls by" in answer.out
     the_law_and_its_fmu_follow_the_thermometer(hesr, law, out, log, body)
@@ -93,14 +99,14 @@ def test_friction_is_monitored_over_logs(
     hesr = hesr_here(capsys, monkeypatch)
     page, found, law = tmp_path / "page.html", tmp_path / "found.json", tmp_path / "law.json"
     sweep, body = study_run.log("sweep"), study_run.rigid_body
-    model = fit("lugre", sweep, uf850("robot.toml"), body)
+    model = fit(sweep, law="lugre", robot=uf850("robot.toml"), rigid_body=body)
     model.write(law)
     answer = hesr(
         *("monitor", sweep, study_run.log("trial"), "--law", law, "--robot", uf850("robot.toml")),
         *("--rigid-body", body, "-o", page, "--json", found),
     )
     assert answer.code == 0, answer.err
-    data = json.loads(found.read_text(encoding="utf-8"))
+    data = json.loads(found.read_text(encoding="utf-8"))["result"]
     joints = model.joints
     assert [(s["log"], s["joint"]) for s in data["states"]] == [
         (log, joint) for log in ("sweep", "trial") for joint in joints

@@ -169,10 +169,12 @@ def test_a_new_day_is_added(copied: Path, command: Command, capsys) -> None:
     logs = copied / "logs" / "robot=R0"
     shutil.copytree(logs / "day=2026-01-03", logs / "day=2026-01-09")
     assert (
-        command("fleet", copied / "fleet.toml", "-o", copied / "out", "--workers", 1, "--json", "-")
+        command(
+            "monitor", copied / "fleet.toml", "-o", copied / "out", "--workers", 1, "--json", "-"
+        )
         == 0
     )
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(capsys.readouterr().out)["result"]
     assert (found["robots"], found["reused"], found["not_used"]) == (2, 1, {})
     assert [one["robot"] for one in found["changes"]] == ["R1"]
     assert read_result(copied / "out" / "robots" / "R0").logs == 6
@@ -189,7 +191,7 @@ def test_broken_logs_stop_nobody(copied: Path, command: Command, capsys) -> None
     (logs / "robot=R3").mkdir()
     (logs / "robot=R4" / "day=2026-01-01").mkdir(parents=True)
     (logs / "robot=R4" / "day=2026-01-01" / "log.csv").write_text("t,q1\n0,0\n", encoding="utf-8")
-    assert command("fleet", copied / "fleet.toml", "-o", copied / "out", "--workers", 1) == 1
+    assert command("monitor", copied / "fleet.toml", "-o", copied / "out", "--workers", 1) == 1
     said = " ".join(capsys.readouterr().out.split())
     assert "robot 'R3': there is no log in its folders" in said
     assert "none of its 1 logs can be used, the first: " in said
@@ -393,7 +395,7 @@ def test_fleets_that_are_wrong(
     text = file.read_text(encoding="utf-8")
     assert old in text
     file.write_text(text.replace(old, new), encoding="utf-8")
-    assert command("fleet", file, "-o", copied / "out") == 2
+    assert command("monitor", file, "-o", copied / "out") == 2
     err = capsys.readouterr().err
     assert said in err
     assert len(err.splitlines()) == 1
@@ -419,7 +421,7 @@ def test_folders_of_others(copied: Path, command: Command, capsys) -> None:
     ):
         run_fleet(file, copied / "out", workers=1)
     file.write_text(file.read_text(encoding="utf-8").replace('"cell"', '"hall"'), encoding="utf-8")
-    assert command("fleet", file, "-o", copied / "out") == 2
+    assert command("monitor", file, "-o", copied / "out") == 2
     assert "holds results of another fleet, of other files; give" in capsys.readouterr().err
 
 

@@ -236,8 +236,8 @@ def test_the_command_sums_up_and_replays(study: Path, tmp_path: Path, monkeypatc
     page = (tmp_path / "out" / "sweep.html").read_text(encoding="utf-8")
     assert "32 runs of 1 s, Saltelli" in page
     assert "<svg" in page
-    run = said.split("Worst by end: hesr sweep ")[1].split("--replay ")[1].split()[0]
-    assert f"hesr sweep study.toml --replay {run} -o run{run}.csv" in page
+    run = said.split("Worst run by end: hesr simulate ")[1].split("--only ")[1].split()[0]
+    assert f"hesr simulate study.toml --only {run} -o run{run}.csv" in page
     again = ("sweep", study, "--replay", run, "-o", "worst.csv")
     assert command(*again, monkeypatch=monkeypatch) == 0
     largest = parquet.read_table(tmp_path / "out" / "runs").column("end").to_numpy().max()

@@ -28,7 +28,7 @@ from fmu_src import export_fmu, model_file
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
-from hesr.extras.view.runs import Choice, choose
+from hesr.extras.view.runs import ViewOptions, choose
 from hesr.extras.view.skeleton import Paint, arm
 from hesr.extras.view.stage import HEIGHT, WIDTH, Stage
 from hesr.extras.view.video import RATE, drawing, write_video
@@ -146,16 +146,16 @@ def test_files_that_hold_no_traces(tmp_path: Path) -> None:
 
 
 def test_the_best_law_is_shown_beside_none(result: Path) -> None:
-    shown = choose(result, Choice())
+    shown = choose(result, ViewOptions())
     assert shown.scheme == INVERSION
     assert list(shown.runs) == [StandIn.BODY_ONLY.words, "ParFam-H"]
     assert list(shown.joints) == ["joint1", "joint2", "joint3"]
 
 
 def test_laws_and_scheme_can_be_chosen(result: Path) -> None:
-    shown = choose(result, Choice(laws=[StandIn.ORACLE, "parfam_h"]))
+    shown = choose(result, ViewOptions(laws=[StandIn.ORACLE, "parfam_h"]))
     assert list(shown.runs) == [StandIn.ORACLE.words, "ParFam-H"]
-    assert list(choose(result, Choice(scheme="none")).runs) == [StandIn.VELOCITY_ONLY.words]
+    assert list(choose(result, ViewOptions(scheme="none")).runs) == [StandIn.VELOCITY_ONLY.words]
 
 
 def test_what_cannot_be_shown_is_refused(result: Path, hesr: Hesr, tmp_path: Path) -> None:
@@ -183,13 +183,13 @@ def test_results_without_their_arm(result: Path, tmp_path: Path) -> None:
         shutil.copy(result / name, tmp_path)
     fmu = tmp_path / "fmus" / "Arm.fmu"
     with pytest.raises(ArtifactError) as missing:
-        choose(tmp_path, Choice())
+        choose(tmp_path, ViewOptions())
     assert str(missing.value) == f"{fmu}: no such file; the arm cannot be shown without it."
     fmu.parent.mkdir()
     with zipfile.ZipFile(fmu, "w") as archive:
         archive.writestr("modelDescription.xml", "")
     with pytest.raises(ArtifactError) as empty:
-        choose(tmp_path, Choice())
+        choose(tmp_path, ViewOptions())
     assert str(empty.value) == (
         f"{fmu}: holds no resources/model.xml, the arm that is to be shown."
     )
@@ -201,7 +201,7 @@ def test_results_without_their_arm(result: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("magnify", [1.0, 20.0])
 def test_ghost_and_arm_stand_where_the_run_had_them(result: Path, magnify: float) -> None:
     """Beside MuJoCo's own kinematics of the shipped model."""
-    choice = Choice(laws=["parfam_h", StandIn.BODY_ONLY], magnify=magnify)
+    choice = ViewOptions(laws=["parfam_h", StandIn.BODY_ONLY], magnify=magnify)
     shown = choose(result, choice)
     stage = Stage(shown, choice)
     model = mujoco.MjModel.from_xml_path(str(UF850 / "uf850.xml"))
@@ -270,7 +270,7 @@ def test_models_that_cannot_be_shown() -> None:
 @pytest.mark.ci
 @draws
 def test_the_picture_shows_both_poses_and_changes(result: Path) -> None:
-    choice = Choice(laws=[StandIn.BODY_ONLY], magnify=10.0)
+    choice = ViewOptions(laws=[StandIn.BODY_ONLY], magnify=10.0)
     stage = Stage(choose(result, choice), choice)
     model = stage.model
     names = [model.body(body).name for body in model.geom_bodyid]
@@ -312,7 +312,7 @@ def test_a_video_is_as_long_as_the_motion(result: Path, tmp_path: Path, hesr: He
     assert f" {RATE} fps" in about
     images = np.frombuffer(decoded.stdout, dtype=np.uint8).reshape(-1, HEIGHT, WIDTH, 3)
     assert len(images) == RATE // 2
-    choice = Choice(laws=["parfam_h"], speed=2.0)
+    choice = ViewOptions(laws=["parfam_h"], speed=2.0)
     with drawing(Stage(choose(result, choice), choice)) as draw:
         for k in (0, 7, 14):
             assert np.abs(images[k].astype(float) - draw(2.0 * k / RATE)).mean() < 3.0
@@ -347,7 +347,7 @@ def test_an_interrupt_leaves_no_half_a_video(result: Path, tmp_path: Path) -> No
         if done == 2:
             raise KeyboardInterrupt
 
-    choice = Choice(laws=[StandIn.ORACLE])
+    choice = ViewOptions(laws=[StandIn.ORACLE])
     with pytest.raises(KeyboardInterrupt):
         write_video(path, choose(result, choice), choice, progress=interrupt)
     assert path.read_text(encoding="utf-8") == "old"
@@ -442,7 +442,7 @@ def test_an_encoder_that_dies_is_told(
     if LIBRARY is None:
         pytest.skip("nothing draws on this machine")
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", shutil.which("false") or "false")
-    choice = Choice(laws=[StandIn.ORACLE])
+    choice = ViewOptions(laws=[StandIn.ORACLE])
     path = tmp_path / "arm.mp4"
     with pytest.raises(ArtifactError) as told:
         write_video(path, choose(result, choice), choice)
@@ -493,9 +493,10 @@ def test_the_viewer_opens_moves_and_ends(result: Path, tmp_path: Path) -> None:
         variables.pop("MUJOCO_GL", None)
         program = (
             "import sys\nfrom pathlib import Path\n"
-            "from hesr.extras.view.runs import Choice, choose\n"
+            "from hesr.extras.view.runs import ViewOptions, choose\n"
             "from hesr.extras.view.window import show\n"
-            "choice = Choice(speed=0.2)\nshow(choose(Path(sys.argv[1]), choice), choice, turns=1)"
+            "choice = ViewOptions(speed=0.2)\n"
+            "show(choose(Path(sys.argv[1]), choice), choice, turns=1)"
         )
         done = subprocess.run(
             [sys.executable, "-c", program, str(result)],

@@ -200,12 +200,12 @@ RUNS = np.random.default_rng(4).normal(size=(20, 2))
 
 def _write_runs(path: Path) -> None:
     from hesr.extras.sweep.store import Store
-    from hesr.extras.sweep.work import Rows
+    from hesr.extras.sweep.work import RunOutputs
 
     store = Store(path.parent, INPUTS, OUTPUTS)
     store.file(0).parent.mkdir()
     failures = ("", *("arm: it broke",) * 19)
-    store.write(0, RUNS, Rows(outputs=RUNS[:, :1], failures=failures))
+    store.write(0, RUNS, RunOutputs(outputs=RUNS[:, :1], failures=failures))
     store.file(0).rename(path)
 
 

@@ -18,14 +18,14 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
 _SHARED = 0.5
-"""Share of the joints from which on a change of friction is one of all."""
+"""Share of the joints above which a change of friction counts as shared."""
 
 POINTS_TO = {
     "drift": "wear or damage of this joint, or heat of it alone",
     "shared drift": "temperature or lubrication: most joints change alike",
     "shift": "a payload, an error of gravity, or a sensor",
 }
-"""What an alarm points to, by its kind."""
+"""Likely cause by kind of alarm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,15 +80,15 @@ class State:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Watched:
-    """What logs tell of a friction model over days.
+class FollowedLogs:
+    """Friction of a robot over days of logs, relative to its model.
 
     Attributes
     ----------
-    model : as it was fitted.
-    followed : [log][joint], every row.
-    states : of each joint at the end of each log, in this order.
-    alarms : in the order in which they came.
+    model : friction model as fitted.
+    followed : estimates [log][joint] at every row.
+    states : state of each joint at the end of each log.
+    alarms : changes in the order of time.
     """
 
     model: FrictionModel
@@ -99,7 +99,7 @@ class Watched:
 
 def watch(
     model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]], tuning: Tuning = TUNING
-) -> Watched:
+) -> FollowedLogs:
     """Follow friction over logs [log][joint], in the order of their days.
 
     Raises
@@ -109,7 +109,7 @@ def watch(
     """
     follower = Follower(model, tuning)
     followed = tuple(tuple(follower.follow(records)) for records in logs)
-    return Watched(
+    return FollowedLogs(
         model=model,
         followed=followed,
         states=tuple(_state(one) for log in followed for one in log),

@@ -9,7 +9,7 @@ from cosim.report.figures.chart import Chart, Line, Panel, drawn
 from cosim.report.figures.style import SERIES, Stroke
 from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
 from cosim.report.tables.table import ResultTable, row_of
-from hesr.extras.adaptive.monitor import Watched
+from hesr.extras.adaptive.monitor import FollowedLogs
 
 _TRENDS = (
     ("level", "level", 1.0),
@@ -18,7 +18,7 @@ _TRENDS = (
 )
 
 
-def write_monitor(path: Path, watched: Watched) -> None:
+def write_monitor(path: Path, watched: FollowedLogs) -> None:
     """Write the page.
 
     Raises
@@ -28,6 +28,7 @@ def write_monitor(path: Path, watched: Watched) -> None:
     """
     pictures = Pictures(folder=path.parent)  # figures are embedded
     count = len(watched.alarms)
+    alarms = table(alarm_table(watched)) if count else paragraph("None.")
     said = f"{count} change{'s' if count != 1 else ''} found." if count else "No change was found."
     robot = watched.model.robot
     write_sections(
@@ -36,16 +37,15 @@ def write_monitor(path: Path, watched: Watched) -> None:
         heading=f"Friction of {robot} over {len(watched.followed)} logs",
         summary=paragraph(f"{said} The law is {watched.model.law}, as it was fitted."),
         sections=[
-            Section(key="alarms", title="Alarms", html=_alarms(watched)),
+            Section(key="alarms", title="Alarms", html=alarms),
             Section(key="trends", title="Trends", html=_trends(watched, pictures)),
-            Section(key="states", title="After each log", html=_states(watched)),
+            Section(key="states", title="After each log", html=table(state_table(watched))),
         ],
     )
 
 
-def _alarms(watched: Watched) -> Markup:
-    if not watched.alarms:
-        return paragraph("None.")
+def alarm_table(watched: FollowedLogs) -> ResultTable:
+    """Return the table of alarms."""
     rows = [
         row_of(
             f"{alarm.log}: {alarm.joint}", f"{alarm.time:.1f}", alarm.kind,
@@ -54,10 +54,10 @@ def _alarms(watched: Watched) -> Markup:
         for alarm in watched.alarms
     ]  # fmt: skip
     head = ("log: joint", "time in s", "alarm", "torque", "points to")
-    return table(ResultTable(caption="Changes that were found", head=head, rows=rows))
+    return ResultTable(caption="Changes of friction", head=head, rows=rows)
 
 
-def _trends(watched: Watched, pictures: Pictures) -> Markup:
+def _trends(watched: FollowedLogs, pictures: Pictures) -> Markup:
     """Draw every factor of every joint with its band, logs one after the other."""
     ends = np.cumsum([float(np.ptp(log[0].record.t)) for log in watched.followed])
     begins = np.concatenate([[0.0], ends[:-1]])
@@ -89,7 +89,8 @@ def _trends(watched: Watched, pictures: Pictures) -> Markup:
     return joined(*drawings)
 
 
-def _states(watched: Watched) -> Markup:
+def state_table(watched: FollowedLogs) -> ResultTable:
+    """Return the table of the joints' states after each log."""
     rows = [
         row_of(
             f"{s.log}: {s.joint}",
@@ -103,4 +104,4 @@ def _states(watched: Watched) -> Markup:
     head = ("log: joint", "level", "viscous factor", "offset", "error of the law", "followed",
             "learning in %")  # fmt: skip
     caption = "Factors with two standard deviations, and errors (RMSE) in N.m, or N"
-    return table(ResultTable(caption=caption, head=head, rows=rows))
+    return ResultTable(caption=caption, head=head, rows=rows)

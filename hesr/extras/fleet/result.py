@@ -1,4 +1,4 @@
-"""What is found of one robot of a fleet."""
+"""Results of a fleet, its robots and their joints."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -61,9 +61,14 @@ class RobotResult:
     joints: tuple[JointResult, ...] = ()
 
     @property
+    def sentences(self) -> list[str]:
+        """Reasons why the robot, logs or laws were left out."""
+        return [*filter(None, [self.failure]), *self.refused]
+
+    @property
     def broken(self) -> bool:
-        """Whether something of it could not be used."""
-        return bool(self.failure or self.refused)
+        """Whether the robot, a log or a law was left out."""
+        return bool(self.sentences)
 
     @property
     def laws(self) -> list[str]:
@@ -130,18 +135,18 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fleet:
-    """What is found of a fleet.
+    """Result of a fleet.
 
     Attributes
     ----------
-    name : of the fleet.
-    robots : in the order of their names.
-    z : of each number by robot, law and joint, then by name.
-    deviants : largest distance first.
-    changes : those that got worse first, the largest change first.
-    fmus : by type and law, and the structure of the law as JSON.
-    folder : of the results.
-    reused : robots that were there already.
+    name : name of the fleet.
+    robots : results of the robots, sorted by name.
+    z : z of each number by robot, law and joint, then by name.
+    deviants : deviating numbers, the largest z first.
+    changes : changes over days, worse ones first, then by size.
+    fmus : FMUs by type, law and structure of the law as JSON.
+    folder : folder of the results.
+    reused : number of robots that were complete before.
     """
 
     name: str
@@ -159,5 +164,5 @@ class Fleet:
 
     @property
     def broken(self) -> Iterator[RobotResult]:
-        """Robots of which something could not be used."""
+        """Robots whose logs could not all be used."""
         return (robot for robot in self.robots if robot.broken)

@@ -83,11 +83,7 @@ def changes(fleet: "Fleet") -> ResultTable:
 
 def broken(fleet: "Fleet") -> ResultTable:
     """Return what could not be used, and why."""
-    sentences = [
-        (robot.robot, text)
-        for robot in fleet.broken
-        for text in (*filter(None, [robot.failure]), *robot.refused)
-    ]
+    sentences = [(robot.robot, text) for robot in fleet.broken for text in robot.sentences]
     return ResultTable(
         caption="Not used",
         head=("robot", "why"),

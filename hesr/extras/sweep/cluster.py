@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from fmu_src.run.fmu import is_known, is_ours, remember
 from hesr.extras.sweep.plan import Plan
-from hesr.extras.sweep.work import Rows, Task, run_rows
+from hesr.extras.sweep.work import RunOutputs, Task, run_rows
 from hesr_model.errors import ConfigError, HesrError, WorkerError
 from hesr_model.support import cache
 from hesr_model.support.arrays import Array
@@ -26,7 +26,9 @@ _SECONDS = 20
 
 
 @contextmanager
-def results_of(plan: Plan, firsts: list[int], address: str) -> Iterator[Iterator[tuple[int, Rows]]]:
+def results_of(
+    plan: Plan, firsts: list[int], address: str
+) -> Iterator[Iterator[tuple[int, RunOutputs]]]:
     """Yield the iterator of chunks as they are done, with the first run of each.
 
     Parameters
@@ -60,7 +62,7 @@ def results_of(plan: Plan, firsts: list[int], address: str) -> Iterator[Iterator
         yield _done(client, plan, firsts)
 
 
-def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int, Rows]]:
+def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int, RunOutputs]]:
     from distributed import as_completed
 
     ours = {digest: is_ours(fmu) for fmu, digest in plan.digests.items()}
@@ -111,7 +113,7 @@ def run_there(
     names: Mapping[str, str],
     ours: Mapping[str, bool],
     contents: Mapping[str, bytes],
-) -> Rows:
+) -> RunOutputs:
     """Do runs on a worker of a cluster, with FMUs that came as bytes.
 
     Parameters

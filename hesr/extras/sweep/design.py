@@ -6,7 +6,7 @@ from math import prod
 import numpy as np
 from scipy.special import ndtri
 
-from hesr.extras.sweep.study import MOST_RUNS, Correlated, Input, SweepStudy
+from hesr.extras.sweep.study import MOST_RUNS, Correlated, SweepInput, SweepStudy
 from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
 
@@ -70,7 +70,7 @@ def _grid(study: SweepStudy) -> Array:
     return np.array(list(product(*places)))
 
 
-def _values(one: Input, unit: Array) -> Array:
+def _values(one: SweepInput, unit: Array) -> Array:
     if one.values:
         listed: Array = np.array(one.values)
         return listed.take((unit * len(listed)).astype(int), mode="clip")

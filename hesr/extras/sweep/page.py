@@ -11,7 +11,7 @@ from hesr.extras.sweep import tables
 from hesr.extras.sweep.figures import distributions, shares
 
 if TYPE_CHECKING:
-    from hesr.extras.sweep.result import Swept
+    from hesr.extras.sweep.result import SweepRuns
 
 _DESIGNS = {
     "grid": "a grid",
@@ -21,7 +21,7 @@ _DESIGNS = {
 }
 
 
-def write_page(swept: "Swept", path: Path, study: Path) -> None:
+def write_page(swept: "SweepRuns", path: Path, study: Path) -> None:
     """Write the page, the same bytes for the same results.
 
     Parameters
@@ -58,7 +58,7 @@ def write_page(swept: "Swept", path: Path, study: Path) -> None:
     )
 
 
-def _outputs(swept: "Swept", pictures: Pictures) -> Markup:
+def _outputs(swept: "SweepRuns", pictures: Pictures) -> Markup:
     names = [output.name for output in swept.plan.study.outputs]
     drawn = pictures.shown(
         "distributions",
@@ -69,7 +69,7 @@ def _outputs(swept: "Swept", pictures: Pictures) -> Markup:
     return joined(drawn, table(tables.outputs(swept)))
 
 
-def _worst(swept: "Swept", study: Path) -> Markup:
+def _worst(swept: "SweepRuns", study: Path) -> Markup:
     count = len(swept.plan.study.outputs)
     return joined(
         paragraph("Largest magnitude first, runs that failed before all others."),
@@ -77,7 +77,7 @@ def _worst(swept: "Swept", study: Path) -> Markup:
     )
 
 
-def _sensitivities(swept: "Swept", pictures: Pictures) -> Markup:
+def _sensitivities(swept: "SweepRuns", pictures: Pictures) -> Markup:
     parts = [
         paragraph(
             "First order is what an input explains by itself, total what it explains with all of "

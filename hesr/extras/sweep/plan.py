@@ -14,7 +14,7 @@ from cosim.systems.system import SystemSpec, Value
 from fmu_src.run.fmu import POOL
 from hesr.extras.sweep.design import chosen
 from hesr.extras.sweep.study import SweepStudy
-from hesr.extras.sweep.work import Target, Task
+from hesr.extras.sweep.work import Task, VariedVariable
 from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
@@ -85,7 +85,7 @@ def planned(path: Path) -> Plan:
     return Plan(study=study, task=task, values=values, digests=digests)
 
 
-def _targets(study: SweepStudy, spec: SystemSpec, path: Path) -> list[Target]:
+def _targets(study: SweepStudy, spec: SystemSpec, path: Path) -> list[VariedVariable]:
     found = []
     for column, one in enumerate(study.inputs):
         for name in one.variables:
@@ -93,7 +93,7 @@ def _targets(study: SweepStudy, spec: SystemSpec, path: Path) -> list[Target]:
             base = _base(spec, component, variable, path) if one.factor else None
             whole = bool(one.values) and all(float(value).is_integer() for value in one.values)
             found.append(
-                Target(
+                VariedVariable(
                     component=component,
                     variable=variable,
                     column=column,
@@ -105,7 +105,7 @@ def _targets(study: SweepStudy, spec: SystemSpec, path: Path) -> list[Target]:
     for group in study.correlated:
         for name in group.variables:
             component, _, variable = name.partition(".")
-            found.append(Target(component=component, variable=variable, column=column))
+            found.append(VariedVariable(component=component, variable=variable, column=column))
             column += 1
     return found
 

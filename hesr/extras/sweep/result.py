@@ -1,4 +1,4 @@
-"""What a sweep gave."""
+"""Runs of a sweep."""
 
 from dataclasses import dataclass
 
@@ -6,28 +6,28 @@ import numpy as np
 
 from hesr.extras.sweep.plan import Plan
 from hesr.extras.sweep.sensitivity import Sensitivity
-from hesr.extras.sweep.store import Table
+from hesr.extras.sweep.store import RunTable
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Swept:
-    """What a sweep gave.
+class SweepRuns:
+    """Runs of a sweep.
 
     Attributes
     ----------
-    plan : the sweep.
-    table : all runs.
-    sensitivities : of each output, where the design gives them.
-    reused : runs that were there already.
+    plan : runs of the sweep.
+    table : varied values, outputs and failures of all runs.
+    sensitivities : sensitivities of each output, for the design ``"sobol"``.
+    reused : number of runs that were complete before.
     """
 
     plan: Plan
-    table: Table
+    table: RunTable
     sensitivities: list[Sensitivity]
     reused: int
 
     def worst(self, output: int, most: int = 5) -> list[int]:
-        """Return the runs with the largest magnitudes of an output, those that failed first."""
+        """Return the runs with the largest magnitudes of an output, failed runs first."""
         values = np.abs(self.table.outputs[:, output])
         order = np.argsort(np.where(np.isnan(values), -np.inf, -values), kind="stable")
         return [int(run) for run in order[:most]]

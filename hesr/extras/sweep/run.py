@@ -7,10 +7,10 @@ from pathlib import Path
 
 from cosim.systems.simulation import Master, Result
 from hesr.extras.sweep.plan import Plan, planned
-from hesr.extras.sweep.result import Swept
+from hesr.extras.sweep.result import SweepRuns
 from hesr.extras.sweep.sensitivity import Sensitivity, sensitivities
-from hesr.extras.sweep.store import ABOUT, RUNS, Store, Table, taken
-from hesr.extras.sweep.work import Rows, release, run_rows
+from hesr.extras.sweep.store import ABOUT, RUNS, RunTable, Store, taken
+from hesr.extras.sweep.work import RunOutputs, release, run_rows
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, silent
@@ -25,7 +25,7 @@ def run_sweep(
     workers: int | None = None,
     cluster: str | None = None,
     progress: Stages = silent,
-) -> Swept:
+) -> SweepRuns:
     """Do all runs of a study that are not done yet, and write the page.
 
     Parameters
@@ -51,8 +51,11 @@ def run_sweep(
             reused = len(plan.values) - sum(len(plan.chunk(k)) for k in left)
             _run(plan, store, left, workers, cluster, partial(progress, plan.study.name))
             table = store.read(plan.firsts)
-            swept = Swept(
-                plan=plan, table=table, sensitivities=_sensitivities(plan, table), reused=reused
+            swept = SweepRuns(
+                plan=plan,
+                table=table,
+                sensitivities=_sensitivities(plan, table),
+                reused=reused,
             )
             if all(table.failures):
                 raise SimulationError(
@@ -87,7 +90,7 @@ def _run(
 @contextmanager
 def _results(
     plan: Plan, left: list[int], workers: int | None, cluster: str | None
-) -> Iterator[Iterator[tuple[int, Rows]]]:
+) -> Iterator[Iterator[tuple[int, RunOutputs]]]:
     """Yield the iterator of chunks that are done."""
     if cluster is not None:
         from hesr.extras.sweep.cluster import results_of
@@ -100,7 +103,7 @@ def _results(
         yield zip(left, found, strict=True)
 
 
-def _sensitivities(plan: Plan, table: Table) -> list[Sensitivity]:
+def _sensitivities(plan: Plan, table: RunTable) -> list[Sensitivity]:
     study = plan.study
     if study.design != "sobol" or study.runs is None:
         return []

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from filelock import FileLock, Timeout
 
-from hesr.extras.sweep.work import Rows
+from hesr.extras.sweep.work import RunOutputs
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import folder_made, written_whole
@@ -22,7 +22,7 @@ RUNS = "runs"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Table:
+class RunTable:
     """All runs of a sweep.
 
     Attributes
@@ -53,7 +53,7 @@ class Store:
         """Return the file of the chunk that begins with a run."""
         return self._folder / RUNS / f"part-{first:08d}.parquet"
 
-    def write(self, first: int, values: Array, rows: Rows) -> None:
+    def write(self, first: int, values: Array, rows: RunOutputs) -> None:
         """Write a chunk: the same bytes for the same runs."""
         import pyarrow as pa
         from pyarrow import parquet
@@ -74,16 +74,16 @@ class Store:
         except (OSError, ValueError, KeyError, ArrowException):
             return False
 
-    def read(self, firsts: list[int]) -> Table:
+    def read(self, firsts: list[int]) -> RunTable:
         """Read chunks, in their order."""
         parts = [self._read(first) for first in firsts]
-        return Table(
+        return RunTable(
             inputs=np.concatenate([part.inputs for part in parts]),
             outputs=np.concatenate([part.outputs for part in parts]),
             failures=tuple(text for part in parts for text in part.failures),
         )
 
-    def _read(self, first: int) -> Table:
+    def _read(self, first: int) -> RunTable:
         from pyarrow import parquet
 
         found = parquet.read_table(self.file(first))
@@ -91,7 +91,7 @@ class Store:
         def numbers(names: tuple[str, ...]) -> Array:
             return np.column_stack([found.column(name).to_numpy() for name in names])
 
-        return Table(
+        return RunTable(
             inputs=numbers(self._inputs),
             outputs=numbers(self._outputs),
             failures=tuple(found.column("failure").to_pylist()),

@@ -23,7 +23,7 @@ def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
 Signals = Annotated[tuple[Signal, ...], Field(min_length=1), AfterValidator(_distinct)]
 
 
-class Input(Config):
+class SweepInput(Config):
     """What is varied by itself: one number, given to one or more variables.
 
     One of three groups of keys says which values it takes: `values`; `low` and `high`, between
@@ -151,7 +151,7 @@ class SweepStudy(Config):
     runs: int | None = Field(default=None, ge=1, le=MOST_RUNS)
     seed: int = Field(default=0, ge=0)
     chunk: int = Field(default=50, ge=1, le=100_000)
-    inputs: tuple[Input, ...] = ()
+    inputs: tuple[SweepInput, ...] = ()
     correlated: tuple[Correlated, ...] = ()
     outputs: tuple[Measured, ...] = Field(min_length=1)
 

@@ -11,12 +11,12 @@ from cosim.report.tables.table import ResultTable, TableCell, row_of
 from hesr_model.support.arrays import Array
 
 if TYPE_CHECKING:
-    from hesr.extras.sweep.result import Swept
+    from hesr.extras.sweep.result import SweepRuns
 
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
-def outputs(swept: "Swept") -> ResultTable:
+def outputs(swept: "SweepRuns") -> ResultTable:
     """Return how the outputs are distributed over the runs that went well."""
     rows = []
     for output, values in zip(swept.plan.study.outputs, swept.table.outputs.T, strict=True):
@@ -29,15 +29,14 @@ def outputs(swept: "Swept") -> ResultTable:
     return ResultTable(caption="Outputs over all runs", head=head, rows=rows, note=note)
 
 
-def worst(swept: "Swept", k: int, path: Path) -> ResultTable:
+def worst(swept: "SweepRuns", k: int, path: Path) -> ResultTable:
     """Return the runs with the largest magnitudes of output k, and how to see each again."""
     name, study = swept.plan.study.outputs[k].name, swept.plan.study
     rows = []
     for run in swept.worst(k):
         inputs = [_cell(value) for value in swept.table.inputs[run]]
-        command = f"hesr sweep {shlex.quote(path.name)} --replay {run} -o run{run}.csv"
         value = swept.table.failures[run] or _cell(swept.table.outputs[run, k])
-        rows.append(row_of(f"{run}", value, *inputs, command))
+        rows.append(row_of(f"{run}", value, *inputs, replay_command(Path(path.name), run)))
     return ResultTable(
         caption=f"Worst runs by {name}",
         head=("run", name, *study.names, "again by"),
@@ -46,7 +45,12 @@ def worst(swept: "Swept", k: int, path: Path) -> ResultTable:
     )
 
 
-def sensitivities(swept: "Swept") -> Iterator[ResultTable]:
+def replay_command(path: Path, run: int) -> str:
+    """Return the command that repeats one run of a sweep file."""
+    return f"hesr simulate {shlex.quote(str(path))} --only {run} -o run{run}.csv"
+
+
+def sensitivities(swept: "SweepRuns") -> Iterator[ResultTable]:
     """Yield what each output depends on."""
     for one in swept.sensitivities:
         rows = [

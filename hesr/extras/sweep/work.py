@@ -23,7 +23,7 @@ _MEASURES: Mapping[Measure, Callable[[Array], float]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Target:
+class VariedVariable:
     """A variable that an input sets.
 
     Attributes
@@ -63,7 +63,7 @@ class Task:
 
     key: str
     spec: SystemSpec
-    targets: tuple[Target, ...]
+    targets: tuple[VariedVariable, ...]
     outputs: tuple[Measured, ...]
 
     def start(self, row: Array) -> Start:
@@ -88,7 +88,7 @@ class Task:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Rows:
+class RunOutputs:
     """What runs gave.
 
     Attributes
@@ -106,19 +106,19 @@ _held: tuple[str, Master] | None = None
 """The system of the last task, loaded."""
 
 
-def run_rows(task: Task, values: Array) -> Rows:
+def run_rows(task: Task, values: Array) -> RunOutputs:
     """Do the runs whose inputs have these values (n, d)."""
     with _LOCK:  # a worker of a cluster may have several threads
         return _run_rows(_master(task), task, values)
 
 
-def _run_rows(master: Master, task: Task, values: Array) -> Rows:
+def _run_rows(master: Master, task: Task, values: Array) -> RunOutputs:
     outputs, failures = np.empty((len(values), len(task.outputs))), []
     for k, row in enumerate(values):
         result = master.run(start=task.start(row))
         outputs[k] = task.measured(result)
         failures.append(str(result.failure or ""))
-    return Rows(outputs=outputs, failures=tuple(failures))
+    return RunOutputs(outputs=outputs, failures=tuple(failures))
 
 
 def release() -> None:

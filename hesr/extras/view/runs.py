@@ -20,7 +20,7 @@ _MOST = 4  # arms side by side
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
+class ViewOptions:
     """What a user wants to see.
 
     Attributes
@@ -61,7 +61,7 @@ class Shown:
     runs: Mapping[str, Trace]
 
 
-def choose(folder: Path, choice: Choice) -> Shown:
+def choose(folder: Path, choice: ViewOptions) -> Shown:
     """Read from the results of a study what is to be shown.
 
     Raises

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.loop.traces import Trace
-from hesr.extras.view.runs import Choice, Shown
+from hesr.extras.view.runs import Shown, ViewOptions
 from hesr.extras.view.skeleton import Colour, Paint, arm, reach
 from hesr_model.support.arrays import Array
 
@@ -59,7 +59,7 @@ class Stage:
         If the model of the arm cannot be shown.
     """
 
-    def __init__(self, shown: Shown, choice: Choice) -> None:
+    def __init__(self, shown: Shown, choice: ViewOptions) -> None:
         self._magnify, self._scheme = choice.magnify, shown.scheme
         self.duration = max(float(run.t[-1]) for run in shown.runs.values())
         low, high = _space(shown)

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hesr.extras.view.runs import Choice, Shown
+from hesr.extras.view.runs import Shown, ViewOptions
 from hesr.extras.view.stage import HEIGHT, WIDTH, Stage
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support.files import written_whole
@@ -30,7 +30,9 @@ _BACKENDS = {"egl": "EGL", "osmesa": "OSMesa"}
 _GEOMS = 4000
 
 
-def write_video(path: Path, shown: Shown, choice: Choice, *, progress: Progress = silent) -> float:
+def write_video(
+    path: Path, shown: Shown, choice: ViewOptions, *, progress: Progress = silent
+) -> float:
     """Write a video; return how long it is [s].
 
     Parameters

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 
 import mujoco
 
-from hesr.extras.view.runs import Choice, Shown
+from hesr.extras.view.runs import Shown, ViewOptions
 from hesr.extras.view.stage import Stage
 from hesr_model.errors import ConfigError
 
@@ -16,7 +16,7 @@ _PATIENCE = 10.0  # [s] for the viewer to close
 _RATE = 60.0  # [Hz] at which the viewer is told where the arms are
 
 
-def show(shown: Shown, choice: Choice, *, turns: int | None = None) -> None:
+def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None:
     """Show the motion again and again until the viewer is closed.
 
     Parameters

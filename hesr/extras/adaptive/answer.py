@@ -1,0 +1,55 @@
+"""Answer of `hesr monitor` for the logs of one robot."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.report.tables.table import ResultTable
+from cosim.workflow.answer import Answer, shortened
+from hesr.extras.adaptive.monitor import FollowedLogs
+from hesr.extras.adaptive.page import alarm_table, state_table
+from hesr_model.findings import Finding
+from hesr_model.support.typed_json import to_json
+
+_MOST_ALARMS = 12
+"""Alarms in a summary."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Monitoring(FollowedLogs, Answer):
+    """Alarms and states of a robot over its logs."""
+
+    format = "hesr-monitoring-1"
+    findings: Sequence[Finding] = ()
+    files: Sequence[Path] = ()
+
+    def summary(self) -> str:
+        """Return alarms with their likely causes, and the last state of each joint."""
+        count = len(self.alarms)
+        lines = [f"{count} change{'s' * (count != 1)} of friction found."]
+        lines += [
+            f"{one.log}, {one.joint}, {one.time:.1f} s: {'more' if one.sign > 0 else 'less'} than "
+            f"known ({one.kind}); likely cause: {one.points_to}"
+            for one in self.alarms[:_MOST_ALARMS]
+        ]
+        if count > _MOST_ALARMS:
+            lines.append(f"{count - _MOST_ALARMS} more alarms: --verbose lists them.")
+        lines += [
+            f"{one.joint}: level {one.level:.3f} ± {2 * one.level_sd:.3f}, viscous factor "
+            f"{one.viscosity:.3f} ± {2 * one.viscosity_sd:.3f}, offset {one.offset:.3g} ± "
+            f"{2 * one.offset_sd:.2g}"
+            for one in self.states[-len(self.model.joints) :]
+        ]
+        return shortened(lines, self.files)
+
+    def tables(self) -> Sequence[ResultTable | str]:
+        """Return alarms, and the state of each joint after each log."""
+        return [alarm_table(self), state_table(self)]
+
+    def result(self) -> Any:
+        """Return states and alarms."""
+        return {
+            "states": [to_json(one) for one in self.states],
+            "alarms": [to_json(one) | {"points_to": one.points_to} for one in self.alarms],
+        }

@@ -1,0 +1,97 @@
+"""The command `monitor`: friction over days of logs, of one robot or a fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from cosim.workflow.answer import Answer
+from hesr_model.errors import ArgumentError
+from hesr_model.support.progress import Stages, silent
+
+if TYPE_CHECKING:
+    from cosim.workflow.arguments import BodyArg, LawArg, Logs, RobotArg
+    from hesr_model.support.files import PathArg
+
+
+def monitor(
+    logs: Logs,
+    *,
+    law: LawArg | None = None,
+    robot: RobotArg | None = None,
+    rigid_body: BodyArg | None = None,
+    output: PathArg | None = None,
+    workers: int | None = None,
+    accept: Sequence[str] = (),
+    progress: Stages = silent,
+) -> Answer:
+    r"""Find changes of friction over days of logs, or deviating robots of a fleet.
+
+    An interrupted fleet continues where it stopped, and processes only new logs.
+
+    Parameters
+    ----------
+    logs : log or sequence of logs
+        Logs of one robot in the order of time, or one fleet file (.toml).
+    law : path or law, optional
+        Friction model fitted to other logs of the robot.
+    robot : robot or path, optional
+        Robot file (.toml), URDF or MJCF; by default the robot of the logs.
+    rigid_body : body or path, optional
+        Result of 'hesr identify'; by default identified from the logs.
+    output : path, optional
+        Page to write; for a fleet the folder, by default results/NAME.
+    workers : int, optional
+        Processes of a fleet; by default one per core.
+    accept : sequence of str, optional
+        Names of checks whose errors do not refuse the logs; repeatable.
+    progress : callable, optional
+        Called with stage, steps done and steps in total.
+
+    Returns
+    -------
+    Monitoring or Fleet
+        Alarms with their likely causes and the state of each joint; or deviations and changes.
+
+    Raises
+    ------
+    HesrError
+        If a log, the robot, the law or the fleet file is unusable.
+
+    Examples
+    --------
+    On the command line::
+
+        $ hesr monitor monday.csv tuesday.csv --law law.json --robot robot.toml \
+          --rigid-body rigid_body.json -o page.html
+        $ hesr monitor fleet.toml -o results/fleet
+    """
+    from pathlib import Path
+
+    from cosim.workflow.arguments import body_of, checked_logs, listed, model_given
+    from cosim.workflow.jobs import find_job
+    from hesr.extras.adaptive.answer import Monitoring
+    from hesr.extras.adaptive.monitor import watch
+    from hesr.extras.adaptive.page import write_monitor
+    from hesr_model.support.files import path_of
+
+    folder = None if output is None else path_of(output, "an output")
+    first, *others = listed(logs)
+    job = find_job(Path(first), "monitor") if isinstance(first, str | Path) else None
+    if job is not None:
+        if others or law or robot or rigid_body or accept:
+            raise ArgumentError(f"{first}: a fleet file names its own logs; give it alone.")
+        return job.run(Path(first), output=folder, workers=workers, progress=progress)
+    if law is None:
+        raise ArgumentError("'law' is missing; give a friction model of other logs.")
+    if workers is not None:
+        raise ArgumentError("'workers' is for a fleet file.")
+    model = model_given(law)
+    read = checked_logs(logs, robot, accept, progress)
+    records = read.records(body_of(rigid_body, read.logs, read.robot))
+    progress("following friction", 0, 1)
+    found = watch(model, records)
+    if folder is not None:
+        write_monitor(folder, found)
+    files = [] if folder is None else [folder]
+    return Monitoring(**vars(found), findings=read.findings, files=files)

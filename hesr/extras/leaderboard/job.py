@@ -1,0 +1,75 @@
+"""Job of `hesr test X.fmu --on LEADERBOARD.toml`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cosim.report.tables.table import ResultTable
+from cosim.workflow.answer import Answer, shortened
+from hesr.extras.leaderboard.board_file import Arena
+from hesr.extras.leaderboard.leaderboard import FORMAT, Leaderboard, entries_of, run_arena
+from hesr.extras.leaderboard.tables import standings
+from hesr_model.support.progress import Stages, silent
+from hesr_model.support.typed_json import to_json
+
+
+class LeaderboardJob:
+    """Ranking of friction FMUs on the logs of a file."""
+
+    verb, key = "test", "robots"
+
+    def read(self, path: Path) -> Arena:
+        """Read and validate the file."""
+        return Arena.read(path)
+
+    def run(
+        self,
+        path: Path,
+        *,
+        fmus: Sequence[str | Path],
+        output: Path | None = None,
+        trust: bool = False,
+        progress: Stages = silent,
+    ) -> "LeaderboardResult":
+        """Score FMUs, given as FILE or ROBOT=FILE, and write the page to `output`."""
+        from cosim.workflow.arguments import remember_trust
+
+        arena = self.read(path)
+        entries = entries_of([str(fmu) for fmu in fmus], arena)
+        remember_trust((entry.fmu for entry in entries), trust=trust)
+        board = run_arena(arena, entries, progress=partial(progress, "scoring entries"))
+        if output is not None:
+            from hesr.extras.leaderboard.page import write_page  # loads the drawing libraries
+
+            write_page(board, output)
+        return LeaderboardResult(**vars(board), files=(output,) if output else ())
+
+
+JOB = LeaderboardJob()
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LeaderboardResult(Leaderboard, Answer):
+    """Result of a leaderboard file."""
+
+    format = FORMAT
+    files: Sequence[Path] = ()
+
+    def summary(self) -> str:
+        """Return the leaders of each robot and class of inputs."""
+        lines = [
+            f"{one.robot}, inputs {one.group}: {one.name} leads"
+            for one in self.standings
+            if one.leads
+        ]
+        return shortened(lines, self.files)
+
+    def tables(self) -> Sequence[ResultTable | str]:
+        """Return the standings of each robot."""
+        return list(standings(self))
+
+    def result(self) -> Any:
+        """Return the leaderboard."""
+        return to_json(Leaderboard(**{f.name: getattr(self, f.name) for f in fields(Leaderboard)}))

@@ -1,0 +1,135 @@
+"""The core without `hesr.extras`: laws, verbs and a whole quick run."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from small_twin import MOTIONS
+
+from hesr_model.friction.registry import laws_of_paper, registry
+from hesr_model.support import plugins
+from hesr_model.support.files import models_folder
+
+NO_EXTRAS = """
+import sys
+
+
+class NoExtras:
+    def find_spec(self, name, path=None, target=None):
+        if name == "hesr.extras" or name.startswith("hesr.extras."):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+sys.meta_path.insert(0, NoExtras())
+"""
+"""Text of a `sitecustomize`, which all Python processes import."""
+
+VERBS = ("new", "inspect", "excite", "identify", "fit", "export", "check", "simulate", "run",
+         "report")  # fmt: skip
+
+HELP = f"""
+import click
+from click.testing import CliRunner
+from hesr.cli.app import app
+for verb in {VERBS}:
+    found = CliRunner().invoke(app, [verb, "--help"])
+    assert found.exit_code == 0, (verb, found.output, found.exception)
+"""
+
+UF850 = models_folder() / "uf850"
+
+STUDY = f"""
+name = "core"
+robot = "{UF850 / "robot.toml"}"
+
+[twin]
+plant = "{UF850 / "plant.toml"}"
+signals = "{UF850 / "arm.toml"}"
+motions = "motions.toml"
+
+[logs]
+identification = ["excitation"]
+reversed = ["excitation_reversed"]
+test.unseen = ["trial"]
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    (folder / "sitecustomize.py").write_text(NO_EXTRAS, encoding="utf-8")
+    return folder
+
+
+def python(site: Path, *arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
+    return subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        check=False,
+        env=environment | {"PYTHONPATH": str(site), "COLUMNS": "120"},
+    )
+
+
+def hesr(site: Path, *arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return python(site, "-c", "from hesr.cli import main; main()", *arguments, cwd=cwd)
+
+
+def core_laws() -> list[str]:
+    entries = plugins.load("hesr.laws")
+    return [name for name in registry() if not entries[name].entry.module.startswith("hesr.extras")]
+
+
+def test_laws_of_the_core_are_listed_and_no_others(site: Path, tmp_path: Path) -> None:
+    code = "import json, hesr; print(json.dumps(list(hesr.laws())))"
+    found = python(site, "-c", code, cwd=tmp_path)
+    assert found.returncode == 0, found.stderr
+    assert json.loads(found.stdout) == core_laws()
+    assert set(laws_of_paper()) <= set(core_laws())
+    assert len(core_laws()) < len(registry())
+
+
+def test_help_of_every_core_verb(site: Path, tmp_path: Path) -> None:
+    found = python(site, "-c", HELP, cwd=tmp_path)
+    assert found.returncode == 0, found.stderr
+
+
+def test_a_verb_and_a_format_of_an_extra_are_unknown(site: Path, tmp_path: Path) -> None:
+    found = hesr(site, "monitor", "log.csv", cwd=tmp_path)
+    assert found.returncode == 2
+    assert "No such command 'monitor'" in found.stderr
+    code = "import hesr; hesr.export('uf850-table1', 'f.mo', format='modelica')"
+    found = python(site, "-c", code, cwd=tmp_path)
+    assert "'modelica'" in found.stderr.splitlines()[-1]
+
+
+def test_fmus_are_exported_and_checked(site: Path, tmp_path: Path) -> None:
+    for arguments in (("export", "uf850-table1", "-o", "F.fmu"), ("check", "F.fmu")):
+        found = hesr(site, *arguments, cwd=tmp_path)
+        assert found.returncode == 0, found.stderr
+
+
+@pytest.mark.soak
+def test_a_quick_run(site: Path, tmp_path: Path) -> None:
+    (tmp_path / "motions.toml").write_text(MOTIONS, encoding="utf-8")
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    found = hesr(site, "run", "study.toml", "-o", "results", "--quick", cwd=tmp_path)
+    assert found.returncode == 0, found.stderr
+    assert {path.stem for path in (tmp_path / "results" / "fmus").glob("*.fmu")} >= {"parfam_h"}
+    assert (tmp_path / "results" / "report.html").is_file()
+
+
+@pytest.mark.soak
+def test_laws_of_the_papers_table_are_fitted(site: Path, tmp_path: Path) -> None:
+    laws = f"laws = {json.dumps(laws_of_paper())}\n"
+    (tmp_path / "motions.toml").write_text(MOTIONS, encoding="utf-8")
+    (tmp_path / "study.toml").write_text(STUDY.replace("[twin]", f"{laws}[twin]"), encoding="utf-8")
+    found = hesr(site, "run", "study.toml", "-o", "results", cwd=tmp_path)
+    assert found.returncode == 0, found.stderr
+    scores = json.loads((tmp_path / "results" / "evaluation.json").read_text(encoding="utf-8"))
+    assert set(laws_of_paper()) <= set(scores["unseen"]["laws"])
