@@ -27,7 +27,6 @@ KNOWN_DUPLICATES = {
     "Motion",
     "Result",
     "Score",
-    "Table",
     "Unit",
     "Variable",
     "Verdict",
