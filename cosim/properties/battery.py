@@ -13,20 +13,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from cosim.properties.bench import (
-    DriveBench,
-    FrictionBench,
-    drive_bench,
-    friction_bench,
-)
+from cosim.properties.bench import DriveBench, FrictionBench, drive_bench, friction_bench
 from cosim.properties.break_away import breakaway, dither, hold
 from cosim.properties.coupling import coupling
 from cosim.properties.dissipation import dissipation
-from cosim.properties.inertia import INERTIA
 from cosim.properties.presliding import memory, nested, presliding
-from cosim.properties.scale import Scale, measure_scale
-from cosim.properties.sliding import chatter, lag, work
-from cosim.properties.starts import start
+from cosim.properties.scale import INERTIA, Scale, measure_scale
+from cosim.properties.sliding import chatter, lag, start, work
 from cosim.properties.stick_slip import stick_slip
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.friction_fmu import export_bare
@@ -49,28 +42,28 @@ from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, counted, silent
 
-_SAMPLE_TIME = 5e-3  # [s] of FMUs that do not say theirs
+_SAMPLE_TIME = 5e-3  # [s] default for FMUs without one
 _DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[PropertyResult]]] = {
     "breakaway": breakaway,
     "stick_slip": stick_slip,
     "dither": dither,
     "hold": hold,
 }
-_DRIVE = "drive"  # driven as well, by more than its scale
+_DRIVE = "drive"  # needs more than the scale
 _NO_INERTIA = "Not run: the inertia of the joints is not known; give it by --inertia."
 _NO_MODEL = "Not run: the FMU carries no law of which a JointDrive could be made."
 
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """What is put to the test.
+    """A model or FMU to examine.
 
     Attributes
     ----------
-    name : under which the findings are shown, where the model has no say.
-    model : the laws; None for an FMU that does not carry them.
-    fmu : a friction FMU; one is made of the model where not given.
-    inertia : (n,) of the joints [kg.m2]; that of a known robot where not given.
+    name : display name if there is no model.
+    model : the laws; None for an FMU that does not contain them.
+    fmu : a friction FMU; exported from the model by default.
+    inertia : (n,) of the joints [kg.m2]; by default that of a shipped robot.
     """
 
     name: str
@@ -87,24 +80,23 @@ def run_battery(
     progress: Progress = silent,
     kept: Path | None = None,
 ) -> list[Properties]:
-    """Put models or FMUs to the test, each in a process of its own.
+    """Examine models or FMUs in parallel processes.
 
     Parameters
     ----------
     subjects : models and FMUs.
-    load : load torque of every joint, where an experiment has none of its own [N.m].
-    workers : processes; one for each core where not given, none of its own for 1. The result does
-        not depend on it.
-    progress : told how many are done.
-    kept : folder into which the findings on each model are written when they are complete, and from
-        which they are read where they stand there already.
+    load : load torque of every joint in experiments without a load of their own [N.m].
+    workers : number of processes; one per core by default, the present one for 1. It does not
+        change the result.
+    progress : receives the number of finished subjects.
+    kept : folder of finished results, from which they are read again.
 
     Raises
     ------
     ConfigError
-        If an inertia is not what it must be.
+        If an inertia is not valid.
     ExportError, SimulationError
-        If an FMU cannot be built, or is no friction FMU.
+        If an FMU cannot be built, or is not a friction FMU.
     """
     for subject in subjects:
         _require_inertia(subject)
@@ -115,13 +107,13 @@ def run_battery(
 
 
 def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties:
-    """Put one model or FMU to the test, or read what was found when it was."""
+    """Examine one model or FMU, or read its finished result."""
     if kept is None or subject.model is None or subject.fmu is not None:
         return measure(subject, load=load)
     about = [subject.model.to_json(), subject.inertia, load, version("hesr")]
     key = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()[:24]
     path = kept / f"{key}.json"
-    with suppress(ArtifactError):  # there is none, or none that is whole
+    with suppress(ArtifactError):  # missing or incomplete
         return read_properties(path)[subject.name]
     found = measure(subject, load=load)
     write_properties(path, {subject.name: found})
@@ -129,10 +121,10 @@ def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties
 
 
 def measure(subject: Subject, *, load: float = 0.0) -> Properties:
-    """Put one model or FMU to the test; arguments and errors are those of `run_battery`.
+    """Examine one model or FMU; see `run_battery` for arguments and errors.
 
-    Of robots with coupled joints, the coordinates on which friction sits move one at a time. Laws
-    that follow temperature are at that at which they were fitted.
+    Coupled joints move one friction coordinate at a time. Thermal laws stay at the temperature of
+    their fit.
     """
     model = subject.model and replace(subject.model, coupling=None, thermal=())
     with TemporaryDirectory(prefix="hesr-") as folder:
@@ -149,12 +141,12 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
             try:
                 scale = measure_scale(bench, speed, load)
             except SimulationError as error:
-                # A law that cannot even slide steadily has none of the properties.
+                # Without steady sliding every property fails.
                 found = dict.fromkeys(EXPECTATIONS, [_given_up(error)] * joints)
                 return _collected(subject, load, speed, None, inertia, found)
             found = _moved(bench, scale, model, seen, inertia)
         if model and inertia is not None:
-            # The drive of a joint that slides moves by the same equations, its inertia a mass.
+            # Prismatic joints obey the same equations, with a mass as inertia.
             turning = replace(model, sliding=())
             own = inertia.tolist()
             drive = export_drive(turning, Path(folder, "drive.fmu"), inertia=own, bare=True)
@@ -175,7 +167,7 @@ def _collected(
     inertia: Array | None,
     found: Mapping[str, list[PropertyResult]],
 ) -> Properties:
-    """Return all findings by joint; sizes are zero where nothing could be measured."""
+    """Return all findings by joint; unmeasured scales are zero."""
     model = subject.model
     names = model.joints if model else [f"joint {k}" for k in range(1, len(speed) + 1)]
     sliding = model.slides if model else (False,) * len(speed)
@@ -206,7 +198,7 @@ def _moved(
     seen: list[TrainedRange],
     inertia: Array | None,
 ) -> dict[str, list[PropertyResult]]:
-    """Do all that needs a friction FMU only, and say why the rest is not done."""
+    """Run the experiments on a friction FMU and give a reason for the others."""
     n = bench.joints
     laws = model.laws if model else (None,) * n
     states = [None if law is None else len(law.form.memory) for law in laws]
@@ -232,16 +224,16 @@ def _moved(
 
 
 def _peaks(seen: list[TrainedRange], scale: Scale) -> Array:
-    """Return the trained load of each joint that is largest in size, (n,) [N.m].
+    """Return the trained load of largest magnitude, (n,) [N.m].
 
-    Where no load was trained, what is held and a friction level on top of it stand in.
+    Without trained load it is the constant load plus the friction level.
     """
     trained = np.array([max(one.tau_load, key=abs) for one in seen])
     return np.where(trained != 0.0, trained, scale.load + scale.level)
 
 
 def _tried(experiment: Callable[[], list[PropertyResult]], joints: int) -> list[PropertyResult]:
-    """Run an experiment; an FMU that gives up in it has not the property, on any of its joints."""
+    """Run an experiment; all joints fail if the FMU gives up."""
     try:
         return experiment()
     except SimulationError as error:
@@ -253,7 +245,7 @@ def _given_up(error: SimulationError) -> PropertyResult:
 
 
 def _finite(found: PropertyResult) -> PropertyResult:
-    """Return a finding whose figures are numbers or none."""
+    """Replace infinite and NaN figures of a result by None."""
     figures = (
         f if f.value is None or isfinite(f.value) else Figure(name=f.name, value=None, unit=f.unit)
         for f in found.figures
@@ -282,7 +274,7 @@ def _ranges(model: FrictionModel | None, joints: int) -> list[TrainedRange]:
 
 
 def _require_inertia(subject: Subject, joints: int | None = None) -> Array | None:
-    """Return the inertia of the joints [kg.m2], None where it is not known."""
+    """Return the inertia of the joints [kg.m2]; None if unknown."""
     model = subject.model
     given = subject.inertia
     if given is None and model is not None:

@@ -1,6 +1,6 @@
 """Two benches: one moves the joints of a friction FMU, the other drives those of a JointDrive."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,49 +15,80 @@ from hesr_model.support.arrays import Array
 
 DISCRETISATION = "discretisation"
 _EXACT = 1.0
-_SUBSTEP = 5e-3  # [s] of FMUs of which it is not known that they bear long steps
-_FOREVER, _LONG = 1e4, 60.0  # [s] of steady sliding, with long steps and without
+_SUBSTEP = 5e-3  # [s] for FMUs without exact integration over long steps
+_FOREVER, _LONG = 1e4, 60.0  # [s] of steady sliding, with exact integration and without
 
 
-class FrictionBench:
-    """A friction FMU whose joints are moved as wanted, all at once, each for itself.
+class _Bench:
+    """An FMU with vectors of `joints` inputs and outputs, stepped from its own time zero."""
+
+    def __init__(
+        self, component: FmuInstance, joints: int, inputs: Sequence[str], outputs: Sequence[str]
+    ) -> None:
+        self.joints = joints
+        self._component = component
+        self._inputs, self._outputs = (
+            component.buffer([f"{name}[{i}]" for name in names for i in range(1, joints + 1)])
+            for names in (inputs, outputs)
+        )
+        self._time = 0.0
+
+    def _start(self, start: Mapping[str, float]) -> None:
+        if self._component.used:
+            self._component.reset()
+        self._component.initialise(start=start, inputs=self._inputs)
+        self._time = 0.0
+
+    def _step(self, dt: float) -> Array:
+        self._inputs.write()
+        self._component.step(self._time, dt)
+        self._time += dt
+        return self._outputs.read()
+
+    def _through(self, dt: Array, rows: Array) -> Array:
+        """Hold each row of inputs for its time (K,) [s]; return the outputs at the ends."""
+        times = np.cumsum(np.concatenate([[self._time], dt]))
+        found = through(self._component, self._inputs, self._outputs, times[:-1], dt, rows)
+        self._inputs.values[:] = rows[-1]
+        self._time = float(times[-1])
+        return found
+
+
+class FrictionBench(_Bench):
+    """A friction FMU whose joints are moved independently, all at once.
 
     Parameters
     ----------
     component : the loaded FMU.
-    places : (n,) position of each joint where it is at rest [rad]; zero where not given.
+    places : (n,) position of each joint at rest [rad]; zero by default.
 
     Attributes
     ----------
-    joints : how many there are.
-    exact : whether the FMU integrates its states exactly over a step of any length on request, as
-        ours do.
-    forever : how long steady sliding takes [s].
+    joints : number of joints.
+    exact : whether the FMU can integrate its states exactly over a step of any length, as ours.
+    forever : duration of steady sliding [s].
 
     Raises
     ------
     SimulationError
-        If the FMU has not the connectors of a friction FMU.
+        If the FMU lacks the connectors of a friction FMU.
     """
 
     def __init__(self, component: FmuInstance, places: Array | None = None) -> None:
         names: set[str] = {v.name for v in component.description.modelVariables}
-        self.joints = sum(name.startswith("tau[") for name in names)
-        wanted = [f"{u.name}[{i}]" for u in INPUTS for i in range(1, max(self.joints, 1) + 1)]
+        joints = sum(name.startswith("tau[") for name in names)
+        wanted = [f"{u.name}[{i}]" for u in INPUTS for i in range(1, max(joints, 1) + 1)]
         for name in ("tau[1]", *wanted):
             if name not in names:
                 raise SimulationError(
                     f"{component.fmu}: no friction FMU, since there is no '{name}'; needed are the "
                     "inputs dq[i], q[i], tau_load[i] and the outputs tau[i]."
                 )
-        self.places = np.zeros(self.joints) if places is None else places
+        super().__init__(component, joints, [u.name for u in INPUTS], ["tau"])
+        self.places = np.zeros(joints) if places is None else places
         self.exact = DISCRETISATION in names
         self._settles = START_MODE in names
         self.forever = _FOREVER if self.exact else _LONG
-        self._component = component
-        self._inputs = component.buffer(wanted)
-        self._outputs = component.buffer([f"tau[{i}]" for i in range(1, self.joints + 1)])
-        self._time = 0.0
 
     def start(
         self,
@@ -67,45 +98,36 @@ class FrictionBench:
         dq: Array | None = None,
         unmoved: bool = False,
     ) -> Array:
-        """Begin anew, at rest or at a velocity; return the (n,) torque there.
+        """Restart at rest or at a velocity and return the torque (n,) [N.m].
 
-        In motion friction begins in its steady state, where the FMU knows one.
+        In motion friction starts in its steady state if the FMU has one.
 
         Parameters
         ----------
         load : of each joint [N.m], held until the next start.
-        exact : integrate exactly, whatever the law's own discretisation, where the FMU can.
+        exact : integrate exactly if the FMU can, whatever the law's own discretisation.
         dq : (n,) velocity [rad/s].
-        unmoved : begin with the states of rest, whatever the velocity.
+        unmoved : start with the states of rest, whatever the velocity.
         """
-        component, n = self._component, self.joints
-        if component.used:
-            component.reset()
+        n = self.joints
         chosen = {DISCRETISATION: _EXACT} if exact and self.exact else {}
         if unmoved and self._settles:
             chosen[START_MODE] = GIVEN
         self._inputs.values[:n] = 0.0 if dq is None else dq
         self._inputs.values[n : 2 * n] = self.places
         self._inputs.values[2 * n :] = load
-        component.initialise(start=chosen, inputs=self._inputs)
-        self._time = 0.0
+        self._start(chosen)
         return self._outputs.read().copy()
 
-    def step(self, dt: float, dq: Array, q: Array, load: Array | None = None) -> Array:
-        """Hold velocities dq (n,) [rad/s] at places q (n,) [rad] for a time [s]; return the torque.
+    def step(self, dt: float, dq: Array, q: Array) -> Array:
+        """Hold dq (n,) [rad/s] at q (n,) [rad] for a time [s]; return the torque (n,) [N.m].
 
-        It is (n,) [N.m], good until the next step. A load (n,) [N.m] is that of the start where not
-        given.
+        The array is valid until the next step.
         """
-        n, inputs = self.joints, self._inputs
-        inputs.values[:n] = dq
-        inputs.values[n : 2 * n] = q
-        if load is not None:
-            inputs.values[2 * n :] = load
-        inputs.write()
-        self._component.step(self._time, dt)
-        self._time += dt
-        return self._outputs.read()
+        n = self.joints
+        self._inputs.values[:n] = dq
+        self._inputs.values[n : 2 * n] = q
+        return self._step(dt)
 
     def move(
         self, dt: Array, dq: Array, q: Array | None = None, load: Array | None = None
@@ -114,57 +136,46 @@ class FrictionBench:
 
         Parameters
         ----------
-        dt : (K,) how long each is held [s].
+        dt : (K,) duration of each [s].
         dq : (K, n) [rad/s].
-        q : (K, n) position that the FMU is told [rad]; where not given it is told that the joint
-            stays at its place, so that what depends on position does not mix in.
-        load : (K, n) [N.m]; that of the start where not given.
+        q : (K, n) position input [rad]; by default the joint's place, which excludes effects of
+            position.
+        load : (K, n) [N.m]; by default that of the start.
 
         Returns
         -------
         (K, n) torque at the end of each [N.m].
         """
         n = self.joints
-        told = np.broadcast_to(self.places, dq.shape) if q is None else q
+        q = np.broadcast_to(self.places, dq.shape) if q is None else q
         held = np.broadcast_to(self._inputs.values[2 * n :], dq.shape) if load is None else load
         parts = np.ones(len(dt), dtype=int)
         if not self.exact:
             parts = np.maximum(np.ceil(dt / _SUBSTEP).astype(int), 1)
-        sizes = np.repeat(dt / parts, parts)
-        times = np.cumsum(np.concatenate([[self._time], sizes]))
-        rows = np.repeat(np.hstack([dq, told, held]), parts, axis=0)
-        tau = through(self._component, self._inputs, self._outputs, times[:-1], sizes, rows)
-        self._inputs.values[:] = rows[-1]
-        self._time = float(times[-1])
-        return np.asarray(tau[np.cumsum(parts) - 1])
+        rows = np.repeat(np.hstack([dq, q, held]), parts, axis=0)
+        return np.asarray(self._through(np.repeat(dt / parts, parts), rows)[np.cumsum(parts) - 1])
 
 
 @contextmanager
 def friction_bench(fmu: Path, places: Array | None = None) -> Iterator[FrictionBench]:
-    """Load a friction FMU onto a bench, its joints at places (n,) [rad] where not told."""
+    """Load a friction FMU onto a bench; see `FrictionBench` for `places`."""
     with FmuInstance(fmu) as component:
         yield FrictionBench(component, places)
 
 
-class DriveBench:
-    """A JointDrive whose joints get motor torque, and a link where they have a spring.
+class DriveBench(_Bench):
+    """A JointDrive whose joints get motor torque, and a link if they have a spring.
 
     Parameters
     ----------
     component : the loaded FMU.
-    places : (n,) where the joints start [rad].
+    places : (n,) start positions of the joints [rad].
     """
 
     def __init__(self, component: FmuInstance, places: Array) -> None:
-        self.joints = n = len(places)
         self.places = places
-        self._component = component
-        names = ("tau_motor", "q_link", "dq_link", "tau_load")
-        self._inputs = component.buffer([f"{x}[{i}]" for x in names for i in range(1, n + 1)])
-        self._outputs = component.buffer(
-            [f"{x}[{i}]" for x in ("q", "dq", "tau_f") for i in range(1, n + 1)]
-        )
-        self._time = 0.0
+        inputs = ("tau_motor", "q_link", "dq_link", "tau_load")
+        super().__init__(component, len(places), inputs, ("q", "dq", "tau_f"))
 
     def start(
         self,
@@ -174,14 +185,16 @@ class DriveBench:
         stiffness: Array | None = None,
         substep: float | None = None,
     ) -> None:
-        """Begin at rest under a torque (n,) [N.m], the link where the joint is.
+        """Restart at rest under a torque (n,) [N.m], the link at the joint's position.
 
-        The load is that of every joint [N.m], the stiffness (n,) that of its flexspline [N.m/rad],
-        the substep the longest inner step [s], the FMU's own where not given.
+        Parameters
+        ----------
+        load : of every joint [N.m].
+        torque : (n,) of the motors [N.m].
+        stiffness : (n,) of the flexsplines [N.m/rad].
+        substep : longest inner step [s]; the FMU's own by default.
         """
-        component, n = self._component, self.joints
-        if component.used:
-            component.reset()
+        n = self.joints
         start = {
             f"{name}[{i}]": float(values[i - 1])
             for name, values in (("q_start", self.places), ("stiffness", stiffness))
@@ -194,19 +207,15 @@ class DriveBench:
         self._inputs.values[:n] = torque
         self._inputs.values[n : 2 * n] = self.places
         self._inputs.values[3 * n :] = load
-        component.initialise(start=start, inputs=self._inputs)
-        self._time = 0.0
+        self._start(start)
 
     def step(self, dt: float) -> Array:
-        """Go on; return q, dq and friction torque, (3, n) in SI units, good until the next step."""
-        self._inputs.write()
-        self._component.step(self._time, dt)
-        self._time += dt
-        return self._outputs.read().reshape(3, self.joints)
+        """Step; return q, dq and friction torque, (3, n) in SI units, valid until the next step."""
+        return self._step(dt).reshape(3, self.joints)
 
     @property
     def torque(self) -> Array:
-        """(n,) motor torque [N.m], to be set in place."""
+        """Motor torque (n,) [N.m], to be set in place."""
         return self._inputs.values[: self.joints]
 
     def run(
@@ -221,20 +230,16 @@ class DriveBench:
 
         Parameters
         ----------
-        dt : (K,) how long they are [s].
-        torque, link, load : (K, n) motor torque [N.m], position of the link [rad] and load [N.m]
-            of each; what is not given stays as it is.
+        dt : (K,) step sizes [s].
+        torque, link, load : (K, n) motor torque [N.m], position of the link [rad] and load [N.m];
+            unchanged if None.
         """
         n = self.joints
         rows = np.tile(self._inputs.values, (len(dt), 1))
         for values, first in ((torque, 0), (link, n), (load, 3 * n)):
             if values is not None:
                 rows[:, first : first + n] = values
-        times = np.cumsum(np.concatenate([[self._time], dt]))
-        found = through(self._component, self._inputs, self._outputs, times[:-1], dt, rows)
-        self._inputs.values[:] = rows[-1]
-        self._time = float(times[-1])
-        return np.moveaxis(found.reshape(len(dt), 3, n), 1, 0)
+        return np.moveaxis(self._through(dt, rows).reshape(len(dt), 3, n), 1, 0)
 
 
 @contextmanager

@@ -10,18 +10,18 @@ from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
 RAMPS = (10.0, 3.0, 1.0, 0.3)
-"""Times in which ramps of torque reach the friction level [s]."""
+"""Durations of torque ramps up to the friction level [s]."""
 LOAD = 0.5
-"""Load that a joint has to bear, as a share of the friction level."""
+"""Load to hold, as a share of the friction level."""
 DITHER, FREQUENCY = 0.2, 5.0
-"""Amplitude of the dither as a share of that level, and its frequency [Hz]."""
+"""Amplitude of the dither as a share of the friction level, and its frequency [Hz]."""
 MINUTE = 60.0
 
-_SLIDES = 0.05  # of the trained speed: sliding, no pre-sliding any more
-_HIGHEST = 3.0  # of the level, up to which a ramp goes
-_RAMP_STEPS = 1000  # to the level
-_CREEPS = 2.0  # times as far on a ramp three times as slow; pre-sliding goes as far on both
-_PUT_ON, _SETTLING = 1.0, 1.0  # [s] of a load
+_SLIDES = 0.05  # of the trained speed: faster is sliding
+_HIGHEST = 3.0  # end of a ramp, in friction levels
+_RAMP_STEPS = 1000  # up to the level
+_CREEPS = 2.0  # ratio of ways on ramps of different rate; pre-sliding has 1
+_PUT_ON, _SETTLING = 1.0, 1.0  # [s] rise of a load, and rest
 _PER_PERIOD = 20  # steps of the dither
 
 
@@ -39,16 +39,16 @@ def breakaway(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
 
 
 def _ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, Array]:
-    """Return the largest friction before sliding [N.m] and the way at half of it [rad], (n,) each.
+    """Return the peak friction before sliding [N.m] and the way at half of it [rad], (n,) each.
 
-    Neither is a number where a joint does not slide.
+    Both are NaN for a joint that does not slide.
     """
     bench.start(load=scale.load, torque=scale.offset)
     dt, slides = seconds / _RAMP_STEPS, _SLIDES * scale.speed
     rows: list[Array] = []
     moving = np.zeros(bench.joints, dtype=bool)
     for k in range(1, int(_HIGHEST * _RAMP_STEPS) + 1):
-        # What slides is let go, else it would run away while the others are still at rest.
+        # Release sliding joints, which would run away while others are still at rest.
         bench.torque[:] = scale.offset + np.where(moving, 0.0, k / _RAMP_STEPS * scale.level)
         now = bench.step(dt).copy()
         now[:, moving] = np.nan
@@ -97,7 +97,7 @@ def _broken(peaks: Array, ways: Array, level: float) -> PropertyResult:
 
 
 def hold(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
-    """Bear a constant load for a minute; laws that use the load are told it."""
+    """Hold a constant load for a minute; it is also the law's load input."""
     load = LOAD * scale.level
     bench.start(load=load, torque=scale.offset)
     _put_on(bench, scale, load)
@@ -107,7 +107,7 @@ def hold(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
 
 
 def dither(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
-    """Bear a constant load and a small one to and fro for a minute."""
+    """Hold a constant load plus a small oscillating one for a minute."""
     load = LOAD * scale.bears
     bench.start(load=scale.load, torque=scale.offset)
     _put_on(bench, scale, load)
@@ -115,14 +115,14 @@ def dither(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     dt = np.full(rows, 1.0 / (FREQUENCY * _PER_PERIOD))
     wave = np.sin(2.0 * np.pi / _PER_PERIOD * (np.arange(rows) + 0.5))
     q = bench.run(dt, torque=scale.offset + load + DITHER * wave[:, None] * scale.bears)[0]
-    # The middle of each period: what drifts, not what swings.
+    # The mean of each period shows drift without oscillation.
     middle = q.reshape(-1, _PER_PERIOD, bench.joints).mean(axis=1)
     middle = middle[round(_SETTLING * FREQUENCY) :]
     return _drifting(np.arange(len(middle)) / FREQUENCY, middle)
 
 
 def _put_on(bench: DriveBench, scale: Scale, load: Array) -> None:
-    """Raise the load smoothly and let the joints settle under it."""
+    """Raise the load smoothly and let the joints settle."""
     steps = 100
     rise = 0.5 - 0.5 * np.cos(np.pi / steps * np.arange(1, steps + 1))
     bench.run(np.full(steps, _PUT_ON / steps), torque=scale.offset + rise[:, None] * load)
@@ -130,7 +130,7 @@ def _put_on(bench: DriveBench, scale: Scale, load: Array) -> None:
 
 
 def _drifting(t: Array, q: Array) -> list[PropertyResult]:
-    """Judge how far the joints move from the first row to the last, (K, n) [rad]."""
+    """Judge the drift of positions (K, n) [rad] at times (K,) [s]."""
     found = []
     for of_joint in q.T:
         drift = float(of_joint[-1] - of_joint[0])

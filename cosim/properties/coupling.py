@@ -1,4 +1,4 @@
-"""The largest step at which a friction FMU can be coupled explicitly to a joint's inertia."""
+"""Largest step for explicit coupling of a friction FMU to a joint's inertia."""
 
 import numpy as np
 
@@ -11,19 +11,19 @@ from hesr_model.errors import SimulationError
 from hesr_model.support.arrays import Array
 
 LEAST, MOST = 5e-5, 0.1
-"""Steps between which the largest one is looked for [s]."""
+"""Bounds of the step search [s]."""
 _COARSE = np.geomspace(LEAST, MOST, 24)
 _HALVINGS = 5
-_STEPS = 400  # at the least
-_SLIDES = 5.0  # times that sliding to a stop takes at the friction level
-_LONGEST = 2.0  # [s] of that
-_QUIET, _STOPPED = 1e-3, 0.2  # of the first speed: less is rest, or a stop at the finest step
-_SMALL = 1e-6  # [rad/s] to either side of rest
-_TURNS = 8  # sign changes from step to step, one after the other, that a true stop may have
+_STEPS = 400  # at least
+_SLIDES = 5.0  # run time in stopping times at the friction level
+_LONGEST = 2.0  # [s] limit of the run time
+_QUIET, _STOPPED = 1e-3, 0.2  # shares of the first speed: rest, and a stop at the finest step
+_SMALL = 1e-6  # [rad/s] speed of the slope at rest
+_TURNS = 8  # sign changes in a row; a true stop has fewer
 
 
 def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[PropertyResult]:
-    """Let each joint slide to a stop under its friction, coupled explicitly at many steps.
+    """Let each joint slide to a stop under its friction, with many coupling steps.
 
     Parameters
     ----------
@@ -54,21 +54,21 @@ def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[Propert
 
 
 def _slopes(bench: FrictionBench, scale: Scale) -> Array:
-    """Return d tau / d dq at rest before the states move (n,); a jump makes it huge."""
+    """Return d tau / d dq (n,) at rest with the states fixed; a jump makes it huge."""
     either = np.full(bench.joints, _SMALL)
     ends = [bench.start(load=scale.load, dq=dq, unmoved=True) for dq in (either, -either)]
     return np.asarray((ends[0] - ends[1]) / (2.0 * _SMALL))
 
 
 def _slide(bench: FrictionBench, scale: Scale, inertia: Array, dt: float) -> Array:
-    """Return the velocity (K, n) of joints that slide to a stop; not finite where that fails."""
+    """Return the velocity (K, n) of joints that slide to a stop; NaN after a failure."""
     first = SLIDING * scale.speed
     slowest = float(np.max(inertia * first / np.maximum(scale.level, 1e-6 * inertia * first)))
     steps = max(_STEPS, int(np.ceil(min(_SLIDES * slowest, _LONGEST) / dt)))
     dq = np.full((steps + 1, bench.joints), np.nan)
     dq[0] = v = first
     q = bench.places.copy()
-    # From the states of rest: in a steady slide nothing would excite the slope that chatters.
+    # Start with the states of rest: a steady slide does not excite the slope at rest.
     tau = bench.start(load=scale.load, dq=v, unmoved=True)
     try:
         for k in range(1, steps + 1):
@@ -77,15 +77,14 @@ def _slide(bench: FrictionBench, scale: Scale, inertia: Array, dt: float) -> Arr
             tau = bench.step(dt, v, q)
             dq[k] = v
     except SimulationError:
-        pass  # what has run away so far that the FMU refuses it stays not a number
+        pass  # the rest stays NaN
     return dq
 
 
 def _chatters(dq: Array) -> Array:
-    """Return whether the velocity of each joint alternates from step to step in a run, (n,)."""
+    """Return for each joint whether its velocity alternates from step to step, (n,)."""
     loud = np.abs(dq) > _QUIET * np.abs(dq[0])
     turns = (dq[1:] * dq[:-1] < 0.0) & loud[1:] & loud[:-1]
-    # Where each of so many steps in a row turns, the sum over that window is full.
     full = np.lib.stride_tricks.sliding_window_view(turns, _TURNS, axis=0).all(axis=-1)
     return np.asarray(full.any(axis=0) | ~np.isfinite(dq).all(axis=0))
 
@@ -98,7 +97,7 @@ def _refined(
     tried: list[float],
     first: float | None,
 ) -> float | None:
-    """Return the largest quiet step of a joint by bisection; None where there is none."""
+    """Return the largest quiet step of a joint by bisection, or None."""
     if first is None:
         return MOST
     if first == tried[0]:

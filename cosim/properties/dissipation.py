@@ -1,4 +1,4 @@
-"""Dissipation in a drive: the work of a law over cycles that forces make, not given motions."""
+"""Dissipation in a drive: work of a law over cycles driven by torque."""
 
 import numpy as np
 
@@ -10,28 +10,28 @@ from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
 AMPLITUDES = (0.02, 0.5, 2.0)
-"""Of the torque, in friction levels: far within pre-sliding, half of it, and sliding."""
+"""Torque amplitudes in friction levels: deep pre-sliding, half the level, sliding."""
 FREQUENCY = 1.0
-"""Of the torque [Hz]; the load moves at twice that."""
+"""Frequency of the torque [Hz]; that of the load is twice as high."""
 PHASES = (0.5 * np.pi, 1.5 * np.pi)
-"""Of the load's motion [rad]."""
-_STEP = 4e-3  # [s] of the drive, inner ones as well, so that no work between rows is missed
-_ROWS = round(1.0 / (FREQUENCY * _STEP))  # of a cycle
+"""Phases of the load [rad]."""
+_STEP = 4e-3  # [s] communication and inner step: rows contain all work
+_ROWS = round(1.0 / (FREQUENCY * _STEP))  # per cycle
 _CYCLES, _MEASURED = 10, 4
-_SPRING = 20.0  # deflections by which the friction level stretches the spring
+_SPRING = 20.0  # stretch of the spring at the friction level, in deflections
 
 
 def dissipation(
     bench: DriveBench, scale: Scale, peaks: Array, loaded: Array
 ) -> list[PropertyResult]:
-    """Push joints that springs hold to and fro, and sum up the work of their friction.
+    """Drive spring-held joints to and fro and sum up the work of their friction.
 
     Parameters
     ----------
     bench : with the drive.
     scale : sizes of its joints.
     peaks : (n,) largest load of each joint [N.m].
-    loaded : (n,) whether its law uses the load, which then moves between 0 and its peak.
+    loaded : (n,) whether the law uses the load, which then moves between 0 and its peak.
     """
     angle = 2.0 * np.pi / _ROWS * np.arange(1, _ROWS * _CYCLES + 1)
     dt = np.full(len(angle), _STEP)
@@ -52,7 +52,7 @@ def dissipation(
             q, dq, tau = (
                 part[-_MEASURED * _ROWS :] for part in bench.run(dt, torque=torque, load=load)
             )
-            # An offset does no work over a closed way, and these close but for rounding.
+            # An offset does no work over a closed cycle.
             given = -((tau - scale.offset) * dq).sum(axis=0) * _STEP / _MEASURED
             given = np.where(np.isfinite(given), given, np.inf)
             for j in np.flatnonzero(given > worst):

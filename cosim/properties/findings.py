@@ -1,4 +1,4 @@
-"""What experiments find, put together: figures, a verdict, and a small plot."""
+"""Results of experiments: figures, a verdict, and a small plot."""
 
 from collections.abc import Sequence
 
@@ -19,11 +19,11 @@ _UNITS = {
     "velocity": "rad/s",
     "work taken, share": "",
 }
-"""Of the axes of plots."""
+"""Units of plot axes."""
 
 
 def curve(label: str, x: Array, y: Array, *, closed: bool = False, most: int = 80) -> Curve:
-    """Return a line of a plot in at most so many points of four digits, all of them finite.
+    """Return a line of at most `most` finite points, rounded to four digits.
 
     x and y are (N,), in the units of the plot's axes.
     """
@@ -37,19 +37,19 @@ def curve(label: str, x: Array, y: Array, *, closed: bool = False, most: int = 8
 
 
 def plot(x: str, y: str, *curves: Curve) -> Plot:
-    """Return lines over axes of these names, which have their units."""
+    """Return lines over axes with these names."""
     return Plot(x=x, y=y, units=(_UNITS[x], _UNITS[y]), curves=curves)
 
 
 def figures(*measured: tuple[str, float | None, str]) -> tuple[Figure, ...]:
-    """Return measured numbers, each with its name and its SI unit."""
+    """Return measured values from name, value and SI unit."""
     return tuple(Figure(name=name, value=value, unit=unit) for name, value, unit in measured)
 
 
 def judged(
     *measured: tuple[str, float | None, str], wrong: Sequence[str], plot: Plot | None = None
 ) -> PropertyResult:
-    """Return a finding that passes where nothing is wrong; what is, is said in sentences."""
+    """Return a result that passes if `wrong`, a list of sentences, is empty."""
     return PropertyResult(
         verdict="fail" if wrong else "pass",
         figures=figures(*measured),

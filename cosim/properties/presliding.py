@@ -1,7 +1,4 @@
-"""Pre-sliding: the loop in position at small amplitude, and the memory of reversal points.
-
-Memory is looked for twice: at a load that is held, and at one that moves.
-"""
+"""Pre-sliding: position loop at small amplitude, and memory of reversals at two kinds of load."""
 
 from collections.abc import Sequence
 
@@ -15,20 +12,20 @@ from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
 PERIOD, SLOW_PERIOD = 4.0, 40.0
-"""Of the loops [s]."""
-_CYCLES = 3  # of which the last is measured
+"""Periods of the loops [s]."""
+_CYCLES = 3  # the last one is measured
 _JUMP, _STIFF = 5e-4, 0.025
-"""Shares of a branch: by the first the torque has jumped, by the second it shows its stiffness."""
+"""Shares of a branch: end of a jump, and end of the stiffness measurement."""
 _BRANCH = np.concatenate([[_JUMP, 5e-3, _STIFF], np.linspace(0.05, 1.0, 39)])
-_TURN = 0.75  # share of the rising branch at which an inner loop begins
+_TURN = 0.75  # start of an inner loop, as a share of the rising branch
 _DEPTH = np.concatenate(
     [[2.0 * _JUMP, 0.01], np.linspace(0.05, 0.5, 10)]
-)  # how far it goes back, in amplitudes of the outer loop
-_TURNS = int(np.searchsorted(_BRANCH, _TURN))  # row of that
+)  # way back, in amplitudes of the outer loop
+_TURNS = int(np.searchsorted(_BRANCH, _TURN))  # its row
 _INNER_WAY = np.concatenate([[0.0], _DEPTH, _DEPTH[-1] - _DEPTH])
 _NESTED_WAYS = (-1.0, 1.0, -1.0, 1.0)
 _NESTED = (0.5 * _DEPTH, 0.25 * _DEPTH, 0.25 * _DEPTH, 0.5 * _DEPTH)
-"""Ways of two loops, one inside the other, in widths of the outer one."""
+"""Ways of two nested loops, in widths of the outer one."""
 _NESTED_WAY = np.concatenate(
     [
         [0.0],
@@ -37,9 +34,9 @@ _NESTED_WAY = np.concatenate(
         0.5 * _DEPTH[-1] + 0.5 * _DEPTH,
         _DEPTH[-1] - _DEPTH,
     ]
-)  # in amplitudes, down from the turning point
-_AT_ONCE = 0.99  # of the height; more is no loop in position
-_LITTLE = 1e-9  # [N.m]; a loop of less height is none
+)  # in amplitudes below the turning point
+_AT_ONCE = 0.99  # of the height; above it there is no position loop
+_LITTLE = 1e-9  # [N.m] least height of a loop
 
 
 def presliding(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
@@ -54,20 +51,20 @@ def presliding(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
 def memory(
     bench: FrictionBench, scale: Scale, states: Sequence[int | None]
 ) -> list[PropertyResult]:
-    """Turn back on the rising branch of the slow loop, return, and go on.
+    """Reverse on the rising branch of the slow loop, return and continue.
 
-    Slowly, so that what a law keeps for a time only is forgotten on the way.
+    Slow motion excludes memory of time.
 
     Parameters
     ----------
     bench : with the FMU.
     scale : sizes of its joints.
-    states : how many states each joint's law has; None where it is not known.
+    states : number of states of each joint's law; None if unknown.
     """
     loop = _loop(bench, scale, SLOW_PERIOD, scale.load)
     turned = _turn(bench, scale)
     down, again = (_branch(bench, scale, SLOW_PERIOD, way, 0.5 * _DEPTH) for way in (-1.0, 1.0))
-    on = _go_on(bench, scale)
+    on = _continue(bench, scale)
     inner = np.concatenate([turned, down, again])
     return [
         _remembered(
@@ -80,14 +77,14 @@ def memory(
 def nested(
     bench: FrictionBench, scale: Scale, states: Sequence[int | None], peaks: Array
 ) -> list[PropertyResult]:
-    """Turn back twice, one loop inside the other, while the load rises and returns on each way.
+    """Reverse twice, in nested loops, while the load rises and returns on each way.
 
     Parameters
     ----------
     bench : with the FMU.
     scale : sizes of its joints.
-    states : how many states each joint's law has; None where it is not known.
-    peaks : (n,) load to which each joint's rises from half of it [N.m].
+    states : number of states of each joint's law; None if unknown.
+    peaks : (n,) largest load; the smallest is half of it [N.m].
     """
     loaded = np.ptp(_loop(bench, scale, SLOW_PERIOD, peaks), axis=0)
     loop = _loop(bench, scale, SLOW_PERIOD, 0.5 * peaks)
@@ -96,7 +93,7 @@ def nested(
         rise = 0.5 - 0.5 * np.cos(2.0 * np.pi * shares / shares[-1])
         load = (0.5 + 0.5 * rise)[:, None] * peaks
         ways.append(_branch(bench, scale, SLOW_PERIOD, way, shares, load))
-    on = _go_on(bench, scale)
+    on = _continue(bench, scale)
     inner, turns = np.concatenate(ways), np.array([of_way[-1] for of_way in ways])
     return [
         _remembered(
@@ -108,12 +105,12 @@ def nested(
 
 
 def _turn(bench: FrictionBench, scale: Scale) -> Array:
-    """Go down the loop, which has ended at its top, and up to the turning point; torque (1, n)."""
+    """Move down the loop and up to the turning point; return the torque (1, n) there."""
     _branch(bench, scale, SLOW_PERIOD, -1.0, _BRANCH)
     return _branch(bench, scale, SLOW_PERIOD, 1.0, _BRANCH[: _TURNS + 1])[-1:]
 
 
-def _go_on(bench: FrictionBench, scale: Scale) -> Array:
+def _continue(bench: FrictionBench, scale: Scale) -> Array:
     """Return the torque (K, n) on the rest of the rising branch."""
     return _branch(bench, scale, SLOW_PERIOD, 1.0, _BRANCH[_TURNS + 1 :] - _BRANCH[_TURNS])
 
@@ -126,7 +123,7 @@ def _branch(
     shares: Array,
     load: Array | None = None,
 ) -> Array:
-    """Move by shares of the loop's width, and return the torque (K, n) there."""
+    """Move by shares of the loop's width and return the torque (K, n)."""
     speed = way * 4.0 * scale.deflection / period
     dt = 0.5 * period * np.diff(shares, prepend=0.0)
     return bench.move(dt, np.broadcast_to(speed, (len(dt), len(speed))), load=load)
@@ -147,7 +144,7 @@ def _positions(amplitude: float) -> Array:
 
 
 def _area(tau: Array, amplitude: float) -> float:
-    """Return the work in a loop [J]; it closes where it began."""
+    """Return the work of a closed loop [J]."""
     x = _positions(amplitude)
     return float(np.trapezoid(np.append(tau, tau[0]), np.append(x, x[0])))
 
@@ -204,11 +201,11 @@ def _remembered(
     innermost: float = 0.0,
     loaded: float = 0.0,
 ) -> PropertyResult:
-    """Judge inner loops and how they go on after that by the outer loop, whose end rises.
+    """Judge inner loops and the branch `on` after them by the outer loop.
 
-    `way` (K,) is where the torque `inner` (K,) was, in amplitudes down from the turning point.
-    `innermost` is what a loop inside that one misses, `loaded` the height of the outer loop at the
-    largest load [N.m].
+    `way` (K,) holds the positions of the torque `inner` (K,), in amplitudes below the turning
+    point. `innermost` is the gap of the innermost loop, `loaded` the height of the outer loop at
+    the largest load [N.m].
     """
     height = max(float(np.ptp(loop)), _LITTLE)
     outer = loop[-len(_BRANCH) :]
@@ -229,7 +226,7 @@ def _remembered(
         wrong.append("A law without a state has no memory.")
     turn = 2.0 * _TURN - 1.0
     into = turn - way
-    # A loop as high as the outer one closes because nothing is kept: no merit.
+    # A loop as high as the outer one closes without memory.
     closes = None if depth > INNER else miss
     return judged(
         ("miss of the closed inner loop, of the height", closes, "1"),

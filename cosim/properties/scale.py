@@ -1,38 +1,45 @@
-"""The sizes to which the experiments on a law are scaled, measured on its FMU."""
+"""Scales of the experiments on a law: measured on its FMU, and the inertia of its joints."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from cosim.properties.bench import FrictionBench
 from hesr_model.audit.cycles import ENCODER
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array
 
 CREEP = 0.01
 """Slow sliding, as a share of the largest trained speed."""
 SLIDING = 0.1
-"""Sliding at which the friction level is taken, as a share of that speed."""
+"""Speed of the friction level, as a share of the largest trained speed."""
 DEFLECTION = 1e-3
-"""Amplitude of pre-sliding motions [rad] where a law shows no deflection of its own."""
+"""Amplitude of pre-sliding motions for laws without a deflection [rad]."""
 
-_NO_FRICTION = 1e-6  # [N.m]; a level of less would divide by nothing
+INERTIA: Mapping[str, tuple[float, ...]] = {"uf850": (3.0, 3.0, 0.6)}
+"""Inertia of the joints of shipped robots, the other joints at rest [kg.m2]."""
+
+_NO_FRICTION = 1e-6  # [N.m] least level, a divisor
 _SHARES = np.geomspace(1e-3, 1.0, 31)
-_DEFLECTIONS = (ENCODER, 1e-2)  # [rad] that are taken for one: an encoder sees no less
+_DEFLECTIONS = (ENCODER, 1e-2)  # [rad] accepted range, from the resolution of an encoder
 _BACK = np.geomspace(1e-7, 0.5, 100)  # [rad] after a reversal
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scale:
-    """Sizes of a model's joints; all arrays are (n,) unless said otherwise.
+    """Sizes of a model's joints; all arrays are (n,) by default.
 
     Attributes
     ----------
-    speed : largest trained speed, or what stands in for it [rad/s].
-    speeds : (S, n) at which steady sliding was measured [rad/s].
-    steady : (S, n) its torque, half the difference of both ways [N.m].
-    level : its size at `SLIDING` [N.m].
-    offset : mean of both ways there [N.m].
-    load : load torque that was held [N.m].
+    speed : largest trained speed, or its substitute [rad/s].
+    speeds : (S, n) speeds of steady sliding [rad/s].
+    steady : (S, n) half the difference of the torques in both directions [N.m].
+    level : absolute value of `steady` at `SLIDING` [N.m].
+    offset : mean torque of both directions there [N.m].
+    load : constant load torque [N.m].
     deflection : amplitude of pre-sliding motions [rad].
     """
 
@@ -46,25 +53,22 @@ class Scale:
 
     @property
     def drives(self) -> Array:
-        """Whether slow steady sliding to and fro gives energy, (n,) without unit."""
+        """Whether slow steady sliding to and fro releases energy, (n,)."""
         return np.asarray((self.steady[_SHARES <= SLIDING * 1.001] < 0.0).any(axis=0))
 
     @property
     def bears(self) -> Array:
-        """(n,) [N.m] what friction bears at rest: the level, or less where it rises with speed."""
+        """Holding torque at rest (n,) [N.m]: the level, or less if friction rises with speed."""
         slowest = np.abs(self.steady[0])
         return np.where(slowest > _NO_FRICTION, np.minimum(self.level, slowest), self.level)
 
     def steady_at(self, speeds: Array, joint: int) -> Array:
-        """Return the steady torque (N,) [N.m] of a joint at speeds (N,) [rad/s].
-
-        It is interpolated between those that were measured.
-        """
+        """Interpolate the steady torque (N,) [N.m] of a joint at speeds (N,) [rad/s]."""
         return np.interp(speeds, self.speeds[:, joint], self.steady[:, joint])
 
 
 def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
-    """Slide and turn the joints of a friction FMU, and see how large its torques are.
+    """Slide and reverse the joints of a friction FMU and measure its torques.
 
     Parameters
     ----------
@@ -82,7 +86,7 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
     creep = CREEP * speed
     bench.start(load=load)
     before = bench.move(np.array([bench.forever]), creep[None])[0]
-    # A time for each share of the way, so that all joints take it at once.
+    # All joints reach the same share of their way at the same time.
     back = _BACK / np.max(creep)
     tau = bench.move(np.diff(back, prepend=0.0), np.broadcast_to(-creep, (len(back), len(creep))))
     return Scale(
@@ -97,9 +101,29 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
 
 
 def _deflections(before: Array, tau: Array, way: Array) -> Array:
-    """Return where the torque (K, n) has turned half around after a reversal [rad]."""
+    """Return the way after a reversal to half of the torque change [rad]."""
     turned = (before - tau) / np.where(before == tau[-1], 1.0, before - tau[-1])
     first = np.argmax(turned >= 0.5, axis=0)
     found = way[first, np.arange(len(before))]
     inside = (found >= _DEFLECTIONS[0]) & (found <= _DEFLECTIONS[1])
     return np.where(inside, found, DEFLECTION)
+
+
+def standing_inertia(
+    robot: RobotModel, body: RigidBody, model: FrictionModel
+) -> tuple[float, ...] | None:
+    """Return the inertia of each joint about its axis at the middle of the trained range [kg.m2].
+
+    It is that of `INERTIA` for robots listed there, else the diagonal of the identified mass
+    matrix; None if that is not positive, as with too little data.
+    """
+    if body.robot in INERTIA:
+        return INERTIA[body.robot]
+    n = robot.n
+    middle = np.array([seen.middle for seen in model.trained]) if model.trained else np.zeros(n)
+    q: Array = np.tile(middle, (n + 1, 1))
+    still = np.zeros_like(q)
+    # One joint accelerates per row; the last row is gravity alone.
+    torque = robot.torque(body.parameters, q, still, np.eye(n + 1, n))
+    found = np.diag(torque[:n] - torque[n])
+    return tuple(map(float, found)) if np.all(found > 0.0) else None

@@ -1,4 +1,4 @@
-"""Sliding and rest without a plant: frictional lag, chatter under noise, work over cycles."""
+"""Sliding and rest without a plant: first torque, lag, chatter under noise, work over cycles."""
 
 import numpy as np
 
@@ -15,22 +15,61 @@ from hesr_model.audit.cycles import (
     cycles,
     encoder_noise,
 )
-from hesr_model.audit.expectations import PASSIVE, QUIET, WIDTH
+from hesr_model.audit.expectations import BEGINS, PASSIVE, QUIET, WIDTH
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.arrays import Array
 
-_SLOWEST, _FASTEST = 0.01, 0.11  # of the one-way motion, as shares of the trained speed
-_PERIODS = (1.0, 50.0)  # [s] of it
-_ROWS = 500  # of a period
-_TURNS = 3  # periods, of which the last is measured
+_SLOWEST, _FASTEST = 0.01, 0.11  # speeds of the one-way motion, as shares of the trained speed
+_PERIODS = (1.0, 50.0)  # [s]
+_ROWS = 500  # per period
+_TURNS = 3  # periods; the last one is measured
 _ROUNDING = 1e-9  # [N.m]
 _ANGLES, _PHASES, _LOADED_TURNS = (1e-5, 1e-4, 1e-3), (0.5 * np.pi, 1.5 * np.pi), 20
-_SHOWN = 400  # rows of the noisy rest that are drawn
+_SHOWN = 400  # plotted rows of the noisy rest
+_STARTS = np.geomspace(0.05, 1.0, 5)  # start speeds, as shares of the trained speed
+_LAST = 1e-3  # [s] step before the steady torque is read, as short as a servo's
+_NO_FRICTION = 1e-6  # [N.m]
+
+
+def start(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
+    """Start in motion at several speeds in both directions and slide on to the steady state."""
+    dt = np.array([bench.forever, _LAST])
+    ends = []
+    for speed in _STARTS[:, None] * scale.speed:
+        for dq in (speed, -speed):
+            first = bench.start(load=scale.load, dq=dq)
+            ends.append((first, bench.move(dt, np.broadcast_to(dq, (2, len(dq))))[-1]))
+    both = np.array(ends).reshape(len(_STARTS), 2, 2, bench.joints)
+    return [
+        _started(scale.speed[j] * _STARTS, both[:, :, 0, j], both[:, :, 1, j])
+        for j in range(bench.joints)
+    ]
+
+
+def _started(speeds: Array, first: Array, steady: Array) -> PropertyResult:
+    """Judge (S, 2) first and steady torques at speeds (S,), ahead and back."""
+    # Half the difference of both directions, which an offset cannot hide or inflate.
+    friction = np.maximum(0.5 * np.abs(steady[:, 0] - steady[:, 1]), _NO_FRICTION)
+    off = (first - steady) / friction[:, None]
+    row, way = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
+    worst, speed = float(off[row, way]), float(speeds[row]) * (-1.0 if way else 1.0)
+    said = f"At {speed:.3g} rad/s the first torque is off by {worst:.0%}."
+    return judged(
+        ("largest difference of the first torque, of the friction", abs(worst), "1"),
+        ("at a velocity of", speed, "rad/s"),
+        wrong=[] if abs(worst) <= BEGINS else [said],  # NaN fails
+        plot=plot(
+            "velocity",
+            "torque",
+            curve("first", speeds, first[:, 0]),
+            curve("steady", speeds, steady[:, 0]),
+        ),
+    )
 
 
 def lag(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
-    """Slide one way, faster and slower in turn, once a second and once in fifty."""
+    """Slide in one direction with oscillating speed, at two periods."""
     phase = 2.0 * np.pi / _ROWS * (np.arange(_ROWS * _TURNS) + 0.5)
     middle, half = 0.5 * (_FASTEST + _SLOWEST), 0.5 * (_FASTEST - _SLOWEST)
     dq = (middle - half * np.cos(phase))[:, None] * scale.speed
@@ -46,10 +85,9 @@ def lag(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
 
 
 def _widest(tau: Array) -> tuple[float, int]:
-    """Return the largest distance of the branches [N.m], positive where acceleration is above.
+    """Return the largest distance of the branches [N.m] and its row.
 
-    Rows lie symmetrically: row k accelerates through the speed of row -1 - k. The row is returned
-    with it.
+    It is positive if the accelerating branch is above. Rows k and -1 - k have the same speed.
     """
     apart = tau[: _ROWS // 2] - tau[::-1][: _ROWS // 2]
     row = int(np.argmax(np.abs(apart)))
@@ -68,7 +106,7 @@ def _lagging(dq: Array, fast: Array, slow: Array, level: float) -> PropertyResul
     else:
         if abs(width) < WIDTH * level:
             wrong.append(f"The branches are only {abs(width) / level:.2%} of the level apart.")
-        # Part of the torque may lag and another part rise at once, so a fall anywhere will do.
+        # Parts of the torque may rise at once, so that one fall anywhere suffices.
         if (width > 0.0 and slope.min() >= 0.0) or (width < 0.0 and slope[row] <= 0.0):
             wrong.append("The torque leads the velocity instead of lagging behind it.")
         if abs(width) <= abs(slow_width):
@@ -86,7 +124,7 @@ def _lagging(dq: Array, fast: Array, slow: Array, level: float) -> PropertyResul
 def chatter(
     bench: FrictionBench, scale: Scale, trained: list[TrainedRange]
 ) -> list[PropertyResult]:
-    """Rest under encoder noise, at the law's own sample time and discretisation."""
+    """Rest under encoder noise, with the law's own sample time and discretisation."""
     noise = [encoder_noise(seen) for seen in trained]
     dq, q = (np.column_stack([of_joint[part] for of_joint in noise]) for part in (0, 1))
     settling, sample = noise[0][2], trained[0].sample_time
@@ -111,13 +149,13 @@ def chatter(
 def work(
     bench: FrictionBench, trained: list[TrainedRange], loads: list[tuple[float, ...]]
 ) -> list[PropertyResult]:
-    """Run closed cycles of the audit's amplitudes and frequencies, and sum up their work.
+    """Run closed cycles at the amplitudes and frequencies of the audit and sum up their work.
 
     Parameters
     ----------
     bench : with the FMU.
-    trained : ranges of each joint, of one sample time.
-    loads : loads at which each joint is run [N.m].
+    trained : range of each joint, with one sample time.
+    loads : loads of each joint [N.m].
     """
     found: list[list[Cycle]] = [[] for _ in trained]
     for wanted in FREQUENCIES:
@@ -134,7 +172,7 @@ def work(
 
 
 def _with_moving_load(bench: FrictionBench, trained: list[TrainedRange]) -> list[list[Cycle]]:
-    """Return cycles in which loads move at twice the motion's rate, for each joint."""
+    """Return cycles of each joint with loads at twice the frequency of the motion."""
     found: list[list[Cycle]] = [[] for _ in trained]
     of_joints = (loaded_motions(r, _ANGLES, _PHASES, _LOADED_TURNS) for r in trained)
     for motions in zip(*of_joints, strict=True):
@@ -162,11 +200,11 @@ def _with_moving_load(bench: FrictionBench, trained: list[TrainedRange]) -> list
 
 
 def _run(bench: FrictionBench, motions: list[ClosedMotions], load: Array, sample: float) -> Array:
-    """Return the torque (A, K, n) of motions run one after the other, as the audit does."""
+    """Return the torque (A, K, n) of consecutive motions, as in the audit."""
     dq, q = (np.column_stack([getattr(m, part).ravel() for m in motions]) for part in ("dq", "q"))
     bench.start(load=load, exact=False, dq=dq[0])
     tau = bench.move(np.full(len(dq) - 1, sample), dq[1:], q[1:])
-    first = tau[:1]  # long before what is measured
+    first = tau[:1]  # not measured
     return np.concatenate([first, tau]).reshape(*motions[0].dq.shape, -1)
 
 

@@ -1,4 +1,4 @@
-"""A joint that a soft spring pulls at a constant speed, to see whether it sticks and slips."""
+"""Stick-slip of a joint that a soft spring pulls at constant speed."""
 
 import numpy as np
 
@@ -11,16 +11,16 @@ from hesr_model.support.arrays import Array
 
 STRETCH = 0.2
 """Stretch of the spring under the friction level [rad]."""
-_TIMES = 6.0  # times that the spring takes to stretch so far
+_TIMES = 6.0  # run time in stretching times
 _STEP = 1e-2  # [s]
-_FASTEST = 0.2  # of the trained speed, up to which the curve is looked at
-_NO_WEAKENING = 1e-3  # of the level; between this and WEAKENING either is as it should be
+_FASTEST = 0.2  # end of the examined curve, as a share of the trained speed
+_NO_WEAKENING = 1e-3  # of the level; up to WEAKENING both outcomes are right
 _STICKS, _SLIPS = 0.1, 1.5  # of the pulling speed
-_LASTS = 0.8  # amplitude of the last quarter over that of the quarter before
+_LASTS = 0.8  # least ratio of the last two quarters' amplitudes
 
 
 def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
-    """Pull the joints by springs, at the speed where their steady curve falls most steeply."""
+    """Pull the joints by springs at the speed of steepest fall of their steady curve."""
     stiffness = scale.level / STRETCH
     pulls, falls = zip(*(_weakest(scale, j) for j in range(bench.joints)), strict=True)
     pull = np.array(pulls)
@@ -39,9 +39,9 @@ def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
 
 
 def _weakest(scale: Scale, joint: int) -> tuple[float, float]:
-    """Return where the steady curve falls most steeply [rad/s], and by what share of the level.
+    """Return the speed of steepest fall of the steady curve [rad/s] and its fall in levels.
 
-    That is the speed of slow sliding where it does not fall at all.
+    Without a fall it is the lowest speed.
     """
     speeds = scale.speed[joint] * np.geomspace(CREEP, _FASTEST, 100)
     torque = scale.steady_at(speeds, joint)
@@ -86,6 +86,6 @@ def _pulled(
 
 
 def _period(t: Array, over: Array) -> float | None:
-    """Return the mean time between the beginnings of slips; None where there are not two."""
+    """Return the mean time between slips; None for fewer than two."""
     begins = t[1:][(over[:-1] <= 0.0) & (over[1:] > 0.0)]
     return float(np.mean(np.diff(begins))) if len(begins) > 1 else None

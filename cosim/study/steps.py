@@ -199,7 +199,7 @@ class Job:
     ) -> "dict[str, Properties]":
         """Run the physics checks on all laws and write the results."""
         from cosim.properties.battery import Subject, run_battery
-        from cosim.properties.inertia import standing_inertia
+        from cosim.properties.scale import standing_inertia
         from hesr_model.audit.properties import write_properties
 
         subjects = [

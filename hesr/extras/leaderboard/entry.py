@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.properties.battery import Subject, measure
 from cosim.properties.bench import FrictionBench
-from cosim.properties.inertia import standing_inertia
+from cosim.properties.scale import standing_inertia
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.run.fmu import FmuInstance, is_ours
 from fmu_src.run.replay import replay

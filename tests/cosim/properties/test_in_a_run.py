@@ -10,7 +10,7 @@ import pytest
 from small_study import Run
 
 from cosim.properties.battery import Subject, run_battery
-from cosim.properties.inertia import INERTIA, standing_inertia
+from cosim.properties.scale import INERTIA, standing_inertia
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import read_properties, write_properties
 from hesr_model.friction.model import FrictionModel
