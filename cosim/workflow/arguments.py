@@ -31,6 +31,7 @@ BodyArg = RigidBody | PathArg
 LawArg = FrictionModel | PathArg
 Laws = LawArg | Sequence[LawArg] | Mapping[str, LawArg]
 FmuArgs = PathArg | Sequence[PathArg]
+ResultArgs = PathArg | Sequence[PathArg]
 PerJoint = float | Sequence[float]
 """One number for each joint, or one for all."""
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cosim.workflow.answer import Answer
 
 _VERBS = (
-    *("new", "inspect", "excite", "identify", "fit"),
+    *("new", "inspect", "excite", "identify", "fit", "test"),
     *("export", "check", "simulate", "run", "report"),
 )
 
@@ -42,40 +42,15 @@ class _Verbs(click.Group):
     def list_commands(self, _: click.Context) -> list[str]:
         from hesr_model.support.plugins import names
 
-        return [*_VERBS, *names("hesr.commands"), *(o for o in OLD if o not in _VERBS)]
+        return [*_VERBS, *names("hesr.commands")]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name in MOVED:
             refuse(MOVED[cmd_name])
-        if cmd_name in OLD:
-            return _old(cmd_name)
         if cmd_name not in self.list_commands(ctx):
             return None
         function = workflow(cmd_name)
         return command(cmd_name, function, _invoke, _more(function))
-
-
-OLD = {
-    *("new", "inspect", "constants", "run", "report", "results", "view", "excite"),
-    *("evaluate", "properties", "audit", "arena", "export", "replay"),
-    *("simulate", "sweep", "package"),
-}
-
-
-def _old(name: str) -> click.Command:
-    from hesr.cli.old import app as typer_app
-
-    def call(arguments: tuple[str, ...]) -> None:
-        typer_app(args=[name, *arguments], prog_name="hesr")
-
-    return click.Command(
-        name,
-        callback=call,
-        add_help_option=False,
-        short_help=f"{name}.",
-        params=[click.Argument(["arguments"], nargs=-1, type=click.UNPROCESSED)],
-        context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
-    )
 
 
 def workflow(verb: str) -> Function:

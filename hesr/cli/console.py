@@ -19,6 +19,7 @@ import click
 
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support.files import written_whole
+from hesr_model.support.interrupts import Interrupted
 from hesr_model.support.progress import Stages
 
 if TYPE_CHECKING:
@@ -45,20 +46,6 @@ class _Output:
 
 _USUAL = _Output()
 _output: ContextVar[_Output] = ContextVar("_output", default=_USUAL)
-
-
-class Interrupted(KeyboardInterrupt):
-    """An interrupt that leaves something to go on from.
-
-    Parameters
-    ----------
-    kept : what is kept, and how to go on; the end of a sentence.
-    interrupt : what came.
-    """
-
-    def __init__(self, kept: str, interrupt: KeyboardInterrupt) -> None:
-        super().__init__(kept)
-        self.kept, self.interrupt = kept, interrupt
 
 
 class _Ended(KeyboardInterrupt):

@@ -21,7 +21,7 @@ Function = Callable[..., Any]
 Kind = click.ParamType[Any, Any]
 Invoke = Callable[[Function, dict[str, Any]], None]
 
-_MANY = ("Logs", "Laws", "FmuArgs", "Results", "Sources", "Sequence[")
+_MANY = ("Logs", "Laws", "FmuArgs", "ResultArgs", "Sources", "Sequence[")
 """Annotations of parameters that take several values."""
 
 _WIDTH = 75

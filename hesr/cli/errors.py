@@ -13,11 +13,24 @@ import click
 from hesr_model.errors import HesrError
 from hesr_model.support.text import plain
 
-MOVED = {
-    "fleet": "'hesr fleet' is now 'hesr monitor FLEET.toml -o FOLDER'.",
-    "interop": "'interop' is now 'make interop', in a checkout of HESR.",
+_NEW_FORMS = {
+    "laws": "hesr fit --list",
+    "evaluate": "hesr test LAW... --on LOG",
+    "replay": "hesr test X.fmu --on LOG",
+    "properties": "hesr test LAW... --kind properties",
+    "audit": "hesr test LAW... --kind passivity",
+    "arena": "hesr test X.fmu... --on LEADERBOARD.toml -o board.html",
+    "constants": "hesr inspect LOG... --robot ROBOT --torque-constants",
+    "thermal": "hesr fit LOG... --law law.json --add temperature -o warm.json",
+    "sweep": "hesr simulate SWEEP.toml -o FOLDER, or --only RUN -o run.csv for one run",
+    "fleet": "hesr monitor FLEET.toml -o FOLDER",
+    "package": "hesr export SYSTEM.toml -o X.ssp, or -o X.fmu for one FMU",
+    "results": "hesr report RESULT... -o X.md",
+    "view": "hesr report RESULT --view, or -o arm.mp4 for a video",
+    "interop": "make interop, in a checkout of HESR",
 }
-"""Sentence of each verb of earlier versions: its new form."""
+MOVED = {verb: f"'hesr {verb}' is now: {form}." for verb, form in _NEW_FORMS.items()}
+"""Sentence with the new form of each verb of earlier versions."""
 
 _REFUSED = 2
 _UNREAD = 1

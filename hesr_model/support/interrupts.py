@@ -45,3 +45,17 @@ def _held_back_here() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class Interrupted(KeyboardInterrupt):
+    """Interrupt of work that can be continued.
+
+    Parameters
+    ----------
+    kept : what is kept and how to continue; the end of a sentence.
+    interrupt : the original interrupt.
+    """
+
+    def __init__(self, kept: str, interrupt: KeyboardInterrupt) -> None:
+        super().__init__(kept)
+        self.kept, self.interrupt = kept, interrupt

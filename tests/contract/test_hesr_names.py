@@ -8,14 +8,14 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import pytest
 
 import hesr
-from hesr.cli.old_app import _ORDER as COMMANDS
+from hesr.cli.app import _more as further
+from hesr.cli.app import app, workflow
+from hesr.cli.derive import Docstring
 from hesr_model.support.lazy import lazy
-
-NOT_CALLS = {"thermal", "view", "constants", "sweep"}
-"""Commands that only show; the last two have no call yet."""
 
 
 def test_every_name_is_there_and_documented() -> None:
@@ -25,23 +25,60 @@ def test_every_name_is_there_and_documented() -> None:
         _ = hesr.fitt
 
 
-def test_checkers_see_the_same_names_from_the_same_modules() -> None:
-    tree = ast.parse(Path(hesr.__file__).read_text(encoding="utf-8"))
-    (block,) = (node for node in tree.body if isinstance(node, ast.If) and len(node.body) > 1)
-    seen = {
-        alias.asname or alias.name: f"{node.module}:{alias.name}"
-        for node in block.body
-        if isinstance(node, ast.ImportFrom)
+def test_every_verb_is_a_function() -> None:
+    with app.make_context("hesr", [], resilient_parsing=True) as context:
+        verbs = app.list_commands(context)
+    assert set(verbs) <= set(dir(hesr))
+    for verb in verbs:
+        assert getattr(hesr, verb) is workflow(verb)
+
+
+def test_the_stub_lists_imports_only() -> None:
+    stub = Path(hesr.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+    names = [
+        alias.asname for node in ast.parse(stub).body if isinstance(node, ast.ImportFrom)
         for alias in node.names
-    }
-    homes = {name: home if ":" in home else f"{home}:{name}" for name, home in hesr._HOMES.items()}
-    assert seen == homes
-    (listed,) = (ast.literal_eval(n.value) for n in block.body if isinstance(n, ast.Assign))
-    assert sorted(listed) == dir(hesr)
+    ]  # fmt: skip
+    assert len(names) == len(ast.parse(stub).body) == len(dir(hesr))
+    assert sorted(map(str, names)) == dir(hesr)
 
 
-def test_every_command_is_a_call() -> None:
-    assert set(COMMANDS) - set(dir(hesr)) == NOT_CALLS
+def test_options_of_the_command_line_are_those_of_the_functions() -> None:
+    """Arguments and options of each verb are the parameters of its function, and the reverse."""
+    common = {"json_file", "fail_on", "quiet", "verbose"}
+    with app.make_context("hesr", [], resilient_parsing=True) as context:
+        for verb in app.list_commands(context):
+            function = workflow(verb)
+            command = app.get_command(context, verb)
+            assert command is not None
+            given = {param.name for param in command.params} - common
+            taken = {
+                name for name, one in inspect.signature(function).parameters.items()
+                if one.kind is not one.VAR_KEYWORD
+            }  # fmt: skip
+            taken |= {one.name for one in further(function)}
+            # `--list` is `hesr.laws()`.
+            assert given - {"listing"} == taken - {"progress"}, verb
+
+
+SECTIONS = ("Parameters", "Returns", "Raises", "Examples")
+
+
+def test_every_function_has_a_full_docstring_from_which_its_help_comes() -> None:
+    with app.make_context("hesr", [], resilient_parsing=True) as context:
+        for verb in app.list_commands(context):
+            function = workflow(verb)
+            text = inspect.getdoc(function) or ""
+            assert [s for s in SECTIONS if f"\n{s}\n{'-' * len(s)}\n" not in text] == [], verb
+            told = Docstring.of(function)
+            every = (*inspect.signature(function).parameters.values(), *further(function))
+            own = {one.name for one in every if one.kind is not one.VAR_KEYWORD}
+            assert set(told.parameters) == own, verb
+            command = app.get_command(context, verb)
+            assert command is not None
+            shown = " ".join(command.get_help(click.Context(command, info_name=verb)).split())
+            for name in own - {"progress"}:
+                assert " ".join(told.parameters[name].split())[:40] in shown, (verb, name)
 
 
 def test_help_fits_a_screen_and_names_everything() -> None:

@@ -11,7 +11,7 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 BUDGET = {
     "hesr_model": (23_700, 21_200),
     "fmu_src": (19_900, 17_300),
-    "cosim": (15_300, 11_700),
+    "cosim": (16_300, 11_700),
     "hesr": (2_900, 1_500),
     "hesr.extras": (7_750, 7_300),
     "all": (68_800, 59_000),
@@ -126,7 +126,8 @@ def is_own(node: ast.Attribute) -> bool:
 
 
 def test_no_private_part_of_another_library_is_used() -> None:
-    public = {"_exit", "_thread"}  # documented parts of Python
+    # Documented: parts of Python, and how a SymPy printer prints an operand.
+    public = {"_exit", "_thread", "_print"}
     own = own_private_names()
     offenders = defaultdict(set)
     for name, path in MODULES.items():

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cosim.workflow.commands import arena as called
 from hostile import archived
 from pythonfmu import FmuBuilder
 from small_study import Hesr, hesr_here
@@ -17,7 +18,6 @@ from small_twin import MOTIONS
 from cosim.loop.excite import excite
 from cosim.loop.motions import Motions
 from cosim.study.scores import by_joint, compare, predict_model
-from cosim.workflow.commands import arena as called
 from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant
 from fmu_src.friction.embedded_model import embedded_model

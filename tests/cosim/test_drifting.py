@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from closed_loop import GAINS, MOTION, UF850
+from cosim.workflow.commands import fit as fit_to
 from oracles.arm import encoder_error
 from oracles.drifting_arm import DriftingArm
 from oracles.drifting_loop import (
@@ -21,7 +22,6 @@ from oracles.drifting_loop import (
 )
 from small_study import Run, uf850
 
-from cosim.workflow.commands import fit as fit_to
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr.extras.thermal.thermal_fit import fit_thermal

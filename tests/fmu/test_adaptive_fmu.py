@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from adaptive_models import lugre, model, motion, stops
 from c_hosts import build_host
+from cosim.workflow.commands import export
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
-from cosim.workflow.commands import export
 from fmu_src.check import check
 from fmu_src.run.fmu import FmuInstance
 from hesr.extras.adaptive.follow import Follower

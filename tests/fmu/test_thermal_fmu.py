@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from adaptive_models import lugre, model, motion, stops
+from cosim.workflow.commands import export
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
 from cosim.properties.battery import Subject, measure
 from cosim.study.scores import predict_fmu
-from cosim.workflow.commands import export
 from fmu_src.check import check
 from fmu_src.check.convention import judge
 from fmu_src.export.package import Version

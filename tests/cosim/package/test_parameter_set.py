@@ -7,10 +7,10 @@ from xml.etree import ElementTree as ET
 import fmpy
 import numpy as np
 import pytest
+from cosim.workflow.commands import export
 from lxml import etree
 
 from cosim.systems.parameter_set import COVARIANCE, export_ssv
-from cosim.workflow.commands import export
 from fmu_src import model_file
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel

@@ -1,0 +1,339 @@
+"""Export of friction laws, arms and systems for other tools."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
+
+from cosim.workflow.answer import Answer, Written, written_files
+from hesr_model.errors import ArgumentError
+from hesr_model.support.progress import Stages, silent
+
+if TYPE_CHECKING:
+    from cosim.workflow.arguments import BodyArg, LawArg, PerJoint, RobotArg
+    from hesr_model.friction.model import FrictionModel
+    from hesr_model.support.files import PathArg
+
+Fmi = Literal[2, 3]
+Ssp = Literal["1.0", "2.0"]
+
+
+class ExportOptions(TypedDict, total=False):
+    """Options of the formats of `export`; see there."""
+
+    fmi: Fmi
+    inertia: PerJoint
+    stiffness: PerJoint
+    damping: PerJoint
+    ratio: PerJoint
+    project: bool
+    properties: bool
+    power: bool
+    band: bool
+    robot: RobotArg
+    rigid_body: BodyArg
+    signals: PathArg
+    ssp: Ssp
+
+
+_PER_JOINT = ("inertia", "stiffness", "damping", "ratio")
+_OF_ARMS, _OF_SYSTEMS = ("signals",), ("ssp",)
+_log = logging.getLogger(__name__)
+
+
+def export(
+    source: LawArg,
+    output: PathArg,
+    *,
+    format: str | None = None,  # noqa: A002  # the option's name
+    platform: Sequence[str] | None = None,
+    progress: Stages = silent,
+    **options: Unpack[ExportOptions],
+) -> Path:
+    """Write a friction law, an arm or a system of FMUs for other tools.
+
+    Parameters
+    ----------
+    source : law or path
+        Friction model (.json) or uf850-table1 (the paper's); MJCF of an arm (.xml); system of FMUs
+        (.toml, .ssp).
+    output : path
+        File to write.
+    format : str, optional
+        Of a law: fmu (default; velocity in, torque out), adaptive (an FMU that estimates friction
+        from measured torques), drive (an FMU with the rotor: torque in, velocity out), mjcf
+        (actuators for MuJoCo), modelica, c (one header without FMI), torch or jax (one batched,
+        differentiable file), ssv (coefficients and covariance as a parameter set of SSP). Of an
+        arm: fmu (default), or python-arm for hosts with Python, HESR and MuJoCo. Of a system: ssp,
+        or fmu for one FMU that holds it; by default the suffix of the output decides.
+    platform : sequence of str, optional
+        Platforms of an FMU: linux64 (default), win64, darwin64, aarch64-linux or all; repeatable.
+    progress : callable, optional
+        Called with stage, steps done and steps in total.
+
+    Other Parameters
+    ----------------
+    fmi : {2, 3}
+        Version of FMI; 3 has arrays, dq for dq[i].
+    inertia : float or sequence of float, kg.m2
+        Drive: inertia of the rotors, one or one for each joint.
+    stiffness : float or sequence of float, N.m/rad
+        Drive: stiffness of the flexsplines; by default rigid.
+    damping : float or sequence of float, N.m.s/rad
+        Drive: damping of the flexsplines; by default 0.
+    ratio : float or sequence of float
+        Drive: turns of the motor per turn of the joint; by default 1.
+    project : bool
+        MJCF: approximate a law that MuJoCo has no parts for.
+    properties : bool
+        FMU: run the physics checks and add their table to the pages.
+    power : bool
+        FMU: add the dissipated power as an output.
+    band : bool
+        FMU: add the 95 % band of measured friction as outputs, and write coefficients and
+        covariance as NAME.ssv.
+    robot : robot or path
+        FMU: with --rigid-body, its page finds the friction in a dropped log.
+    rigid_body : body or path
+        FMU: result of 'hesr identify', for --robot.
+    signals : path
+        Arm: TOML file with inputs and outputs; by default every control and sensor.
+    ssp : {"1.0", "2.0"}
+        SSP: version; by default 1.0.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ConfigError
+        If the format is unknown, or an option is of another format.
+    ExportError
+        If the format cannot express the source.
+
+    Examples
+    --------
+    On the command line::
+
+        $ hesr export law.json -o Friction.fmu --platform linux64 --platform win64
+        $ hesr export law.json --format drive --inertia 3,3,0.6 -o Drive.fmu
+        $ hesr export robot.xml -o Arm.fmu --signals arm.toml --platform win64
+        $ hesr export closed_loop.toml -o loop.ssp
+
+    In Python:
+
+    >>> import hesr
+    >>> hesr.export("uf850-table1", "Table1.h", format="c").name
+    'Table1.h'
+    """
+    from hesr_model.support.files import path_of
+
+    path = path_of(output, "an output")
+    given: dict[str, Any] = {k: v for k, v in options.items() if v is not None and v is not False}
+    if ("robot" in given) != ("rigid_body" in given):
+        raise ArgumentError("'robot' and 'rigid_body' go together; only one of them was given.")
+    suffix = Path(source).suffix.lower() if isinstance(source, str | Path) else ""
+    building = partial(progress, f"building {path.name}")
+    if suffix == ".xml":
+        _write_arm(Path(str(source)), path, format or "fmu", platform, given, building)
+    elif suffix in (".toml", ".ssp"):
+        _write_system(Path(str(source)), path, format, platform, given)
+    else:
+        _write_law(source, path, format or "fmu", platform, given, progress)
+    return path
+
+
+def _write_arm(
+    model: Path,
+    output: Path,
+    format: str,  # noqa: A002  # the option's name
+    platform: Sequence[str] | None,
+    given: Mapping[str, Any],
+    progress: Any,
+) -> None:
+    """Write the arm of an MJCF."""
+    from fmu_src.arm.native import export_mjcf
+    from fmu_src.arm.python_arm.export import export_python_arm
+
+    _refuse_others(given, _OF_ARMS, "friction laws, not for a robot")
+    signals = Path(given["signals"]) if "signals" in given else None
+    if format == "python-arm":
+        if platform is not None:
+            raise ArgumentError("'platform' is for native FMUs; python-arm has no such choice.")
+        export_python_arm(model, signals, output)
+    elif format == "fmu":
+        platforms = platform or ("linux64",)
+        export_mjcf(model, output, table=signals, platforms=platforms, progress=progress)
+    else:
+        raise ArgumentError(
+            f"'format' is {format}, which is for friction laws; a robot becomes an FMU (fmu, "
+            "python-arm)."
+        )
+
+
+def _write_system(
+    system: Path,
+    output: Path,
+    format: str | None,  # noqa: A002  # the option's name
+    platform: Sequence[str] | None,
+    given: Mapping[str, Any],
+) -> None:
+    """Write a system of FMUs as an SSP or as one FMU."""
+    from cosim.systems.container import write_container
+    from cosim.systems.contents import read_contents
+    from cosim.systems.ssp import left_out, write_ssp
+    from cosim.systems.ssp_reader import opened_system
+
+    _refuse_others(given, _OF_SYSTEMS, "friction laws, not for a system")
+    if platform is not None:
+        raise ArgumentError("'platform' is for FMUs that are built; a system holds those it has.")
+    kind = format or ("fmu" if output.suffix.lower() == ".fmu" else "ssp")
+    if kind not in ("fmu", "ssp"):
+        raise ArgumentError(f"'format' is {kind}; a system becomes an SSP (ssp) or an FMU (fmu).")
+    if kind == "fmu" and "ssp" in given:
+        raise ArgumentError("'ssp' is the version of a file in .ssp; the output is an FMU.")
+    with opened_system(system) as spec:
+        contents = read_contents(spec, system)
+        if kind == "fmu":
+            write_container(contents, output)
+        else:
+            write_ssp(contents, output, version=given.get("ssp", "1.0"))
+            if note := left_out(contents):
+                _log.warning("%s", note)
+
+
+def _write_law(
+    law: LawArg,
+    output: Path,
+    format: str,  # noqa: A002  # the option's name
+    platform: Sequence[str] | None,
+    given: dict[str, Any],
+    progress: Stages,
+) -> None:
+    """Write a friction law, or copy the FMU that was written of the same file before."""
+    from cosim.systems.parameter_set import export_ssv
+    from cosim.workflow.arguments import model_given, page_body
+    from fmu_src import model_file
+    from fmu_src.export.cache import exported
+    from hesr_model.friction.model import FrictionModel
+    from hesr_model.support import plugins
+
+    formats = plugins.load("hesr.exports")
+    if format not in formats:
+        raise ArgumentError(f"'format' is {format}; allowed are {', '.join(formats)}.")
+    _refuse_others({k: v for k, v in given.items() if k in _OF_ARMS}, (), "an MJCF (.xml)")
+    _refuse_others({k: v for k, v in given.items() if k in _OF_SYSTEMS}, (), "a system")
+    writer = formats[format].load()
+    taken = inspect.signature(writer).parameters
+    if platform is not None or "platforms" in taken:
+        given["platforms"] = list(platform or ("linux64",))
+    for option in given:
+        name = {"robot": "body", "rigid_body": "body"}.get(option, option)
+        if name not in taken and not (name == "platforms" and platform is None):
+            _refuse_option(option, format, formats)
+    if "body" in taken and "robot" in given:
+        given["body"] = page_body(given.pop("robot"), given.pop("rigid_body"))
+    if "progress" in taken:
+        given["progress"] = partial(progress, f"building {output.name}")
+
+    def write() -> None:
+        model = model_given(law)
+        written = writer(model, output, **_completed(format, given, model, progress))
+        for line in getattr(written, "lines", list)():
+            _log.warning("%s", line)
+
+    if "platforms" in taken and not isinstance(law, FrictionModel) and "properties" not in given:
+        body = given.get("body")
+        known = {k: v for k, v in given.items() if k not in ("progress", "body")}
+        known |= {"format": format, "body": body and {"cutoff": body.cutoff, **body.files}}
+        exported(model_file(str(law)), known, output, write)
+    else:
+        write()
+    if given.get("band"):
+        export_ssv(model_given(law), output.with_suffix(".ssv"))
+
+
+def _completed(
+    format: str,  # noqa: A002  # the option's name
+    given: Mapping[str, Any],
+    model: FrictionModel,
+    progress: Stages,
+) -> dict[str, Any]:
+    """Return the options of a format for a model: one value per joint, physics checks run."""
+    from cosim.properties.battery import Subject, run_battery
+    from cosim.workflow.arguments import per_joint
+
+    done = dict(given)
+    for name in _PER_JOINT:
+        if name in done:
+            done[name] = per_joint(name, done[name], len(model.joints))
+    if format == "drive" and "inertia" not in done:
+        raise ArgumentError("'format' drive needs 'inertia', the inertia of the rotors in kg.m2.")
+    if done.get("properties"):
+        subject = Subject(name=model.law, model=model)
+        [done["properties"]] = run_battery([subject], progress=partial(progress, "testing the law"))
+    return done
+
+
+def _refuse_others(given: Mapping[str, Any], allowed: Sequence[str], kind: str) -> None:
+    for option in given:
+        if option not in allowed:
+            raise ArgumentError(f"'{option}' is for {kind}.")
+
+
+def _refuse_option(option: str, format: str, formats: Mapping[str, Any]) -> None:  # noqa: A002  # the option's name
+    """Refuse an option that another format takes: who gives it expects an effect."""
+    name = {"robot": "body", "rigid_body": "body"}.get(option, option)
+    taking = [
+        other for other, one in formats.items() if name in inspect.signature(one.load()).parameters
+    ]
+    shown = "platform" if option == "platforms" else option
+    if not taking:
+        raise ArgumentError(f"'{shown}' is an option of no format.")
+    raise ArgumentError(
+        f"'{shown}' needs 'format' {' or '.join(taking)}, but the format is '{format}'."
+    )
+
+
+def further_options() -> list[inspect.Parameter]:
+    """Return the options of all formats: those of `ExportOptions`, and those of plug-ins."""
+    from hesr_model.support import plugins
+
+    listed = {k: v.__forward_arg__ for k, v in ExportOptions.__annotations__.items()}
+    for format_ in plugins.load("hesr.exports").values():
+        if not format_.own:
+            own = inspect.signature(format_.load()).parameters.values()
+            listed |= {
+                one.name: one.annotation
+                for one in own
+                if one.kind is one.KEYWORD_ONLY
+                and one.name not in ("progress", "platforms", *listed)
+            }
+    return [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+        for name, kind in listed.items()
+    ]
+
+
+def answer(path: Path, output: PathArg | None) -> Answer:
+    """Return the answer of an export: the file and the tools that read it."""
+    size = path.stat().st_size / 1024.0
+    lines = [f"{_TOOLS.get(path.suffix.lower(), 'File for other tools')}, {size:.0f} KiB."]
+    return Written(format="hesr-export-1", lines=lines, data=str(path), files=written_files(output))
+
+
+_TOOLS = {
+    ".fmu": "FMU, for every tool that imports FMI",
+    ".ssp": "SSP, for OMSimulator, easySSP and other importers",
+    ".ssv": "parameter set of SSP",
+    ".mo": "Modelica package, for OpenModelica and Dymola",
+    ".xml": "MJCF with actuators, for MuJoCo",
+    ".h": "C header without dependencies",
+    ".py": "Python module, batched and differentiable",
+}

@@ -1,0 +1,248 @@
+"""Inspection of logs before anything is fitted to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.workflow.answer import Answer, finding_lines, shortened
+from hesr_model.errors import ArgumentError
+from hesr_model.support.progress import Stages, silent
+
+if TYPE_CHECKING:
+    from cosim.report.tables.table import ResultTable
+    from cosim.workflow.arguments import LogArg, Logs, PerJoint, RobotArg
+    from hesr_model.findings import Finding
+    from hesr_model.health.proposal import Proposal
+    from hesr_model.rigid_body.torque_constants import Constant
+    from hesr_model.support.files import PathArg
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Inspection(Answer):
+    """Result of the inspection of logs.
+
+    Attributes
+    ----------
+    proposal : proposed robot description with reasons, the logs read with it, and findings.
+    constants : estimated torque constants; empty unless requested.
+    next_command : command that uses the written files.
+    files : written page, robot file and study.
+    """
+
+    format = "hesr-inspection-1"
+    proposal: Proposal
+    constants: Sequence[Constant] = ()
+    next_command: str = ""
+    files: Sequence[Path] = field(default_factory=tuple)
+
+    @property
+    def findings(self) -> Sequence[Finding]:  # type: ignore[override]  # derived from the proposal
+        """Findings that the proposed robot file leaves."""
+        return self.proposal.examination.findings
+
+    @property
+    def fixed(self) -> Sequence[Finding]:
+        """Findings that the proposed robot file removes."""
+        left = {(f.check, f.joints) for f in self.findings}
+        return [f for f in self.proposal.first if (f.check, f.joints) not in left]
+
+    def summary(self) -> str:
+        """Return what is fixed, still open and guessed, then files and the next command."""
+        lines = [f"Fixed by the proposed robot file: {f.sentence}" for f in self.fixed]
+        lines += finding_lines(self.findings)
+        if not self.proposal.first:
+            lines.append("Nothing wrong or unusual was found.")
+        lines += [f"proposed: {key}: {text}" for key, text in self.proposal.reasons.items()]
+        lines += [constant.sentence for constant in self.constants]
+        text = shortened(lines, self.files)
+        return f"{text}\nNext: {self.next_command}" if self.next_command else text
+
+    def tables(self) -> Sequence[ResultTable | str]:
+        """Return one line and one table per log, and all findings."""
+        from cosim.report.tables.table import ResultTable, TableRow, row_of
+        from hesr_model.health.proposal import HEAD, summary_rows
+
+        shown: list[ResultTable | str] = []
+        for log in self.proposal.logs:
+            count = len(log.gaps)
+            gaps = f", {count} gap{'s' * (count > 1)}" if count else ""
+            dropped = f", {log.dropped} rows left out" if log.dropped else ""
+            shown.append(
+                f"{log.name}: {len(log.t)} rows, {log.t[-1] - log.t[0]:.1f} s, {log.rate:.4g} Hz, "
+                f"jitter {100 * log.jitter:.0f} %{gaps}{dropped}"
+            )
+        by_log: dict[str, list[TableRow]] = {}
+        for name, joint, *cells in summary_rows(self.proposal):
+            by_log.setdefault(name, []).append(row_of(joint, *cells))
+        shown += [ResultTable(caption=n, head=HEAD[1:], rows=rows) for n, rows in by_log.items()]
+        return [*shown, *finding_lines(self.proposal.first)]
+
+    def result(self) -> Any:
+        """Return findings before and after the proposal, its reasons and torque constants."""
+        from hesr_model.support.typed_json import to_json
+
+        return {
+            "given": [to_json(finding) for finding in self.proposal.first],
+            "proposed": [to_json(finding) for finding in self.findings],
+            "reasons": dict(self.proposal.reasons),
+            "torque_constants": [to_json(one) for one in self.constants if one.determined],
+        }
+
+
+def inspect(
+    logs: Logs,
+    *,
+    robot: RobotArg | None = None,
+    write: PathArg | None = None,
+    study: PathArg | None = None,
+    output: PathArg | None = None,
+    torque_constants: bool = False,
+    mass_error: float = 0.2,
+    loaded: Sequence[LogArg] = (),
+    payload: PerJoint | None = None,
+    progress: Stages = silent,
+) -> Inspection:
+    """Find errors in logs and propose a robot file.
+
+    Parameters
+    ----------
+    logs : path or sequence of paths
+        CSV, Parquet or MATLAB files, or ROS bags.
+    robot : robot or path, optional
+        Robot file (.toml), URDF or MJCF; without it logs are checked against themselves.
+    write : path, optional
+        Robot file to write as proposed.
+    study : path, optional
+        Study of these logs to write, for 'hesr run'.
+    output : path, optional
+        Page (.html) or picture (.svg) to write.
+    torque_constants : bool
+        Estimate torque constants from known masses: those of the model, or a payload.
+    mass_error : float
+        Torque constants: relative error of the model's masses, one sigma.
+    loaded : sequence of logs, optional
+        Torque constants: logs under the payload; repeatable.
+    payload : sequence of four float, kg and m, optional
+        Torque constants: mass and centre of the payload in the frame of the last joint.
+    progress : callable, optional
+        Called with stage, steps done and steps in total.
+
+    Returns
+    -------
+    Inspection
+        Findings, and a robot description with a reason for each change.
+
+    Raises
+    ------
+    LogError
+        If a log cannot be read.
+    ConfigError
+        If options do not go together.
+
+    Examples
+    --------
+    On the command line::
+
+        $ hesr inspect log.csv --robot my_arm.urdf --write robot.toml --study study.toml
+        $ hesr inspect run.csv --robot robot.toml --torque-constants --mass-error 0.2
+
+    In Python:
+
+    >>> import hesr
+    >>> hesr.inspect("sweep.csv", robot="robot.toml").passed
+    True
+    """
+    from cosim.workflow.arguments import listed
+    from hesr_model.health.proposal import inspected
+    from hesr_model.logs.robot_log import RobotLog
+    from hesr_model.support.files import path_of
+
+    if write and not robot:
+        raise ArgumentError("'write' needs 'robot': a robot file names the robot's model.")
+    if study and not write:
+        raise ArgumentError(
+            "'study' needs 'write': a study names the robot file that reads its logs."
+        )
+    if not torque_constants and (loaded or payload is not None or mass_error != 0.2):
+        raise ArgumentError(
+            "'mass_error', 'loaded' and 'payload' are for 'torque_constants'; give that, too."
+        )
+    files = [g.path if isinstance(g, RobotLog) else path_of(g, "a log") for g in listed(logs)]
+    if None in files or not files:
+        raise ArgumentError("logs are inspected in their files; needed is the path of each.")
+    progress("inspecting logs", 0, 1)
+    proposal = inspected([file for file in files if file], robot)
+    written = _write(proposal, output, write, study)
+    constants = (
+        _torque_constants(logs, robot, mass_error, loaded, payload, progress)
+        if torque_constants
+        else ()
+    )
+    command = f"hesr run {study}" if study else ""
+    return Inspection(proposal=proposal, constants=constants, next_command=command, files=written)
+
+
+def _write(
+    proposal: Proposal, output: PathArg | None, write: PathArg | None, study: PathArg | None
+) -> list[Path]:
+    """Write page, robot file and study, as far as requested; return their paths."""
+    from hesr_model.health.proposal import robot_file
+    from hesr_model.support.files import path_of, written_whole
+
+    page, robot, plan = (
+        None if file is None else path_of(file, "an output") for file in (output, write, study)
+    )
+    if page:
+        from cosim.report.inspection import write_inspection
+
+        write_inspection(page, proposal)
+    if robot:
+        with written_whole(robot) as temporary:
+            temporary.write_text(robot_file(proposal, robot), encoding="utf-8")
+    if robot and plan:
+        from cosim.study.proposal import study_file
+
+        with written_whole(plan) as temporary:
+            temporary.write_text(study_file(proposal, robot, plan), encoding="utf-8")
+    return [file for file in (page, robot, plan) if file]
+
+
+def _torque_constants(
+    logs: Logs,
+    robot: RobotArg | None,
+    mass_error: float,
+    loaded: Sequence[LogArg],
+    payload: PerJoint | None,
+    progress: Stages,
+) -> Sequence[Constant]:
+    """Estimate torque constants, starting from the robot file's `torque_per_ampere`."""
+    from cosim.workflow.arguments import logs_of, robot_of
+    from hesr_model.logs.robot_log import parts_of
+    from hesr_model.logs.signals import Motion, smooth
+    from hesr_model.rigid_body import torque_constants as constants
+
+    carried = tuple(payload) if isinstance(payload, Sequence) else None
+    if payload is not None and (carried is None or len(carried) != 4):
+        raise ArgumentError(
+            f"'payload': found {len(carried or (payload,))} values; needed are its mass and the "
+            "three coordinates of its centre."
+        )
+    model = robot_of(robot, ())
+    description = model.description
+
+    def motions(given: Any) -> list[Motion]:
+        read = logs_of(given, model)
+        return [smooth(part, description.log.filter_cutoff) for part in parts_of(read)]
+
+    progress("estimating torque constants", 0, 1)
+    return constants.torque_constants(
+        motions(logs),
+        model,
+        description.log.torque_per_ampere or (1.0,) * model.n,
+        mass_error=mass_error,
+        loaded=motions(loaded),
+        payload=None if carried is None else constants.point_payload(carried[0], carried[1:]),
+    )

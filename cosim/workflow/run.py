@@ -1,0 +1,240 @@
+"""Whole studies: from logs to scored FMUs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+from cosim.workflow.answer import Answer, Written, shortened
+from hesr_model.support.interrupts import Interrupted
+from hesr_model.support.progress import Stages, silent
+
+if TYPE_CHECKING:
+    from cosim.report.tables.table import ResultTable
+    from cosim.study.run import Outcome
+    from cosim.study.seeds import Seeds
+    from hesr_model.findings import Finding
+    from hesr_model.support.files import PathArg
+
+_CACHED = {
+    "binaries": "compiled libraries",
+    "functions": "C functions",
+    "valid": "checks of FMUs",
+}
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class RunResult(Answer):
+    """Results of a study.
+
+    Attributes
+    ----------
+    folder : folder of all results.
+    outcome : rigid body, laws, FMUs, scores and verdict.
+    findings : findings of the checks of logs, body and laws.
+    """
+
+    format = "hesr-run-1"
+    folder: Path
+    outcome: Outcome
+    findings: Sequence[Finding] = ()
+
+    def summary(self) -> str:
+        """Return the verdict, the number of warnings and the report."""
+        lines = list(self.outcome.verdict.sentences)
+        if count := len(self.findings):
+            lines.append(f"{count} finding{'s' * (count > 1)} of the checks: --verbose lists them.")
+        lines.append(f"FMUs: {self.folder / 'fmus'}")
+        lines.append(f"Report: {self.folder / 'report.html'}")
+        return shortened(lines)
+
+    def tables(self) -> Sequence[ResultTable | str]:
+        """Return body, scores, closed loop, physics checks, findings and use of the cache."""
+        from cosim.report.tables import loop, properties
+        from cosim.report.tables.laws import rigid_body
+        from cosim.report.tables.scores import MEASURES, errors, other_truths
+        from cosim.study.scores import input_classes
+
+        outcome = self.outcome
+        sliding = next(iter(outcome.models.values())).sliding
+        inputs = input_classes(outcome.models)
+        shown: list[ResultTable | str] = [rigid_body(outcome.rigid_body, sliding)]
+        for name, comparison in outcome.comparisons.items():
+            shown += [errors(name, comparison, measure, inputs, sliding) for measure in MEASURES]
+        if outcome.truths:
+            shown.append(other_truths(outcome.comparisons, outcome.truths, outcome.truth))
+        if outcome.loop:
+            shown += loop.outcome(outcome.loop)
+        if outcome.properties:
+            shown += [properties.properties(outcome.properties), properties.legend(sliding)]
+        shown.append("Scores come from running these FMUs in FMPy:")
+        shown += [f"  {fmu}" for fmu in outcome.fmus.values()]
+        shown += [f"{f.severity}: {f.sentence} [{f.check}]" for f in self.findings]
+        reused = [
+            f"{found} of {asked} {_CACHED[kind]}"
+            for kind, (found, asked) in outcome.cached.items()
+            if found and kind in _CACHED
+        ]
+        return [*shown, *([f"Reused from cache: {', '.join(reused)}."] if reused else [])]
+
+    def result(self) -> Any:
+        """Return FMUs, verdict and scores as JSON data."""
+        from hesr_model.support.typed_json import to_json
+
+        outcome = self.outcome
+        return {
+            "folder": str(self.folder),
+            "fmus": {law: str(path) for law, path in outcome.fmus.items()},
+            "left_out": dict(outcome.left_out),
+            "verdict": to_json(outcome.verdict),
+            "evaluation": {name: to_json(c) for name, c in outcome.comparisons.items()},
+            "closed_loop": to_json(outcome.loop) if outcome.loop else None,
+            "cache": {
+                kind: {"reused": reused, "of": asked}
+                for kind, (reused, asked) in outcome.cached.items()
+            },
+        }
+
+
+@overload
+def run(
+    study: PathArg | None = None,
+    *,
+    output: PathArg | None = None,
+    platform: Sequence[str] = ("linux64",),
+    quick: bool = False,
+    seeds: None = None,
+    accept: Sequence[str] = (),
+    progress: Stages = silent,
+) -> RunResult: ...
+
+
+@overload
+def run(
+    study: PathArg | None = None,
+    *,
+    output: PathArg | None = None,
+    platform: Sequence[str] = ("linux64",),
+    quick: bool = False,
+    seeds: int,
+    accept: Sequence[str] = (),
+    progress: Stages = silent,
+) -> Seeds: ...
+
+
+def run(
+    study: PathArg | None = None,
+    *,
+    output: PathArg | None = None,
+    platform: Sequence[str] = ("linux64",),
+    quick: bool = False,
+    seeds: int | None = None,
+    accept: Sequence[str] = (),
+    progress: Stages = silent,
+) -> RunResult | Seeds:
+    """Do the whole job: identify, fit, build FMUs and score them.
+
+    The scores are those of the FMUs on motions that the laws were not fitted to. An interrupted run
+    continues where it stopped.
+
+    Parameters
+    ----------
+    study : path, optional
+        Study (.toml); by default the digital twin.
+    output : path, optional
+        Folder of the results; by default results/NAME.
+    platform : sequence of str
+        Platforms of the FMUs: linux64 (default), win64, darwin64, aarch64-linux or all; repeatable.
+    quick : bool
+        Stribeck, LuGre and ParFam-H only, without closed loop and physics checks.
+    seeds : int, optional
+        Of a twin: score the laws over this number of draws of noise, motions and true friction
+        instead, without FMUs, and write seeds.json.
+    accept : sequence of str, optional
+        Names of checks whose errors do not refuse the logs; repeatable.
+    progress : callable, optional
+        Called with stage, steps done and steps in total.
+
+    Returns
+    -------
+    RunResult
+        Verdict, scores [N.m], FMUs and findings; with `seeds` the spread over the draws.
+
+    Raises
+    ------
+    HesrError
+        If the study, a log or the data in it do not allow the run.
+
+    Examples
+    --------
+    On the command line::
+
+        $ hesr run tests/real/ur10e_study.toml -o results/ur10e
+        $ hesr run --quick --seeds 20
+
+    In Python:
+
+    >>> import hesr
+    >>> hesr.run("study.toml", quick=True).outcome.fmus["lugre"].name
+    'lugre.fmu'
+    """
+    from cosim.study.results import read_findings
+    from cosim.study.run import run_study, unfinished
+    from cosim.study.seeds import run_seeds
+    from cosim.study.study import Study
+    from hesr_model.friction.registry import laws_with
+    from hesr_model.support.files import models_folder, path_of
+    from hesr_model.support.typed_json import to_json, write_json
+
+    path = path_of(study or models_folder() / "studies" / "default.toml", "a study")
+    folder = path_of(output or Path("results") / Study.read(path).name, "a folder")
+    if seeds is not None:
+        laws = laws_with("quick") if quick else ()
+        spread = run_seeds(path, seeds, laws=laws, progress=partial(progress, "running draws"))
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(folder / "seeds.json", to_json(spread))
+        return spread
+    with _going_on(unfinished(folder)):
+        outcome = run_study(
+            path, folder, platforms=platform, quick=quick, accepted=accept, progress=progress
+        )
+    return RunResult(folder=folder, outcome=outcome, findings=read_findings(folder))
+
+
+@contextmanager
+def _going_on(kept: Path) -> Iterator[None]:
+    """On an interrupt, count the finished parts from which the next run continues."""
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        found = {
+            "laws of joints": "laws/*.json",
+            "finished rows of the closed loop": "*.json",
+            "tested laws": "properties/*.json",
+        }
+        counts = {what: len(list(kept.glob(pattern))) for what, pattern in found.items()}
+        finished = [f"{count} {what}" for what, count in counts.items() if count]
+        if not finished:
+            raise
+        raise Interrupted(
+            f"{', '.join(finished)} are kept in {kept}: the same command goes on from there",
+            interrupt,
+        ) from interrupt
+
+
+def answer(spread: Seeds, _: PathArg | None) -> Answer:
+    """Return the answer of a run over draws: its tables."""
+    from cosim.report.tables.seeds import over_draws
+    from hesr_model.support.typed_json import to_json
+
+    return Written(
+        format="hesr-seeds-1",
+        lines=[],
+        shown=list(over_draws(spread)),
+        shows_tables=True,
+        data=to_json(spread),
+    )

@@ -1,0 +1,422 @@
+"""Tests of friction laws: prediction on logs, passivity, physics checks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.workflow.answer import Answer, shortened
+from hesr_model.errors import ArgumentError, ConfigError, HesrError
+from hesr_model.support.progress import Stages, silent
+
+if TYPE_CHECKING:
+    from cosim.report.tables.table import ResultTable
+    from cosim.study.position_errors import PositionErrors
+    from cosim.study.scores import Comparison, Records
+    from cosim.workflow.arguments import (
+        BodyArg,
+        Laws,
+        LogArg,
+        NamedLaw,
+        PerJoint,
+        RobotArg,
+    )
+    from fmu_src.pages.datasheet import ModelAudit
+    from hesr_model.audit.properties import Properties
+    from hesr_model.findings import Finding
+    from hesr_model.support.files import PathArg
+
+KINDS = ("prediction", "passivity", "properties")
+"""Kinds of HESR's own tests."""
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LawReport(Answer):
+    """Results of the tests of friction laws.
+
+    Attributes
+    ----------
+    laws : tested laws.
+    scores : errors on the logs; None without prediction.
+    positions : errors of the laws as simulators [rad; m]; None without prediction of models.
+    records : friction in the logs, [joint][log].
+    audits : certificates of passivity and figures, by law.
+    properties : results of the physics checks, by law.
+    others : answers of further kinds (plug-ins), by kind.
+    """
+
+    format = "hesr-law-report-1"
+    laws: Sequence[NamedLaw]
+    scores: Comparison | None = None
+    positions: PositionErrors | None = None
+    records: Records = ()
+    audits: Mapping[str, ModelAudit] = field(default_factory=dict)
+    properties: Mapping[str, Properties] = field(default_factory=dict)
+    others: Mapping[str, Answer] = field(default_factory=dict)
+    findings: Sequence[Finding] = ()
+    files: Sequence[Path] = ()
+
+    def summary(self) -> str:
+        """Return the best law, then passivity and failed checks of each law."""
+        lines = _scores_lines(self.scores) if self.scores else []
+        for law in self.laws:
+            if found := self.audits.get(law.name):
+                lines.append(f"{law.name}: {_passivity(law, found)}")
+            if checks := self.properties.get(law.name):
+                lines.append(f"{law.name}: {_failed(checks)}")
+        lines += [other.summary() for other in self.others.values()]
+        return shortened(lines, self.files)
+
+    def tables(self) -> Sequence[ResultTable | str]:
+        """Return scores, audits, certificates and physics checks."""
+        return [
+            *self._scores_tables(),
+            *self._audit_tables(),
+            *self._property_tables(),
+            *(table for other in self.others.values() for table in other.tables()),
+        ]
+
+    def _scores_tables(self) -> list[ResultTable | str]:
+        from cosim.report.tables.scores import MEASURES, bands, errors, position_errors
+        from cosim.study.scores import input_classes
+
+        if self.scores is None:
+            return []
+        sliding = [of_joint[0].sliding for of_joint in self.records]
+        inputs = input_classes({law.name: law.model for law in self.laws if law.model})
+        shown: list[ResultTable | str] = [
+            errors("test", self.scores, measure, inputs, sliding) for measure in MEASURES
+        ]
+        if self.scores.bands:
+            shown.append(bands("test", self.scores))
+        if self.positions is not None:
+            shown.append(position_errors("test", self.positions, sliding))
+        return shown
+
+    def _audit_tables(self) -> list[ResultTable | str]:
+        from cosim.report.tables.laws import audit
+        from fmu_src.pages.datasheet import certified
+
+        shown: list[ResultTable | str] = []
+        for law in self.laws:
+            found = self.audits.get(law.name)
+            if found is None or law.model is None:
+                continue
+            shown.append(audit(law.name, found.audits, law.model.sliding))
+            shown += [
+                f"{joint}: {certified(certificate)}"
+                for joint, certificate in zip(law.model.joints, found.certificates, strict=True)
+            ]
+            if self.records:
+                shown += _leaving(law, self.records)
+        return shown
+
+    def _property_tables(self) -> list[ResultTable | str]:
+        from cosim.report.tables import properties as tables
+
+        if not self.properties:
+            return []
+        sliding = [slides for law in self.laws if law.model for slides in law.model.slides]
+        named = self.properties
+        return [tables.properties(named), tables.legend(sliding), tables.reasons(named)]
+
+    def result(self) -> Any:
+        """Return the results of all kinds as JSON data."""
+        from hesr_model.support.typed_json import to_json
+
+        return {
+            "prediction": self.scores and to_json(self.scores),
+            "simulation": self.positions and to_json(self.positions),
+            "passivity": {
+                name: [
+                    {"verdict": c.verdict, "storage": c.storage, "rests_on": list(c.rests_on)}
+                    for c in found.certificates
+                ]
+                for name, found in self.audits.items()
+            },
+            "properties": {name: to_json(found) for name, found in self.properties.items()},
+            **{kind: other.result() for kind, other in self.others.items()},
+        }
+
+
+def test(
+    laws: Laws,
+    *,
+    on: Sequence[LogArg] = (),
+    kind: Sequence[str] = (),
+    robot: RobotArg | None = None,
+    rigid_body: BodyArg | None = None,
+    inertia: PerJoint | None = None,
+    load: float = 0.0,
+    output: PathArg | None = None,
+    trust: bool = False,
+    accept: Sequence[str] = (),
+    progress: Stages = silent,
+) -> LawReport:
+    r"""Test friction laws: prediction, passivity, physics checks.
+
+    Models and FMUs of any tool are tested alike. A foreign FMU goes through those physics checks
+    that need its connectors only, and has no proof of passivity.
+
+    Parameters
+    ----------
+    laws : law, path, or sequence or mapping of these
+        Friction models (.json), friction FMUs (.fmu) of any tool, or uf850-table1; on a leaderboard
+        with several robots ROBOT=FILE.
+    on : sequence of logs, optional
+        Logs for the prediction, or one leaderboard file (.toml); repeatable.
+    kind : sequence of str, optional
+        Tests, repeatable: prediction, passivity, properties (thirteen experiments: memory,
+        stick-slip, dissipation, ..); by default prediction and passivity with --on, else passivity.
+    robot : robot or path, optional
+        Robot file (.toml), URDF or MJCF; by default the robot of the logs.
+    rigid_body : body or path, optional
+        Result of 'hesr identify', which the prediction needs.
+    inertia : float or sequence of float, kg.m2, optional
+        Properties: inertia of the joints, one or one for each; 3,3,0.6 for the uf850.
+    load : float, N.m
+        Properties: load torque of experiments without one of their own.
+    output : path, optional
+        JSON file of the properties, or page of a leaderboard.
+    trust : bool
+        Run these FMUs without a sandbox, now and later: faster, but they can do what you can.
+    accept : sequence of str, optional
+        Names of checks whose errors do not refuse the logs; repeatable.
+    progress : callable, optional
+        Called with stage, steps done and steps in total.
+
+    Returns
+    -------
+    LawReport
+        Scores, certificates of passivity and physics checks by law.
+
+    Raises
+    ------
+    HesrError
+        If a law, a log or the robot cannot be used.
+
+    Examples
+    --------
+    On the command line::
+
+        $ hesr test law.json Friction.fmu --on test.csv --robot robot.toml \
+          --rigid-body rigid_body.json
+        $ hesr test uf850-table1 --kind properties
+        $ hesr test lugre.fmu theirs.fmu --on leaderboard.toml -o leaderboard.html
+
+    In Python:
+
+    >>> import hesr
+    >>> hesr.test("uf850-table1").passed
+    True
+    """
+    from cosim.workflow.arguments import laws_of, listed, remember_trust
+    from cosim.workflow.jobs import find_job
+    from hesr_model.support import plugins
+    from hesr_model.support.files import path_of
+
+    logs = listed(on)
+    file = None if output is None else path_of(output, "an output")
+    job = find_job(Path(logs[0]), "test") if logs and isinstance(logs[0], str | Path) else None
+    if job is not None:
+        if len(logs) > 1 or kind:
+            raise ArgumentError("'on' is a leaderboard; give it alone, without 'kind'.")
+        board = job.run(
+            Path(logs[0]), fmus=listed(laws), output=file, trust=trust, progress=progress
+        )
+        return LawReport(laws=(), others={"leaderboard": board}, files=board.files)
+    plugged = plugins.load("hesr.tests")
+    kinds = tuple(listed(kind)) or (("prediction", "passivity") if logs else ("passivity",))
+    for name in kinds:
+        if name not in (*KINDS, *plugged):
+            raise ArgumentError(f"'kind' is {name}; allowed are {', '.join((*KINDS, *plugged))}.")
+    if not isfinite(load):
+        raise ArgumentError(f"'load' is {load}; needed is a number.")
+    tested = laws_of(laws)
+    remember_trust((law.fmu for law in tested if law.fmu), trust=trust)
+    report = LawReport(laws=tested)
+    if "prediction" in kinds:
+        report = _predicted(report, logs, robot, rigid_body, accept, progress)
+    if "passivity" in kinds:
+        report = _certified(report, alone=kinds == ("passivity",))
+    if "properties" in kinds:
+        report = _checked(report, inertia, load, file, progress)
+    others = {name: plugged[name].load()(tested, logs) for name in kinds if name not in KINDS}
+    return replace(report, others=others)
+
+
+test.__test__ = False  # type: ignore[attr-defined]  # keeps pytest off
+
+
+def _predicted(
+    report: LawReport,
+    logs: Sequence[LogArg],
+    robot: RobotArg | None,
+    rigid_body: BodyArg | None,
+    accept: Sequence[str],
+    progress: Stages,
+) -> LawReport:
+    """Add the scores of the laws on logs: FMUs are replayed, models computed."""
+    from cosim.study.position_errors import simulate_laws
+    from cosim.study.results import log_findings
+    from cosim.study.scores import (
+        by_joint,
+        compare,
+        input_classes,
+        predict_fmu,
+        predict_models,
+    )
+    from cosim.workflow.arguments import body_of, checked_logs
+    from hesr_model.health.fit_checks import check_owner
+
+    if not logs or rigid_body is None:
+        missing = "'rigid_body', the result of 'hesr identify'" if logs else "'on', a log"
+        raise ArgumentError(f"'kind' prediction needs {missing}.")
+    read = checked_logs(logs, robot, accept, progress)
+    body = body_of(rigid_body, read.logs, read.robot)
+    records = by_joint(read.records(body))
+    models = {law.name: law.model for law in report.laws if law.model and not law.fmu}
+    findings = list(read.findings)
+    for model in models.values():
+        findings += log_findings(check_owner(model, read.robot))
+    predicted = predict_models(models, records, partial(progress, "predicting"))
+    for law in report.laws:
+        if law.fmu:
+            progress(f"replaying {law.fmu.name}", 0, 1)
+            predicted[law.name] = predict_fmu(law.fmu, records)
+    scores = compare(records, predicted, input_classes(models), models)
+    positions = None
+    if models:
+        progress("simulating", 0, 1)
+        positions = simulate_laws(models, records, read.robot, body)
+    return replace(report, scores=scores, positions=positions, records=records, findings=findings)
+
+
+def _certified(report: LawReport, *, alone: bool) -> LawReport:
+    """Add proofs of passivity; laws without equations are refused only if nothing else is asked."""
+    from fmu_src.friction.reference import reference_motion
+    from fmu_src.pages.datasheet import ModelAudit, ranges
+    from hesr_model.findings import Finding, errors_first
+
+    audits, refuted = {}, []
+    for law in report.laws:
+        if law.model is None:
+            if alone:
+                raise ConfigError(f"{law.fmu}: it carries no friction law that could be audited.")
+            continue
+        try:
+            seen = ranges(law.model, reference_motion(law.model))
+            audits[law.name] = found = ModelAudit.of(law.model, seen)
+        except HesrError:
+            if alone:
+                raise
+            continue
+        joints = [
+            joint
+            for joint, certificate in zip(law.model.joints, found.certificates, strict=True)
+            if certificate.verdict == "refuted"
+        ]
+        if joints:
+            refuted.append(
+                Finding(
+                    check="passivity",
+                    where=law.name,
+                    joints=tuple(joints),
+                    found="the law gives energy on a cycle, so it is not passive",
+                    remedy="--verbose shows the cycle; use a law that is proven passive",
+                )
+            )
+    return replace(report, audits=audits, findings=errors_first([*report.findings, *refuted]))
+
+
+def _checked(
+    report: LawReport,
+    inertia: PerJoint | None,
+    load: float,
+    output: Path | None,
+    progress: Stages,
+) -> LawReport:
+    """Add the physics checks, each law in a process of its own."""
+    from cosim.properties.battery import Subject, run_battery
+    from hesr_model.audit.properties import write_properties
+
+    values = None if inertia is None else tuple(
+        inertia if isinstance(inertia, Sequence) else (inertia,)
+    )  # fmt: skip
+    subjects = [
+        Subject(name=law.name, model=law.model, fmu=law.fmu, inertia=values) for law in report.laws
+    ]
+    found = run_battery(subjects, load=load, progress=partial(progress, "testing the laws"))
+    named = {law.name: of_law for law, of_law in zip(report.laws, found, strict=True)}
+    if output is None:
+        return replace(report, properties=named)
+    write_properties(output, named)
+    return replace(report, properties=named, files=(output,))
+
+
+def _scores_lines(scores: Comparison) -> list[str]:
+    """Return the best law, its error, and whether the logs separate it from the others."""
+    size = {
+        name: sum(e / max(t, 1e-300) for e, t in zip(law.rmse, scores.tau_std, strict=True))
+        for name, law in scores.laws.items()
+    }
+    best = min(size, key=lambda name: size[name])
+    rmse = scores.laws[best].rmse
+    shares = ", ".join(
+        f"{joint} {100 * e / max(t, 1e-300):.0f} %"
+        for joint, e, t in zip(scores.joints, rmse, scores.tau_std, strict=True)
+    )
+    tied = [name for name in size if name != best and all(name in led for led in scores.leading)]
+    lines = [f"Best: {best}. Unexplained friction: {shares}."]
+    if len(size) > 1:
+        lines.append(
+            f"The logs do not separate it from {', '.join(tied)}." if tied else
+            "On at least one joint the logs separate it from every other law."
+        )  # fmt: skip
+    return lines
+
+
+def _passivity(law: NamedLaw, found: ModelAudit) -> str:
+    joints = law.model.joints if law.model else ()
+    by_verdict: dict[str, list[str]] = {}
+    for joint, certificate in zip(joints, found.certificates, strict=True):
+        by_verdict.setdefault(certificate.verdict, []).append(joint)
+    listed = (f"{verdict} on {', '.join(names)}" for verdict, names in by_verdict.items())
+    return f"passivity {'; '.join(listed)}."
+
+
+def _failed(found: Properties) -> str:
+    """Return the failed physics checks of a law with their joints."""
+    from hesr_model.audit.expectations import EXPECTATIONS
+
+    failed = []
+    for key, expectation in EXPECTATIONS.items():
+        joints = [
+            f"J{place}"
+            for place, joint in enumerate(found.joints, start=1)
+            if joint.findings[key].verdict == "fail"
+        ]
+        if joints:
+            failed.append(f"{expectation.title} ({', '.join(joints)})")
+    return f"fails {'; '.join(failed)}." if failed else "passes all physics checks that apply."
+
+
+def _leaving(law: NamedLaw, records: Records) -> list[str]:
+    """Return which inputs leave the trained range of a law in the logs."""
+    from cosim.report.tables.laws import leaving
+    from hesr_model.friction.trained_range import outside
+    from hesr_model.rigid_body.residual import all_at_friction
+
+    model = law.model
+    if model is None or not model.trained or model.joints != tuple(r[0].joint for r in records):
+        return []
+    coupled = [[replace(r, coupling=model.coupling) for r in of_joint] for of_joint in records]
+    found = [
+        {k: v for k, v in outside(trained, r).items() if k in map(str, one.form.inputs)}
+        for one, trained, r in zip(model.laws, model.trained, all_at_friction(coupled), strict=True)
+    ]
+    return [leaving(model.joints, found, model.sliding)] if any(found) else []

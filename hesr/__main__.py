@@ -1,0 +1,5 @@
+"""`python -m hesr`."""
+
+from hesr.cli import main
+
+main()
