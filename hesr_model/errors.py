@@ -1,21 +1,20 @@
 """Errors that a user can cause.
 
-Each carries one sentence that names the file, the column or key, the row where it applies, what
-was found and what is needed. The command line prints that sentence and exits with 2.
+Each has one sentence with the file, the column or key, the row if there is one, the value found and
+the value needed. The command line prints it and exits with code 2.
 """
 
 import re
 
 from hesr_model.support.text import escaped
 
-_LONGEST = 2000  # characters of a sentence; what a file holds may have millions
+_LONGEST = 2000  # characters of a sentence; a file may contain millions
 
 
 class HesrError(Exception):
-    """Base of every error that a user can cause and mend.
+    """Base of every error that a user can cause and fix.
 
-    Its sentence may quote what stands in a file: it is shortened, and characters that cannot be
-    printed are escaped.
+    The sentence may quote from a file: it is shortened, and unprintable characters are escaped.
     """
 
     def __init__(self, sentence: str) -> None:
@@ -25,13 +24,13 @@ class HesrError(Exception):
 
 
 class ConfigError(HesrError):
-    """A TOML file or a command-line argument does not say what is needed."""
+    """A TOML file or a command-line argument is invalid."""
 
 
 class ArgumentError(ConfigError):
-    """Arguments of a call, or options of a command, that do not go together.
+    """Arguments of a call, or options of a command, contradict each other.
 
-    Its sentence quotes parameters by their names in Python.
+    The sentence quotes parameters by their Python names.
     """
 
     def on_command_line(self) -> str:
@@ -40,19 +39,19 @@ class ArgumentError(ConfigError):
 
 
 class LogError(HesrError):
-    """A robot log cannot be used as it is."""
+    """A robot log cannot be used."""
 
 
 class TableError(HesrError, ValueError, TypeError):
-    """A table in memory cannot be used; also what libraries of estimators expect to be raised."""
+    """A table in memory cannot be used; a ValueError and TypeError, as scikit-learn expects."""
 
 
 class RobotError(HesrError):
-    """A robot description and its kinematic model do not fit together."""
+    """A robot description does not match its kinematic model."""
 
 
 class FitError(HesrError):
-    """The data do not determine what was to be estimated."""
+    """The data do not determine the unknowns."""
 
 
 class ArtifactError(HesrError):
@@ -64,7 +63,7 @@ class ExportError(HesrError):
 
 
 class SimulationError(HesrError):
-    """A component or a system of FMUs failed while it was running."""
+    """A component or a system of FMUs failed while running."""
 
 
 class WorkerError(HesrError):

@@ -1,4 +1,4 @@
-"""Units in which robots log, what they are in SI, and how joints that slide differ in them."""
+"""Units of logs in SI, and units of sliding joints."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,14 +9,14 @@ TURNING: Mapping[str, Mapping[str, float]] = {
     "dq": {"rad/s": 1.0, "deg/s": pi / 180.0, "rpm": pi / 30.0, "rev/s": 2.0 * pi},
     "tau": {"N.m": 1.0, "mN.m": 1e-3},
 }
-"""Of joints that turn: one unit in rad, rad/s, N.m."""
+"""Sizes of the units of turning joints in rad, rad/s, N.m."""
 
 SLIDING: Mapping[str, Mapping[str, float]] = {
     "q": {"m": 1.0, "mm": 1e-3},
     "dq": {"m/s": 1.0, "mm/s": 1e-3},
     "tau": {"N": 1.0},
 }
-"""Of joints that slide: one unit in m, m/s, N."""
+"""Sizes of the units of sliding joints in m, m/s, N."""
 
 OTHERS: Mapping[str, Mapping[str, float]] = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -27,11 +27,11 @@ KNOWN: Mapping[str, Mapping[str, float]] = {
     **OTHERS,
     **{quantity: {**TURNING[quantity], **SLIDING[quantity]} for quantity in TURNING},
 }
-"""By quantity (t, q, dq, tau, current): one unit in SI."""
+"""Sizes of units in SI, by quantity (t, q, dq, tau, current)."""
 
 
 def in_si(quantity: str, unit: str | float) -> float:
-    """Return what one logged unit is in SI; a number is that already, ``-deg`` counts backwards.
+    """Return the size of a logged unit in SI; it is negative for names such as ``-deg``.
 
     Raises
     ------
@@ -44,17 +44,17 @@ def in_si(quantity: str, unit: str | float) -> float:
 
 
 def backwards(unit: str | float) -> str | float:
-    """Return the unit of a log that counts the other way."""
+    """Return the unit of a log that counts in the opposite direction."""
     if isinstance(unit, str):
         return unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
     return -unit
 
 
 def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
-    """Tell whether a joint of this kind can be logged in a unit; a number fits any.
+    """Return whether a joint of this kind can be logged in a unit; numbers fit any joint.
 
-    The SI unit of a joint that turns (rad, rad/s, N.m) is the default of every robot file and
-    stands for the SI unit of a joint that slides as well.
+    The SI unit of a turning joint (rad, rad/s, N.m) is the default of every robot file and also
+    stands in for the SI unit of a sliding joint.
     """
     if quantity in OTHERS or not isinstance(unit, str):
         return True
@@ -66,10 +66,10 @@ def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit of something at a joint, as FMI spells it: where the joint turns, and where it slides.
+    """A unit at a joint, spelt as in FMI, for a turning and for a sliding joint.
 
-    Everything about friction is written for joints that turn. The equations of a joint that slides
-    are the same ones in m and N: `N.m.s/rad` is `N.s/m` there, `1/(N.m)` is `1/N`.
+    Everything about friction is written for turning joints. The equations of a sliding joint are
+    the same in m and N: `N.m.s/rad` becomes `N.s/m`, `1/(N.m)` becomes `1/N`.
     """
 
     turning: str
@@ -77,9 +77,9 @@ class Unit:
 
     @classmethod
     def read(cls, symbol: str) -> "Unit":
-        """Return the unit of a joint that turns, as `mrad/s` or `rad/(s.N.m)`.
+        """Return the unit with the given symbol at a turning joint, as `mrad/s` or `rad/(s.N.m)`.
 
-        One of a joint that slides already is the same at both.
+        A unit without angle and torque is the same at both.
 
         Raises
         ------
@@ -107,18 +107,18 @@ def _slid(product: str) -> str:
 
 
 def unit_of_joint(unit: str, *, slides: bool) -> str:
-    """Return the unit of something at a joint, from that at one that turns; see `Unit`."""
+    """Return the unit at a joint from that at a turning joint; see `Unit`."""
     return Unit.read(unit).sliding if slides else unit
 
 
 def unit_of_joints(unit: str, sliding: Sequence[bool]) -> str:
-    """Return a unit for what is said of several joints, as the heading of a table.
+    """Return a unit for several joints, as the heading of a table.
 
-    Where some turn and some slide it is both, as `N.m (N where it slides)`.
+    For mixed joints it names both, as `N.m (N where it slides)`.
 
     Parameters
     ----------
-    unit : at a joint that turns.
+    unit : unit at a turning joint.
     sliding : whether each joint slides; empty if all turn.
     """
     slid = unit_of_joint(unit, slides=True)

@@ -1,4 +1,4 @@
-"""Guesses of what the columns of an unknown table are: by their names and, for time, by values."""
+"""Guesses of the columns of an unknown table, by name and, for time, by value."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,16 +22,14 @@ _WORDS: Mapping[str, frozenset[str]] = {
     "tau": _words("tau torque torques trq effort efforts moment moments tq nm"),
     "current": _words("i im cur curr current currents amp amps ampere iq"),
 }
-"""Words in the names of each quantity's columns; the first quantity with a word of a name has
-it.
-"""
+"""Words in the column names of each quantity; the first quantity that matches wins."""
 _PLACES = _words("joint axis")
-"""Words of positions where no word of another quantity stands beside them."""
+"""Words of positions if the name has no word of another quantity."""
 _OTHERS = _words(
     "target desired des ref reference cmd command setpoint goal acc acceleration ddq qdd error err "
     "tcp ext external voltage control window limit mode status dir"
 )
-"""Words of columns that are none of them."""
+"""Words of columns that are none of these quantities."""
 _MEASURED = _words("actual act meas measured msr")
 _TIME = _words("t time timestamp stamp timestamps clock unix secs seconds sec zeit")
 _UNITS: Mapping[str, Mapping[str, str]] = {
@@ -53,21 +51,21 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
 }
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
 _NUMBER = re.compile(r"(?<!\d)\d{1,9}(?!\d)")
-"""Of a joint; more digits are none, and take long to read."""
+"""Joint numbers; longer digit strings are none, and slow to parse."""
 _RATES = (5.0, 20_000.0)
-"""[Hz] Of robots' logs."""
+"""Plausible sample rates of robot logs [Hz]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Guess:
-    """What the columns of a table seem to be.
+    """Guess of the columns of a table.
 
     Attributes
     ----------
     columns : by quantity (t, q, dq, tau, current, temperature): a name for t, one name per joint
         for the others.
-    units : by quantity, where a name or the values say one.
-    reasons : why, by quantity.
+    units : by quantity, if a name or the values reveal one.
+    reasons : reasons by quantity.
     """
 
     columns: Mapping[str, str | tuple[str, ...]]
@@ -76,7 +74,7 @@ class Guess:
 
 
 def vocabulary() -> dict[str, object]:
-    """Return what names and rates are guessed by, as JSON data: pages read logs, too."""
+    """Return the words and rates of the guesses as JSON data, for pages that read logs."""
     return {
         "quantities": {quantity: sorted(words) for quantity, words in _WORDS.items()},
         "places": sorted(_PLACES),
@@ -93,12 +91,13 @@ def guess(table: LogTable, joints: Sequence[str] = ()) -> Guess:
 
     Parameters
     ----------
-    joints : names of the robot's joints, which columns may bear; as many as there are if empty.
+    joints : names of the robot's joints, which columns may contain; if empty, the joints are
+        counted.
 
     Raises
     ------
     LogError
-        If nothing looks like time or positions.
+        If no column looks like time or positions.
     """
     groups = list(_groups(table.names, joints))
     count = len(joints) or max((len(g) for _, g in groups if _quantity(g[0]) == "q"), default=0)
@@ -125,7 +124,7 @@ def guess(table: LogTable, joints: Sequence[str] = ()) -> Guess:
 
 
 def _groups(names: Sequence[str], joints: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield columns that differ in a number or in a joint's name only, in the joints' order."""
+    """Yield groups of columns that differ only in a number or a joint name, in joint order."""
     numbered: dict[str, dict[int, str]] = {}
     named: dict[str, dict[int, str]] = {}
     for name in names:
@@ -155,7 +154,7 @@ def _quantity(name: str) -> str:
 
 def _unit(quantity: str, name: str) -> str:
     known = _UNITS[quantity]
-    words = re.split(r"[^a-z°]+", name.lower())  # "mA" is one word here
+    words = re.split(r"[^a-z°]+", name.lower())  # keeps "mA" in one word
     return next((known[word] for word in (*words, *_tokens(name)) if word in known), "")
 
 
@@ -188,6 +187,6 @@ def _time_unit(table: LogTable, name: str) -> tuple[str, str]:
     if said in possible:
         return said, f"named so: {name}"
     if not possible:
-        return "s", "no unit gives a rate of robots"
+        return "s", "no unit gives a plausible sample rate"
     unit = min(possible, key=lambda u: abs(np.log(step * OTHERS["t"][u] * 200.0)))
     return unit, f"rows are then {step * OTHERS['t'][unit] * 1e3:.3g} ms apart"

@@ -1,4 +1,4 @@
-"""The format of a robot's logs, as its TOML file declares it."""
+"""The log format of a robot, declared in its TOML file."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -46,14 +46,14 @@ Columns = Annotated[str | tuple[str, ...], AfterValidator(_one_place_for_the_joi
 
 Unit = Annotated[UnitName, AfterValidator(_known_unit)]
 Units = Annotated[_UnitNames, AfterValidator(_known_unit)]
-"""One unit for all joints, or one per joint: a name, or what one logged unit is in SI."""
+"""One unit for all joints, or one per joint: a name, or the size of one logged unit in SI."""
 
 
 def column_names(columns: str | tuple[str, ...], joints: Sequence[str]) -> list[str]:
     """Return one column per joint.
 
-    A pattern holds ``{}`` or ``{1}`` where the joint number counted from 1 stands, ``{0}`` where
-    it is counted from 0, or ``{name}`` for the joint's name.
+    In a pattern, ``{}`` or ``{1}`` is the joint number from 1, ``{0}`` the number from 0, and
+    ``{name}`` the joint's name.
     """
     if isinstance(columns, str):
         return [_filled(columns, k, name) for k, name in enumerate(joints)]
@@ -68,14 +68,14 @@ def _filled(pattern: str, index: int, name: str) -> str:
 
 
 TEMPERATURES = "temperature{}"
-"""Columns of temperatures, where a log has any."""
+"""Default columns of temperatures, which are optional."""
 
 
 class LogColumns(Config):
     """Names of a log's columns.
 
-    `dq = ""` says that the log holds no velocity: it is derived from the position. Temperatures are
-    those of the joints; a log need not hold them where their columns have no name of their own.
+    With `dq = ""` the velocity is derived from the position. Temperatures are those of the joints;
+    they are optional unless their columns are named.
     """
 
     t: str = "t"
@@ -87,11 +87,10 @@ class LogColumns(Config):
 
 
 class LogUnits(Config):
-    """Units of a log, for all joints or one per joint; SI where left out.
+    """Units of a log, for all joints or one per joint; SI by default.
 
-    A unit is a name; a name behind a minus, as ``-deg``, where the log counts against the model's
-    joint; or a number of SI units, as of encoder counts. Joints that slide are in m, m/s and N
-    where nothing else is said.
+    A unit is a name, a name with a minus, as ``-deg``, if the log counts against the model's joint,
+    or a number of SI units, as for encoder counts. Sliding joints default to m, m/s and N.
     """
 
     t: Unit = "s"
@@ -102,7 +101,7 @@ class LogUnits(Config):
     temperature: Literal["degC", "K"] = "degC"
 
     def factors(self, quantity: str, joints: int) -> Array:
-        """Return what one logged unit of a quantity is in SI, an array of shape (joints,)."""
+        """Return the size of one logged unit of a quantity in SI at each joint, (joints,)."""
         return np.array([in_si(quantity, unit) for unit in self.each(quantity, joints)])
 
     def each(self, quantity: str, joints: int) -> tuple[UnitName, ...]:
@@ -112,16 +111,16 @@ class LogUnits(Config):
 
     @property
     def zero_of_temperature(self) -> float:
-        """What the log says at 0 degC."""
+        """Logged value at 0 degC."""
         return 273.15 if self.temperature == "K" else 0.0
 
     def require_fitting(self, joints: Sequence[str], slides: Sequence[bool]) -> None:
-        """Check that no joint that slides is in units of one that turns, and the other way.
+        """Check that sliding joints have no units of turning joints, and vice versa.
 
         Raises
         ------
         RobotError
-            Naming the key, the unit and the joint.
+            With the key, the unit and the joint.
         """
         for quantity in KNOWN:
             each = self.each(quantity, len(joints))
@@ -134,15 +133,15 @@ class LogUnits(Config):
 
 
 class LogBag(Config):
-    """Where a ROS bag holds the joints' states.
+    """Place of the joint states in a ROS bag.
 
     Attributes
     ----------
-    topic : of messages ``sensor_msgs/msg/JointState``.
+    topic : topic of ``sensor_msgs/msg/JointState`` messages.
     joints : names of the robot's joints in these messages, in the order of `joints` of the robot;
-        the same names where left out.
-    effort : what the messages' effort is: torque ``"tau"``, or ``"current"``, as drivers of some
-        robots publish it.
+        by default the same names.
+    effort : meaning of the messages' effort: torque ``"tau"``, or ``"current"`` as some drivers
+        publish it.
     """
 
     topic: str = "/joint_states"
@@ -151,21 +150,20 @@ class LogBag(Config):
 
 
 class LogFormat(Config):
-    """How this robot's logs are to be read.
+    """Format of a robot's logs.
 
     Attributes
     ----------
-    sample_rate : nominal rate [Hz], where it is known; it is measured in each log, and a log at
-        another one is refused.
-    missing : what becomes of rows with an empty cell or NaN, or with the stamp of the row before:
+    sample_rate : nominal rate [Hz], if known; logs with another measured rate are refused.
+    missing : handling of rows with an empty cell or NaN, or with the time stamp of the row before:
         ``"refuse"`` the log, or ``"drop"`` the rows.
     filter_cutoff : cut-off [Hz] of the zero-phase low pass on q and dq.
-    columns : of CSV, Parquet and MATLAB files.
-    units : of these columns, and of a bag's messages.
-    bag : of ROS bags.
-    zero : one position per joint [rad; m] at which the log says 0, where that is not the model's 0.
-    torque_per_ampere : one factor per joint [N.m/A]; with it, torque is taken from the current
-        columns.
+    columns : columns of CSV, Parquet and MATLAB files.
+    units : units of these columns, and of the messages of a bag.
+    bag : place of the joint states in ROS bags.
+    zero : position of each joint [rad; m] at which the log reads 0, if that is not the model's 0.
+    torque_per_ampere : torque constant of each joint [N.m/A]; with it, torque is computed from the
+        current columns.
     """
 
     sample_rate: float | None = Field(default=None, gt=0)

@@ -1,8 +1,8 @@
-"""Measurement noise that is a pure function of seed, stream and counter.
+"""Measurement noise as a pure function of seed, stream and counter.
 
-A co-simulation may repeat a step, go back to a saved state or run several arms at once, and the
-C of an FMU must draw the same numbers as Python does. Both follow from noise without hidden
-state: number `counter` of stream `stream` is always the same.
+A co-simulation may repeat a step, restore a state or run several arms at once, and the C code of an
+FMU must draw the same numbers as Python. Therefore the noise has no hidden state: number `counter`
+of stream `stream` is always the same.
 
 Definition, all integers unsigned 64 bit and wrapping::
 
@@ -13,15 +13,15 @@ Definition, all integers unsigned 64 bit and wrapping::
     base    = finish((finish(seed + gamma) ^ stream) + gamma)
     word(i) = finish(base + (i + 1) * gamma)
 
-which is the splitmix64 sequence (Steele, Lea, Flood 2014) that starts at `base`. Normal number c
-is the cosine branch of Box-Muller over two successive words::
+which is the splitmix64 sequence (Steele, Lea, Flood 2014) that starts at `base`. Normal number c is
+the cosine branch of Box-Muller over two successive words::
 
     u = ((word(2c) >> 11) + 1) * 2^-53        in (0, 1]
     w = (word(2c + 1) >> 11) * 2^-53          in [0, 1)
     normal(c) = sqrt(-2 ln u) cos(2 pi w)
 
-Test vectors. Words are exact; normals agree to 1e-14, because the last bits of ln and cos are the
-library's own::
+Test vectors. Words are exact; normals agree to 1e-14, because the last bits of ln and cos depend on
+the library::
 
     seed      stream  c        word(c)             normal(c)
     0         0       0        0x238275BC38FCBE91  1.9549744116420429
@@ -59,7 +59,7 @@ def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
     streams, indices = np.broadcast_arrays(
         np.asarray(stream, dtype=np.uint64), np.asarray(index, dtype=np.uint64)
     )
-    # NumPy wraps silently in arrays, but warns of overflow in scalars and in arrays without axes.
+    # NumPy wraps silently in arrays, but warns of overflow in scalars and 0-d arrays.
     flat, places = streams.reshape(-1), indices.reshape(-1)
     seeds = np.full(flat.shape, seed & _MASK, dtype=np.uint64)
     base = _finish((_finish(seeds + _GAMMA) ^ flat) + _GAMMA)

@@ -1,26 +1,26 @@
-"""Phases of a motion: where a joint moves, rests or reverses."""
+"""Phases of a motion: moving, resting, reversing."""
 
 import numpy as np
 
 from hesr_model.support.arrays import Array, Integers, Mask
 
 MOVING = 0.02
-"""[rad/s] Slower rows count as standing still."""
+"""Speed below which a joint is at rest [rad/s]."""
 
 REVERSAL_WINDOW = 0.1
-"""[s] To either side of a reversal."""
+"""Half width of the window around a reversal [s]."""
 
 
 def moving(dq: Array) -> Mask:
-    """Rows (N,) at which a joint moves: |dq| > `MOVING` [rad/s]."""
+    """Return the rows (N,) at which a joint moves: |dq| > `MOVING` [rad/s]."""
     return np.asarray(np.abs(dq) > MOVING)
 
 
 def reversals(dq: Array) -> Integers:
-    """Rows of the reversals of one joint's velocity (N,) [rad/s].
+    """Return the rows of the reversals of one joint's velocity (N,) [rad/s].
 
-    A reversal is a change of sign from one moving row to the next moving one, however long the
-    joint rests between; it is placed at the smallest |dq| of the two and those between.
+    A reversal is a change of sign between two consecutive moving rows, however long the joint rests
+    in between; it is placed at the smallest |dq| from one to the other.
     """
     rows = np.flatnonzero(moving(dq))
     changes = np.flatnonzero(np.diff(np.sign(dq[rows])))
@@ -29,7 +29,7 @@ def reversals(dq: Array) -> Integers:
 
 
 def near_reversals(t: Array, dq: Array) -> Mask:
-    """Rows (N,) within `REVERSAL_WINDOW` of a reversal, of t [s] and dq [rad/s], (N,) each."""
+    """Return the rows within `REVERSAL_WINDOW` of a reversal; t [s] and dq [rad/s] are (N,)."""
     near = np.zeros(len(t), dtype=bool)
     for instant in t[reversals(dq)]:
         near |= np.abs(t - instant) <= REVERSAL_WINDOW

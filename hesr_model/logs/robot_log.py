@@ -1,4 +1,4 @@
-"""Robot logs: read from files of many kinds, converted to SI, checked, written."""
+"""Robot logs: read from files of many formats, converted to SI, checked, written."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -18,38 +18,38 @@ from hesr_model.support.arrays import Array, Integers, some_rows
 from hesr_model.support.files import PathArg, path_of, sha256, written_whole
 
 _LONGEST_GAP = 10.0
-"""In usual steps: across a longer gap, velocity and hysteresis states are guesswork."""
+"""Length of a gap in usual steps; velocity and hysteresis states are unknown after it."""
 
 _USUAL = 0.95
-"""Share of the steps, the shortest ones, whose mean is the usual step."""
+"""Share of the shortest steps whose mean is the usual step."""
 
 _SHORTEST_PART = 1.0
-"""[s] What lies between two gaps tells nothing of a motion where it is shorter."""
+"""Minimum duration of a part between two gaps [s]."""
 
 _RATE_MARGIN = 1.25
 
 _LARGEST = 1e20
-"""In any unit: nanoseconds since 1970 are 2e18."""
+"""Largest number in any unit; nanoseconds since 1970 are 2e18."""
 
 _LEAST_TRAVEL = 5e-3
-"""[rad or m] Encoders flicker by less; a joint that is used travels further."""
+"""Minimum travel of a joint in use [rad or m]; encoder noise is smaller."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotLog:
-    """What a robot recorded during one motion.
+    """The record of one motion of a robot.
 
     Attributes
     ----------
-    name : of the motion; the file's name without its suffix where the log was read.
+    name : name of the motion, by default that of the file without suffix.
     t : (N,) [s], increasing.
     q : (N, n) [rad; m for prismatic joints].
-    dq : (N, n) [rad/s; m/s], or None where the robot does not log its velocity.
-    tau : (N, n) [N.m; N], currents already converted.
-    temperature : (N, n) of the joints [degC], or None where the robot does not log them.
-    path, sha256 : where the log was read from, and the hash of that file.
-    dropped : rows that were left out, by `LogFormat.missing`.
-    robot : the robot that the log was read for; None where it was not read.
+    dq : (N, n) [rad/s; m/s], or None if the log has no velocity.
+    tau : (N, n) [N.m; N], converted from currents if necessary.
+    temperature : (N, n) of the joints [degC], or None if the log has none.
+    path, sha256 : file of the log, and its hash.
+    dropped : number of rows left out, by `LogFormat.missing`.
+    robot : robot of the log; None if the log was not read from a file.
     """
 
     name: str
@@ -80,14 +80,14 @@ class RobotLog:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints; numbers where no robot is known."""
+        """Names of the joints; numbered if the robot is unknown."""
         if self.robot is not None:
             return self.robot.joints
         return tuple(f"joint{k}" for k in range(1, self.q.shape[1] + 1))
 
     @property
     def where(self) -> str:
-        """How an error names this log: by its file, or by its name."""
+        """Name of the log in messages: its file, or its name."""
         return str(self.path) if self.path else f"log '{self.name}'"
 
     @property
@@ -97,10 +97,10 @@ class RobotLog:
 
     @property
     def longest_step(self) -> float:
-        """Ten usual steps [s]: what is longer is a gap.
+        """Step above which there is a gap: ten usual steps [s].
 
-        Where rows are lost at random, or come in bursts, the median says less of what is usual
-        than the mean.
+        If rows are lost at random, or come in bursts, the mean is more representative than the
+        median.
         """
         steps = np.diff(self.t)
         usual = steps[steps <= np.quantile(steps, _USUAL, method="lower")]
@@ -113,7 +113,7 @@ class RobotLog:
 
     @property
     def jitter(self) -> float:
-        """Standard deviation of the steps between gaps, over their mean."""
+        """Standard deviation of the steps between gaps, relative to their mean."""
         return float(np.std(self._steps) / np.mean(self._steps))
 
     @property
@@ -123,23 +123,23 @@ class RobotLog:
 
     @property
     def gaps(self) -> Integers:
-        """Rows (K,), without unit, before which more than ten usual steps are missing."""
+        """Rows (K,) after a gap, without unit."""
         return np.flatnonzero(np.diff(self.t) > self.longest_step) + 1
 
     def rows(self, rows: slice | Integers) -> "RobotLog":
-        """Return the log of some of its rows, a slice or (K,) places without unit."""
+        """Return the log of some rows, a slice or (K,) indices."""
         return some_rows(self, ("t", "q", "dq", "tau", "temperature"), rows)
 
     def parts(self) -> "tuple[RobotLog, ...]":
-        """Return what lies between the gaps, without what is shorter than 1 s.
+        """Return the parts between gaps that last at least 1 s.
 
-        Velocity and friction's memory are not known across a gap, so that each part is filtered
-        and fitted as a log of its own.
+        Velocity and friction's memory are unknown after a gap, so each part is filtered and fitted
+        as a log of its own.
 
         Raises
         ------
         LogError
-            If nothing is left.
+            If no part is long enough.
         """
         ends = [0, *self.gaps.tolist(), len(self.t)]
         if len(ends) == 2:
@@ -155,23 +155,25 @@ class RobotLog:
 
     @classmethod
     def read(cls, path: PathArg, robot: RobotLike) -> "RobotLog":
-        """Read a log and check it, columns and units as the robot file says.
+        """Read and check a log with the columns and units of the robot file.
 
-        By the suffix it is a CSV (with a header), Parquet (``.parquet``, ``.pq``), MATLAB
-        (``.mat``) or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``).
+        The suffix gives the format: CSV (with a header), Parquet (``.parquet``, ``.pq``), MATLAB
+        (``.mat``) or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``). Row numbers in messages
+        are those of an editor: the header of a CSV is row 1. Other files have no header: their
+        first row is row 1.
 
-        The robot may also be given as the path of its file, which is then read.
-
-        Rows in messages are counted as an editor shows them: the header of a CSV is row 1, the
-        first row of its data row 2. Other files have no header: their first row is row 1.
+        Parameters
+        ----------
+        path : file, or folder of a ROS bag.
+        robot : robot, its description, or the path of its file.
 
         Raises
         ------
         LogError
-            If the file is missing, empty or not of its kind, or the package that reads it is not
-            installed; if a column or topic is missing; if joints are more or fewer than the
+            If the file is missing, empty or of another format, or the package that reads it is not
+            installed; if a column or topic is missing; if the number of joints differs from the
             robot's; if a cell is empty, not a number, NaN or infinite; if time does not increase,
-            or runs at another rate than the robot's; if currents come without gains.
+            or has another rate than the robot file; if there are currents without torque constants.
         RobotError
             If a list of the robot file has not one entry per joint.
         """
@@ -201,7 +203,7 @@ class RobotLog:
 
     @property
     def _signals(self) -> dict[str, Array]:
-        """Signals (N, n) that were logged, by name."""
+        """Logged signals (N, n), by name."""
         found = {"q": self.q, "dq": self.dq, "tau": self.tau, "temperature": self.temperature}
         return {name: values for name, values in found.items() if values is not None}
 
@@ -215,7 +217,7 @@ class RobotLog:
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame` of the columns ``q1.., dq1.., tau1..`` over ``t`` [s].
 
-        Units are rad, rad/s and N.m (m, m/s and N of joints that slide).
+        Units are rad, rad/s and N.m (m, m/s and N for sliding joints).
 
         Raises
         ------
@@ -225,7 +227,7 @@ class RobotLog:
         return frames.pandas_frame(self._columns, index="t")
 
     def to_xarray(self) -> Any:
-        """Return an `xarray.Dataset` of what was logged over time [s] and joint, with units.
+        """Return an `xarray.Dataset` of the signals over time [s] and joint, with units.
 
         Raises
         ------
@@ -237,10 +239,10 @@ class RobotLog:
         return frames.xarray_dataset(self.t, signals, self.joints, name=self.name)
 
     def write(self, path: PathArg) -> None:
-        """Write as CSV or, by the suffix ``.parquet``, as Parquet; numbers survive unchanged.
+        """Write the log as CSV or, with suffix ``.parquet``, as Parquet, with all digits.
 
         The columns are ``t, q1.., dq1.., tau1..``, the defaults of a robot file, and
-        ``temperature1..`` where temperatures are known.
+        ``temperature1..`` if temperatures are known.
 
         Raises
         ------
@@ -252,25 +254,24 @@ class RobotLog:
 
 
 def parts_of(logs: Iterable[RobotLog]) -> list[RobotLog]:
-    """Return logs without gaps: the parts of each; see `RobotLog.parts`."""
+    """Return the parts of all logs; see `RobotLog.parts`."""
     return [part for log in logs for part in log.parts()]
 
 
 def require_different(logs: Sequence[RobotLog]) -> None:
-    """Check that no log is given twice, whose rows would count for more than they are.
+    """Check that no log is given twice: its rows would be weighted double.
 
     Raises
     ------
     LogError
-        Naming both files.
+        With both files.
     """
     seen: dict[tuple[str, float, float], RobotLog] = {}
     for log in logs:
-        rows = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file are several logs
+        rows = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file differ in time
         if log.sha256 and rows in seen:
             raise LogError(
-                f"{log.where}: its content is that of {seen[rows].where}; a log counts once, leave "
-                "one of them out."
+                f"{log.where}: has the same content as {seen[rows].where}; leave one of them out."
             )
         seen[rows] = log
 
@@ -281,7 +282,7 @@ def require_moving(logs: Sequence[RobotLog], joints: Sequence[str]) -> None:
     Raises
     ------
     LogError
-        Naming the joint and the logs.
+        With the joint and the logs.
     """
     travel = np.max([np.ptp(log.q, axis=0) for log in logs], axis=0)
     for joint, moved in zip(joints, travel, strict=True):
@@ -293,14 +294,14 @@ def require_moving(logs: Sequence[RobotLog], joints: Sequence[str]) -> None:
 
 
 def _of_joints(motion: Array, robot: RobotDescription) -> Array:
-    """Motion (N, n) [rad, s; m] of the joints, from that of the motors where these were logged."""
+    """Return the motion (N, n) [rad, s; m] of the joints, also if that of motors was logged."""
     if robot.transmission is None or robot.transmission.logs == "joint":
         return motion
     return np.asarray(np.linalg.solve(np.array(robot.transmission.matrix), motion.T).T)
 
 
 def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
-    """Torque of the joints (N, n) [N.m; N], which motors have by the transmission's transpose."""
+    """Return the torque of the joints (N, n) [N.m; N], also if that of motors was logged."""
     torque = _effort(path, samples, robot)
     if robot.transmission is None or robot.transmission.logs == "joint":
         return torque
@@ -308,7 +309,7 @@ def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
 
 
 def _effort(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
-    """Torque (N, n) [N.m] as logged, from currents where the file holds these."""
+    """Return the logged torque (N, n) [N.m], from currents if necessary."""
     units, gains, n = robot.log.units, robot.log.torque_per_ampere, len(robot.joints)
     if not samples.is_current:
         return np.asarray(samples.effort * units.factors("tau", n))
@@ -321,10 +322,7 @@ def _effort(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
 
 
 def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
-    """Check that numbers, in any unit, can be multiplied with each other a few times.
-
-    NaN cannot: a reader need not look for it.
-    """
+    """Check that products of a few numbers, in any unit, stay finite; NaN fails, too."""
     for what in ("q", "dq", "effort", "temperature"):
         values = getattr(samples, what)
         if values is not None and not np.all(usable := np.abs(values) <= _LARGEST):
@@ -349,9 +347,9 @@ def _require_steady_time(log: RobotLog, samples: LogSamples, robot: RobotDescrip
         k = int(np.argmax(steps <= 0)) + 1
         back = log.t[k - 1] - log.t[k]
         why = (
-            "; [log] missing = 'drop' leaves out rows that repeat a stamp"
+            "; [log] missing = 'drop' leaves out rows that repeat a time stamp"
             if back == 0.0
-            else "; two logs in one file must be cut apart"
+            else "; the file contains two logs, split it"
             if back > 0.5 * (log.t[k - 1] - log.t[0])
             else ""
         )
@@ -360,7 +358,7 @@ def _require_steady_time(log: RobotLog, samples: LogSamples, robot: RobotDescrip
             f"{log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s{why}."
         )
     nominal = robot.log.sample_rate
-    # The mean counts where steps jitter, the median where rows are missing.
+    # The mean is robust against jitter, the median against missing rows.
     found = [nominal * period for period in (log.period, 1.0 / log.rate) if nominal]
     if nominal and not any(1 / _RATE_MARGIN <= ratio <= _RATE_MARGIN for ratio in found):
         raise LogError(

@@ -1,11 +1,11 @@
-"""A sample of motions that stays small, and in which what is rare stays.
+"""A bounded sample of motions that keeps rare conditions.
 
-Motions are cut into windows of a second. Each window belongs to the strata of which it has rows: of
-each joint rest, surroundings of reversals, octaves of speed, octaves of torque of either sign. The
-windows of a stratum are ranked by weighted sampling without replacement (Efraimidis and Spirakis,
-Inf. Process. Lett. 97 (2006) 181-185), the weight of a window being its rows in the stratum, and
-strata take their next best one in turns, those with the fewest rows of all first. A rest or a
-reversal under load that few logs have is thus kept; of what every log has, some.
+Motions are cut into windows of a second. Each window belongs to the strata of its rows: rest,
+reversals, octaves of speed and octaves of torque of either sign, for each joint. The windows of a
+stratum are ranked by weighted sampling without replacement (Efraimidis and Spirakis, Inf. Process.
+Lett. 97 (2006) 181-185), weighted by their rows in the stratum. The strata take turns at choosing
+their next best window, the smallest strata first. So a rest or a reversal under load that only few
+logs have is kept.
 """
 
 import hashlib
@@ -22,16 +22,16 @@ from hesr_model.logs.signals import Motion
 from hesr_model.support.arrays import Array
 
 Stratum = tuple[int, str, int]
-"""Joint, what of it, and which octave."""
+"""Joint, kind of condition, and octave."""
 
 WINDOW = 1.0
-"""[s] What is kept or not: long enough for friction's memory to forget where it began."""
+"""Length of a window [s], long enough for friction to forget its initial state."""
 
 _FASTEST = 8
-"""Octaves of speed above `MOVING`; what is faster counts to the last one."""
+"""Octaves of speed above `MOVING`; the last one is open."""
 
 _LEAST, _MOST = -3, 5
-"""Octaves of torque about the root mean square of the first motion."""
+"""Octaves of torque around the root mean square of the first motion."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,8 +48,9 @@ class Sample:
 
     Parameters
     ----------
-    most : rows that it may hold.
-    seed : of the draws. The same motions in the same order with the same seed give the same sample.
+    most : maximum number of rows.
+    seed : seed of the draws. The same motions in the same order and the same seed give the same
+        sample.
     """
 
     def __init__(self, most: int, seed: int) -> None:
@@ -79,7 +80,7 @@ class Sample:
         self._shrink()
 
     def motions(self) -> list[Motion]:
-        """Return what is kept, (N, n) each, in its order; neighbours are one motion."""
+        """Return the kept motions, (N, n) each, in order; adjacent windows are joined."""
         groups: list[list[_Window]] = []
         for window in self._windows:
             last = groups[-1][-1] if groups else None
@@ -90,14 +91,14 @@ class Sample:
         return [_joined([window.motion for window in group]) for group in groups]
 
     def _cut(self, motion: Motion) -> Iterator[tuple[Motion, dict[Stratum, int]]]:
-        """Yield windows with their rows of each stratum."""
+        """Yield windows with the number of their rows in each stratum."""
         t, n = motion.t, motion.q.shape[1]
         places = np.floor((t - t[0]) / WINDOW).astype(int)
-        # What is left at the end is no window of its own.
+        # The remainder at the end belongs to the last window.
         places = np.minimum(places, max(int((t[-1] - t[0]) / WINDOW) - 1, 0))
         near = np.column_stack([near_reversals(t, dq) for dq in motion.dq.T])
         speed = np.floor(np.log2(np.maximum(np.abs(motion.dq), 1e-12) / MOVING))
-        speed = np.clip(speed, -1, _FASTEST).astype(int)  # -1: at rest
+        speed = np.clip(speed, -1, _FASTEST).astype(int)  # -1 is rest
         size = np.maximum(np.abs(motion.tau), 1e-12) / self._size
         octave = np.clip(np.floor(np.log2(size)), _LEAST, _MOST) - _LEAST + 1
         torque = (np.sign(motion.tau) * octave).astype(int)
@@ -114,14 +115,14 @@ class Sample:
                             if kind != "near" or code
                         }
                     )
-            # A copy: a view would keep the whole log.
+            # A view would keep the whole log in memory.
             yield _joined([motion.rows(slice(first, last))]), dict(rows)
 
     def _shrink(self) -> None:
-        """Drop windows until the rest has no more rows than it may."""
+        """Drop windows until the size is within the limit."""
         if sum(len(window.motion.t) for window in self._windows) <= self._most:
             return
-        # Those of a stratum in the order in which it takes them; -log(u) / weight is least first.
+        # Windows of each stratum in its order of choice: the smallest -log(u) / weight first.
         queues = {
             stratum: iter(
                 sorted(
@@ -148,7 +149,7 @@ class Sample:
 
 
 def _uniform(seed: int, log: str, t: float) -> float:
-    """Return a number in (0, 1) that only depends on these."""
+    """Return a pseudo-random number in (0, 1) for these arguments."""
     digest = hashlib.sha256(f"{seed} {log} {float(t)!r}".encode()).digest()
     return (int.from_bytes(digest[:6], "big") + 0.5) / 2.0**48
 

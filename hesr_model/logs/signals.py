@@ -1,4 +1,4 @@
-"""From a log's raw samples to the smooth motion that the dynamics are evaluated on."""
+"""The smooth motion of a log, on which the dynamics are evaluated."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -13,20 +13,20 @@ from hesr_model.support.arrays import Array, Mask, some_rows
 _ORDER = 2
 _HIGHEST_SHARE_OF_NYQUIST = 0.8
 _PADDING_PERIODS = 3.0
-"""Length of the mirrored ends, in periods of the cut-off frequency."""
+"""Length of the mirrored ends in periods of the cut-off frequency."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """A log's motion, smoothed, at the log's own time stamps.
+    """The smoothed motion of a log, at its own time stamps.
 
     Attributes
     ----------
     t : (N,) [s], as logged.
     q, dq, ddq : (N, n) [rad, rad/s, rad/s2], through the zero-phase low pass.
-    tau : (N, n) [N.m], raw: evaluation is against what was measured.
-    q_raw : (N, n) [rad], as logged; ripple of the gear must not be smoothed away.
-    temperature : (N, n) [degC], as logged; None where it was not.
+    tau : (N, n) [N.m], raw: predictions are compared with the measured torque.
+    q_raw : (N, n) [rad], as logged; gear ripple must not be smoothed.
+    temperature : (N, n) [degC], as logged; None if not measured.
     """
 
     name: str
@@ -39,34 +39,34 @@ class Motion:
     temperature: Array | None = None
 
     def rows(self, rows: slice | Mask) -> "Motion":
-        """Return the motion of some of its rows, a slice or a mask (N,) without unit."""
+        """Return the motion of some rows, a slice or a mask (N,)."""
         return some_rows(self, self.columns, rows)
 
     @property
     def columns(self) -> dict[str, Array]:
-        """What there is by row, (N,) or (N, n) each in its unit, by its name."""
+        """Columns by name, (N,) or (N, n) each in its unit."""
         found = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
         return {name: column for name, column in found.items() if column is not None}
 
 
 def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
-    """Low-pass q and dq without phase, and differentiate.
+    """Filter q and dq by a zero-phase low pass, and differentiate.
 
-    The stamps of a log need not be even: samples are interpolated to an even grid at the log's
-    median period, filtered forwards and backwards by a Butterworth low pass, differentiated
-    there, and interpolated back to the log's own stamps.
+    Samples are interpolated to an even grid with the log's median period, filtered forwards and
+    backwards by a Butterworth low pass, differentiated there, and interpolated back to the log's
+    time stamps.
 
     Parameters
     ----------
-    cutoff : [Hz]; 15 Hz is best on the measured arm (8 Hz and less flatten reversals, 25 Hz and
-        more let the noise of ddq through).
+    cutoff : cut-off frequency [Hz]; 15 Hz is best on the measured arm (8 Hz and less flatten
+        reversals, 25 Hz and more let the noise of ddq through).
 
     Raises
     ------
     LogError
         If the log has gaps, or is too slow or too short for the cut-off.
     """
-    from scipy.interpolate import make_interp_spline  # slow to import, all of them
+    from scipy.interpolate import make_interp_spline  # slow to import
     from scipy.signal import butter, sosfiltfilt
 
     if len(log.gaps):
@@ -123,10 +123,10 @@ def smoothed(logs: Iterable[RobotLog], model: RobotModel) -> list[Motion]:
 
 
 def _before(values: Array, rows: int) -> Array:
-    """Return the rows (rows, n) before the first, mirrored at where a parabola through it begins.
+    """Return the rows (rows, n) before the first, mirrored at the start of a fitted parabola.
 
-    Mirrored at the first value itself, the low pass would leave that value's noise as it is, and
-    laws would start there: intervals of a static friction then cover the truth in 60 of 100 logs.
+    Mirrored at the first value, the low pass would keep its noise, and laws would start there:
+    intervals of a static friction then cover the truth in only 60 of 100 logs.
     """
     n = round(2.0 * rows / _PADDING_PERIODS) + 1
     k = np.arange(n)

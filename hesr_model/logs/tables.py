@@ -1,4 +1,4 @@
-"""Tables of numbers in CSV or Parquet, with messages that name the cell at fault."""
+"""Tables of numbers in CSV or Parquet, with messages that name the wrong cell."""
 
 import csv
 import re
@@ -16,17 +16,17 @@ from hesr_model.support.arrays import Array
 
 _MOST_COLUMNS = 10_000
 _MOST_LISTED = 30  # names in a sentence
-_LONGEST_NAME = 60  # characters of one of them
-_MOST_CSV = 2**31 - 2  # bytes, of which one block is made
+_LONGEST_NAME = 60  # characters of a name
+_MOST_CSV = 2**31 - 2  # bytes of a single block
 _LONGEST_LINE = 2**24  # characters
 _DELIMITERS = ",;\t "
 _MARKS = "#%"
-"""With which comments begin, and sometimes a header."""
+"""Marks of comments, and sometimes of a header."""
 _SEARCHED = 500
-"""Lines among which the first row of data must be; what stands before the header is a preamble."""
+"""Lines searched for the first row of data; lines above the header are a preamble."""
 _UNIT_CELL = re.compile(r"[(\[].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad/s|deg/s|-|")
 _SINCE_1970 = 1e8
-"""[s] Stamps beyond three years count from an epoch, not from the beginning of a log."""
+"""Stamps above [s] (three years) count from an epoch, not from the start of a log."""
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 """A number with a decimal comma."""
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d[T ][\d:.]+Z?")
@@ -40,7 +40,7 @@ class LogTable:
     Attributes
     ----------
     names : all columns of the file.
-    others : what else is in the file and cannot be a column, told where a column is missed.
+    others : other content, mentioned if a column is missing.
     """
 
     path: Path
@@ -51,11 +51,11 @@ class LogTable:
 
     @property
     def listing(self) -> str:
-        """What the file holds, for a message that misses something."""
+        """Content of the file, for messages."""
         return listed((*self.names, *self.others))
 
     def row(self, index: int) -> int:
-        """Row of the sample `index` as an editor shows it: a CSV's header is row 1."""
+        """Return the row of sample `index` as in an editor: a CSV's header is row 1."""
         if self._dialect is None:
             return index + 1
         try:
@@ -65,7 +65,7 @@ class LogTable:
             return index + 2
 
     def numbers(self, names: Sequence[str], *, missing: bool = False) -> Array:
-        """Columns as floats, (N, len(names)), in the units of the file.
+        """Return columns as floats, (N, len(names)), in the units of the file.
 
         Parameters
         ----------
@@ -74,8 +74,8 @@ class LogTable:
         Raises
         ------
         LogError
-            Naming a column that is missing or not numeric, or the row and column of a cell that
-            is empty, NaN or infinite.
+            With a column that is missing or not numeric, or the row and column of a cell that is
+            empty, NaN or infinite.
         """
         for name in names:
             self._require(name)
@@ -83,11 +83,11 @@ class LogTable:
         return np.column_stack(columns)
 
     def times(self, name: str, unit: float, *, missing: bool = False) -> Array:
-        """Stamps (N,) [s]; those since 1970 and dates are counted from the first one.
+        """Return time stamps (N,) [s]; epoch stamps and dates count from the first one.
 
         Parameters
         ----------
-        unit : of the stamps [s]; a column of dates or durations has its own.
+        unit : unit of the stamps [s]; a column of dates or durations has its own.
 
         Raises
         ------
@@ -103,7 +103,7 @@ class LogTable:
             unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
             cells = cells.cast(pyarrow.int64())
         whole = pyarrow.types.is_integer(cells.type) and not cells.null_count
-        # Nanoseconds since 1970 have more digits than a float: the first stamp is taken off before.
+        # Nanoseconds since 1970 exceed the digits of a float: subtract the first stamp before.
         stamps = cells.to_numpy() if whole else self._floats(name, cells, missing=missing)
         known = stamps[np.isfinite(stamps)]
         since = known[0] if len(known) and abs(float(known[0])) * unit > _SINCE_1970 else 0
@@ -132,7 +132,7 @@ class LogTable:
         return values
 
     def _first_text(self, name: str) -> LogError:
-        """Error for a column that is not numeric, at its first cell that is none."""
+        """Return the error for a column that is not numeric, at its first other cell."""
         column = self._arrow.column(name)
         try:
             cells = column.to_pylist()
@@ -149,29 +149,29 @@ class LogTable:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names for a sentence; of very many the first ones."""
+    """Return a list of names for a sentence, shortened if there are many."""
     more = len(names) - _MOST_LISTED
     shown = [name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..." for name in names]
     return ", ".join((*shown[:_MOST_LISTED], *([f"and {more} more"] if more > 0 else [])))
 
 
 def most_bytes(path: Path) -> int:
-    """Return how much memory the data of a file may take [B]: it may be packed, but not a bomb."""
+    """Return the allowed memory of a file's data [B]: it may be packed, but not a bomb."""
     return 10 * path.stat().st_size + 300 * 2**20
 
 
 def read_table(path: Path) -> LogTable:
     """Open a CSV (with a header; blank lines are ignored) or a Parquet file.
 
-    A CSV's cells are separated as its header's are: by commas, semicolons, tabs or single blanks;
-    the latter three may have decimal commas. A header may begin with ``#``. What stands above it,
-    comments that begin with ``#`` or ``%`` and a row of units below it are left out.
+    Cells of a CSV are separated by commas, semicolons, tabs or single blanks, as in its header; all
+    but the first allow decimal commas. A header may begin with ``#``. A preamble above it, comments
+    that begin with ``#`` or ``%`` and a row of units are skipped.
 
     Raises
     ------
     LogError
-        If the file is missing, empty, too large or not a table, if rows are of unequal length, or
-        if two columns bear the same name.
+        If the file is missing, empty, too large or not a table, if rows have different lengths, or
+        if two columns have the same name.
     """
     if not path.is_file():
         raise LogError(f"{path}: no such log file.")
@@ -181,14 +181,14 @@ def read_table(path: Path) -> LogTable:
     arrow = _read_csv(path, dialect) if dialect else _read_parquet(path)
     names = tuple(arrow.column_names)
     if twice := [name for name, count in Counter(names).items() if count > 1]:
-        raise LogError(f"{path}: column '{twice[0]}' stands twice; names must differ.")
+        raise LogError(f"{path}: column '{twice[0]}' occurs twice; names must differ.")
     if arrow.num_rows == 0:
         raise LogError(f"{path}: has no rows of data below its header.")
     return LogTable(path=path, names=names, _arrow=arrow, _dialect=dialect)
 
 
 def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = ()) -> LogTable:
-    """Make a table of columns (N,), in their units, that were read from a file of another kind."""
+    """Make a table of columns (N,) in their units, read from a file of another format."""
     import pyarrow
 
     arrow = pyarrow.table({name: np.ascontiguousarray(values) for name, values in columns.items()})
@@ -196,7 +196,7 @@ def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = (
 
 
 def write_table(path: Path, columns: Mapping[str, Array]) -> None:
-    """Write columns (N,), of any unit, as CSV or Parquet by the suffix; numbers keep all digits."""
+    """Write columns (N,) as CSV or Parquet, by the suffix, with all digits."""
     import pyarrow
 
     table = pyarrow.table({name: np.ascontiguousarray(column) for name, column in columns.items()})
@@ -212,7 +212,7 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Dialect:
-    """How the cells of a CSV are separated, and where its table begins."""
+    """Separators of a CSV, and the place of its table."""
 
     delimiter: str
     decimal: str
@@ -231,7 +231,7 @@ def _dialect(path: Path) -> _Dialect:
             numbered = ((k, line.strip()) for k, line in enumerate(_lines(file), start=1))
             head = list(islice(((k, line) for k, line in numbered if line), _SEARCHED))
             header, data, delimiter = _table_in(head)
-            # A log may begin with zeros, which show no decimal sign.
+            # A log may begin with zeros without decimal sign.
             commas = delimiter != "," and any(
                 _COMMA.fullmatch(cell.strip())
                 for _, line in chain(((k, line) for k, line in head if k >= data), numbered)
@@ -244,10 +244,10 @@ def _dialect(path: Path) -> _Dialect:
 
 
 def _table_in(lines: Sequence[tuple[int, str]]) -> tuple[int, int, str]:
-    """Return the lines of header and first row of data, and what separates cells.
+    """Return the lines of the header and of the first row of data, and the delimiter.
 
-    Data begin at the first line of numbers below a line of as many names; what stands above that
-    is a preamble. Where there is none the first line is the header.
+    Data begin at the first line of numbers below a line with as many names. Without such lines the
+    first line is the header.
     """
     for at, (number, line) in enumerate(lines):
         for delimiter in sorted(_DELIMITERS, key=lambda d: -line.count(d)):
@@ -263,13 +263,13 @@ def _table_in(lines: Sequence[tuple[int, str]]) -> tuple[int, int, str]:
     first = lines[1][1] if len(lines) > 1 else ""
     header = header.lstrip(_MARKS + " ")
     there = [d for d in _DELIMITERS if d in header] or [","]
-    # Names may hold what separates cells in other files, but then rows are not as long.
+    # Names may contain other delimiters, but then rows have another length.
     alike = [d for d in there if _count(header, d) == _count(first, d)] or there[:1]
     return number, number + 1, max(alike, key=lambda d: _count(header, d))
 
 
 def _is_data(line: str, delimiter: str) -> bool:
-    """Whether a line is a row of numbers, some of which may be missing."""
+    """Return whether a line is a row of numbers, some of which may be missing."""
     if line[0] in _MARKS or delimiter not in line:
         return False
     cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
@@ -294,7 +294,7 @@ def _lines(file: TextIO) -> Iterator[str]:
 
 
 def _csv_rows(path: Path, dialect: _Dialect) -> Iterator[tuple[int, list[str]]]:
-    """Header and rows of data of a CSV, without comments, each with its line from 1."""
+    """Yield header and rows of data of a CSV, without comments, each with its line from 1."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(_lines(file), delimiter=dialect.delimiter)
         for cells in reader:
@@ -312,7 +312,7 @@ def _is_number(cell: object, point: str) -> bool:
     import pyarrow
 
     try:
-        # Not Python's float, which also takes "1_000".
+        # Python's float accepts "1_000".
         pyarrow.scalar(str(cell).strip().replace(point, ".")).cast(pyarrow.float64())
     except pyarrow.ArrowInvalid:
         return False
@@ -338,7 +338,7 @@ def _read_parquet(path: Path) -> Any:
             return file.read()
     except LogError:
         raise
-    except Exception as error:  # Arrow raises of many kinds for a broken file
+    except Exception as error:  # Arrow raises many kinds for a broken file
         raise LogError(f"{path}: cannot be read as Parquet.") from error
 
 
@@ -364,7 +364,7 @@ def _read_csv(path: Path, dialect: _Dialect) -> Any:
     options = pyarrow.csv.ReadOptions(
         column_names=names,
         skip_rows=dialect.data - 1,
-        # One block: a column's type is inferred from all of it, not from its first megabyte.
+        # One block: the type of a column is inferred from all of it, not from its first megabyte.
         block_size=path.stat().st_size + 1,
     )
     try:
@@ -384,7 +384,7 @@ def _read_csv(path: Path, dialect: _Dialect) -> Any:
 
 
 def _names(header: Sequence[str]) -> list[str]:
-    """Names in a header, without the ``#`` that some programs put before them."""
+    """Return the names in a header, without the leading ``#`` of some programs."""
     names = [name.strip() for name in header]
     if names[0] == "#":
         return names[1:]
@@ -392,7 +392,7 @@ def _names(header: Sequence[str]) -> list[str]:
 
 
 def _ragged(path: Path, dialect: _Dialect, width: int) -> LogError:
-    """Error for a CSV that cannot be parsed, at its first row of another length."""
+    """Return the error for a CSV that cannot be parsed, at its first row of another length."""
     try:
         rows = _csv_rows(path, dialect)
         next(rows)

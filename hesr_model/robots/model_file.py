@@ -1,4 +1,4 @@
-"""Model files of robots, URDF or MJCF: parsed by Pinocchio, and what kinds of joints they have."""
+"""Model files of robots (URDF, MJCF) and their joints, parsed by Pinocchio."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,18 +15,18 @@ _DEGREES = 180.0 / np.pi
 
 
 def load(path: Path, *, mimic: bool = False) -> Any:
-    """Parse a URDF, or an MJCF where the suffix is ``.xml``; meshes are not looked for.
+    """Parse a URDF, or an MJCF with suffix ``.xml``; meshes are ignored.
 
     Parameters
     ----------
-    mimic : whether a URDF's joints that follow others are to be told from those that are driven.
+    mimic : whether to distinguish mimic joints of a URDF from driven ones.
 
     Raises
     ------
     RobotError
-        If the file is missing, cannot be parsed, or includes others, which would be left out.
+        If the file is missing, cannot be parsed, or includes other files.
     """
-    import pinocchio  # here, so that reading a description stays quick
+    import pinocchio  # slow: not needed to read a description
 
     if not path.is_file():
         raise RobotError(f"{path}: no such model file.")
@@ -37,7 +37,7 @@ def load(path: Path, *, mimic: bool = False) -> Any:
         return pinocchio.buildModelFromUrdf(str(path), mimic=mimic)
     except RobotError:
         raise
-    except Exception as error:  # Pinocchio raises of many kinds for a broken file
+    except Exception as error:  # Pinocchio raises many kinds for a broken file
         kind = "an MJCF" if is_mjcf else "a URDF"
         reason = " ".join(str(error).split()).rstrip(".")
         raise RobotError(f"{path}: cannot be parsed as {kind} ({reason}).") from error
@@ -54,9 +54,9 @@ def _mjcf(path: Path) -> ElementTree.Element:
 
 
 def _with_lengths(model: Any, mjcf: ElementTree.Element) -> Any:
-    """Give sliding joints the range that their MJCF says, in metres.
+    """Give sliding joints the range of their MJCF in metres.
 
-    Pinocchio takes it for degrees, as the ranges of joints that turn are by default.
+    Pinocchio interprets it as degrees, the default for turning joints.
     """
     angles = [compiler.get("angle") for compiler in mjcf.iter("compiler")]
     if "radian" not in angles:
@@ -73,7 +73,7 @@ class ModelJoint:
 
     Attributes
     ----------
-    freedom : degrees of freedom; 0 for one that follows another (`mimic` in a URDF).
+    freedom : degrees of freedom; 0 for a `mimic` joint of a URDF.
     slides : whether it slides instead of turning.
     """
 
@@ -83,7 +83,7 @@ class ModelJoint:
 
 
 def joints_of(path: Path) -> tuple[ModelJoint, ...]:
-    """List the joints of a model file that move, from base to tip; fixed ones are left out.
+    """Return the moving joints of a model file, from base to tip.
 
     Raises
     ------
@@ -107,13 +107,13 @@ def _slides(joint: Any) -> bool:
 
 
 def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
-    """Return the joints of a model file that a robot can be described by, or some of them.
+    """Return the joints of a model file that a robot can have, or the wanted ones.
 
     Raises
     ------
     RobotError
-        If a wanted joint is not in the file, follows another or has several degrees of freedom;
-        if there is none to be used.
+        If a wanted joint is missing, follows another or has several degrees of freedom; if there is
+        no usable joint.
     """
     joints = {joint.name: joint for joint in joints_of(path)}
     for name in wanted:
@@ -153,7 +153,7 @@ def set_joint(joint: Any, states: Array, position: Array) -> None:
 
 
 def motion_subspace(joint: Any, state: Array) -> Array:
-    """Motion subspace (6,) of a joint of a parsed model at a state (nq,), without unit.
+    """Return the motion subspace (6,) of a joint of a parsed model at a state (nq,).
 
     Linear part, then angular part.
     """

@@ -1,4 +1,4 @@
-"""Whose a robot's models are: what FMUs made of them say of author, copyright and licence."""
+"""Author, copyright and licence of FMUs made from a robot's models."""
 
 from collections.abc import Mapping
 from typing import Any, Self
@@ -10,7 +10,7 @@ from hesr_model.support.config import Config, PrintableName
 
 
 class Owner(Config):
-    """Author, copyright and licence of models, as far as they are known.
+    """Author, copyright and licence of models, as far as known.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class Owner(Config):
 
     @property
     def known(self) -> dict[str, str]:
-        """What is known, by name."""
+        """Known entries by name."""
         found = {name: str(getattr(self, name)) for name in type(self).model_fields}
         return {name: text for name, text in found.items() if text}
 
@@ -35,7 +35,7 @@ class Owner(Config):
 
     @classmethod
     def of(cls, provenance: Mapping[str, Any]) -> Self:
-        """Return the owner that a model's provenance names ("owner"), or one that is not known.
+        """Return the owner ("owner") of a model's provenance; without one all entries are empty.
 
         Raises
         ------
@@ -55,4 +55,4 @@ class Owner(Config):
 OURS = Owner(
     author="The HESR authors", copyright="Copyright (c) 2026 The HESR authors", license="MIT"
 )
-"""Of FMUs that hold nothing but code of HESR."""
+"""Owner of FMUs that contain only code of HESR."""

@@ -1,4 +1,4 @@
-"""The robot: a TOML description and the rigid-body model (URDF or MJCF) behind it."""
+"""Robots: a TOML description and the rigid-body model (URDF or MJCF)."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -26,26 +26,27 @@ from hesr_model.support.config import Config, PrintableName, RelativePath, read_
 from hesr_model.support.files import PathArg, path_of
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-"""Of one link: mass, first moments, and inertia about the origin of the link's joint frame."""
+"""Parameters of a link: mass, first moments, and inertia about the origin of its joint frame."""
 
 _ROWS_AT_ONCE = 4096
 
 
 class RobotDescription(Config):
-    """A robot: its model file, the joints that move, and the format of its logs.
+    """A robot: its model file, its joints, and the format of its logs.
 
     Attributes
     ----------
-    model : URDF, or MJCF where the suffix is ``.xml``.
-    joints : joints that are identified, from base to tip, in the order of the log's columns.
-    locked : positions [rad or m] of joints that do not move; those not named are at neutral.
-    gravity : in the base frame [m/s2].
-    rotor_inertia : whether a rotor inertia per joint, reflected through its gear, is a parameter.
-    gear_ratio : turns of the motor per turn of each joint, where known: laws with motor ripple need
-        it. Where there is a transmission they are those of its diagonal.
-    transmission : how motors move joints, where a motor turns with more than one, or logs are of
-        motors.
-    owner : whose the models are that are made of its logs.
+    model : URDF, or MJCF with suffix ``.xml``.
+    joints : identified joints, from base to tip, in the order of the log's columns.
+    locked : positions [rad or m] of fixed joints; other unlisted joints are at neutral.
+    gravity : gravity in the base frame [m/s2].
+    rotor_inertia : whether each joint has a rotor inertia, reflected through its gear, as a
+        parameter.
+    gear_ratio : turns of the motor per turn of each joint, if known; needed by laws with motor
+        ripple. With a transmission, the absolute diagonal of its matrix.
+    transmission : coupling of motors and joints; needed if a motor turns several joints or if logs
+        are of motors.
+    owner : author, copyright and licence of models made from its logs.
     """
 
     name: PrintableName
@@ -66,24 +67,24 @@ class RobotDescription(Config):
         ratios = tuple(float(ratio) for ratio in np.abs(self.transmission.ratios))
         if self.gear_ratio not in (None, ratios):
             raise ValueError(
-                "'gear_ratio' is not what the diagonal of 'transmission.matrix' says; leave it out"
+                "'gear_ratio' contradicts the diagonal of 'transmission.matrix'; leave it out"
             )
         object.__setattr__(self, "gear_ratio", ratios)
         return self
 
     @property
     def coupling(self) -> Coupling | None:
-        """Friction coordinates over joints; None where each joint has its own."""
+        """Friction coordinates over joints; None if nothing is coupled."""
         return Coupling.of(self.transmission.coordinates) if self.transmission else None
 
     @property
     def motors(self) -> Coupling | None:
-        """Motors over joints, each divided by its gear ratio; None where nothing is coupled."""
+        """Motors over joints, divided by their gear ratios; None if nothing is coupled."""
         return Coupling.of(self.transmission.motors) if self.transmission else None
 
     @property
     def logged(self) -> Coupling | None:
-        """What was logged over joints: motors where logs are of these; None for joints."""
+        """Logged coordinates over joints: motors if logs are of motors, else None."""
         of_motors = self.transmission and self.transmission.logs == "motor"
         return self.motors if of_motors else None
 
@@ -94,7 +95,7 @@ class RobotDescription(Config):
         Raises
         ------
         ConfigError
-            For a key that is unknown, missing or out of its range.
+            For a key that is unknown, missing or out of range.
         RobotError
             For a list that has not one entry per joint.
         """
@@ -107,12 +108,12 @@ class RobotDescription(Config):
         return description
 
     def require_one_per_joint(self) -> None:
-        """Check that the gains and every list of columns or units have one entry per joint.
+        """Check that every list has one entry per joint.
 
         Raises
         ------
         RobotError
-            Naming the key, the entries found and the entries needed.
+            With the key, the entries found and the entries needed.
         """
         lists = {
             "transmission.matrix": self.transmission and self.transmission.matrix,
@@ -133,7 +134,7 @@ class RobotDescription(Config):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointFrame:
-    """Where a joint sits: what a recursion over the kinematic tree needs to know.
+    """Place of a joint in the kinematic tree.
 
     Attributes
     ----------
@@ -182,8 +183,8 @@ class RobotModel:
         self._model: Any = self._reduced(load(description.model))
         self._data: Any = self._model.createData()
         self.rotor_nominal: Array = np.array(self._model.armature, dtype=float)
-        """Rotor inertias (n,) [kg.m2] that the model file gives (`armature` of an MJCF)."""
-        # The rotor columns carry what a model file says about rotors.
+        """Rotor inertias (n,) [kg.m2] of the model file (`armature` of an MJCF)."""
+        # Rotor inertias are columns of the regressor instead.
         self._model.armature = np.zeros(self.n)
         self._model.gravity.linear = np.array(description.gravity)
         slides = [joint.prismatic for joint in self.tree]
@@ -200,7 +201,7 @@ class RobotModel:
                 raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(known)}.")
         if both := [name for name in wanted if name in self.description.locked]:
             raise RobotError(
-                f"{path}: joint '{both[0]}' stands in both 'joints' and 'locked'; it can do one."
+                f"{path}: joint '{both[0]}' is in both 'joints' and 'locked'; remove it from one."
             )
         if [name for name in known if name in wanted] != list(wanted):
             raise RobotError(
@@ -246,7 +247,7 @@ class RobotModel:
 
     @cached_property
     def nominal_parameters(self) -> Array:
-        """Parameters (10n [+n],) that the model file gives, in the order of the names."""
+        """Parameters (10n [+n],) of the model file, in the order of the names."""
         links = [np.asarray(body.toDynamicParameters()) for body in list(self._model.inertias)[1:]]
         rotors = [self.rotor_nominal] if self.description.rotor_inertia else []
         return np.concatenate([*links, *rotors])
@@ -270,12 +271,12 @@ class RobotModel:
 
     @property
     def torque_limits(self) -> Array:
-        """Largest torques (n,) [N.m or N] that the model file gives; 0 where it gives none."""
+        """Largest torques (n,) [N.m or N] of the model file; 0 if it gives none."""
         return np.array(self._model.effortLimit, dtype=float)
 
     @cached_property
     def tree(self) -> tuple[JointFrame, ...]:
-        """The joints' places in the kinematic tree, from base to tip."""
+        """Frames of the joints, from base to tip."""
         frames = []
         for k, name in enumerate(self.description.joints, start=1):
             placement = self._model.jointPlacements[k]
@@ -294,7 +295,7 @@ class RobotModel:
         return tuple(frames)
 
     def regressor(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Regressor Y of eq. 5 at every sample.
+        """Return the regressor Y of eq. 5 at every sample.
 
         Parameters
         ----------
@@ -322,12 +323,20 @@ class RobotModel:
         return out
 
     def torque(self, parameters: Array, q: Array, dq: Array, ddq: Array) -> Array:
-        """Rigid-body torque Y pi, (N, n) [N.m; N for prismatic joints], of any parameters.
+        """Return the rigid-body torque Y pi for any parameters.
 
-        Parameters are (P,), or (N, P) where each row has its own; motions q, dq, ddq are (N, n) as
-        in `regressor`. With dq = ddq = 0 this
-        is the gravity torque. The recursive algorithms of the library would divide by the masses,
-        which identified parameters leave at zero.
+        The recursive algorithms of Pinocchio would divide by the masses, which may be zero in
+        identified parameters.
+
+        Parameters
+        ----------
+        parameters : (P,), or (N, P) with parameters for each row.
+        q, dq, ddq : (N, n) as in `regressor`; dq = ddq = 0 gives the gravity torque.
+
+        Returns
+        -------
+        ndarray
+            (N, n) [N.m; N for prismatic joints].
         """
         parts = [np.empty((0, self.n))]
         for start in range(0, len(q), _ROWS_AT_ONCE):
@@ -338,9 +347,9 @@ class RobotModel:
         return np.concatenate(parts)
 
     def dynamics(self, parameters: Array, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Mass matrix and the torque without acceleration, of any parameters.
+        """Return the mass matrix and the torque without acceleration, for any parameters.
 
-        Both from the regressor, whose rows are linear in ddq; see `torque`.
+        Both follow from the regressor, which is linear in ddq; see `torque`.
 
         Parameters
         ----------
@@ -365,7 +374,7 @@ class RobotModel:
 
     @contextmanager
     def under_gravity(self) -> Iterator[Callable[[Sequence[float]], None]]:
-        """Yield what sets another gravity [m/s2]; the robot file's comes back at the end."""
+        """Yield a function that sets the gravity [m/s2]; restore the robot file's at the end."""
 
         def set_gravity(gravity: Sequence[float]) -> None:
             self._model.gravity.linear = np.array(gravity, dtype=float)
@@ -376,7 +385,7 @@ class RobotModel:
             set_gravity(self.description.gravity)
 
     def _configurations(self, q: Array) -> Array:
-        """Joint positions in the library's coordinates, where an unlimited joint takes two."""
+        """Return joint positions in Pinocchio's coordinates: an unlimited joint has two."""
         states = np.zeros((len(q), self._model.nq))
         for k, joint in enumerate(list(self._model.joints)[1:]):
             set_joint(joint, states.T, q[:, k])

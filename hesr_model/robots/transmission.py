@@ -1,13 +1,12 @@
-"""How motors move joints: gears, and motors that turn with more than one joint.
+"""Transmissions: gears, and motors that turn several joints.
 
-A transmission says how far each motor turns for the joints, theta = R q (Siciliano et al.,
-Robotics, section 7.2). By virtual work torques go the other way, tau_q = R' tau_motor. What rubs,
-rotors and the teeth of gears, sits on *friction coordinates* u, which are motors, each divided by
-its own gear ratio, or joints::
+A transmission gives the angles of the motors, theta = R q (Siciliano et al., Robotics, section
+7.2); by virtual work tau_q = R' tau_motor. Friction and rotor inertia belong to *friction
+coordinates* u: motors, divided by their own gear ratios, or joints::
 
     u = C q,   C[i, j] = R[i, j] / R[i, i],   tau_q = C' tau_u
 
-so that coefficients keep the scale of a joint, and C is the identity where nothing is coupled.
+So coefficients keep the scale of a joint, and C is the identity if nothing is coupled.
 """
 
 from collections.abc import Sequence
@@ -25,7 +24,7 @@ from hesr_model.support.config import Config
 Side = Literal["motor", "joint"]
 
 _MOST_CONDITION = 1e8
-"""Of the matrix, its rows divided by the gear ratios; a real gear is far below."""
+"""Largest condition number of the matrix with rows divided by the gear ratios."""
 
 
 class Transmission(Config):
@@ -34,10 +33,10 @@ class Transmission(Config):
     Attributes
     ----------
     matrix : (n, n) turns of each motor (row) per turn of each joint (column): gear ratios on the
-        diagonal, negative where a motor turns against its joint, couplings beside it.
+        diagonal, negative if a motor turns against its joint, couplings off the diagonal.
     logs : whether positions, velocities and torques in the logs are those of motors or of joints.
-        Where a motor's position is 0, the joints stand at `LogFormat.zero`.
-    friction : where friction sits, for all or one per joint: at the motors, or at the joint itself.
+        At motor position 0, the joints are at `LogFormat.zero`.
+    friction : place of friction, for all or one per joint: at the motors, or at the joint itself.
     """
 
     matrix: tuple[tuple[float, ...], ...] = Field(min_length=1)
@@ -66,12 +65,12 @@ class Transmission(Config):
 
     @property
     def motors(self) -> Array:
-        """Motors' angles over joints' (n, n) [rad/rad], each divided by its own gear ratio."""
+        """Motor angles over joint angles (n, n) [rad/rad], divided by the gear ratios."""
         return np.array(self.matrix) / self.ratios[:, None]
 
     @property
     def coordinates(self) -> Array:
-        """Friction coordinates over joints' angles, (n, n) [rad/rad]."""
+        """Friction coordinates over joint angles, (n, n) [rad/rad]."""
         n = len(self.matrix)
         sides = (self.friction,) * n if isinstance(self.friction, str) else self.friction
         at_motor = np.array([side == "motor" for side in sides])
@@ -83,7 +82,7 @@ class Transmission(Config):
         Raises
         ------
         RobotError
-            Naming a motor and the joint of the other kind that moves it.
+            With a motor and a joint of the other kind that moves it.
         """
         for i, j in np.argwhere(np.array(self.matrix) != 0.0):
             if slides[i] != slides[j]:
@@ -95,7 +94,7 @@ class Transmission(Config):
 
 @dataclass(frozen=True)
 class Coupling:
-    """Coordinates u = C q of a robot whose joints are coupled.
+    """Coordinates u = C q of a robot with coupled joints.
 
     Attributes
     ----------
@@ -114,34 +113,34 @@ class Coupling:
 
     @classmethod
     def of(cls, matrix: Array) -> "Coupling | None":
-        """Return the coupling of a matrix (n, n) without unit; None where nothing is coupled."""
+        """Return the coupling of a matrix (n, n); None if nothing is coupled."""
         if np.array_equal(matrix, np.eye(len(matrix))):
             return None
         return cls(tuple(tuple(float(entry) for entry in row) for row in matrix))
 
     @cached_property
     def forward(self) -> Array:
-        """C, (n, n) without unit: motions of the coordinates from those of the joints."""
+        """C, (n, n): motion of the coordinates from that of the joints."""
         return np.array(self.matrix)
 
     @cached_property
     def backward(self) -> Array:
-        """C'^-1, (n, n) without unit: torques at the coordinates from those at the joints."""
+        """C'^-1, (n, n): torques at the coordinates from those at the joints."""
         return np.asarray(np.linalg.inv(self.forward.T))
 
     def motion(self, joints: Array) -> Array:
-        """Positions, velocities or accelerations (N, n) of u from those of q [rad, s; m]."""
+        """Return positions, velocities or accelerations (N, n) of u from those of q [rad, s; m]."""
         return np.asarray(joints @ self.forward.T)
 
     def torque(self, joints: Array) -> Array:
-        """Torques (N, n) [N.m; N] at u that are those at q, or a regressor's rows (N, n, P)."""
+        """Return torques (N, n) [N.m; N] at u, or regressor rows (N, n, P), from those at q."""
         return np.asarray(np.einsum("ij,kj...->ki...", self.backward, joints))
 
     def at_joints(self, torque: Array) -> Array:
-        """Torques (N, n) [N.m; N] at the joints from those at u."""
+        """Return torques (N, n) [N.m; N] at the joints from those at u."""
         return np.asarray(torque @ self.forward)
 
 
 def onto(coupling: Coupling | None, motion: Array) -> Array:
-    """Motion (N, n) [rad, s; m] of friction coordinates; that of the joints without a coupling."""
+    """Return the motion (N, n) of friction coordinates; that of the joints without a coupling."""
     return motion if coupling is None else coupling.motion(motion)

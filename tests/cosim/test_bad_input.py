@@ -216,7 +216,7 @@ LOG_FAULTS: dict[str, tuple[Callable[[Rows], object], str]] = {
     ),
     "two columns of one name": (
         cell(1, "q3", "q2"),
-        "column 'q2' stands twice; names must differ.",
+        "column 'q2' occurs twice; names must differ.",
     ),
     "time in milliseconds": (
         in_milliseconds,
@@ -270,7 +270,7 @@ def test_a_log_that_is_given_twice(
     again.write_bytes(log.read_bytes())
     name, first, *more = bench.command(command, output=tmp_path / "output", log=log)
     assert refused(name, first, again, *more) == (
-        f"{again}: its content is that of {log}; a log counts once, leave one of them out."
+        f"{again}: has the same content as {log}; leave one of them out."
     )
 
 

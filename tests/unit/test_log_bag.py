@@ -186,7 +186,7 @@ def test_velocity_that_is_missing_is_derived_and_that_is_said(
     folder = write(tmp_path / "run", [message(k, velocity=[]) for k in range(N)])
     with caplog.at_level(logging.WARNING):
         assert RobotLog.read(folder, robot()).dq is None
-    assert "topic '/joint_states': has no velocity, which is derived from the position" in (
+    assert "topic '/joint_states': has no velocity; it is derived from the position" in (
         caplog.text
     )
     caplog.clear()

@@ -231,7 +231,7 @@ def test_a_wrong_key_is_named(tmp_path: Path, more: str, message: str) -> None:
     [
         ({"joints": ("j1", "j4")}, r"arm\.xml: has no joint 'j4'; it has j1, j2, j3\.$"),
         ({"locked": {"wrist": 0.0}}, r"arm\.xml: has no joint 'wrist'; it has j1, j2, j3\.$"),
-        ({"locked": {"j3": 0.0}}, r"joint 'j3' stands in both 'joints' and 'locked'"),
+        ({"locked": {"j3": 0.0}}, r"joint 'j3' is in both 'joints' and 'locked'"),
         ({"joints": ("j2", "j1")}, r"the joints j2, j1 must be listed once each, in the order"),
         ({"joints": ("j1", "j1")}, r"the joints j1, j1 must be listed once each, in the order"),
     ],

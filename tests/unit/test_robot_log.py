@@ -142,7 +142,7 @@ MESSAGES = [
     ),
     (
         lambda t: [HEADER.replace("q2", "q1"), *t[1:]],
-        r"column 'q1' stands twice; names must differ\.$",
+        r"column 'q1' occurs twice; names must differ\.$",
     ),
     (
         lambda t: [HEADER + ",q3", *(line + ",0" for line in t[1:])],
@@ -175,7 +175,7 @@ MESSAGES = [
     (
         lambda t: [*t[:4], row(2), *t[5:]],
         r"column 't', row 5: time must increase, but 0\.02 s follows 0\.02 s; \[log\] missing = "
-        r"'drop' leaves out rows that repeat a stamp\.$",
+        r"'drop' leaves out rows that repeat a time stamp\.$",
     ),
 ]
 
@@ -301,6 +301,6 @@ def test_a_file_counts_once_and_its_parts_are_several_logs(
     require_different(parts)
     require_different([replace(log, sha256=""), replace(log, sha256="")])  # of no file
     with pytest.raises(
-        LogError, match=r"run\.csv: its content is that of .*run\.csv; a log counts"
+        LogError, match=r"run\.csv: has the same content as .*run\.csv; leave one"
     ):
         require_different([*parts, parts[0]])

@@ -193,7 +193,7 @@ def test_a_transmission_needs_a_motor_per_joint(arm: RobotDescription, tmp_path:
         TOML.replace("[trans", "gear_ratio = [1.0, 2.0, 3.0]\n[trans")
         + f"matrix = {[list(row) for row in MATRIX]}"
     )
-    with pytest.raises(ConfigError, match="'gear_ratio' is not what the diagonal"):
+    with pytest.raises(ConfigError, match="'gear_ratio' contradicts the diagonal"):
         RobotDescription.read(path)
 
 

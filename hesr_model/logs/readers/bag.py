@@ -1,6 +1,6 @@
 """Samples from ROS bags: messages sensor_msgs/msg/JointState, read without ROS.
 
-ROS 2 bags are folders (or single files) of SQLite or MCAP, ROS 1 bags are files ``.bag``.
+ROS 2 bags are folders (or single files) of SQLite or MCAP, ROS 1 bags are ``.bag`` files.
 """
 
 import logging
@@ -23,22 +23,22 @@ _log = logging.getLogger(__name__)
 
 
 def is_bag(path: Path) -> bool:
-    """Tell whether a log is a ROS bag: a folder, or a file of one of its kinds."""
+    """Return whether a log is a ROS bag, by its path."""
     return path.is_dir() or path.suffix.lower() in _SUFFIXES
 
 
 def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
     """Read the states of the robot's joints from one topic of a bag.
 
-    Messages may list joints in any order and others besides; those that do not list all of the
-    robot's joints are left out. Time is that of the messages' stamps, from the first one used.
+    Messages may list joints in any order, and other joints; messages without all joints of the
+    robot are skipped. Time is that of the message stamps, from the first message used.
 
     Raises
     ------
     LogError
-        If the bag is missing or broken, or rosbags is not installed; if the topic is missing or of
-        another type; if no message lists all joints; if messages lack stamps, positions or
-        efforts, or hold NaN.
+        If the bag is missing or broken, or rosbags is not installed; if the topic is missing or has
+        another type; if no message lists all joints; if messages lack stamps, positions or efforts,
+        or contain NaN.
     """
     bag = robot.log.bag
     joints = bag.joints or robot.joints
@@ -64,7 +64,7 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
     if robot.log.columns.dq:
         dq = _values(where, used, joints, "velocity", missing=drop)
         if dq is None:
-            _log.warning("%s: has no velocity, which is derived from the position.", where)
+            _log.warning("%s: has no velocity; it is derived from the position.", where)
     return LogSamples(
         t=np.array([stamp - stamps[0] for stamp in stamps]) * 1e-9,
         q=q,
@@ -78,7 +78,7 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Message:
-    """A message: its number on the topic from 1, its stamp [ns], and what it says."""
+    """A message with its number on the topic, from 1, and its stamp [ns]."""
 
     number: int
     stamp: int
@@ -89,7 +89,7 @@ class _Message:
 
 
 def _messages(path: Path, topic: str) -> Iterator[_Message]:
-    if not (path.is_file() or path.is_dir()):  # of a pipe or a device there is no end
+    if not (path.is_file() or path.is_dir()):  # a pipe or a device may have no end
         raise LogError(f"{path}: no such log file.")
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise LogError(
@@ -104,7 +104,7 @@ def _messages(path: Path, topic: str) -> Iterator[_Message]:
             f"{path}: reading a ROS bag needs the package rosbags: pip install 'hesr[ros]'."
         ) from error
     try:
-        # Bags older than ROS 2 Iron do not hold the definitions of their messages.
+        # Bags older than ROS 2 Iron do not contain the definitions of their messages.
         reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
         with reader:
             connections = _connections(path, reader, topic)
@@ -121,7 +121,7 @@ def _messages(path: Path, topic: str) -> Iterator[_Message]:
                 )
     except LogError:
         raise
-    except Exception as error:  # the reader and what it stands on raise of many kinds
+    except Exception as error:  # the reader and its dependencies raise many kinds
         reason = " ".join(str(error).split()).rstrip(".")
         raise LogError(f"{path}: cannot be read as a ROS bag ({reason}).") from error
 
@@ -161,7 +161,7 @@ def _missing_joints(where: str, joints: Sequence[str], messages: Sequence[_Messa
 def _values(
     where: str, messages: Sequence[_Message], joints: Sequence[str], field: str, *, missing: bool
 ) -> Array | None:
-    """One field of all joints, (N, n), or None where no message has it; NaN only if it may be."""
+    """Return one field of all joints, (N, n), or None if no message has it."""
     if not any(len(getattr(message, field)) for message in messages):
         return None
     values = np.empty((len(messages), len(joints)))

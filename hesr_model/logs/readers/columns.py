@@ -12,7 +12,7 @@ from hesr_model.support.arrays import Array
 
 
 def read_columns(path: Path, robot: RobotDescription) -> LogSamples:
-    """Read the columns that the robot file names.
+    """Read the columns named by the robot file.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def read_columns(path: Path, robot: RobotDescription) -> LogSamples:
 
 
 def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array:
-    """One quantity of all joints, (N, n); as many columns as joints."""
+    """Return one quantity of all joints, (N, n); there must be as many columns as joints."""
     if isinstance(columns, str) and "{name}" not in columns:
         _require_joint_count(table, columns, len(robot.joints))
     missing = robot.log.missing == "drop"
@@ -48,14 +48,14 @@ def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array
 
 
 def _temperature(table: LogTable, robot: RobotDescription) -> Array | None:
-    """Temperatures (N, n) in the unit of the file; None where it has none and need not have any."""
+    """Return the temperatures (N, n) in the unit of the file; None if there are none by default."""
     columns = robot.log.columns.temperature
     there = set(column_names(columns, robot.joints)) & set(table.names)
     return None if columns == TEMPERATURES and not there else _joints(table, columns, robot)
 
 
 def _require_joint_count(table: LogTable, pattern: str, n: int) -> None:
-    # One joint more than any that the file can have; numbers stand in for the joints' names.
+    # One joint more than the file can have; numbers replace the joint names.
     names = column_names(pattern, [""] * (len(table.names) + n + 1))
     there = set(table.names)
     found = next(k for k, name in enumerate(names) if name not in there)
@@ -72,7 +72,7 @@ def _require_joint_count(table: LogTable, pattern: str, n: int) -> None:
 
 
 def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:
-    """Torque as logged, or currents where the robot file gives gains for them; and which it is."""
+    """Return the logged torques, or currents if there are torque constants, and which it is."""
     columns, gains = robot.log.columns, robot.log.torque_per_ampere
     torque = column_names(columns.tau, robot.joints)[0]
     current = column_names(columns.current, robot.joints)[0]

@@ -1,7 +1,6 @@
 """MATLAB files: every vector, and every column of a matrix, that is as long as the time.
 
-Versions 5 to 7 are read by SciPy; 7.3 is HDF5, in which a matrix stands transposed, and needs
-h5py.
+SciPy reads versions 5 to 7. Version 7.3 is HDF5 with transposed matrices and needs h5py.
 """
 
 from collections.abc import Iterator, Mapping
@@ -16,7 +15,7 @@ from hesr_model.logs.tables import LogTable, listed, most_bytes, table_of
 from hesr_model.support.arrays import Array
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-"""Signature, behind MATLAB's header of 512 bytes."""
+"""Signature after MATLAB's header of 512 bytes."""
 
 
 def read_matlab(path: Path, *, time: str) -> LogTable:
@@ -28,12 +27,12 @@ def read_matlab(path: Path, *, time: str) -> LogTable:
 
     Parameters
     ----------
-    time : name of the vector whose length is N.
+    time : name of the vector with length N.
 
     Raises
     ------
     LogError
-        If the file is missing or not a MATLAB file, if it holds no such vector, or if it is of
+        If the file is missing or not a MATLAB file, if it has no such vector, or if it is of
         version 7.3 and h5py is not installed.
     """
     if not path.is_file():
@@ -66,7 +65,7 @@ def _described(name: str, array: Array) -> str:
 
 
 def _classic(path: Path) -> Iterator[tuple[str, Array]]:
-    """Numeric arrays of versions 5 to 7, without axes of length 1."""
+    """Return the numeric arrays of versions 5 to 7, without axes of length 1."""
     from scipy.io import loadmat
 
     try:
@@ -74,7 +73,7 @@ def _classic(path: Path) -> Iterator[tuple[str, Array]]:
         content = loadmat(path, simplify_cells=True)
     except OverflowError as error:
         raise _too_large(path) from error
-    except Exception as error:  # SciPy raises of many kinds for a broken file
+    except Exception as error:  # SciPy raises many kinds for a broken file
         raise LogError(f"{path}: cannot be read as a MATLAB file.") from error
     return _numeric({k: v for k, v in content.items() if not k.startswith("__")}, "")
 
@@ -100,7 +99,7 @@ def _numeric(value: Any, name: str) -> Iterator[tuple[str, Array]]:
 
 
 def _hdf5(path: Path) -> Iterator[tuple[str, Array]]:
-    """Numeric arrays of version 7.3, without axes of length 1."""
+    """Return the numeric arrays of version 7.3, without axes of length 1."""
     try:
         import h5py
     except ModuleNotFoundError as error:
@@ -113,7 +112,7 @@ def _hdf5(path: Path) -> Iterator[tuple[str, Array]]:
     left = most_bytes(path)
 
     def visit(name: str, item: Any) -> None:
-        # Characters are numbers in HDF5, and what structs of arrays refer to stands under '#refs#'.
+        # Characters are numbers in HDF5; '#refs#' holds the targets of references in struct arrays.
         if isinstance(item, h5py.Dataset) and not name.startswith("#"):
             is_number = item.attrs.get("MATLAB_class", b"") not in (b"char", b"cell")
             if is_number and item.dtype.kind in "fiu" and "MATLAB_empty" not in item.attrs:
@@ -129,6 +128,6 @@ def _hdf5(path: Path) -> Iterator[tuple[str, Array]]:
             file.visititems(visit)
     except LogError:
         raise
-    except Exception as error:  # h5py raises of many kinds for a broken file
+    except Exception as error:  # h5py raises many kinds for a broken file
         raise LogError(f"{path}: cannot be read as a MATLAB file.") from error
     return iter(found)

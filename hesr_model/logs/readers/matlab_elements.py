@@ -1,7 +1,7 @@
-"""The elements of which a MATLAB file of versions 5 to 7 consists, checked before SciPy reads them.
+"""The elements of MATLAB files of versions 5 to 7, checked before SciPy reads them.
 
-SciPy trusts what they declare: an unknown type or a nest that is too deep ends the process, and
-packed data may be a bomb. Format: MathWorks, "MAT-File Format", the chapter on level 5.
+SciPy trusts their declarations: an unknown type or deep nesting crashes the process, and packed
+data may be a bomb. Format: MathWorks, "MAT-File Format", chapter on level 5.
 """
 
 import struct
@@ -16,23 +16,23 @@ Order = Literal["<", ">"]
 _HEADER = 128  # [B]
 _FLAGS, _MATRIX, _PACKED = 6, 14, 15
 _KNOWN = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18}
-_SIZES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # [B] of numbers in version 4
+_SIZES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # [B] per number in version 4
 _CLASSES = range(1, 18)
-_DEEPEST = 50  # of matrices in matrices, as structs and cells have them
+_DEEPEST = 50  # nesting of matrices in structs and cells
 
 
 def require_sound(path: Path, most: int) -> None:
-    """Check all elements of a file, or all matrices of one of version 4.
+    """Check all elements of a file, or all matrices of a file of version 4.
 
     Parameters
     ----------
-    path : of a file that is not HDF5.
-    most : how long packed data may be altogether [B].
+    path : a file that is not HDF5.
+    most : maximum length of all packed data [B].
 
     Raises
     ------
     ValueError
-        If an element is of no known type, ends behind what holds it, or is nested too deeply.
+        If an element has an unknown type, ends after its container, or is nested too deeply.
     OverflowError
         If the packed data are longer.
     """
@@ -62,7 +62,9 @@ def _require_version_4(content: memoryview) -> None:
     while place < len(content):
         if place + 20 > len(content):
             raise ValueError("a matrix is cut off")
-        little = struct.unpack_from("<I", content, place)[0] < 5000  # its digits say how it is kept
+        little = (
+            struct.unpack_from("<I", content, place)[0] < 5000
+        )  # the first number encodes the byte order
         header = struct.unpack_from(f"{'<' if little else '>'}IiiII", content, place)
         digits, rows, columns, imaginary, name = header
         size = _SIZES.get(digits // 10 % 10)
@@ -85,11 +87,11 @@ def _unpacked(packed: memoryview, most: int) -> bytes:
 
 
 def _require_element(content: memoryview, place: int, order: Order, depth: int) -> int:
-    """Check an element and those in it; return where the next one begins."""
+    """Check an element and its children; return the start of the next one."""
     if place + 8 > len(content):
         raise ValueError("an element is cut off")
     kind, length = struct.unpack_from(f"{order}II", content, place)
-    if kind >> 16:  # a short one, its length in the upper half, its data in the tag
+    if kind >> 16:  # short element: length in the upper half, data in the tag
         kind, length, start, after = kind & 0xFFFF, kind >> 16, place + 4, place + 8
         if length > 4:
             raise ValueError("a short element is long")

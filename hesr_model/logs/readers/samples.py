@@ -1,4 +1,4 @@
-"""What every kind of log file gives."""
+"""Samples of a log file, independent of its format."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,12 +15,12 @@ class LogSamples:
     Attributes
     ----------
     t : (N,) [s].
-    q, dq : (N, n); dq is None where the file holds no velocity.
+    q, dq : (N, n); dq is None if the file has no velocity.
     effort : (N, n), torque or current.
-    temperature : (N, n), None where the file holds none.
+    temperature : (N, n), None if the file has none.
     is_current : whether the effort is current.
-    time : how an error names where the time stands: a column, a topic.
-    place : how an error names the place of sample k: a row, a message.
+    time : place of the time in messages: a column, a topic.
+    place : place of sample k in messages: a row, a message.
     """
 
     t: Array
@@ -33,7 +33,7 @@ class LogSamples:
     temperature: Array | None = None
 
     def complete(self) -> "LogSamples":
-        """Return the samples without those that lack a number or repeat a stamp."""
+        """Return the samples without those that lack a number or repeat a time stamp."""
         columns = ("t", "q", "dq", "effort", "temperature")
         parts = [part for name in columns if (part := getattr(self, name)) is not None]
         rows = np.flatnonzero(np.all(np.isfinite(np.column_stack(parts)), axis=1))
