@@ -1,13 +1,13 @@
-"""Body and friction together, so that what is simulated is what was measured (output error).
+"""Joint refinement of body and friction by output error.
 
-Fits of torque weigh what errors do to the torque; a simulator integrates them twice. Here base
-parameters and coefficients are refined by the error of the position over windows, beside that of
-the torque, which keeps what windows do not see where it is (Gautier, Janot and Vandanjon 2013,
-"A new closed-loop output error method for parameter identification of robot dynamics", IEEE Trans.
-Control Syst. Technol. 21(2), DIDIM; here with friction that has a state, from many short windows).
+Fits of torque weigh errors of the torque; a simulator integrates them twice. Here base parameters
+and coefficients are refined by the position error over short windows. The torque error is part of
+the cost and keeps directions that the windows do not show (DIDIM: Gautier, Janot and Vandanjon
+2013, "A new closed-loop output error method for parameter identification of robot dynamics", IEEE
+Trans. Control Syst. Technol. 21(2); here with friction that has a state).
 
-Derivatives are differences through the simulation: all parameters are moved at once, each in a copy
-of all windows.
+Derivatives are finite differences: all parameters are varied at once, each in a copy of all
+windows.
 """
 
 from collections.abc import Sequence
@@ -27,18 +27,18 @@ from hesr_model.support.arrays import Array
 WINDOW = 0.5
 """Length of the windows [s]."""
 MOST_TORQUE = 1.02
-"""Largest ratio of any joint's torque error to that before."""
+"""Largest allowed ratio of any joint's torque error to that before."""
 
-_STEP = 1e-3  # of a parameter, relative to its size
-_TORQUE = 0.5  # weight of the torque's mean square beside the position's
-_DAMPING = (1e-3, 1e-2, 1e-1, 1.0, 1e1)  # tried in each round, relative to the curvature
-_MOST = 0.7  # change of any parameter, relative to its size or in its logarithm
-_SPREAD = 0.15  # of further starts, relative to the size of each parameter
-_LEAST = 1e-3  # share of the cost; a round that gains less is the last one
+_STEP = 1e-3  # finite-difference step, relative to the parameter
+_TORQUE = 0.5  # weight of the mean square torque error against that of the position
+_DAMPING = (1e-3, 1e-2, 1e-1, 1.0, 1e1)  # damping tried in each round, relative to the curvature
+_MOST = 0.7  # largest change of a parameter, relative or in its logarithm
+_SPREAD = 0.15  # spread of further starts, relative to each parameter
+_LEAST = 1e-3  # smallest relative gain of a round
 
 
 _SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
-"""Of the way to the optimum that are tried in the end."""
+"""Shares of the way to the optimum that are tried at the end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,9 +47,9 @@ class Refined:
 
     Attributes
     ----------
-    body, friction : refined; those given where nothing better was found.
-    ratio : of the position errors over the windows to those before, root of the mean square over
-        joints; 1 where nothing better was found.
+    body, friction : the refined ones, or the original ones if nothing better was found.
+    ratio : root mean square ratio of the position errors to those before; 1 if nothing better was
+        found.
     """
 
     body: RigidBody
@@ -67,15 +67,15 @@ def refine(
     starts: int = 3,
     seed: int = 0,
 ) -> Refined:
-    """Refine body and friction together by output error, from several starts.
+    """Refine body and friction jointly by output error, from several starts.
 
     Parameters
     ----------
-    robot, body, friction : what was identified from the logs.
-    motions : of the training logs.
-    rounds : Gauss-Newton steps, damped, from the best start.
-    starts : parameters as given, and so many less one with all of them moved at random.
-    seed : of the starts.
+    robot, body, friction : model and estimates from the logs.
+    motions : motions of the training logs.
+    rounds : damped Gauss-Newton steps from the best start.
+    starts : number of starts: the given parameters, and random variations of the friction.
+    seed : seed of the variations.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def refine(
     problem = _Problem(robot, body, friction, motions)
     rng = np.random.default_rng(seed)
     moved = rng.normal(scale=_SPREAD, size=(starts - 1, problem.size))
-    # A start leaves the body alone: least squares know it far better than by 15 %.
+    # Only friction varies: least squares determine the body far better than by 15 %.
     moved[:, : len(problem.columns)] = 0.0
     theta = np.vstack([np.zeros((1, problem.size)), moved])
     found = problem.costs(theta)
@@ -136,19 +136,19 @@ class _Problem:
         self._torque_sizes = _sizes(self._torque(still))
 
     def costs(self, theta: Array) -> Array:
-        """Return the cost of changes (S, size); of what cannot be simulated it is infinite."""
+        """Return the cost of changes (S, size); infinite if the simulation diverges."""
         with np.errstate(all="ignore"):
             found = [np.sum(np.square(row)) for row in self._rows(theta)]
         return np.where(np.isfinite(found), found, np.inf)
 
     def linearised(self, theta: Array) -> tuple[Array, Array]:
-        """Return residuals (M,) and their slopes (M, size), without unit."""
+        """Return residuals (M,) and their derivatives (M, size), without unit."""
         moved = np.vstack([theta, theta + _STEP * np.eye(self.size)])
         rows = np.array(self._rows(moved))
         return rows[0], (rows[1:] - rows[0]).T / _STEP
 
     def accepted(self, theta: Array) -> Refined:
-        """Return the furthest change towards `theta` to which no joint's torque objects."""
+        """Return the largest change towards `theta` that no joint's torque error forbids."""
         for share in _SHARES:
             change = share * theta
             torque = _sizes(self._torque(change))
@@ -160,19 +160,19 @@ class _Problem:
         return Refined(body=self._body, friction=self._friction, ratio=1.0)
 
     def _rows(self, theta: Array) -> list[Array]:
-        """Return the residuals (M,) of each of the changes (S, size)."""
+        """Return the residuals (M,) of each change in (S, size)."""
         positions = zip(self._position(theta), theta, strict=True)
         return [self._residuals(position, change) for position, change in positions]
 
     def _residuals(self, position: Array, theta: Array) -> Array:
-        """Return the errors of position and torque, each with a mean square of 1 before."""
+        """Return the errors of position and torque, each scaled to a mean square of 1 before."""
         scaled = (position / self._position_sizes).ravel()
         torque = (self._torque(theta) / self._torque_sizes).ravel()
         weight = np.sqrt(_TORQUE / torque.size)
         return np.concatenate([scaled / np.sqrt(scaled.size), weight * torque])
 
     def _position(self, theta: Array) -> Array:
-        """Return the errors of the position, (S, W, K + 1, n) [rad; m], for changes (S, size)."""
+        """Return the position errors, (S, W, K + 1, n) [rad; m], for changes (S, size)."""
         many, windows = len(theta), self._windows
         friction = [self._moved(change) for change in theta]
         count = len(windows.t)
@@ -195,7 +195,7 @@ class _Problem:
         return found.reshape(many, *windows.q.shape) - windows.q
 
     def _torque(self, theta: Array) -> Array:
-        """Return the errors of the torque over all rows of all logs, (N, n) [N.m; N]."""
+        """Return the torque errors over all rows of all logs, (N, n) [N.m; N]."""
         friction, found = self._moved(theta), []
         for log, loads in zip(self._logs, self._loads, strict=True):
             more = loads @ theta[: len(self.columns)]
@@ -212,12 +212,12 @@ class _Problem:
     def _moved(self, theta: Array) -> FrictionModel:
         values = [list(law.values.values()) for law in self._friction.laws]
         for (joint, number), change in zip(self._names, theta[len(self.columns) :], strict=True):
-            values[joint][number] *= np.exp(change)  # no coefficient changes its sign
+            values[joint][number] *= np.exp(change)  # keeps the sign of each coefficient
         laws = [
             replace(
                 law,
                 values=dict(zip(law.values, map(float, own), strict=True)),
-                standard_errors={},  # those of another estimate
+                standard_errors={},  # these belong to another estimate
             )
             for law, own in zip(self._friction.laws, values, strict=True)
         ]

@@ -1,13 +1,13 @@
-"""An identified body under measured torque and a friction law: where it moves.
+"""Simulation of an identified body with friction under measured torque.
 
     M(q) ddq + c(q, dq) + g(q) + tau_f = tau
 
-A law that grips within a few mrad is far stiffer than a log is sampled, so that friction is taken
-at the end of each inner step, as in a drive: with A = M^-1 the velocity v+ after a step h solves
+Presliding friction is far stiffer than the sample rate of a log, so friction is implicit in each
+inner step, as in a drive: with A = M^-1 the velocity v+ after a step h solves
 
     v+ + h A tau_f(v+) = v + h A (tau - c - g),  q+ = q + h v+.
 
-The body is linear enough over a row of the log: M, c and g are those of its middle.
+M, c and g are constant over a row of the log, evaluated in its middle.
 """
 
 from collections.abc import Sequence
@@ -25,14 +25,14 @@ from hesr_model.support.arrays import Array
 SUBSTEP = 2.5e-3
 """Longest inner step [s]."""
 
-_SWEEPS = 2  # over joints, whose friction acts on each other by the mass matrix
-_ITERATIONS = 12  # of a root
-_ROUNDING = 1e-6  # of an inner step, in the differences of times
-_PRECISION = 1e-10  # of a velocity [rad/s]
+_SWEEPS = 2  # sweeps over joints, coupled by the mass matrix
+_ITERATIONS = 12  # iterations of a root
+_ROUNDING = 1e-6  # round-off of time differences, in inner steps
+_PRECISION = 1e-10  # precision of a velocity [rad/s]
 
 
 def inner_steps(dt: Array) -> int:
-    """Return how many inner steps one of each of these lengths [s] has."""
+    """Return the number of inner steps for steps of these lengths [s]."""
     return int(np.ceil(dt.max() / SUBSTEP - _ROUNDING))
 
 
@@ -42,10 +42,10 @@ class Simulator:
 
     Attributes
     ----------
-    robot, parameters : the body, (P,) standard parameters, or (W, P) of each window its own.
-    friction : the law of each joint.
-    as_plant : take torque and friction from the beginning of each row and do not divide it, as
-        MuJoCo steps an arm: for logs of the twin at its own step.
+    robot, parameters : the body with (P,) standard parameters, or (W, P) for each window.
+    friction : law of each joint.
+    as_plant : whether to step explicitly and without inner steps, as MuJoCo steps an arm; for logs
+        of the twin at its own step.
     """
 
     robot: RobotModel
@@ -60,21 +60,21 @@ class Simulator:
         values: Sequence[Array] | None = None,
         states: Sequence[Array] | None = None,
     ) -> Array:
-        """Return the position over windows, (W, K + 1, n) [rad; m].
+        """Return the positions over windows, (W, K + 1, n) [rad; m].
 
         Parameters
         ----------
-        windows : where to start, and the torque.
-        values : (C, W) coefficients of each law for each window; the laws' own where not given.
-        states : (m, W) of each law at the start; run in along the logs where not given.
+        windows : start and torque of each window.
+        values : (C, W) coefficients of each law for each window; by default those of the laws.
+        states : (m, W) initial states of each law; by default run in along the logs.
 
         Raises
         ------
         SimulationError
-            If the mass matrix is not that of a body somewhere.
+            If the mass matrix is not positive definite.
         """
         q, v = windows.q[:, 0].copy(), windows.dq[:, 0].copy()
-        # MuJoCo's rates are those before a step: its states are a row behind a law's.
+        # MuJoCo uses the rates before a step, so its states lag a law's by one row.
         run_in = (
             windows.states(self.friction, delay=int(self.as_plant)) if states is None else states
         )
@@ -84,7 +84,7 @@ class Simulator:
         own = [None] * len(x) if values is None else values
         laws = [LawStepper(law, one) for law, one in zip(self.friction.laws, own, strict=True)]
         steps = np.diff(windows.t, axis=1)
-        with np.errstate(all="ignore"):  # what diverges is seen in the result
+        with np.errstate(all="ignore"):  # divergence shows in the result
             for k, dt in enumerate(steps.T):
                 middle = q if self.as_plant else q + 0.5 * dt[:, None] * v
                 inverse, bias = self._body(np.nan_to_num(middle), np.nan_to_num(v))
@@ -100,7 +100,7 @@ class Simulator:
         return found
 
     def _body(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return the inverse of the mass matrix, (W, n, n), and the torque without acceleration."""
+        """Return the inverse mass matrix, (W, n, n), and the torque without acceleration."""
         mass, bias = self.robot.dynamics(self.parameters, q, v)
         try:
             np.linalg.cholesky(mass)
@@ -113,7 +113,7 @@ class Simulator:
         return np.asarray(np.linalg.inv(mass), dtype=np.float64), bias
 
     def _at_friction(self, load: Array) -> tuple[Array, Array]:
-        """Return what turns motions into those of friction's coordinates, and the load there."""
+        """Return the map from joint motion to friction coordinates, and the load there."""
         coupling = self.friction.coupling
         if coupling is None:
             return np.eye(load.shape[1]), load
@@ -130,7 +130,7 @@ class Simulator:
         inverse: Array,
         load: Array,
     ) -> tuple[Array, Array]:
-        """Do one inner step; states `x` are moved in place."""
+        """Do one implicit inner step; update the states `x` in place."""
         forward, loads = self._at_friction(load)
         own = forward @ inverse @ forward.T
         free = v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau)
@@ -162,7 +162,7 @@ class Simulator:
         inverse: Array,
         load: Array,
     ) -> tuple[Array, Array]:
-        """Do one step as MuJoCo's Euler does: all forces and rates are those before it."""
+        """Do one explicit Euler step as MuJoCo does, with the forces and rates before it."""
         forward, loads = self._at_friction(load)
         p, u = q @ forward.T, v @ forward.T
         force, still = np.empty_like(u), np.zeros_like(h)
@@ -174,12 +174,12 @@ class Simulator:
 
 
 def position_errors(found: Array, windows: Windows) -> tuple[float | None, ...]:
-    """Return the RMS error of each joint's position over windows [rad; m]; None if it diverges.
+    """Return the RMS position error of each joint over windows [rad; m]; None if it diverges.
 
     Parameters
     ----------
     found : (W, K + 1, n) [rad; m].
-    windows : what was measured.
+    windows : measured motions.
     """
     with np.errstate(all="ignore"):
         error = np.sqrt(np.mean(np.square(found - windows.q), axis=(0, 1)))
@@ -196,10 +196,10 @@ def _root(
     gain: Array,
     start: Array,
 ) -> Array:
-    """Return the velocity s at which s + gain F(s) = target, (W,) [rad/s], by Illinois' method.
+    """Return the velocity s with s + gain F(s) = target, (W,) [rad/s], by the Illinois method.
 
-    The slope of the left side is at least about 1, since friction hardly falls within a step, so
-    that the root is less than twice the first residual away.
+    Friction hardly falls within a step, so the slope of the left side is at least about 1 and the
+    root is within twice the first residual.
     """
 
     def residual(s: Array) -> Array:

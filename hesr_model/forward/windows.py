@@ -1,4 +1,4 @@
-"""Windows of measured motions, from which a simulation starts again and again."""
+"""Windows of measured motions as starts of a simulation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -14,7 +14,7 @@ from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.support.arrays import Array
 
 RUN_IN = 1.0
-"""Of each log [s] before its first window: friction's state is run in along the measured motion."""
+"""Run-in of each log before its first window [s], for the friction states."""
 
 _SIGNALS = ("t", "q", "dq", "tau")
 
@@ -30,8 +30,8 @@ class Windows:
     ----------
     t : (W, K + 1) [s].
     q, dq, tau : (W, K + 1, n), measured [rad, rad/s, N.m; m, m/s, N].
-    places : of each window, the part of a log and the row in it where it begins.
-    logs : from which they are cut.
+    places : part of a log, and first row in it, of each window.
+    logs : source of the windows.
     """
 
     t: Array
@@ -42,10 +42,10 @@ class Windows:
     logs: Logs = field(repr=False)
 
     def states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
-        """Return the states of each law where the windows begin, (m, W) each.
+        """Return the states of each law at the starts of the windows, (m, W) each.
 
-        They are run in along the measured motion from the beginning of each log, and are those of
-        so many rows before (`delay`).
+        They are run in along the measured motion from the start of each log, and taken `delay` rows
+        earlier.
         """
         found: list[list[Array]] = [[] for _ in model.laws]
         for number, log in enumerate(self.logs):
@@ -55,18 +55,18 @@ class Windows:
         return [np.concatenate(parts, axis=1) for parts in found]
 
     def times(self, count: int) -> "Windows":
-        """Return the same windows so many times, one set after the other."""
+        """Return the windows repeated `count` times."""
         signals: dict[str, Any] = {s: np.concatenate([getattr(self, s)] * count) for s in _SIGNALS}
         return replace(self, **signals, places=self.places * count)
 
 
 def windows_of(logs: Logs, length: float) -> Windows:
-    """Cut logs into windows of a length [s], one after the other, behind their run-in.
+    """Cut logs into consecutive windows of a length [s], after their run-in.
 
     Raises
     ------
     SimulationError
-        If no log is long enough for one.
+        If no log is long enough.
     """
     times = [log[0].t for log in logs]
     steps = max(1, round(length / float(np.median(np.concatenate([np.diff(t) for t in times])))))
@@ -78,14 +78,13 @@ def windows_of(logs: Logs, length: float) -> Windows:
     if not places:
         names = ", ".join(dict.fromkeys(log[0].log for log in logs))
         raise SimulationError(
-            f"log {names}: too short for a window of {length:g} s behind {RUN_IN:g} s in which "
-            "friction runs in."
+            f"log {names}: too short for a window of {length:g} s after a run-in of {RUN_IN:g} s."
         )
     return _cut(logs, places, steps)
 
 
 def joined(sets: Sequence[Windows]) -> Windows:
-    """Return the windows of several sets, all of as many steps, as one set."""
+    """Join sets of windows with the same number of steps."""
     firsts = accumulate((len(w.logs) for w in sets), initial=0)
     return Windows(
         **{name: np.concatenate([getattr(w, name) for w in sets]) for name in _SIGNALS},
@@ -99,7 +98,7 @@ def joined(sets: Sequence[Windows]) -> Windows:
 
 
 def whole(log: Sequence[FrictionRecord]) -> Windows:
-    """Return a log, [joint], as one window without a run-in."""
+    """Return a log, [joint], as one window without run-in."""
     return _cut([log], [(0, 0)], len(log[0].t) - 1)
 
 

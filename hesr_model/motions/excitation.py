@@ -1,4 +1,4 @@
-"""Excitation design: Fourier motions whose rigid-body regressor is well conditioned (III-B)."""
+"""Excitation design: Fourier motions with a well-conditioned rigid-body regressor (III-B)."""
 
 from dataclasses import dataclass, replace
 
@@ -18,33 +18,33 @@ from hesr_model.support.config import Config
 from hesr_model.support.progress import Progress, counted, silent
 
 _SAMPLES = 400
-"""Per period; from 100 on the condition number of W_b changes by a per cent."""
+"""Samples per period; with 100 or more the condition number of W_b changes by a per cent."""
 
 _COARSE, _FINE = 1e2, 1e4
-"""Weights of what passes a limit, in the descents from all starts and in the last one."""
+"""Weights of exceeded limits, in the descents from all starts and in the last one."""
 
 _COARSE_STEPS, _FINE_STEPS = 100, 300
 
 _USUAL_RATE = 200.0
 
 _LARGE = 100.0
-"""Of a random motion before it is shrunk into the limits, relative to its joint's speed."""
+"""Size of a random motion before it is shrunk into the limits, relative to the joint's speed."""
 
 
 class ExcitationSettings(Config):
-    """What kind of motion is designed.
+    """Settings of the designed motion.
 
     Attributes
     ----------
-    harmonics : of the fundamental, at least 2: rest at the start takes one coefficient of each
+    harmonics : number of harmonics, at least 2: rest at the start takes one coefficient of each
         kind.
-    period : shortest and longest [s]; the fundamental is optimised in between.
-    periods : how many periods are run.
-    starts : random motions from which the search begins.
-    seed : of these.
-    sample_rate : of the setpoints [Hz]; a period is a whole number of them. By default the logs'
-        rate, and 200 where the robot file gives none.
-    limits : of the motion; `MotionLimits` says what holds where they are left out.
+    period : shortest and longest period [s]; optimised in between.
+    periods : number of periods.
+    starts : number of random starts of the search.
+    seed : seed of the starts.
+    sample_rate : rate of the setpoints [Hz]; a period is a whole number of them. By default the
+        logs' rate, or 200.
+    limits : limits of the motion; `MotionLimits` has the defaults.
     """
 
     harmonics: int = Field(default=10, ge=2)
@@ -70,9 +70,9 @@ class Excitation:
     Attributes
     ----------
     motion : at rest at both ends; `motion.time_reversed()` is its counterpart.
-    condition : of W_b, see `condition`.
-    sample_rate : of its setpoints [Hz].
-    limits : which the motion keeps.
+    condition : condition number of W_b, see `condition`.
+    sample_rate : rate of the setpoints [Hz].
+    limits : limits that the motion keeps.
     peak_torque : (n,) largest absolute torque [N.m] of the model file's rigid body, without
         friction.
     """
@@ -90,10 +90,9 @@ class Excitation:
 
 
 def condition(model: RobotModel, base: tuple[int, ...], motion: Fourier) -> float:
-    """Condition number of W_b: base columns of the regressor over one period, in SI, unscaled.
+    """Return the condition number of W_b: base columns over one period, in SI, unscaled.
 
-    Even samples of one period are stacked. Run backwards, a motion has the same W_b, because
-    rigid-body torque is even in velocity.
+    Time reversal leaves W_b unchanged, because rigid-body torque is even in velocity.
 
     Parameters
     ----------
@@ -110,16 +109,16 @@ def design(
     *,
     progress: Progress = silent,
 ) -> Excitation:
-    """Design the motion of least `condition` within limits.
+    """Design the motion with the smallest `condition` within limits.
 
-    From random admissible motions L-BFGS-B descends a smooth bound of the condition number in
-    which passing a limit is punished; the best of these motions is refined, and shrunk until
-    every limit holds at every instant.
+    From random admissible motions L-BFGS-B descends a smooth bound of the condition number with
+    penalties for exceeded limits. The best of these motions is refined, and shrunk until every
+    limit holds at every instant.
 
     Parameters
     ----------
-    settings : limits, harmonics, periods; the defaults where not given.
-    progress : told how many descents are done.
+    settings : limits, harmonics, periods; None for the defaults.
+    progress : called with the number of finished descents.
 
     Raises
     ------
@@ -156,7 +155,7 @@ def design(
 
 
 def _descend(search: Search, motion: Fourier, rest: Array, weight: float, steps: int) -> Fourier:
-    """Descend from a motion and bring what is found within the limits."""
+    """Descend from a motion and shrink the result into the limits."""
     found = minimize(
         search.value_and_gradient,
         search.pack(motion),
@@ -172,10 +171,10 @@ def _descend(search: Search, motion: Fourier, rest: Array, weight: float, steps:
 def random_motions(
     model: RobotModel, settings: ExcitationSettings, count: int, seed: int
 ) -> list[Fourier]:
-    """Draw motions within the same limits, each as large as they allow: what `design` must beat.
+    """Draw random motions within the same limits, as large as these allow.
 
-    Coefficients are normal numbers, projected onto those that start at rest; mean positions and
-    periods are uniform.
+    They are the reference for `design`. Coefficients are normal numbers, projected onto motions
+    that start at rest; mean positions and periods are uniform.
 
     Raises
     ------
@@ -200,7 +199,7 @@ def random_motions(
 
 
 def _require_speed(motion: Fourier, model: RobotModel) -> None:
-    """Check that every joint is as fast as identification needs."""
+    """Check that every joint is fast enough for identification."""
     _, dq, _ = one_period(motion)
     for joint, peak in zip(model.description.joints, np.abs(dq).max(axis=0), strict=True):
         if not peak > LEAST_PEAK:

@@ -1,9 +1,9 @@
-"""The search space of excitation design: its coordinates, its objective and the gradient of it.
+"""Search space of the excitation design: coordinates, objective and gradient.
 
 Position, velocity and acceleration of a Fourier motion are linear in its coefficients, and the
-regressor is a function of these three at one instant only. Its derivatives are therefore taken by
-one finite difference per joint and quantity, all instants at once, and everything else in closed
-form: a gradient costs 3 n + 1 regressors, whatever the number of coefficients.
+regressor depends on these three at one instant only. Its derivatives therefore need one finite
+difference per joint and quantity, for all instants at once; everything else has a closed form. A
+gradient costs 3 n + 1 regressors, whatever the number of coefficients.
 """
 
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array
 
 _INSTANTS = 12
-"""Per cycle of the highest harmonic, at least 120."""
+"""Instants per cycle of the highest harmonic; at least 120 per period."""
 
 _STEP = 1e-6
-"""Of finite differences; the regressor is smooth, linear in ddq and quadratic in dq."""
+"""Step of finite differences; the regressor is linear in ddq and quadratic in dq."""
 
 _ORDER = 8.0
-"""Of the norms of the eigenvalues, which bound the extreme ones and, unlike them, are smooth."""
+"""Order of the eigenvalue norms, which are smooth bounds of the extreme eigenvalues."""
 
 _SINGULAR = 1e-14
 
@@ -33,9 +33,9 @@ _SINGULAR = 1e-14
 class Search:
     """Fourier motions at rest at both ends, as vectors.
 
-    A vector holds, joint by joint, H - 1 coordinates of `a` and H - 1 of `b` in units of the
+    A vector contains, joint by joint, H - 1 coordinates of `a` and H - 1 of `b` in units of the
     joint's speed, then the mean positions from -1 to 1 within their limits, then ln(period).
-    Periods are those of a range [s].
+    `period` is the range of the periods [s].
     """
 
     model: RobotModel
@@ -64,7 +64,7 @@ class Search:
 
     @cached_property
     def _series(self) -> tuple[Array, Array, Array]:
-        """What q - offset, dq and ddq are for each coordinate of one joint, period 2 pi s."""
+        """Position less offset, dq and ddq for each coordinate of one joint, period 2 pi s."""
         count = max(_INSTANTS * self.harmonics, 120)
         orders = np.arange(1.0, self.harmonics + 1)
         phase = np.outer(2 * np.pi * np.arange(count) / count, orders)
@@ -93,10 +93,10 @@ class Search:
         )
 
     def value_and_gradient(self, x: Array, weight: float) -> tuple[float, Array]:
-        """Logarithm of a bound of cond(W_b), plus `weight` times the mean squared excess.
+        """Return the log of a bound of cond(W_b), plus `weight` times the mean squared excess.
 
-        The excess is what |q - middle|, |dq|, |ddq| and |tau| have above their limits, relative
-        to them. The gradient is by the coordinates x, (coordinates,) without unit.
+        The excess is the part of |q - middle|, |dq|, |ddq| and |tau| above their limits, relative
+        to them. The gradient is with respect to the coordinates x, (coordinates,) without unit.
         """
         shape, offset, period = self._split(x)
         rate = 2 * np.pi / period
@@ -124,7 +124,7 @@ class Search:
     def _of_regressor(
         self, state: tuple[Array, Array, Array], weight: float
     ) -> tuple[float, list[Array]]:
-        """Bound of cond(W_b) and excess of torque, with slopes in q, dq and ddq, (N, n) each."""
+        """Return the bound of cond(W_b) plus the torque excess, and derivatives by q, dq, ddq."""
         base = list(self.base)
         regressor = self.model.regressor(*state)
         value, of_columns = _log_condition(regressor[:, :, base])
@@ -165,17 +165,17 @@ def _null_space(row: Array) -> Array:
 
 
 def _excess(values: Array, limit: Array) -> tuple[float, Array]:
-    """Mean over the instants of the squared relative excess, summed over joints; its slopes."""
+    """Return the mean squared relative excess, summed over joints, and derivatives."""
     over = np.maximum(np.abs(values) / limit - 1.0, 0.0)
     slope = 2.0 * over * np.sign(values) / limit / len(values)
     return float(np.sum(over**2)) / len(values), slope
 
 
 def _log_condition(columns: Array) -> tuple[float, Array]:
-    """Logarithm of a bound of the condition number of stacked rows (N, n, P), with its slopes.
+    """Return the log of a bound of the condition number of rows (N, n, P), and derivatives.
 
-    With the eigenvalues l_i of W'W, cond(W)^2 = max l / min l is bounded by
-    (sum l_i^p)^(1/p) (sum l_i^-p)^(1/p).
+    With the eigenvalues l_i of W'W, cond(W)^2 = max l / min l is bounded by (sum l_i^p)^(1/p) (sum
+    l_i^-p)^(1/p).
     """
     rows = columns.reshape(-1, columns.shape[2])
     values, vectors = np.linalg.eigh(rows.T @ rows)

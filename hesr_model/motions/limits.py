@@ -1,4 +1,4 @@
-"""Limits of a motion, given by the user or taken from the model, and how they are kept."""
+"""Limits of a motion, from the user or the model, and motions shrunk into them."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Self
@@ -16,30 +16,30 @@ from hesr_model.support.config import Config
 Positive = Annotated[float, Field(gt=0)]
 
 _KEPT_FREE = 0.05
-"""Of a joint's range at either end, by default: no arm follows exactly."""
+"""Default margin at either end of a joint's range, as a share; no arm follows exactly."""
 
 _SECONDS_TO_FULL_SPEED = 1.0
-"""Model files know no acceleration; by default a joint may reach its speed in this time."""
+"""Default time in which a joint reaches its speed [s]; model files have no acceleration."""
 
 _MARGIN = 1e-3
-"""Of every limit, for peaks between the points at which a motion is looked at."""
+"""Margin of every limit for peaks between the evaluated points."""
 
 _HALVINGS = 12
 _RESTS = 4000
 
 
 class MotionLimits(Config):
-    """Limits of a motion, one entry per joint; what is left out comes from the model.
+    """Limits of a motion, one entry per joint; by default those of the model.
 
     Attributes
     ----------
     position : lowest and highest [rad or m]; by default the model's range without 5 % at either
         end.
-    velocity : [rad/s or m/s]; by default the model's, 2 where it has none.
-    acceleration : [rad/s2 or m/s2]; by default what reaches the velocity in one second.
-    torque : of the rigid body, friction not counted [N.m or N]; by default the model's effort
-        limit, none where it has none. It can be kept only as well as the model file's inertias are
-        known.
+    velocity : largest speed [rad/s or m/s]; by default the model's, or 2.
+    acceleration : largest acceleration [rad/s2 or m/s2]; by default it reaches the velocity in one
+        second.
+    torque : largest torque of the rigid body without friction [N.m or N]; by default the model's
+        effort limit, if any. It holds only as far as the model file's inertias are right.
     """
 
     position: tuple[tuple[float, float], ...] | None = None
@@ -66,7 +66,7 @@ class Limits:
     ----------
     lower, upper : position [rad or m].
     velocity, acceleration : absolute values [rad/s, rad/s2].
-    torque : absolute value [N.m or N]; infinite where there is none.
+    torque : absolute value [N.m or N]; infinite if there is no limit.
     """
 
     lower: Array
@@ -77,12 +77,12 @@ class Limits:
 
     @classmethod
     def of(cls, model: RobotModel, given: MotionLimits) -> Self:
-        """Fill what the user left out from the model.
+        """Return the limits, with the model's values for those that are None.
 
         Raises
         ------
         RobotError
-            If a list has not one entry per joint, or a position lies outside the joint's range.
+            If a list has not one entry per joint, or a position is outside the joint's range.
         """
         _require_one_per_joint(model, given)
         lowest, highest, speed = model.limits
@@ -100,16 +100,16 @@ class Limits:
         )
 
     def shrink(self, motion: Fourier, model: RobotModel, rest: Array) -> Fourier:
-        """Make a motion smaller until it keeps all limits, and leave one that does as it is.
+        """Shrink a motion until it keeps all limits; a motion within them is unchanged.
 
         Each joint's path is shrunk to its limits of position, velocity and acceleration and moved
-        into its range; then, for torque, all paths together towards the position `rest`, (n,)
+        into its range; then, for torque, all paths are shrunk towards the position `rest`, (n,)
         [rad].
 
         Raises
         ------
         FitError
-            If not even a very small motion about `rest` keeps the torque limits.
+            If not even a very small motion around `rest` keeps the torque limits.
         """
         inner = 1.0 - _MARGIN
         q, dq, ddq = one_period(motion)
@@ -151,19 +151,18 @@ class Limits:
             low, high = (middle, high) if keeps(middle) else (low, middle)
         if low == 0.0:
             raise FitError(
-                f"robot '{model.description.name}': the limits admit no motion, because "
-                "limits.torque leaves nothing for one beyond gravity even where that takes least; "
-                "larger torques are needed."
+                f"robot '{model.description.name}': the limits admit no motion: gravity alone "
+                "uses up limits.torque even at the best position; larger torques are needed."
             )
         return towards_rest(low)
 
     def rest(self, model: RobotModel) -> Array:
-        """Position (n,) [rad] where gravity takes the least share of the torque limits.
+        """Return the position (n,) [rad] with the smallest gravity relative to the torque limits.
 
         Raises
         ------
         FitError
-            If gravity alone passes a limit everywhere, so that no motion is admissible.
+            If gravity alone exceeds a limit everywhere.
         """
         places = np.random.default_rng(0).uniform(self.lower, self.upper, (_RESTS, model.n))
         places[0] = 0.5 * (self.lower + self.upper)
@@ -192,7 +191,7 @@ class Limits:
 
 
 def peak_torque(model: RobotModel, motion: Fourier) -> Array:
-    """Largest absolute torque (n,) [N.m] of the model file's rigid body, without friction."""
+    """Return the largest torque (n,) [N.m] of the model file's rigid body, without friction."""
     q, dq, ddq = one_period(motion)
     peaks: Array = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
     return peaks

@@ -1,6 +1,6 @@
 """Motions in closed form: Fourier series, sine, chirp and sweep.
 
-Every motion starts at rest; position, velocity and acceleration are exact, never differenced.
+Every motion starts at rest; position, velocity and acceleration are exact, without differencing.
 """
 
 from abc import ABC, abstractmethod
@@ -15,13 +15,13 @@ from hesr_model.logs.noise import standard_normal
 from hesr_model.support.arrays import Array
 
 _AT_REST = 1e-9
-"""[rad/s, rad/s2] Start values below this, relative to the largest coefficient, count as rest."""
+"""Start values [rad/s, rad/s2] that count as rest, relative to the largest coefficient."""
 
 _ROUNDING = 1e-9
-"""[s] By which a sum of steps may miss the end of a motion."""
+"""Allowed round-off of the end of a motion [s]."""
 
 _POINTS_PER_CYCLE = 256
-"""Of the highest harmonic; a peak found on this grid is low by 8e-5 of itself at most."""
+"""Points per cycle of the highest harmonic; peaks on this grid are low by at most 8e-5."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,11 +35,11 @@ class Trajectory(ABC):
 
     @abstractmethod
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration at the times `t`.
+        """Return position, velocity and acceleration at the times `t`.
 
         Parameters
         ----------
-        t : (N,) [s], from 0 to `duration`; outside, periodic motions go on and others rest.
+        t : (N,) [s], from 0 to `duration`; outside, periodic motions continue and others rest.
 
         Returns
         -------
@@ -54,11 +54,11 @@ class Trajectory(ABC):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reversed(Trajectory):
-    """A motion run backwards.
+    """A time-reversed motion.
 
     Attributes
     ----------
-    forward : the motion that is reversed.
+    forward : the original motion.
     """
 
     forward: Trajectory
@@ -69,12 +69,12 @@ class Reversed(Trajectory):
         return self.forward.duration
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration; see `Trajectory.sample`."""
+        """Return position, velocity and acceleration; see `Trajectory.sample`."""
         q, dq, ddq = self.forward.sample(self.duration - np.asarray(t))
         return q, -dq, ddq
 
     def time_reversed(self) -> Trajectory:
-        """Return the motion that was reversed."""
+        """Return the original motion."""
         return self.forward
 
 
@@ -93,13 +93,13 @@ class Fourier(Trajectory):
     ----------
     offset : (n,) mean position over a period [rad].
     a, b : (n, H) [rad/s].
-    period : [s].
-    periods : how many periods are run.
+    period : period [s].
+    periods : number of periods.
 
     Raises
     ------
     ConfigError
-        If a joint would not start at rest.
+        If a joint does not start at rest.
     """
 
     offset: Array
@@ -126,7 +126,7 @@ class Fourier(Trajectory):
         return self.periods * self.period
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration; see `Trajectory.sample`."""
+        """Return position, velocity and acceleration; see `Trajectory.sample`."""
         rates = 2 * np.pi / self.period * np.arange(1, self.a.shape[1] + 1)
         phase = np.outer(t, rates)
         cos, sin = np.cos(phase), np.sin(phase)
@@ -141,7 +141,7 @@ class Fourier(Trajectory):
 
 
 def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
-    """Position, velocity, acceleration at points as close as peaks need, (N, n) in SI units."""
+    """Return position, velocity and acceleration on a grid that resolves peaks, (N, n) in SI."""
     points = _POINTS_PER_CYCLE * motion.a.shape[1]
     return motion.sample(np.linspace(0.0, motion.period, points, endpoint=False))
 
@@ -155,9 +155,9 @@ class Sine(Trajectory):
     Attributes
     ----------
     offset : (n,) mean position [rad].
-    amplitude : (n,) peak velocity [rad/s]; 0 for a joint that stays at its offset.
-    frequency : [Hz].
-    periods : how many periods are run.
+    amplitude : (n,) peak velocity [rad/s]; 0 for a resting joint.
+    frequency : frequency [Hz].
+    periods : number of periods.
     """
 
     offset: Array
@@ -171,7 +171,7 @@ class Sine(Trajectory):
         return self.periods / self.frequency
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration; see `Trajectory.sample`."""
+        """Return position, velocity and acceleration; see `Trajectory.sample`."""
         rate = 2 * np.pi * self.frequency
         cos, sin = np.cos(rate * np.asarray(t)), np.sin(rate * np.asarray(t))
         q = self.offset - np.outer(cos, self.amplitude / rate)
@@ -180,7 +180,7 @@ class Sine(Trajectory):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sweep(Trajectory):
-    """Rising frequency under an amplitude that swells and ebbs.
+    """Rising frequency with a varying amplitude.
 
     In formulas::
 
@@ -193,12 +193,12 @@ class Sweep(Trajectory):
     Attributes
     ----------
     start : (n,) position at t = 0 [rad].
-    amplitude, swing : (n,) mean and variation of the peak velocity [rad/s]; both 0 for a joint that
-        rests.
-    phase : (n,) of the swing [rad].
-    swing_period : [s].
+    amplitude, swing : (n,) mean and variation of the peak velocity [rad/s]; both 0 for a resting
+        joint.
+    phase : (n,) phase of the variation [rad].
+    swing_period : period of the variation [s].
     first, last : frequencies at the start and at the end [Hz], last > first.
-    length : of the sweep [s].
+    length : duration of the sweep [s].
 
     Raises
     ------
@@ -227,7 +227,7 @@ class Sweep(Trajectory):
         return self.length
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration; see `Trajectory.sample`."""
+        """Return position, velocity and acceleration; see `Trajectory.sample`."""
         asked = np.asarray(t, dtype=float)[:, None]
         time = np.clip(asked, 0.0, self.length)
         moves = np.abs(asked - time) <= _ROUNDING
@@ -277,8 +277,8 @@ def random_fourier(
 ) -> Fourier:
     """Draw a Fourier motion with given peak velocities.
 
-    The coefficients are normal numbers of `hesr_model.logs.noise`, so that a seed means the same
-    motion on every machine, projected onto those that start at rest and scaled.
+    The coefficients are normal numbers of `hesr_model.logs.noise`, so a seed gives the same motion
+    on every machine. They are projected onto motions that start at rest, and scaled.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Identification motion by motion: memory does not grow with the logs.
+"""Identification motion by motion, with bounded memory.
 
-What least squares needs of all rows is the triangular factor of each friction coordinate's block
-(Golub and Van Loan, Matrix Computations, sec. 5.3 and 6.5), to which the rows of one motion are
-added at a time. The estimate is that of `identification.identify` up to rounding. Its covariance
-needs every row at the estimate; here it is that of a sample of the rows, on the safe side.
+Least squares needs only the triangular factor of each friction coordinate's block (Golub and Van
+Loan, Matrix Computations, sec. 5.3 and 6.5), to which the rows of one motion are added at a time.
+The estimate equals that of `identification.identify` up to round-off. The exact covariance needs
+every row; here a sample of the rows gives a conservative one.
 """
 
 from collections.abc import Sequence
@@ -36,18 +36,18 @@ from hesr_model.support.arrays import Array
 
 
 class Streamed:
-    """The stacked problem of a robot, as it grows.
+    """The growing stacked problem of a robot.
 
     Parameters
     ----------
-    model : of the robot.
+    model : the robot.
     slow : (n,) [rad/s] speeds below which rows of a friction coordinate are dropped. They follow
-        from the peak speeds of all motions, `slow`, which are known at the end; `fits` says whether
-        these were the ones.
+        from the peak speeds of all motions, which are known at the end; `fits` compares them with
+        `slow`.
 
     Attributes
     ----------
-    rows : samples so far.
+    rows : number of samples so far.
     """
 
     def __init__(self, model: RobotModel, slow: Array | None = None) -> None:
@@ -67,7 +67,7 @@ class Streamed:
 
     @property
     def fits(self) -> bool:
-        """Whether those rows were dropped; if not, the motions are to be added once more."""
+        """Whether those rows were dropped; if not, the motions must be added once more."""
         return np.array_equal(self.slow, self._used)
 
     def add(self, motion: Motion) -> None:
@@ -88,8 +88,8 @@ class Streamed:
 
         Parameters
         ----------
-        sample : motions (N, n) of which the covariance is, and parts of which were added.
-        where : names the logs in an error.
+        sample : motions (N, n) for the covariance; they are parts of those added.
+        where : name of the logs in messages.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Base parameters: which columns of the regressor are independent, and what carries the others."""
+"""Base parameters: independent columns of the regressor, and their relation to all columns."""
 
 import numpy as np
 from scipy.linalg import qr
@@ -11,14 +11,14 @@ _RANDOM_STATES = 300
 
 
 def base_columns(model: RobotModel) -> tuple[int, ...]:
-    """Find a largest set of independent columns of the regressor; indices, in their order.
+    """Return the indices of a largest set of independent columns of the regressor, in order.
 
-    Pivoted QR of the regressor stacked over random states within the joints' limits, columns
-    scaled to unit length: the rank does not depend on a log, nor on units.
+    Pivoted QR of the regressor at random states within the joints' limits, with columns of unit
+    length: the rank depends neither on a log nor on units.
     """
     columns = at_random_states(model)
     lengths = np.linalg.norm(columns, axis=0)
-    # A column of nothing but rounding errors must not be scaled up to a full one.
+    # A column of round-off must not be scaled up to a full one.
     columns[:, lengths < _RANK_TOLERANCE * np.max(lengths)] = 0.0
     lengths[lengths == 0.0] = 1.0
     _, r, order = qr(columns / lengths, mode="economic", pivoting=True)
@@ -28,7 +28,7 @@ def base_columns(model: RobotModel) -> tuple[int, ...]:
 
 
 def dependence(model: RobotModel, base: tuple[int, ...]) -> Array:
-    """Matrix K (len(base), P) by which base columns carry all columns: Y = Y_b K.
+    """Return the matrix K (len(base), P) that maps all parameters onto base parameters: Y = Y_b K.
 
     Standard parameters pi and base parameters K pi give the same torque. K (without unit within a
     kind of parameter) has the rows of `base`.
@@ -38,12 +38,10 @@ def dependence(model: RobotModel, base: tuple[int, ...]) -> Array:
 
 
 def offsets_apart(model: RobotModel, base: tuple[int, ...]) -> Mask:
-    """Whether a constant torque [N.m] of each joint is told from those of the base columns, (n,).
+    """Return whether a constant torque of each joint is independent of the base columns, (n,).
 
-    Of each friction coordinate, where joints are coupled.
-
-    It is not where gravity is constant, as on a vertical sliding joint: a weight and an offset of
-    friction then are one number, whatever the motion.
+    For coupled joints, of each friction coordinate. It is not if gravity is constant, as on a
+    vertical sliding joint: a weight and a friction offset are then one number.
     """
     columns = at_random_states(model)[:, list(base)]
     coupling = model.description.coupling
@@ -54,9 +52,9 @@ def offsets_apart(model: RobotModel, base: tuple[int, ...]) -> Mask:
 
 
 def at_random_states(model: RobotModel) -> Array:
-    """Regressor stacked over random states within the joints' limits, (samples * n, P).
+    """Return the regressor at random states within the joints' limits, (samples * n, P).
 
-    Its column of a parameter is in [N.m] per unit of that parameter.
+    The column of a parameter is in [N.m] per unit of that parameter.
     """
     rng = np.random.default_rng(0)
     lower, upper, speed = model.limits

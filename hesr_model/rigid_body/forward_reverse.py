@@ -1,4 +1,4 @@
-"""A motion and its time-reversed counterpart, matched position by position (section III-B)."""
+"""A motion and its time-reversed counterpart, matched by position (section III-B)."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,15 +11,15 @@ from hesr_model.logs.signals import Motion
 from hesr_model.support.arrays import Array, Mask
 
 _LONGEST_SHIFT = 0.5
-"""[s] Latencies of command and measurement, which reversal does not cancel."""
+"""Largest latency of command and measurement, which reversal does not cancel [s]."""
 
 _LARGEST_MISMATCH = 0.1
-"""[rad] Mean over the motion; tracking errors of 20 mrad do no harm."""
+"""Largest mean position mismatch [rad]; tracking errors of 20 mrad are harmless."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pair:
-    """A motion and its counterpart at the same positions: row k of one belongs to row k of both."""
+    """A motion and its counterpart at the same positions, row by row."""
 
     forward: Motion
     backward: Motion
@@ -28,12 +28,13 @@ class Pair:
 def matched(forward: Motion, backward: Motion) -> Pair:
     """Match a motion with its time-reversed counterpart.
 
-    The counterpart is read at the mirrored time, shifted by what brings the positions closest.
+    The counterpart is evaluated at the mirrored time, with the shift that best matches the
+    positions.
 
     Raises
     ------
     FitError
-        If no shift brings the positions together.
+        If no shift matches the positions.
     """
     period = float(np.median(np.diff(forward.t)))
     count = int(_LONGEST_SHIFT / period)
@@ -66,7 +67,7 @@ def _covered(times: Array, t: Array) -> Mask:
 
 
 def _at(motion: Motion, times: Array) -> Motion:
-    """Read a motion at other times; the raw signals are read linearly."""
+    """Interpolate a motion at other times; raw signals linearly."""
     orders = {"q": 3, "dq": 3, "ddq": 3, "tau": 1, "q_raw": 1}
     read: dict[str, Any] = {
         name: make_interp_spline(motion.t, getattr(motion, name), k=order)(times)

@@ -42,13 +42,13 @@ Method = Literal["stacked", "paper"]
 Weighting = Literal["wls", "ols"]
 
 LEAST_PEAK = 0.02
-"""[rad/s, m/s] A joint that is never faster tells nothing of its inertia."""
+"""Peak speed below which a joint does not determine its inertia [rad/s, m/s]."""
 
 _MATTERS = 1e-2
-"""Of the largest error of the torque over all states: smaller ones are not carried on."""
+"""Torque errors below this share of the largest are not propagated."""
 
 AT_ONCE = 4096
-"""Samples whose regressor is held at a time."""
+"""Number of samples per regressor evaluation."""
 
 _log = logging.getLogger(__name__)
 
@@ -59,24 +59,24 @@ class RigidBody:
 
     Attributes
     ----------
-    robot, joints : whose parameters they are.
-    names, parameters : all standard parameters (P,) and rotor inertias. As a rule those outside
-        `base` are zero; not so in a physically consistent body, nor in one that carries a payload.
-    base : indices of the base parameters, which carry the others linearly (eq. 6).
-    standard_errors : of the base parameters, (len(base),), what the parameters outside `base` add
-        to them included: the roots of the covariance's diagonal.
+    robot, joints : name of the robot and of its joints.
+    names, parameters : all standard parameters (P,) and rotor inertias. Parameters outside `base`
+        are zero, except in physically consistent bodies and bodies with a payload.
+    base : indices of the base parameters, to which all others reduce linearly (eq. 6).
+    standard_errors : standard errors of the base parameters, (len(base),), the contribution of the
+        others included.
     condition : condition number of the weighted observation matrix, each column relative to its
         size over random states of the robot.
     ridge : weight of the pull towards zero on that scale, relative to the largest singular value; 0
-        where the data needed none.
-    friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit: what
-        was estimated along with the parameters, not the friction model. Zero by the paper's method.
-        At friction coordinates (`robots.transmission`), as a rule the joints.
-    rmse : (n,) [N.m] residual of the fit over the rows it used, there, too.
-    rows : samples that were offered to the fit.
+        if not needed.
+    friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit at
+        friction coordinates (`robots.transmission`); not the friction model. Zero with the paper's
+        method.
+    rmse : (n,) [N.m] residual of the fit at friction coordinates, over the rows used.
+    rows : number of samples offered to the fit.
     logs : names of the logs.
     physical : whether the parameters are those of bodies of positive mass density.
-    covariance : of the base parameters; None in results of earlier versions.
+    covariance : covariance of the base parameters; None in results of earlier versions.
     provenance : JSON data: input files with hashes, seed and versions.
     """
 
@@ -136,22 +136,22 @@ class RigidBody:
         return html.table(f"Rigid body of '{self.robot}', {self.method}", head, rows)
 
     def torque(self, model: RobotModel, motion: Motion) -> Array:
-        """Rigid-body torque Y_b pi_b (eq. 6) over a motion, (N, n) [N.m].
+        """Return the rigid-body torque Y_b pi_b (eq. 6) over a motion, (N, n) [N.m].
 
         Raises
         ------
         RobotError
-            If `model` is of another robot than the one identified.
+            If `model` is another robot than the identified one.
         """
         return model.torque(self.parameters_for(model), motion.q, motion.dq, motion.ddq)
 
     def parameters_for(self, model: RobotModel) -> Array:
-        """Return the parameters (P,), once they are known to be those of a robot.
+        """Return the parameters (P,) after checking that they belong to a robot.
 
         Raises
         ------
         RobotError
-            If `model` is of another robot than the one identified.
+            If `model` is another robot than the identified one.
         """
         if self.names != model.parameter_names:
             raise RobotError(
@@ -162,10 +162,10 @@ class RigidBody:
         return self.parameters
 
     def torque_spread(self, model: RobotModel, motion: Motion) -> Array | None:
-        """Return by how much the torque over a motion is off, (N, n, r) [N.m].
+        """Return the uncertainty of the torque over a motion, (N, n, r) [N.m].
 
-        For one standard deviation of each of the r independent errors of the parameters that
-        matter; None where their covariance is not known.
+        The columns are the torque errors for one standard deviation of each of the r independent
+        parameter errors that matter; None if the covariance is unknown.
         """
         if self.covariance is None:
             return None
@@ -182,10 +182,10 @@ class RigidBody:
 
     @model_serializer(mode="wrap")
     def _by_name(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """In JSON, parameters stand under their names, some of which `base` names."""
+        """Serialise parameters, and `base`, by name."""
         data: dict[str, Any] = serialise(self)
         names = data.pop("names")
-        if data["covariance"] is None:  # as in files of versions that knew none
+        if data["covariance"] is None:  # version 1 has no such key
             del data["covariance"]
         data["parameters"] = dict(zip(names, data["parameters"], strict=True))
         return data | {"base": [names[k] for k in self.base]}
@@ -336,7 +336,8 @@ def _consistent(
 def scale_of(model: RobotModel, base: tuple[int, ...], friction: Mask) -> Array:
     """Return the size of each column [N.m] for `least_squares.solve`, base columns first.
 
-    Those of friction, of which (n, 3) `friction` says which there are, are 1 N.m and 1 N.m.s/rad.
+    Friction columns, of the coefficients selected by `friction` (n, 3), have size 1 N.m and 1
+    N.m.s/rad.
     """
     rigid = np.sqrt(np.mean(at_random_states(model)[:, list(base)] ** 2, axis=0))
     return np.concatenate([rigid, np.ones(int(np.sum(friction)))])
@@ -354,8 +355,8 @@ def body_of(
     method: Method,
     weighting: Weighting,
 ) -> RigidBody:
-    """Return the rigid body of a solution, of whose unknowns the base parameters come first."""
-    # Of friction's columns no name is needed: only the base parameters' part is kept.
+    """Return the rigid body of a solution; its first unknowns are the base parameters."""
+    # Drop the friction columns.
     covariance = covariance.mapped(
         [model.parameter_names[k] for k in base], np.eye(len(base), len(solution.x))
     )
@@ -381,7 +382,7 @@ def body_of(
 
 
 def tell_ridge(where: str, solution: Solution) -> None:
-    """Warn of a solution that the motion does not determine by itself."""
+    """Warn if a ridge was needed."""
     if solution.ridge:
         _log.warning(
             "%s: the motion does not determine all parameters (condition number %.2g); "
@@ -393,7 +394,7 @@ def tell_ridge(where: str, solution: Solution) -> None:
 
 
 def require_samples(where: str, rows: int, unknowns: int) -> None:
-    """Check that there are as many samples as unknowns.
+    """Check that there are at least as many samples as unknowns.
 
     Raises
     ------
@@ -413,7 +414,7 @@ def require_speed(where: str, peaks: Array, model: RobotModel) -> None:
     Raises
     ------
     FitError
-        If one hardly moves.
+        If a joint hardly moves.
     """
     for joint, peak in zip(model.description.joints, peaks, strict=True):
         if not peak > LEAST_PEAK:

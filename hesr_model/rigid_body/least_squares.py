@@ -1,4 +1,4 @@
-"""Weighted linear least squares over blocks of rows of unlike noise."""
+"""Weighted linear least squares over blocks of rows with different noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,10 +11,10 @@ from hesr_model.support.arrays import Array, Integers
 
 _REWEIGHTINGS = 2
 _HUGE_CONDITION = 1e3
-"""Motions made for identification stay below some hundreds."""
+"""Condition number above which a ridge is needed; identification motions have some hundreds."""
 
 _RIDGE = 3e-3
-"""Relative to the largest singular value; best on measured logs that are too short or too poor."""
+"""Ridge relative to the largest singular value; best on short and poorly exciting measured logs."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,7 +24,7 @@ class Block:
     Attributes
     ----------
     matrix, target : (N, P) and (N,).
-    samples : (N,) number of the sample that each row is of; blocks share samples.
+    samples : (N,) number of each row's sample; blocks share samples.
     """
 
     matrix: Array
@@ -34,20 +34,20 @@ class Block:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Factor:
-    """All that a solution needs of a block, however many rows it has.
+    """The part of a block that a solution needs, of bounded size.
 
     Attributes
     ----------
-    triangle : (P + 1, P + 1) triangular factor of [matrix, target]: a few rows that have the same
-        squared residuals.
-    rows : that it stands for.
+    triangle : (P + 1, P + 1) triangular factor of [matrix, target]; it has the same squared
+        residuals.
+    rows : number of rows of the block.
     """
 
     triangle: Array
     rows: int = 0
 
     def with_rows(self, block: Block) -> "Factor":
-        """Return the factor of the rows so far and those of a block, without holding both."""
+        """Return the factor of the present rows and those of a block."""
         below = np.column_stack([block.matrix, block.target])
         (factor,) = qr(np.concatenate([self.triangle, below]), mode="r", check_finite=False)
         return Factor(
@@ -62,16 +62,16 @@ class Factor:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """Unknowns of a least-squares problem, and how well posed it was.
+    """Unknowns of a least-squares problem, and its conditioning.
 
     Attributes
     ----------
     x : (P,) unknowns, in their units.
-    condition : of the weighted matrix, columns divided by their scales.
+    condition : condition number of the weighted matrix, columns divided by their scales.
     ridge : weight of the pull of the scaled unknowns towards zero, relative to the largest singular
-        value; 0 where none was needed.
-    pull : (P,) what one unit of each unknown costs by it, beside the weighted residuals.
-    weights : of each block.
+        value; 0 if not needed.
+    pull : (P,) cost of one unit of each unknown due to the ridge.
+    weights : weight of each block.
     rmse : residual of each block.
     """
 
@@ -84,26 +84,25 @@ class Solution:
 
 
 def solve(blocks: Sequence[Block], *, scale: Array, weighted: bool) -> Solution:
-    """Least squares over all blocks, each divided by its residual's size if `weighted`.
+    """Solve least squares over all blocks, each divided by its residual's size if `weighted`.
 
-    Weights start equal and follow from the residuals, twice. A ridge is added only where the
-    condition number passes 1e3.
+    Weights start equal and follow from the residuals, twice. A ridge is added only if the condition
+    number exceeds 1e3.
 
     Parameters
     ----------
-    scale : (P,) size that each column usually has. It must not come from the data: a column that
-        the data hardly excite, scaled up to the others, would get a huge coefficient. In the
-        column's unit, [N.m] per unit of its parameter.
+    scale : (P,) usual size of each column, [N.m] per unit of its parameter. It must not come from
+        the data: a hardly excited column, scaled up to the others, would get a huge coefficient.
     """
     return solve_factors([Factor.of(block) for block in blocks], scale=scale, weighted=weighted)
 
 
 def solve_factors(factors: Sequence[Factor], *, scale: Array, weighted: bool) -> Solution:
-    """Do what `solve` does with blocks, of which only their factors are left; `scale` as there."""
+    """Solve as `solve` does, from the factors of the blocks."""
     weights = np.ones(len(factors))
     solution = _solve(factors, weights, scale)
     for _ in range(_REWEIGHTINGS if weighted else 0):
-        # A block that is matched exactly must not get an infinite weight.
+        # A block with an exact fit must not get an infinite weight.
         floor = 1e-6 * float(np.max(solution.rmse)) or 1.0
         weights = 1.0 / np.maximum(solution.rmse, floor)
         solution = _solve(factors, weights, scale)
@@ -115,13 +114,13 @@ def covariance_of(
     solution: Solution,
     labels: Integers,
 ) -> Covariance:
-    """Return the covariance of a solution, residuals of all blocks at one sample taken together.
+    """Return the covariance of a solution, residuals of all blocks at one sample summed.
 
-    The unknowns have no names in it: those are given to what is made of them, by `mapped`.
+    Its unknowns have no names; `mapped` gives them.
 
     Parameters
     ----------
-    blocks, solution : the problem and what was found; the blocks know their samples.
+    blocks, solution : the problem and its solution.
     labels : (samples,) number of the log of each sample.
     """
     labels = blocks_of_time(labels)
@@ -147,7 +146,7 @@ def _solve(factors: Sequence[Factor], weights: Array, scale: Array) -> Solution:
     rows = np.concatenate([w * factor for w, factor in zip(weights, triangles, strict=True)])
     matrix, target = rows[:, :-1], rows[:, -1]
     u, s, vt = np.linalg.svd(matrix / scale, full_matrices=False)
-    # Beyond 1/eps a condition number says only that the matrix is singular.
+    # Beyond 1/eps a condition number only shows that the matrix is singular.
     condition = float(s[0] / max(s[-1], np.finfo(float).eps * s[0]))
     ridge = _RIDGE if condition > _HUGE_CONDITION else 0.0
     pull = ridge * s[0]

@@ -14,31 +14,31 @@ from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Integers, Mask
 
 SLOW = 0.1
-"""[rad/s, m/s] Slower rows of a joint are dropped: friction there is no function of velocity."""
+"""Speed below which rows are dropped [rad/s, m/s]: friction is no function of velocity there."""
 
 SLOW_SHARE = 0.25
-"""Of a joint's peak speed: for joints that hardly pass `SLOW`, such as a lift, less is slow."""
+"""Upper bound of `SLOW` as a share of a joint's peak speed, for slow joints such as lifts."""
 
 
 def rubbing_speeds(motions: Sequence[Motion], model: RobotModel) -> Array:
-    """Velocities of the friction coordinates over all motions, (N, n) [rad/s; m/s]."""
+    """Return the velocities of the friction coordinates over all motions, (N, n) [rad/s; m/s]."""
     return onto(model.description.coupling, np.concatenate([motion.dq for motion in motions]))
 
 
 def slow_speeds(motions: Sequence[Motion], model: RobotModel) -> Array:
-    """Speed (n,) [rad/s] below which the rows of a friction coordinate are dropped."""
+    """Return the speeds (n,) [rad/s] below which rows of a friction coordinate are dropped."""
     return slow_of(np.max(np.abs(rubbing_speeds(motions, model)), axis=0))
 
 
 def slow_of(fastest: Array) -> Array:
-    """Return the same (n,) [rad/s] for joints whose peak speeds (n,) are known."""
+    """Return the same (n,) [rad/s] from peak speeds (n,)."""
     return np.minimum(SLOW, SLOW_SHARE * fastest)
 
 
 def friction_columns(model: RobotModel, base: tuple[int, ...]) -> Mask:
-    """Which of Coulomb, viscous and offset of each joint stand beside the base columns, (n, 3).
+    """Return the Coulomb, viscous and offset columns that each joint has, (n, 3).
 
-    All but offsets [N.m] that are one number with a weight (`base_parameters.offsets_apart`).
+    An offset [N.m] is left out if a weight is the same number (`base_parameters.offsets_apart`).
     """
     columns = np.ones((model.n, 3), dtype=bool)
     columns[:, 2] = offsets_apart(model, base)
@@ -46,20 +46,19 @@ def friction_columns(model: RobotModel, base: tuple[int, ...]) -> Mask:
 
 
 def logs_of(motions: Sequence[Motion]) -> Integers:
-    """Return the number of the log (N,) of each sample of all motions; parts of a log share it."""
+    """Return the log number (N,) of each sample of all motions; parts of a log share it."""
     names = list(dict.fromkeys(motion.name for motion in motions))
     numbers = [names.index(motion.name) for motion in motions]
     return np.repeat(numbers, [len(motion.t) for motion in motions])
 
 
 def per_joint(found: Array, friction: Mask) -> Array:
-    """Return coefficients of friction by joint, (n, 3), zero where there are no columns.
+    """Return friction coefficients by joint, (n, 3), zero without a column.
 
     Parameters
     ----------
-    found : (columns,) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m], of the columns there
-        are.
-    friction : (n, 3) which those are.
+    found : (columns,) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the existing columns.
+    friction : (n, 3) existing columns.
     """
     coefficients = np.zeros(friction.shape)
     coefficients[friction] = found
@@ -73,13 +72,13 @@ def stacked(
     friction: Mask,
     slow: Array | None = None,
 ) -> list[Block]:
-    """One block per friction coordinate, as a rule a joint: base columns, then those of friction.
+    """Return one block per friction coordinate: base columns, then friction columns.
 
     Parameters
     ----------
     base : columns of the regressor.
-    friction : (n, 3) which of Coulomb, viscous and offset each joint has; see `friction_columns`.
-    slow : (n,) [rad/s] speed below which rows are dropped; `slow_speeds` of the motions by default.
+    friction : (n, 3) Coulomb, viscous and offset columns of each joint; see `friction_columns`.
+    slow : (n,) [rad/s] speed below which rows are dropped; by default `slow_speeds` of the motions.
     """
     n = model.n
     q, dq, ddq, tau = (
@@ -108,7 +107,9 @@ def averaged(
     model: RobotModel,
     base: tuple[int, ...],
 ) -> list[Block]:
-    """One block per friction coordinate: means of forward and reversed rows of opposite velocity.
+    """Return one block per friction coordinate: means of forward and reversed rows.
+
+    Only rows of opposite velocity are used.
 
     Raises
     ------

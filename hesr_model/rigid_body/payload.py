@@ -1,12 +1,12 @@
-"""Payload: the ten inertial parameters of what the last link carries, from logs under load.
+"""Payload: the ten inertial parameters of a load on the last link, from logs under load.
 
-With an unloaded rigid body known, what a payload adds to the torque is linear in its parameters,
-with the regressor's ten columns of the last link (eq. 5)::
+With a known unloaded rigid body, the additional torque is linear in the payload's parameters, with
+the regressor's ten columns of the last link (eq. 5)::
 
     tau - Y pi_unloaded = Y_last pi_payload + friction
 
-They are independent for any robot whose last link turns freely enough, so that mass, centre of
-mass and inertia are all found. Friction has columns of its own, because a load changes it.
+They are independent if the last link turns freely enough, so mass, centre of mass and inertia are
+all determined. Friction has its own columns, because a load changes it.
 """
 
 from collections.abc import Sequence
@@ -30,13 +30,17 @@ from hesr_model.robots.robot import LINK_PARAMETERS, RobotModel
 from hesr_model.support.arrays import Array, Integers
 
 _SEGMENT = 1.0
-"""[s] Residuals further apart than this are taken as independent. On measured logs without payload
-the estimated mass was then within 1.1 standard errors of zero; with single rows up to 5."""
+"""Duration after which residuals count as independent [s].
+
+On measured logs without payload the mass was then within 1.1 standard errors of zero; with single
+rows up to 5.
+"""
 
 _LEAST_SEGMENTS = 10
 
 _SIGNIFICANT = 4.0
-"""Standard errors. On logs of the twin without payload up to 3.4 were found."""
+"""Significance threshold of the mass in standard errors; logs of the twin without payload had 3.4.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,12 +51,12 @@ class Payload:
     ----------
     parameters : (10,) as in `robot.LINK_PARAMETERS`, in the frame of the last joint [kg, kg.m,
         kg.m2].
-    covariance : (10, 10) of them: from residuals, those within a second being alike, and from the
-        standard errors of the unloaded rigid body.
-    condition : of the weighted observation matrix, as in `RigidBody`.
+    covariance : (10, 10) from residuals, correlated within a second, and from the standard errors
+        of the unloaded rigid body.
+    condition : condition number of the weighted observation matrix, as in `RigidBody`.
     friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] under load.
-    rmse : (n,) [N.m] residual over the rows that were used.
-    rows : samples that were offered to the fit.
+    rmse : (n,) [N.m] residual over the rows used.
+    rows : number of samples offered to the fit.
     logs : names of the logs.
     """
 
@@ -80,7 +84,7 @@ class Payload:
         return self.parameters[1:4] / self.mass
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, strings and lists, for JSON."""
+        """Return JSON data."""
         return {
             "parameters": dict(zip(LINK_PARAMETERS, self.parameters.tolist(), strict=True)),
             "standard_errors": self.standard_errors.tolist(),
@@ -93,14 +97,14 @@ class Payload:
 
 
 def identify_payload(logs: Sequence[RobotLog], model: RobotModel, unloaded: RigidBody) -> Payload:
-    """Identify the payload that the last link carries in the logs.
+    """Identify the payload on the last link from logs.
 
     Raises
     ------
     LogError
         If a joint moves in none of the logs, or a log is too slow or short for the low pass.
     RobotError
-        If `unloaded` is of another robot.
+        If `unloaded` belongs to another robot.
     FitError
         As `identify_payload_motions`.
     """
@@ -111,16 +115,16 @@ def identify_payload(logs: Sequence[RobotLog], model: RobotModel, unloaded: Rigi
 def identify_payload_motions(
     motions: Sequence[Motion], model: RobotModel, unloaded: RigidBody
 ) -> Payload:
-    """Identify the payload that the last link carries in smooth motions.
+    """Identify the payload on the last link from smooth motions.
 
-    Weighted least squares as in `rigid_body.identify_motions`, slow rows dropped, too.
+    Weighted least squares without slow rows, as in `identification.identify_motions`.
 
     Raises
     ------
     RobotError
-        If `unloaded` is of another robot.
+        If `unloaded` belongs to another robot.
     FitError
-        If the motions are too short, do not determine the parameters, or hold no payload.
+        If the motions are too short, do not determine the parameters, or show no payload.
     """
     name = "log " + ", ".join(motion.name for motion in motions)
     segments = _segments(motions)
@@ -155,9 +159,9 @@ def identify_payload_motions(
 
 
 def loaded(unloaded: RigidBody, payload: Payload, model: RobotModel) -> RigidBody:
-    """Rigid body with the payload: its parameters are added to those of the last link.
+    """Return the rigid body with the payload added to its last link.
 
-    All ten are, also where a column depends on others and the unloaded body has a zero: torque is
+    All ten parameters are added, also dependent ones that are zero in the unloaded body: torque is
     linear in all of them. Friction, residuals and logs are those under load.
     """
     columns = list(_last_link(model))
@@ -191,9 +195,9 @@ def _require_mass(name: str, payload: Payload) -> None:
     error = float(payload.standard_errors[0])
     if not payload.mass > _SIGNIFICANT * error:
         raise FitError(
-            f"{name}: holds no payload that can be told from none; its mass is found as "
-            f"{payload.mass:.3g} kg with a standard error of {error:.2g} kg, and more than "
-            f"{_SIGNIFICANT:g} standard errors are needed."
+            f"{name}: no significant payload; its mass is {payload.mass:.3g} kg with a standard "
+            f"error of {error:.2g} kg, and more than {_SIGNIFICANT:g} standard errors are "
+            "needed."
         )
 
 
@@ -202,7 +206,7 @@ def _last_link(model: RobotModel) -> tuple[int, ...]:
 
 
 def _segments(motions: Sequence[Motion]) -> Integers:
-    """Give each row of all motions the number of its segment of time."""
+    """Return the number of the time segment of each row of all motions."""
     parts: list[Integers] = []
     first = 0
     for motion in motions:
@@ -212,10 +216,10 @@ def _segments(motions: Sequence[Motion]) -> Integers:
 
 
 def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[Integers]) -> Array:
-    """Covariance of the unknowns when residuals of one segment, of any joint, hang together.
+    """Return the covariance of the unknowns with residuals correlated within segments.
 
-    The sandwich H^-1 (sum g g') H^-1 of cluster-robust regression (Liang and Zeger 1986), g being
-    the gradient of one segment.
+    The sandwich H^-1 (sum g g') H^-1 of cluster-robust regression (Liang and Zeger 1986), with the
+    gradient g of a segment.
     """
     gradients = np.zeros((1 + max(int(np.max(own)) for own in segments), len(solution.x)))
     for block, size, own in zip(blocks, solution.rmse, segments, strict=True):
@@ -228,12 +232,12 @@ def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[
 def _inherited(
     blocks: Sequence[Block], solution: Solution, carried: Sequence[Array], errors: Array
 ) -> Array:
-    """Covariance of the unknowns that comes from standard errors of the unloaded body.
+    """Return the covariance of the unknowns due to standard errors of the unloaded body.
 
     Parameters
     ----------
     carried : the unloaded body's base columns in the same rows.
-    errors : standard errors of its base parameters, taken as independent.
+    errors : standard errors of its base parameters, assumed independent.
     """
     products = [
         block.matrix.T @ columns / size**2

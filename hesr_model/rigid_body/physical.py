@@ -1,14 +1,14 @@
-"""Inertial parameters of bodies that can exist: positive mass density everywhere.
+"""Physically consistent inertial parameters: positive mass density everywhere.
 
-The ten parameters of a link belong to such a body exactly where its pseudo-inertia is positive
-definite (Wensing, Kim, Slotine 2018)::
+A link is such a body if and only if its pseudo-inertia is positive definite (Wensing, Kim, Slotine
+2018)::
 
     P = [[Sigma, h], [h', m]],    Sigma = tr(I)/2 1 - I = integral of r r' dm,    h = m c
 
-so they are searched as P = B U U' B', U upper triangular with a positive diagonal (log-Cholesky,
-Rucker and Wensing 2022) and B B' that of the model file. U = 1, all ten coordinates zero, is
-therefore the file's link, and what the data leave open stays there: a weak pull makes the problem
-well posed. Rotor inertias are squares.
+The search therefore uses P = B U U' B', with U upper triangular with a positive diagonal
+(log-Cholesky, Rucker and Wensing 2022) and B B' the pseudo-inertia of the model file. At U = 1,
+with all ten coordinates zero, the link is that of the file. A weak pull towards it makes the
+problem well posed. Rotor inertias are squares.
 """
 
 from collections.abc import Sequence
@@ -26,19 +26,21 @@ from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array, Integers
 
 _PULL = 0.2
-"""Residuals, in standard deviations and per square root of rows, that one unit of a coordinate
-costs. Chosen on measured identification logs, each left out in turn: 0.1 to 0.3 is equally good."""
+"""Cost of one unit of a coordinate, in residual standard deviations per square root of rows.
+
+Chosen on measured identification logs, each left out in turn: 0.1 to 0.3 is equally good.
+"""
 
 _LEAST_PULL = 1e-4
-"""Of rotors that the model file does not know: no more than it takes to make them unique."""
+"""Pull of rotors that the model file does not have, just large enough to make them unique."""
 
 _REWEIGHTINGS = 2
 
 _SMALLEST_RADIUS = 5e-3
-"""[m] Of gyration, about any axis through the centre of mass, of the body a search starts from."""
+"""Minimum radius of gyration [m] about any axis through the centre of mass at the start."""
 
 _UNKNOWN_LINK = np.array([1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
-"""Where the model file gives a link no mass: 1 kg with radii of gyration of 0.1 m."""
+"""Start of a link without mass in the model file: 1 kg with radii of gyration of 0.1 m."""
 
 _UPPER = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 
@@ -50,9 +52,8 @@ class PhysicalFit:
     Attributes
     ----------
     parameters : (P,) all standard parameters and rotor inertias.
-    friction : coefficients of the columns after the P first, as in the blocks.
-    covariance : of the base parameters that these parameters amount to, the pull towards the model
-        file taken as knowledge.
+    friction : coefficients of the columns after the first P, as in the blocks.
+    covariance : covariance of the base parameters, with the pull towards the model file as prior.
     rmse : residual of each block.
     """
 
@@ -63,7 +64,7 @@ class PhysicalFit:
 
 
 def pseudo_inertia(parameters: Array) -> Array:
-    """Pseudo-inertia (4, 4) of a link [kg.m2, kg.m, kg] from its ten parameters."""
+    """Return the pseudo-inertia (4, 4) of a link [kg.m2, kg.m, kg] from its ten parameters."""
     m, mx, my, mz, ixx, ixy, iyy, ixz, iyz, izz = parameters
     inertia = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
     out = np.empty((4, 4))
@@ -74,7 +75,7 @@ def pseudo_inertia(parameters: Array) -> Array:
 
 
 def link_parameters(pseudo: Array) -> Array:
-    """Ten parameters (10,) of a link from its pseudo-inertia (4, 4), all in SI units.
+    """Return the ten parameters (10,) of a link from its pseudo-inertia (4, 4), in SI units.
 
     The inverse of `pseudo_inertia`.
     """
@@ -97,8 +98,8 @@ def fit(
 
     Parameters
     ----------
-    blocks : rows of all P standard columns and the columns of friction after them.
-    base : whose covariance is given.
+    blocks : rows of all P standard columns, followed by the friction columns.
+    base : indices of the base parameters.
     labels : (samples,) number of the log of each sample.
     rmse : (blocks,) residual of each block under the unconstrained fit [N.m], for the first
         weights.
@@ -124,7 +125,7 @@ def fit(
     slopes[:size, : len(x)] = chart.slopes(x)
     slopes[size:, len(x) :] = np.eye(others)
     moved = [
-        # At the solution a step of the coordinates is one of the parameters along the slopes.
+        # Linearise at the solution: columns of the coordinates.
         Block(matrix=b.matrix @ slopes, target=b.target - b.matrix @ every, samples=b.samples)
         for b in blocks
     ]
@@ -150,13 +151,13 @@ def fit(
 class _Chart:
     """Coordinates of physically consistent parameters: ten per link, one per rotor.
 
-    In the model file B B' is the pseudo-inertia of each link; there are r rotors, n or none.
+    B B' is the pseudo-inertia of each link in the model file; there are r rotors, n or none.
     """
 
     factors: Array  # (n, 4, 4), upper triangular B
-    rotors: Array  # (r,) inertias in the model file [kg.m2], 0 where it gives none
+    rotors: Array  # (r,) inertias in the model file [kg.m2], 0 if unknown
     start: Array  # (10 n + r,) of the model file
-    pull: Array  # (10 n + r,) residual that a unit off the start costs, per square root of rows
+    pull: Array  # (10 n + r,) residual per unit off the start and square root of rows
 
     @classmethod
     def of(cls, model: RobotModel) -> Self:
@@ -164,7 +165,7 @@ class _Chart:
         factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]
         known = rotors > 0
-        # Near its start, twice the relative change of a square root is that of the logarithm.
+        # Near its start, twice the relative change of a square root equals that of the logarithm.
         roots = np.sqrt(np.where(known, rotors, 1.0))
         return cls(
             factors=np.array(factors),
@@ -204,7 +205,7 @@ class _Chart:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
-    """Weighted residuals of the torque, and the pull towards the start, of coordinates."""
+    """Weighted torque residuals and the pull towards the start."""
 
     chart: _Chart
     rows: Array
@@ -219,7 +220,7 @@ class _Problem:
 
 
 def _triangle(x: Array) -> Array:
-    """Upper triangular U (4, 4) of ten coordinates: logarithms of the diagonal, then the rest."""
+    """Return U (4, 4) from ten coordinates: logarithms of the diagonal, then the upper triangle."""
     u = np.diag(np.exp(x[:4]))
     for place, value in zip(_UPPER, x[4:], strict=True):
         u[place] = value
@@ -227,12 +228,12 @@ def _triangle(x: Array) -> Array:
 
 
 def _upper_factor(matrix: Array) -> Array:
-    """Upper triangular B with B B' = matrix: Cholesky from the last row up."""
+    """Return the upper triangular B with B B' = matrix: Cholesky from the last row up."""
     return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])
 
 
 def _start(link: Array) -> Array:
-    """Pseudo-inertia of a link of the model file, brought to one that is positive definite."""
+    """Return the pseudo-inertia of a link of the model file, made positive definite."""
     pseudo = pseudo_inertia(link if link[0] > 0 else _UNKNOWN_LINK)
     m, centre = pseudo[3, 3], pseudo[:3, 3] / pseudo[3, 3]
     about_centre = pseudo[:3, :3] - m * np.outer(centre, centre)
@@ -243,7 +244,7 @@ def _start(link: Array) -> Array:
 
 
 def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
-    """One over each block's residual; a block that is matched exactly gets no infinite weight."""
+    """Return one over each block's residual; finite for exact fits."""
     if not weighted:
         counts = np.array([len(block.target) for block in blocks])
         rmse = np.full(len(blocks), np.sqrt(np.sum(counts * rmse**2) / np.sum(counts)))
@@ -253,7 +254,7 @@ def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
 
 
 def _eliminated(blocks: Sequence[Block], weights: Array, size: int) -> tuple[Array, Array]:
-    """Triangular factor of [friction, rigid, target], and its rows that are free of friction."""
+    """Return the triangular factor of [friction, rigid, target], and its rows without friction."""
     rows = np.concatenate(
         [
             weight * np.column_stack([b.matrix[:, size:], b.matrix[:, :size], b.target])

@@ -1,7 +1,7 @@
-"""Rigid body and friction in turn: what a better friction law says about the rigid body.
+"""Refinement of the rigid body with a fitted friction law.
 
-The identification's own friction columns (Coulomb, viscous, offset) are a coarse law. Once a better
-one is fitted, its torque is subtracted from the logs and the rigid body is identified again.
+The friction columns of the identification (Coulomb, viscous, offset) are a coarse law. With a
+better one, its torque is subtracted from the logs and the rigid body is identified again.
 """
 
 from collections.abc import Sequence
@@ -23,19 +23,19 @@ def identify_again(
     *,
     reversed_logs: Sequence[RobotLog] = (),
 ) -> RigidBody:
-    """Identify the rigid body from what a friction model leaves of the measured torque.
+    """Identify the rigid body from logs without the torque of a friction model.
 
     Parameters
     ----------
     logs, reversed_logs : as for `identify`.
-    model : of the robot.
-    rigid_body : the one with which `friction` was fitted; it gives the load torque.
+    model : the robot.
+    rigid_body : the body with which `friction` was fitted; it gives the load torque.
     friction : law of every joint.
 
     Raises
     ------
     ArtifactError
-        If `friction` is not of these joints.
+        If `friction` has other joints.
     HesrError
         As `identify` and `friction_records`.
     """

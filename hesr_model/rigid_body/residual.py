@@ -1,4 +1,4 @@
-"""The friction residual: what is left of the measured torque without the rigid body (eq. 8)."""
+"""Friction records: measured torque minus rigid-body torque (eq. 8)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,14 +28,13 @@ class FrictionRecord:
     dq : (N,) [rad/s], smoothed.
     q : (N,) [rad], raw.
     tau_load : (N,) [N.m], rigid-body torque.
-    tau : (N,) [N.m], friction: measured torque less rigid-body torque (eq. 8), not smoothed.
-    tau_load_spread : (N, r) [N.m], by how much `tau_load` is off for one standard deviation of each
-        independent error of the rigid body; None where these are not known.
-    gear_ratio : turns of the motor per turn of the joint, where the robot file gives it.
-    sliding : whether the joint slides, so that positions are in m and torques are forces in N.
-    temperature : (N,) of the joint [degC], where it was measured.
-    coupling : of all joints of the robot, where friction does not sit on the joints themselves;
-        None where it does, and in records that `at_friction` has brought there.
+    tau : (N,) [N.m], friction: measured torque minus rigid-body torque (eq. 8), not smoothed.
+    tau_load_spread : (N, r) [N.m], error of `tau_load` for one standard deviation of each
+        independent error of the rigid body; None if unknown.
+    gear_ratio : turns of the motor per turn of the joint; None if unknown.
+    sliding : whether the joint slides: positions are then in m, torques are forces in N.
+    temperature : (N,) temperature of the joint [degC]; None if not measured.
+    coupling : coupling of all joints; None if nothing is coupled, and after `at_friction`.
     """
 
     log: str
@@ -53,7 +52,7 @@ class FrictionRecord:
 
     @property
     def motion(self) -> dict[str, Any]:
-        """What laws run over, (N,) each: t [s], dq [rad/s], q [rad] and tau_load [N.m], by name."""
+        """Inputs of laws by name, (N,) each: t [s], dq [rad/s], q [rad] and tau_load [N.m]."""
         return {name: getattr(self, name) for name in ("t", "dq", "q", "tau_load")}
 
     def rows(self, rows: slice | Mask) -> "FrictionRecord":
@@ -63,10 +62,10 @@ class FrictionRecord:
 
 
 def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
-    """Bring the records of all joints in one log to where friction sits.
+    """Transform the records of all joints in one log to friction coordinates.
 
-    Laws are fitted and run there, one per coordinate (`robots.transmission`); the names of the
-    joints stay. Records that are there already are returned as they are.
+    Laws are fitted and run there (`robots.transmission`); the names of the joints stay. Records
+    without coupling are returned unchanged.
     """
     coupling = records[0].coupling if records else None
     if coupling is None:
@@ -97,7 +96,7 @@ def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
 
 
 def all_at_friction(records: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
-    """Bring records [joint][log] to where friction sits; see `at_friction`."""
+    """Transform records [joint][log] to friction coordinates; see `at_friction`."""
     moved = [at_friction(log) for log in zip(*records, strict=True)]
     return [list(of_joint) for of_joint in zip(*moved, strict=True)]
 
@@ -105,7 +104,7 @@ def all_at_friction(records: Sequence[Sequence[FrictionRecord]]) -> list[list[Fr
 def friction_records(
     log: RobotLog, model: RobotModel, rigid_body: RigidBody
 ) -> list[FrictionRecord]:
-    """Decouple friction from a log, joint by joint (eq. 8).
+    """Separate friction from a log, joint by joint (eq. 8).
 
     Raises
     ------
@@ -120,7 +119,7 @@ def friction_records(
 def motion_records(
     motion: Motion, model: RobotModel, rigid_body: RigidBody
 ) -> list[FrictionRecord]:
-    """Do what `friction_records` does with a log that has been smoothed.
+    """Return the friction records of a smoothed log; see `friction_records`.
 
     Raises
     ------
@@ -156,7 +155,7 @@ def require_reversals(records: Sequence[FrictionRecord]) -> None:
     Raises
     ------
     LogError
-        Naming the joint and the logs.
+        With the joint and the logs.
     """
     if not any(len(reversals(record.dq)) for record in records):
         unit = unit_of_joint("rad/s", slides=records[0].sliding)

@@ -1,16 +1,15 @@
-"""Torque constants of motors that nobody has stated, against the masses of the model or a payload.
+"""Torque constants of motors, from the masses of the model or a known payload.
 
-With currents i measured, friction beside it and all inertial parameters pi in doubt by as much as
-is declared, each joint is solved by itself by Gauss-Newton,
+With measured currents i, friction, and inertial parameters pi with a declared error, each joint is
+solved separately by Gauss-Newton:
 
     i_j = kappa_j Y_j(q, dq, ddq) (pi + carried) + F_j f_j,      kappa_j = 1 / k_j
     pi ~ N(model file, declared error)
 
-A payload of known mass, carried in some of the logs, replaces trust in the masses. Joints are kept
-apart, because an error of the masses that one joint would pass to the next makes it look surer than
-it is. Rotor inertias and inertia tensors are left open: only weights are trusted. The standard
-errors hold the declared error, the residuals' autocorrelation, and what a wrong law of friction may
-feign.
+A payload of known mass in some of the logs replaces trust in the masses. A joint solution would
+pass mass errors from joint to joint and be too certain. Only weights are trusted; rotor inertias
+and inertia tensors are free. The standard errors include the declared error, the autocorrelation of
+the residuals, and the bias of a wrong friction law.
 """
 
 from collections.abc import Sequence
@@ -30,17 +29,17 @@ from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array
 
 _DETERMINED = 0.2
-"""Relative standard error beyond which a constant is not determined."""
+"""Relative standard error above which a constant is not determined."""
 _FEIGNED = 0.2
-"""Share of friction's size that a wrong law of friction may add to a weight."""
+"""Share of friction that a wrong friction law may add to a weight."""
 _CHANGED = 0.02
-"""The same of a payload, against which only what differs between the logs counts."""
+"""The same share for a payload, with only differences between logs."""
 _LEAST_ARM = 0.05
-"""[m] A centre of mass is in doubt by the declared share of at least such a distance."""
+"""Minimum distance of a centre of mass to which the declared error applies [m]."""
 _OPEN = 3.0
-"""Inertia tensors are in doubt by so many times themselves."""
+"""Standard deviation of inertia tensors, relative to their size."""
 _ROTOR = 3.0
-"""[kg.m2] Rotor inertias are not known at all."""
+"""Standard deviation of rotor inertias, which are unknown [kg.m2]."""
 _ROUNDS = 3
 
 
@@ -50,10 +49,10 @@ class Constant:
 
     Attributes
     ----------
-    joint : its name.
-    value, error : N.m/A at the joint, as `torque_per_ampere`, and its standard error; infinite
-        where nothing tells.
-    determined : whether the data determine it; `value` means nothing where they do not.
+    joint : name of the joint.
+    value, error : torque constant at the joint [N.m/A], as `torque_per_ampere`, and its standard
+        error; infinite if unknown.
+    determined : whether the data determine it; `value` is meaningless otherwise.
     """
 
     joint: str
@@ -63,12 +62,12 @@ class Constant:
 
     @property
     def sentence(self) -> str:
-        """What is known of it, in words."""
+        """The constant in a sentence."""
         if self.determined:
             return f"joint '{self.joint}': {self.value:.4g} +- {self.error:.2g} N.m/A."
         return (
-            f"joint '{self.joint}': not determined; what it carries is too light against friction, "
-            "or too uncertain. A known payload that moves it would tell."
+            f"joint '{self.joint}': not determined; its load is too light compared with "
+            "friction, or too uncertain. Record a known payload that loads this joint."
         )
 
 
@@ -81,35 +80,36 @@ def torque_constants(
     loaded: Sequence[Motion] = (),
     payload: Sequence[float] | Array | None = None,
 ) -> tuple[Constant, ...]:
-    """Estimate the torque constants with which currents are torques.
+    """Estimate the torque constants of all joints from currents.
 
     Parameters
     ----------
-    motions : without payload, their torques made from currents with the assumed constants.
-    model : whose file gives masses and centres of mass.
-    assumed : (n,) constants by which currents became torques, as `torque_per_ampere`.
+    motions : motions without payload, with torques computed from currents by the assumed constants.
+    model : robot whose file gives masses and centres of mass.
+    assumed : (n,) assumed constants, as `torque_per_ampere`.
     mass_error : declared relative error of the file's masses, one standard deviation.
-    loaded : motions under a known payload, of the same constants.
+    loaded : motions under a known payload, with the same constants.
     payload : (10,) its parameters [kg, kg.m, kg.m2] in the frame of the last joint, as
         `robot.LINK_PARAMETERS`.
 
     Raises
     ------
     FitError
-        If the declared error is no share, or there are loaded motions without a payload.
+        If the declared error is not between 0 and 1, or loaded motions and payload do not come
+        together.
     """
     if not 0.0 < mass_error < 1.0:
         raise FitError(
             f"the declared error of the masses is {mass_error:g}; needed is a share from 0 to 1."
         )
     if bool(loaded) != (payload is not None):
-        raise FitError("motions under a payload go with its parameters; only one was given.")
+        raise FitError("motions under a payload need its parameters, and vice versa.")
     every = tuple(range(len(model.parameter_names)))
     columns = friction_columns(model, base_columns(model))
     kinds = [(stacked(motions, model, every, columns), np.zeros(10))]
     if payload is not None:
         kinds.append((stacked(loaded, model, every, columns), np.array(payload, dtype=float)))
-    weight = np.zeros(len(every))  # weights and first moments: what gravity pulls at
+    weight = np.zeros(len(every))  # weights and first moments
     for k in range(model.n):
         weight[10 * k : 10 * k + 4] = 1.0
     spread = _spread(model, mass_error)
@@ -141,22 +141,22 @@ def point_payload(mass: float, centre: Sequence[float]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Rows:
-    """Rows of a joint in logs of one kind, compressed: [Y, Y carried, friction, torque]."""
+    """Compressed rows of a joint in logs of one kind: [Y, Y carried, friction, torque]."""
 
-    factor: Array  # triangular, of these columns
-    count: int  # rows there were
-    length: float  # rows within which residuals are alike
+    factor: Array  # triangular factor of these columns
+    count: int  # number of rows
+    length: float  # correlation length of the residuals [rows]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
-    """One joint: unknown are kappa, relative to the assumed constant, pi, and friction by kind."""
+    """One joint with unknown kappa (relative to the assumed constant), pi, and friction by kind."""
 
-    kinds: tuple[_Rows, ...]  # of logs without payload, and with it
+    kinds: tuple[_Rows, ...]  # logs without payload, and with it
     nominal: Array  # (P,) of the model file
-    spread: Array  # (P,) how far that is in doubt
-    friction: int  # columns of it of each kind
-    known: float  # torque that is trusted [N.m]: of the payload, else of the model's weights
+    spread: Array  # (P,) its standard deviations
+    friction: int  # friction columns of each kind
+    known: float  # trusted torque [N.m]: of the payload, else of the model's weights
 
     @classmethod
     def of(
@@ -196,7 +196,7 @@ class _Problem:
         x = self._start()
         for _ in range(_ROUNDS):
             lefts = [self._left(x, k) for k in range(len(self.kinds))]
-            # Neighbouring rows are alike: they count as fewer.
+            # Neighbouring rows are correlated and count less.
             scales = [
                 float(np.sqrt(rows.count / max(float(left @ left), 1e-12) / rows.length))
                 for rows, left in zip(self.kinds, lefts, strict=True)
@@ -214,7 +214,7 @@ class _Problem:
         return float(x[0]), float(np.hypot(error / max(abs(x[0]), 1e-12), feigned))
 
     def _start(self) -> Array:
-        """Return the unknowns with the model file's parameters, the others by least squares."""
+        """Return the model file's parameters, and the other unknowns by least squares."""
         x = np.concatenate([[0.0], self.nominal, np.zeros(self.friction * len(self.kinds))])
         free = np.r_[0, 1 + len(self.nominal) : len(x)]
         rows = self._slopes(x, [1.0] * len(self.kinds))[: -len(self.nominal)]
@@ -255,7 +255,7 @@ class _Problem:
 
 
 def _spread(model: RobotModel, mass_error: float) -> Array:
-    """Return the standard deviation (P,) of every parameter of the model file [SI]."""
+    """Return the standard deviations (P,) of the parameters of the model file [SI]."""
     nominal = model.nominal_parameters
     spread = np.full(len(nominal), _ROTOR)
     heaviest = max(float(np.max(nominal[: 10 * model.n : 10])), 1e-3)

@@ -1,4 +1,4 @@
-"""Types of arrays, by what they hold; shapes and units stand with whatever has one."""
+"""Types of arrays by content; shapes and units are documented with each variable."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -8,23 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""Numbers."""
+"""Real numbers."""
 Mask = NDArray[np.bool_]
-"""Which rows, or which of whatever else."""
+"""Selected rows or columns."""
 Integers = NDArray[np.int_]
-"""Labels, counts and places."""
+"""Labels, counts and indices."""
 
 Record = TypeVar("Record")
 
 
 def some_rows(record: Record, columns: Iterable[str], rows: slice | Mask | Integers) -> Record:
-    """Return a data class of arrays (N, ..) with some of their rows, units as they were.
+    """Return a data class of arrays (N, ..) with some of their rows.
 
     Parameters
     ----------
     record : the data class.
-    columns : names of its arrays; those that are None stay so.
-    rows : a slice, a mask (N,), or places (K,).
+    columns : names of its arrays; None stays None.
+    rows : a slice, a mask (N,), or indices (K,).
     """
     whole: Any = record
     found = {name: getattr(record, name) for name in columns}

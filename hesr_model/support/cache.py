@@ -1,7 +1,7 @@
-"""What takes long to make and depends on nothing but its inputs, kept for the next time.
+"""Cache of slow results that depend on their inputs only.
 
-Entries are found by a hash of all that they are made from, hold a hash of their own content, and
-appear whole or not at all. Whoever deletes the folder loses time and nothing else.
+Entries are found by a hash of their inputs, contain a hash of their own content, and are written
+whole or not at all. Deleting the folder costs only time.
 """
 
 import hashlib
@@ -15,31 +15,30 @@ from pathlib import Path
 
 from filelock import FileLock
 
-LIMIT = 256 * 1024 * 1024  # bytes of one kind of entries; some thousand FMUs
+LIMIT = 256 * 1024 * 1024  # [B] per kind of entry, enough for some thousand FMUs
 USED: Counter[tuple[str, bool]] = Counter()
-"""How often entries of each kind were asked for that were there already, or were not: by this
-process, and by the workers whose results it has."""
+"""Number of cache hits (True) and misses by kind, of this process and its workers."""
 _DIGEST = hashlib.sha256().digest_size
 
 
 def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
-    """Return what `make` makes of the inputs, made once for all processes of a user.
+    """Return the result of `make`, computed once for all processes of a user.
 
-    Of several that ask at once one makes it, the others wait. An entry that is damaged is made
-    again; where nothing can be kept (a full disk, say) it is made every time.
+    Concurrent calls wait for the first one. A damaged entry is made again; if the cache cannot be
+    written (e.g. on a full disk), the result is not stored.
 
     Parameters
     ----------
-    kind : the folder of such entries.
+    kind : folder of such entries.
     inputs : everything on which the result depends, in a fixed order.
-    make : makes it; what it raises is raised here, and nothing is kept.
+    make : computes the result; its exceptions propagate, and nothing is stored.
     """
     key = hashlib.sha256()
     for part in inputs:
         data = part.encode() if isinstance(part, str) else part
         key.update(len(data).to_bytes(8, "little") + data)
     name = key.hexdigest()
-    # The lock files stay, so there is one for many entries.
+    # Lock files remain, so many entries share one.
     shelf = folder() / kind / name[:2]
     lock = FileLock(shelf / "lock")
     try:
@@ -53,7 +52,7 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
         USED[kind, True] += 1
         return found
     try:
-        found = _read(shelf / name)  # by somebody who held the lock
+        found = _read(shelf / name)  # made by the previous holder of the lock
         USED[kind, found is not None] += 1
         if found is None:
             found = make()
@@ -66,17 +65,17 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
 
 
 def since(earlier: Counter[tuple[str, bool]]) -> dict[str, tuple[int, int]]:
-    """Return how many entries of each kind were there, and how many were asked for, since then."""
+    """Return hits and requests by kind since an earlier state of `USED`."""
     used = USED - earlier
     kinds = sorted({kind for kind, _ in used})
     return {kind: (used[kind, True], used[kind, True] + used[kind, False]) for kind in kinds}
 
 
 def folder() -> Path:
-    """Return a folder for entries that can be written: the user's own, else a private one.
+    """Return a writable folder for entries: the user's own, else a private one.
 
-    That is `hesr` in XDG_CACHE_HOME, else in .cache of HOME, else, where there is no HOME or it
-    cannot be written as in many containers, in the folder of temporary files.
+    That is `hesr` in XDG_CACHE_HOME, else in .cache of HOME, else, if there is no writable HOME as
+    in many containers, a private folder for temporary files.
     """
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     home = Path(os.environ.get("HOME", ""))
@@ -94,7 +93,7 @@ def folder() -> Path:
 
 
 def _temporary() -> Path:
-    """Return a folder beside the temporary files that nobody else can have put there."""
+    """Return a folder among the temporary files that no other user can have created."""
     user = os.getuid() if hasattr(os, "getuid") else 0
     path = Path(tempfile.gettempdir(), f"hesr-cache-{user}")
     with suppress(OSError):
@@ -109,7 +108,7 @@ def _temporary() -> Path:
 
 
 def _read(entry: Path) -> bytes | None:
-    """Return the content of an entry, or None where there is none that is whole."""
+    """Return the content of an entry, or None if there is no valid one."""
     try:
         data = entry.read_bytes()
     except OSError:
@@ -118,7 +117,7 @@ def _read(entry: Path) -> bytes | None:
     if data[:_DIGEST] != _digest(entry, content):
         return None
     with suppress(OSError):
-        os.utime(entry)  # those that are not used go first
+        os.utime(entry)  # least recently used entries are pruned first
     return content
 
 
@@ -137,7 +136,7 @@ def _digest(entry: Path, content: bytes) -> bytes:
 
 
 def _prune(kind: Path) -> None:
-    """Remove the entries that have not been used for longest, if there are too many bytes."""
+    """Remove the least recently used entries if the total size exceeds the limit."""
     files = []
     for file in kind.glob("*/*"):
         with suppress(FileNotFoundError):

@@ -1,4 +1,4 @@
-"""The C compiler, as one command: what it makes is kept by all that goes into it."""
+"""The C compiler, with cached results."""
 
 import hashlib
 import os
@@ -16,14 +16,14 @@ from hesr_model.support.files import scratch_folder
 
 
 def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> None:
-    """Compile one source file, or take what was made of the same texts and flags before.
+    """Compile one source file, or reuse the result for the same texts and flags.
 
-    In the last flags `{compiler}` stands for the folder of the compiler.
+    In the flags `last`, `{compiler}` is replaced by the folder of the compiler.
 
     Raises
     ------
     ExportError
-        If the compiler fails, with the first line of what it says.
+        If the compiler fails, with the first line of its message.
     """
     inputs = (
         f"ziglang {version('ziglang')}",
@@ -40,9 +40,9 @@ _INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*[\"<]([^\">]+)", re.MULTILIN
 
 
 def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
-    """Yield a hash of each file that goes into a compilation, but for those of the compiler.
+    """Yield a hash of each file of a compilation, except those of the compiler.
 
-    These are the source, what the flags name, and what they include, wherever it is found.
+    These are the source, files in the flags, and all files included from them.
     """
     home = source.parent
     folders = [home / found[1] for flag in flags if (found := re.match("-(?:I|isystem)(.+)", flag))]
@@ -63,21 +63,21 @@ def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
 
 
 def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
-    # A linker takes a percent sign in the name of its output for a place to fill in, and folders of
-    # a machine may have one. So it writes into a folder beside the source, named from there.
+    # A linker interprets percent signs in the path of its output, and folder names may have one. So
+    # it writes into a folder next to the source, with a relative path.
     with scratch_folder() as cache, scratch_folder(source.parent) as folder:
         written = folder / output.name
         relative = f"{written.parent.name}/{output.name}"
         compiler = str(files("ziglang"))
         command = [str(files("ziglang") / "zig"), "cc", *flags, "-o", relative, source.name]
-        # The compiler's cache of objects gives stale ones when compilations run side by side, so
-        # each has its own; that of the C library, which takes long to build, stays shared.
+        # The compiler's object cache is stale with concurrent compilations, so each has its own;
+        # that of the C library, slow to build, is shared.
         caches = {
             "ZIG_LOCAL_CACHE_DIR": str(cache),
             "ZIG_GLOBAL_CACHE_DIR": str(cache_folder() / "zig"),
         }
         try:
-            # In the sources' own folder, so that no path of this machine gets into the binary.
+            # In the source's folder: no path of this machine gets into the binary.
             result = subprocess.run(
                 [*command, *(flag.replace("{compiler}", compiler) for flag in last)],
                 cwd=source.parent,

@@ -1,4 +1,4 @@
-"""Configuration from TOML, validated, with unknown keys refused."""
+"""Configuration from validated TOML; unknown keys are refused."""
 
 import os
 from pathlib import Path
@@ -9,11 +9,11 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, Val
 from hesr_model.errors import ConfigError
 from hesr_model.support.untrusted_text import parse_toml, read_text, require_printable
 
-_MOST_SHOWN = 200  # characters of a value that is wrong
+_MOST_SHOWN = 200  # characters of a wrong value
 
 
 class Config(BaseModel):
-    """Base of every schema: immutable, unknown keys refused, infinities and NaN refused."""
+    """Base of every schema: immutable; unknown keys, infinities and NaN are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -24,22 +24,22 @@ class Config(BaseModel):
         Raises
         ------
         ConfigError
-            Naming the file, the key, what was found and what is needed.
+            With the file, the key, the value found and the value needed.
         """
         return read_toml(path, cls)
 
 
 def _beside_the_toml(path: Path, info: ValidationInfo) -> Path:
     folder: Path = (info.context or {}).get("folder", Path())
-    # Not `Path.resolve`, which fails on links that go round before Python 3.13.
+    # Not `Path.resolve`, which fails on circular links before Python 3.13.
     return Path(os.path.realpath(folder / path))
 
 
 RelativePath = Annotated[Path, AfterValidator(_beside_the_toml)]
-"""A path that is relative to the TOML file in which it stands."""
+"""A path relative to its TOML file."""
 
 PrintableName = Annotated[str, AfterValidator(require_printable)]
-"""A name without control characters, which cannot stand in an FMU's description."""
+"""A name without control characters, which an FMU's description cannot contain."""
 
 Schema = TypeVar("Schema", bound=Config)
 
@@ -50,7 +50,7 @@ def read_toml(path: Path, schema: type[Schema]) -> Schema:
     Raises
     ------
     ConfigError
-        Naming the file, the key, what was found and what is allowed there.
+        With the file, the key, the value found and the allowed values.
     """
     try:
         text = read_text(path)
@@ -66,12 +66,12 @@ def read_toml(path: Path, schema: type[Schema]) -> Schema:
 
 
 def validated(path: Path, schema: type[Schema], data: Any) -> Schema:
-    """Validate what has been read from a file.
+    """Validate data read from a file.
 
     Raises
     ------
     ConfigError
-        Naming the file, the key, what was found and what is allowed there.
+        With the file, the key, the value found and the allowed values.
     """
     try:
         return schema.model_validate(data, context={"folder": path.parent})
@@ -82,7 +82,7 @@ def validated(path: Path, schema: type[Schema], data: Any) -> Schema:
 
 
 def _sentence(path: Path, schema: type[BaseModel], error: ValidationError) -> str:
-    """Say one problem in one sentence: an unknown key first, since others may follow from it."""
+    """Describe the first problem; unknown keys come first and may cause the others."""
     problems = error.errors()
     first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
     key = ".".join(str(part) for part in first["loc"])
@@ -93,7 +93,7 @@ def _sentence(path: Path, schema: type[BaseModel], error: ValidationError) -> st
     if first["type"] == "missing":
         return f"{path}: key '{key}' is missing."
     reason = first["msg"].removeprefix("Value error, ")
-    if isinstance(first["input"], dict):  # a rule of a whole table, too long to be shown
+    if isinstance(first["input"], dict):  # a rule of a whole table, too long to show
         where = f"table '{key}': " if key else ""
         return f"{path}: {where}{reason}."
     return f"{path}: key '{key}' is {_shown(first['input'])}: {reason}."
@@ -105,13 +105,13 @@ def _shown(value: object) -> str:
 
 
 def _holder(schema: type[BaseModel], location: tuple[Any, ...]) -> type[BaseModel] | None:
-    """Return the schema of the table in which the last part of `location` stands."""
+    """Return the schema of the table that contains the last part of `location`."""
     holders = [schema]
     for part in location[:-1]:
         fields = [h.model_fields[part] for h in holders if part in h.model_fields]
         if fields:
             holders = [inner for field in fields for inner in _schemas_in(field.annotation)]
-        else:  # an index, a name that the user gives, or the kind of one of several schemas
+        else:  # an index, a user's name, or the kind of one of several schemas
             holders = [h for h in holders if _is_of_kind(h, part)] or holders
     return holders[0] if holders else None
 

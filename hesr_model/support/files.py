@@ -1,4 +1,4 @@
-"""Files: found where the package is installed, hashed, and written whole or not at all."""
+"""Files: shipped models, hashes, and atomic writing."""
 
 import errno
 import hashlib
@@ -19,7 +19,7 @@ from hesr_model.support import interrupts
 _TEMPORARY = ".hesr-"
 _LOCK = f"{_TEMPORARY}lock"
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
-"""Errors of whoever writes; others may come from what a block reads."""
+"""Errors of the writer; others may come from files that the block reads."""
 
 PathArg = str | os.PathLike[str]
 """A path argument of the public API."""
@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 
 def path_of(value: object, what: str) -> Path:
-    """Return a path that was given as text or as a path; `what` names it in the error.
+    """Return a path from text or a path; `what` describes it in the message.
 
     Raises
     ------
@@ -43,18 +43,18 @@ def path_of(value: object, what: str) -> Path:
 
 
 def models_folder() -> Path:
-    """Folder of the shipped robots and studies, in a checkout, an editable install and a wheel."""
+    """Return the folder of the shipped robots and studies, for every kind of installation."""
     installed = Path(__file__).parents[1] / "_models"
     return installed if installed.is_dir() else Path(__file__).parents[2] / "models"
 
 
 def sha256(path: Path) -> str:
-    """Hex SHA-256 of a file's bytes; of a folder, of the names and hashes of its files."""
+    """Return the hex SHA-256 of a file's bytes; for a folder, of its files' names and hashes."""
     if path.is_dir():
         files = sorted(file for file in path.rglob("*") if file.is_file())
         lines = [f"{sha256(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
         return hashlib.sha256("".join(lines).encode()).hexdigest()
-    if path.exists() and not path.is_file():  # its bytes may never end
+    if path.exists() and not path.is_file():  # it may have no end
         raise OSError(errno.EINVAL, "it is a pipe or a device", str(path))
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -64,14 +64,14 @@ def sha256(path: Path) -> str:
 def folder_written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files move into `path` when the block succeeds.
 
-    Files of the same name are replaced, others that stand in `path` are left alone. On any
-    exception nothing at `path` has changed. What a run has left there that was killed is removed.
+    Files of the same name are replaced, others in `path` are kept. On any exception nothing at
+    `path` changes. Leftovers of killed runs are removed.
 
     Raises
     ------
     ArtifactError
-        If the folder cannot be created or written, or another run is writing into it, both found
-        out before the block runs; if the disk is full.
+        If the folder cannot be created or written, or another run is writing into it, both checked
+        before the block runs; if the disk is full.
     """
     with _room_for(path), ExitStack() as cleanup:
         try:
@@ -79,17 +79,17 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
         except OSError as error:
             raise _unwritable(path, error) from error
         _take(path, cleanup)
-        with interrupts.deferred():  # or there may be a folder of which nobody knows
+        with interrupts.deferred():  # else an interrupt could leave the folder behind
             temporary = Path(tempfile.mkdtemp(dir=path, prefix=_TEMPORARY))
             cleanup.callback(_remove, temporary)
         yield temporary
-        with interrupts.deferred():  # half of the files would fit nothing
+        with interrupts.deferred():  # all files or none
             _move(temporary, path)
 
 
 @contextmanager
 def _room_for(path: Path) -> Iterator[None]:
-    """Say of a path that there is no room for it, whichever temporary file of it found that out."""
+    """Report a full disk for `path`, whichever temporary file of it found that out."""
     try:
         yield
     except (OSError, ArtifactError) as error:
@@ -100,13 +100,13 @@ def _room_for(path: Path) -> Iterator[None]:
 
 
 def is_empty(folder: Path) -> bool:
-    """Tell whether there is nothing in a folder but what a killed run may have left."""
+    """Return whether a folder contains nothing but leftovers of a killed run."""
     return all(entry.name.startswith(_TEMPORARY) for entry in folder.iterdir())
 
 
 @contextmanager
 def folder_made(path: Path) -> Iterator[None]:
-    """Make a folder and those above it; the new ones are removed if nothing has come into them.
+    """Make a folder and its parents; new ones are removed again if they stay empty.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def folder_made(path: Path) -> Iterator[None]:
 
 
 def _take(path: Path, cleanup: ExitStack) -> None:
-    """Keep other runs out of a folder; then what stands there of a run is of one that is dead."""
+    """Lock a folder against other runs, and remove leftovers of dead ones."""
     lock = FileLock(path / _LOCK, timeout=0)
     try:
         lock.acquire()
@@ -138,7 +138,7 @@ def _take(path: Path, cleanup: ExitStack) -> None:
     cleanup.callback(lock.release)
     cleanup.callback((path / _LOCK).unlink, missing_ok=True)
     for left in path.glob(f"{_TEMPORARY}*/"):
-        _log.info("removing %s, which a run has left that was killed", left)
+        _log.info("removing %s, left behind by a killed run", left)
         shutil.rmtree(left, ignore_errors=True)
 
 
@@ -148,7 +148,7 @@ def _remove(folder: Path) -> None:
 
 
 def _remove_empty(folder: Path) -> None:
-    with suppress(OSError):  # there is something in it, or it has never been made
+    with suppress(OSError):  # not empty, or never made
         folder.rmdir()
 
 
@@ -164,12 +164,13 @@ def _move(temporary: Path, path: Path) -> None:
 
 @contextmanager
 def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
-    """Yield a temporary folder in which a program of anybody may write whatever it likes.
+    """Yield a temporary folder in which any program may write anything.
 
-    It is in the folder `parent`, or where such folders are. An interrupt leaves none behind.
+    It is in the folder `parent`, by default among the temporary files. An interrupt leaves none
+    behind.
     """
     with ExitStack() as cleanup:
-        with interrupts.deferred():  # or there may be a folder of which nobody knows
+        with interrupts.deferred():  # else an interrupt could leave the folder behind
             folder = Path(tempfile.mkdtemp(prefix="hesr-", dir=parent))
             cleanup.callback(_removed, folder)
         yield folder
@@ -181,7 +182,7 @@ def _removed(folder: Path) -> None:
 
 
 def _remove_whatever(folder: Path) -> None:
-    """Remove a folder, however deep: `shutil.rmtree` calls itself once for each level."""
+    """Remove a folder of any depth: `shutil.rmtree` recurses once per level."""
     piled = [folder]
     while piled:
         path = piled.pop()
@@ -201,13 +202,13 @@ def _remove_whatever(folder: Path) -> None:
 def written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder that becomes `path` when the block succeeds.
 
-    On any exception, an interrupt included, the temporary file is removed and a file that stood
-    at `path` stays as it was.
+    On any exception, also an interrupt, the temporary file is removed and an existing file at
+    `path` stays unchanged.
 
     Raises
     ------
     ArtifactError
-        If the folder cannot be created or written, if there is a pipe or a device, or if the disk
+        If the folder cannot be created or written, if `path` is a pipe or a device, or if the disk
         is full.
     """
     with _room_for(path), ExitStack() as cleanup:
@@ -215,9 +216,9 @@ def written_whole(path: Path) -> Iterator[Path]:
             cleanup.enter_context(folder_made(path.parent))
             if path.is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-            if path.exists() and not path.is_file():  # which a file would take the place of
+            if path.exists() and not path.is_file():  # a file would replace it
                 raise ArtifactError(f"{path}: is a pipe or a device; give the name of a file.")
-            with interrupts.deferred():  # or a file would stay that nobody knows of
+            with interrupts.deferred():  # else an interrupt could leave the file behind
                 handle, name = tempfile.mkstemp(
                     dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
                 )
@@ -227,7 +228,7 @@ def written_whole(path: Path) -> Iterator[Path]:
         except OSError as error:
             raise _unwritable(path, error) from error
         yield temporary
-        # mkstemp makes files private; a result has the mode that any new file would have.
+        # mkstemp makes files private; a result has the mode of any new file.
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
@@ -235,6 +236,6 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def _unwritable(path: Path, error: OSError) -> ArtifactError:
-    # Libraries put more into the error's own text.
+    # Libraries add more to the error's own text.
     reason = os.strerror(error.errno) if error.errno else error.strerror
     return ArtifactError(f"{path}: cannot be written there ({reason}).")

@@ -1,4 +1,4 @@
-"""The garbage collector, where most of what is made stays: modules and symbolic expressions."""
+"""Garbage collection for processes whose objects mostly stay: modules and expressions."""
 
 import atexit
 import gc
@@ -7,10 +7,9 @@ _THRESHOLDS = (100_000, 20, 20)
 
 
 def collect_seldom() -> None:
-    """Let this process look for garbage less often, and not at its end.
+    """Collect garbage less often, and not at the end of the process.
 
-    A sixth of the time of an import goes there, and a second or two of the end, when the system
-    takes everything back anyhow.
+    It takes a sixth of the import time, and a second or two at the end.
     """
     gc.set_threshold(*_THRESHOLDS)
     atexit.register(gc.freeze)

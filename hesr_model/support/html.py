@@ -1,4 +1,4 @@
-"""Small tables of HTML: how results show themselves in a notebook (``_repr_html_``)."""
+"""Small HTML tables for notebooks (``_repr_html_``)."""
 
 from collections.abc import Iterable, Sequence
 
@@ -6,13 +6,13 @@ from markupsafe import Markup
 
 
 def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table; everything in it is escaped but for markup.
+    """Return a table; everything but markup is escaped.
 
     Parameters
     ----------
-    caption : what it shows.
-    head : names of the columns.
-    rows : their cells; numbers are written to four digits.
+    caption : title.
+    head : column headings.
+    rows : cells; numbers get four digits.
     """
     lines = [Markup("<table><caption>{}</caption>").format(caption)]
     lines.append(_row("th", head))

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, put off until what must not be torn apart is done."""
+"""Deferral of Ctrl-C and SIGTERM during short critical blocks."""
 
 import signal
 import threading
@@ -8,11 +8,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Let a signal that would end the program wait until the block is done.
+    """Defer signals that would end the program until the block is done.
 
-    The block must be short. Processes that are started in it begin with Ctrl-C held back, so that
-    they can say what it does to them. In another thread than the main one, where no such signal
-    arrives, nothing changes.
+    The block must be short. Processes started in it begin with Ctrl-C blocked, until they have set
+    their handlers. In other threads than the main one, which get no such signals, nothing changes.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -23,13 +22,13 @@ def deferred() -> Iterator[None]:
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
-        # Processes inherit this. It does not do for the handlers: it holds for this thread only,
-        # and a signal that another one takes is still answered in this one.
+        # Child processes inherit the mask. It cannot replace the handlers: it holds for this thread
+        # only, and a signal taken by another thread is still handled in this one.
         with _held_back_here():
             yield
     finally:
         for number, handler in before.items():
-            if handler is not None:  # one that C code has set cannot be set again
+            if handler is not None:  # handlers set by C code cannot be restored
                 signal.signal(number, handler)
         if came:
             signal.raise_signal(came[0])

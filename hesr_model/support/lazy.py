@@ -1,4 +1,4 @@
-"""Public names that are imported when they are first used (PEP 562)."""
+"""Public names that are imported on first use (PEP 562)."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -8,13 +8,12 @@ from importlib import import_module
 def lazy(
     module: str, homes: Mapping[str, str]
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """Return ``__getattr__`` and ``__dir__`` of a module that imports its names when used.
+    """Return ``__getattr__`` and ``__dir__`` of a module that imports its names on use.
 
     Parameters
     ----------
     module : its ``__name__``.
-    homes : by public name the module that holds it, after a colon its name there where that
-        differs.
+    homes : module of each public name, followed by a colon and the name there if it differs.
     """
 
     def find(name: str) -> object:

@@ -1,4 +1,4 @@
-"""Other programs, run with a time limit; none of the processes that they start outlives them."""
+"""Other programs, run with a time limit, without surviving descendants."""
 
 import contextlib
 import os
@@ -12,16 +12,16 @@ from secrets import token_hex
 from typing import Any
 
 _MOST_OUTPUT = 4 << 20
-_ROUNDS = 10  # a process that is found may have started others since
+_ROUNDS = 10  # a process may have started others before it is killed
 
 
 class FailedError(Exception):
-    """A program gave no answer; the text says why and has no full stop."""
+    """A program gave no answer; the text is the reason, without full stop."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """How a program ended and what it wrote."""
+    """Exit code and output of a program."""
 
     code: int
     text: str
@@ -73,7 +73,7 @@ class ChildProcess:
 
     def end(self) -> None:
         """Kill the program, its session and all its descendants."""
-        # A process that has been waited for may have given its ID to another program.
+        # After a wait, the process ID may belong to another program.
         if self.process.poll() is None:
             if hasattr(os, "killpg"):
                 with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -133,9 +133,9 @@ def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
 
 
 def how_it_ended(code: int) -> str:
-    """Return how a program ended, from its exit code, as the end of a sentence without full stop.
+    """Return how a program ended, as the end of a sentence without full stop.
 
-    Codes below zero are those of signals, as `subprocess` gives them.
+    Negative exit codes are signals, as in `subprocess`.
     """
     if code >= 0:
         return f"ended its process with exit code {code}"

@@ -1,4 +1,4 @@
-"""How work that takes long tells how far it is."""
+"""Progress reports of slow work."""
 
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -8,20 +8,20 @@ from pathlib import Path
 from typing import TypeVar
 
 Progress = Callable[[int, int], None]
-"""Told how much is done, and how much there is."""
+"""Called with the number of finished items and the total."""
 
 Stages = Callable[[str, int, int], None]
-"""Told what is being done, how much of it is done, and how much there is."""
+"""Called with the name of a stage, the number of finished items and the total."""
 
 Item = TypeVar("Item")
 
 
 def silent(*_told: object) -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 def counted(items: Collection[Item], progress: Progress) -> Iterator[Item]:
-    """Yield items, telling before each and after the last how many are done."""
+    """Yield items; report the number of finished ones before each and after the last."""
     for done, item in enumerate(items):
         progress(done, len(items))
         yield item
@@ -31,22 +31,19 @@ def counted(items: Collection[Item], progress: Progress) -> Iterator[Item]:
 _steps: ContextVar[Progress] = ContextVar("_steps", default=silent)
 
 PARTS = 100
-"""Of one job, where several are counted together by the steps inside them."""
+"""Units of one job when several jobs are counted together."""
 
-_LOOKED = 0.3  # [s] between two looks at how far workers are
+_LOOKED = 0.3  # [s] between two polls of workers
 
 
 def step(done: int, total: int) -> None:
-    """Tell how many starts or candidates of the work at hand are done, to whom `steps_told` named.
-
-    A search calls it from inside; nobody need listen.
-    """
+    """Report the number of finished starts or candidates of a search to `steps_told`, if active."""
     _steps.get()(done, total)
 
 
 @contextmanager
 def steps_told(to: Progress) -> Iterator[None]:
-    """Have `step` tell somebody within the block."""
+    """Pass reports of `step` to `to` within the block."""
     token = _steps.set(to)
     try:
         yield
@@ -55,14 +52,14 @@ def steps_told(to: Progress) -> Iterator[None]:
 
 
 def into_file(path: Path) -> Progress:
-    """Return what writes the greatest share that was told into a file, for another process."""
+    """Return a progress that writes the largest share into a file, for another process."""
     most = 0
 
     def tell(done: int, total: int) -> None:
         nonlocal most
         if (share := PARTS * done // max(total, 1)) > most:
             most = share
-            with suppress(OSError):  # it is no reason to lose the work
+            with suppress(OSError):  # the work is more important
                 path.write_text(str(share), encoding="utf-8")
 
     return tell
@@ -70,7 +67,7 @@ def into_file(path: Path) -> Progress:
 
 @contextmanager
 def watched(files: Sequence[Path], progress: Progress) -> Iterator[None]:
-    """Tell the sum of what jobs write by `into_file`, in `PARTS` of each, while the block runs."""
+    """Report the sum of the shares that jobs write by `into_file` while the block runs."""
     total, ended = PARTS * len(files), threading.Event()
 
     def look() -> None:

@@ -1,20 +1,20 @@
-"""Names and messages that come from files of unknown origin, as they can be shown."""
+"""Names and messages from files of unknown origin, made safe to show."""
 
 from collections.abc import Iterable
 
-_LONGEST = 160  # characters of one name or message: a hostile one has millions
+_LONGEST = 160  # characters of one name or message; hostile ones have millions
 
 
 def plain(text: str, longest: int = _LONGEST) -> str:
-    """Return text on one line that is safe to print, since it comes from a file of unknown origin.
+    """Return text on one line that is safe to print.
 
-    Control characters and those that change the direction of text are written as escapes.
+    Control characters and characters that change the text direction are escaped.
     """
     return escaped(text if len(text) <= longest else f"{text[:longest]}...")
 
 
 def escaped(text: str) -> str:
-    """Return text with escapes in place of what cannot be printed."""
+    """Return text with unprintable characters escaped."""
     return "".join(
         c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text
     )
@@ -26,7 +26,7 @@ def quoted(name: str) -> str:
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:
-    """Return names in quotes with commas, the last of many as their number."""
+    """Return quoted names with commas; the number of the rest if there are many."""
     names = list(names)
     text = ", ".join(map(quoted, names[:most]))
     return f"{text} and {len(names) - most} more" if len(names) > most else text

@@ -36,7 +36,7 @@ def _with_gaps(values: Array) -> Any:
 Numbers = Annotated[Array, PlainValidator(_array), PlainSerializer(np.ndarray.tolist)]
 """An array of any shape, as lists."""
 NumbersWithGaps = Annotated[Array, PlainValidator(_array), PlainSerializer(_with_gaps)]
-"""The same, null where a number is not finite; it comes back as NaN."""
+"""The same, with null for numbers that are not finite; they are read as NaN."""
 
 
 def write_json(path: Path, data: Mapping[str, Any], *, indent: int | None = 2) -> None:
@@ -76,13 +76,13 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 
 def to_text(value: Any, *, sparse: bool = False) -> str:
-    """Return a data class as text of JSON; arguments and errors are those of `to_json`."""
+    """Return a data class as JSON text; see `to_json`."""
     kind: Any = type(value)
     return json.dumps(_adapter(kind).dump_python(value, exclude_none=sparse), allow_nan=False)
 
 
 def to_json(value: Any, *, sparse: bool = False) -> Any:
-    """Return a data class as JSON data, numbers with every digit.
+    """Return a data class as JSON data, numbers with all digits.
 
     Parameters
     ----------
@@ -92,25 +92,25 @@ def to_json(value: Any, *, sparse: bool = False) -> Any:
     Raises
     ------
     ValueError
-        If a number is not finite, which JSON does not know.
+        If a number is not finite.
     """
     return json.loads(to_text(value, sparse=sparse))
 
 
 def from_json(kind: type[Kind], data: Any, path: Path, what: str) -> Kind:
-    """Return the data class of JSON data that stood in a file.
+    """Return the data class for JSON data of a file.
 
     Parameters
     ----------
     kind : the data class.
     data : the JSON data.
     path : the file, for messages.
-    what : what should stand in it, for messages.
+    what : expected content, for messages.
 
     Raises
     ------
     ArtifactError
-        Naming the file and the key, and what is wrong there.
+        With the file, the key and the problem.
     """
     schema: Any = kind
     try:

@@ -1,4 +1,4 @@
-"""Text of a file that anybody may have written: bounded before it becomes data."""
+"""Bounded text and data from files of unknown origin."""
 
 import json
 import os
@@ -10,12 +10,12 @@ from typing import Any, TypeVar
 Data = TypeVar("Data")
 
 MOST_BYTES = 256 * 2**20
-"""Of a file of text. Results of the largest networks on the longest logs take a tenth of it."""
+"""Maximum size of a text file [B]; the largest results have a tenth of it."""
 
 _MOST_DIGITS = 300
-"""Of an integer: longer ones are no floating-point number (1.8e308 at most)."""
+"""Maximum number of digits of an integer; floating-point numbers end at 1.8e308."""
 
-_DEEPEST_KEY = 100  # dots in it
+_DEEPEST_KEY = 100  # dots in a key
 
 _LONGEST_NAME = 1000
 
@@ -28,14 +28,14 @@ def read_text(path: Path) -> str:
     OSError
         If it cannot be read.
     ValueError
-        If it is not UTF-8, longer than any file of ours, or a pipe or a device.
+        If it is not UTF-8, too long, or a pipe or a device.
     """
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise ValueError("it is a pipe or a device")  # opening it may wait, and it may not end
+        raise ValueError("it is a pipe or a device")  # opening it may block, and it may have no end
     with path.open("rb") as file:
         too_long = os.fstat(file.fileno()).st_size > MOST_BYTES
         content = b"" if too_long else file.read(MOST_BYTES + 1)
-    if too_long or len(content) > MOST_BYTES:  # files of the system do not say how long they are
+    if too_long or len(content) > MOST_BYTES:  # files of the system do not have their length
         raise ValueError(f"it is longer than {MOST_BYTES // 2**20} MB")
     return content.decode("utf-8")
 
@@ -46,7 +46,7 @@ def parse_json(text: str | bytes) -> Any:
     Raises
     ------
     ValueError
-        If it is not JSON, is nested too deeply, or holds an integer that no number can be.
+        If it is not JSON, is nested too deeply, or contains too large an integer.
     """
     return _shallow(lambda: json.loads(text, parse_int=_integer))
 
@@ -57,10 +57,10 @@ def parse_toml(text: str) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        If it is not TOML, is nested too deeply, or holds an integer that no number can be.
+        If it is not TOML, is nested too deeply, or contains too large an integer.
     """
     for line in text.splitlines():
-        # Tables in tables take time that grows with the square of their depth.
+        # Parsing nested tables takes quadratic time in their depth.
         if line.partition("=")[0].count(".") > _DEEPEST_KEY and not line.lstrip().startswith("#"):
             raise ValueError("it is nested too deeply")
     data = _shallow(lambda: tomllib.loads(text))
@@ -90,12 +90,12 @@ def _require_numbers(data: Any) -> None:
 
 
 def require_printable(name: str) -> str:
-    """Return a name that can stand in every file that is made, XML and C included.
+    """Check and return a name that every output file can contain, also XML and C.
 
     Raises
     ------
     ValueError
-        If it is empty, longer than `_LONGEST_NAME`, or holds a character that cannot be printed.
+        If it is empty, longer than `_LONGEST_NAME`, or contains an unprintable character.
     """
     if not name or len(name) > _LONGEST_NAME:
         raise ValueError(f"a name has {len(name)} characters; it can have 1 to {_LONGEST_NAME}")

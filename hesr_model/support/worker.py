@@ -14,6 +14,8 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import lru_cache
+
 from pathlib import Path
 from typing import IO, Any
 
@@ -58,12 +60,9 @@ def work(folder: Path, parent: int) -> None:
     os.dup2(2, 1)  # jobs may print
     process = psutil.Process()
     first_size = process.memory_info().rss
-    loaded, jobs = "", list[Callable[[], Any]]()
     for request in requests:
         batch, k = request.decode().split()
-        if batch != loaded:
-            jobs, loaded = cloudpickle.loads((folder / f"{JOBS}{batch}").read_bytes()), batch
-        data = _answer(jobs, int(k))
+        data = _answer(folder / f"{JOBS}{batch}", int(k))
         answers.write(f"{len(data)}\n".encode() + data)
         answers.flush()
         if process.memory_info().rss > first_size + _GROWTH and os.name == "posix":
@@ -72,11 +71,17 @@ def work(folder: Path, parent: int) -> None:
             os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
-def _answer(jobs: Sequence[Callable[[], Any]], k: int) -> bytes:
+@lru_cache(maxsize=1)
+def _batch(file: Path) -> Sequence[Callable[[], Any]]:
+    jobs: Sequence[Callable[[], Any]] = cloudpickle.loads(file.read_bytes())
+    return jobs
+
+
+def _answer(file: Path, k: int) -> bytes:
     before = USED.copy()
     answer: JobAnswer
     try:
-        answer = None, jobs[k](), USED - before
+        answer = None, _batch(file)[k](), USED - before
         return bytes(cloudpickle.dumps(answer))
     except BaseException as error:
         error.add_note("".join(traceback.format_exception(error)))

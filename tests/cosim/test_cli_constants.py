@@ -49,4 +49,4 @@ def test_a_payload_is_four_numbers(hesr: Hesr, tmp_path: Path, arm_log: RobotLog
     assert "--payload: found 2 values; needed are its mass" in answer.err
     answer = hesr("constants", log, "--robot", robot, "--payload", "2.0,0.1,0,0")
     assert answer.code == 2
-    assert "motions under a payload go with its parameters" in answer.err
+    assert "motions under a payload need its parameters" in answer.err

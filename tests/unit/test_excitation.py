@@ -275,7 +275,7 @@ def test_torque_below_gravity_admits_no_motion(arm_model: RobotModel) -> None:
 
 
 def test_torque_that_gravity_uses_up_admits_no_motion(arm_model: RobotModel) -> None:
-    message = r"^robot 'arm': the limits admit no motion, because limits\.torque leaves nothing"
+    message = r"^robot 'arm': the limits admit no motion: gravity alone uses up limits\.torque"
     with pytest.raises(FitError, match=message):
         design(arm_model, with_limits(torque=(1e-4, 1e-4, 1e-4)))
 

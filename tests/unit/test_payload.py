@@ -126,7 +126,7 @@ def test_a_log_without_payload_is_refused(
     arm_model: RobotModel, unloaded: RigidBody, make_motion: MakeMotion
 ) -> None:
     message = (
-        r"^log run: holds no payload that can be told from none; its mass is found as "
+        r"^log run: no significant payload; its mass is "
         r"-?[\d.e-]+ kg with a standard error of [\d.e-]+ kg, and more than 4 standard errors "
         r"are needed\.$"
     )

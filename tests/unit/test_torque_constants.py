@@ -99,7 +99,7 @@ def test_what_cannot_be_asked_is_refused(arm_model: RobotModel, make_motion: Mak
     motion = make_motion()
     with pytest.raises(FitError, match="the declared error of the masses is 0"):
         torque_constants([motion], arm_model, ASSUMED, mass_error=0.0)
-    with pytest.raises(FitError, match="motions under a payload go with its parameters"):
+    with pytest.raises(FitError, match="motions under a payload need its parameters"):
         torque_constants([motion], arm_model, ASSUMED, mass_error=0.1, loaded=[motion])
 
 
