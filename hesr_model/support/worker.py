@@ -15,7 +15,6 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-
 from pathlib import Path
 from typing import IO, Any
 
