@@ -197,7 +197,7 @@ def test_times_that_are_rounded_have_no_more_inner_steps() -> None:
 
 def test_what_cannot_be_simulated_is_refused(twin: dict[str, object]) -> None:
     robot, log = twin["robot"], twin["log"]
-    with pytest.raises(SimulationError, match=r"log trial: too short for a window of 9 s after a run-in"):
+    with pytest.raises(SimulationError, match="log trial: too short for a window of 9 s"):
         windows_of([log], 9.0)
     hollow = Simulator(robot=robot, parameters=-robot.nominal_parameters, friction=twin["law"])
     with pytest.raises(SimulationError, match="mass matrix is not positive, so that nothing can"):
