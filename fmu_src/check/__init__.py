@@ -1,7 +1,24 @@
-"""Checks of any FMU, all problems at once."""
+"""Checks of any FMU, all problems at once.
 
-from fmu_src.check.report import Report
-from fmu_src.check.run import check
-from fmu_src.run.archive import opened
+Names are imported when they are first used, so that readers in the sandbox start quickly.
+"""
+
+from typing import TYPE_CHECKING
+
+from hesr_model.support.lazy import lazy
+
+if TYPE_CHECKING:
+    from fmu_src.check.report import Report
+    from fmu_src.check.run import check
+    from fmu_src.run.archive import opened
 
 __all__ = ["Report", "check", "opened"]
+
+_HOMES = {
+    "Report": "fmu_src.check.report",
+    "check": "fmu_src.check.run",
+    "opened": "fmu_src.run.archive",
+}
+
+if not TYPE_CHECKING:  # type checkers use the names above
+    __getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -10,11 +10,12 @@ from typing import Any
 from fmu_src.check import functions, libraries
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import KINDS, Description, Kind
-from fmu_src.check.work import work
-from hesr_model.support.process import FailedError
+from fmu_src.run.instance import DiedError
+from fmu_src.run.sandbox import run_in_sandbox
 from hesr_model.support.text import listed, plain, quoted
 
 SECONDS = 30.0
+_READER = "fmu_src.check.readers:inspect"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,9 +113,9 @@ def _of_library(
     folder: Path,
 ) -> Iterator[str]:
     try:
-        found = work("binary", file, folder, SECONDS)
-    except FailedError as error:
-        yield f"its content could not be read: {plain(str(error))}."
+        found = run_in_sandbox(_READER, str(file), folder=folder, seconds=SECONDS)
+    except DiedError as error:
+        yield f"its content could not be read: its reader {error}."
         return
     parts = found["parts"]
     machines = [part["machine"] for part in parts]

@@ -10,7 +10,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from fmu_src.check.archive import Contents
-from fmu_src.check.work import work
+from fmu_src.run.instance import DiedError
+from fmu_src.run.sandbox import run_in_sandbox
 from hesr_model.support.process import FailedError, run
 from hesr_model.support.text import plain
 
@@ -40,9 +41,10 @@ def write_copy(contents: Contents, readable: Iterable[str], path: Path) -> None:
 def fmpy(copy: Path, folder: Path) -> tuple[list[str], list[str]]:
     """Return the problems that FMPy finds and why it was not run, if so."""
     try:
-        found = work("fmpy", copy, folder, FMPY_SECONDS)
-    except FailedError as error:
-        return [], [f"FMPy: {plain(str(error))}."]
+        reader = "fmu_src.check.readers:validate"
+        found = run_in_sandbox(reader, str(copy), folder=folder, seconds=FMPY_SECONDS)
+    except DiedError as error:
+        return [], [f"FMPy {error}."]
     return [_sentence(text) for text in found], []
 
 

@@ -6,33 +6,33 @@ around its time by several times what it does at the preferred step, outputs tha
 before the step included: that is the step error that the FMU has anyway.
 """
 
-import json
 import math
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
 
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import Description, Kind, Variable, integer, real
+from fmu_src.run.instance import DiedError
+from fmu_src.run.sandbox import NONSENSE, Sandbox
 from hesr_model.support.arrays import Array
-from hesr_model.support.process import FailedError, run
 from hesr_model.support.text import plain, quoted
 
 SECONDS = 300.0
-"""Longest run of all scenarios."""
+"""Time limit of a scenario [s]."""
 
 STEPS = 200
-"""Of the nominal run."""
+"""Number of steps of the nominal run."""
 
-_WORKER = Path(__file__).with_name("hostile_worker.py")
-_STEP = 0.01  # [s], where the FMU prefers none
-_ERRORS = 5.0  # as many step errors of the nominal run are no jump
-_LEAST = 0.02  # nor is this much of the range of an output
-_SAME = 1e-9  # of it, where runs must be the same
+_SCENARIO = "fmu_src.check.hostile_scenarios:outcome"
+_STEP = 0.01  # [s], unless the FMU prefers one
+_ERRORS = 5.0  # threshold of a jump, in step errors of the nominal run
+_LEAST = 0.02  # added to it, relative to the range of an output
+_SAME = 1e-9  # tolerance of runs that must be equal, relative to the range
 
 _FREE = {
     "fifth": "steps of a fifth of the preferred one",
@@ -172,31 +172,30 @@ class _Master:
             )
 
     def _outcomes(self, scenarios: Sequence[str]) -> dict[str, dict[str, Any]]:
-        """Run scenarios; one that ends the process is told of, and the others are run without."""
-        left, found = list(scenarios), dict[str, dict[str, Any]]()
-        plan, answer = self._folder / "plan.json", self._folder / "answer.jsonl"
-        while left:
-            plan.write_text(json.dumps(self._plan | {"scenarios": left}), encoding="utf-8")
-            answer.write_text("", encoding="utf-8")
-            command = (sys.executable, "-P", str(_WORKER), str(plan), str(answer))
-            try:
-                ended = run(command, self._folder, SECONDS)
-                lines = ended.text.strip().splitlines() or ["no message"]
-                fault = (
-                    f"the FMU crashes with signal {-ended.code}"
-                    if ended.code < 0
-                    else f"the FMU ends its host with '{plain(lines[-1])}'"
-                )
-            except FailedError as error:
-                fault = f"the FMU does not come to an end, {error}"
-            for line in answer.read_text(encoding="utf-8").splitlines():
-                outcome = json.loads(line)
-                found[outcome["scenario"]] = outcome
-            left = [name for name in left if name not in found]
-            if left:
-                found[left[0]] = {"refused": fault}
-                left = left[1:]
+        """Run scenarios in a sandbox; after one that ends it the others run in a new one."""
+        found, sandbox = dict[str, dict[str, Any]](), None
+        try:
+            for name in scenarios:
+                try:
+                    if sandbox is None:
+                        sandbox = Sandbox(Path(mkdtemp(dir=self._folder)), SECONDS)
+                    outcome = sandbox.run(_SCENARIO, self._plan, name)
+                    if not self._is_outcome(outcome):
+                        raise sandbox.died(NONSENSE)
+                except DiedError as error:
+                    outcome, sandbox = {"refused": f"the FMU {error}"}, None
+                found[name] = outcome
+        finally:
+            if sandbox is not None:
+                sandbox.kill()
         return found
+
+    def _is_outcome(self, outcome: Any) -> bool:
+        try:
+            _run(outcome, len(self._outputs))
+        except (ValueError, TypeError, KeyError, AttributeError):
+            return False
+        return isinstance(outcome.get("refused", ""), str)
 
     # --- jumps --------------------------------------------------------------------------------
 
@@ -273,9 +272,9 @@ def _excitation(variable: Variable) -> dict[str, Any]:
 
 def _run(outcome: Mapping[str, Any], outputs: int) -> _Run:
     return _Run(
-        times=np.array(outcome["times"], dtype=float),
-        steps=np.array(outcome["steps"], dtype=float),
-        rows=np.array(outcome["rows"], dtype=float).reshape(-1, outputs),
+        times=np.array(outcome.get("times", []), dtype=float),
+        steps=np.array(outcome.get("steps", []), dtype=float),
+        rows=np.array(outcome.get("rows", []), dtype=float).reshape(-1, outputs),
         fresh=np.array(outcome.get("fresh", []), dtype=float).reshape(-1, outputs),
         refused=outcome.get("refused", ""),
     )

@@ -7,8 +7,8 @@ from xml.parsers import expat
 
 from lxml import etree
 
-from fmu_src.check.work import work
-from hesr_model.support.process import FailedError
+from fmu_src.run.instance import DiedError
+from fmu_src.run.sandbox import run_in_sandbox
 from hesr_model.support.text import plain
 
 MOST_BYTES = 64 << 20
@@ -101,7 +101,8 @@ def schema_problems(name: str, file: Path, folder: Path) -> list[str]:
     The time that it takes grows with the square of the number of errors, hence the limit.
     """
     try:
-        found = work("schema", file, folder, SECONDS)
-    except FailedError as error:
-        return [f"{name}: it cannot be compared with the schema: {error}."]
+        reader = "fmu_src.check.readers:compare"
+        found = run_in_sandbox(reader, str(file), folder=folder, seconds=SECONDS)
+    except DiedError as error:
+        return [f"{name}: it cannot be compared with the schema: the comparison {error}."]
     return [f"{name}, line {line}: {plain(text, 400)}" for line, text in found]

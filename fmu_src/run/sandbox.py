@@ -13,6 +13,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,8 @@ _POLL = 0.1  # [s] between checks whether the process is alive
 _PIECE = 1 << 16  # bytes that are received at once
 _MOST_PREFETCHED = 8  # buffers
 _MOST_RESULT = 64 << 20  # bytes
-_NONSENSE = "answered what no FMU answers and was ended"
+NONSENSE = "answered what no FMU answers and was ended"
+"""End of the sentence on an answer that makes no sense."""
 
 
 class Sandbox:
@@ -114,7 +116,7 @@ class Sandbox:
                 raise self.died(f"failed with '{plain(str(answer['raised']), 400).rstrip('.')}'")
             return answer["result"]
         except (ValueError, TypeError, KeyError, RecursionError) as error:
-            raise self.died(_NONSENSE) from error
+            raise self.died(NONSENSE) from error
 
     def died(self, how: str) -> DiedError:
         """End the process and return the error."""
@@ -158,7 +160,7 @@ class Sandbox:
                 continue
             size = LENGTH.size + LENGTH.unpack_from(data)[0]
             if size > LENGTH.size + most or len(data) > size:
-                raise self.died(_NONSENSE)
+                raise self.died(NONSENSE)
             if len(data) < size:
                 self._require_time(end)
         return bytes(data[LENGTH.size :])
@@ -172,6 +174,16 @@ class Sandbox:
             return how_it_ended(self._started.process.wait(1.0))
         except subprocess.TimeoutExpired:
             return "closed its connection and was ended"
+
+
+def run_in_sandbox(function: str, *arguments: Any, folder: Path, seconds: float) -> Any:
+    """Return the result of a function in a sandbox of its own; see `Sandbox.run`."""
+    with TemporaryDirectory(dir=folder) as own:
+        sandbox = Sandbox(Path(own), seconds)
+        try:
+            return sandbox.run(function, *arguments)
+        finally:
+            sandbox.kill()
 
 
 class SandboxedInstance:
@@ -299,7 +311,7 @@ class SandboxedInstance:
                 unloadable, failed = (answer.get(key) for key in ("unloadable", "failed"))
                 self._hear(answer["messages"])
             except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-                raise self._sandbox.died(_NONSENSE) from error
+                raise self._sandbox.died(NONSENSE) from error
         except DiedError as error:
             raise self._died([function], error) from error
         if unloadable is not None:
@@ -338,7 +350,7 @@ class SandboxedInstance:
                     self._known[number] = values
                 self._hear(json.loads(rest) if rest else [])
             except (ValueError, IndexError, TypeError, struct.error, RecursionError) as error:
-                raise self._sandbox.died(_NONSENSE) from error
+                raise self._sandbox.died(NONSENSE) from error
         except DiedError as error:
             raise self._died(names, error) from error
         if status:

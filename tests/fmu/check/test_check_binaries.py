@@ -216,21 +216,32 @@ def test_static_libraries_and_their_folders_are_left_alone(table1_fmu, tmp_path)
 def test_a_library_that_takes_forever(of, monkeypatch, table1_fmu):
     monkeypatch.setattr(binaries, "SECONDS", 0.001)
     assert of(members(table1_fmu)[BINARY]) == [
-        f"{BINARY}: its content could not be read: it gave no answer within 0.001 s."
+        f"{BINARY}: its content could not be read: its reader gave no answer within 0.001 s and "
+        "was ended."
     ]
 
 
-def test_a_reader_that_crashes(of, monkeypatch, table1_fmu, tmp_path):
-    worker = tmp_path / "worker.py"
-    monkeypatch.setattr("fmu_src.check.work._WORKER", worker)
-    worker.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
-    start = f"{BINARY}: its content could not be read: "
-    assert of(members(table1_fmu)[BINARY]) == [f"{start}it crashed with signal 11."]
-    worker.write_text("raise MemoryError('too much')\n")
-    assert of(members(table1_fmu)[BINARY]) == [f"{start}it failed with 'MemoryError: too much'."]
-    worker.write_text("")
-    assert of(members(table1_fmu)[BINARY]) == [f"{start}it failed with 'no message'."]
+@pytest.mark.parametrize(
+    ("deed", "how"),
+    [
+        ("os.kill(os.getpid(), 11)", "crashed with signal 11 (SIGSEGV)"),
+        ("raise MemoryError('too much')", "failed with 'MemoryError: too much'"),
+        ("os._exit(7)", "ended its process with exit code 7"),
+    ],
+)
+def test_a_reader_that_crashes(of, monkeypatch, table1_fmu, tmp_path, deed, how):
+    text = f"import os\ndef read(_file): {deed}\n"
+    (tmp_path / "readers.py").write_text(text, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(binaries, "_READER", "readers:read")
+    assert of(members(table1_fmu)[BINARY]) == [
+        f"{BINARY}: its content could not be read: its reader {how}."
+    ]
+
+
+def test_a_reader_that_cannot_be_started(of, monkeypatch, table1_fmu, tmp_path):
     monkeypatch.setattr("sys.executable", str(tmp_path / "none"))
     assert of(members(table1_fmu)[BINARY]) == [
-        f"{start}it cannot be started (No such file or directory)."
+        f"{BINARY}: its content could not be read: its reader has no process: it cannot be started "
+        "(No such file or directory)."
     ]

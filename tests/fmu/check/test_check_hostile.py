@@ -203,7 +203,7 @@ def test_reading_that_changes_the_run(python_fmu):
 def test_a_crash_ends_its_own_scenario_alone(python_fmu):
     sentences = found(python_fmu(f"step > 1e-9 or os.kill(os.getpid(), 11)\n        {LAG}"))
     assert sentences == [
-        f"{name}: the FMU crashes with signal 11{claim}."
+        f"{name}: the FMU crashed with signal 11 (SIGSEGV){claim}."
         for name, claim in (
             ("a last step of rounding size, as summed times leave it", ""),
             (
@@ -218,8 +218,8 @@ def test_a_step_that_never_ends(python_fmu, monkeypatch):
     monkeypatch.setattr(hostile, "SECONDS", 8.0)
     sentences = found(python_fmu(f"while step < 1e-9: pass\n        {LAG}"))
     assert sentences[0] == (
-        "a last step of rounding size, as summed times leave it: the FMU does not come to an end, "
-        "it gave no answer within 8 s."
+        "a last step of rounding size, as summed times leave it: the FMU gave no answer within 8 s "
+        "and was ended."
     )
     assert len(sentences) == 2
 

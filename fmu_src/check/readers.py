@@ -1,21 +1,10 @@
-"""What runs in a process of its own, so that no file can crash or stall the check itself.
+"""Readers of untrusted files; they run in the sandbox, where no file can stall a check."""
 
-This file is run as a script and imports nothing of the project:
-
-    worker.py binary LIBRARY ANSWER.json     format, exports and imports of a shared library
-    worker.py fmpy X.fmu ANSWER.json         FMPy's validation
-    worker.py schema X.xml ANSWER.json       departures from the schema of FMI
-"""
-
-import json
-import sys
 from collections.abc import Iterable
-from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-MOST_MEMORY = 4 << 30
 MOST_SYMBOLS = 10_000
 MOST_ERRORS = 10_000
 
@@ -26,14 +15,7 @@ _SCHEMAS = {
     "fmiTerminalsAndIcons": "fmi3/fmi3TerminalsAndIcons.xsd",
     "fmiBuildDescription": "fmi3/fmi3BuildDescription.xsd",
 }
-"""By version, or by root where all versions have one."""
-
-
-def main(arguments: list[str]) -> None:
-    """Do one job and write its answer."""
-    job, file, answer = arguments
-    found = {"binary": inspect, "fmpy": validate, "schema": compare}[job](file)
-    Path(answer).write_text(json.dumps(found), encoding="utf-8")
+"""Schemas by version, or by root element if it is the same in all versions."""
 
 
 def validate(file: str) -> list[str]:
@@ -44,10 +26,7 @@ def validate(file: str) -> list[str]:
 
 
 def compare(file: str) -> list[tuple[int, str]]:
-    """Return the lines in which XML departs from its schema, and how.
-
-    The file is known to have neither a DTD nor entities.
-    """
+    """Return line and message of each violation of the schema; the file has no DTD or entities."""
     import fmpy
     from lxml import etree
 
@@ -60,13 +39,9 @@ def compare(file: str) -> list[tuple[int, str]]:
 
 
 def inspect(file: str) -> dict[str, Any]:
-    """Return the format of a library, None if it is none, and its parts, one per architecture."""
+    """Return the format of a library, None if unknown, and its parts, one per architecture."""
     import lief
 
-    with suppress(ImportError):  # Windows has no such limits
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
     lief.logging.disable()
     if lief.is_elf(file):
         return _answer("ELF", [_elf(lief.ELF.parse(file))])
@@ -142,7 +117,3 @@ def _mach_o(part: Any) -> dict[str, Any]:
         "libraries": [str(x.name) for x in part.libraries if _word(x.command) != "ID_DYLIB"],
         "run_paths": [str(path.path) for path in part.rpaths],
     }
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
