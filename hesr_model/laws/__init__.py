@@ -1,1 +1,1 @@
-"""The friction laws, one module each."""
+"""Friction laws, one module each."""

@@ -1,4 +1,4 @@
-"""Dahl basis: parallel elements of rate-independent memory with fixed deflections, no search."""
+"""Dahl basis: parallel elements with rate-independent memory and fixed deflections."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -64,10 +64,10 @@ class DahlBasis(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Search nothing: everything is linear.
+        """Solve for all coefficients; the problem is linear.
 
-        An element that drives makes no friction, and no simulator has one, so the plain F_i are not
-        negative; with load, F_i alone need not be what an element carries.
+        Elements must not drive, so F_i are non-negative. With load they may be negative, because
+        the force of an element is F_i + mu_i |tau_load|.
         """
         linear = (*_FORCE, *(_LOAD if self.load else ()), SIGMA_2, TAU_0)
         return SearchSpace(
@@ -93,14 +93,14 @@ class DahlBasisLoad(DahlBasis):
 
 RISE = Coefficient(name="rise", unit="1/(N.m)", description="relative rise of the bounds per load")
 RISE_BOUNDS = (1e-4, 1.0)
-"""Of that [1/(N.m)]."""
+"""Bounds of the rise [1/(N.m)]."""
 
 
 @register
 class DahlBasisBound(DahlBasis):
     """x_i' = kappa_i (v - |v| x_i / (1 + rise |tau_load|)): the load in the bounds, not a factor.
 
-    A bound that moves gives no energy, where a factor does. All elements share the rise.
+    A moving bound generates no energy, unlike a factor. All elements share the rise.
     """
 
     name = "dahl_bound"

@@ -22,7 +22,7 @@ MU = Coefficient(name="mu", unit="1/(N.m)", description="relative rise with the 
 DEFLECTION_BOUNDS = (1e-5, 0.1)
 """Bounds of the sliding deflection F_c / sigma_0 [rad]; wide, since the update is exact."""
 STATIC_RATIO_BOUNDS = (0.2, 5.0)
-"""Bounds of F_s / F_c; below 1 the level rises with speed, as lubricated gears show."""
+"""Bounds of F_s / F_c; below 1 the level rises with speed, as in lubricated gears."""
 
 
 def bristle() -> Relaxation:
@@ -37,8 +37,8 @@ def bristle() -> Relaxation:
 def bristle_space(linear: tuple[str, ...], non_negative: int) -> SearchSpace:
     """Search the sliding deflection, F_s / F_c and v_s.
 
-    With sigma_0 = F_c / deflection and F_s = ratio F_c the rate of z is free of F_c, and the torque
-    is linear in F_c and in the other coefficients of eq. 1.
+    With sigma_0 = F_c / deflection and F_s = ratio F_c the rate of z does not depend on F_c, so the
+    torque is linear in F_c and the other coefficients of eq. 1.
     """
     f_c, deflection, ratio = (
         sympy.Symbol(name, real=True) for name in ("F_c", "deflection", "ratio")
@@ -70,7 +70,7 @@ COEFFICIENTS = (SIGMA_0, SIGMA_1, SIGMA_2, F_C, F_S, V_S, TAU_0)
 
 
 def _with(form: LawForm, term: sympy.Expr, *own: Coefficient) -> LawForm:
-    """Return a form with one more term and its own coefficients."""
+    """Return a form with an additional term and its coefficients."""
     coefficients = (*form.coefficients, *own)
     return replace(form, coefficients=coefficients, output=form.output + term)
 
@@ -114,7 +114,7 @@ class LuGreLoad(LuGre):
         return _with(super().core(structure), rise, MU)
 
     def space(self) -> SearchSpace:
-        """Search the bristle; F_c mu is solved for, since the torque is linear in the product."""
+        """Search the bristle; solve for the product F_c mu, which makes the torque linear."""
         plain = bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0", "F_c_mu"), non_negative=3)
         product = sympy.Symbol("F_c_mu", real=True)
         return replace(plain, values=(*plain.values, (MU.name, product / F_C.symbol)))
@@ -135,7 +135,7 @@ class LuGreLoadRipple(LuGreLoad):
 
 
 RATIO_TEXTBOOK = (1.0, 5.0)
-"""Bounds of F_s / F_c where static friction is what its name says."""
+"""Bounds of F_s / F_c with static friction above Coulomb friction."""
 SIGMA_T = Coefficient(
     name="sigma_t", unit="N.m.s/rad", description="viscous friction that thins with speed"
 )
@@ -147,7 +147,7 @@ THINNING_BOUNDS = (1e-2, 3.0)
 
 @register
 class LuGreTextbook(LuGre):
-    """LuGre with F_s >= F_c and viscous friction that may thin: + sigma_t v / (1 + |v|/v_t)."""
+    """LuGre with F_s >= F_c and shear-thinning viscous friction + sigma_t v / (1 + |v|/v_t)."""
 
     name = "lugre_textbook"
     title = "LuGre, F_s >= F_c"

@@ -1,11 +1,11 @@
-"""Torque ripple in the joint angle: harmonics of the motor's angle, chosen by left-out logs.
+"""Torque ripple in the joint angle: harmonics of the motor angle, chosen by cross-validation.
 
     sum_k (a_k cos(k N (q - lag dq)) + b_k sin(k N (q - lag dq))) / (1 + (k N smoothing dq)^2)
 
-N is the gear ratio, k the order per turn of the motor. The lag is the time by which the logged
-torque follows the logged position: without it a ripple of constant amplitude turns its phase with
-the speed and averages out (on a UR10e by a quarter turn at 0.5 rad/s, which is 3 ms). The smoothing
-is the time constant of what keeps fast ripple out of the logged torque, as a servo's bandwidth.
+N is the gear ratio, k the order per turn of the motor. The lag is the delay of the logged torque
+behind the logged position. Without it the phase of the ripple changes with speed and the ripple
+averages out (on a UR10e by a quarter turn at 0.5 rad/s, for 3 ms). The smoothing is the time
+constant that attenuates fast ripple in the logged torque, such as a servo's bandwidth.
 """
 
 from collections.abc import Sequence
@@ -25,17 +25,17 @@ from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.support.arrays import Array, Mask
 
 ORDERS = range(1, 17)
-"""Orders per turn of the motor that are tried."""
+"""Candidate orders per turn of the motor."""
 LAG_BOUNDS = (0.0, 0.012)
 """Bounds of the lag [s]."""
 SMOOTHING_BOUNDS = (0.0, 0.02)
 """Bounds of the smoothing [s]."""
 MOST = 6
-"""Orders that a joint gets at the most."""
+"""Maximum number of orders of a joint."""
 GAIN = 0.002
-"""An order stays if it lowers the mean square on left-out logs by this share."""
+"""Smallest relative reduction of the mean square on left-out logs by an order."""
 CHANCE = 18.0
-"""And by this many times what a row has: the best of so many orders and lags gains by chance."""
+"""Smallest reduction in mean squares per row, because the best of many orders gains by chance."""
 LAG = Coefficient(name="lag", unit="s", description="lag behind the position")
 SMOOTHING = Coefficient(name="smoothing", unit="s", description="time constant over fast ripple")
 Times = tuple[float, float]
@@ -51,12 +51,12 @@ _ATTEMPTS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Ripple:
-    """Which harmonics a joint has.
+    """Harmonics of a joint.
 
     Attributes
     ----------
     gear_ratio : turns of the motor per turn of the joint.
-    orders : per turn of the motor.
+    orders : orders per turn of the motor.
     """
 
     gear_ratio: float
@@ -118,7 +118,7 @@ class Ripple:
         fast = self.gear_ratio * smoothing * samples.dq
         turn, waves = np.exp(1j * angle), dict[int, NDArray[Any]]()
         rotated = np.ones_like(turn)
-        for k in range(1, max(self.orders, default=0) + 1):  # powers take no sines of their own
+        for k in range(1, max(self.orders, default=0) + 1):  # powers avoid further sines
             rotated *= turn
             if k in self.orders:
                 waves[k] = rotated / (1.0 + (k * fast) ** 2)
@@ -129,17 +129,17 @@ class Ripple:
 def select(
     base: Array, samples: JointRows, gear_ratio: float, folds: Sequence[Mask]
 ) -> tuple[Ripple, Times] | None:
-    """Return the ripple and its lag and smoothing that predict left-out logs best, or None.
+    """Return the ripple with lag and smoothing that predicts left-out logs best, or None.
 
-    Orders are added one by one, the one that explains most of the residual first, as long as the
-    left-out logs gain from it.
+    Orders are added one by one, the one that explains most of the residual first, while the error
+    on left-out logs falls.
 
     Parameters
     ----------
     base : (N, L) columns of the law without ripple, [N.m] per unit of their coefficients.
     samples : rows of the joint.
     gear_ratio : turns of the motor per turn of the joint.
-    folds : (N,) masks of the rows that are left out in turn.
+    folds : (N,) masks of the rows left out in turn.
     """
     tau = samples.tau
     gain = max(GAIN, CHANCE / len(tau))
@@ -151,7 +151,7 @@ def select(
 
     while len(chosen.orders) < MOST:
         residual = tau - columns @ least_squares(columns, tau)
-        # The first order brings its times with it; all orders share them.
+        # All orders share the times of the first one.
         near = [t for t in _TIMES if abs(t[0] - times[0]) < _NEAR] if chosen.orders else _TIMES
         ranked = _ranking(samples, residual, chosen, [times] if chosen.orders else _TIMES)
         better = (
@@ -173,19 +173,19 @@ def select(
 def _ranking(
     samples: JointRows, residual: Array, chosen: Ripple, candidates: Sequence[Times]
 ) -> list[tuple[int, Times]]:
-    """Return orders and times, those that explain most of the residual first."""
+    """Return orders and times, sorted by the explained part of the residual."""
     explained = []
     orders = [order for order in ORDERS if order not in chosen.orders]
     weights = {order: _weights(samples, chosen.gear_ratio, order, candidates) for order in orders}
     for lag in dict.fromkeys(lag for lag, _ in candidates):
         turn = np.exp(1j * chosen.gear_ratio * (samples.q - lag * samples.dq))
         rotated = np.ones_like(turn)
-        for order in ORDERS:  # a power of the first order's wave takes no sine of its own
+        for order in ORDERS:  # powers avoid further sines
             rotated *= turn
             if order not in weights:
                 continue
             smoothings, plain, squared = weights[order]
-            # Cosine, sine, and of the doubled angle, of which their squares are made.
+            # Cosine and sine, also of the doubled angle for their squares.
             moments = (plain * residual) @ rotated.view(float).reshape(-1, 2)
             doubled = squared @ (rotated * rotated).view(float).reshape(-1, 2)
             for i, smoothing in enumerate(smoothings):
@@ -202,7 +202,7 @@ def _ranking(
 def _weights(
     samples: JointRows, gear_ratio: float, order: int, candidates: Sequence[Times]
 ) -> tuple[list[float], Array, Array]:
-    """Return the smoothings of candidates, what each leaves of an order's waves, and the square."""
+    """Return smoothings of candidates, their attenuation of an order's waves, and its square."""
     smoothings = list(dict.fromkeys(smoothing for _, smoothing in candidates))
     fast = order * gear_ratio * np.outer(smoothings, samples.dq)
     plain = 1.0 / (1.0 + fast**2)

@@ -26,8 +26,8 @@ VELOCITY_BOUNDS = (1e-3, 1.0)
 class Stribeck(OneForm):
     """tau = (F_c + (F_s - F_c) exp(-(v/v_s)^2)) sgn(v) + sigma_2 v + tau_0  (eq. 3 as a map).
 
-    F_c, F_s and sigma_2 are kept non-negative. F_s < F_c is allowed: the level of lubricated gears
-    can rise with speed.
+    F_c, F_s and sigma_2 are non-negative. F_s < F_c is allowed, because the level of lubricated
+    gears can rise with speed.
     """
 
     name = "stribeck"
@@ -40,7 +40,7 @@ class Stribeck(OneForm):
 
     @staticmethod
     def core(structure: Mapping[str, Any]) -> LawForm:
-        """Return the one form of the law."""
+        """Return the expressions."""
         no_structure("stribeck", structure)
         level = F_C.symbol + (F_S.symbol - F_C.symbol) * sympy.exp(-((DQ / V_S.symbol) ** 2))
         return LawForm(

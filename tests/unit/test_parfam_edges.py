@@ -48,7 +48,7 @@ LINEAR = {"g": None, "gain": 0.0, "theta_active": np.zeros(4, bool)}
 
 
 def test_a_candidate_without_a_unit_has_no_arguments_of_one() -> None:
-    with pytest.raises(ValueError, match="a candidate without a unit has no arguments of one"):
+    with pytest.raises(ValueError, match="a candidate without a unit must not have arguments"):
         candidate(g=None, gain=0.0)
 
 

@@ -207,8 +207,8 @@ def test_no_step_of_any_size_gives_energy(law: FrictionLaw, dt: float) -> None:
         ({"stops": [["2", 0]]}, "stop ['2', 0] is unknown"),
         ({"stops": [["1", 9]]}, "a number from 0 to 8."),
         ({"viscous": ["z"]}, "viscous term 'z' is unknown"),
-        ({"ripple": [0]}, "is none of ParFam-S"),
-        ({"order": 1}, "is none of ParFam-S"),
+        ({"ripple": [0]}, "is invalid for ParFam-S"),
+        ({"order": 1}, "is invalid for ParFam-S"),
     ],
 )
 def test_other_structures_are_refused(structure: dict[str, object], said: str) -> None:

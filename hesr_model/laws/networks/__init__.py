@@ -1,1 +1,1 @@
-"""Networks of the paper's inputs, with which symbolic laws are compared."""
+"""Neural networks with the inputs of the paper, for comparison with symbolic laws."""

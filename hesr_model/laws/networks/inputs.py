@@ -1,4 +1,4 @@
-"""What both networks see: velocity, hysteresis state and its derivative, standardised."""
+"""Inputs of networks: velocity, hysteresis state and its derivative, standardised."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
 TRIED = 30
-"""Networks that are tried before the data are found too poor for any."""
+"""Maximum number of networks tried for a torque in bounds."""
 _TINY = 1e-12
 
 
@@ -30,7 +30,7 @@ class Inputs:
     ----------
     cell : the hysteresis parameters.
     z : (N, 3) standardised dq, h, dh.
-    mean, spread : (3,) of dq [rad/s], h [1], dh [1/s].
+    mean, spread : (3,) means and spreads of dq [rad/s], h [1], dh [1/s].
     """
 
     cell: Cell
@@ -58,7 +58,7 @@ def first_tame(laws: Iterable[FrictionLaw], records: Sequence[FrictionRecord]) -
     Raises
     ------
     FitError
-        If there is none among the first `TRIED`.
+        If all of the first `TRIED` explode.
     """
     trained = TrainedRange.of(records)
     for law in islice(laws, TRIED):
@@ -76,7 +76,7 @@ def size(law: str, structure: Mapping[str, Any], key: str, largest: int) -> int:
     Raises
     ------
     ArtifactError
-        If the structure is another, or the size not a whole number from 1 to `largest`.
+        If the structure has other keys, or the size is not an integer from 1 to `largest`.
     """
     found = structure.get(key)
     if set(structure) != {key} or type(found) is not int or not 1 <= found <= largest:
@@ -88,12 +88,12 @@ def size(law: str, structure: Mapping[str, Any], key: str, largest: int) -> int:
 
 
 def sizes(law: str, key: str, tried: Sequence[int], least: int, largest: int) -> tuple[int, ...]:
-    """Return the sizes that an estimator tries.
+    """Return the candidate sizes of an estimator.
 
     Raises
     ------
     FitError
-        If there are none, or one is not a whole number from `least` to `largest`.
+        If it is empty, or a size is not an integer from `least` to `largest`.
     """
     if not tried or any(type(x) is not int or not least <= x <= largest for x in tried):
         raise FitError(

@@ -1,4 +1,4 @@
-"""RBFNN-H: the paper's network, Gaussians of velocity, hysteresis state and its derivative."""
+"""RBFNN-H: network of the paper, Gaussians of velocity, hysteresis state and derivative."""
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,14 +22,14 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.progress import counted, step
 
 MAX_CENTRES = 40
-"""Largest network; it still runs in microseconds and lowers to C in a second."""
+"""Maximum number of Gaussians; such a network runs in microseconds."""
 FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-"""Widths that are tried, in mean distances from a centre to the nearest other one."""
+"""Candidate widths, in mean distances from a centre to the nearest other one."""
 RIDGES = tuple(float(x) for x in 10.0 ** np.arange(-8, -1))
-"""Ridges that are tried, added to the mean square of Gaussians whose peak is 1. With smaller ones
-weights grow so large that the torque, their difference, loses digits."""
+"""Candidate ridges, added to the mean square of Gaussians with peak 1. Smaller ones give weights so
+large that their sum loses digits."""
 CLUSTERED_ROWS = 2400
-"""Rows that k-means looks at; centres need no more."""
+"""Maximum number of rows for k-means."""
 
 _INPUTS = (("dq", "rad/s"), ("h", "1"), ("dh", "1/s"))
 
@@ -39,15 +39,15 @@ class RbfnnH(Estimator):
     """tau = w_0 + sum_k w_k exp(-1/2 sum_i ((x_i - m_ki) / s_i)^2), x = (dq, h, h').
 
     For each (alpha, beta) of stage 1 and each number of centres, k-means places the centres m_k on
-    the standardised inputs, the width is their mean distance to the nearest other one times a
-    factor, and ridge regression gives the weights. (alpha, beta), number, factor and ridge are
-    those that predict left-out logs best. There are no linear terms: the paper's network has none.
+    the standardised inputs, the width is a factor times their mean distance to the nearest other
+    one, and ridge regression gives the weights. Cross-validation selects (alpha, beta), number,
+    factor and ridge. As in the paper, linear terms are missing.
 
     Parameters
     ----------
-    centres : numbers of Gaussians that are tried, up to `MAX_CENTRES`.
-    cells : how many (alpha, beta) are tried.
-    discretisation : of the hysteresis state.
+    centres : candidate numbers of Gaussians, up to `MAX_CENTRES`.
+    cells : number of candidate (alpha, beta).
+    discretisation : discretisation of the hysteresis state.
     """
 
     name = "rbfnn_h"
@@ -94,7 +94,7 @@ class RbfnnH(Estimator):
         return LawForm(coefficients=(*coefficients, *own), memory=(hysteresis,), output=output)
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Fit every choice with each log left out in turn, then the best one (seeded by `rng`)."""
+        """Cross-validate every choice and fit the best one (seeded by `rng`)."""
         samples = JointRows.of(records, coefficients=6 + 4 * max(self.centres))
         features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
         inputs = candidates(features, self.cells)
@@ -137,14 +137,14 @@ class RbfnnH(Estimator):
 
 
 def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator) -> Array:
-    """Mean square on left-out rows of networks trained without them.
+    """Return the mean square errors of networks by cross-validation.
 
     Parameters
     ----------
     z : (N, 3) standardised inputs.
     samples : rows of the joint.
     count : number of centres.
-    rng : source of k-means' starts.
+    rng : random generator of k-means.
 
     Returns
     -------
@@ -164,13 +164,13 @@ def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator)
 def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return (count, 3) centres by k-means and their mean distance to the nearest other one.
 
-    Both are in the units of z, the (N, 3) standardised inputs. There are fewer centres than `count`
-    where fewer rows differ.
+    Both are in the units of z, the (N, 3) standardised inputs. There are at most as many centres as
+    distinct rows.
     """
-    # Rows that are equal, as of a joint at rest, would leave k-means nothing to choose from.
+    # Equal rows, such as those of a joint at rest, break k-means.
     points = np.unique(z[:: max(1, len(z) // CLUSTERED_ROWS)], axis=0)
     with warnings.catch_warnings():
-        # A centre that has lost all its rows stays where it is, which does no harm.
+        # A centre without rows stays in place, which is harmless.
         warnings.simplefilter("ignore", UserWarning)
         centres, _ = kmeans2(points, min(count, len(points)), minit="++", rng=rng)
     distance = cdist(centres, centres)
@@ -184,13 +184,13 @@ def gaussians(z: Array, centres: Array, width: float) -> Array:
 
 
 def ridge_weights(columns: Array, tau: Array, ridges: Sequence[float]) -> tuple[Array, Array]:
-    """Return the (R,) offsets and (K, R) weights of ridge regression, the offset not shrunk.
+    """Return (R,) offsets and (K, R) weights of ridge regression without shrinking the offset.
 
     Parameters
     ----------
     columns : (N, K) Gaussians, without unit.
     tau : (N,) torque [N.m]; offsets and weights have its unit.
-    ridges : R weights of the squared coefficients.
+    ridges : R penalties of the squared coefficients.
     """
     mean, level = columns.mean(axis=0), float(tau.mean())
     centred = columns - mean

@@ -1,4 +1,4 @@
-"""Train a network with one hidden tanh layer by Levenberg-Marquardt with weight decay."""
+"""Training of a network with one hidden tanh layer by Levenberg-Marquardt with weight decay."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,10 +8,10 @@ import numpy as np
 from hesr_model.support.arrays import Array
 
 ITERATIONS = 15
-"""Most iterations for each weight decay."""
+"""Maximum number of iterations per weight decay."""
 CONVERGED = 1e-5
-"""Relative gain of an iteration below which no further one is made."""
-_DAMPING = (1e-9, 1e-2)  # least, and at the start
+"""Relative gain of an iteration for convergence."""
+_DAMPING = (1e-9, 1e-2)  # minimum and initial value
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,8 +22,8 @@ class Network:
     ----------
     bias : offset.
     gains : (H,) output weights.
-    theta : (4, H) hidden weights, those of the constant first.
-    cost : mean squared residual plus decay, on the rows of the training.
+    theta : (4, H) hidden weights, the constant first.
+    cost : mean squared residual on the training rows plus decay.
     """
 
     bias: float
@@ -38,14 +38,14 @@ class Network:
 
 
 def path(z: Array, y: Array, theta: Array, decays: Sequence[float]) -> list[Network]:
-    """Return the trained network of each weight decay, each started from the one before.
+    """Return the trained network of each weight decay, each started from the previous one.
 
     Parameters
     ----------
     z : (N, 3) standardised inputs.
     y : (N,) standardised torque.
-    theta : (4, H) hidden weights at the start.
-    decays : weights of the squared parameters (the output's offset is free), falling.
+    theta : (4, H) initial hidden weights.
+    decays : decreasing penalties of the squared parameters, apart from the offset.
     """
     problem = _Problem(z, y, theta.shape[1])
     point = problem.start(theta, decays[0])
@@ -78,7 +78,7 @@ class _Problem:
         return np.concatenate([outer, theta.ravel()])
 
     def train(self, point: Array, decay: float) -> tuple[Array, float]:
-        """Return the point after some Levenberg-Marquardt iterations, and its cost."""
+        """Return the point after Levenberg-Marquardt iterations, and its cost."""
         shrinkage = self._shrinkage(decay, len(point))
         least, damping = _DAMPING
         cost = self._cost(point, shrinkage)

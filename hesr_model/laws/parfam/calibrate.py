@@ -1,4 +1,4 @@
-"""Stage 1: where the hysteresis parameters (alpha, beta) may lie, before any structure is known."""
+"""Stage 1: candidates of the hysteresis parameters (alpha, beta) without a structure."""
 
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
@@ -12,16 +12,16 @@ from hesr_model.support.arrays import Array
 GRID = (10, 10)
 """Cells of the (alpha, beta) profile."""
 MEMORY = 1.0
-"""Longest memory of h [s], 1 / alpha. A slower state follows the load instead of the reversals."""
+"""Longest memory of h, 1 / alpha [s]. A slower state follows the load instead of reversals."""
 STEEPNESS = (1.0, 2000.0)
 """Bounds of beta times the joint's typical speed."""
 COURSE = 200
-"""Rows after a reversal that are looked at."""
+"""Maximum number of rows after a reversal."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One (alpha, beta) and how well a cubic surface over its features explains the torque."""
+    """One (alpha, beta) and the residual of a cubic surface over its features."""
 
     alpha: float
     beta: float
@@ -29,7 +29,7 @@ class Cell:
 
 
 def bounds(features: HysteresisFeatures) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Bounds of alpha [1/s] and beta [s/rad] that the data can tell apart."""
+    """Return the bounds of alpha [1/s] and beta [s/rad] that the data can resolve."""
     s = features.samples
     speed = float(np.sqrt(np.mean(s.dq**2)))
     return (
@@ -41,13 +41,13 @@ def bounds(features: HysteresisFeatures) -> tuple[tuple[float, float], tuple[flo
 def profile(features: HysteresisFeatures) -> list[Cell]:
     """Return the cells of a logarithmic (alpha, beta) grid, best first.
 
-    The cost of a cell is the residual of a linear least-squares fit of polynomial features of
-    (dq, h, dh) of degree three, enough to stand for any smooth unit g at this stage.
+    The cost of a cell is the residual of a least-squares fit of polynomials of (dq, h, dh) of
+    degree three, which approximate any smooth unit g.
     """
     tau = features.samples.tau
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
     cells = []
-    # The end of alpha's range is excluded: there h has no memory left.
+    # Exclude the upper end of alpha: h has no memory there.
     for alpha in np.geomspace(alpha_low, alpha_high, GRID[0] + 1)[:-1]:
         for beta in np.geomspace(beta_low, beta_high, GRID[1]):
             columns = _cubic(features.columns(alpha, beta))
@@ -73,12 +73,11 @@ def distinct(cells: list[Cell], count: int) -> list[Cell]:
 
 
 def geometric(features: HysteresisFeatures) -> tuple[float, float]:
-    """Return (alpha, beta) by the geometry of the loop, as the paper's stage 1 does.
+    """Return (alpha, beta) from the geometry of the loop, as in stage 1 of the paper.
 
-    The width of the loop is the time that friction takes to settle after a reversal, in the mean of
-    all reversals: the area between its course and where it settles, over the height. For h this is
-    1 / alpha. The slope of the torque over the speed where friction changes sign, relative to the
-    level of sliding, gives beta.
+    The width of the loop is the mean settling time of friction after a reversal: the area between
+    its course and the settled value, divided by the height. For h this is 1 / alpha. The slope of
+    the torque over speed at its sign change, relative to the sliding level, gives beta.
     """
     s = features.samples
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
@@ -95,9 +94,10 @@ def geometric(features: HysteresisFeatures) -> tuple[float, float]:
 
 
 def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
-    """Torque after each reversal, positive along the motion, and its slope where it changes sign.
+    """Return the torque after each reversal, positive in the direction of motion, and its slope.
 
-    A course ends at the next reversal, at the end of the record, or after `COURSE` rows.
+    The slope is that at the sign change. A course ends at the next reversal, at the end of the
+    record, or after `COURSE` rows.
     """
     s = features.samples
     tau = s.tau - float(np.median(s.tau))
@@ -118,13 +118,13 @@ def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
 
 
 def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
-    """Return height over area [1/s] of the mean course after a reversal; 0 where there is none."""
+    """Return height over area [1/s] of the mean course after a reversal; 0 without reversals."""
     s = features.samples
     total, count = np.zeros(COURSE), np.zeros(COURSE)
     for course in courses:
         total[: len(course)] += course
         count[: len(course)] += 1.0
-    # As far as half of the reversals go, so that the mean is one of many.
+    # Use rows that at least half of the reversals have.
     seen = count >= max(1.0, 0.5 * count[0])
     mean = total[seen] / count[seen]
     if len(mean) < 10:

@@ -1,4 +1,4 @@
-"""A point of the ParFam family with one unit g: what the three stages hand on."""
+"""Candidates of the three stages: points of the ParFam family with one unit g."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ UNIT_FUNCTIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array, Array
     "cos": (np.cos, lambda x, _: -np.sin(x)),
     "exp": (lambda x: np.exp(np.minimum(x, 50.0)), lambda _, g: g),
 }
-"""Functions g and their derivatives, the latter given the argument and g's value."""
+"""Functions g and their derivatives as functions of argument and value of g."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,12 +29,13 @@ class Candidate:
     alpha, beta : hysteresis parameters [1/s], [s/rad].
     c, theta : (4,) coefficients.
     gain : factor of the unit [N.m].
-    c_active, theta_active : (4,) which coefficients are in the structure.
-    cost : mean squared residual on the rows it was found with [N^2.m^2].
+    c_active, theta_active : (4,) masks of the coefficients in the structure.
+    cost : mean squared residual on the searched rows [N^2.m^2].
 
     Raises
     ------
-    ValueError : a candidate without a unit has arguments of one.
+    ValueError
+        If a candidate without a unit has arguments.
     """
 
     g: str | None
@@ -48,15 +49,15 @@ class Candidate:
     cost: float
 
     def __post_init__(self) -> None:
-        # Their columns of the Jacobian would never be written.
+        # Their columns of the Jacobian would be uninitialised.
         if self.g is None and self.theta_active.any():
-            raise ValueError("a candidate without a unit has no arguments of one")
+            raise ValueError("a candidate without a unit must not have arguments")
 
     def canonical(self) -> "Candidate":
-        """Return the same law in the one form in which it is printed.
+        """Return the same law in canonical form.
 
-        The gain is positive: a sign moves into the argument of an odd g, or becomes half a turn of
-        a cosine. The offset lies within a quarter turn of zero for sin, half a turn for cos.
+        The gain is positive: its sign moves into the argument of an odd g, or becomes half a turn
+        of a cosine. The offset is within a quarter turn of zero for sin, half a turn for cos.
         """
         theta, gain = self.theta.copy(), self.gain
         if self.g == "sin" and self.theta_active[0]:

@@ -1,4 +1,4 @@
-"""ParFam-H: the paper's symbolic friction law, found in three stages."""
+"""ParFam-H: the symbolic friction law of the paper, found in three stages."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,7 +21,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.progress import step
 
 COEFFICIENTS = 11
-"""Numbers of the largest law: alpha, beta, four linear, one gain, four of the argument."""
+"""Coefficients of the largest law: alpha, beta, four linear, one gain, four of the argument."""
 
 
 @register
@@ -29,19 +29,19 @@ class ParFamH(Estimator):
     """tau = Q(v, h, h', g(Q(v, h, h'))) with polynomials of degree one (eq. 11).
 
     Stage 1 profiles (alpha, beta); stage 2 searches the unit's argument at the best of them; stage
-    3 runs Levenberg-Marquardt over everything, prunes what the data do not support, and takes the
+    3 runs Levenberg-Marquardt over all coefficients, prunes insignificant ones, and selects the
     candidate that predicts left-out logs best.
 
     Parameters
     ----------
-    search : "projection" (default) searches by variable projection from many starts; "paper" by
-        the geometric stage 1 and by basin hopping with L1 (eq. 12).
-    functions : the functions g that are tried. cos is sin with another offset, so it is found too.
-    discretisation : of the hysteresis state.
-    cells, starts : how many (alpha, beta) and how many random starts for each of them and each g.
-    candidates : how many laws of each g go into stage 3.
-    units : how many units g the law may have, 1 or 2.
-    denominator : whether a denominator is tried: slower, and it rarely helps.
+    search : "projection" (default) uses variable projection from many starts; "paper" the
+        geometric stage 1 and basin hopping with L1 (eq. 12).
+    functions : candidate functions g; sin includes cos, which has another offset.
+    discretisation : discretisation of the hysteresis state.
+    cells, starts : number of (alpha, beta), and of random starts for each of them and each g.
+    candidates : number of laws of each g for stage 3.
+    units : maximum number of units g, 1 or 2.
+    denominator : True to try a denominator, which is slow and rarely helps.
     """
 
     name = "parfam_h"
@@ -101,7 +101,7 @@ class ParFamH(Estimator):
         return family.form(structure)
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Fit the three stages (starts and hops drawn from `rng`)."""
+        """Run the three stages, with starts and hops drawn from `rng`."""
         samples = JointRows.of(records, coefficients=COEFFICIENTS)
         features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
         found = (
@@ -119,8 +119,8 @@ class ParFamH(Estimator):
         trained: TrainedRange,
         rng: np.random.Generator,
     ) -> FrictionLaw:
-        """Add a second unit and a denominator where that is wanted and left-out logs gain."""
-        # A law from which pruning has taken the state has no (alpha, beta) to build on.
+        """Add a second unit and a denominator, if enabled and if left-out logs gain."""
+        # A law without a state after pruning has no (alpha, beta).
         if (self.units < 2 and not self.denominator) or "alpha" not in law.values:
             return law
         problem = pose(law.structure, features.samples, self.discretisation)
@@ -145,7 +145,7 @@ class ParFamH(Estimator):
             columns = features.columns(cell.alpha, cell.beta)[rows]
             found.append(evolve.linear(cell, columns, tau[rows]))
             for k, g in enumerate(self.functions):
-                step(i * len(self.functions) + k, 2 * searches)  # what is found is refined yet
+                step(i * len(self.functions) + k, 2 * searches)  # the second half is stage 3
                 starts = evolve.starting_points(rng, self.starts, 4)
                 found += evolve.search(cell, g, columns, tau[rows], starts, keep=3)
         return [

@@ -1,8 +1,8 @@
-"""Stage 2, default search: variable projection from many starts at once.
+"""Stage 2, default search: variable projection from a batch of starts.
 
-For fixed (alpha, beta) and g the torque is linear in c and in the unit's gain, so only the four
+For fixed (alpha, beta) and g the torque is linear in c and the unit's gain, so only the four
 numbers theta of the argument are searched (Golub and Pereyra 1973, with Kaufman's simplification of
-the Jacobian). All starts of a cell run in one batch of a Levenberg-Marquardt iteration.
+the Jacobian). All starts of a cell run in one batch of Levenberg-Marquardt iterations.
 """
 
 import numpy as np
@@ -13,15 +13,15 @@ from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.support.arrays import Array
 
 ROWS = 600
-"""Rows that the search looks at; the last stage uses all."""
+"""Maximum number of rows for the search; the last stage uses all."""
 ROUNDS = ((6, 0.5), (6, 0.4), (12, 1.0))
-"""Rounds of (Levenberg-Marquardt iterations, share of the starts that goes on to the next)."""
+"""Rounds of (Levenberg-Marquardt iterations, share of starts kept for the next round)."""
 ARGUMENT_LIMIT = 12.0
-"""Bound on the standardised coefficients of an argument; beyond it g is saturated or wraps."""
+"""Bound of the standardised coefficients of an argument; beyond it g saturates or wraps."""
 
 
 def linear(cell: Cell, features: Array, tau: Array) -> Candidate:
-    """Return the law without a unit g: linear in the (N, 4) features, fitted to tau (N,) [N.m]."""
+    """Return the law without a unit g, linear in the (N, 4) features, for tau (N,) [N.m]."""
     return _candidate(cell, None, features, tau, np.zeros(4))
 
 
@@ -37,7 +37,7 @@ def search(
     features : (M, 4) features 1, dq, h, dh of the searched rows.
     tau : (M,) torque [N.m].
     starts : (S, 4) starting points of theta for standardised features.
-    keep : how many laws to return at most.
+    keep : maximum number of laws returned.
     """
     found = arguments(g, features, features, tau, starts, keep)
     return [_candidate(cell, g, features, tau, theta) for theta in found]
@@ -52,17 +52,17 @@ def arguments(
     keep: int,
     limit: float = ARGUMENT_LIMIT,
 ) -> list[Array]:
-    """Return the best distinct arguments theta (F,) of a unit g beside a linear law, best first.
+    """Return the best distinct arguments theta (F,) of a unit g added to a linear law, best first.
 
     Parameters
     ----------
     g : name of the function.
-    features : (M, F) features of the argument, the first of them constant.
-    linear : (M, L) columns of the law beside the unit.
+    features : (M, F) features of the argument, the first one constant.
+    linear : (M, L) columns of the linear law.
     tau : (M,) torque [N.m].
     starts : (S, F) starting points of theta for standardised features.
-    keep : how many to return at most.
-    limit : bound on the standardised theta.
+    keep : maximum number of arguments returned.
+    limit : bound of the standardised theta.
     """
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
     problem = _Projected(g, features / scale, linear, tau, limit)
@@ -101,7 +101,7 @@ def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Ar
 
 
 class _Projected:
-    """The problem of one g with everything linear projected out."""
+    """The problem of one g with linear terms projected out."""
 
     def __init__(self, g: str, x: Array, linear: Array, tau: Array, limit: float) -> None:
         self.g, self.dg = UNIT_FUNCTIONS[g]
@@ -117,7 +117,7 @@ class _Projected:
         return np.asarray(columns - self.q @ (self.q.T @ columns))
 
     def evaluate(self, theta: Array) -> tuple[Array, Array, Array, Array]:
-        """Return argument, g, its part outside the linear span, and the gain, per start."""
+        """Return argument, g, the part of g outside the linear span, and the gain, per start."""
         argument = self.x @ theta
         value = self.g(argument)
         outside = self._reject(value)
@@ -131,7 +131,7 @@ class _Projected:
         return np.asarray(np.mean((self.y - gain * outside) ** 2, axis=0))
 
     def minimise(self, theta: Array) -> tuple[Array, Array]:
-        """Run the batch: theta (4, S) and (S,) costs, each start with its own damping."""
+        """Return theta (4, S) and (S,) costs of the batch; each start has its own damping."""
         damping = np.full(theta.shape[1], 1e-2)
         cost = self.cost(theta)
         for iterations, share in ROUNDS:
@@ -156,8 +156,8 @@ class _Projected:
     def _normal_equations(self, theta: Array) -> tuple[Array, Array]:
         """Return for each start the (S, F, F) Gram matrix and (S, F) gradient of theta.
 
-        By products of matrices only: what is outside the linear span is orthogonal to it, so the
-        Jacobian's own part outside has to be known by its Gram matrix alone.
+        Only matrix products are needed: the residual is orthogonal to the linear span, so the
+        projected Jacobian enters by its Gram matrix alone.
         """
         argument, value, outside, gain = self.evaluate(theta)
         slope = gain * self.dg(argument, value)

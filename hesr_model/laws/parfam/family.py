@@ -25,13 +25,13 @@ LINEAR = (*FEATURES, "h_load", "h_bump")
 """Features of the linear part: also h |tau_load| and h exp(-(dq/v_s)^2)."""
 
 DIVISORS = ("dq", "h")
-"""Features of a denominator; h' is left out, since it has no bound that keeps the pole away."""
+"""Features of a denominator; h' is excluded because it is unbounded and would allow poles."""
 
 STATES = ("paper", "generalised", "bristle")
-"""Hysteresis states: that of eq. 9; one with memory in position beside it; LuGre's bristle."""
+"""Hysteresis states: that of eq. 9; the same with position memory; LuGre's bristle."""
 
 FUNCTIONS = {"tanh": sympy.tanh, "sin": sympy.sin, "cos": sympy.cos, "exp": sympy.exp}
-"""Functions g that a unit may have."""
+"""Functions g of units."""
 
 _UNIT = {
     "1": "N.m",
@@ -49,35 +49,35 @@ def _suffix(feature: str) -> str:
 
 
 def linear_name(feature: str) -> str:
-    """Name of the coefficient of a linear term."""
+    """Return the name of the coefficient of a linear term."""
     return f"c_{_suffix(feature)}"
 
 
 def gain_name(unit: int) -> str:
-    """Name of the factor of unit `unit` (from 1)."""
+    """Return the name of the factor of unit `unit` (from 1)."""
     return f"c_g{unit}"
 
 
 def argument_name(unit: int, feature: str) -> str:
-    """Name of the coefficient of a feature in the argument of unit `unit` (from 1)."""
+    """Return the name of the coefficient of a feature in the argument of unit `unit` (from 1)."""
     return f"theta{unit}_{_suffix(feature)}"
 
 
 def denominator_name(feature: str) -> str:
-    """Name of the coefficient of a feature in the denominator."""
+    """Return the name of the coefficient of a feature in the denominator."""
     return f"d_{_suffix(feature)}"
 
 
 def form(structure: Mapping[str, Any]) -> LawForm:
     """Return the expressions of a structure {"linear": [...], "units": [{"g", "arguments"}]}.
 
-    Two further keys may stand: "state", one of `STATES`, by default that of eq. 9; "denominator",
-    features x of a denominator 1 + sum_i d_i x_i under the whole output.
+    Optional keys are "state", one of `STATES`, by default that of eq. 9, and "denominator",
+    features x of a denominator 1 + sum_i d_i x_i of the whole output.
 
     Raises
     ------
     ArtifactError
-        If a feature, a function or a key is not of the family.
+        If a feature, function or key is unknown.
     """
     linear, units, state, below = _checked(structure)
     hysteresis, own = hysteresis_state(state)
@@ -130,10 +130,9 @@ def form(structure: Mapping[str, Any]) -> LawForm:
 def hysteresis_state(kind: str) -> tuple[Relaxation, tuple[Coefficient, ...]]:
     """Return the hysteresis state and its coefficients.
 
-    The generalised state adds position memory (kappa, as in Dahl's model) to the paper's relaxation
-    in time, and a gate that stops the latter at rest, where friction does not forget. The bristle
-    has memory in position alone, and the Stribeck curve inside the state (eq. 2-3, with h = 1 at
-    Coulomb friction).
+    The generalised state adds position memory (kappa, as in Dahl's model) to the relaxation of the
+    paper, and a gate that stops the relaxation at rest. The bristle has position memory alone, and
+    the Stribeck curve inside the state (eq. 2-3, with h = 1 at Coulomb friction).
     """
     target = sympy.tanh(_BETA * DQ)
     if kind == "paper":

@@ -16,7 +16,7 @@ class HysteresisFeatures:
     Attributes
     ----------
     samples : rows of one joint.
-    discretisation : of the hysteresis state.
+    discretisation : discretisation of the hysteresis state.
     """
 
     samples: JointRows
@@ -36,7 +36,7 @@ class HysteresisFeatures:
     def with_derivatives(self, alpha: float, beta: float) -> tuple[Array, Array, Array]:
         """Return (N, 4) features and (N, 2) derivatives of h and dh by (alpha, beta), SI units.
 
-        The derivatives obey the recurrence of h itself, driven by its partial derivatives.
+        The derivatives follow the recurrence of h, driven by its partial derivatives.
         """
         s = self.samples
         target = np.tanh(beta * s.dq)

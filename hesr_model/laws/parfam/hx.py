@@ -1,4 +1,4 @@
-"""ParFam-HX: ParFam-H with the inputs and the memory that measured joints turn out to need."""
+"""ParFam-HX: ParFam-H with further inputs and position memory."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -17,10 +17,8 @@ from hesr_model.laws.parfam.trial import Trial, choose, extended, pose, with_uni
 from hesr_model.rigid_body.residual import FrictionRecord
 
 STATE_GAIN = 0.02
-"""Memory in time beside that in position, two coefficients more, stays if left-out rows gain this.
-
-That is one per cent of the mean square per coefficient, as for a unit.
-"""
+"""Smallest relative gain on left-out rows by memory in time in addition to position memory: one per
+cent for each of two coefficients, as for a unit."""
 
 
 @register
@@ -31,17 +29,17 @@ class ParFamHX(Described):
         tau = c . (1, v, h, h', h |tau_load|, h exp(-(v/v_s)^2)) + c_g g(theta . (1, v, h, h'))
               + sum_k a_k cos(k N (q - lag v)) + b_k sin(k N (q - lag v))
 
-    Linear terms, the unit and the ripple's orders stay only where left-out logs gain from them.
+    Cross-validation selects linear terms, the unit and the orders of ripple.
 
     Parameters
     ----------
-    memory : use a state with memory in position, otherwise that of eq. 9.
+    memory : True for a state with position memory, False for that of eq. 9.
     load : allow the load term.
     bump : allow the Stribeck term.
-    functions : functions g that are tried; none for no unit.
+    functions : candidate functions g; empty for a law without a unit.
     ripple : allow motor ripple.
-    initial_state : let the first torque samples of a log set the start of h.
-    starts : random starts for each g.
+    initial_state : True to estimate the start of h from the first torques of a log.
+    starts : number of random starts per g.
     """
 
     name = "parfam_hx"
@@ -72,7 +70,7 @@ class ParFamHX(Described):
             *(["h_bump"] if bump else []),
         )
         self.functions = tuple(functions)
-        self.ripple = ripple  # type: ignore[misc] # a switch of this law, fixed in others
+        self.ripple = ripple  # type: ignore[misc] # an option of this law, a constant in others
         self.start_samples = 5 if initial_state else 0  # type: ignore[misc] # likewise
         self.starts = starts
 
@@ -82,7 +80,7 @@ class ParFamHX(Described):
         return family.form(structure)
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Search state, terms, unit and ripple one after the other (seeded by `rng`)."""
+        """Search state, terms, unit and ripple in turn (seeded by `rng`)."""
         samples = JointRows.of(records, coefficients=len(self.linear) + 6)
         states = ("bristle", "generalised") if self.memory else ("paper",)
         bare = choose([self._bare(state, samples, rng) for state in states], STATE_GAIN)
@@ -95,7 +93,7 @@ class ParFamHX(Described):
         return self.finish(best.structure, best.problem, best.problem.polish(best.point))
 
     def _bare(self, state: str, samples: JointRows, rng: np.random.Generator) -> Trial:
-        # A bristle has the Stribeck curve inside, so the term is not needed beside it.
+        # A bristle contains the Stribeck curve, so it needs no such term.
         linear = [x for x in self.linear if state != "bristle" or x != "h_bump"]
         structure = {"linear": linear, "units": [], "state": state}
         problem = pose(structure, samples)
@@ -103,14 +101,14 @@ class ParFamHX(Described):
         return self._thinned(Trial(structure=structure, problem=problem, point=found))
 
     def _thinned(self, trial: Trial) -> Trial:
-        """Drop linear terms, one after the other, without which left-out logs fare no worse."""
+        """Drop linear terms one by one if the error on left-out logs does not rise."""
         samples = trial.problem.samples
         columns = trial.problem.columns(trial.point)
         linear = trial.structure["linear"]
         kept = list(range(columns.shape[1]))
         cost = left_out_cost(columns, samples.tau, samples.folds)
         for i in reversed(range(columns.shape[1])):
-            # Velocity and the state are what the unit builds on.
+            # The unit needs velocity and state.
             if linear[i] in ("dq", "h", "dh"):
                 continue
             fewer = [k for k in kept if k != i]

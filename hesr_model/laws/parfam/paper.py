@@ -1,4 +1,4 @@
-"""Stage 2 as the paper does it: basin hopping with L-BFGS-B on eq. 12, truncation, BFGS.
+"""Stage 2 of the paper: basin hopping with L-BFGS-B on eq. 12, truncation, BFGS.
 
 Features and torque are standardised, so that one L1 weight fits every coefficient and joint.
 """
@@ -13,13 +13,13 @@ from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.support.arrays import Array
 
 GAMMA = 1e-3
-"""Weight of the L1 term of eq. 12 on standardised data; 1e-4 prunes nothing, 1e-2 all units."""
+"""Weight of the L1 term of eq. 12 for standardised data; 1e-4 prunes nothing, 1e-2 all units."""
 HOPS = 10
-"""Hops of basin hopping for each function g."""
+"""Hops of basin hopping per function g."""
 STEP = 1.0
 """Largest displacement of a hop, in standardised coefficients."""
 TRUNCATION = 0.02
-"""Coefficients below this are truncated; standardised, so 2 % of the torque's spread."""
+"""Standardised coefficients below this are truncated: 2 % of the torque's spread."""
 
 
 class Objective:
@@ -31,7 +31,7 @@ class Objective:
     x : (N, 4) standardised features.
     y : (N,) standardised torque.
     gamma : weight of the L1 term.
-    active : (9,) which of c (4), gain, theta (4) may differ from zero.
+    active : (9,) mask of c (4), gain, theta (4) that may differ from zero.
     """
 
     def __init__(self, g: str, x: Array, y: Array, gamma: float, active: Array) -> None:
@@ -62,7 +62,7 @@ class Objective:
 
 
 def search(cell: Cell, g: str, features: Array, tau: Array, rng: np.random.Generator) -> Candidate:
-    """Return the law with one unit g that the paper's search finds at one (alpha, beta).
+    """Return the law with one unit g by the search of the paper at one (alpha, beta).
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def search(cell: Cell, g: str, features: Array, tau: Array, rng: np.random.Gener
     g : name of the function.
     features : (N, 4) features 1, dq, h, dh.
     tau : (N,) torque [N.m].
-    rng : source of starting point and hops.
+    rng : random generator of starting point and hops.
     """
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
     level = max(float(tau.std()), 1e-12)

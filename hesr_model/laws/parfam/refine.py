@@ -1,4 +1,4 @@
-"""Stage 3: Levenberg-Marquardt over everything, and pruning of what the data do not support."""
+"""Stage 3: Levenberg-Marquardt over all coefficients, and pruning of insignificant ones."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,24 +19,24 @@ from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.progress import step
 
 SIGNIFICANCE = 2.0
-"""A coefficient stays if it differs from zero by this many standard errors."""
+"""Significance threshold of a coefficient, in standard errors."""
 
 
 _ALL = slice(None)
 
 ROUNDS = ((8, 10), (16, 4))
-"""Rounds of a first look, on all rows: a steep beta shows only at the few rows of a reversal.
+"""Screening rounds of (evaluations per candidate, number of candidates kept).
 
-(evaluations of each candidate, how many go on)
+They use all rows, because only the few rows of a reversal determine a steep beta.
 """
 LONG, PRUNED, FOLD = 60, 12, 8
-"""Evaluations to the end, after a coefficient was dropped, and with a fold left out."""
+"""Evaluations of the final fit, after pruning a coefficient, and without a fold."""
 HOPEFUL = 1.1
-"""A candidate is refined to the end if its mean square is within this factor of the best one's."""
+"""Largest mean square for a final fit, relative to the best candidate."""
 ROUNDING = 1e-15
-"""Mean squares below this share of the torque's variance are zero."""
+"""Mean square relative to the torque's variance that counts as zero."""
 SAME = 1e-6
-"""Candidates whose mean squares agree to this are taken for the same law."""
+"""Relative difference of mean squares of candidates that are the same law."""
 
 
 def select(
@@ -51,8 +51,8 @@ def select(
     ----------
     features : rows of the joint.
     found : candidates of stage 2.
-    folds : (N,) masks of the rows that are left out in turn.
-    trained : ranges of the rows; a law that explodes just outside them is refused.
+    folds : (N,) masks of the rows left out in turn.
+    trained : ranges of the rows; laws that explode just outside are refused.
 
     Raises
     ------
@@ -63,14 +63,14 @@ def select(
     for i, (evaluations, keep) in enumerate(ROUNDS):
         refined: list[Candidate] = []
         for k in looked:
-            # The other half of the work has found the candidates.
+            # The first half of the progress was stage 2.
             share = (i + len(refined) / len(looked)) / len(ROUNDS)
             step(round(1000 * (1.0 + share)), 2000)
             refined.append(Refinement(features, k).run(evaluations)[0])
         looked = distinct(refined)[:keep]
     best = looked[0].cost
     hopeful = [k for k in looked if k.cost <= HOPEFUL * best]
-    # Should they all explode: the others, and linear laws, which hardly do.
+    # If all explode, try the others, then the linear law.
     linear = sorted((k for k in found if k.g is None), key=lambda k: k.cost)[:1]
     for group in (hopeful, [k for k in looked if k.cost > HOPEFUL * best], linear):
         finalists = [
@@ -86,7 +86,7 @@ def select(
 
 
 def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates in the order of their cost, without those that are the same law."""
+    """Return the candidates sorted by cost, without duplicates of a law."""
     kept: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda k: k.cost):
         if not kept or candidate.cost > kept[-1].cost * (1.0 + SAME):
@@ -95,10 +95,10 @@ def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
-    """Refine to the end, then drop insignificant coefficients, the least significant first.
+    """Refine, then drop insignificant coefficients, the least significant first.
 
-    A coefficient stays, however, without which the fit turns out worse than its significance says:
-    the problem is not linear, and the way to the optimum without it may be barred.
+    A coefficient stays if the fit without it is worse than its significance predicts, because the
+    problem is not linear.
     """
     refined, statistics = Refinement(features, candidate).run(LONG)
     needed = np.zeros(11, bool)
@@ -120,7 +120,7 @@ def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
 
 
 def _without(candidate: Candidate, coefficient: int) -> Candidate:
-    """Return the candidate without one coefficient, numbered as in `Refinement`."""
+    """Return the candidate without one coefficient, indexed as in `Refinement`."""
     kept = np.arange(11) != coefficient
     c_active, theta_active = candidate.c_active & kept[2:6], candidate.theta_active & kept[7:]
     return replace(
@@ -133,7 +133,7 @@ def _without(candidate: Candidate, coefficient: int) -> Candidate:
 
 
 def _still_as_good(features: HysteresisFeatures, candidate: Candidate) -> float:
-    """Mean square up to which a fit with one coefficient less is not significantly worse."""
+    """Return the largest mean square of a fit with one coefficient less that is not worse."""
     tau = features.samples.tau
     residual = candidate.torque(features.columns(candidate.alpha, candidate.beta)) - tau
     rise = SIGNIFICANCE**2 * correlation_length(residual) / len(tau)
@@ -143,9 +143,9 @@ def _still_as_good(features: HysteresisFeatures, candidate: Candidate) -> float:
 def left_out_cost(
     features: HysteresisFeatures, candidate: Candidate, folds: Sequence[Mask]
 ) -> float:
-    """Mean square [N^2.m^2] on each of the folds, masks (N,), of the candidate refined without it.
+    """Return the mean square error [N^2.m^2] of a candidate by cross-validation.
 
-    Averaged over all rows.
+    Folds are masks (N,); the candidate is refined without each of them.
     """
     total = 0.0
     for fold in folds:
@@ -158,9 +158,9 @@ def left_out_cost(
 class Refinement:
     """The joint least-squares problem of a candidate over (alpha, beta, c, gain, theta).
 
-    alpha and beta are searched as u = logit of their place in their (logarithmic) bounds, so that
+    alpha and beta are searched as the logit of their position within (logarithmic) bounds, so that
     0 < alpha dt < 1 holds without constraints; coefficients are scaled to standardised features.
-    Only `rows` count, while the state runs over all of them.
+    The residual is that of `rows`, while the state runs over all rows.
     """
 
     def __init__(
@@ -180,7 +180,7 @@ class Refinement:
         ).astype(bool)
 
     def pack(self) -> Array:
-        """Return the start as the vector that is searched, (parameters,) in their units or logs."""
+        """Return the start as a search vector (parameters,)."""
         place = (np.log([self.start.alpha, self.start.beta]) - self.low) / self.span
         place = np.clip(place, 1e-6, 1.0 - 1e-6)
         full = np.concatenate(
@@ -194,7 +194,7 @@ class Refinement:
         return np.asarray(full[self.active])
 
     def unpack(self, point: Array, cost: float = np.nan) -> Candidate:
-        """Return the candidate of a point (parameters,) in the units of `pack`."""
+        """Return the candidate of a search vector."""
         full = np.zeros(11)
         full[self.active] = point
         place = expit(full[:2])
@@ -210,13 +210,13 @@ class Refinement:
         )
 
     def residual(self, point: Array) -> Array:
-        """Return the residual [N.m] of the counted rows, shape (rows,), at a point of `pack`."""
+        """Return the residual (rows,) [N.m] at a search vector."""
         candidate = self.unpack(point)
         columns = self.features.columns(candidate.alpha, candidate.beta)[self.rows]
         return candidate.torque(columns) - self.tau
 
     def jacobian(self, point: Array) -> Array:
-        """Return the Jacobian of the residual at a point, shape (rows, parameters), units alike."""
+        """Return the (rows, parameters) Jacobian of the residual at a search vector."""
         k = self.unpack(point)
         x, dh, ddh = (e[self.rows] for e in self.features.with_derivatives(k.alpha, k.beta))
         scaled = x / self.scale
@@ -237,7 +237,7 @@ class Refinement:
         return full if self.active.all() else full[:, self.active]
 
     def run(self, evaluations: int) -> tuple[Candidate, Array]:
-        """Return the refined candidate and its t-statistics, shape (parameters,), without unit."""
+        """Return the refined candidate and its t-statistics (11,)."""
         solution = least_squares(
             self.residual,
             self.pack(),

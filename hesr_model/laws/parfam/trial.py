@@ -1,4 +1,4 @@
-"""Structures of the family as separable problems, and the choice among them by left-out rows."""
+"""Structures of the family as separable problems, and their selection by cross-validation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,21 +22,21 @@ from hesr_model.logs.phases import MOVING
 from hesr_model.support.arrays import Array
 
 MEMORY_BOUNDS = (0.05, 2000.0)
-"""Bounds of kappa [1/rad]: from no memory in position to one of a milliradian."""
+"""Bounds of kappa [1/rad]: from no position memory to one of a milliradian."""
 REST_SPEED = 1e-3
-"""Speed below which the state holds [rad/s]."""
+"""Speed of the gate below which the state holds [rad/s]."""
 BUMP_BOUNDS = (MOVING, VELOCITY_BOUNDS[1])
-"""Bounds of the Stribeck term's velocity [rad/s]: a narrower bump would act at rest alone."""
+"""Bounds of the Stribeck term's velocity [rad/s]; a narrower bump acts at rest alone."""
 DIVISOR_LIMIT = 0.9
-"""Bound on what a denominator may take away from 1."""
+"""Largest deviation of a denominator from 1."""
 _ROWS = 3000
 UNIT_GAIN = 0.05
-"""A unit or a denominator stays if it lowers the mean square on left-out rows by this share."""
+"""Smallest relative reduction of the mean square on left-out rows by a unit or denominator."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """A structure with its problem and the point found in it."""
+    """A structure with its problem and solution."""
 
     structure: Mapping[str, Any]
     problem: Separable
@@ -49,7 +49,7 @@ class Trial:
         return dict(zip(self.problem.space.names, map(float, values), strict=True))
 
     def changed(self, structure: Mapping[str, Any], more: Mapping[str, float]) -> "Trial":
-        """Return the trial of another structure, polished from this one's numbers and `more`."""
+        """Return the trial of another structure, polished from these numbers and `more`."""
         problem = pose(structure, self.problem.samples, self.problem.discretisation)
         known = dict.fromkeys(problem.space.names, 0.0) | self.numbers | dict(more)
         point = problem.polish(problem.point({n: known[n] for n in problem.space.names}))
@@ -79,14 +79,14 @@ def pose(
 def with_unit(
     trial: Trial, features: Array, functions: Sequence[str], starts: int, rng: np.random.Generator
 ) -> list[Trial]:
-    """Return the trial with a further unit g, for every g the two best arguments.
+    """Return the trial with a further unit g, with the two best arguments of every g.
 
     Parameters
     ----------
-    trial : what the unit is added to.
+    trial : the base trial.
     features : (N, 4) features 1, dq [rad/s], h, dh [1/s] of the argument.
-    functions : functions g that are tried.
-    starts : random starts for each g, drawn from `rng`.
+    functions : candidate functions g.
+    starts : number of random starts per g, drawn from `rng`.
     """
     tau = trial.problem.samples.tau
     rows = slice(None, None, max(1, len(tau) // _ROWS))
@@ -106,18 +106,18 @@ def with_unit(
 
 
 def choose(trials: Sequence[Trial], gain: float) -> Trial:
-    """Return the trial that predicts left-out rows best; those after the first must gain `gain`."""
+    """Return the trial that predicts left-out rows best; all but the first must gain `gain`."""
     costs = [left_out(trial) * (1.0 if i == 0 else 1.0 + gain) for i, trial in enumerate(trials)]
     return trials[first_best(costs)]
 
 
 def extended(base: Trial, more: Sequence[Trial], trained: TrainedRange) -> Trial:
-    """Return the one of `more` that gains most on left-out rows and stays in bounds, or `base`."""
+    """Return the best of `more` on left-out rows that stays in bounds, or `base`."""
     return choose([base, *(t for t in more if not explodes(t.law(), trained))], UNIT_GAIN)
 
 
 def left_out(trial: Trial) -> float:
-    """Mean square on each fold of the trial refined without it, over all rows."""
+    """Return the sum of squared errors of a trial by cross-validation."""
     problem = trial.problem
     total = 0.0
     for fold in problem.samples.folds:
@@ -128,7 +128,7 @@ def left_out(trial: Trial) -> float:
 
 
 def search_space(structure: Mapping[str, Any], samples: JointRows) -> SearchSpace:
-    """Return how a structure of the family is searched on given rows."""
+    """Return the search space of a structure for given rows."""
     state = structure.get("state", "paper")
     features = HysteresisFeatures(samples=samples, discretisation="exact")
     alpha, beta = calibrate.bounds(features)
@@ -152,7 +152,7 @@ def search_space(structure: Mapping[str, Any], samples: JointRows) -> SearchSpac
             limit = evolve.ARGUMENT_LIMIT / scales[x]
             bounds.append((family.argument_name(k, x), (-limit, limit)))
     for x in structure.get("denominator", ()):
-        # All terms together stay below DIVISOR_LIMIT: the denominator has no zero in the data.
+        # The sum of all terms stays below DIVISOR_LIMIT, so the denominator is never zero.
         largest = float(np.abs(samples.dq).max()) if x == "dq" else 1.0
         limit = DIVISOR_LIMIT / len(structure["denominator"]) / largest
         bounds.append((family.denominator_name(x), (-limit, limit)))

@@ -1,4 +1,4 @@
-"""ParFam-V: the paper's ablation, a symbolic law of velocity alone."""
+"""ParFam-V: ablation of the paper, a symbolic law of velocity alone."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -16,7 +16,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 
 FEATURES = ("1", "dq")
 STEEPEST = 2000.0
-"""Largest slope of a unit's argument, relative to the joint's typical speed."""
+"""Largest slope of a unit's argument, times the joint's typical speed."""
 _ROWS = 1200
 
 
@@ -26,8 +26,8 @@ class ParFamV(Described):
 
     Parameters
     ----------
-    functions : functions g that are tried.
-    starts : random starts for each g, and as many steep ones, since friction jumps at rest.
+    functions : candidate functions g.
+    starts : number of random starts per g, and of steep ones, since friction jumps at rest.
     """
 
     name = "parfam_v"
@@ -49,7 +49,7 @@ class ParFamV(Described):
         return family.form(structure)
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Search the unit's argument for every g; left-out logs choose among them."""
+        """Search the unit's argument for every g; cross-validation selects one."""
         samples = JointRows.of(records, coefficients=5)
         x = np.column_stack([np.ones(len(samples.dq)), samples.dq])
         rows = slice(None, None, max(1, len(x) // _ROWS))

@@ -1,1 +1,1 @@
-"""ParFam-S: stops with symbolic bounds, whose passivity is certified."""
+"""ParFam-S: stops with symbolic bounds and certified passivity."""

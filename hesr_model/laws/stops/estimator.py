@@ -1,4 +1,4 @@
-"""ParFam-S: stops with symbolic bounds, fitted by signed least squares and left-out logs."""
+"""ParFam-S: stops with symbolic bounds, fitted by signed least squares and cross-validation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,15 +19,15 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.typed_json import to_json
 
 WINDOW = 1.5
-"""Steps up to this many sample times of the logs have ripple as it is at their ends."""
+"""Longest step without averaging of ripple, in sample times of the logs."""
 
 
 class _Stops(Estimator):
-    """Stops of which the bounds are expressions, so that no part of it gives energy.
+    """Stops with expressions as bounds; no part generates energy.
 
     Parameters
     ----------
-    skeleton_only : leave out the search; the baseline that it has to beat.
+    skeleton_only : True to skip the search and return its baseline.
     """
 
     load: ClassVar[bool] = False
@@ -47,7 +47,7 @@ class _Stops(Estimator):
         return Structure.of(structure).form()
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Solve for all forces with their signs; nothing is drawn from `rng`."""
+        """Solve for all forces with sign constraints; `rng` is not used."""
         del rng
         samples = JointRows.of(records, coefficients=20)
         best = dictionary(samples, load=self.load)
@@ -99,12 +99,12 @@ _LOADED = {**_Stops.typical, "stops": [["1", 0], ["1", 4], ["p", 0], ["load", 0]
 
 @register
 class ParFamS(_Stops):
-    """Stops whose bounds depend on age and load, and ripple that pays: passive at any step.
+    """Stops with bounds of age and load, and ripple: passive for any step.
 
         x_i+ = clip(x_i + v dt / w_i, -s_i, s_i)    p' = (exp(-(v/v_s)^2) - p) / T
         tau  = sum_i F_i x_i + v f(v) + ripple + tau_0
 
-    Bounds s_i and terms of f stay where left-out logs gain from them; F_i and f are not negative.
+    Cross-validation selects bounds s_i and terms of f; F_i and f are non-negative.
     """
 
     name = "parfam_s"

@@ -1,11 +1,11 @@
-"""ParFam-S as expressions: stops whose bounds are symbolic, an age, and viscous friction.
+"""ParFam-S as expressions: stops with symbolic bounds, an age, and viscous friction.
 
     x_i+ = clip(x_i + v dt / w_i, -s_i, s_i)    s_i >= 0: an expression of `BOUNDS`
     p'   = (psi(v) - p) / T                     psi = exp(-(v/v_s)^2)
     tau  = sum_i F_i x_i + v f(v) + ripple + tau_0
 
-Stribeck effect, frictional lag and load enter as bounds, never as factors of the output: a bound
-that moves projects the deflection on a smaller set that holds 0, which takes energy only.
+Stribeck effect, frictional lag and load act on bounds, never as factors of the output: a moving
+bound projects the deflection on a smaller set that contains 0, which only dissipates.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S
 from hesr_model.support.arrays import Array
 
 DEFLECTIONS = np.geomspace(3e-5, 1e-2, 9)
-"""Sliding deflections w of the stops [rad], or [m]."""
+"""Sliding deflections w of the stops [rad; m]."""
 
 LOAD_SCALE = Coefficient(
     name="load_scale", unit="N.m", description="load torque at which bounds of the load are 1"
@@ -39,7 +39,7 @@ AGE = Relaxation(
     drive=sympy.exp(-((DQ / V_S.symbol) ** 2)) / REST.symbol,
     rate=1 / REST.symbol,
 )
-"""Age of the contacts: 1 at rest, falls while they slide."""
+"""Age of the contacts: 1 at rest, falling in motion."""
 
 _LOAD = TAU_LOAD / LOAD_SCALE.symbol
 BOUNDS: Mapping[str, sympy.Expr] = {
@@ -50,10 +50,10 @@ BOUNDS: Mapping[str, sympy.Expr] = {
     "plus": positive(_LOAD),
     "minus": positive(-_LOAD),
 }
-"""Bounds by name: what the family searches. None is negative, and none vanishes at rest alone."""
+"""Bounds of the family by name; none is negative, and none vanishes at rest alone."""
 
 SHARES = {"a": 0.05, "b": 0.2, "c": 0.6}
-"""Speeds of shear thinning, as shares of the largest speed, by the letter of their term of f."""
+"""Speeds of shear thinning relative to the largest speed, by the letter of their term of f."""
 THINNING = {
     letter: Coefficient(name=f"v_{letter}", unit="rad/s", description="speed of shear thinning")
     for letter in SHARES
@@ -78,15 +78,15 @@ _VISCOUS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """Which terms a law has.
+    """Terms of a law.
 
     Attributes
     ----------
-    stops : name of the bound and number of the deflection, from 0, of each.
+    stops : name of the bound and index of the deflection, from 0, of each stop.
     viscous : terms of f: "1" for a constant, "v" for |v|, a letter of `SHARES` for
         1 / (1 + |v| / v_letter).
     ripple : frequencies in the joint angle [1/rad] of harmonics of the motor's angle.
-    window : step [s] up to which ripple is taken as it is at the step's end.
+    window : longest step [s] without averaging of ripple.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid")
@@ -103,14 +103,14 @@ class Structure:
         Raises
         ------
         ArtifactError
-            If they are none.
+            If the data are not a structure.
         """
         try:
             found = TypeAdapter(cls).validate_python(dict(data))
         except ValidationError as error:
             raise ArtifactError(
-                f"structure {dict(data)!r} is none of ParFam-S: it has 'stops', 'viscous', "
-                "'ripple' and 'window'."
+                f"structure {dict(data)!r} is invalid for ParFam-S; allowed are the keys 'stops', "
+                "'viscous', 'ripple' and 'window'."
             ) from error
         for kind, node in found.stops:
             if kind not in BOUNDS or not 0 <= node < len(DEFLECTIONS):
@@ -128,7 +128,7 @@ class Structure:
 
     @property
     def forces(self) -> tuple[str, ...]:
-        """Names of the coefficients that must not be negative: of stops, then of f."""
+        """Names of the non-negative coefficients: of stops, then of f."""
         return (
             *(force(kind, node) for kind, node in self.stops),
             *(_VISCOUS[kind][0].name for kind in self.viscous),
@@ -136,7 +136,7 @@ class Structure:
 
     @property
     def waves(self) -> tuple[str, ...]:
-        """Names of the amplitudes of ripple."""
+        """Names of the ripple amplitudes."""
         return tuple(f"ripple{n}_{part}" for n in self.ripple for part in ("cos", "sin"))
 
     def form(self) -> LawForm:
@@ -165,7 +165,7 @@ class Structure:
             coefficient, factor = _VISCOUS[kind]
             coefficients.append(coefficient)
             torque += coefficient.symbol * DQ * factor
-        # Over what a step is longer than `window`, the wave's mean: any step is certified.
+        # The mean of a wave over the part of a step beyond `window` certifies any step.
         beyond = positive(DT - sympy.Float(self.window))
         angle = Q - (LAG.symbol + beyond / 2) * DQ
         for name, n in zip(self.waves[::2], self.ripple, strict=True):
@@ -194,12 +194,12 @@ class Structure:
 
 
 def force(kind: str, node: int) -> str:
-    """Return the name of the force of the stop with that bound and deflection."""
+    """Return the name of the force of a stop with a bound and deflection."""
     return f"F_{kind}_{node + 1}" if kind != "1" else f"F_{node + 1}"
 
 
 def start_at_rest(form: LawForm) -> tuple[float, ...]:
-    """Return the states of a form at rest, where contacts have aged; none where all are 0."""
+    """Return the states of a form at rest, with aged contacts; empty if all are 0."""
     memory = form.memory
     return tuple(1.0 if m == AGE else 0.0 for m in memory) if AGE in memory else ()
 
@@ -209,9 +209,9 @@ def viscous_at(structure: Structure, numbers: Mapping[str, float], speeds: Array
 
     Parameters
     ----------
-    structure : whose terms.
+    structure : structure with the terms.
     numbers : coefficients of shear thinning by name, in their units.
-    speeds : (S,) not negative.
+    speeds : (S,) non-negative speeds.
     """
     known = {v.symbol: numbers[v.name] for k, v in THINNING.items() if k in structure.viscous}
     terms = [_VISCOUS[kind][1].subs(known) for kind in structure.viscous]

@@ -1,9 +1,9 @@
-"""The part of the certificate that is a condition on numbers: ripple that lags against v f(v).
+"""Numeric condition of the certificate: lagging ripple against viscous friction v f(v).
 
-Ripple U'(q) of the joint angle is lossless; taken `lag` late, and at the end of a step over which q
-moves, it is U' at another angle. It gives at most sum_k A_k min(n_k c |v|, 2) |dq|, where c is the
-mean distance in time between the angle that is used and those that are passed; viscous friction
-takes v f(v) |dq| / |v|. So f(v) >= sum_k A_k min(n_k c, 2 / |v|) at all speeds is enough.
+Ripple U'(q) of the joint angle is lossless. With a lag, and read at the end of a step, it is U' at
+another angle and generates at most sum_k A_k min(n_k c |v|, 2) |dq|, where c is the mean time
+between the angle used and the angles passed. Viscous friction dissipates v f(v) |dq| / |v|. So
+f(v) >= sum_k A_k min(n_k c, 2 / |v|) at all speeds is sufficient.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from hesr_model.support.arrays import Array
 
 SPEEDS = np.concatenate([[0.0], np.geomspace(1e-4, 1e6, 241)])
-"""Speeds [rad/s] at which the condition is looked at; between them all terms are monotonic."""
+"""Speeds [rad/s] for checking the condition; in between all terms are monotonic."""
 
 
 def distance(lag: float, window: float) -> float:
@@ -29,7 +29,7 @@ def distance(lag: float, window: float) -> float:
 
 
 def needed(frequencies: Sequence[int], lag: float, window: float) -> Array:
-    """Return (S, K): what f must be at each of `SPEEDS` per N.m of each wave [s/rad]."""
+    """Return (S, K): smallest f at each of `SPEEDS` per N.m of each wave [s/rad]."""
     speeds = np.maximum(SPEEDS, 1e-300)[:, None]
     return np.asarray(np.minimum(np.asarray(frequencies) * distance(lag, window), 2.0 / speeds))
 
@@ -37,18 +37,18 @@ def needed(frequencies: Sequence[int], lag: float, window: float) -> Array:
 def constrained(
     gram: Array, moment: Array, x: Array, viscous: Array, waves: Array, *, free: int
 ) -> Array:
-    """Return coefficients that explain rows best among those that are certified.
+    """Return the least-squares coefficients that satisfy the condition.
 
-    A cone problem: the amplitudes of waves stand under a root, everything else is linear.
+    It is a cone problem: linear apart from the amplitudes of waves.
 
     Parameters
     ----------
-    gram, moment : (K, K) and (K,) of the normal equations.
-    x : (K,) the solution without this condition; the last `free` have any sign, the last of all of
-        them are cosines and sines in pairs.
-    viscous : (S, V) terms of f at each speed; their coefficients stand before the free ones.
-    waves : (S, W) of `needed`.
-    free : how many of the last ones may have any sign.
+    gram, moment : (K, K) and (K,) normal equations.
+    x : (K,) unconstrained solution; the last `free` have any sign and end in pairs of cosines and
+        sines.
+    viscous : (S, V) terms of f at each speed; their coefficients precede the free ones.
+    waves : (S, W) result of `needed`.
+    free : number of last coefficients of any sign.
     """
     first = len(x) - free
     f, a = slice(first - viscous.shape[1], first), slice(len(x) - 2 * waves.shape[1], len(x))
@@ -59,7 +59,7 @@ def constrained(
     if margin(x).min() >= 0.0:
         return x
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
-    # From half the ripple that is allowed, at which the root has a slope.
+    # Start at half the allowed ripple, where the root is differentiable.
     share = np.min((viscous @ x[f]) / np.maximum(waves @ np.hypot(*x[a].reshape(-1, 2).T), 1e-300))
     start = x.copy()
     start[a] *= 0.5 * max(float(share), 0.0)
@@ -87,7 +87,7 @@ def constrained(
     )  # fmt: skip
     y = np.asarray(scale * best.x)
     y[:first] = np.maximum(y[:first], 0.0)
-    # To the last bit: what rounding is over, the ripple loses.
+    # Reduce the ripple by any violation from round-off.
     least = np.min((viscous @ y[f]) / np.maximum(waves @ np.hypot(*y[a].reshape(-1, 2).T), 1e-300))
     y[a] *= min(1.0, max(0.0, float(least))) * (1.0 - 1e-9)
     return y

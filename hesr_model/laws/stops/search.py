@@ -1,4 +1,4 @@
-"""Which bounds and viscous terms a joint has, by the errors on logs that are left out."""
+"""Selection of bounds and viscous terms by errors on left-out logs."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -14,13 +14,13 @@ from hesr_model.laws.stops.terms import VISCOUS, columns, every, fixed, weights
 from hesr_model.support.arrays import Array
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)
-"""Stribeck velocities that are tried, as shares of the largest speed."""
+"""Candidate Stribeck velocities, relative to the largest speed."""
 TIMES = (0.05, 0.1, 0.2, 0.4)
-"""Ageing times T that are tried [s]."""
+"""Candidate ageing times T [s]."""
 MORE = ("root", "plus", "minus")
-"""Bounds that the search tries beside those of the skeleton."""
+"""Candidate bounds in addition to those of the skeleton."""
 LEAST = 2e-3
-"""A stop that carries less than this share of all is left out."""
+"""Smallest relative force of a stop."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,12 +29,12 @@ class Terms:
 
     Attributes
     ----------
-    bounds : names, of which each has a stop at every deflection.
-    numbers : of the coefficients that are not solved for, in their units.
+    bounds : names of bounds, each with a stop at every deflection.
+    numbers : other coefficients by name, in their units.
     samples : rows of the joint.
-    weights : (N,) 1 for rows that count.
-    products : of columns, which trials share.
-    kept : weighted columns of each bound that were computed already.
+    weights : (N,) 1 for rows that are used.
+    products : products of columns, shared by trials.
+    cache : weighted columns by bound.
     """
 
     bounds: tuple[str, ...]
@@ -42,25 +42,25 @@ class Terms:
     samples: JointRows
     weights: Array
     products: Products
-    kept: dict[str, Array] = field(default_factory=dict)
+    cache: dict[str, Array] = field(default_factory=dict)
 
     @property
     def structure(self) -> Structure:
-        """The whole dictionary of these bounds."""
+        """All terms of these bounds."""
         stops = tuple(stop for kind in self.bounds for stop in every(kind).stops)
         return Structure(stops=stops, viscous=VISCOUS)
 
     def _of(self, kind: str) -> Array:
-        if kind not in self.kept:
+        if kind not in self.cache:
             own = Structure(viscous=VISCOUS) if kind == "viscous" else every(kind)
             found = columns(own, self.numbers, self.samples)
-            self.kept[kind] = self.weights[:, None] * found
-        return self.kept[kind]
+            self.cache[kind] = self.weights[:, None] * found
+        return self.cache[kind]
 
     @property
     def blocks(self) -> list[Array]:
-        """Columns of the forces, and the offset's, all weighted."""
-        self.kept.setdefault("offset", self.weights[:, None])
+        """Weighted columns of forces and offset."""
+        self.cache.setdefault("offset", self.weights[:, None])
         return [self._of(kind) for kind in (*self.bounds, "viscous", "offset")]
 
     @cached_property
@@ -80,12 +80,12 @@ class Terms:
 
     def at(self, v_s: float, time: float) -> "Terms":
         """Return the terms with another Stribeck velocity [rad/s] and ageing time [s]."""
-        still = {k: c for k, c in self.kept.items() if k != "p"}
+        still = {k: c for k, c in self.cache.items() if k != "p"}
         numbers = self.numbers | {"v_s": v_s, "T": time}
-        return replace(self, numbers=numbers, kept=still)
+        return replace(self, numbers=numbers, cache=still)
 
     def active(self) -> tuple[Structure, Array]:
-        """Return the terms that carry something, and their weighted columns, the offset's last."""
+        """Return the terms with a force, and their weighted columns with the offset last."""
         x = self.normal.solve()[:-1]
         whole = self.structure
         carried = x[: len(whole.stops)]
@@ -99,12 +99,12 @@ class Terms:
 
 
 def dictionary(samples: JointRows, *, load: bool) -> Terms:
-    """Return the baseline: the skeleton's bounds, solved with signs, and the best v_s and T.
+    """Return the baseline: bounds of the skeleton with the best v_s and T.
 
     Parameters
     ----------
     samples : rows of the joint.
-    load : whether bounds may depend on the load.
+    load : True if bounds may depend on the load.
     """
     speed = float(np.max(np.abs(samples.dq)))
     bounds = ("1", "p", "load") if load else ("1", "p")
@@ -119,16 +119,16 @@ def dictionary(samples: JointRows, *, load: bool) -> Terms:
     trials = []
     for share, time in product(SPEEDS, TIMES):
         trials.append(first.at(share * speed, time))
-        first.kept.update({k: c for k, c in trials[-1].kept.items() if k == "1"})
-        trials[-1].cost  # noqa: B018 - its columns serve the others
-        first.kept.update({k: c for k, c in trials[-1].kept.items() if k != "p"})
+        first.cache.update({k: c for k, c in trials[-1].cache.items() if k == "1"})
+        trials[-1].cost  # noqa: B018 - fills the cache
+        first.cache.update({k: c for k, c in trials[-1].cache.items() if k != "p"})
     return trials[first_best([trial.cost for trial in trials])]
 
 
 def search(baseline: Terms, *, load: bool) -> Terms:
     """Return terms that predict left-out rows no worse than the baseline.
 
-    Bounds are added that pay by more than a standard error, and left out without loss.
+    Bounds are added if they gain more than a standard error, and removed if nothing is lost.
     """
     blocks = blocks_of(baseline.samples.dt, baseline.samples.begins)
     best = _thinned(baseline)
@@ -140,10 +140,9 @@ def search(baseline: Terms, *, load: bool) -> Terms:
 
 
 def _thinned(terms: Terms) -> Terms:
-    """Return the terms without bounds, the last one first, that left-out rows do not miss.
+    """Remove bounds, the last one first, that do not lower the error on left-out rows.
 
-    The first one stays: seconds of fast motion cannot tell Coulomb from viscous friction, and a law
-    without it would let go at speed.
+    The first one stays: short fast motion cannot separate Coulomb from viscous friction.
     """
     for kind in reversed(terms.bounds[1:]):
         fewer = replace(terms, bounds=tuple(k for k in terms.bounds if k != kind))

@@ -1,4 +1,4 @@
-"""Columns of stops and viscous terms over the rows of a joint, lowered from the law's own form."""
+"""Columns of stops and viscous terms over the rows of a joint."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -37,9 +37,9 @@ def fixed(samples: JointRows) -> dict[str, float]:
 
 
 def weights(samples: JointRows) -> Array:
-    """Return (N,) 0 where the deflections with which a record starts may still count, else 1.
+    """Return (N,) weights: 0 while the unknown initial deflections of a record matter, then 1.
 
-    Nobody knows these; a joint forgets them once it has moved over twice the widest deflection.
+    A displacement of twice the widest deflection erases them.
     """
     found = np.empty(len(samples.q))
     first = np.flatnonzero(samples.begins)
@@ -56,8 +56,8 @@ def columns(structure: Structure, numbers: Mapping[str, float], samples: JointRo
 
     Parameters
     ----------
-    structure : whose terms are wanted.
-    numbers : of all other coefficients, in their units.
+    structure : structure with the terms.
+    numbers : all other coefficients by name, in their units.
     samples : rows of the joint.
     """
     form, space = _posed(structure)

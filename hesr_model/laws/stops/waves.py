@@ -1,6 +1,6 @@
-"""Ripple that pays: harmonics of the motor's angle beside stops, all with one lag.
+"""Ripple of ParFam-S: harmonics of the motor angle with a common lag, chosen by cross-validation.
 
-Frequencies need not be whole multiples of the gear ratio: a planet's or a bearing's are near them.
+Frequencies of planets and bearings are close to integer multiples of the gear ratio.
 """
 
 from collections.abc import Sequence
@@ -14,42 +14,42 @@ from hesr_model.fitting.nonnegative import Normal, blocks_of, pays
 from hesr_model.support.arrays import Array
 
 ORDERS = range(1, 17)
-"""Orders per turn of the motor that are tried."""
+"""Candidate orders per turn of the motor."""
 NEAR = 3
-"""How far a frequency may be from a whole multiple of the gear ratio [1/rad]."""
+"""Largest distance of a frequency from an integer multiple of the gear ratio [1/rad]."""
 LAGS = np.arange(0.0, 0.0121, 0.0005)
-"""Lags of the torque behind the position that are tried [s]."""
+"""Candidate lags of the torque behind the position [s]."""
 MOST = 6
-"""Frequencies that a joint gets at the most."""
+"""Maximum number of frequencies of a joint."""
 GAIN = 0.002
-"""Share of the mean square on left-out rows that one must gain, besides one standard error."""
+"""Smallest relative gain of the mean square on left-out rows by a frequency."""
 
 
-_PHASE = 0.6  # by how much the lag is moved, as a phase of the fastest wave at 1 rad/s [rad]
+_PHASE = 0.6  # search range of the lag, as a phase of the fastest wave at 1 rad/s [rad]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Waves:
-    """Frequencies in the joint angle [1/rad] and the lag [s] that they share."""
+    """Frequencies in the joint angle [1/rad] and their common lag [s]."""
 
     frequencies: tuple[int, ...]
     lag: float
 
 
 def waves(frequencies: Sequence[int], lag: float, samples: JointRows) -> Array:
-    """Return the (N, 2 K) cosines and sines at the joint's angle less what it moves in the lag."""
+    """Return the (N, 2 K) cosines and sines of the joint angle before the lag."""
     phase = np.outer(samples.q - lag * samples.dq, np.asarray(frequencies, dtype=float))
     return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(samples.q), -1)
 
 
 def select(base: Array, samples: JointRows, weights: Array, gear_ratio: float) -> Waves:
-    """Return the waves that predict left-out rows better by more than one standard error.
+    """Return the waves that lower the error on left-out rows by more than one standard error.
 
     Parameters
     ----------
-    base : (N, K) columns of a law that carry something, the offset's last.
+    base : (N, K) columns of a law with a force, the offset last.
     samples : rows of the joint.
-    weights : (N,) 1 for rows that count, 0 for others.
+    weights : (N,) 1 for rows that are used, 0 for others.
     gear_ratio : turns of the motor per turn of the joint.
     """
     problem = _Problem(base=base, samples=samples, weights=weights)
@@ -71,7 +71,7 @@ def select(base: Array, samples: JointRows, weights: Array, gear_ratio: float) -
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
-    """Waves beside columns over the rows of a joint."""
+    """Waves and columns of a law over the rows of a joint."""
 
     base: Array
     samples: JointRows
@@ -92,7 +92,7 @@ class _Problem:
         return np.asarray(tau - columns @ x)
 
     def in_phase(self, chosen: Waves, *, reach: float) -> Waves:
-        """Return the waves with the lag that explains all rows best, within a reach [s]."""
+        """Return the waves with the best lag within `reach` [s]."""
 
         def cost(lag: float) -> float:
             left = self.residual(replace(chosen, lag=lag))
@@ -106,7 +106,7 @@ class _Problem:
 
 
 def _next(problem: _Problem, chosen: Waves, gear_ratio: float) -> Waves | None:
-    """Return the waves and that one more which fits best to what is left, at any of its lags."""
+    """Return the waves plus the one that fits the residual best, over all lags for the first."""
     samples, residual = problem.samples, problem.residual(chosen)
     taken = {round(n / gear_ratio) for n in chosen.frequencies}
     orders = [order for order in ORDERS if order not in taken]
