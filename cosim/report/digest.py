@@ -1,4 +1,4 @@
-"""The results of runs as one page of Markdown: every figure from their files, none typed."""
+"""Results of runs as one page of Markdown."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,9 +13,15 @@ from cosim.study.verdict import read_verdict
 from hesr_model.friction.registry import laws_with, papers_law
 from hesr_model.support.files import written_whole
 
+_INTRODUCTION = (
+    "Written by `hesr report` from the files of the runs below. RMSE of each exported FMU on "
+    "unseen logs; in brackets the ratio to the reference and its 95 % interval. For the method see "
+    "[methods.md](methods.md).\n"
+)
+
 
 def write_digest(folders: Sequence[Path], output: Path) -> Path:
-    """Write the tables of runs to a page of Markdown and return it.
+    """Write the tables of runs to a page of Markdown and return its path.
 
     Parameters
     ----------
@@ -25,16 +31,10 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
     Raises
     ------
     ArtifactError, LogError
-        If a folder holds no results, or the page cannot be written.
+        If a folder has no results, or the page cannot be written.
     """
     runs = [Results.read(folder) for folder in folders]
-    parts = [
-        "# Results\n",
-        "Written by `hesr results` from the files of the runs below. RMSE of each exported FMU on "
-        "logs that no fit has seen; in brackets the ratio to the reference and its 95 % interval. "
-        "How it is measured: [methods.md](methods.md).\n",
-        *(line for results in runs for line in _run(results)),
-    ]
+    parts = ["# Results\n", _INTRODUCTION, *(part for results in runs for part in _run(results))]
     with written_whole(output) as temporary:
         temporary.write_text("\n".join(parts), encoding="utf-8")
     return output
@@ -42,32 +42,31 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
 
 def _run(results: Results) -> list[str]:
     """Return the parts of a run's chapter."""
-    run = results.run
-    said = read_verdict(results.folder)
+    run, found = results.run, read_verdict(results.folder)
     parts = [
         f"## {run.study}: {run.robot}\n",
         f"`{run.command}`\n",
-        *(f"{sentence}\n" for sentence in (said.sentences if said else ())),
-        "### In short\n",
+        *(f"{sentence}\n" for sentence in (found.sentences if found else ())),
+        "### Summary\n",
         markdown(short(results)),
         "### Prediction\n",
     ]
     for name, scores in results.comparisons.items():
-        measures = MEASURES if name == results.tests[0] else ("rmse",)
+        first = name == results.tests[0]
         parts += [
             markdown(errors(name, scores, measure, run.inputs, results.sliding))
-            for measure in measures
+            for measure in (MEASURES if first else ("rmse",))
         ]
-        if scores.bands and name == results.tests[0]:
+        if scores.bands and first:
             parts.append(markdown(bands(name, scores)))
     if results.truths:
         table = other_truths(results.comparisons, results.truths, run.truth)
-        parts += ["### Under other truths\n", markdown(table)]
+        parts += ["### Alternative plants\n", markdown(table)]
     if results.loop:
-        parts += ["### In closed loop\n", *map(markdown, outcome(results.loop))]
-    if found := results.properties:
-        tables = (properties(found), legend(results.sliding))
-        parts += ["### Does it behave as friction does?\n", *map(markdown, tables)]
+        parts += ["### Closed loop\n", *map(markdown, outcome(results.loop))]
+    if results.properties:
+        tables = (properties(results.properties), legend(results.sliding))
+        parts += ["### Physics checks\n", *map(markdown, tables)]
     return parts
 
 
@@ -75,11 +74,10 @@ def short(results: Results) -> ResultTable:
     """Return the best classic law, the paper's and the best of all on the first test set."""
     test = results.tests[0]
     whole = errors(test, results.comparisons[test], sliding=results.sliding)
-    ranked = [str(row.head) for row in whole.rows]
-    best = min((law for law in laws_with("classic") if named(law) in ranked),
-               key=lambda law: ranked.index(named(law)), default=results.best)  # fmt: skip
-    wanted = list(dict.fromkeys(named(law) for law in (best, papers_law(), results.best)))
     rows = {str(row.head): row for row in whole.rows}
+    classic = [head for head in rows if head in set(map(named, laws_with("classic")))]
+    best, paper = named(results.best), named(papers_law())
+    wanted = dict.fromkeys([*classic[:1], paper, best])
     shown: list[TableRow] = [row for row in whole.rows if row.quiet]
     shown += [rows[head] for head in wanted if head in rows]
     return ResultTable(caption=whole.caption, head=whole.head, rows=shown)

@@ -1,4 +1,4 @@
-"""Parts of the page: sections, tables, figures and numbers."""
+"""Pages of sections, and the HTML of tables, figures and text in them."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,18 +18,16 @@ from hesr_model.support.files import written_whole
 if TYPE_CHECKING:
     from cosim.report.figures.chart import Chart, Figure
 
-_FOLDERS = (
-    Path(__file__).parent / "templates",
-    TEMPLATES,  # the style of an FMU's pages is ours as well
-)
+# Pages share the style of the pages in FMUs.
+_FOLDERS = (Path(__file__).parent / "templates", TEMPLATES)
 
 _NUMBER = "\ue000"
-"""Where the number of a figure comes, a character of private use: sections may be made anywhere."""
+"""Placeholder of a figure's number, because sections may be made in any order."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A section of the page: what links call it, its heading, its HTML."""
+    """A section of a page: key in links, heading, HTML."""
 
     key: str
     title: str
@@ -38,26 +36,26 @@ class Section:
 
 @dataclass
 class Pictures:
-    """Draws figures of a page, and writes them as PDF and PNG; the page numbers them.
+    """Figures of a page, also written as PDF and PNG.
 
     Attributes
     ----------
-    folder : in which they are written.
-    zooms : data of the views that zoom, by key of the figure.
+    folder : folder of the files.
+    zooms : data of the zooming views, by key of the figure.
     """
 
     folder: Path
     zooms: dict[str, str] = field(default_factory=dict)
 
     def figure(self, key: str, picture: "Figure", caption: str, *, alt: str) -> Markup:
-        """Return a figure.
+        """Write a figure and return its HTML.
 
         Parameters
         ----------
-        key : name of its files, and of the figure in links.
-        picture : as drawn.
-        caption : what is to be seen.
-        alt : what it shows, for readers who cannot see it.
+        key : name of the files, and of the figure in links.
+        picture : the figure.
+        caption : text below the figure.
+        alt : description for readers who cannot see it.
         """
         from cosim.report.figures.style import write
 
@@ -65,28 +63,27 @@ class Pictures:
         return self.shown(key, picture, caption, alt=alt)
 
     def shown(self, key: str, picture: "Figure", caption: str, *, alt: str) -> Markup:
-        """Return a figure that stands in the page only."""
+        """Return the HTML of a figure without writing files."""
         from cosim.report.figures.style import svg
 
         return self.drawing(key, Markup(svg(picture, key)), caption, alt=alt)
 
     def chart(self, key: str, chart: "Chart", caption: str, *, alt: str) -> Markup:
-        """Return a figure of lines, which can be zoomed."""
+        """Write a chart with a zooming view and return its HTML."""
         from cosim.report.figures.chart import drawn
 
         self.zooms[key] = zoom_data(chart)
         return self.figure(key, drawn(chart), caption, alt=alt)
 
     def drawing(self, key: str, svg: Markup, caption: str, *, alt: str) -> Markup:
-        """Return a figure that is SVG already."""
-        return render(
-            "figure.html.j2", key=key, svg=svg, caption=caption, alt=alt, number=_NUMBER,
-            zoom=key in self.zooms,
-        )  # fmt: skip
+        """Return the HTML of a figure in SVG."""
+        zoom = key in self.zooms
+        texts = {"caption": caption, "alt": alt, "number": _NUMBER}
+        return render("figure.html.j2", key=key, svg=svg, zoom=zoom, **texts)
 
 
 def render(template: str, **values: Any) -> Markup:
-    """Return HTML from a template; what it is given is escaped, but for markup."""
+    """Return HTML from a template; all values except markup are escaped."""
     return Markup(rendered(template, _FOLDERS, **values))
 
 
@@ -135,23 +132,14 @@ def paragraph(text: str | Markup, *, note: bool = False) -> Markup:
     return Markup('<p class="note">{}</p>' if note else "<p>{}</p>").format(text)
 
 
-def heading(text: str) -> Markup:
-    """Return a heading within a section."""
-    return Markup("<h3>{}</h3>").format(text)
-
-
 def listing(items: Iterable[str | Markup]) -> Markup:
-    """Return items one below the other."""
-    return Markup("<ul>{}</ul>").format(
-        Markup("").join(Markup("<li>{}</li>").format(item) for item in items)
-    )
+    """Return a list of items."""
+    return Markup("<ul>{}</ul>").format(joined(*(Markup("<li>{}</li>").format(i) for i in items)))
 
 
 def details(summary: str, *parts: Markup) -> Markup:
-    """Return what is folded away."""
-    return Markup("<details><summary>{}</summary>{}</details>").format(
-        summary, Markup("").join(parts)
-    )
+    """Return folded parts with a summary."""
+    return Markup("<details><summary>{}</summary>{}</details>").format(summary, joined(*parts))
 
 
 def joined(*parts: Markup) -> Markup:

@@ -1,4 +1,4 @@
-"""The saved results of a run, read back."""
+"""Saved results of a run."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Results:
-    """What a run has saved.
+    """Saved results of a run.
 
     Attributes
     ----------
-    folder : of the results.
-    run : what was run.
+    folder : folder of the results.
+    run : description of the run.
     body : rigid body.
-    models : the laws, by name.
-    comparisons : scores on every test set and band, by name.
-    properties : findings of the property battery, by law; empty where it was not run.
-    simulated : the laws as simulators, by test set; empty in results of earlier versions.
-    truths : errors under other truths of a twin, by truth, test set and law.
-    loop : closed loop; None where there was none.
-    paths : of the closed loop, by (scheme, law); empty where they were not saved.
-    provenance : of the rigid body and the laws.
-    audited : audits of the laws, where they are there already.
+    models : laws by name.
+    comparisons : scores by test set and band.
+    properties : results of the physics checks by law; empty if they were not run.
+    simulated : position errors by test set; empty in results of earlier versions.
+    truths : errors on alternative plants of a twin, by plant, test set and law.
+    loop : closed loop, if any.
+    paths : paths in the closed loop by (scheme, law); empty if they were not saved.
+    provenance : provenance of the rigid body and the laws.
+    audited : audits of the laws, if already known.
     """
 
     folder: Path
@@ -63,7 +63,7 @@ class Results:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Short names of the joints, as in tables."""
+        """Short names of the joints."""
         return joints(len(self.run.joints))
 
     @property
@@ -73,29 +73,29 @@ class Results:
 
     @property
     def numbered(self) -> list[tuple[int, str, str]]:
-        """Number, from 1, short name and name of each joint."""
+        """Number from 1, short name and name of each joint."""
         names = zip(self.joints, self.run.joints, strict=True)
         return [(k, short, name) for k, (short, name) in enumerate(names, start=1)]
 
     def unit(self, unit: str, joint: int | None = None) -> str:
-        """Return a unit as it is for all joints, or for the one of an index."""
+        """Return a unit for all joints, or for one by index."""
         sliding = self.sliding if joint is None else self.sliding[joint : joint + 1]
         return unit_of_joints(unit, sliding)
 
     @property
     def tests(self) -> list[str]:
-        """Names of the test sets that are whole, not bands."""
+        """Names of the whole test sets, without bands."""
         bands = {band.name for band in self.run.bands}
         return [name for name in self.comparisons if name not in bands]
 
     @property
     def laws(self) -> list[str]:
-        """The laws without their variants."""
+        """Laws without variants."""
         return [law for law in self.models if law not in self.run.variants]
 
     @cached_property
     def best(self) -> str:
-        """The law with the least error on the first test set, relative to the reference's."""
+        """Law with the lowest error over that of the first law, on the first test set."""
         scores = self.comparisons[self.tests[0]].laws
         relative = {
             law: sum(map(truediv, row.rmse, next(iter(scores.values())).rmse))
@@ -106,14 +106,14 @@ class Results:
 
     @cached_property
     def key_laws(self) -> list[str]:
-        """The laws that pictures show: those of the paper, and the best one."""
+        """Laws of figures: those of the paper, and the best one."""
         paper, *others = laws_of_paper()
         named = dict.fromkeys((paper, self.best, *others))
         return [law for law in named if law in self.models]
 
     @cached_property
     def audits(self) -> Mapping[str, ModelAudit]:
-        """The audit of each law; one without a trained range has none."""
+        """Audits of the laws with a trained range."""
         if self.audited is not None:
             return self.audited
         found = {}
@@ -133,17 +133,17 @@ class Results:
         return next(logs, None)
 
     def torques(self, log: SavedLog) -> dict[str, Array]:
-        """Return the torques of a log over time; see `write_torques`."""
+        """Return the torques of a log over time; see `cosim.study.results.write_torques`."""
         return read_torques(self.folder / TRACES / log.trace)
 
     @classmethod
     def read(cls, folder: Path) -> "Results":
-        """Read a folder that `hesr run` has written.
+        """Read a folder written by `hesr run`.
 
         Raises
         ------
         ArtifactError, LogError
-            If it is none, or naming the file that is missing or damaged.
+            If the folder has no results, or a file is missing or damaged.
         """
         if not (folder / RUN).is_file():
             what = f"'{RUN}' is missing in it" if folder.is_dir() else "there is no such folder"

@@ -217,7 +217,7 @@ def test_the_battery_stands_on_the_page(laid: Path, table1_fmu: Path, tmp_path: 
     (standing,) = board.standings
     assert standing.properties is not None
     assert standing.step is None
-    assert "Which law has which property" in (tmp_path / "board.html").read_text(encoding="utf-8")
+    assert "Physics checks by law" in (tmp_path / "board.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Lines over a common axis: one description for the picture and for the view that zooms."""
+"""Charts of lines over a common axis: one description for the figure and the zooming view."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Figure  # for type hints of pages, too
+from matplotlib.figure import Figure as Figure  # also for type hints of pages
 from matplotlib.lines import Line2D
 from matplotlib.typing import LineStyleType
 
@@ -14,7 +14,7 @@ from cosim.report.figures.style import INK, SOFT, Stroke, style_axis, styled
 from hesr_model.support.arrays import Array
 
 _COLUMNS = 520
-"""Of a line over the whole width, each with its least and its greatest value; more are not seen."""
+"""Columns of a line over the whole width, each with its extreme values."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,9 +23,9 @@ class Line:
 
     Attributes
     ----------
-    name : as legends show it.
-    x, y : (N,) its points, in the units of the axes.
-    stroke : how it is drawn.
+    name : name in legends.
+    x, y : (N,) points, in the units of the axes.
+    stroke : style of the line.
     """
 
     name: str
@@ -40,9 +40,9 @@ class Panel:
 
     Attributes
     ----------
-    title, y : its heading, and the name of its vertical axis with the unit.
-    lines : drawn in their order.
-    marks : places on the horizontal axis that are marked, with a word to each.
+    title, y : heading, and name of the vertical axis with its unit.
+    lines : lines in drawing order.
+    marks : marked places on the horizontal axis, with labels.
     """
 
     title: str
@@ -57,10 +57,10 @@ class Chart:
 
     Attributes
     ----------
-    x : name of the axis with the unit.
-    rows : of panels, equally long.
-    height : of a row in inches.
-    window : what the picture shows of the axis; all where not given.
+    x : name of the axis with its unit.
+    rows : rows of panels, equally long.
+    height : height of a row [in].
+    window : part of the axis in the figure; by default all.
     """
 
     x: str
@@ -92,9 +92,14 @@ def legend(figure: Figure, lines: Sequence[Line]) -> None:
         return
     handles = [proxy(line.stroke) for line in named]
     figure.legend(
-        handles, [line.name for line in named], loc="outside upper left", ncols=min(len(named), 6),
-        borderaxespad=0.0, handlelength=2.6, columnspacing=1.6,
-    )  # fmt: skip
+        handles,
+        [line.name for line in named],
+        loc="outside upper left",
+        ncols=min(len(named), 6),
+        borderaxespad=0.0,
+        handlelength=2.6,
+        columnspacing=1.6,
+    )
 
 
 def proxy(stroke: Stroke) -> Line2D:
@@ -105,21 +110,14 @@ def proxy(stroke: Stroke) -> Line2D:
 
 
 def plot(axis: Axes, line: Line, columns: int = _COLUMNS) -> None:
-    """Draw a line, thinned to so many columns."""
+    """Draw a line, thinned to columns."""
     x, y = thinned(line.x, line.y, columns)
-    axis.plot(x, y, color=line.stroke.colour, linewidth=line.stroke.width,
-              linestyle=_dash(line.stroke))  # fmt: skip
+    stroke = line.stroke
+    axis.plot(x, y, color=stroke.colour, linewidth=stroke.width, linestyle=_dash(stroke))
 
 
 def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
-    """Keep the least and the greatest value of each of so many columns of a long line.
-
-    Parameters
-    ----------
-    x, y : (N,) points in the units of the axes, of time [s] as a rule; a line that goes to and fro
-        is left as it is.
-    columns : in which it is drawn.
-    """
+    """Keep the extreme values in each column of a long line (N,) whose x increases."""
     if len(x) <= 2 * columns or np.any(np.diff(x) < 0.0):
         return x, y
     edges = np.linspace(0, len(x), columns + 1).astype(int)
@@ -140,8 +138,16 @@ def _draw(axis: Axes, panel: Panel, window: tuple[float, float] | None, columns:
         plot(axis, part, columns)
     for place, word in panel.marks:
         axis.axvline(place, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
-        axis.annotate(word, (place, 1.0), xycoords=("data", "axes fraction"), xytext=(4, -2),
-                      textcoords="offset points", va="top", fontsize=8, color=SOFT)  # fmt: skip
+        axis.annotate(
+            word,
+            (place, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(4, -2),
+            textcoords="offset points",
+            va="top",
+            fontsize=8,
+            color=SOFT,
+        )
     axis.set_title(panel.title)
     axis.set_ylabel(panel.y)
     style_axis(axis)

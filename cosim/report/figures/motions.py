@@ -35,7 +35,7 @@ class JointView:
 
     name: str
     unit: str
-    velocities: tuple[Line, ...]
+    velocities: Sequence[Line]
     friction: Line | None
     covered: Array
     loads: Array | None

@@ -1,4 +1,4 @@
-"""Pictures that are no lines over time: hysteresis state, friction loops, ratios with intervals."""
+"""Figures other than time series: hysteresis state, friction loops, ratios with intervals."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,16 +19,17 @@ _MARKERS = ("o", "s", "^", "D", "v", "P")
 _FINE = tuple(0.05 * k for k in range(10, 41))
 _COARSE = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
 _NARROW = 1.7
-"""Ticks of ratios, and from how wide a range on they are coarse."""
+"""Ticks of ratios, and the width of the range above which they are coarse."""
 _LOOP_COLUMNS = 5
 _REACH = 0.25
-"""Share of the largest speed that loops show to either side: beyond, laws look alike."""
-_SEEN = 700  # measured points of a loop; more are not seen behind the law
+"""Range of loops over the maximum speed; laws differ little beyond it."""
+_SEEN = 700
+"""Maximum number of measured points of a loop."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sheet:
-    """Axes whose lines go to and fro: their heading, the names of their axes, and their lines."""
+    """Axes with closed lines: heading, names of the axes, and lines."""
 
     title: str
     x: str
@@ -37,7 +38,7 @@ class Sheet:
 
 
 def sheets(panels: Sequence[Sheet]) -> Figure:
-    """Draw sheets beside each other, with a legend below each."""
+    """Draw sheets next to each other, with a legend below each."""
     with styled():
         figure = Figure(figsize=(9.0, 2.95), layout="constrained")
         axes = figure.subplots(1, len(panels))
@@ -49,10 +50,15 @@ def sheets(panels: Sequence[Sheet]) -> Figure:
             axis.set_ylabel(panel.y)
             handles = [proxy(line.stroke) for line in panel.lines]
             axis.legend(
-                handles, [line.name for line in panel.lines], ncols=min(3, len(handles)),
-                loc="upper center", bbox_to_anchor=(0.5, -0.2), handlelength=2.0,
-                columnspacing=1.0, fontsize=8,
-            )  # fmt: skip
+                handles,
+                [line.name for line in panel.lines],
+                ncols=min(3, len(handles)),
+                loc="upper center",
+                bbox_to_anchor=(0.5, -0.2),
+                handlelength=2.0,
+                columnspacing=1.0,
+                fontsize=8,
+            )
             style_axis(axis)
     return figure
 
@@ -60,12 +66,12 @@ def sheets(panels: Sequence[Sheet]) -> Figure:
 def loops(
     measured: tuple[Array, Array], laws: Mapping[str, tuple[Array, Array]], *, x: str, y: str
 ) -> Figure:
-    """Draw torque over velocity near reversals: a panel for each law, the measured one behind.
+    """Draw torque over velocity near reversals, one panel per law.
 
     Parameters
     ----------
-    measured : velocity [rad/s] and torque [N.m], (N,) each.
-    laws : the same of each law, by its title.
+    measured : velocity [rad/s] and torque [N.m], (N,) each; drawn behind every law.
+    laws : the same of each law, by title.
     x, y : names of the axes.
     """
     columns = min(_LOOP_COLUMNS, len(laws))
@@ -73,7 +79,7 @@ def loops(
     with styled():
         height = 1.75 * rows + 0.55
         figure = Figure(figsize=(9.0, height))
-        # Placed by hand, because finding a place for many axes takes longer than drawing them.
+        # Fixed places, because laying out many axes takes longer than drawing them.
         axes = figure.subplots(
             rows, columns, sharex=True, sharey=True, squeeze=False,
             gridspec_kw={"left": 0.07, "right": 0.995, "top": 1.0 - 0.25 / height,
@@ -81,7 +87,7 @@ def loops(
         ).ravel()  # fmt: skip
         fastest = float(np.max(np.abs(measured[0])))
         slow = np.abs(measured[0]) <= _REACH * fastest
-        # A joint that is never so slow is drawn whole.
+        # A joint that is never slow is drawn over its whole range.
         reach, near = (_REACH * fastest, slow) if slow.any() else (fastest, ~slow)
         seen = max(1, int(np.count_nonzero(near)) // _SEEN)
         span = _span(measured[1][near])
@@ -108,7 +114,7 @@ def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str
         for k, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
             found = [row[k] for row in laws.values()]
             values = np.array([f.value for f in found])
-            # What has no interval has one of no length.
+            # A missing interval has length zero.
             low, high = np.array(
                 [[f.value if end is None else end for end in (f.low, f.high)] for f in found]
             ).T
@@ -143,7 +149,7 @@ def _ratio_axis(axis: Axes) -> None:
 
 
 def _parts(near: NDArray[np.bool_], x: Array, y: Array, every: int = 1) -> tuple[Array, Array]:
-    """Return the rows that are near, with gaps where others were between them."""
+    """Return the near rows, with gaps between their sections."""
     shown = near.copy()
     shown[:-1] |= near[1:]
     shown[1:] |= near[:-1]
@@ -153,7 +159,7 @@ def _parts(near: NDArray[np.bool_], x: Array, y: Array, every: int = 1) -> tuple
 
 
 def _span(tau: Array) -> tuple[float, float]:
-    """Return the range of an axis that a torque fills; what leaves it, a law that explodes say."""
+    """Return the range of an axis for a torque, without outliers."""
     low, high = np.quantile(tau, (0.002, 0.998))
     margin = 0.15 * (high - low)
     return float(low - margin), float(high + margin)

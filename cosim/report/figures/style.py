@@ -1,8 +1,8 @@
-"""Colours and lines of all pictures, and how a picture becomes SVG for a page, PDF and PNG.
+"""Colours and lines of figures, and their output as SVG, PDF and PNG.
 
-The colours keep apart for colour-blind readers (after Okabe and Ito, darkened until each has a
-contrast of 3 to 1 to white), and lines differ in their dashes as well. In a page each colour stands
-for a CSS variable, so that a dark page can have lighter ones.
+The colours are safe for colour-blind readers (after Okabe and Ito, darkened to a contrast of at
+least 3 to white), and lines also differ in their dashes. In a page each colour is a CSS variable,
+so that dark pages have lighter colours.
 """
 
 import io
@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from hesr_model.support.files import written_whole
 
 if TYPE_CHECKING:
-    from matplotlib.typing import RcKeyType  # which older versions do not have
+    from matplotlib.typing import RcKeyType  # missing in older versions
 
 INK, SOFT, LINE, CARD = "#1d2430", "#5b6675", "#d5dae1", "#f4f6f9"
 SERIES = ("#0069a8", "#c24e00", "#00785a", "#a03f87", "#806400", "#3d4f9f")
@@ -71,13 +71,13 @@ _RC: "dict[RcKeyType, Any]" = {
 
 @dataclass(frozen=True, kw_only=True)
 class Stroke:
-    """How a line is drawn.
+    """Style of a line.
 
     Attributes
     ----------
     colour : one of `VARIABLES`.
-    width : in points.
-    dash : lengths of strokes and gaps in points; empty for a full line.
+    width : width in points.
+    dash : lengths of dashes and gaps in points; empty for a solid line.
     """
 
     colour: str
@@ -98,7 +98,7 @@ _DASHES: tuple[tuple[float, ...], ...] = (
 
 
 def strokes(names: Sequence[str]) -> dict[str, Stroke]:
-    """Return a line for each name, different in colour and, but for the fifth, in its dashes."""
+    """Return a style for each name, with different colours and dashes."""
     return {
         name: Stroke(colour=SERIES[k % len(SERIES)], dash=_DASHES[k % len(_DASHES)])
         for k, name in enumerate(names)
@@ -107,30 +107,27 @@ def strokes(names: Sequence[str]) -> dict[str, Stroke]:
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Draw in the style of the report."""
+    """Apply the style of the report."""
     with rc_context(_RC):
         yield
 
 
 def style_axis(axis: Axes) -> None:
-    """Take away ticks, which the grid shows."""
+    """Remove tick marks; the grid replaces them."""
     axis.tick_params(length=0)
 
 
 def settled(figure: Figure) -> None:
-    """Place the parts of a figure once, not again for every format."""
+    """Lay out a figure once for all formats."""
     if figure.get_layout_engine() is not None:
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
 
 
 def svg(figure: Figure, key: str) -> str:
-    """Return a figure as SVG to stand in a page, in the page's own colours and type.
+    """Return a figure as SVG for a page, with the page's colours and fonts.
 
-    Parameters
-    ----------
-    figure : to be drawn.
-    key : by which its identifiers begin, different for each figure of a page.
+    `key` is a prefix of identifiers, unique in the page.
     """
     settled(figure)
     text = io.StringIO()
@@ -144,7 +141,7 @@ def svg(figure: Figure, key: str) -> str:
 
 
 def write_svg(figure: Figure, path: Path) -> None:
-    """Write a figure as SVG that stands alone, the same bytes for the same figure.
+    """Write a figure as a standalone SVG with reproducible bytes.
 
     Raises
     ------
@@ -160,7 +157,7 @@ def write_svg(figure: Figure, path: Path) -> None:
 
 
 def write(figure: Figure, stem: Path) -> None:
-    """Write a figure as PDF and PNG, the same bytes for the same figure.
+    """Write a figure as PDF and PNG with reproducible bytes.
 
     Raises
     ------
@@ -174,12 +171,12 @@ def write(figure: Figure, stem: Path) -> None:
 
 
 def _short(body: str) -> str:
-    """Return an SVG whose paths have short numbers."""
+    """Shorten the numbers in the paths of an SVG."""
     return _PATH.sub(lambda m: _LONG.sub(r"\1", m[0]).replace("\n", ""), body)
 
 
 def _inner(drawn: str, key: str) -> str:
-    """Return what stands in an SVG, with identifiers that begin by the key and short numbers."""
+    """Return the content of an SVG with prefixed identifiers and short numbers."""
     body = drawn[drawn.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     used = set(re.findall(r"#([\w.-]+)", " ".join(re.findall(r'(?:href="|url\()#[\w.-]+', body))))

@@ -1,4 +1,4 @@
-"""Views that zoom: charts for Bokeh, whose library comes along in the page itself."""
+"""Zooming views of charts by Bokeh, whose library is part of the page."""
 
 import base64
 import json
@@ -12,12 +12,14 @@ if TYPE_CHECKING:
     from cosim.report.figures.chart import Chart, Line, Panel
 
 _MODEL = re.compile(r'"p\d{4,}"')
-_PIXELS = 105  # of an inch of a row's height
-_MOST_VALUES = 150_000  # of a chart; a row in so many is left out beyond
+_PIXELS = 105
+"""Pixels per inch of a row's height."""
+_MOST_VALUES = 150_000
+"""Maximum number of values of a chart; more are thinned."""
 
 
 def zoom_data(chart: "Chart") -> str:
-    """Return what the page hands to Bokeh for a chart, packed as text."""
+    """Return the data of a chart for Bokeh, packed as text."""
     from bokeh.embed import json_item
     from bokeh.layouts import gridplot
 
@@ -30,20 +32,23 @@ def zoom_data(chart: "Chart") -> str:
             plot.x_range = plots[0][0].x_range
             for line in panel.lines:
                 sources.line(plot, line)
-                names.setdefault(
-                    line.name, {"colour": line.stroke.colour, "dash": line.stroke.dash}
-                )
+                style = {"colour": line.stroke.colour, "dash": line.stroke.dash}
+                names.setdefault(line.name, style)
     for plot in plots[-1]:
         plot.xaxis.axis_label = chart.x
-    grid = gridplot(plots, toolbar_location="above", sizing_mode="stretch_width",
-                    toolbar_options={"logo": None})  # fmt: skip
-    # The page makes the legend, of buttons: they hide the lines of a name in all panels.
+    grid = gridplot(
+        plots,
+        toolbar_location="above",
+        sizing_mode="stretch_width",
+        toolbar_options={"logo": None},
+    )
+    # The legend of the page has buttons that hide the lines of a name in all panels.
     data = {"item": json_item(grid), "names": names}
     return packed(_renumbered(json.dumps(data, separators=(",", ":"))))
 
 
 def _renumbered(text: str) -> str:
-    """Count Bokeh's models from 1, whatever was made before, so that a page stays the same."""
+    """Renumber Bokeh's models from 1, so that a page is reproducible."""
     numbers: dict[str, str] = {}
     return _MODEL.sub(lambda m: numbers.setdefault(m[0], f'"p{len(numbers) + 1}"'), text)
 
@@ -53,7 +58,7 @@ def library() -> str:
     from bokeh.resources import Resources
 
     inline = Resources(mode="inline", components=["bokeh"])
-    # Not its last words, which are spoken on the console.
+    # Its last line writes to the console.
     return packed("\n".join(js for js in inline.js_raw if not js.startswith("Bokeh.set_log_level")))
 
 
@@ -63,7 +68,7 @@ def packed(text: str) -> str:
 
 
 class _Sources:
-    """Data of the lines: lines over the same points share them."""
+    """Data sources; lines over the same x share one."""
 
     def __init__(self, every: int) -> None:
         self._every = every
@@ -81,9 +86,14 @@ class _Sources:
         source.add(line.y[:: self._every].astype(np.float32), name)
         dash = [max(round(length), 1) for length in line.stroke.dash]
         plot.line(
-            "x", name, source=source, name=line.name, color=line.stroke.colour,
-            width=max(line.stroke.width, 1.2), line_dash=dash or "solid",
-        )  # fmt: skip
+            "x",
+            name,
+            source=source,
+            name=line.name,
+            color=line.stroke.colour,
+            width=max(line.stroke.width, 1.2),
+            line_dash=dash or "solid",
+        )
 
 
 def _plot(panel: "Panel", inches: float) -> Any:
@@ -94,11 +104,17 @@ def _plot(panel: "Panel", inches: float) -> Any:
     from cosim.report.figures.style import INK, LINE, SOFT
 
     plot = figure(
-        height=round(_PIXELS * inches), y_axis_label=panel.y,
+        height=round(_PIXELS * inches),
+        y_axis_label=panel.y,
         title=Title(text=panel.title, text_color=INK, text_font_size="13px"),
-        tools="box_zoom,pan,xwheel_zoom,reset,save", active_drag="box_zoom", active_scroll=None,
-        background_fill_alpha=0, border_fill_alpha=0, outline_line_color=None, min_border_left=52,
-    )  # fmt: skip
+        tools="box_zoom,pan,xwheel_zoom,reset,save",
+        active_drag="box_zoom",
+        active_scroll=None,
+        background_fill_alpha=0,
+        border_fill_alpha=0,
+        outline_line_color=None,
+        min_border_left=52,
+    )
     for place, _ in panel.marks:
         mark = Span(location=place, dimension="height", line_color=INK, line_dash="dashed")
         plot.add_layout(mark)

@@ -1,4 +1,4 @@
-"""What is said of laws by themselves: the registry, audits, conventions, the trained range."""
+"""Tables of laws: the registry, audits, conventions and trained ranges."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -26,14 +26,7 @@ def laws() -> ResultTable:
 
 
 def audit(name: str, audits: Sequence[Audit], sliding: Sequence[bool] = ()) -> ResultTable:
-    """Return what a friction model must be known for before it is trusted, by joint.
-
-    Parameters
-    ----------
-    name : of the model.
-    audits : of each joint.
-    sliding : whether each joint slides; empty if all turn.
-    """
+    """Return the audit of a friction model by joint; `sliding` is empty if all joints turn."""
     from fmu_src.pages.datasheet import audit_rows
 
     return ResultTable(
@@ -44,13 +37,7 @@ def audit(name: str, audits: Sequence[Audit], sliding: Sequence[bool] = ()) -> R
 
 
 def convention(name: str, found: "Convention") -> ResultTable:
-    """Return what each way of handing inputs over to an FMU costs, by joint.
-
-    Parameters
-    ----------
-    name : of the FMU.
-    found : what was measured.
-    """
+    """Return the error of each input setting of an FMU, by joint."""
     from fmu_src.friction.settings import SETTINGS
 
     torque, speed = (unit_of_joints(unit, found.sliding) for unit in ("N.m", "rad/s"))
@@ -76,12 +63,12 @@ def convention(name: str, found: "Convention") -> ResultTable:
 def leaving(
     names: Sequence[str], found: Sequence[Mapping[str, Excess]], sliding: Sequence[bool] = ()
 ) -> str:
-    """Return one line for each input that leaves the trained range in the logs, by joint.
+    """Return one line per joint and input that leaves the trained range in the logs.
 
     Parameters
     ----------
-    names : of the joints.
-    found : for each joint how far which input leaves the range.
+    names : names of the joints.
+    found : excess of the inputs by joint.
     sliding : whether each joint slides; empty if all turn.
     """
     slides = sliding or (False,) * len(names)
@@ -94,13 +81,7 @@ def leaving(
 
 
 def rigid_body(found: RigidBody, sliding: Sequence[bool] = ()) -> str:
-    """Return what was identified, in a sentence or two.
-
-    Parameters
-    ----------
-    found : the rigid body.
-    sliding : whether each joint slides; empty if all turn.
-    """
+    """Return a summary of the rigid body; `sliding` is empty if all joints turn."""
     rotors = sum(name.endswith(".Ir") for name in found.names)
     more = f" ({rotors} of them rotor inertias)" if rotors else ""
     errors = ", ".join(f"{e:.3g}" for e in found.rmse)

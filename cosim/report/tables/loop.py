@@ -19,7 +19,7 @@ from cosim.report.tables.table import (
     title,
 )
 
-if TYPE_CHECKING:  # studies load MuJoCo, which a report does not need
+if TYPE_CHECKING:  # these modules load MuJoCo
     from cosim.loop.robustness import Overcompensation
     from cosim.loop.run import LoopOutcome
     from cosim.loop.tracking import Tracked
@@ -36,15 +36,15 @@ def outcome(found: "LoopOutcome") -> list[ResultTable]:
 
 
 def tracking(caption: str, rows: "Sequence[Tracked]") -> ResultTable:
-    """Return the errors of rows by scheme: beside their spread or, of one motion, its end."""
+    """Return errors by scheme and law; notes are their spread, or the end of a single motion."""
     one = all(len(row.rmse) == 1 for row in rows)
     table_rows, digits = [], places(rows)
     for scheme in dict.fromkeys(row.scheme for row in rows):
         table_rows.append(row_of(scheme.title))
         for row in rows:
             if row.scheme == scheme:
-                beside = row.last[0] if one else row.spread
-                cells = [mrad(*part) for part in zip(row.mean, digits, beside, strict=True)]
+                notes = row.last[0] if one else row.spread
+                cells = [mrad(*part) for part in zip(row.mean, digits, notes, strict=True)]
                 table_rows.append(row_of(named(row.law), *cells))
     small = "mean error of its last tenth" if one else "spread over the motions"
     return ResultTable(
@@ -55,7 +55,7 @@ def tracking(caption: str, rows: "Sequence[Tracked]") -> ResultTable:
 
 
 def sweeps(rows: "Sequence[Tracked]") -> list[ResultTable]:
-    """Return one table for each scheme: changes by laws, the error of the worst joint."""
+    """Return a table per scheme: the error of the worst joint by change and law."""
     tables = []
     for scheme in dict.fromkeys(replace(row.scheme, change="") for row in rows):
         found = {
@@ -78,9 +78,9 @@ def sweeps(rows: "Sequence[Tracked]") -> list[ResultTable]:
 
 
 def overcompensation(found: "Sequence[Overcompensation]") -> ResultTable:
-    """Return from which factor on friction an arm at rest begins to cycle."""
+    """Return the factor on friction at which an arm at rest begins to cycle."""
     return ResultTable(
-        caption="Factor on the friction torque from which the arm at rest begins to cycle",
+        caption="Minimum factor on the friction torque at which the arm at rest begins to cycle",
         head=("law and scheme", "factor"),
         rows=[
             row_of(
@@ -92,13 +92,11 @@ def overcompensation(found: "Sequence[Overcompensation]") -> ResultTable:
     )
 
 
-def mrad(
-    angle: float, digits: int, beside: float | None = None, *, best: bool = False
-) -> TableCell:
-    """Return the cell of an angle [rad] in mrad; a run that failed has none."""
+def mrad(angle: float, digits: int, note: float | None = None, *, best: bool = False) -> TableCell:
+    """Return the cell of an angle [rad] in mrad; "stopped" if the run failed."""
     if not np.isfinite(angle):
         return TableCell(text="stopped")
-    notes = () if beside is None else (f"{1e3 * beside:.3g}",)
+    notes = () if note is None else (f"{1e3 * note:.3g}",)
     return fixed(1e3 * angle, digits, best=best, notes=notes)
 
 

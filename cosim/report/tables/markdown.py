@@ -1,4 +1,4 @@
-"""Tables as Markdown, for pages that stand in a repository."""
+"""Tables as Markdown, for pages in a repository."""
 
 from collections.abc import Sequence
 
@@ -7,14 +7,14 @@ from hesr_model.audit.properties import MARKS
 
 
 def markdown(table: ResultTable) -> str:
-    """Return a table with its caption: what stands small beside a figure follows it in brackets."""
+    """Return a table with its caption; notes follow in brackets."""
     side = "---:" if table.numeric else "---"
     sides = [side if k and k not in table.words else "---" for k in range(len(table.head))]
     rows = [
         (f"**{row.head}**" if not row.cells else str(row.head), *map(_text, row.cells))
         for row in table.rows
     ]
-    # A row that is only a head has empty cells: Markdown knows no row without them.
+    # Markdown needs all cells of a row.
     whole = [(*row, *[""] * (len(table.head) - len(row))) for row in rows]
     lines = [_line(row) for row in (table.head, sides, *whole)]
     shown = table.caption.replace("; small: ", "; in brackets: ")

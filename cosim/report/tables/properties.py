@@ -1,4 +1,4 @@
-"""Tables of the property battery."""
+"""Tables of the physics checks."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,21 +9,16 @@ from hesr_model.audit.expectations import EXPECTATIONS, Expectation
 from hesr_model.audit.properties import Properties, PropertyResult
 from hesr_model.units import unit_of_joints
 
-_DIGITS = 4  # characters of a figure, without its sign
-_LITTLE = 1e-4  # in the units of the table; less is shown as 0, where it passes
+_DIGITS = 4
+"""Maximum length of a figure without its sign."""
+_LITTLE = 1e-4
+"""Passing figures below this are shown as 0, in the units of the table."""
 
 
 def properties(found: Mapping[str, Properties], *, full: bool = False) -> ResultTable:
-    """Return laws by properties: for each joint its figure and whether it passes.
-
-    Parameters
-    ----------
-    found : findings by name of the law.
-    full : name the properties in full.
-    """
+    """Return the figure and the verdict of each joint, by law and check; `full` names checks."""
     return ResultTable(
-        caption="Which law has which property, a mark for each joint: ✓ as the field expects, "
-        "✗ not",
+        caption="Physics checks by law, one mark per joint: ✓ pass, ✗ fail",
         head=("law", *(e.title if full else e.short for e in EXPECTATIONS.values())),
         rows=[
             row_of(title(name), *(_cell(of_law, e) for e in EXPECTATIONS.values()))
@@ -33,10 +28,7 @@ def properties(found: Mapping[str, Properties], *, full: bool = False) -> Result
 
 
 def legend(sliding: Sequence[bool] = ()) -> ResultTable:
-    """Return what each column of `properties` shows, and what passes.
-
-    `sliding` is whether each joint slides; empty if all turn.
-    """
+    """Return the meaning of each column of `properties`; `sliding` is empty if all turn."""
     rows = []
     for e in EXPECTATIONS.values():
         who = "; ".join(f"{s.who} {s.year}" for s in e.sources)
@@ -46,7 +38,7 @@ def legend(sliding: Sequence[bool] = ()) -> ResultTable:
 
 
 def reasons(found: Mapping[str, Properties]) -> ResultTable:
-    """Return why joints fail, or what else was found, law by law."""
+    """Return the reasons of failures and other remarks by law."""
     rows = []
     for name, of_law in found.items():
         rows.append(row_of(title(name)))
@@ -81,7 +73,7 @@ def _figure(found: PropertyResult, expectation: Expectation) -> str:
 
 
 def _short(value: float) -> str:
-    """Return a number with at most three digits in `_DIGITS` characters, if it can be."""
+    """Return a number with at most three digits, if possible in `_DIGITS` characters."""
     for digits in (3, 2, 1):
         text = np.format_float_positional(float(f"{value:.{digits}g}"), trim="-")
         if len(text.removeprefix("-")) <= _DIGITS:

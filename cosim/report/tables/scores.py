@@ -1,11 +1,22 @@
-"""Tables of how well laws predict torque."""
+"""Tables of prediction errors, bands, alternative plants, draws and position errors."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
-from cosim.report.tables.table import ResultTable, decimals, fixed, joints, named, row_of, title
+from cosim.report.tables.table import (
+    ResultTable,
+    TableCell,
+    decimals,
+    fixed,
+    joints,
+    named,
+    row_of,
+    title,
+)
 from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratio
+from cosim.study.seeds import Seeds
+from hesr_model.friction.metrics import BandScore
 from hesr_model.units import unit_of_joints
 
 MEASURES = {
@@ -13,7 +24,7 @@ MEASURES = {
     "rmse_moving": "while moving (|dq| > 0.02 {speed})",
     "rmse_reversal": "within 0.1 s of velocity reversals",
 }
-"""What is shown of each test set."""
+"""Measures of a test set, and their names."""
 
 
 def errors(
@@ -23,23 +34,21 @@ def errors(
     inputs: Mapping[str, str] | None = None,
     sliding: Sequence[bool] = (),
 ) -> ResultTable:
-    """Return laws by joints of one measure on one test set, the least error first.
+    """Return one measure of laws and joints on one test set, the lowest error first.
 
-    The best law of a joint stands out where it is better than all others beyond chance.
-
-    What nobody can run is not among the best: the truth, and starts from measured torques.
+    The best law of a joint is bold if it is significantly better than all others. The true friction
+    and starts from measured torque are not candidates, since no user can run them.
 
     Parameters
     ----------
-    name : of the test set.
-    scores : of the laws.
-    measure : one of `MEASURES`; with the first one stands the ratio to the reference.
-    inputs : inputs of each law; where given, laws of equal inputs stand together.
+    name : name of the test set.
+    scores : scores of the laws.
+    measure : one of `MEASURES`; the first one comes with the ratio to the reference.
+    inputs : inputs of each law; if given, laws are grouped by inputs.
     sliding : whether each joint slides; empty if all turn.
     """
     values = {law: getattr(of_law, measure) for law, of_law in scores.laws.items()}
-    columns = list(zip(*values.values(), strict=True))
-    places = [decimals(column) for column in columns]
+    places = [decimals(column) for column in zip(*values.values(), strict=True)]
     whole = measure == "rmse"
     ratios = scores.ratios.laws if whole else {}
     alone = [of_joint[0] if len(of_joint) == 1 else "" for of_joint in scores.leading]
@@ -48,88 +57,67 @@ def errors(
     if whole:
         cells = [fixed(s, n) for s, n in zip(scores.tau_std, places, strict=True)]
         rows.append(row_of("(std of friction)", *cells, quiet=True))
+
+    def cell(law: str, k: int, value: float | None) -> TableCell:
+        notes = _notes(ratios[law][k]) if law in ratios else ()
+        return fixed(value, places[k], best=law == best[k], notes=notes)
+
     ranked = sorted(values, key=lambda law: _relative(scores, law))
     for label, laws in _by_inputs(ranked, inputs).items():
         if label is not None:
             rows.append(row_of(f"inputs {label}" if label else "for comparison"))
         rows += [
-            row_of(
-                named(law),
-                *(
-                    fixed(
-                        value,
-                        places[k],
-                        best=law == best[k],
-                        notes=_notes(ratios[law][k]) if law in ratios else (),
-                    )
-                    for k, value in enumerate(values[law])
-                ),
-            )
+            row_of(named(law), *(cell(law, k, value) for k, value in enumerate(values[law])))
             for law in laws
         ]
     unit, speed = (unit_of_joints(u, sliding) for u in ("N.m", "rad/s"))
-    words = MEASURES[measure].format(speed=speed)
-    to = (
+    reference = (
         "the strongest classic law of the same inputs or fewer"
         if scores.ratios.references
         else title(scores.ratios.reference)
     )
-    small = f"; small: ratio to {to} with its 95\u00a0% interval"
+    small = f"; small: ratio to {reference} with its 95\u00a0% interval" if ratios else ""
+    words = MEASURES[measure].format(speed=speed)
     return ResultTable(
-        caption=f"{name}: RMSE of the predicted torque [{unit}] {words}{small if ratios else ''}"
-        f"{_sight(scores.per_log)}",
+        caption=f"{name}: RMSE of the predicted torque [{unit}] {words}{small}"
+        f"{_fitted(scores.per_log)}",
         head=("law", *joints(len(scores.joints))),
         rows=rows,
     )
 
 
 def bands(name: str, scores: Comparison) -> ResultTable:
-    """Return laws by joints: how many rows of a test set lie within each law's 95 % band.
+    """Return the share of test rows within each law's 95 % band, by law and joint.
 
-    Below the share stand that of moving rows and that near reversals, and the band's width over
-    that of a constant one which holds as many rows.
+    Notes are the share of moving rows, that near reversals, and the width of the band over that of
+    a constant band with the same coverage.
     """
+
+    def cell(band: BandScore) -> TableCell:
+        shares = (band.held_moving, band.held_reversal)
+        notes = ["–" if share is None else f"{100.0 * share:.0f}" for share in shares]
+        width = "–" if band.width is None else f"× {band.width:.2f}"
+        return fixed(100.0 * band.held, 1, notes=(*notes, width))
+
     ranked = sorted(scores.bands, key=lambda law: _relative(scores, law))
-    rows = [
-        row_of(
-            named(law),
-            *(
-                fixed(
-                    100.0 * band.held,
-                    1,
-                    notes=(
-                        *(
-                            "–" if share is None else f"{100.0 * share:.0f}"
-                            for share in (band.held_moving, band.held_reversal)
-                        ),
-                        "–" if band.width is None else f"× {band.width:.2f}",
-                    ),
-                )
-                for band in scores.bands[law]
-            ),
-        )
-        for law in ranked
-    ]
     return ResultTable(
         caption=f"{name}: rows within the 95\u00a0% band [%]; small: moving, near reversals, and "
         "width over that of a constant band of the same coverage",
         head=("law", *joints(len(scores.joints))),
-        rows=rows,
+        rows=[row_of(named(law), *map(cell, scores.bands[law])) for law in ranked],
     )
 
 
 def other_truths(
     comparisons: Mapping[str, Comparison], others: Mapping[str, Errors], own: str = ""
 ) -> ResultTable:
-    """Return laws by truths of a twin: their error over the reference's, on all joints and tests.
-
-    The column of the run itself is headed by its truth, by MJCF where that is the model file's.
+    """Return errors over the reference's by plant of a twin, over all joints and tests.
 
     Parameters
     ----------
-    comparisons : of the run itself, by test set.
-    others : RMSE under each other truth, by test set and law.
-    own : truth of the run; empty for the friction of the MJCF.
+    comparisons : scores of the run itself, by test set.
+    others : RMSE on each alternative plant, by test set and law.
+    own : friction of the run; empty for that of the MJCF.
     """
     first = next(iter(others.values()))
     laws = list(dict.fromkeys(law for of_test in first.values() for law in of_test))
@@ -149,8 +137,8 @@ def other_truths(
         for k in range(len(truths))
     ]
     return ResultTable(
-        caption=f"Other truths of the twin: RMSE over that of {title(reference)}, geometric mean "
-        "over joints and test sets",
+        caption=f"Alternative plants of the twin: RMSE over that of {title(reference)}, geometric "
+        "mean over joints and test sets",
         head=("law", *truths),
         rows=[
             row_of(
@@ -163,7 +151,7 @@ def other_truths(
 
 
 def leading(errors: Errors) -> str:
-    """Return the law of the least error on all joints and tests, in geometric mean."""
+    """Return the law with the lowest error over all joints and tests (geometric mean)."""
     laws = [law for law in next(iter(errors.values())) if law != ORACLE]
     return min(laws, key=lambda law: _mean_ratio(errors, law, laws[0]) or math.inf)
 
@@ -179,12 +167,12 @@ def _mean_ratio(errors: Errors, law: str, reference: str) -> float | None:
 
 
 def position_errors(name: str, found: PositionErrors, sliding: Sequence[bool] = ()) -> ResultTable:
-    """Return laws as simulators: the error of the position of each joint over windows.
+    """Return position errors of laws as simulators over windows of a test set.
 
     Parameters
     ----------
-    name : of the test set.
-    found : of the laws.
+    name : name of the test set.
+    found : errors of the laws.
     sliding : whether each joint slides; empty if all turn.
     """
     parts = [
@@ -200,10 +188,7 @@ def position_errors(name: str, found: PositionErrors, sliding: Sequence[bool] = 
         }
         places = [decimals(column) for column in zip(*scaled.values(), strict=True)]
         rows.append(row_of(heading))
-        rows += [
-            row_of(named(law), *(fixed(e, n) for e, n in zip(row, places, strict=True)))
-            for law, row in scaled.items()
-        ]
+        rows += [row_of(named(law), *map(fixed, row, places)) for law, row in scaled.items()]
     unit = unit_of_joints("mrad", sliding)
     return ResultTable(
         caption=f"{name}: RMS error of the simulated position [{unit}]: measured torque in, "
@@ -213,17 +198,36 @@ def position_errors(name: str, found: PositionErrors, sliding: Sequence[bool] = 
     )
 
 
-def _sight(per_log: Sequence[str] | None) -> str:
-    """Say whether figures are blind, in a study where some are not."""
+def over_draws(found: Seeds) -> Iterator[ResultTable]:
+    """Yield errors and ratios of each test set over draws of noise, motions and friction."""
+    draws = f"mean of {found.seeds} draws of noise, motions and true friction [95 % interval]"
+    for test, scores in found.tests.items():
+        for what, laws in (
+            (f"RMSE of the predicted torque [N.m] on '{test}'", scores.rmse),
+            (f"RMSE over that of {title(found.reference)} on '{test}'", scores.ratios),
+        ):
+            rows = []
+            for law, spreads in laws.items():
+                texts = [f"{s.mean:.3f} [{s.low:.3f}, {s.high:.3f}]" for s in spreads]
+                pairs = zip(texts, spreads, strict=True)
+                cells = [TableCell(text=text, value=s.mean) for text, s in pairs]
+                rows.append(row_of(named(law), *cells))
+            yield ResultTable(
+                caption=f"{what}, {draws}", head=("law", *joints(len(found.joints))), rows=rows
+            )
+
+
+def _fitted(per_log: Sequence[str] | None) -> str:
+    """Return whether the scores are blind, in a study with `per_log`."""
     if per_log is None:
         return ""
     if not per_log:
-        return "; blind: nothing of these logs was fitted"
+        return "; blind: no parameter was fitted to these logs"
     return f"; not blind: {' and '.join(per_log)} of each log were fitted to it"
 
 
 def _relative(scores: Comparison, law: str) -> tuple[bool, float]:
-    """Return what laws are sorted by: their errors over friction's size; the truth comes last."""
+    """Return the sort key of laws: error over the size of friction, the true friction last."""
     pairs = zip(scores.laws[law].rmse, scores.tau_std, strict=True)
     return law == ORACLE, sum(error / max(size, 1e-300) for error, size in pairs)
 
@@ -237,11 +241,11 @@ def _notes(ratio: Ratio) -> tuple[str, str]:
 def _by_inputs(
     laws: Sequence[str], inputs: Mapping[str, str] | None
 ) -> dict[str | None, list[str]]:
-    """Return the laws in classes of equal inputs, the fewest inputs first."""
+    """Group laws by inputs, the fewest inputs first."""
     if inputs is None:
         return {None: list(laws)}
     classes: dict[str | None, list[str]] = {}
     for law in laws:
         classes.setdefault(inputs.get(law, ""), []).append(law)
-    # What has no inputs of its own, as the true friction, stands last.
+    # Rows without inputs, as the true friction, are last.
     return dict(sorted(classes.items(), key=lambda c: (not c[0], str(c[0]).count(","))))

@@ -1,4 +1,4 @@
-"""A table of results: its columns, its rows, and how numbers are written in it."""
+"""Tables of results: columns, rows, and the format of numbers."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ class TableCell:
 
     Attributes
     ----------
-    text : what is shown, in one or more lines.
-    value : the number behind it with all digits, for the CSV.
-    best : whether it stands out.
-    notes : shown small beside or below it.
-    marks : verdicts, one for each line of the text.
+    text : text in one or more lines.
+    value : number with all digits, for the CSV.
+    best : whether it is bold.
+    notes : small text next to or below it.
+    marks : verdicts, one per line of the text.
     """
 
     text: str
@@ -31,13 +31,13 @@ class TableCell:
     marks: tuple[str, ...] = ()
 
     @property
-    def beside(self) -> str:
-        """The notes in one line."""
+    def side_note(self) -> str:
+        """Notes in one line."""
         return " ".join((*self.notes[:1], *(f"({note})" for note in self.notes[1:])))
 
     @property
     def marked(self) -> list[tuple[str, str]]:
-        """Marks with their lines; what is not to be had for any joint stands once."""
+        """Marks with their lines; only one if no joint has a result."""
         pairs = list(zip(self.marks, self.text.split("\n"), strict=True))
         none = len(set(self.marks)) == 1 and self.marks[0] in ("not applicable", "not run")
         return pairs[:1] if none else pairs
@@ -45,7 +45,7 @@ class TableCell:
 
 @dataclass(frozen=True, kw_only=True)
 class TableRow:
-    """A row of a table: its head and its cells; a heading over the rows below has no cells."""
+    """A row of a table; without cells it is a heading of the rows below."""
 
     head: str | Markup
     cells: Sequence[TableCell | str | Markup] = ()
@@ -53,7 +53,7 @@ class TableRow:
 
 
 def row_of(head: str | Markup, *cells: TableCell | str | Markup, quiet: bool = False) -> TableRow:
-    """Return a row; without cells it is a heading over the rows below."""
+    """Return a row; without cells it is a heading of the rows below."""
     return TableRow(head=head, cells=cells, quiet=quiet)
 
 
@@ -63,12 +63,12 @@ class ResultTable:
 
     Attributes
     ----------
-    caption : what it shows.
-    head : names of the columns, that of the rows' heads first.
-    rows : of the body.
-    numeric : whether cells stand to the right, as numbers do.
-    words : places of the columns, from 1, whose cells are words and stand to the left even so.
-    note : what else is to be known.
+    caption : title of the table.
+    head : names of the columns, that of the row heads first.
+    rows : rows of the body.
+    numeric : whether cells are aligned to the right.
+    words : columns, from 1, that are aligned to the left in a numeric table.
+    note : remark below the table.
     """
 
     caption: str
@@ -80,22 +80,22 @@ class ResultTable:
 
     @property
     def noted(self) -> bool:
-        """Whether some cells have something beside their text."""
+        """Whether some cells have notes."""
         return any(getattr(cell, "notes", ()) for row in self.rows for cell in row.cells)
 
     @property
     def width(self) -> int:
-        """Number of columns: what is beside a number has one of its own."""
+        """Number of columns, including those of notes."""
         return 2 * len(self.head) - 1 if self.noted else len(self.head)
 
 
 def joints(count: int) -> tuple[str, ...]:
-    """Return short names of joints, as they stand over columns."""
+    """Return short names of joints for column heads."""
     return tuple(f"J{k}" for k in range(1, count + 1))
 
 
 def title(law: str) -> str:
-    """Return what people call a law or what stands in its place; a variant has its name only."""
+    """Return the title of a law or its stand-in; a variant keeps its name."""
     if law in set(StandIn):
         return StandIn(law).words
     known, name = registry(), law.removesuffix(MEASURED_START)
@@ -103,14 +103,14 @@ def title(law: str) -> str:
 
 
 def named(law: str) -> str:
-    """Return the title of a law as the head of a row."""
+    """Return the title of a law for the head of a row."""
     if law == papers_law():
         return f"{title(law)} (the paper’s)"
     return title(law)
 
 
 def number(value: float | None, digits: int = 3, *, notes: tuple[str, ...] = ()) -> TableCell:
-    """Return the cell of a number, rounded to so many significant digits."""
+    """Return the cell of a number with significant digits."""
     if value is None or value != value:
         return TableCell(text="–")
     return TableCell(text=rounded(value, digits), value=value, notes=notes)
@@ -119,7 +119,7 @@ def number(value: float | None, digits: int = 3, *, notes: tuple[str, ...] = ())
 def fixed(
     value: float | None, decimals: int, *, best: bool = False, notes: tuple[str, ...] = ()
 ) -> TableCell:
-    """Return the cell of a number with so many decimals, so that a column is aligned."""
+    """Return the cell of a number with fixed decimals, to align a column."""
     if value is None or value != value:
         return TableCell(text="–")
     text = f"{value:.{decimals}f}".replace("-", "−")
@@ -127,13 +127,13 @@ def fixed(
 
 
 def decimals(values: Iterable[float | None], digits: int = 3) -> int:
-    """Return how many decimals show the least of some numbers with so many digits."""
+    """Return the decimals that show the smallest number with significant digits."""
     sizes = [abs(v) for v in values if v is not None and v == v and v != 0.0]
     return max(0, digits - 1 - floor(log10(min(sizes)))) if sizes else 0
 
 
 def rounded(value: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits, zeros at its end kept."""
+    """Return a number with significant digits, including trailing zeros."""
     text = f"{value:#.{digits}g}"
     if "e" in text:
         text = f"{value:.{digits - 1}e}" if not 1e-4 <= abs(value) < 1e6 else f"{value:.0f}"

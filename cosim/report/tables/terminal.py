@@ -1,4 +1,4 @@
-"""Tables in a terminal: as many columns side by side as there is room for, the others below."""
+"""Tables in a terminal; columns that do not fit follow in further blocks."""
 
 from collections.abc import Iterator, Sequence
 
@@ -15,24 +15,20 @@ _COLOURS = {"pass": "green", "fail": "red"}
 
 
 def show(*shown: "ResultTable | str") -> None:
-    """Print tables, and what is said between them."""
+    """Print tables and text."""
     console = Console()
     for one in shown:
         console.print(Drawn(one) if isinstance(one, ResultTable) else one)
 
 
 class Drawn:
-    """A table, to be printed by rich; no figure of it is ever cut.
-
-    Parameters
-    ----------
-    table : what is shown.
-    """
+    """A table for rich that never truncates figures."""
 
     def __init__(self, table: ResultTable) -> None:
         self._table = table
-        self._heads = [Text(str(row.head), style="" if row.cells else "italic")
-                       for row in table.rows]  # fmt: skip
+        self._heads = [
+            Text(str(row.head), style="" if row.cells else "italic") for row in table.rows
+        ]
         self._cells = [[_text(cell) for cell in row.cells] for row in table.rows]
 
     def __rich_console__(self, _: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
@@ -44,17 +40,16 @@ class Drawn:
         yield Text(f"{self._table.note}\n" if self._table.note else "")
 
     def _blocks(self, room: int) -> Iterator[dict[int, int | None]]:
-        """Yield the columns of a block and their widths; the first one stands in all of them."""
+        """Yield the columns of each block with their widths; every block has the first column."""
         head = self._table.head
         if not self._table.numeric:
             yield dict.fromkeys(range(len(head)))  # sentences may be folded
             return
         first = _width([Text(head[0]), *self._heads])
-        widths = {
-            k: min(room // 2, _width([*(row[k - 1] for row in self._cells if row),
-                                      *map(Text, name.split())]))
-            for k, name in enumerate(head[1:], start=1)
-        }  # fmt: skip
+        widths = {}
+        for k, name in enumerate(head[1:], start=1):
+            texts = [*(row[k - 1] for row in self._cells if row), *map(Text, name.split())]
+            widths[k] = min(room // 2, _width(texts))
         if first + sum(widths.values()) + len(widths) > room:
             first = min(first, room // 2, room - 1 - max(widths.values()))
         block: dict[int, int | None] = {0: first}
