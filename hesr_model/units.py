@@ -31,13 +31,7 @@ KNOWN: Mapping[str, Mapping[str, float]] = {
 
 
 def in_si(quantity: str, unit: str | float) -> float:
-    """Return the size of a logged unit in SI; it is negative for names such as ``-deg``.
-
-    Raises
-    ------
-    KeyError
-        If the unit is unknown.
-    """
+    """Return the size of a known logged unit in SI; negative for names such as ``-deg``."""
     if isinstance(unit, str):
         return KNOWN[quantity][unit.removeprefix("-")] * (-1.0 if unit.startswith("-") else 1.0)
     return float(unit)

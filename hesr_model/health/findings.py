@@ -45,13 +45,7 @@ def merged(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> list[Finding]:
-    """Refuse errors that are not accepted; return all findings otherwise.
-
-    Raises
-    ------
-    HealthError
-        Naming all refused findings.
-    """
+    """Return all findings, or raise HealthError if there are errors that are not accepted."""
     refused = [f for f in findings if f.severity == "error" and f.check not in accepted]
     if refused:
         raise HealthError(_said(refused), refused)
@@ -59,13 +53,7 @@ def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> 
 
 
 def require_known(accepted: Sequence[str], known: Sequence[str]) -> None:
-    """Check that `accepted` holds names of checks only.
-
-    Raises
-    ------
-    ConfigError
-        Naming the unknown one and the known ones.
-    """
+    """Raise ConfigError if `accepted` holds a name that is no check."""
     for name in accepted:
         if name not in known:
             raise ConfigError(f"--accept is '{name}'; the checks are {', '.join(known)}.")

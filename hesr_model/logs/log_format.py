@@ -115,13 +115,7 @@ class LogUnits(Config):
         return 273.15 if self.temperature == "K" else 0.0
 
     def require_fitting(self, joints: Sequence[str], slides: Sequence[bool]) -> None:
-        """Check that sliding joints have no units of turning joints, and vice versa.
-
-        Raises
-        ------
-        RobotError
-            With the key, the unit and the joint.
-        """
+        """Raise RobotError if a sliding joint has a unit of turning joints, or vice versa."""
         for quantity in KNOWN:
             each = self.each(quantity, len(joints))
             for joint, unit, sliding in zip(joints, each, slides, strict=True):

@@ -259,13 +259,7 @@ def parts_of(logs: Iterable[RobotLog]) -> list[RobotLog]:
 
 
 def require_different(logs: Sequence[RobotLog]) -> None:
-    """Check that no log is given twice: its rows would be weighted double.
-
-    Raises
-    ------
-    LogError
-        With both files.
-    """
+    """Raise LogError if a log is given twice: its rows would be weighted double."""
     seen: dict[tuple[str, float, float], RobotLog] = {}
     for log in logs:
         rows = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file differ in time
@@ -277,13 +271,7 @@ def require_different(logs: Sequence[RobotLog]) -> None:
 
 
 def require_moving(logs: Sequence[RobotLog], joints: Sequence[str]) -> None:
-    """Check that every joint moves in at least one of the logs.
-
-    Raises
-    ------
-    LogError
-        With the joint and the logs.
-    """
+    """Raise LogError if a joint moves in none of the logs."""
     travel = np.max([np.ptp(log.q, axis=0) for log in logs], axis=0)
     for joint, moved in zip(joints, travel, strict=True):
         if moved < _LEAST_TRAVEL:

@@ -111,13 +111,7 @@ def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
 
 
 def smoothed(logs: Iterable[RobotLog], model: RobotModel) -> list[Motion]:
-    """Return the smooth motions of all parts of a robot's logs.
-
-    Raises
-    ------
-    LogError
-        If a log is too slow or too short for the low pass.
-    """
+    """Return the smooth motions of all parts of a robot's logs; errors as `smooth`."""
     cutoff = model.description.log.filter_cutoff
     return [smooth(part, cutoff) for part in parts_of(logs)]
 

@@ -88,11 +88,6 @@ class LogTable:
         Parameters
         ----------
         unit : unit of the stamps [s]; a column of dates or durations has its own.
-
-        Raises
-        ------
-        LogError
-            As `numbers`.
         """
         import pyarrow
 

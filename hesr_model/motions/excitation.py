@@ -175,11 +175,6 @@ def random_motions(
 
     They are the reference for `design`. Coefficients are normal numbers, projected onto motions
     that start at rest; mean positions and periods are uniform.
-
-    Raises
-    ------
-    RobotError, FitError
-        As `design`.
     """
     limits = Limits.of(model, settings.limits)
     rest = limits.rest(model)

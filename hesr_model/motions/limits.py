@@ -105,11 +105,6 @@ class Limits:
         Each joint's path is shrunk to its limits of position, velocity and acceleration and moved
         into its range; then, for torque, all paths are shrunk towards the position `rest`, (n,)
         [rad].
-
-        Raises
-        ------
-        FitError
-            If not even a very small motion around `rest` keeps the torque limits.
         """
         inner = 1.0 - _MARGIN
         q, dq, ddq = one_period(motion)
@@ -159,10 +154,7 @@ class Limits:
     def rest(self, model: RobotModel) -> Array:
         """Return the position (n,) [rad] with the smallest gravity relative to the torque limits.
 
-        Raises
-        ------
-        FitError
-            If gravity alone exceeds a limit everywhere.
+        Raise FitError if gravity alone exceeds a limit everywhere.
         """
         places = np.random.default_rng(0).uniform(self.lower, self.upper, (_RESTS, model.n))
         places[0] = 0.5 * (self.lower + self.upper)

@@ -146,13 +146,7 @@ class RigidBody:
         return model.torque(self.parameters_for(model), motion.q, motion.dq, motion.ddq)
 
     def parameters_for(self, model: RobotModel) -> Array:
-        """Return the parameters (P,) after checking that they belong to a robot.
-
-        Raises
-        ------
-        RobotError
-            If `model` is another robot than the identified one.
-        """
+        """Return the parameters (P,), or raise RobotError if they belong to another robot."""
         if self.names != model.parameter_names:
             raise RobotError(
                 f"the rigid body of '{self.robot}' with {len(self.names)} parameters does not fit "
@@ -394,13 +388,7 @@ def tell_ridge(where: str, solution: Solution) -> None:
 
 
 def require_samples(where: str, rows: int, unknowns: int) -> None:
-    """Check that there are at least as many samples as unknowns.
-
-    Raises
-    ------
-    FitError
-        If not.
-    """
+    """Raise FitError if there are fewer samples than unknowns."""
     if rows < unknowns:
         raise FitError(
             f"{where}: {rows} samples cannot determine {unknowns} parameters; "
@@ -409,13 +397,7 @@ def require_samples(where: str, rows: int, unknowns: int) -> None:
 
 
 def require_speed(where: str, peaks: Array, model: RobotModel) -> None:
-    """Check the peak speed (n,) [rad/s] of each joint.
-
-    Raises
-    ------
-    FitError
-        If a joint hardly moves.
-    """
+    """Raise FitError if the peak speed (n,) [rad/s] of a joint is too small."""
     for joint, peak in zip(model.description.joints, peaks, strict=True):
         if not peak > LEAST_PEAK:
             raise FitError(

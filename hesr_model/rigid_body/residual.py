@@ -119,13 +119,7 @@ def friction_records(
 def motion_records(
     motion: Motion, model: RobotModel, rigid_body: RigidBody
 ) -> list[FrictionRecord]:
-    """Return the friction records of a smoothed log; see `friction_records`.
-
-    Raises
-    ------
-    RobotError
-        If `rigid_body` belongs to another robot.
-    """
+    """Return the friction records of a smoothed log; see `friction_records`."""
     load = rigid_body.torque(model, motion)
     spread = rigid_body.torque_spread(model, motion)
     ratios = model.description.gear_ratio or (None,) * model.n
@@ -150,13 +144,7 @@ def motion_records(
 
 
 def require_reversals(records: Sequence[FrictionRecord]) -> None:
-    """Check that the velocity of one joint reverses in at least one of its records.
-
-    Raises
-    ------
-    LogError
-        With the joint and the logs.
-    """
+    """Raise LogError if the velocity of one joint reverses in none of its records."""
     if not any(len(reversals(record.dq)) for record in records):
         unit = unit_of_joint("rad/s", slides=records[0].sliding)
         raise LogError(

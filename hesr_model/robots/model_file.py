@@ -83,13 +83,7 @@ class ModelJoint:
 
 
 def joints_of(path: Path) -> tuple[ModelJoint, ...]:
-    """Return the moving joints of a model file, from base to tip.
-
-    Raises
-    ------
-    RobotError
-        As `load`.
-    """
+    """Return the moving joints of a model file, from base to tip; errors as `load`."""
     model = load(path, mimic=True)
     try:
         names = list(model.names)[1:]

@@ -35,13 +35,7 @@ class Owner(Config):
 
     @classmethod
     def of(cls, provenance: Mapping[str, Any]) -> Self:
-        """Return the owner ("owner") of a model's provenance; without one all entries are empty.
-
-        Raises
-        ------
-        ArtifactError
-            If it is not a table of these texts.
-        """
+        """Return the owner of a provenance ("owner"), or raise ArtifactError if it is invalid."""
         found = provenance.get("owner", {})
         try:
             return cls.model_validate(found)

@@ -108,13 +108,7 @@ class RobotDescription(Config):
         return description
 
     def require_one_per_joint(self) -> None:
-        """Check that every list has one entry per joint.
-
-        Raises
-        ------
-        RobotError
-            With the key, the entries found and the entries needed.
-        """
+        """Raise RobotError if a list has not one entry per joint."""
         lists = {
             "transmission.matrix": self.transmission and self.transmission.matrix,
             "gear_ratio": self.gear_ratio,

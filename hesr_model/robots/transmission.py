@@ -77,13 +77,7 @@ class Transmission(Config):
         return np.where(at_motor[:, None], self.motors, np.eye(n))
 
     def require_turning(self, joints: Sequence[str], slides: Sequence[bool]) -> None:
-        """Check that only joints of one kind are coupled.
-
-        Raises
-        ------
-        RobotError
-            With a motor and a joint of the other kind that moves it.
-        """
+        """Raise RobotError if joints of different kinds are coupled."""
         for i, j in np.argwhere(np.array(self.matrix) != 0.0):
             if slides[i] != slides[j]:
                 raise RobotError(

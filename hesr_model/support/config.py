@@ -19,13 +19,7 @@ class Config(BaseModel):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read and validate a TOML file.
-
-        Raises
-        ------
-        ConfigError
-            With the file, the key, the value found and the value needed.
-        """
+        """Read and validate a TOML file; see `read_toml`."""
         return read_toml(path, cls)
 
 
@@ -66,13 +60,7 @@ def read_toml(path: Path, schema: type[Schema]) -> Schema:
 
 
 def validated(path: Path, schema: type[Schema], data: Any) -> Schema:
-    """Validate data read from a file.
-
-    Raises
-    ------
-    ConfigError
-        With the file, the key, the value found and the allowed values.
-    """
+    """Validate data read from a file; errors as `read_toml`."""
     try:
         return schema.model_validate(data, context={"folder": path.parent})
     except ValidationError as error:

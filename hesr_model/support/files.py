@@ -28,13 +28,7 @@ _log = logging.getLogger(__name__)
 
 
 def path_of(value: object, what: str) -> Path:
-    """Return a path from text or a path; `what` describes it in the message.
-
-    Raises
-    ------
-    ConfigError
-        If it is neither.
-    """
+    """Return a path from text or a path, or raise ConfigError; `what` describes it there."""
     if isinstance(value, str | os.PathLike):
         return Path(value)
     raise ConfigError(
@@ -106,13 +100,7 @@ def is_empty(folder: Path) -> bool:
 
 @contextmanager
 def folder_made(path: Path) -> Iterator[None]:
-    """Make a folder and its parents; new ones are removed again if they stay empty.
-
-    Raises
-    ------
-    OSError
-        If it cannot be made.
-    """
+    """Make a folder and its parents; new ones are removed again if they stay empty."""
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     with ExitStack() as cleanup:
         for folder in reversed(missing):

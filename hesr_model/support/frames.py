@@ -9,13 +9,7 @@ from hesr_model.support.arrays import Array
 
 
 def pandas_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
-    """Return columns (N,) as a `pandas.DataFrame`, one of them optionally as index.
-
-    Raises
-    ------
-    ConfigError
-        If pandas is not installed.
-    """
+    """Return columns (N,) as a `pandas.DataFrame`, one of them optionally as index."""
     frame = _library("pandas").DataFrame(dict(columns))
     return frame if index is None else frame.set_index(index)
 
@@ -31,11 +25,6 @@ def xarray_dataset(
     signals : (N, n) values by name, and their unit.
     joints : n names.
     about : attributes of the data set.
-
-    Raises
-    ------
-    ConfigError
-        If xarray is not installed.
     """
     return _library("xarray").Dataset(
         {name: (("t", "joint"), values, {"units": u}) for name, (values, u) in signals.items()},

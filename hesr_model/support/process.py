@@ -107,13 +107,7 @@ def end_marked(mark: str) -> None:
 
 
 def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
-    """Run a program in a folder.
-
-    Raises
-    ------
-    FailedError
-        If it cannot be started or takes too long.
-    """
+    """Run a program in a folder, or raise FailedError if that fails or takes too long."""
     with tempfile.TemporaryFile(dir=folder) as output:
         child = ChildProcess(
             command,

@@ -41,24 +41,12 @@ def read_text(path: Path) -> str:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return the data of a JSON text.
-
-    Raises
-    ------
-    ValueError
-        If it is not JSON, is nested too deeply, or contains too large an integer.
-    """
+    """Return JSON data, or raise ValueError, also for deep nesting and huge integers."""
     return _shallow(lambda: json.loads(text, parse_int=_integer))
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return the data of a TOML text.
-
-    Raises
-    ------
-    ValueError
-        If it is not TOML, is nested too deeply, or contains too large an integer.
-    """
+    """Return TOML data, or raise ValueError, also for deep nesting and huge integers."""
     for line in text.splitlines():
         # Parsing nested tables takes quadratic time in their depth.
         if line.partition("=")[0].count(".") > _DEEPEST_KEY and not line.lstrip().startswith("#"):
@@ -90,13 +78,7 @@ def _require_numbers(data: Any) -> None:
 
 
 def require_printable(name: str) -> str:
-    """Check and return a name that every output file can contain, also XML and C.
-
-    Raises
-    ------
-    ValueError
-        If it is empty, longer than `_LONGEST_NAME`, or contains an unprintable character.
-    """
+    """Return a name that every file can contain, also XML and C, or raise ValueError."""
     if not name or len(name) > _LONGEST_NAME:
         raise ValueError(f"a name has {len(name)} characters; it can have 1 to {_LONGEST_NAME}")
     if odd := next((c for c in name if not c.isprintable()), None):

@@ -92,13 +92,7 @@ def _answer(file: Path, k: int) -> bytes:
 
 
 def read_answer(answers: IO[bytes]) -> JobAnswer:
-    """Read one answer in the parent.
-
-    Raises
-    ------
-    EOFError
-        If the worker has ended.
-    """
+    """Read one answer in the parent; raise EOFError if the worker has ended."""
     size = answers.readline()
     data = answers.read(int(size or 0))
     if not size or len(data) < int(size):

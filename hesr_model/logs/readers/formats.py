@@ -43,13 +43,7 @@ COLUMNS = FileFormat(name="table", recognises=lambda _: True, read=read_columns)
 
 @cache
 def formats() -> tuple[FileFormat, ...]:
-    """Return all formats in the order in which they are tried.
-
-    Raises
-    ------
-    ConfigError
-        If the format of another package cannot be loaded.
-    """
+    """Return all formats in the order in which they are tried."""
     found = {plugin: plugin.load() for plugin in plugins.load(GROUP).values()}
     for plugin, value in found.items():
         if not isinstance(value, FileFormat):
