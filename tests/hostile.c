@@ -113,6 +113,14 @@ static void misbehave(const char *call) {
             write(file, "\0\0\0", 3);
         }
         sleep(1000);
+    } else if (strcmp(deed, "dribble") == 0) {
+        for (unsigned i = 0;; i++) {
+            /* The length of an answer, then that answer byte by byte. */
+            for (int file = 3; file < FILES; file++) {
+                write(file, i == 0 ? "\0\0\1\0" : "\0", i == 0 ? 4 : 1);
+            }
+            sleep(1);
+        }
     } else if (strcmp(deed, "flee") == 0) {
         flee();
         exit(0);

@@ -28,6 +28,12 @@ NOT_A_NUMBER = """
     }
 """
 
+UNDEFINED = """
+    if (getenv("DEED") && strncmp(getenv("DEED"), "fmi2DoStep status ", 18) == 0) {
+        return (fmi2Status)atoi(getenv("DEED") + 18);
+    }
+"""
+
 
 def infected(fmu: Path, copy: Path) -> Path:
     """Write a copy of an FMU of ours that misbehaves as the environment wants it."""
@@ -44,6 +50,7 @@ def infected(fmu: Path, copy: Path) -> Path:
         found = re.search(rf"\({call}\)[^;{{]*\{{", text)
         assert found, f"{name} has no {call}"
         more = f'misbehave("{call}");' + NOT_A_NUMBER * (call == "fmi2GetReal")
+        more += UNDEFINED * (call == "fmi2DoStep")
         file.write_text(text[: found.end()] + more + text[found.end() :], encoding="utf-8")
     all_c = folder / "all.c"
     all_c.write_text(SOURCE.read_text() + all_c.read_text(encoding="utf-8"), encoding="utf-8")

@@ -12,8 +12,16 @@ from cosim.systems.system import SystemSpec, Value
 from cosim.systems.wiring import Wiring
 from fmu_src.arm.clock import untimed
 from fmu_src.run.fmu import FmuInstance, FmuPool
-from fmu_src.run.master import Element, ExchangeScheme, Layout, Link, Readable, Station
-from fmu_src.run.native import native
+from fmu_src.run.master import (
+    Element,
+    ExchangeScheme,
+    Layout,
+    Link,
+    PythonStepper,
+    Station,
+    SystemStepper,
+)
+from fmu_src.run.native import native_stepper
 from hesr_model.errors import ConfigError, HesrError, SimulationError
 from hesr_model.logs.tables import write_table
 from hesr_model.support.arrays import Array
@@ -162,7 +170,8 @@ class Master:
             low=low,
             high=high,
         )
-        self._stepper = (native(self._layout) if self._native else None) or Readable(self._layout)
+        stepper = native_stepper(self._layout) if self._native else None
+        self._stepper: SystemStepper = stepper or PythonStepper(self._layout)
 
     def _links(self, place: Mapping[Element, int]) -> Iterator[Link]:
         """Yield connected inputs and their sources in the order in which values become known."""

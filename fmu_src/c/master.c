@@ -53,8 +53,10 @@ typedef struct {
     fmi2Status status;
 } System;
 
-/* The highest status of a successful call. */
-static const fmi2Status good = fmi2Warning;
+/* Every other status is an error, including values that FMI does not define. */
+static bool is_good(fmi2Status status) {
+    return status == fmi2OK || status == fmi2Warning;
+}
 
 static bool set_inputs(System *s, int64_t i) {
     const Station *at = &s->stations[i];
@@ -66,7 +68,7 @@ static bool set_inputs(System *s, int64_t i) {
     }
     s->failed = i;
     s->status = at->set(at->component, at->input_references, (size_t)at->inputs, at->input_values);
-    return s->status <= good;
+    return is_good(s->status);
 }
 
 static bool do_step(System *s, int64_t i, int64_t k) {
@@ -74,7 +76,7 @@ static bool do_step(System *s, int64_t i, int64_t k) {
     const double from = (double)(k + 1 - at->every) * s->step;
     s->failed = i;
     s->status = at->step(at->component, from, (double)at->every * s->step, fmi2True);
-    return s->status <= good;
+    return is_good(s->status);
 }
 
 static bool read_outputs(System *s, int64_t i) {
@@ -85,7 +87,7 @@ static bool read_outputs(System *s, int64_t i) {
     s->failed = i;
     s->status =
         at->get(at->component, at->output_references, (size_t)at->outputs, at->output_values);
-    return s->status <= good;
+    return is_good(s->status);
 }
 
 static End gauss_seidel(System *s, int64_t k) {
@@ -161,16 +163,16 @@ PUBLIC int through(const Station *at, const double *times, const double *sizes, 
         const int64_t k = *done;
         *status =
             at->set(at->component, at->input_references, (size_t)at->inputs, rows + k * at->inputs);
-        if (*status > good) {
+        if (!is_good(*status)) {
             return SET_FAILED;
         }
         *status = at->step(at->component, times[k], sizes[k], fmi2True);
-        if (*status > good) {
+        if (!is_good(*status)) {
             return STEP_FAILED;
         }
         *status = at->get(at->component, at->output_references, (size_t)at->outputs,
                           kept + k * at->outputs);
-        if (*status > good) {
+        if (!is_good(*status)) {
             return GET_FAILED;
         }
     }

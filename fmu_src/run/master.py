@@ -1,8 +1,7 @@
-"""The steps of a system of FMUs whose components have been initialised.
+"""Communication steps of a system of initialised FMUs.
 
-`Readable` says in Python what happens in which order and runs any FMU. `fmu_src.run.native` does
-the same
-in C for FMUs in this process, with the same results, bit for bit.
+`PythonStepper` steps any FMUs, through FMPy's slaves for those in this process. The stepper of
+`fmu_src.run.native` does the same in C, equal bit for bit, for FMUs of FMI 2.0 in this process.
 """
 
 from dataclasses import dataclass
@@ -45,14 +44,14 @@ class ExchangeScheme:
 
 @dataclass(kw_only=True, eq=False)
 class Station:
-    """A component at its place in the system.
+    """A component within a system.
 
     Attributes
     ----------
-    slave : the component.
-    every : its step in communication steps.
+    slave : the FMU.
+    every : its step as a number of communication steps.
     inputs : buffer of its connected inputs.
-    sources : (n,) for each of them the place of the output that feeds it.
+    sources : (n,) places of the outputs that feed these inputs.
     outputs : buffer of its outputs, a part of the values of the system.
     """
 
@@ -65,20 +64,20 @@ class Station:
     def set_inputs(self, values: Array) -> None:
         """Set the connected inputs."""
         if self.sources.size:
-            # All places are valid; without that promise NumPy would go through a copy.
+            # All places are valid. Without "clip" NumPy would copy.
             values.take(self.sources, out=self.inputs.values, mode="clip")
             self.inputs.write()
 
     def step(self, k: int, step: float) -> None:
-        """Step to the end of communication step k, whose size is `step` [s]."""
+        """Step to the end of communication step k of size `step` [s]."""
         self.slave.step(self.start(k, step), self.every * step)
 
     def start(self, k: int, step: float) -> float:
-        """Return where its step begins that ends with communication step k [s]."""
+        """Return the start [s] of its step that ends with communication step k."""
         return (k + 1 - self.every) * step
 
     def reached(self, steps: int, step: float) -> float:
-        """Return how far it has come after a number of communication steps [s]."""
+        """Return its time [s] after a number of communication steps."""
         own = steps - steps % self.every
         return self.start(own - 1, step) + self.every * step if own else 0.0
 
@@ -106,18 +105,18 @@ class Link:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layout:
-    """A system as its steps need it.
+    """A system, prepared for its steps.
 
     Attributes
     ----------
-    stations : the components, in the order in which they are stepped.
+    stations : the components in stepping order.
     links : connected inputs and their sources, each after those that its value depends on.
     scheme : exchange of values.
     step : communication step [s].
-    values : (m,) of all outputs that are needed, those of a component side by side.
-    names : of the values.
-    rows : (n,) places of the values that are kept.
-    limited : (l,) places of those with limits.
+    values : (m,) values of all outputs that are used, grouped by component.
+    names : (m,) names of the values.
+    rows : (n,) places of the values that are recorded.
+    limited : (l,) places of the values with limits.
     low, high : (l,) these limits.
     """
 
@@ -173,31 +172,28 @@ class Layout:
             )
 
 
-class Stepper(Protocol):
-    """Steps a system.
+class SystemStepper(Protocol):
+    """Steps of a system."""
 
-    Attributes
-    ----------
-    done : rows that are kept.
-    """
-
-    done: int
+    @property
+    def done(self) -> int:
+        """Number of recorded rows."""
 
     def begin(self, kept: Array) -> None:
-        """Begin a run, whose rows are kept in an array (steps + 1, n)."""
+        """Begin a run that is recorded in an array (steps + 1, n)."""
 
     def advance(self, stop: int) -> None:
-        """Go on until `stop` rows are kept, or to where a value is no finite number.
+        """Step until `stop` rows are recorded or a value is not finite.
 
         Raises
         ------
         SimulationError
-            If a component fails, or a value leaves its limits.
+            If a component fails or a value leaves its limits.
         """
 
 
-class Readable:
-    """The steps, in Python.
+class PythonStepper:
+    """Steps in Python; see `SystemStepper`.
 
     Parameters
     ----------
@@ -211,11 +207,11 @@ class Readable:
         self.begin(np.empty((0, len(layout.rows))))
 
     def begin(self, kept: Array) -> None:
-        """See `Stepper`."""
+        """See `SystemStepper`."""
         self._kept, self.done = kept, 0
 
     def advance(self, stop: int) -> None:
-        """See `Stepper`."""
+        """See `SystemStepper`."""
         layout = self._layout
         for k in range(self.done, stop):
             if k > 0:
@@ -249,10 +245,7 @@ class Readable:
         return shown
 
     def _gauss_seidel(self, k: int) -> None:
-        """Step each component that reaches a communication point of its own at the end of step k.
-
-        It is given the newest outputs of all others.
-        """
+        """Step each component whose own step ends with step k, with the newest outputs."""
         values, step = self._layout.values, self._layout.step
         for station in self._layout.stations:
             if (k + 1) % station.every == 0:
@@ -261,7 +254,7 @@ class Readable:
                 station.read_outputs()
 
     def _jacobi(self, k: int) -> None:
-        """Do the same with the outputs of the instant at which the component's step begins."""
+        """Do the same with the outputs at the start of the component's step."""
         values, step = self._layout.values, self._layout.step
         for station in self._layout.stations:
             if k % station.every == 0:

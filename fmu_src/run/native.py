@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 class _End(IntEnum):
-    """What ended the steps, as in master.c."""
+    """Reasons for the end of the steps, as in master.c."""
 
     DONE, NOT_FINITE, OUTSIDE, SET_FAILED, STEP_FAILED, GET_FAILED = range(6)
 
@@ -65,14 +65,14 @@ class _System(ctypes.Structure):
     )
 
 
-def native(layout: Layout) -> "Native | None":
+def native_stepper(layout: Layout) -> "NativeStepper | None":
     """Return the steps in C; None if an FMU is foreign, outputs are refreshed, or no compiler."""
     if layout.scheme.refreshed != "none":
         return None
     buffers = [b for station in layout.stations for b in (station.inputs, station.outputs)]
     own = [buffer for buffer in buffers if _is_native(buffer)]
     library = _library() if len(own) == len(buffers) else None
-    return Native(layout, own[::2], own[1::2], library) if library else None
+    return NativeStepper(layout, own[::2], own[1::2], library) if library else None
 
 
 def _is_native(buffer: Buffer) -> TypeGuard[LocalBuffer]:
@@ -80,14 +80,14 @@ def _is_native(buffer: Buffer) -> TypeGuard[LocalBuffer]:
     return isinstance(buffer, LocalBuffer) and buffer.instance.fmi is VERSIONS[2]
 
 
-class Native:
-    """The steps, in C; see `Stepper`.
+class NativeStepper:
+    """Steps in C; see `SystemStepper`.
 
     Parameters
     ----------
     layout : the system.
     inputs, outputs : buffers of its components.
-    library : that holds master.c.
+    library : master.c, compiled.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Native:
         self._layout, self._fail = layout, [buffer.instance.fail for buffer in inputs]
         self._advance = library["advance"]
         stations = (_Station * len(inputs))()
-        self._held: list[Any] = [stations]  # as long as addresses of it are
+        self._held: list[Any] = [stations]  # keeps alive what C points to
         for at, into, out, station in zip(stations, inputs, outputs, layout.stations, strict=True):
             self._held += _connect(at, into, out)
             at.every = station.every
@@ -128,16 +128,16 @@ class Native:
 
     @property
     def done(self) -> int:
-        """Rows that are kept."""
+        """Number of recorded rows."""
         return int(self._system.done)
 
     def begin(self, kept: Array) -> None:
-        """See `Stepper`."""
+        """See `SystemStepper`."""
         self._kept = kept
         self._system.kept, self._system.done = kept.ctypes.data, 0
 
     def advance(self, stop: int) -> None:
-        """See `Stepper`."""
+        """See `SystemStepper`."""
         layout, system = self._layout, self._system
         end = _End(self._advance(ctypes.byref(system), ctypes.c_int64(stop)))
         failing = int(system.failed) if end in _FUNCTIONS else -1
@@ -155,7 +155,7 @@ class Native:
 
 
 def _connect(at: _Station, into: LocalBuffer, out: LocalBuffer) -> tuple[LocalBuffer, LocalBuffer]:
-    """Fill in how a component is called; return what must stay while it is."""
+    """Fill in functions and buffers of a component; return objects that must stay alive."""
     slave = into.instance.slave
     at.component = slave.component
     at.set, at.get, at.step = (
@@ -168,21 +168,21 @@ def _connect(at: _Station, into: LocalBuffer, out: LocalBuffer) -> tuple[LocalBu
     return into, out
 
 
-_AT_ONCE = 1 << 16  # rows, after which signals are seen
+_AT_ONCE = 1 << 16  # rows between which Python handles signals
 
 
 def through(
     component: FmuInstance, inputs: Buffer, outputs: Buffer, times: Array, sizes: Array, rows: Array
 ) -> Array:
-    """Take a component through rows of inputs, each set, then stepped over, then read.
+    """Set rows of inputs, step, and read the outputs of an FMU.
 
-    In C where the FMU runs in this process and there is a compiler; the numbers are the same.
+    It runs in C if the FMU is in this process and there is a compiler, with the same results.
 
     Parameters
     ----------
-    component : the FMU, after its initialisation.
-    inputs, outputs : batches of it.
-    times, sizes : (K,) where steps begin, and how long they are [s].
+    component : the FMU after its initialisation.
+    inputs, outputs : its buffers.
+    times, sizes : (K,) starts and sizes of the steps [s].
     rows : (K, m) values of the inputs, in their units.
 
     Returns
@@ -207,11 +207,11 @@ def through(
 
 
 def _through(
-    function: Any, component: FmuInstance, batches: tuple[LocalBuffer, LocalBuffer],
+    function: Any, component: FmuInstance, buffers: tuple[LocalBuffer, LocalBuffer],
     times: Array, sizes: Array, rows: Array, found: Array,
 ) -> None:  # fmt: skip
     at, done, status = _Station(), ctypes.c_int64(0), ctypes.c_int(0)
-    _connect(at, *batches)
+    _connect(at, *buffers)
     arrays = [np.ascontiguousarray(part, dtype=float) for part in (times, sizes, rows)]
     places = [ctypes.c_void_p(part.ctypes.data) for part in (*arrays, found)]
     while done.value < len(rows):
@@ -222,12 +222,12 @@ def _through(
         over = end in (_End.DONE, _End.GET_FAILED)
         component.time = float(times[k] + sizes[k]) if over else float(times[k])
         if end is not _End.DONE:
-            batches[0].instance.fail(_FUNCTIONS[end], status.value)
+            buffers[0].instance.fail(_FUNCTIONS[end], status.value)
 
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    """Return the compiled master, None where it cannot be had: steps in Python do as well."""
+    """Return the compiled master; None without a compiler, steps run in Python then."""
     target = TARGETS.get(PLATFORM)
     if target is None:
         return None

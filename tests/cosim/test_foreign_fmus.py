@@ -17,7 +17,7 @@ from small_fmus import LAGS
 from small_study import Hesr, hesr_here
 from test_cli_interrupts import started, wait_for
 
-from cosim.systems.simulation import simulate
+from cosim.systems.simulation import Master, simulate
 from cosim.systems.system import SystemSpec
 from fmu_src.run.fmu import FmuInstance, hash_folder, is_ours, remember
 from fmu_src.run.sandbox import Sandbox
@@ -165,7 +165,9 @@ def test_what_it_does_to_its_process_is_one_sentence(
     assert children() == before
 
 
-@pytest.mark.parametrize("deed", ["load loop", "fmi2DoStep loop", "fmi2DoStep half a word"])
+@pytest.mark.parametrize(
+    "deed", ["load loop", "fmi2DoStep loop", "fmi2DoStep half a word", "fmi2DoStep dribble"]
+)
 def test_what_never_comes_back_is_ended(
     hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, deed: str
 ) -> None:
@@ -215,6 +217,22 @@ def test_all_that_it_has_started_is_ended(
     with suppress(psutil.NoSuchProcess):
         # Where nobody waits for orphans, what was ended remains as a number.
         assert psutil.Process(int(file.read_text())).status() == psutil.STATUS_ZOMBIE
+
+
+@pytest.mark.parametrize("status", [-1, 6, 2147483647])
+@pytest.mark.parametrize("place", ["sandbox", "python", "native"])
+def test_an_undefined_status_is_an_error(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, status: int, place: str
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    if place != "sandbox":
+        remember(hostile_lag)
+    monkeypatch.setenv("DEED", f"fmi2DoStep status {status}")
+    path = tmp_path / "lags.toml"
+    path.write_text(LAGS.replace("FMU", str(hostile_lag)), encoding="utf-8")
+    with Master(SystemSpec.read(path), path, native=place == "native") as master:
+        failure = str(master.run().failure)
+    assert failure.endswith(f"fmi2DoStep failed with status {status} (illegal return code).")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])

@@ -15,8 +15,8 @@ from cosim.systems.simulation import Master, Result
 from cosim.systems.system import SystemSpec
 from fmu_src.arm.python_arm.export import export_python_arm
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.master import Readable
-from fmu_src.run.native import Native, through
+from fmu_src.run.master import PythonStepper
+from fmu_src.run.native import NativeStepper, through
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.support.files import models_folder
 
@@ -24,7 +24,7 @@ from hesr_model.support.files import models_folder
 def both(spec: SystemSpec, runs: int = 1) -> tuple[Result, Result]:
     """The last of several runs in C and in Python."""
     found = []
-    for native, kind in ((True, Native), (False, Readable)):
+    for native, kind in ((True, NativeStepper), (False, PythonStepper)):
         with Master(spec, native=native) as master:
             assert type(master._stepper) is kind
             found.append([master.run() for _ in range(runs)][-1])
@@ -131,7 +131,7 @@ def test_a_foreign_fmu_keeps_its_process_and_is_stepped_in_python(lag_fmu, tmp_p
                                spec.components[1])}
     )  # fmt: skip
     with Master(moved) as master, Master(spec) as own:
-        assert type(master._stepper) is Readable
+        assert type(master._stepper) is PythonStepper
         assert_same(master.run().require_success(), own.run())
 
 
@@ -142,7 +142,7 @@ def test_without_a_compiler_the_steps_are_those_in_python(lag_fmu, monkeypatch, 
     monkeypatch.setattr(fmu_src.run.native, "build", refused)
     fmu_src.run.native._library.cache_clear()
     with caplog.at_level("INFO"), Master(lags(lag_fmu)) as master:
-        assert type(master._stepper) is Readable
+        assert type(master._stepper) is PythonStepper
     assert "systems are stepped in Python (the C compiler cannot be run.)" in caplog.text
     fmu_src.run.native._library.cache_clear()
 
