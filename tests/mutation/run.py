@@ -22,19 +22,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mutants import Mutant, mutant, variants
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-AREAS = {
-    "science": "hesr_model/**/*.py",
-    "master": "cosim/systems/simulation.py",
-    "steps": "fmu_src/run/master.py",
-    "c": "fmu_src/c/*.[ch]",
-    "rows": "hesr_model/equations/*.[ch]",
-}
 PATIENCE = 5.0  # times what the tests take without a fault
 # Tests run in forks of a process that has the slow imports behind it, but none of ours.
 FORK = multiprocessing.get_context("fork")
@@ -45,8 +39,11 @@ SLOW_IMPORTS = (
 )  # fmt: skip
 
 
-def table(name: str, kind: str = "of") -> list[dict[str, object]]:
+def table(name: str, kind: str = "of") -> Any:
     return tomllib.loads((HERE / name).read_text(encoding="utf-8"))[kind]
+
+
+AREAS: dict[str, list[str]] = table("nearest.toml", "areas")
 
 
 def copied(folder: Path) -> Path:
@@ -60,7 +57,7 @@ def copied(folder: Path) -> Path:
     return folder
 
 
-def _run_tests(root: Path, tests: Sequence[str], output: int) -> None:
+def _run_tests(root: Path, tests: Sequence[str], marked: str, output: int) -> None:
     """Run in a process of its own, which can be ended with all that it starts."""
     os.setsid()
     os.dup2(output, 1)
@@ -68,7 +65,7 @@ def _run_tests(root: Path, tests: Sequence[str], output: int) -> None:
     os.chdir(root)
     os.environ |= {"PYTHONPATH": str(root), "COLUMNS": "200"}
     sys.path[:1] = [str(root)]
-    options = ["-xq", "-p", "no:cacheprovider", "--hypothesis-profile=ci", "-m", "not soak"]
+    options = ["-xq", "-p", "no:cacheprovider", "--hypothesis-profile=ci", "-m", marked]
     code = pytest.main([*options, *tests])
     sys.stdout.flush()
     os._exit(int(code))
@@ -77,13 +74,15 @@ def _run_tests(root: Path, tests: Sequence[str], output: int) -> None:
 class Tree:
     """A copy of the tree in which faults are made."""
 
-    def __init__(self, folder: Path, *, limit: float | None = None) -> None:
+    def __init__(self, folder: Path, *, limit: float | None, marked: str) -> None:
         self.root = copied(folder)
         self._given = limit
+        self._marked = marked
         self._seconds: dict[tuple[str, ...], float] = {}
 
-    def sources(self, pattern: str) -> list[str]:
-        return sorted(str(path.relative_to(self.root)) for path in self.root.glob(pattern))
+    def sources(self, *patterns: str) -> list[str]:
+        found = {path for pattern in patterns for path in self.root.glob(pattern)}
+        return sorted(str(path.relative_to(self.root)) for path in found)
 
     def nearest(self, source: str) -> tuple[str, ...]:
         """Tests of the first entry that fits, those that are named like the source first."""
@@ -103,7 +102,9 @@ class Tree:
     def _pytest(self, tests: Sequence[str], limit: float | None = None) -> tuple[int | None, str]:
         """Exit code of the tests, None if they do not end, and what they say."""
         with tempfile.TemporaryFile("w+") as heard:
-            running = FORK.Process(target=_run_tests, args=(self.root, tests, heard.fileno()))
+            running = FORK.Process(
+                target=_run_tests, args=(self.root, tests, self._marked, heard.fileno())
+            )
             running.start()
             running.join(limit)
             if running.exitcode is None:
@@ -154,11 +155,11 @@ class Tree:
         return "survived", " ".join(self.nearest(source))
 
 
-def faults(tree: Tree, pattern: str, seed: int) -> Iterator[tuple[str, Mutant]]:
+def faults(tree: Tree, patterns: Sequence[str], seed: int) -> Iterator[tuple[str, Mutant]]:
     """All places in random order, with one fault for each."""
     found = [
         (source, place, choices)
-        for source in tree.sources(pattern)
+        for source in tree.sources(*patterns)
         for place, choices in sorted(variants(tree.root / source).items())
     ]
     chance = random.Random(seed)
@@ -172,6 +173,7 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=20, help="of faults in each area")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="*", help="pattern of sources")
+    parser.add_argument("--quick", action="store_true", help="only tests that `make test` runs")
     parser.add_argument("--limit", type=float, help="seconds for tests that are known to pass")
     options = parser.parse_args()
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
@@ -179,7 +181,8 @@ def main() -> None:
         importlib.import_module(name)
     total: Counter[str] = Counter()
     with tempfile.TemporaryDirectory(prefix="hesr-mutation-") as folder:
-        tree = Tree(Path(folder, "tree"), limit=options.limit)
+        marked = "not soak and not ci" if options.quick else "not soak"
+        tree = Tree(Path(folder, "tree"), limit=options.limit, marked=marked)
         for area in options.areas:
             counts: Counter[str] = Counter()
             for source, fault in faults(tree, AREAS[area], options.seed):

@@ -8,17 +8,8 @@ import pytest
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-SOURCES = [
-    path
-    for pattern in (
-        "hesr_model/**/*.py",
-        "hesr_model/equations/*.[ch]",
-        "fmu_src/c/*.[ch]",
-        "cosim/systems/simulation.py",
-        "fmu_src/run/master.py",
-    )
-    for path in sorted(ROOT.glob(pattern))
-]
+AREAS = tomllib.loads((HERE / "nearest.toml").read_text(encoding="utf-8"))["areas"]
+SOURCES = sorted({p for area in AREAS.values() for pattern in area for p in ROOT.glob(pattern)})
 
 PYTHON = """
 def f(a, *, b=True):

@@ -1,0 +1,26 @@
+"""Choices among candidates that round-off must not decide."""
+
+import numpy as np
+import pytest
+
+from hesr_model.fitting.nonnegative import pays
+from hesr_model.fitting.ties import ROUND_OFF, first_best, no_worse
+
+
+def test_costs_within_round_off_are_tied() -> None:
+    assert no_worse(4.0 * (1.0 + 0.9 * ROUND_OFF), 4.0)
+    assert not no_worse(4.0 * (1.0 + 1.1 * ROUND_OFF), 4.0)
+    assert no_worse(3.0, 4.0)
+    assert pytest.approx(1e-9) == ROUND_OFF
+
+
+def test_the_first_of_tied_candidates_wins() -> None:
+    assert first_best([5.0, 2.0 + 1e-10, 2.0, 2.0 - 1e-10]) == 1
+    assert first_best([5.0, 2.0 + 1e-8, 2.0]) == 2
+
+
+def test_a_gain_of_round_off_does_not_pay() -> None:
+    blocks = np.repeat(np.arange(10), 20)
+    before = np.full(200, 3.0)
+    assert not pays(before, before * (1.0 - 1e-10), blocks)
+    assert pays(before, before * (1.0 - 1e-6), blocks)
