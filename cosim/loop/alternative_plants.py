@@ -1,7 +1,7 @@
-"""The laws of a twin's study under other truths than the friction of its MJCF.
+"""Scores of laws on the alternative plants of a twin.
 
-A twin whose friction is bristles favours laws that are bristles. The same motions are run with the
-other truths of its plant; body and laws are found anew, and scored on the same tests.
+The bristles of the twin's MJCF favour bristle laws. With each other truth of its plant the same
+motions are run, body and laws are identified again and scored on the same tests.
 """
 
 from collections.abc import Sequence
@@ -23,21 +23,21 @@ from hesr_model.support.progress import Progress, counted, silent
 def under_truths(
     study: Study, path: Path, laws: Sequence[str], *, progress: Progress = silent
 ) -> dict[str, Errors]:
-    """Return the errors of laws under each of the twin's further truths, by truth.
+    """Return the errors of laws under each further truth of the twin, by truth.
 
-    A law that the logs of a truth do not determine is absent there.
+    Laws that the logs of a truth do not determine are absent there.
 
     Parameters
     ----------
-    study : of a twin.
-    path : its file.
+    study : study of a twin.
+    path : file of the study.
     laws : names in the registry.
-    progress : told how many truths are done.
+    progress : receives the number of finished truths.
 
     Raises
     ------
     HesrError
-        If there is no such truth, or its logs do not allow the run.
+        If a truth is unknown, or its logs do not suffice.
     """
     names = study.twin.truths if study.twin else ()
     return {truth: _under(study, path, truth, laws) for truth in counted(names, progress)}

@@ -14,7 +14,7 @@ from hesr_model.support.config import Config
 
 
 class StandIn(StrEnum):
-    """What stands in the place of a law: no torque, that of the rigid body, the truth of both."""
+    """Substitutes for a law: no torque, the rigid body only, or the true torque."""
 
     VELOCITY_ONLY = "(velocity command only)"
     BODY_ONLY = "(rigid body only)"
@@ -22,18 +22,18 @@ class StandIn(StrEnum):
 
     @property
     def words(self) -> str:
-        """For people."""
+        """Name in texts."""
         return "true friction and rigid body" if self is StandIn.ORACLE else self.value[1:-1]
 
 
 Law = Annotated[StandIn | str, Field(union_mode="left_to_right")]
-"""Name of a law, or what stands in its place."""
+"""Name of a law, or its substitute."""
 
 ARM = "Arm.fmu"
-"""Name of the arm's FMU beside those of the laws."""
+"""File name of the arm's FMU."""
 
 PerJoint = Annotated[tuple[float, ...], Field(min_length=1)]
-_REST = 0.05  # [s] longer than any preview, so that a motion begins where the arm stands still
+_REST = 0.05  # [s] rest before the motion, longer than any preview
 Compensation = Literal["none", "torque_error", "servo_inversion"]
 _TITLES: Mapping[Compensation, str] = {
     "none": "velocity command only",
@@ -41,7 +41,7 @@ _TITLES: Mapping[Compensation, str] = {
     "servo_inversion": "servo inversion",
 }
 VelocitySource = Literal["desired", "measured", "filtered"]
-"""The velocity on which friction is evaluated."""
+"""Velocity input of the friction law."""
 
 
 class Gains(Config):
@@ -49,10 +49,10 @@ class Gains(Config):
 
     Attributes
     ----------
-    Kp, Kd : of the torque error [rad/(s N.m)], [rad/(N.m)].
-    decay : of both with the desired velocity, lambda [s/rad].
-    Kv, Ki : of the servo, as the controller knows them [N.m s/rad], [N.m/rad].
-    latency : of the servo, as the controller knows it [s].
+    Kp, Kd : gains of the torque error [rad/(s N.m)], [rad/(N.m)].
+    decay : decay of both with the desired velocity, lambda [s/rad].
+    Kv, Ki : servo gains that the controller assumes [N.m s/rad], [N.m/rad].
+    latency : servo latency that the controller assumes [s].
     """
 
     Kp: PerJoint
@@ -69,10 +69,10 @@ class Tracking(Config):
     Attributes
     ----------
     seeds : one random Fourier motion each.
-    duration : of each motion, one period [s].
-    harmonics, peak_velocity, offset : of the motions; see `random_fourier`.
-    gains : of the controller.
-    Kx : gain of the outer position loop, where there is one [1/s].
+    duration : period of each motion [s].
+    harmonics, peak_velocity, offset : see `random_fourier`.
+    gains : gains of the controller.
+    Kx : gain of the outer position loop, in schemes with one [1/s].
     sources : laws whose friction is also evaluated on measured and filtered velocity.
     drift : length of a long run that shows drift [s].
     """
@@ -90,15 +90,15 @@ class Tracking(Config):
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
-    """How commands are made.
+    """Control scheme.
 
     Attributes
     ----------
-    compensation : that of the controller.
+    compensation : compensation of the controller.
     Kx : gain of the outer position loop [1/s].
-    source : velocity on which friction is evaluated.
+    source : velocity input of the friction law.
     friction_gain : factor on the friction torque.
-    change : what is otherwise than it was identified, for tables; empty for nothing.
+    change : difference from the identified loop, for tables; empty if none.
     """
 
     compensation: Compensation
@@ -109,13 +109,13 @@ class Scheme:
 
     @property
     def name(self) -> str:
-        """For files; `of_name` gives the scheme back."""
+        """Name in files; `of_name` is the inverse."""
         change = f": {self.change}" if self.change else ""
         return ", ".join((self.compensation, *self._more)) + change
 
     @property
     def title(self) -> str:
-        """In words."""
+        """Name in texts."""
         return ", ".join((_TITLES[self.compensation], *self._more))
 
     @property
@@ -129,16 +129,16 @@ class Scheme:
 
     @classmethod
     def of_name(cls, name: str) -> Self:
-        """Return the scheme of a name that stood in a file.
+        """Return the scheme of a name.
 
         Raises
         ------
         ValueError
-            If it is no scheme's name.
+            If the name is not valid.
         """
         found = _NAME.fullmatch(name)
         if found is None:
-            raise ValueError(f"'{name}' is no scheme")
+            raise ValueError(f"'{name}' is not a scheme")
         parts = {key: text for key, text in found.groupdict().items() if text}
         return TypeAdapter(cls).validate_python(parts)
 
@@ -175,7 +175,7 @@ class Fmus:
     controller: Path
     velocity: Path
     gravity: Path | None = None
-    """Rigid body that the gravity torque is of; `body` where not given."""
+    """Rigid body of the gravity torque; `body` by default."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,11 +184,11 @@ class Setting:
 
     Attributes
     ----------
-    fmus, scheme, gains : what it consists of.
+    fmus, scheme, gains : parts of the loop.
     step : communication step [s].
-    time_constant : of the filter of measured velocities [s].
+    time_constant : time constant of the filter of measured velocities [s].
     arm : further parameters of the arm.
-    noise : standard deviation of its torque, one entry per joint [N.m].
+    noise : standard deviation of the measured torque, one entry per joint [N.m].
     """
 
     fmus: Fmus
@@ -201,10 +201,9 @@ class Setting:
 
 
 def preview(scheme: Scheme, gains: Gains, step: float) -> float:
-    """Return how far ahead the desired motion is taken [s].
+    """Return the preview of the desired motion [s].
 
-    Inverting the servo looks ahead by its latency and by half the step over which a command is
-    held; without that nothing is known of the servo.
+    Servo inversion looks ahead by the latency and half a step, since a command is held for a step.
     """
     return gains.latency + 0.5 * step if scheme.compensation == "servo_inversion" else 0.0
 
@@ -221,9 +220,9 @@ def system(
     Parameters
     ----------
     setting : the loop.
-    duration : of the run [s].
-    limits : lowest and highest position of each joint, where the run is stopped [rad].
-    motion : start values of the trajectory; may be given when the system is run.
+    duration : length of the run [s].
+    limits : lowest and highest position of each joint, beyond which the run stops [rad].
+    motion : start values of the trajectory; they can also be set for each run.
     """
     fmus, scheme, gains = setting.fmus, setting.scheme, setting.gains
     source = "trajectory.dq_ahead" if scheme.source == "desired" else "velocity.dq"

@@ -1,4 +1,4 @@
-"""Design an excitation for a robot and write what is sent to it: setpoints and a picture."""
+"""Design of an excitation for a robot: setpoints and a picture."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,17 +55,17 @@ def design(
 ) -> ExcitationDesign:
     """Design an excitation and write it.
 
-    The files are `output` and, beside it, ``<name>_reversed`` with the same suffix and
-    ``<name>.png``. Columns are ``t, q1.., dq1.., ddq1..`` [s, rad, rad/s, rad/s2; m for prismatic
-    joints]; rows run from rest to rest at the settings' sample rate. Collisions, with itself or
-    its surroundings, are not looked at: position limits must exclude them.
+    The files are `output`, ``<name>_reversed`` with the same suffix and ``<name>.png``. Columns
+    are ``t, q1.., dq1.., ddq1..`` [s, rad, rad/s, rad/s2; m for prismatic joints]; rows run from
+    rest to rest at the settings' sample rate. Collisions are not checked: position limits must
+    exclude them.
 
     Parameters
     ----------
     robot : robot file.
     output : CSV or Parquet file.
     settings : TOML of `hesr_model.motions.excitation.ExcitationSettings`; the defaults if left out.
-    progress : told how many descents are done.
+    progress : receives the number of finished descents.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def design(
     except HesrError as error:
         raise type(error)(f"{settings or robot}: {error}") from error
     base = base_columns(model)
-    with threadpool_limits(1):  # these problems are so small that threads cost more than they save
+    with threadpool_limits(1):  # threads cost more than they save
         random = random_motions(model, chosen, _COMPARED, chosen.seed)
         conditions = [condition(model, base, motion) for motion in random]
     backward = output.with_stem(f"{output.stem}_reversed")

@@ -21,19 +21,19 @@ from hesr_model.support.files import written_whole
 
 _log = logging.getLogger(__name__)
 
-_MOST_SAMPLES = 10**8  # of a log
+_MOST_SAMPLES = 10**8  # per log
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """One motion of the twin: what its log says, and what was true.
+    """Log and truth of one motion of the twin.
 
     Attributes
     ----------
-    log : noisy position and torque, and the velocity that follows from the position: central
-        differences over two samples, so that it is noisy, but not late.
-    truth : without noise, (N, n) each, at the times of the log.
-    desired : (N, n) position that was commanded [rad].
+    log : noisy position and torque, and velocity as central differences over two samples: noisy,
+        without delay.
+    truth : motion and torques (N, n) at the times of the log.
+    desired : (N, n) commanded position [rad].
     """
 
     log: RobotLog
@@ -54,11 +54,11 @@ def excite(
     seed: int | None = None,
     fmu: Path | None = None,
 ) -> dict[str, Path]:
-    """Run the arm along every motion and write one CSV each, with the true friction beside it.
+    """Run the arm along every motion; write a CSV and the true friction of each.
 
     Parameters
     ----------
-    motions : what to run.
+    motions : the motions.
     plant : the arm.
     folder : receives the logs as ``<name>.csv``; created if it does not exist.
     seed : seed of the noise; that of the plant by default.
@@ -90,7 +90,7 @@ def excite(
 def recordings(
     motions: Motions, plant: Plant, *, seed: int | None = None, fmu: Path | None = None
 ) -> Iterator[Recording]:
-    """Run the arm along every motion, with the truth beside each log; see `excite`."""
+    """Run the arm along every motion; see `excite`."""
     noise_seed = plant.noise.seed if seed is None else seed
     with loaded_arm(plant, fmu=fmu) as arm:
         for motion in motions.motions:
@@ -105,8 +105,8 @@ def record(
 ) -> Recording:
     """Run the arm along one motion from rest and log it.
 
-    The arm is commanded the mean desired velocity over each sample period: what its servo
-    integrates is then the desired position itself, without drift.
+    The command is the mean desired velocity over each sample period, whose integral is the desired
+    position without drift.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def record(
 
 
 def truth_of(log: Path) -> Path:
-    """File of the true friction that belongs to a log of the twin: columns t, tau_f1.."""
+    """Return the file of the true friction of a log: columns t, tau_f1.."""
     return log.parent / "truth" / log.name
 
 

@@ -1,4 +1,4 @@
-"""The closed-loop part of a study: which rows, on which motions, with which FMUs."""
+"""Rows, motions and FMUs of the closed-loop part of a study."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -37,11 +37,11 @@ from hesr_model.support.progress import Stages
 
 _COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
 _MEASURED: tuple[VelocitySource, ...] = ("measured", "filtered")
-_MARGIN = 0.5  # [rad] beyond the joint limits, where a run has surely diverged
+_MARGIN = 0.5  # [rad] beyond the joint limits: a run has diverged
 
 
 def motions(tracking: Tracking, periods: int = 1) -> list[LoopMotion]:
-    """Return the motions of a study as the FMUs take them, run a number of times each."""
+    """Return the motions of a study with a number of periods each."""
     return [LoopMotion.of(_fourier(tracking, seed, periods)) for seed in tracking.seeds]
 
 
@@ -57,7 +57,7 @@ def _fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
 
 
 def require_reachable(tracking: Tracking, robot: RobotModel) -> None:
-    """Check that the motions of a study are for the robot and within its limits.
+    """Check that the motions of a study fit the robot and its limits.
 
     Raises
     ------
@@ -84,14 +84,14 @@ def require_reachable(tracking: Tracking, robot: RobotModel) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyLoop:
-    """All that the rows of a study share.
+    """Common data of the rows of a study.
 
     Attributes
     ----------
     tracking : the study.
     friction : FMU of each law.
     oracle : FMU of the true friction.
-    fmus : the other FMUs, with the identified rigid body.
+    fmus : other FMUs, with the identified rigid body.
     true_body : FMU of the true rigid body.
     step : communication step [s].
     noise : standard deviation of the measured torques [N.m].
@@ -123,7 +123,7 @@ class StudyLoop:
         )
 
     def rows(self) -> Iterator[LoopRow]:
-        """Yield the rows of the tables: every law in every scheme, beside what needs no law."""
+        """Yield the rows of the tables: every law in every scheme, and rows without a law."""
         outer = self.tracking.Kx
         for Kx in (0.0, outer):
             yield self.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none", Kx=Kx))
@@ -149,12 +149,12 @@ _OWN = ("Trajectory", "Controller", "Velocity", "InverseDynamics", "TrueInverseD
 def build(
     folder: Path, robot: RobotModel, body: RigidBody, plant: Plant, *, oracle: FrictionModel
 ) -> None:
-    """Write the FMUs of a loop beside those of the arm and the laws.
+    """Write the FMUs of a loop, except those of the arm and the laws.
 
     Parameters
     ----------
-    folder : where the FMUs stand.
-    robot, body : the identified rigid body; the true one is that of the robot's model file.
+    folder : folder of the FMUs.
+    robot, body : identified rigid body; the true one is that of the robot's model file.
     plant : the arm, for its sample rate.
     oracle : true friction.
     """
@@ -232,7 +232,7 @@ def example(
 
 
 def limits_of(robot: RobotModel) -> np.ndarray:
-    """Return the positions (n, 2) beyond which a run has diverged [rad]."""
+    """Return the positions (n, 2) [rad] that limit a run."""
     lower, upper, _ = robot.limits
     return np.column_stack([lower - _MARGIN, upper + _MARGIN])
 
@@ -240,7 +240,7 @@ def limits_of(robot: RobotModel) -> np.ndarray:
 def run_tracking(
     loop: StudyLoop, robot: RobotModel, *, kept: Path | None, progress: Stages
 ) -> tuple[list[Tracked], list[Tracked]]:
-    """Run the tables' rows on all motions, and some on a long one; return both."""
+    """Run the rows of the tables on all motions, and selected ones on a long motion."""
     tracking, limits = loop.tracking, limits_of(robot)
     tables = track(
         list(loop.rows()),

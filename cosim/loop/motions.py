@@ -1,4 +1,4 @@
-"""The motions of a study as a TOML file describes them."""
+"""Motions of a study, as described in TOML."""
 
 from typing import Annotated, Literal
 
@@ -11,12 +11,12 @@ from hesr_model.support.config import Config
 
 
 class _Motion(Config):
-    """What every motion has.
+    """Common part of all motions.
 
     Attributes
     ----------
-    name : of the log, and of its file.
-    also_reversed : whether the time-reversed motion is run, too, as ``<name>_reversed``.
+    name : name of the log and of its file.
+    also_reversed : whether to also run the time-reversed motion, as ``<name>_reversed``.
     """
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
@@ -24,7 +24,7 @@ class _Motion(Config):
 
     @property
     def unlogged(self) -> float:
-        """Time that is run before the log begins [s]."""
+        """Time before the log begins [s]."""
         return 0.0
 
 
@@ -33,8 +33,7 @@ class FourierMotion(_Motion):
 
     Attributes
     ----------
-    periods, unlogged_periods : how many periods are run, and how many of the first ones are not
-        logged.
+    periods, unlogged_periods : number of periods, and of the first ones without log.
     """
 
     kind: Literal["fourier"]
@@ -48,7 +47,7 @@ class FourierMotion(_Motion):
 
     @property
     def unlogged(self) -> float:
-        """Time that is run before the log begins [s]."""
+        """Time before the log begins [s]."""
         return self.unlogged_periods * self.period
 
     def trajectory(self) -> Trajectory:
@@ -136,7 +135,7 @@ MotionSpec = Annotated[
 
 
 class Motions(Config):
-    """The motions of a study, each of which becomes a log (or two, see `_Motion`)."""
+    """The motions of a study; each gives one log, or two with `also_reversed`."""
 
     motions: tuple[MotionSpec, ...] = Field(min_length=1)
 

@@ -1,4 +1,4 @@
-"""What the loop bears: payloads, warm and cold friction, noise, latency, wrong servo gains."""
+"""Robustness of the loop to payloads, changed friction, noise, latency and wrong servo gains."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,19 +18,19 @@ from hesr_model.robots.robot import RobotModel
 from hesr_model.support.progress import Stages
 
 PAYLOADS = (1.0, 2.5, 5.0)
-"""Of which the loop knows nothing, and which are identified [kg]."""
+"""Payloads [kg], unknown to the loop or identified."""
 FRICTION_SCALES = (0.5, 0.75, 1.5, 2.0)
-"""Friction of the arm over that on which the laws were trained, as temperature changes it."""
+"""Friction of the arm over that of the training, as temperature changes it."""
 LATENCIES = (0.0, 0.02, 0.04)
-"""Of the servo, known to the controller [s]."""
+"""Servo latencies, known to the controller [s]."""
 GAIN_ERRORS = (0.8, 1.2)
-"""Servo gains that the controller assumes over the true ones."""
+"""Ratios of assumed to true servo gains."""
 NOISE = 3.0
 """Factor on the torque noise."""
 FACTORS = tuple(float(f) for f in np.round(np.arange(0.2, 3.01, 0.2), 1))
-"""On the friction torque, where limit cycling is looked for."""
+"""Factors on the friction torque in the search for limit cycles."""
 CYCLING = 2e-4
-"""RMS motion of an arm that should rest [rad], ten times the encoder's noise, that is cycling."""
+"""Threshold of cycling: RMS motion of an arm at rest [rad], ten times the encoder's noise."""
 _REST = 4.0  # [s]
 _AS_IT_IS = "as it is"
 
@@ -39,13 +39,12 @@ _MOTIONS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Overcompensation:
-    """From which factor on the friction torque an arm at rest cycles.
+    """Lowest factor on the friction torque that makes an arm at rest cycle.
 
     Attributes
     ----------
-    law, scheme : of the loop.
-    factor : the first of `FACTORS` at which a joint moves by more than `CYCLING`, or the run
-        fails; None where it rests at all of them.
+    law, scheme : the loop.
+    factor : first of `FACTORS` with motion above `CYCLING` or a failed run; None if all rest.
     """
 
     law: str
@@ -63,14 +62,14 @@ def run_sweeps(
     kept: Path | None,
     progress: Stages,
 ) -> list[Tracked]:
-    """Run the laws of interest under every change, on a few motions.
+    """Run the selected laws under every change, on a few motions.
 
     Parameters
     ----------
     loop : FMUs and gains.
-    robot, body : rigid body that was identified.
-    folder : where FMUs of identified payloads go.
-    known : rows of the tables, on more motions, of which loops as they are are not run again.
+    robot, body : identified rigid body.
+    folder : receives the FMUs of identified payloads.
+    known : rows of the tables, which provide the unchanged loops.
     kept, progress : see `track`.
     """
     rows = list(_rows(loop, _payload_bodies(robot, body, folder, loop.step)))
@@ -103,9 +102,9 @@ def run_sweeps(
 def run_overcompensation(
     loop: StudyLoop, robot: RobotModel, *, kept: Path | None, progress: Stages
 ) -> list[Overcompensation]:
-    """Find out how much too much friction compensation each loop bears."""
+    """Find the lowest factor on friction compensation that makes each loop cycle."""
     sources: tuple[VelocitySource, ...] = ("desired", "measured", "filtered")
-    # The torque error moves a resting arm by its noise alone, so it tells nothing here.
+    # The torque error would move a resting arm by its noise alone.
     cases = [
         (law, Scheme(compensation="servo_inversion", source=source))
         for law in loop.tracking.sources
@@ -132,7 +131,7 @@ def run_overcompensation(
         beyond = (
             factor
             for factor, error in zip(FACTORS, errors, strict=True)
-            if not np.all(error < CYCLING)  # NaN of a failed run as well
+            if not np.all(error < CYCLING)  # also NaN of a failed run
         )
         results.append(Overcompensation(law=law, scheme=scheme, factor=next(beyond, None)))
     return results
@@ -156,7 +155,7 @@ def _changed(setting: Setting, payloads: Mapping[float, Path]) -> Iterator[tuple
     for mass, body in payloads.items():
         arm = {"payload": mass}
         yield f"payload {mass:g} kg", replace(setting, arm=arm)
-        # The servo compensates the gravity of the bare arm, so that is what is subtracted.
+        # The servo compensates the gravity of the bare arm.
         known = replace(fmus, body=body, gravity=fmus.body)
         yield f"payload {mass:g} kg, identified", replace(setting, arm=arm, fmus=known)
     for scale in FRICTION_SCALES:
@@ -175,7 +174,7 @@ def _changed(setting: Setting, payloads: Mapping[float, Path]) -> Iterator[tuple
 def _payload_bodies(
     robot: RobotModel, body: RigidBody, folder: Path, step: float
 ) -> dict[float, Path]:
-    """Rigid bodies with a payload that is known exactly, as FMUs."""
+    """Write rigid bodies with exactly known payloads as FMUs."""
     source = robot.description.model
     paths = {}
     for mass in PAYLOADS:

@@ -75,7 +75,7 @@ def run_loop(
         complete loop as closed_loop.toml and the positions along the first motion as `TRACES`.
     truth : the arm's own friction.
     friction : FMU of each law.
-    kept : folder of finished rows, from which an interrupted run goes on.
+    kept : folder of finished rows, read again by a resumed run.
     progress : receives the progress of each stage.
     """
     require_reachable(tracking, robot)

@@ -1,4 +1,4 @@
-"""Positions over time of tracking runs: written by a study, drawn and shown later."""
+"""Position traces of tracking runs, as a file of the results."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -38,8 +38,7 @@ class Trace:
 def write_traces(path: Path, traces: Iterable[tuple[Scheme, str, Trace]]) -> None:
     """Write traces of (scheme, law) as one long Parquet table.
 
-    Its columns are ``scheme, law, t, q_d1.., q1..``; names and desired positions, which repeat, are
-    stored once.
+    Columns: ``scheme, law, t, q_d1.., q1..``. Repeated values are stored once.
 
     Raises
     ------
@@ -85,7 +84,7 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
         runs = [(schemes[name], law) for name, law in zip(names, laws, strict=True)]
         columns = [table[name].to_numpy() for name in ("t", *_of(table, "q_d"), *_of(table, "q"))]
     except (pyarrow.ArrowException, OSError, KeyError, ValueError) as error:
-        raise ArtifactError(f"{path}: is not what a closed loop has written.") from error
+        raise ArtifactError(f"{path}: is not a file of closed-loop traces.") from error
     values = np.column_stack(columns)
     joints = (values.shape[1] - 1) // 2
     rows: dict[tuple[Scheme, str], list[int]] = {}
@@ -99,7 +98,7 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
 
 
 def _of(table: "pyarrow.Table", vector: str) -> list[str]:
-    """Return the columns of a vector, of which there must be one at least."""
+    """Return the columns of a vector; raise KeyError if there are none."""
     names = [f"{vector}{k + 1}" for k in range(len(table.column_names))]
     found = [name for name in names if name in table.column_names]
     if not found:

@@ -27,12 +27,12 @@ from hesr_model.support.typed_json import NumbersWithGaps, from_json, read_json,
 
 @dataclass(frozen=True, kw_only=True)
 class LoopMotion:
-    """A motion as the FMUs take it.
+    """A motion in the parameters of the FMUs.
 
     Attributes
     ----------
-    parameters : of the Trajectory FMU.
-    q0 : where the arm begins [rad].
+    parameters : start values of the Trajectory FMU.
+    q0 : start position of the arm [rad].
     """
 
     parameters: Mapping[str, Value]
@@ -40,7 +40,7 @@ class LoopMotion:
 
     @classmethod
     def of(cls, trajectory: Trajectory) -> "LoopMotion":
-        """Return a motion in closed form as one for the FMUs."""
+        """Convert a motion in closed form."""
         q0 = trajectory.sample(np.zeros(1))[0][0]
         return cls(parameters=start_values(trajectory), q0=tuple(map(float, q0)))
 
@@ -51,8 +51,8 @@ class LoopRow:
 
     Attributes
     ----------
-    scheme : how commands are made.
-    law : name of the law, or what stands in its place.
+    scheme : control scheme.
+    law : name of the law, or its substitute.
     setting : the loop.
     """
 
@@ -63,15 +63,15 @@ class LoopRow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracked:
-    """How well a row tracks.
+    """Tracking errors of a row.
 
     Attributes
     ----------
-    scheme, law : of the row.
+    scheme, law : the row.
     rmse : (M, n) error of each motion and joint [rad]; NaN for a run that failed.
     last : (M, n) mean error over the last tenth of each run [rad], which shows drift.
-    failures : why runs ended early.
-    trace : the run along the first motion, where that was asked for; not part of the JSON data.
+    failures : reasons of runs that ended early.
+    trace : the run along the first motion, if requested; not part of the JSON data.
     """
 
     scheme: NamedScheme
@@ -94,7 +94,7 @@ class Tracked:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Kept:
-    """A finished row as it is kept: `trace` is no part of the JSON data of `Tracked`."""
+    """A stored row; the JSON data of `Tracked` excludes `trace`."""
 
     tracked: Tracked
     trace: Trace | None
@@ -116,17 +116,17 @@ def track(
     Parameters
     ----------
     rows : laws in schemes.
-    motions : what is tracked.
-    duration : of a run [s].
-    limits : (n, 2) positions at which a run is stopped [rad].
+    motions : desired motions.
+    duration : length of a run [s].
+    limits : (n, 2) positions beyond which a run stops [rad].
     traced : keep the positions along the first motion.
-    kept : folder in which finished rows are kept, so that an interrupted study can go on.
-    workers : processes; one for each core where not given, none of its own for 1.
-    progress : told how many rows are done and how many there are.
+    kept : folder of finished rows, read again by a resumed study.
+    workers : number of processes; one per core by default, the present one for 1.
+    progress : receives the number of finished rows.
 
     Returns
     -------
-    One result for each row, in their order; runs that failed are part of it.
+    One result per row, in order, failed runs included.
     """
     done: dict[int, Tracked] = {}
     left: list[int] = []
@@ -155,7 +155,7 @@ def track(
             for i, result in zip(left, results, strict=True):
                 keep(i, result)
     finally:
-        POOL.clear()  # where there was no other process
+        POOL.clear()  # for runs in this process
     return [done[i] for i in range(len(rows))]
 
 
@@ -194,8 +194,8 @@ def _keys(
     limits: Array,
     traced: bool,
 ) -> list[str]:
-    """Return names of the rows' results, which change with anything that these depend on."""
-    hashes: dict[Path, str] = {}  # rows share their FMUs
+    """Return a name for each row's result: a hash of everything it depends on."""
+    hashes: dict[Path, str] = {}  # by FMU; rows share them
     moved = [asdict(motion) for motion in motions]
     keys = []
     for row in rows:

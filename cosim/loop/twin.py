@@ -115,7 +115,7 @@ class TwinArm:
 
         Returns
         -------
-        The arm at the instants at which the commands begin.
+        The arm at the beginning of each command.
         """
         fmu, noise = self._component, self.plant.noise
         if fmu.used:

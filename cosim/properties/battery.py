@@ -51,7 +51,7 @@ _DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[PropertyResult]]] = {
 }
 _DRIVE = "drive"  # needs more than the scale
 _NO_INERTIA = "Not run: the inertia of the joints is not known; give it by --inertia."
-_NO_MODEL = "Not run: the FMU carries no law of which a JointDrive could be made."
+_NO_MODEL = "Not run: the FMU contains no law for a JointDrive."
 
 
 @dataclass(frozen=True, kw_only=True)

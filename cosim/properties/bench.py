@@ -81,7 +81,7 @@ class FrictionBench(_Bench):
         for name in ("tau[1]", *wanted):
             if name not in names:
                 raise SimulationError(
-                    f"{component.fmu}: no friction FMU, since there is no '{name}'; needed are the "
+                    f"{component.fmu}: not a friction FMU: '{name}' is missing; it needs the "
                     "inputs dq[i], q[i], tau_load[i] and the outputs tau[i]."
                 )
         super().__init__(component, joints, [u.name for u in INPUTS], ["tau"])

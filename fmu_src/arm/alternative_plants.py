@@ -1,15 +1,14 @@
-"""Other truths for a digital twin: its arm with another friction than that of its MJCF.
+"""Alternative plants: the arm of a digital twin with another friction than that of its MJCF.
 
-The bristles of an MJCF favour laws that are bristles. Whatever it holds as passive dcmotor elements
-is taken out here, and dry friction whose level moves comes in its place, and where wanted a
-transmission that gives way:
+The bristles of an MJCF favour bristle laws. Its passive dcmotor elements are replaced by dry
+friction of variable level and, optionally, by an elastic transmission:
 
-    rotor  --elastic, with a dead band, beside elements that yield-->  link
-    I r'' = servo - level(load) sgn(r') - damping r' - torsion         (dry friction holds at rest)
+    rotor  --elastic with dead band, in parallel with yielding elements-->  link
+    I r'' = servo - level(load) sgn(r') - damping r' - torsion              (dry friction sticks)
 
-The rotor takes the joint's name, so that servo, encoder and measured torque sit on its side, as in
-most arms; what is rigid-body motion, and the gravity compensation, is that of the link. The torque
-that the gear transmits is that of torsion and gravity compensation together.
+The rotor takes the joint's name: servo, encoder and measured torque are on its side, as in most
+arms. Rigid-body motion and gravity compensation are those of the link. The gear transmits torsion
+and gravity compensation.
 """
 
 from collections.abc import Iterable
@@ -27,19 +26,19 @@ from hesr_model.support.config import Config
 from hesr_model.support.files import written_whole
 
 _FIRM = "0.9999 0.9999 0.001 0.5 2"
-"""Impedance of dry friction: the highest, else it creeps under load by milliradians a second."""
+"""Impedance of dry friction: the highest, to avoid creep under load."""
 
 _LIGHT = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-6 1e-6 1e-6"}
-"""Of a rotor's body [kg; kg m2], whose inertia is the armature of its joint."""
+"""Mass and inertia of a rotor's body [kg; kg m2]; the armature of its joint is the inertia."""
 
 
 class Yielding(Config):
-    """Elastic elements that yield, one for each joint: hysteresis of the torsion.
+    """Yielding elastic elements, one for each joint: hysteresis of the torsion.
 
     Attributes
     ----------
     stiffness : [N.m/rad].
-    limit : torque at which they yield [N.m].
+    limit : yield torque [N.m].
     """
 
     stiffness: tuple[Positive, ...]
@@ -47,14 +46,13 @@ class Yielding(Config):
 
 
 class GearElasticity(Config):
-    """What is between the rotors and the links, one entry per joint.
+    """Elastic transmissions between rotors and links, one entry per joint.
 
     Attributes
     ----------
-    stiffness : of the elastic element [N.m/rad].
-    damping : of it [N.m s/rad].
-    backlash : dead band of it [rad].
-    hysteresis : elements beside it.
+    stiffness, damping : of the elastic element [N.m/rad], [N.m s/rad].
+    backlash : dead band of the elastic element [rad].
+    hysteresis : parallel yielding elements.
     """
 
     stiffness: tuple[Positive, ...]
@@ -64,11 +62,11 @@ class GearElasticity(Config):
 
 
 class Truth(Config):
-    """Friction of the arm in place of that of its MJCF.
+    """Friction that replaces that of the MJCF.
 
     Attributes
     ----------
-    losses : dry friction at the joints, at the rotors where there is a transmission.
+    losses : dry friction at the joints, or at the rotors of a transmission.
     viscous : at the same place [N.m s/rad].
     transmission : None for stiff joints.
     """
@@ -96,11 +94,11 @@ TruthName = Annotated[str, Field(pattern=r"^[A-Za-z]\w*$")]
 def write_truth(
     truth: Truth, model: Path, joints: tuple[str, ...], table: SignalTable, path: Path
 ) -> SignalTable:
-    """Write the MJCF of an arm with another truth and return the names of its signals.
+    """Write the MJCF of an alternative plant and return the names of its signals.
 
     Parameters
     ----------
-    truth : in place of the passive dcmotor elements of the arm.
+    truth : replaces the passive dcmotor elements of the arm.
     model : MJCF of the arm.
     joints : of the arm, in order.
     table : of the arm's signals: `q`, the position that is measured; `tau_meas` and `tau_true`, the
@@ -110,7 +108,7 @@ def write_truth(
     Raises
     ------
     ConfigError
-        If the truth is of another number of joints, or there is no such joint.
+        If the number of joints differs, or a joint is missing.
     ArtifactError
         If the file cannot be written.
     """
@@ -140,7 +138,7 @@ def write_truth(
 
 
 def _without_elements(root: Element, model: Any) -> set[str]:
-    """Take the passive dcmotors out; return the names of the sensors that go with them."""
+    """Remove the passive dcmotors and their sensors; return the names of the sensors."""
     elements = {model.actuator(i).name for i in passive_motors(model)}
     gone = set()
     for section in (*root.iterfind("actuator"), *root.iterfind("sensor")):
@@ -160,10 +158,10 @@ def _link(joint: str) -> str:
 def _divided(
     root: Element, joint: Element, known: Any, i: int, transmission: GearElasticity
 ) -> Element:
-    """Divide a joint into rotor and link; return the rotor's, which takes its name.
+    """Divide a joint into rotor and link; return the rotor's joint, which takes its name.
 
-    The rotor turns about an axis of its own: in coordinates of the link it reacts on what carries
-    it as the gear does, but for one part in the gear ratio.
+    The rotor turns about its own axis. In coordinates of the link its reaction is that of a gear,
+    but for one part in the gear ratio.
     """
     name, link = known.name, _link(known.name)
     joint.attrib |= {"name": link, "armature": "0"}
@@ -211,7 +209,7 @@ def _numbers(values: Iterable[float]) -> str:
 def _signals(
     table: SignalTable, joints: tuple[str, ...], gone: set[str], truth: Truth
 ) -> SignalTable:
-    """Return the names of the signals once the friction elements are gone."""
+    """Return the names of the signals without friction elements."""
 
     def output(name: str) -> OutputTable:
         vector = table.outputs[name]

@@ -15,10 +15,10 @@ _kept: int | None = None
 
 @contextmanager
 def untimed() -> Iterator[None]:
-    """Stop MuJoCo's clock, which takes a sixth of a small arm's step, until the last user ends.
+    """Stop MuJoCo's clock, a sixth of the time of a small arm's step, until the last user ends.
 
-    What it measures, `MjData.timer`, stays as it is meanwhile. Nothing is done in a process that
-    has not imported MuJoCo's Python package, which alone sets a clock.
+    `MjData.timer` does not change meanwhile. Only MuJoCo's Python package sets a clock; a process
+    without it is left alone.
     """
     global _users, _kept
     clock = _clock() if "mujoco" in sys.modules else None
@@ -40,7 +40,7 @@ def untimed() -> Iterator[None]:
 
 @cache
 def _clock() -> Any:
-    """Return MuJoCo's pointer to its clock, None where its library is not found."""
+    """Return MuJoCo's pointer to its clock; None if its library is not found."""
     from fmu_src.arm.library import installed
 
     try:

@@ -1,4 +1,4 @@
-"""Every control and every sensor of an MJCF as signals, where no table names them."""
+"""Default signals of an MJCF: every control, sensor and joint position."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -30,7 +30,7 @@ _UNITS = {
     _S.mjSENS_E_POTENTIAL: "J",
     _S.mjSENS_E_KINETIC: "J",
 }
-# Of a hinge and of a slide.
+# For a hinge and a slide.
 _UNITS_AT_JOINT = {
     _S.mjSENS_JOINTPOS: ("rad", "m"),
     _S.mjSENS_JOINTVEL: ("rad/s", "m/s"),
@@ -59,13 +59,13 @@ def everything(model: Any) -> ArmSignals:
 
 
 class _Names:
-    """Makes names of FMI from those of a model, which are distinct within their own kind only."""
+    """Unique FMI names from names that are unique within their kind only."""
 
     def __init__(self) -> None:
         self._used: set[str] = {"latency"}
 
     def of(self, name: str, otherwise: str) -> str:
-        """Return the name with underscores for what FMI does not have; a number if it is taken."""
+        """Replace characters that FMI does not allow by underscores and number duplicates."""
         plain = "".join(c if c.isalnum() and c.isascii() else "_" for c in name) or otherwise
         plain = f"_{plain}" if plain[0].isdigit() else plain
         free, k = plain, 1

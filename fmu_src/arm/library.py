@@ -20,14 +20,14 @@ _SECONDS = 600.0
 
 @dataclass(frozen=True, kw_only=True)
 class _Wheel:
-    """Where a platform's library is had from.
+    """Source of a platform's library.
 
     Attributes
     ----------
     tags : names of the platform in the package registry.
-    pattern : of the library's file in the wheel.
-    place : folder beside the FMU's binary in which its loader looks for it.
-    flags : by which it is linked; it is looked up by the component itself where there are none.
+    pattern : file name of the library in the wheel.
+    place : folder of the library relative to the FMU's binary.
+    flags : linker flags; without any the component looks the library up itself.
     """
 
     tags: tuple[str, ...]
@@ -45,9 +45,9 @@ _WHEELS = {
     ),
     "win64": _Wheel(tags=("win_amd64",), pattern="mujoco.dll"),
     "darwin64": _Wheel(
-        tags=("macosx_11_0_arm64",),  # which holds that for Intel's processors, too
+        tags=("macosx_11_0_arm64",),  # universal binary
         pattern="libmujoco.*.dylib",
-        place="mujoco.framework/Versions/A/",  # as it calls itself
+        place="mujoco.framework/Versions/A/",  # its install name
         flags=("-Wl,-rpath,@loader_path",),
     ),
     "aarch64-linux": _Wheel(
@@ -63,7 +63,7 @@ def library(platform: str) -> Binary:
 
     Parameters
     ----------
-    platform : a folder of binaries in an FMU.
+    platform : folder of binaries in an FMU.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def library(platform: str) -> Binary:
 
 
 def installed() -> list[Path]:
-    """Return the files of this machine's library in MuJoCo's package; normally one."""
+    """Return the library files of this machine in MuJoCo's package; normally one."""
     platform = _own_platform()
     return sorted(_package().glob(_WHEELS[platform].pattern)) if platform else []
 
@@ -95,7 +95,7 @@ def _package() -> Path:
 
 
 def _own_platform() -> str:
-    """Return the folder of this machine's binaries, empty where FMUs have none."""
+    """Return the folder of this machine's binaries; empty if FMI defines none."""
     own = f"{sys.platform} {machine()}"
     return {
         "linux x86_64": "linux64",

@@ -1,4 +1,4 @@
-"""Any MJCF as an FMU of native C that carries MuJoCo's library: nothing to install in the host."""
+"""An MJCF as an FMU of native C with MuJoCo's library: nothing to install in the host."""
 
 import hashlib
 import importlib.metadata
@@ -24,7 +24,7 @@ from hesr_model.errors import ExportError
 from hesr_model.support.progress import Progress, silent
 
 _SMALL = 0.1  # controls of the reference results
-_OWN, _OF_LOSS = 4, 2  # numbers that mjcf.c remembers besides MuJoCo's state, and of each loss
+_OWN, _OF_LOSS = 4, 2  # numbers of state in mjcf.c, without MuJoCo's, and per loss
 _SOURCES = (
     "mjcf.c",
     "mjcf_losses.h",
@@ -55,7 +55,7 @@ def export_mjcf(
         default every control and every sensor.
     platforms : names of `toolchain.TARGETS`, or "all"; MuJoCo for others than this machine's comes
         from the package registry.
-    progress : told for how many of them it is built.
+    progress : receives the number of finished platforms.
 
     Returns
     -------
@@ -82,13 +82,13 @@ def export_mjcf(
 
 
 def model_name(model: Any, path: Path) -> str:
-    """Return the name that an MJCF gives to its model, else that of its file."""
+    """Return the name of the model in an MJCF, by default that of its file."""
     name = bytes(model.names).partition(b"\0")[0].decode()
     return path.stem if name in ("", "MuJoCo Model") else name
 
 
 def identifier_of(name: str) -> str:
-    """Return a name as one of C."""
+    """Return a name as an identifier of C."""
     return re.sub(r"^(?=\d)", "_", re.sub(r"\W", "_", name, flags=re.ASCII))
 
 
@@ -99,9 +99,9 @@ def arm(
 
     Parameters
     ----------
-    signals : the compiled model and what of it is seen.
-    name : of the model.
-    source : the MJCF, which the FMU carries to be read; it loads the compiled model.
+    signals : the compiled model and its signals.
+    name : name of the model.
+    source : the MJCF, for documentation; the FMU loads the compiled model.
     platforms : folders of the binaries.
 
     Raises
@@ -140,7 +140,7 @@ def arm(
 
 
 def description(signals: ArmSignals, name: str) -> Description:
-    """Return what is said of an FMU of a model besides its variables."""
+    """Return the description of an FMU of a model, without variables."""
     return Description(
         name=name,
         identifier=identifier_of(name),

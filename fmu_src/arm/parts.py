@@ -1,4 +1,4 @@
-"""Parts of a compiled model that are the inputs, outputs and start values of an FMU."""
+"""Inputs, outputs and start values of an FMU, as parts of a compiled model."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""The signals of an MJCF: those that a table names, or every control and every sensor."""
+"""The signals of an MJCF: those named by a table, or every control and sensor."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,7 @@ from fmu_src.arm.table import LossTable, OutputTable, SignalTable, StartTable
 from hesr_model.errors import ConfigError
 from hesr_model.support.config import read_toml
 
-_MOST_PARTS = 15_000  # of an MJCF: the time that MuJoCo takes grows with their square, here to 7 s
+_MOST_PARTS = 15_000  # per MJCF; MuJoCo's compile time grows with the square, to 7 s here
 
 
 def compiled(path: Path) -> Any:
@@ -32,16 +32,16 @@ def compiled(path: Path) -> Any:
     _require_an_end(path)
     try:
         return mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, RuntimeError) as error:  # the latter where memory does not suffice
+    except (ValueError, RuntimeError) as error:  # RuntimeError: out of memory
         reason = " ".join(str(error).split()).rstrip(".")
         raise ConfigError(f"{path}: cannot be compiled as an MJCF ({reason}).") from error
 
 
 def _require_an_end(path: Path) -> None:
-    """Refuse what MuJoCo, which no signal interrupts, would copy or wait for without end."""
+    """Refuse endless copies and special files: MuJoCo cannot be interrupted."""
     try:
         root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError:  # which MuJoCo says in its own words
+    except ElementTree.ParseError:  # reported by MuJoCo
         return
     if (parts := _parts(root)) > _MOST_PARTS:
         raise ConfigError(f"{path}: has {parts} elements; at most {_MOST_PARTS} can be compiled.")
@@ -54,11 +54,11 @@ def _require_an_end(path: Path) -> None:
         for folder in {"", *folders}:
             file = path.parent / folder / name
             if file.exists() and not file.is_file():
-                raise ConfigError(f"{path}: names the file '{name}', which is no file.")
+                raise ConfigError(f"{path}: names the file '{name}', which is not a regular file.")
 
 
 def _parts(element: ElementTree.Element) -> int:
-    """Return how many elements one becomes, copies of it included."""
+    """Return the number of elements after replication."""
     count = element.get("count", "") if element.tag == "replicate" else ""
     copies = int(count) if re.fullmatch(r"\d{1,18}", count) else 1
     return 1 + copies * sum(map(_parts, element))
@@ -90,8 +90,7 @@ def signals_of(path: Path, table: Path | SignalTable | None = None) -> ArmSignal
     Raises
     ------
     ConfigError
-        If a file is missing or not valid, names a part that the model lacks, or there is nothing
-        to be seen of the model.
+        If a file is missing or not valid, names a missing part, or the model has no sensor.
     """
     model = compiled(path)
     if isinstance(table, SignalTable):
@@ -104,7 +103,7 @@ def signals_of(path: Path, table: Path | SignalTable | None = None) -> ArmSignal
 
 
 class _Lookup:
-    """Finds the parts that a table names; `file` is what errors name."""
+    """Finds the parts that a table names; errors name `file`."""
 
     def __init__(self, model: Any, file: Path) -> None:
         self._model, self._file = model, file
@@ -192,7 +191,7 @@ class _Lookup:
             yield Loss(dof=dof, carrier=carrier, **table.of_joint(i))
 
     def _dof(self, name: str) -> int:
-        self._position(name)  # of one number
+        self._position(name)
         return int(self._model.jnt_dofadr[self._find("joint", name)])
 
     def _control(self, name: str) -> int:
@@ -212,7 +211,7 @@ class _Lookup:
     def _position(self, name: str) -> int:
         joint = self._find("joint", name)
         if mujoco.mjtJoint(self._model.jnt_type[joint]) not in SINGLE:
-            raise self._error(f"joint '{name}' is no hinge or slide, so no number is its position.")
+            raise self._error(f"joint '{name}' is not a hinge or slide.")
         return int(self._model.jnt_qposadr[joint])
 
     def _activation(self, name: str) -> tuple[int, float]:
@@ -220,13 +219,15 @@ class _Lookup:
         address = int(self._model.actuator_actadr[actuator])
         gain = float(self._model.actuator_gainprm[actuator, 0])
         if address < 0 or gain == 0:
-            raise self._error(f"actuator '{name}' is no integral: it has no state, or no gain.")
+            raise self._error(f"actuator '{name}' is not an integral: it lacks a state or a gain.")
         return address, gain
 
     def _motor(self, name: str) -> int:
         actuator = self._find("actuator", name)
         if self._model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_DCMOTOR:
-            raise self._error(f"actuator '{name}' is no dcmotor, whose friction can be scaled.")
+            raise self._error(
+                f"actuator '{name}' is not a dcmotor; only the friction of dcmotors can be scaled."
+            )
         return actuator
 
     def _find(self, kind: str, name: str) -> int:

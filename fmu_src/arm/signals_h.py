@@ -1,4 +1,4 @@
-"""The signals of a model as tables of C."""
+"""The signals of a model as C tables."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
@@ -7,8 +7,7 @@ from fmu_src.arm.parts import ArmSignals
 from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name
 from fmu_src.export.interface import Interface, literal
 
-# Each table's type, the name of its size and an element that stands where it is empty: C knows no
-# empty arrays.
+# Type of each table, name of its size, and the element of an empty table: C has no empty arrays.
 _TABLES = {
     "drives": ("Drive", "DRIVES", "{0, 0}"),
     "reads": ("Read", "READS", "{0, 0, 0.0, 0}"),
@@ -25,10 +24,10 @@ def to_h(signals: ArmSignals, table: Interface, *, state: int, digest: str) -> s
 
     Parameters
     ----------
-    signals : of the model.
-    table : its variables.
-    state : how many numbers MuJoCo's integration state has.
-    digest : hash of the compiled model, by which models with equal signals differ.
+    signals : signals of the model.
+    table : variables of the FMU.
+    state : size of MuJoCo's integration state.
+    digest : hash of the compiled model.
     """
     at = table.places
     rows = _rows(signals, at)

@@ -1,4 +1,4 @@
-"""The file that names the signals of an MJCF."""
+"""The TOML file that names the signals of an MJCF."""
 
 from typing import Annotated, Self
 
@@ -17,8 +17,8 @@ class InputTable(Config):
 
     Attributes
     ----------
-    unit : of every element.
-    actuators : for each element those whose control it is.
+    unit : unit of every element.
+    actuators : actuators that each element controls.
     """
 
     unit: str
@@ -30,12 +30,12 @@ class OutputTable(Config):
 
     Attributes
     ----------
-    unit : of every element.
-    sensors : for each element the sensors that are summed, with their factors.
-    losses : for each element the joint whose losses are added, as torque that opposes its motion.
+    unit : unit of every element.
+    sensors : summed sensors of each element, with their factors.
+    losses : joint of each element whose losses are added, as torque against the motion.
     scaled : sensors whose factor follows the friction scale.
-    noise : standard deviation of each element's noise; none where left out.
-    streams : of the noise, one for each element; their places among all outputs where left out.
+    noise : standard deviation of each element's noise; no noise by default.
+    streams : noise stream of each element; by default its place among all outputs.
     """
 
     unit: str
@@ -61,11 +61,11 @@ class StartTable(Config):
 
     Attributes
     ----------
-    unit : of every element.
-    joints : the joint whose position each element is.
-    others : a further joint that has the same position, for each element.
-    integrals : the actuator whose activation each element is as well.
-    hold : whether the integrals hold what else acts on the joints at rest, so that these stay.
+    unit : unit of every element.
+    joints : joint whose position each element sets.
+    others : further joint of each element with the same position.
+    integrals : actuator of each element whose activation it also sets.
+    hold : whether the integrals balance all other torques on the joints at rest.
     """
 
     unit: str
@@ -84,23 +84,23 @@ class StartTable(Config):
 
 
 class Losses(Config):
-    """Dry friction whose level moves, in place of a constant `frictionloss` of joints.
+    """Dry friction of variable level, instead of a constant `frictionloss` of joints.
 
         level = constant + load |torque| + direct ln(1 + |v| / speed) + evolution ln(1 + s / age)
         s' = 1 - (|v| / slip + 1 / longest) s
 
-    The last two terms are those of rate and state, with the ageing law of Dieterich and Ruina: what
-    rests grows stronger with the logarithm of time, what slides is renewed over a distance. Lists
-    have one entry per joint; what is left out is nothing.
+    The last two terms are rate-and-state friction with the ageing law of Dieterich and Ruina:
+    contacts strengthen with the logarithm of time at rest and are renewed over a slip distance.
+    Lists have one entry per joint; omitted terms are zero.
 
     Attributes
     ----------
     constant : [N.m].
-    load : share of the torque that is transmitted.
-    direct, speed : rise with speed [N.m], and from which speed on [rad/s].
-    evolution, age, slip : rise with age [N.m], from which age on [s], and over which way a contact
-        is renewed [rad].
-    longest : age that nothing exceeds [s].
+    load : share of the transmitted torque.
+    direct, speed : rise with speed [N.m] and its reference speed [rad/s].
+    evolution, age, slip : rise with age [N.m], its reference age [s], and the slip distance that
+        renews a contact [rad].
+    longest : upper bound of the age [s].
     """
 
     constant: tuple[NotNegative, ...] = Field(min_length=1)
@@ -113,7 +113,7 @@ class Losses(Config):
     longest: Positive = 1e4
 
     def of_joint(self, i: int) -> dict[str, float]:
-        """Return the numbers of a joint by key; for what is left out such as make it nothing."""
+        """Return the numbers of a joint by key; omitted ones have no effect."""
         scales = ("speed", "age", "slip")
         lists = ("constant", "load", "direct", "evolution", *scales)
         found = {key: (getattr(self, key) or (float(key in scales),) * (i + 1))[i] for key in lists}
@@ -137,9 +137,9 @@ class LossTable(Losses):
 
     Attributes
     ----------
-    joints : that lose.
-    carriers : for each the joint whose springs and gravity compensation are the torque that is
-        transmitted; needed where there is a share of the load.
+    joints : joints with losses.
+    carriers : joint of each whose springs and gravity compensation are the transmitted torque;
+        needed with `load`.
     """
 
     joints: Names = Field(min_length=1)
@@ -158,11 +158,11 @@ class SignalTable(Config):
     Attributes
     ----------
     inputs, outputs, start : by the name of the vector.
-    friction : dcmotor actuators that the friction scale applies to.
-    losses : of joints, to which it applies, too.
-    payload : body that a payload's mass is added to, as a point at its centre of mass.
-    step : preferred communication step [s]; the simulation's own where left out.
-    seed : of the noise.
+    friction : dcmotor actuators that follow the friction scale.
+    losses : losses of joints, which also follow the friction scale.
+    payload : body that receives the payload, as a point mass at its centre of mass.
+    step : preferred communication step [s]; that of the simulation by default.
+    seed : seed of the noise.
     """
 
     inputs: dict[Element, InputTable] = Field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""The true friction of an MJCF as a friction model: what an oracle knows."""
+"""The true friction of an MJCF as a friction model."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -50,14 +50,14 @@ def true_friction(
         z' = v - stiffness |v| / g(v) z,  g = coulomb + (static - coulomb) exp(-(v / stribeck)^2)
         tau = stiffness z + damping v - cogging sin(poles q + phase)
 
-    Where there are losses, these and the damping of the joints are the friction instead.
+    With losses, these and the damping of the joints are the friction instead.
 
     Parameters
     ----------
     mjcf : the model.
     joints : names of its joints, in order.
-    sample_time : at which the laws are run [s].
-    losses : of the joints.
+    sample_time : sample time of the laws [s].
+    losses : losses of the joints.
     """
     model = compiled(mjcf)
     return FrictionModel(

@@ -1,4 +1,4 @@
-"""The FMI variables of a model: the same for every FMU that is made of it."""
+"""The FMI variables of a model, common to all its FMUs."""
 
 from collections.abc import Iterator
 
@@ -9,7 +9,7 @@ SCALE, PAYLOAD, LATENCY, SEED = "friction_scale", "payload", "latency", "noise_s
 
 
 def variables(signals: ArmSignals) -> tuple[Variable, ...]:
-    """Return inputs, outputs and parameters; parameters only of what the model has."""
+    """Return inputs, outputs and the parameters that apply to the model."""
     parameters = tuple(_parameters(signals))
     return (*_connectors(signals, tuple(p.name for p in parameters)), *parameters)
 

@@ -281,7 +281,7 @@ def test_entries_that_cannot_compete_are_refused(
     one = export_fmu(replace(table1, joints=("j",), laws=table1.laws[:1]), tmp_path / "One.fmu")
     for given, error, sentence in [
         ([], ConfigError, "nobody has entered the arena; needed is at least one FMU"),
-        ([lag_fmu], SimulationError, r"no friction FMU, since there is no 'tau\[1\]'"),
+        ([lag_fmu], SimulationError, r"not a friction FMU: 'tau\[1\]' is missing"),
         ([one], SimulationError, r"One\.fmu: is for 1 joints; the robot 'uf850' has 3\."),
         ([one, one], ConfigError, r"'uf850=.*One\.fmu' is entered twice\."),
     ]:

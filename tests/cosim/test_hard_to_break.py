@@ -201,7 +201,7 @@ def test_what_is_no_file(odd: Callable[[str], Path], refused: Refused, tmp_path:
         ),
         (
             '<body><geom type="mesh" mesh="odd"/></body>',
-            "names the file 'odd.stl', which is no file",
+            "names the file 'odd.stl', which is not a regular file",
         ),
         ('<geom type="hfield" hfield="huge"/>', "cannot be compiled as an MJCF"),
     ],

@@ -139,7 +139,7 @@ def test_files_that_hold_no_traces(tmp_path: Path) -> None:
     path.write_text("text", encoding="utf-8")
     with pytest.raises(ArtifactError) as wrong:
         read_traces(path)
-    assert str(wrong.value) == f"{path}: is not what a closed loop has written."
+    assert str(wrong.value) == f"{path}: is not a file of closed-loop traces."
 
 
 # --- what is chosen ---------------------------------------------------------------------------

@@ -224,8 +224,8 @@ TABLE_ERRORS = [
     ("{ angle = 1 }", "{ acc = 1 }", "sensor 'acc' has 3 numbers; needed is one with one"),
     ('payload = "pole"', 'payload = "box"', "the model has no body 'box'"),
     ('["hinge", "slider"]', '["elbow"]', "the model has no joint 'elbow'"),
-    ("step = 0.01", 'friction = ["left"]', "actuator 'left' is no dcmotor"),
-    ('["hinge", "slider"]', '["hinge"]\nintegrals = ["left"]', "actuator 'left' is no integral"),
+    ("step = 0.01", 'friction = ["left"]', "actuator 'left' is not a dcmotor"),
+    ('["hinge", "slider"]', '["hinge"]\nintegrals = ["left"]', "actuator 'left' is not an integral"),
     ('["hinge", "slider"]', '["hinge"]\nintegrals = ["left", "left"]',
      "integrals has 2 entries for 1 joints"),
     ('["hinge", "slider"]', '["hinge"]\nhold = true', "'start.begin.hold' needs 'integrals'"),
@@ -255,7 +255,7 @@ def test_joints_and_sensors_that_are_no_single_numbers(export):
     with FmuInstance(export(ball)) as cart:
         assert names(cart, "parameter") == ["start_slider"]
     table = '[outputs.x]\nunit = "m"\nsensors = [{ x = 1 }]\n[start.q]\nunit = "rad"\n'
-    with pytest.raises(ConfigError, match="joint 'hinge' is no hinge or slide"):
+    with pytest.raises(ConfigError, match="joint 'hinge' is not a hinge or slide"):
         export(ball, table + 'joints = ["hinge"]\n')
 
 

@@ -114,7 +114,7 @@ class Simulation:
         Raises
         ------
         SimulationError
-            If there is no such parameter, or its value is not allowed.
+            If a parameter is unknown or its value is not allowed.
         """
         given = self.defaults | dict(parameters or {})
         self._check(given)
@@ -147,7 +147,7 @@ class Simulation:
         Raises
         ------
         SimulationError
-            If `dt` is no such multiple, an input is too large, or the simulation diverges. The
+            If `dt` is not such a multiple, an input is too large, or the simulation diverges. The
             state is then unchanged.
         """
         own = self.timestep

@@ -99,7 +99,7 @@ def test_an_fmu_without_the_connectors_is_refused(hesr: Hesr, tmp_path: Path) ->
     answer = hesr("properties", other, "--json", file)
     assert answer.code == 2
     assert answer.err.strip() == (
-        f"hesr: {other}: no friction FMU, since there is no 'tau[1]'; needed are the inputs dq[i], "
+        f"hesr: {other}: not a friction FMU: 'tau[1]' is missing; it needs the inputs dq[i], "
         "q[i], tau_load[i] and the outputs tau[i]."
     )
     assert not file.exists()

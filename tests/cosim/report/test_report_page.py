@@ -228,7 +228,7 @@ def test_a_missing_file_is_named(copied: Path, name: str, said: str) -> None:
         ("run.json", "not a readable JSON file"),
         ("evaluation.json", "not a readable JSON file"),
         ("closed_loop.json", "not a readable JSON file"),
-        ("closed_loop.parquet", "is not what a closed loop has written."),
+        ("closed_loop.parquet", "is not a file of closed-loop traces."),
         ("properties.json", "not a readable JSON file"),
         ("traces/torques_1.parquet", "cannot be read as Parquet."),
     ],
