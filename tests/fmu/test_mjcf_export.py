@@ -225,7 +225,7 @@ TABLE_ERRORS = [
     ('payload = "pole"', 'payload = "box"', "the model has no body 'box'"),
     ('["hinge", "slider"]', '["elbow"]', "the model has no joint 'elbow'"),
     ("step = 0.01", 'friction = ["left"]', "actuator 'left' is not a dcmotor"),
-    ('["hinge", "slider"]', '["hinge"]\nintegrals = ["left"]', "actuator 'left' is not an integral"),
+    ('["hinge", "slider"]', '["hinge"]\nintegrals = ["left"]', "'left' is not an integral"),
     ('["hinge", "slider"]', '["hinge"]\nintegrals = ["left", "left"]',
      "integrals has 2 entries for 1 joints"),
     ('["hinge", "slider"]', '["hinge"]\nhold = true', "'start.begin.hold' needs 'integrals'"),
