@@ -12,8 +12,8 @@ from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, i
 from fmu_src.export.interface import Enumeration, Interface, Role, Variable
 from fmu_src.friction.validity import discretisation_of
 from fmu_src.friction.variable_names import exposed, place
-from hesr_model.equations.component import Component, Equation, Quantity, Relaxation
-from hesr_model.equations.memory import Element
+from hesr_model.equations.component import Component, Equation, Quantity
+from hesr_model.equations.memory import Element, Relaxation
 from hesr_model.equations.program import initial_state, initial_symbol, sources
 from hesr_model.friction.band import (
     COVERAGE,

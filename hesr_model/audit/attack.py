@@ -132,10 +132,14 @@ def loaded_motions(
             load=mean + swing * np.cos(2.0 * angle + phase),
             rows=rows,
             cycle=Attack(
-                energy=0.0, amplitude=amplitude, frequency=frequency,
-                mean=mean, swing=swing, phase=float(phase),
+                energy=0.0,
+                amplitude=amplitude,
+                frequency=frequency,
+                mean=mean,
+                swing=swing,
+                phase=float(phase),
             ),
-        )  # fmt: skip
+        )
 
 
 def _moving(law: FrictionLaw, trained: TrainedRange) -> Iterator[Attack]:

@@ -35,7 +35,7 @@ from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.stops.passive import SPEEDS, distance
 from hesr_model.support.arrays import Array
 
-Verdict = Literal["proven", "refuted", "open"]
+ProofVerdict = Literal["proven", "refuted", "open"]
 _ROUNDING = 1e-9  # relative tolerance of conditions
 _STEPS = np.geomspace(1e-6, 10.0, 141)  # [s] candidates of the largest certified step
 
@@ -54,7 +54,7 @@ class Certificate:
     cycle : cycle with net energy.
     """
 
-    verdict: Verdict
+    verdict: ProofVerdict
     storage: str = ""
     rests_on: tuple[str, ...] = ()
     largest_step: float | None = None
@@ -268,8 +268,10 @@ class _Proof:
                 smoothing = float(sympy.sqrt(slow)) / abs(float(n))
             key = (abs(float(n)), float(lag / n), smoothing, window)
             found.setdefault(key, []).append(float(amplitude))
-        groups = [(float(np.hypot(a[0], a[1])) if len(a) == 2 else sum(map(abs, a)), *key)
-                  for key, a in found.items()]  # fmt: skip
+        groups = [
+            (float(np.hypot(a[0], a[1])) if len(a) == 2 else sum(map(abs, a)), *key)
+            for key, a in found.items()
+        ]
         any_step = all(window >= 0.0 for *_, window in groups)
         steps = [h for h in ([inf] if any_step else _STEPS) if _holds(groups, f, float(h))]
         if not steps:

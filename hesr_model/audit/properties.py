@@ -17,7 +17,7 @@ from hesr_model.units import unit_of_joint
 
 FORMAT = "hesr-friction-properties-1"
 
-Verdict = Literal["pass", "fail", "not applicable", "not run"]
+PropertyVerdict = Literal["pass", "fail", "not applicable", "not run"]
 """Not applicable: the check has no meaning for the law, which is not a defect."""
 MARKS = {"pass": "✓", "fail": "✗", "not applicable": "n/a", "not run": "–"}
 """Verdicts in tables."""
@@ -69,7 +69,7 @@ class PropertyResult:
     plot : plot of the experiment.
     """
 
-    verdict: Verdict
+    verdict: PropertyVerdict
     figures: tuple[Figure, ...] = ()
     reason: str = ""
     plot: Plot | None = None

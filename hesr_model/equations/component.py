@@ -17,7 +17,7 @@ from typing import TypeVar
 
 import sympy
 
-from hesr_model.equations.memory import DT, Element, Relaxation, Stop
+from hesr_model.equations.memory import DT, Element, Relaxation
 from hesr_model.errors import ArtifactError
 
 K = TypeVar("K")
@@ -265,9 +265,3 @@ def _require_known(unknown: set[sympy.Symbol], where: str) -> None:
             f"equations: symbol '{min(map(str, unknown))}' of '{where}' is neither an input, "
             "a coefficient nor a state."
         )
-
-
-__all__ = [
-    "Choice", "Component", "Equation", "Parameter", "Quantity", "Relaxation", "Requirement", "Stop",
-    "elements_of", "in_order", "previous",
-]  # fmt: skip

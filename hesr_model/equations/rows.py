@@ -27,8 +27,10 @@ HOSTS = {
     ("win32", "AMD64"): ("x86_64-windows-gnu", ".dll"),
 }
 """Compiler target and library suffix of each machine."""
-_FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
-          "-Wall", "-Wextra", "-Werror", "-shared", "-nostdlib", "-g0", "-s")  # fmt: skip
+_FLAGS = (
+    *("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden"),
+    *("-Wall", "-Wextra", "-Werror", "-shared", "-nostdlib", "-g0", "-s"),
+)
 _LIBRARIES: Mapping[str, tuple[str, ...]] = {
     ".so": ("-lm",),
     ".dylib": ("-lc",),
@@ -43,6 +45,13 @@ _LIBRARIES: Mapping[str, tuple[str, ...]] = {
     ),
 }
 _SOURCES = ("rows.c", "law_math.h")
+
+
+_ROOM = (
+    *("inputs", "strides", "given", "start", "carried"),
+    *("places", "work", "lanes", "columns"),
+)
+"""Arrays of a program that are allocated for each run."""
 
 
 class _Program(ctypes.Structure):
@@ -191,16 +200,24 @@ class ProgramRun:
         self._at, self._held = at, (own, used, firsts, target)  # keep alive: C uses their addresses
         operations, results = own.addresses
         self._program = _Program(
-            operations=operations, uniform=own.uniform, count=len(own.operations),
-            inputs=at["inputs"], strides=at["strides"], input_count=len(used),
-            given=at["given"], given_count=len(own.given),
-            uniform_count=own.uniform_count, registers=own.registers, euler=float(euler),
-            firsts=_address(firsts), first_count=len(firsts), start=at["start"],
-            carried=at["carried"], block=block, places=at["places"], work=at["work"],
-            results=results, result_count=count, out_stride=self.found.strides[0] // 8,
+            **{name: at[name] for name in _ROOM},
+            operations=operations,
+            uniform=own.uniform,
+            count=len(own.operations),
+            input_count=len(used),
+            given_count=len(own.given),
+            uniform_count=own.uniform_count,
+            registers=own.registers,
+            euler=float(euler),
+            firsts=_address(firsts),
+            first_count=len(firsts),
+            block=block,
+            results=results,
+            result_count=count,
+            out_stride=self.found.strides[0] // 8,
             target=None if target is None else _address(target),
-            lanes=at["lanes"], lane_count=sizes["lanes"], columns=at["columns"],
-        )  # fmt: skip
+            lane_count=sizes["lanes"],
+        )
         self._reference = ctypes.byref(self._program)
 
     def __call__(self, numbers: Array) -> None:
@@ -218,16 +235,24 @@ class ProgramRun:
         self._started(numbers, (0, self._rows), weights, gram=True, keep=keep)
         at = self._at
         determined = self._solve(
-            ctypes.c_void_p(at["gram"]), ctypes.c_int64(len(self._x)),
-            ctypes.c_int64(non_negative), ctypes.c_void_p(at["factors"]),
-            ctypes.c_void_p(at["x"]), ctypes.byref(self._squares),
-        )  # fmt: skip
+            ctypes.c_void_p(at["gram"]),
+            ctypes.c_int64(len(self._x)),
+            ctypes.c_int64(non_negative),
+            ctypes.c_void_p(at["factors"]),
+            ctypes.c_void_p(at["x"]),
+            ctypes.byref(self._squares),
+        )
         return (self._x.copy(), self._squares.value) if determined else None
 
     def _started(
-        self, numbers: Array, rows: tuple[int, int], weights: Array | None,
-        *, gram: bool, keep: bool,
-    ) -> None:  # fmt: skip
+        self,
+        numbers: Array,
+        rows: tuple[int, int],
+        weights: Array | None,
+        *,
+        gram: bool,
+        keep: bool,
+    ) -> None:
         self._given[self._numbers[0]] = numbers[self._numbers[1]]
         own = self._program
         own.first, own.stop = rows

@@ -84,9 +84,14 @@ class Steps:
         )
 
     def over(
-        self, t: Array, columns: Mapping[str, Array], values: Mapping[str, float],
-        start: Sequence[float], *, settled: bool = True,
-    ) -> Array:  # fmt: skip
+        self,
+        t: Array,
+        columns: Mapping[str, Array],
+        values: Mapping[str, float],
+        start: Sequence[float],
+        *,
+        settled: bool = True,
+    ) -> Array:
         """Return the observed equations at each row of a log, (observed, N).
 
         Parameters
@@ -112,9 +117,15 @@ class ComponentRun:
     """A running component; its memory is in `states` and `remembered`."""
 
     def __init__(
-        self, settle: Any, start: Any, step: Any, component: Component, values: Mapping[str, float],
-        states: Sequence[float], inputs: Sequence[str],
-    ) -> None:  # fmt: skip
+        self,
+        settle: Any,
+        start: Any,
+        step: Any,
+        component: Component,
+        values: Mapping[str, float],
+        states: Sequence[float],
+        inputs: Sequence[str],
+    ) -> None:
         names = [q.name for q in component.given]
         self._settle, self._start, self._step = settle, start, step
         self._given: list[Any] = [float(values.get(name, 0.0)) for name in names]

@@ -127,12 +127,16 @@ def _sensitivities(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array
         value = law.values[name]
         step = min(_STEP * max(abs(value), 1e-3), 0.5 * abs(value)) if value else _STEP * 1e-3
         sides = [
-            np.concatenate([
-                predict_record(replace(law, values={**law.values, name: value + sign * step}), r)
-                for r in records
-            ])
+            np.concatenate(
+                [
+                    predict_record(
+                        replace(law, values={**law.values, name: value + sign * step}), r
+                    )
+                    for r in records
+                ]
+            )
             for sign in (1.0, -1.0)
-        ]  # fmt: skip
+        ]
         columns.append((sides[0] - sides[1]) / (2.0 * step))
     return np.asarray(np.stack(columns, axis=1) @ ways)
 

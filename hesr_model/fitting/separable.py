@@ -144,9 +144,14 @@ class Separable:
             step(next(generations, effort), effort + 1)
 
         best = differential_evolution(
-            lambda point: self.solve(point)[1], self.bounds, rng=rng, popsize=10, maxiter=effort,
-            tol=1e-4, callback=report,
-        )  # fmt: skip
+            lambda point: self.solve(point)[1],
+            self.bounds,
+            rng=rng,
+            popsize=10,
+            maxiter=effort,
+            tol=1e-4,
+            callback=report,
+        )
         return np.asarray(best.x)
 
     def polish(self, point: Array, *, evaluations: int = 12, rows: Mask | None = None) -> Array:
@@ -165,9 +170,13 @@ class Separable:
 
         low, high = self.bounds.T
         found = minimise_squares(
-            residual, np.clip(point, low, high), bounds=(low, high), x_scale=high - low,
-            max_nfev=evaluations, diff_step=1e-6,
-        )  # fmt: skip
+            residual,
+            np.clip(point, low, high),
+            bounds=(low, high),
+            x_scale=high - low,
+            max_nfev=evaluations,
+            diff_step=1e-6,
+        )
         return np.asarray(found.x)
 
     def values(self, point: Array, unknowns: Array) -> dict[str, float]:

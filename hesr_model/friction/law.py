@@ -16,16 +16,9 @@ from typing import Any
 
 import sympy
 
-from hesr_model.equations.component import (
-    Component,
-    Equation,
-    Quantity,
-    Relaxation,
-    Stop,
-    elements_of,
-)
+from hesr_model.equations.component import Component, Equation, Quantity, elements_of
 from hesr_model.equations.functions import absolute, clip
-from hesr_model.equations.memory import Discretisation, Element
+from hesr_model.equations.memory import Discretisation, Element, Relaxation, Stop
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import Band
 from hesr_model.friction.inputs import DQ, MOVING, QUANTITIES, TORQUE

@@ -18,9 +18,12 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
 
 
 def predict_record(
-    law: FrictionLaw, record: FrictionRecord, *, measured_start: bool = False,
+    law: FrictionLaw,
+    record: FrictionRecord,
+    *,
+    measured_start: bool = False,
     thermal: Thermal | None = None,
-) -> Array:  # fmt: skip
+) -> Array:
     """Return the (N,) torque [N.m] of a law for a record.
 
     With `measured_start` the initial states are estimated from the first torques, which a

@@ -139,8 +139,10 @@ def motion(values: Array, names: Sequence[str] = ()) -> MotionTable:
         raise TableError("X has 1 sample; a motion needs at least 2.")
     if np.any(np.diff(t) <= 0.0):
         row = int(np.argmax(np.diff(t) <= 0.0)) + 1
-        raise TableError(f"time must increase in X, but t is {t[row]:g} s in row {row + 1}, after "
-                         f"{t[row - 1]:g} s.")  # fmt: skip
+        raise TableError(
+            f"time must increase in X, but t is {t[row]:g} s in row {row + 1}, after "
+            f"{t[row - 1]:g} s."
+        )
     still = np.zeros_like(dq)
     found = {name: columns.get(name, still) for name in ("q", "load")}
     for name, of_joints in found.items():
@@ -160,8 +162,9 @@ def _columns(table: Mapping[str, Any], name: str) -> NDArray[Any]:
 
 def _by_name(values: Array, names: Sequence[str]) -> dict[str, Array]:
     if missing := {"t", "dq"} - {name.rstrip("0123456789") for name in names}:
-        raise TableError(f"X has no column '{sorted(missing)[0]}', only {', '.join(names)}; "
-                         f"{_NEEDED}.")  # fmt: skip
+        raise TableError(
+            f"X has no column '{sorted(missing)[0]}', only {', '.join(names)}; {_NEEDED}."
+        )
     found: dict[str, dict[int, Array]] = {}
     for name, column in zip(names, values.T, strict=True):
         matched = _NAME.fullmatch(name)

@@ -119,9 +119,11 @@ def thermal_parameters(thermal: Thermal) -> tuple[Parameter, ...]:
         for name, (unit, text) in _UNITS.items()
     )
     read = Parameter(
-        name=THERMOMETER, unit="1", start=float(thermal.measured),
+        name=THERMOMETER,
+        unit="1",
+        start=float(thermal.measured),
         description="1 where the input temperature is read, 0 where friction power gives it",
-    )  # fmt: skip
+    )
     return (*own, read)
 
 

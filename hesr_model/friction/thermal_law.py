@@ -78,9 +78,11 @@ def predict_thermal(
     component = thermal_component(law, thermal)
     columns, more = inputs_over(record)
     values: Mapping[str, float] = {
-        **law.values, **{p.name: p.start for p in thermal_parameters(thermal)},
-        **{scale.name: 1.0 for scale in SCALES}, **more,
-    }  # fmt: skip
+        **law.values,
+        **{p.name: p.start for p in thermal_parameters(thermal)},
+        **{scale.name: 1.0 for scale in SCALES},
+        **more,
+    }
     first = (0.0, *(law.start if start is None else start))
     steps = Steps(component, [TORQUE])
     return np.asarray(steps.over(record.t, columns, values, first, settled=start is None)[0])

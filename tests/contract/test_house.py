@@ -29,7 +29,6 @@ KNOWN_DUPLICATES = {
     "Score",
     "Unit",
     "Variable",
-    "Verdict",
 }
 """Public classes whose name is defined again, as a class or an alias. Remove what is renamed."""
 

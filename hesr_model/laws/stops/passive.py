@@ -83,8 +83,9 @@ def constrained(
             "fun": lambda z: margin(scale * z),
             "jac": lambda z: slope(scale * z) * scale,
         },
-        method="SLSQP", options={"maxiter": 200, "ftol": 1e-10},
-    )  # fmt: skip
+        method="SLSQP",
+        options={"maxiter": 200, "ftol": 1e-10},
+    )
     y = np.asarray(scale * best.x)
     y[:first] = np.maximum(y[:first], 0.0)
     # Reduce the ripple by any violation from round-off.
