@@ -35,8 +35,12 @@ def bench(shared: Shared, table1: FrictionModel) -> Bench:
 
 @pytest.fixture(scope="session")
 def study_run(shared: Shared) -> Run:
-    """A run of the small study as somebody types it, printed as into a pipe."""
-    return Run.of(shared("study", lambda folder: Run.make(folder, "-o", Run.of(folder).results)))
+    """A run of the small study with all tables, printed as into a pipe."""
+
+    def make(folder: Path) -> None:
+        Run.make(folder, "-o", Run.of(folder).results, "--verbose")
+
+    return Run.of(shared("study", make))
 
 
 @pytest.fixture(scope="session")

@@ -6,10 +6,10 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from cosim.workflow.commands import arena as called
 from hostile import archived
 from pythonfmu import FmuBuilder
 from small_study import Hesr, hesr_here
@@ -18,6 +18,7 @@ from small_twin import MOTIONS
 from cosim.loop.excite import excite
 from cosim.loop.motions import Motions
 from cosim.study.scores import by_joint, compare, predict_model
+from cosim.workflow.test import test as test_laws
 from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant
 from fmu_src.friction.embedded_model import embedded_model
@@ -93,6 +94,11 @@ def board(laid: Path, entries: list[Path]) -> Leaderboard:
     arena = Arena.read(laid / "arena.toml")
     named = [Entry(name=fmu.stem, fmu=fmu, robot="uf850") for fmu in entries]
     return run_arena(arena, named, workers=1)
+
+
+def called(file: Path, fmus: object, page: Path | None = None) -> Any:
+    """Return the leaderboard of FMUs on a file."""
+    return test_laws(fmus, on=[file], output=page).others["leaderboard"]  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -179,7 +185,9 @@ def test_a_command_writes_page_and_json(
     laid: Path, entries: list[Path], tmp_path: Path, hesr: Hesr
 ) -> None:
     page, answer = tmp_path / "board.html", tmp_path / "board.json"
-    said = hesr("arena", laid / "arena.toml", *entries[1:], "-o", page, "--json", answer)
+    said = hesr(
+        "test", *entries[1:], "--on", laid / "arena.toml", "--verbose", "-o", page, "--json", answer
+    )
     assert said.code == 0, said.err
     assert "Coulomb (foreign)" in said.out
     envelope = json.loads(answer.read_text(encoding="utf-8"))

@@ -57,8 +57,8 @@ class Bench:
         return {
             "identify": ["identify", log, "--robot", self.robot, "-o", output / "body.json"],
             "fit": ["fit", log, *common, "--law", "stribeck", "-o", output / "law.json"],
-            "evaluate": ["evaluate", log, self.law, *common, "--json", output / "scores.json"],
-            "replay": ["replay", self.fmu, log, *common, "--json", output / "scores.json"],
+            "test law": ["test", self.law, "--on", log, *common, "--json", output / "scores.json"],
+            "test fmu": ["test", self.fmu, "--on", log, *common, "--json", output / "scores.json"],
             "export": ["export", self.law, "-o", output / "Friction.fmu"],
         }[name]
 
@@ -227,7 +227,7 @@ LOG_FAULTS: dict[str, tuple[Callable[[Rows], object], str]] = {
     "a few rows": (few, "has 19 rows; a low pass at 15 Hz needs more than 42 at this rate."),
 }
 
-READERS = ("identify", "fit", "evaluate", "replay", "run")
+READERS = ("identify", "fit", "test law", "test fmu", "run")
 
 
 def spoiled(bench: Bench, folder: Path, change: Callable[[Rows], object]) -> Path:
@@ -683,11 +683,11 @@ def test_a_model_in_the_place_of_a_rigid_body_and_the_other_way_round(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     swapped = replace(bench, rigid_body=bench.law, law=bench.rigid_body)
-    for command in ("fit", "replay"):
+    for command in ("fit", "test fmu"):
         assert refused(*swapped.command(command, output=tmp_path / "output")) == (
             f"{bench.law}: 'format' is 'hesr-friction-model-1', needed is 'hesr-rigid-body-1'."
         )
-    for command in ("evaluate", "export"):
+    for command in ("test law", "export"):
         assert refused(*swapped.command(command, output=tmp_path / "output")) == (
             f"{bench.rigid_body}: 'format' is 'hesr-rigid-body-1', needed is "
             "'hesr-friction-model-1'."
@@ -738,7 +738,7 @@ def test_artifacts_that_are_missing(
 ) -> None:
     for key, command in (
         ("rigid_body", "fit"),
-        ("law", "evaluate"),
+        ("law", "test law"),
         ("law", "export"),
     ):
         missing = tmp_path / "none.json"

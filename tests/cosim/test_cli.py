@@ -42,6 +42,15 @@ def read(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
+def scored(path: Path) -> Any:
+    """Scores in the JSON of `hesr test`."""
+    return read(path)["result"]["prediction"]
+
+
+def on(*logs: Path) -> list[object]:
+    return [part for log in logs for part in ("--on", log)]
+
+
 def assert_scores(data: Any, laws: set[str]) -> None:
     """The format of section 7 of the design, whatever else there is beside it."""
     assert data["joints"] == JOINTS
@@ -61,6 +70,10 @@ def assert_scores(data: Any, laws: set[str]) -> None:
 
 def test_run_ends_with_a_table_of_laws_and_the_fmus_that_it_wrote(ran: Run) -> None:
     out = ran.answer.out
+    summary = out[: out.index("Rigid body:")].splitlines()
+    assert summary[0].startswith("Recommended: ")
+    assert summary[-1] == f"Report: {ran.results / 'report.html'}"
+    assert len(summary) <= 25
     for text in ("Stribeck", "ParFam-H", "J1", "J2", "J3", "unseen", "[N.m]"):
         assert text in out
     body = r"16 base parameters of 33\b[^;]* from excitation, excitation_reversed;"
@@ -69,7 +82,6 @@ def test_run_ends_with_a_table_of_laws_and_the_fmus_that_it_wrote(ran: Run) -> N
         fmu = ran.results / "fmus" / f"{law}.fmu"
         assert str(fmu) in out
         assert fmu.is_file()
-    assert str(ran.results) in out.splitlines()[-1]
     assert "Traceback" not in ran.answer.err
 
 
@@ -179,15 +191,15 @@ def test_fit_gives_the_law_of_the_run(ran: Run, tmp_path: Path, hesr: Hesr) -> N
     assert FrictionModel.read(output).laws == FrictionModel.read(ran.law("stribeck")).laws
 
 
-def test_evaluate_agrees_with_the_fmus_of_the_run(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
+def test_prediction_agrees_with_the_fmus_of_the_run(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
     scores = tmp_path / "scores.json"
     answer = hesr(
-        *("evaluate", ran.log("trial"), *options(ran), "--json", scores),
-        *(ran.law("stribeck"), ran.law("parfam_h")),
+        *("test", ran.law("stribeck"), ran.law("parfam_h"), "--on", ran.log("trial")),
+        *(*options(ran), "--json", scores, "--verbose"),
     )
     assert answer.code == 0, answer.err
     assert "Stribeck" in answer.out
-    data, expected = read(scores), read(ran.results / "evaluation.json")["unseen"]
+    data, expected = scored(scores), read(ran.results / "evaluation.json")["unseen"]
     assert_scores(data, {"stribeck", "parfam_h"})
     for law in ("stribeck", "parfam_h"):
         of_law = data["laws"][law]
@@ -195,21 +207,22 @@ def test_evaluate_agrees_with_the_fmus_of_the_run(ran: Run, tmp_path: Path, hesr
             np.testing.assert_allclose(of_law[measure], expected["laws"][law][measure], rtol=1e-9)
 
 
-def test_evaluate_pools_the_rows_of_all_logs(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
+def test_prediction_pools_the_rows_of_all_logs(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
     def squares(*logs: str) -> np.ndarray:
         scores = tmp_path / "scores.json"
         files = [ran.log(log) for log in logs]
         assert (
-            hesr("evaluate", *files, ran.law("stribeck"), *options(ran), "--json", scores).code == 0
+            hesr("test", ran.law("stribeck"), *on(*files), *options(ran), "--json", scores).code
+            == 0
         )
         rows = sum(len(path.read_text().splitlines()) - 1 for path in files)
-        return rows * np.array(read(scores)["laws"]["stribeck"]["rmse"]) ** 2
+        return rows * np.array(scored(scores)["laws"]["stribeck"]["rmse"]) ** 2
 
     together = squares("trial", "sweep")
     np.testing.assert_allclose(together, squares("trial") + squares("sweep"), rtol=1e-9)
 
 
-def test_evaluate_names_models_of_one_law_by_their_files(
+def test_prediction_names_models_of_one_law_by_their_files(
     ran: Run, tmp_path: Path, hesr: Hesr
 ) -> None:
     scores = tmp_path / "scores.json"
@@ -218,9 +231,9 @@ def test_evaluate_names_models_of_one_law_by_their_files(
     def names(other: Path) -> set[str]:
         other.parent.mkdir(exist_ok=True)
         other.write_bytes(first.read_bytes())
-        answer = hesr("evaluate", ran.log("trial"), first, other, *options(ran), "--json", scores)
+        answer = hesr("test", first, other, *on(ran.log("trial")), *options(ran), "--json", scores)
         assert answer.code == 0, answer.err
-        return set(read(scores)["laws"])
+        return set(scored(scores)["laws"])
 
     assert names(tmp_path / "other.json") == {"stribeck", "other"}
     # As two runs leave them.
@@ -228,15 +241,15 @@ def test_evaluate_names_models_of_one_law_by_their_files(
     assert names(same) == {str(first), str(same)}
 
 
-def test_evaluate_reads_parquet(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
+def test_prediction_reads_parquet(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
     log = RobotLog.read(ran.log("trial"), RobotDescription.read(ROBOT))
     log.write(tmp_path / "trial.parquet")
     results = []
     for path in (ran.log("trial"), tmp_path / "trial.parquet"):
         scores = tmp_path / "scores.json"
-        answer = hesr("evaluate", path, ran.law("stribeck"), *options(ran), "--json", scores)
+        answer = hesr("test", ran.law("stribeck"), *on(path), *options(ran), "--json", scores)
         assert answer.code == 0, answer.err
-        results.append(read(scores))
+        results.append(scored(scores))
     assert results[0] == results[1]
 
 
@@ -267,13 +280,13 @@ def test_the_papers_model_is_exported_by_name_from_any_folder(
     assert [p.name for p in tmp_path.iterdir()] == ["Friction.fmu"]
 
 
-def test_replay_agrees_with_evaluate(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
+def test_an_fmu_predicts_as_its_model(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
     scores = tmp_path / "scores.json"
     fmu = ran.results / "fmus" / "parfam_h.fmu"
-    answer = hesr("replay", fmu, ran.log("trial"), *options(ran), "--json", scores)
+    answer = hesr("test", fmu, *on(ran.log("trial")), *options(ran), "--json", scores, "--verbose")
     assert answer.code == 0, answer.err
     assert "ParFam-H" in answer.out
-    data, expected = read(scores), read(ran.results / "evaluation.json")["unseen"]
+    data, expected = scored(scores), read(ran.results / "evaluation.json")["unseen"]
     assert_scores(data, {"parfam_h"})
     for measure in MEASURES:
         np.testing.assert_allclose(
@@ -282,7 +295,7 @@ def test_replay_agrees_with_evaluate(ran: Run, tmp_path: Path, hesr: Hesr) -> No
 
 
 def test_laws_lists_the_registry(hesr: Hesr) -> None:
-    answer = hesr("laws")
+    answer = hesr("fit", "--list")
     assert answer.code == 0
     for name, entry in registry().items():
         assert name in answer.out
@@ -292,7 +305,7 @@ def test_laws_lists_the_registry(hesr: Hesr) -> None:
 def test_help_shows_every_command(hesr: Hesr) -> None:
     answer = hesr("--help")
     assert answer.code == 0
-    commands = ("run", "identify", "fit", "evaluate", "export", "replay", "laws")
+    commands = ("run", "identify", "fit", "test", "export", "check")
     for command in commands:
         assert command in answer.out
         assert hesr(command, "--help").code == 0

@@ -67,6 +67,10 @@ def test_temperature_is_found_in_logs(study_run: Run, tmp_path: Path, capsys, mo
     the_law_and_its_fmu_follow_the_thermometer(hesr, law, out, log, body)
 
 
+def scored(path: Path):
+    return json.loads(path.read_text(encoding="utf-8"))["result"]["prediction"]
+
+
 def the_law_and_its_fmu_follow_the_thermometer(
     hesr, law: Path, warm: Path, log: Path, body: Path
 ) -> None:
@@ -76,14 +80,12 @@ def the_law_and_its_fmu_follow_the_thermometer(
     assert answer.code == 0, answer.err
     assert "temperature[3]" in {v.name for v in read_model_description(fmu).modelVariables}
     errors = {}
-    for name, command in (("cold", ("evaluate", law)), ("warm", ("evaluate", warm)),
-                          ("fmu", ("replay", fmu))):  # fmt: skip
+    for name, command in (("cold", ("test", law)), ("warm", ("test", warm)),
+                          ("fmu", ("test", fmu))):  # fmt: skip
         found = warm.parent / f"errors_{name}.json"
-        answer = hesr(*command, log, *options, "--json", found)
+        answer = hesr(*command, "--on", log, *options, "--json", found)
         assert answer.code == 0, answer.err
-        [errors[name]] = [
-            one["rmse"] for one in json.loads(found.read_text(encoding="utf-8"))["laws"].values()
-        ]
+        [errors[name]] = [one["rmse"] for one in scored(found)["laws"].values()]
     np.testing.assert_allclose(errors["fmu"], errors["warm"], rtol=1e-9)
     assert np.all(np.array(errors["warm"]) <= np.array(errors["cold"]) + 1e-9)
     assert errors["warm"] != errors["cold"]

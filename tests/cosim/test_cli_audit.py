@@ -1,4 +1,4 @@
-"""The command `hesr audit`: proofs and cycles, and what it cannot read."""
+"""The command `hesr test --kind passivity`: proofs and cycles, and what it cannot read."""
 
 from pathlib import Path
 
@@ -16,8 +16,10 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_table_i_is_refuted_by_its_cycles(hesr: Hesr) -> None:
-    answer = hesr("audit", "uf850-table1")
-    assert answer.code == 0, answer.err
+    answer = hesr("test", "uf850-table1", "--verbose")
+    assert answer.code == 1, answer.err
+    assert answer.out.startswith("uf850-table1: passivity refuted on joint1, joint2; open on")
+    assert hesr("test", "uf850-table1", "--fail-on", "never", "--quiet").code == 0
     said = " ".join(answer.out.split())
     assert "joint1: not passive, refuted by a cycle: 12.4 J a cycle" in said
     assert "joint2: not passive, refuted by a cycle: 20.6 J a cycle" in said
@@ -36,11 +38,11 @@ def test_a_law_of_stops_is_proven(hesr: Hesr, tmp_path: Path) -> None:
         law="parfam_s", robot="bench", joints=("j1",), laws=(law,), sample_time=0.01
     )
     model.write(tmp_path / "law.json")
-    said = " ".join(hesr("audit", tmp_path / "law.json").out.split())
+    said = " ".join(hesr("test", tmp_path / "law.json", "--verbose").out.split())
     assert "j1: passive, proven at any step: S = 3e-05 x_1^2; F(x_1) = 2 >= 0" in said
 
 
 def test_what_is_no_law_is_refused(hesr: Hesr) -> None:
-    answer = hesr("audit", "lugre")
+    answer = hesr("test", "lugre")
     assert answer.code == 2
     assert "'lugre' is neither a friction model (.json), nor an FMU (.fmu)" in answer.err

@@ -1,4 +1,4 @@
-"""hesr constants: in the terminal, as JSON, and one sentence for what is wrong."""
+"""hesr inspect --torque-constants: in the terminal, as JSON, and one sentence for what is wrong."""
 
 import json
 from pathlib import Path
@@ -33,20 +33,23 @@ def write(folder: Path, log: RobotLog) -> tuple[Path, Path]:
 def test_constants_are_said_and_written(hesr: Hesr, tmp_path: Path, arm_log: RobotLog) -> None:
     robot, log = write(tmp_path, arm_log)
     out = tmp_path / "constants.json"
-    answer = hesr("constants", log, "--robot", robot, "--json", out)
+    answer = hesr("inspect", log, "--robot", robot, "--torque-constants", "--json", out)
     assert (answer.code, answer.err) == (0, "")
-    lines = answer.out.splitlines()
+    lines = [line for line in answer.out.splitlines() if line.startswith("joint ")]
     assert len(lines) == 3
     assert lines[0].startswith("joint 'j1': not determined")
     told = [line for line in lines if "not determined" not in line]
-    assert len(json.loads(out.read_text(encoding="utf-8"))) == len(told)
+    found = json.loads(out.read_text(encoding="utf-8"))["result"]["torque_constants"]
+    assert len(found) == len(told)
 
 
 def test_a_payload_is_four_numbers(hesr: Hesr, tmp_path: Path, arm_log: RobotLog) -> None:
     robot, log = write(tmp_path, arm_log)
-    answer = hesr("constants", log, "--robot", robot, "--payload", "2.0,0.1")
+    answer = hesr("inspect", log, "--robot", robot, "--torque-constants", "--payload", "2.0,0.1")
     assert answer.code == 2
     assert "--payload: found 2 values; needed are its mass" in answer.err
-    answer = hesr("constants", log, "--robot", robot, "--payload", "2.0,0.1,0,0")
+    answer = hesr(
+        "inspect", log, "--robot", robot, "--torque-constants", "--payload", "2.0,0.1,0,0"
+    )
     assert answer.code == 2
     assert "motions under a payload need its parameters" in answer.err

@@ -8,13 +8,15 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
+import click
 import pytest
-import typer
 from small_study import Hesr, hesr_here
 
 from hesr.cli import app
+from hesr.cli.errors import MOVED
 
-COMMANDS = dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]  # a group
+CONTEXT = click.Context(app, info_name="hesr")
+COMMANDS = {name: app.get_command(CONTEXT, name) for name in app.list_commands(CONTEXT)}
 HEAVY = {"numpy", "scipy", "sympy", "mujoco", "matplotlib", "fmpy", "pinocchio", "pyarrow", "rich"}
 
 
@@ -31,7 +33,7 @@ def examples(help_text: str) -> list[list[str]]:
 
 
 def asked_for_help(hesr: Hesr, monkeypatch: pytest.MonkeyPatch, *command: str) -> str:
-    monkeypatch.setenv("TERMINAL_WIDTH", "80")
+    monkeypatch.setenv("COLUMNS", "80")
     answer = hesr(*command, "--help")
     assert answer.code == 0
     return answer.out
@@ -70,7 +72,7 @@ def test_every_command_can_be_quiet_and_verbose(
 ) -> None:
     text = asked_for_help(hesr, monkeypatch, name)
     assert re.search(r"\n  --quiet +Print errors only\.", text)
-    assert re.search(r"\n  --verbose +Log to standard error", text)
+    assert re.search(r"\n  --verbose +Log to standard error,", text)
 
 
 def test_the_overview_has_whole_sentences_in_the_order_of_work(
@@ -135,7 +137,7 @@ def test_each_shell_gets_its_completion(shell: str) -> None:
 @pytest.mark.parametrize(
     ("typed", "completed"),
     [
-        ("ev", "evaluate"),
+        ("ide", "identify"),
         ("run --qu", "--quick --quiet"),
         ("export x --fo", "--format"),
         ("export x --format d", "drive"),
@@ -160,11 +162,23 @@ def test_the_script_for_bash_is_one_that_bash_runs(tmp_path: Path) -> None:
     script.write_text(ask(_HESR_COMPLETE="source_bash"), encoding="utf-8")
     program = (
         f". {script}\n"
-        "COMP_WORDS=(hesr eval) COMP_CWORD=1\n"
+        "COMP_WORDS=(hesr ide) COMP_CWORD=1\n"
         f"PATH={HESR.parent}:$PATH\n"
         '_hesr_completion hesr\necho "${COMPREPLY[@]}"'
     )
     result = subprocess.run(
         ["/bin/bash", "-c", program], capture_output=True, text=True, check=True
     )
-    assert result.stdout.split() == ["evaluate"]
+    assert result.stdout.split() == ["identify"]
+
+
+# --- verbs of earlier versions ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("verb", MOVED)
+def test_an_old_verb_prints_its_new_form(verb: str, hesr: Hesr) -> None:
+    answer = hesr(verb, "some", "--option", "x")
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err == f"hesr: {MOVED[verb]}\n"
+    new = re.search(r"hesr (\w+)", MOVED[verb].partition(": ")[2])
+    assert new is None or new[1] in COMMANDS

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from closed_loop import GAINS, MOTION, UF850
-from cosim.workflow.commands import fit as fit_to
 from oracles.arm import encoder_error
 from oracles.drifting_arm import DriftingArm
 from oracles.drifting_loop import (
@@ -22,6 +21,7 @@ from oracles.drifting_loop import (
 )
 from small_study import Run, uf850
 
+from cosim.workflow.fit import fit as fit_to
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr.extras.thermal.thermal_fit import fit_thermal
@@ -131,7 +131,10 @@ def test_the_loop_follows_a_drift(simple: DriftingLoop) -> None:
 def fitted(study_run: Run, tmp_path_factory: pytest.TempPathFactory) -> DriftingLoop:
     """A law that was fitted to one log of the twin, whose friction is none of its form."""
     model = fit_to(
-        "parfam_s_load", study_run.log("sweep"), uf850("robot.toml"), study_run.rigid_body
+        study_run.log("sweep"),
+        law="parfam_s_load",
+        robot=uf850("robot.toml"),
+        rigid_body=study_run.rigid_body,
     )
     body = np.array(RigidBody.read(study_run.rigid_body).parameters)
     return loop_of(tmp_path_factory.mktemp("fitted"), model, body)

@@ -101,7 +101,7 @@ def test_laws_of_all_rows_are_those_of_hesr_fit(cell: Path) -> None:
     _, logs = logs_of(cell, "R1")
     folder = cell / "out" / "robots" / "R1"
     robot = cell / "robot.toml"
-    fitted = hesr.fit("stribeck", logs, robot, folder / "rigid_body.json")
+    fitted = hesr.fit(logs, law="stribeck", robot=robot, rigid_body=folder / "rigid_body.json")
     found = FrictionModel.read(folder / "stribeck.json")
     assert found.laws[0].values == fitted.laws[0].values
     assert found.training_rmse == fitted.training_rmse

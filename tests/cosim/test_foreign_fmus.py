@@ -289,7 +289,7 @@ def test_the_commands_say_it_in_one_sentence(
         assert "Traceback" not in ended.err
         assert not answer.exists()
     # The battery says of each experiment whether it could be done.
-    ended = hesr("properties", hostile_friction, "--why")
+    ended = hesr("test", hostile_friction, "--kind", "properties", "--verbose")
     assert (ended.code, ended.err) == (0, "")
     assert "fmi2DoStep ended its process with exit code 0" in " ".join(ended.out.split())
 

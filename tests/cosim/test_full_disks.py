@@ -104,21 +104,21 @@ def test_a_full_disk_is_one_sentence(full: Path, lag_fmu: Path, tmp_path: Path, 
     system.write_text(text, encoding="utf-8")
     study.write_text(SWEEP, encoding="utf-8")
     for name, *arguments in (
-        ("laws.json", "laws", "--quiet", "--json"),
+        ("laws.json", "fit", "--list", "--quiet", "--json"),
         ("out.csv", "simulate", system, "-o"),
         ("out.parquet", "simulate", system, "-o"),
-        ("out.ssp", "package", system, "-o"),
-        ("Out.fmu", "package", system, "--container", "-o"),
-        ("run.csv", "sweep", study, "--replay", 1, "-o"),
+        ("out.ssp", "export", system, "-o"),
+        ("Out.fmu", "export", system, "-o"),
+        ("run.csv", "simulate", study, "--only", 1, "-o"),
         ("check.json", "check", lag_fmu, "--kind", "references", "--quiet", "--json"),
         ("model.h", "export", "uf850-table1", "--format", "c", "-o"),  # and model.csv
         ("Friction.mo", "export", "uf850-table1", "--format", "modelica", "-o"),
-        ("properties.json", "properties", "uf850-table1", "--quiet", "--json"),
+        ("properties.json", "test", "uf850-table1", "--kind", "properties", "--quiet", "-o"),
         ("arm.fmu", "export", uf850("uf850.xml"), "-o"),
     ):
         refuse(hesr, full, full / str(name), *arguments, full / str(name))
     sweep = full / "sweep"
-    refuse(hesr, full, sweep / "sweep.json", "sweep", study, "--workers", 1, "-o", sweep)
+    refuse(hesr, full, sweep / "sweep.json", "simulate", study, "--workers", 1, "-o", sweep)
 
 
 @pytest.mark.soak
@@ -138,14 +138,14 @@ def test_a_full_disk_for_what_comes_of_logs(
     for name, *arguments in (
         ("body.json", "identify", study_run.log("excitation"), *robot, "-o"),
         ("law.json", "fit", study_run.log("sweep"), *known, "--law", "stribeck", "-o"),
-        ("scores.json", "evaluate", log, law, *known, "--quiet", "--json"),
+        ("scores.json", "test", law, "--on", log, *known, "--quiet", "--json"),
         ("log.html", "inspect", log, *robot, "-o"),
         ("log.json", "inspect", log, *robot, "--quiet", "--json"),
         ("robot.toml", "inspect", log, *robot, "--write"),
-        ("results.md", "results", study_run.results, "-o"),
+        ("results.md", "report", study_run.results, "-o"),
         ("report.html", "report", study_run.results, "-o"),
         ("motion.csv", "excite", uf850("robot.toml"), "-o"),
-        ("warm.json", "thermal", warm, "--law", lugre, *known, "-o"),
+        ("warm.json", "fit", warm, "--law", lugre, "--add", "temperature", *known, "-o"),
         ("friction.html", "monitor", log, "--law", lugre, *known, "-o"),
     ):
         refuse(hesr, full, full / str(name), *arguments, full / str(name))
@@ -182,7 +182,9 @@ def test_a_full_disk_for_temporary_files_is_one_sentence(full: Path, tmp_path: P
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
-@pytest.mark.parametrize("arguments", [("laws",), ("laws", "--json", "-"), ("--help",)])
+@pytest.mark.parametrize(
+    "arguments", [("fit", "--list"), ("fit", "--list", "--json", "-"), ("--help",)]
+)
 def test_an_output_that_is_full_is_one_sentence(arguments: tuple[str, ...]) -> None:
     with Path("/dev/full").open("w") as output:
         result = subprocess.run(

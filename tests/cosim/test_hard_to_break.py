@@ -112,7 +112,7 @@ def test_of_two_runs_into_one_folder_the_second_is_refused(tmp_path: Path) -> No
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_marks_are_plain_where_the_output_is(encoding: str) -> None:
     result = subprocess.run(
-        [sys.executable, *COMMAND, "properties", "uf850-table1"],
+        [sys.executable, *COMMAND, "test", "uf850-table1", "--kind", "properties"],
         capture_output=True,
         check=False,
         env=os.environ | {"PYTHONIOENCODING": encoding, "COLUMNS": "160"},
@@ -138,7 +138,7 @@ finally:
 def test_without_a_home_nobody_else_complains(tmp_path: Path) -> None:
     env = {key: value for key, value in os.environ.items() if not key.startswith("XDG_")}
     result = subprocess.run(
-        [sys.executable, "-c", DRAWING, "laws", "--quiet"],
+        [sys.executable, "-c", DRAWING, "fit", "--list", "--quiet"],
         capture_output=True,
         text=True,
         check=False,

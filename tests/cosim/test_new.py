@@ -86,7 +86,7 @@ def test_what_is_laid_runs_at_once_and_again_with_own_logs(
     answer = hesr("new", "my_arm", "--robot", "arm.urdf")
     assert (answer.code, answer.err) == (0, "")
     assert "my_arm: a study of the joints pitch.\n" in answer.out
-    assert "sample data, to be replaced by yours: see my_arm/README.txt" in answer.out
+    assert "sample data; replace them with yours: see my_arm/README.txt" in answer.out
     command = answer.out.splitlines()[-1].removeprefix("Next: hesr ").split()
     assert command == ["run", "my_arm/study.toml"]
 

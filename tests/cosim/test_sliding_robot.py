@@ -80,7 +80,7 @@ def test_from_a_log_to_an_arm_and_its_friction(tmp_path: Path, hesr: Hesr) -> No
     assert " N.m.s/rad" in arm
     assert "Slope dtau/ddq at rest [N.m.s/rad (N.s/m where it slides)]" in " ".join(said.split())
     assert FrictionModel.read(law).sliding == (True, False)
-    said = done("evaluate", training, law, *given)
+    said = done("test", law, "--on", training, *given, "--verbose")
     assert "predicted torque [N.m (N where it slides)] over all rows" in " ".join(said.split())
 
     assert "simulated position [mrad (mm where it slides)]" in " ".join(said.split())

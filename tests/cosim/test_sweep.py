@@ -192,7 +192,18 @@ def test_what_is_there_is_not_done_again(study: Path, tmp_path: Path):
 def test_a_sweep_that_is_killed_goes_on(study: Path, tmp_path: Path):
     study.write_text(STUDY.replace("runs = 12", "runs = 150"), encoding="utf-8")
     out, script = tmp_path / "out", "from hesr.cli import main; main()"
-    command = (sys.executable, "-c", script, "sweep", study, "-o", out, "--workers", "1", "--quiet")
+    command = (
+        sys.executable,
+        "-c",
+        script,
+        "simulate",
+        study,
+        "-o",
+        out,
+        "--workers",
+        "1",
+        "--quiet",
+    )
     with subprocess.Popen(command) as process:
         for _ in range(6000):
             if len(list(out.glob("runs/part-*"))) > 3 or process.poll() is not None:
@@ -238,7 +249,7 @@ def test_the_command_sums_up_and_replays(study: Path, tmp_path: Path, monkeypatc
     assert "<svg" in page
     run = said.split("Worst run by end: hesr simulate ")[1].split("--only ")[1].split()[0]
     assert f"hesr simulate study.toml --only {run} -o run{run}.csv" in page
-    again = ("sweep", study, "--replay", run, "-o", "worst.csv")
+    again = ("simulate", study, "--only", run, "-o", "worst.csv")
     assert command(*again, monkeypatch=monkeypatch) == 0
     largest = parquet.read_table(tmp_path / "out" / "runs").column("end").to_numpy().max()
     assert f"end: {largest:.9g}" in capsys.readouterr().out

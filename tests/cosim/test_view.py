@@ -169,7 +169,7 @@ def test_what_cannot_be_shown_is_refused(result: Path, hesr: Hesr, tmp_path: Pat
         ("--law", "parfam_h") * 5: "--law is given 5 times; at most 4 fit side by side.",
     }
     for options, sentence in cases.items():
-        answer = hesr("view", result, *options)
+        answer = hesr("report", result, "--view", *options)
         assert (answer.code, answer.out, answer.err) == (2, "", f"hesr: {sentence}\n")
     answer = hesr("view", tmp_path / "none")
     assert (answer.code, answer.err) == (
@@ -299,7 +299,7 @@ def test_a_video_is_as_long_as_the_motion(result: Path, tmp_path: Path, hesr: He
     import imageio_ffmpeg
 
     path = tmp_path / "new" / "arm.mp4"
-    answer = hesr("view", result, "--law", "parfam_h", "--speed", "2", "--video", path)
+    answer = hesr("report", result, "--law", "parfam_h", "--speed", "2", "-o", path)
     assert answer.code == 0, answer.err
     assert answer.out == f"0.5 s of video, written to {path}.\n"
     decoded = subprocess.run(
@@ -326,7 +326,7 @@ def test_an_animated_picture_for_a_page_needs_no_encoder(
     result: Path, tmp_path: Path, hesr: Hesr
 ) -> None:
     path = tmp_path / "arm.webp"
-    answer = hesr("view", result, "--law", "parfam_h", "--speed", "2", "--video", path)
+    answer = hesr("report", result, "--law", "parfam_h", "--speed", "2", "-o", path)
     assert answer.code == 0, answer.err
     with PIL.Image.open(path) as film:
         assert film.size == (WIDTH // 2, HEIGHT // 2)
@@ -363,7 +363,7 @@ def test_without_a_screen_it_says_so(
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    answer = hesr("view", result)
+    answer = hesr("report", result, "--view")
     assert (answer.code, answer.out) == (2, "")
     assert answer.err == (
         "hesr: there is no screen to open a window on; --video FILE.mp4 writes a video instead.\n"
@@ -395,7 +395,7 @@ def test_opengl_that_fails_is_told(result: Path, tmp_path: Path) -> None:
     program = "from hesr.cli import main; main()"
     path = tmp_path / "arm.mp4"
     answer = subprocess.run(
-        [sys.executable, "-c", program, "view", str(result), "--video", str(path)],
+        [sys.executable, "-c", program, "report", str(result), "-o", str(path)],
         capture_output=True,
         text=True,
         check=False,
@@ -465,7 +465,7 @@ def test_a_viewer_that_wants_another_interpreter(
     monkeypatch.setitem(sys.modules, "mujoco.viewer", viewer)
     monkeypatch.setattr(mujoco, "viewer", viewer, raising=False)
     monkeypatch.setenv("DISPLAY", ":0")
-    answer = hesr("view", result)
+    answer = hesr("report", result, "--view")
     assert (answer.code, answer.out) == (2, "")
     assert answer.err == (
         "hesr: the viewer does not open (`launch_passive` requires that the script be run under "
@@ -508,7 +508,14 @@ def test_the_viewer_opens_moves_and_ends(result: Path, tmp_path: Path) -> None:
         )
         assert done.returncode == 0, done.stderr
         viewing = subprocess.Popen(
-            [sys.executable, "-c", "from hesr.cli import main; main()", "view", str(result)],
+            [
+                sys.executable,
+                "-c",
+                "from hesr.cli import main; main()",
+                "report",
+                str(result),
+                "--view",
+            ],
             stderr=subprocess.PIPE,
             text=True,
             env=variables,

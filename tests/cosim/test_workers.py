@@ -251,7 +251,7 @@ def test_an_error_of_a_job_keeps_its_place(tmp_path: Path) -> None:
 
 def test_a_killed_worker_is_one_sentence(tmp_path: Path) -> None:
     answer = tmp_path / "answer.json"
-    command = ("properties", "uf850-table1", TABLE_1, "--json", answer)
+    command = ("test", "uf850-table1", TABLE_1, "--kind", "properties", "-o", answer)
     with started(*command, folder=tmp_path) as process:
         # Some compile, some already run FMUs; either has files and may have processes.
         wait_for(lambda: list((tmp_path / "tmp").glob("hesr-*/hesr-*")), process)
@@ -287,7 +287,9 @@ def test_signals_to_the_group_are_answered_once(
     number: signal.Signals, seconds: float, tmp_path: Path
 ) -> None:
     """Also while workers start, which then know nothing of it yet."""
-    with started("properties", "uf850-table1", TABLE_1, folder=tmp_path) as process:
+    with started(
+        "test", "uf850-table1", TABLE_1, "--kind", "properties", folder=tmp_path
+    ) as process:
         wait_for(lambda: workers(process.pid), process)
         time.sleep(seconds)
         os.killpg(process.pid, number)

@@ -8,9 +8,9 @@ import textwrap
 import tomllib
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
-import typer
 from documents import PAGES, ROOT, Block, blocks
 
 import hesr_model
@@ -94,10 +94,9 @@ def commands() -> list[tuple[str, str]]:
 def test_commands_have_these_options(page: str, line: str) -> None:
     from hesr.cli import app
 
-    group = typer.main.get_command(app)
-    assert isinstance(group, typer.core.TyperGroup)
     _, name, *rest = shlex.split(line, comments=True)
-    command = group.commands[name]
+    command = app.get_command(click.Context(app), name)
+    assert command is not None
     options = {option for parameter in command.params for option in parameter.opts}
     used = {argument for argument in rest if re.match(r"--?[a-z]", argument)}
     assert used <= options | {"--help"}, f"{page}: {line}"

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from adaptive_models import lugre, model, motion, stops
 from c_hosts import build_host
-from cosim.workflow.commands import export
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
+from cosim.workflow.export import export
 from fmu_src.check import check
 from fmu_src.run.fmu import FmuInstance
 from hesr.extras.adaptive.follow import Follower
@@ -32,7 +32,7 @@ OUTPUTS = ("tau", "level", "viscosity", "offset", "level_sd", "viscosity_sd", "o
 
 @pytest.fixture(scope="module")
 def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return export(MODEL, tmp_path_factory.mktemp("adaptive") / "Adaptive.fmu", "adaptive")
+    return export(MODEL, tmp_path_factory.mktemp("adaptive") / "Adaptive.fmu", format="adaptive")
 
 
 @pytest.fixture(scope="module")
@@ -212,5 +212,5 @@ def test_a_law_without_bounds_leaves_nothing(tmp_path: Path) -> None:
     values = {"F_c": 1.0, "F_s": 1.0, "v_s": 0.1, "sigma_2": 1.0, "tau_0": 0.0}
     law = FrictionLaw(name="stribeck", form=Stribeck.form({}), values=values)
     with pytest.raises(ExportError, match="has neither stops nor bristles"):
-        export(model(law), tmp_path / "Static.fmu", "adaptive")
+        export(model(law), tmp_path / "Static.fmu", format="adaptive")
     assert not list(tmp_path.iterdir())

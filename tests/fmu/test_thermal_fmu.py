@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from adaptive_models import lugre, model, motion, stops
-from cosim.workflow.commands import export
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
 from cosim.properties.battery import Subject, measure
 from cosim.study.scores import predict_fmu
+from cosim.workflow.export import export
 from fmu_src.check import check
 from fmu_src.check.convention import judge
 from fmu_src.export.package import Version
@@ -149,14 +149,14 @@ def test_a_law_without_bounds_follows_no_temperature(tmp_path: Path) -> None:
 def test_forms_without_temperature_say_so(form: Any, name: str, tmp_path: Path) -> None:
     options = {"inertia": (1.0, 1.0)} if form == "drive" else {}
     with pytest.raises(ExportError, match="law 'tried' follows temperature, which"):
-        export(MODEL, tmp_path / name, form, **options)
+        export(MODEL, tmp_path / name, format=form, **options)
     assert not list(tmp_path.iterdir())
 
 
 def test_what_measures_an_fmu_against_its_law_needs_a_law_that_stays(
     fmu: Path, tmp_path: Path
 ) -> None:
-    adaptive = export(replace(MODEL, thermal=()), tmp_path / "Adaptive.fmu", "adaptive")
+    adaptive = export(replace(MODEL, thermal=()), tmp_path / "Adaptive.fmu", format="adaptive")
     for path in (fmu, adaptive):
         with pytest.raises(SimulationError, match="does not support adaptive or thermal FMUs"):
             judge(path)

@@ -1,4 +1,4 @@
-"""hesr package: every way to misuse it has its sentence, through the real command line."""
+"""hesr export of systems: each misuse has its sentence, through the real command line."""
 
 import zipfile
 from collections.abc import Callable
@@ -43,9 +43,11 @@ def test_an_ssp_and_a_container_are_written(
 ) -> None:
     system = write_system(opened.spec, tmp_path / "open.toml")
     output = tmp_path / "made" / f"open.{kind}"
-    more = ["--container"] if kind == "fmu" else ["--ssp", "2.0"]
-    answer = hesr("package", system, "-o", output, *more)
-    assert (answer.code, answer.out, answer.err) == (0, f"2 FMUs, written to {output}.\n", "")
+    more = [] if kind == "fmu" else ["--ssp", "2.0"]
+    answer = hesr("export", system, "-o", output, *more)
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.out.startswith(f"{kind.upper()}, for ")
+    assert answer.out.endswith(f"KiB.\nWritten: {output}\n")
     assert [path.name for path in output.parent.iterdir()] == [output.name]
     with zipfile.ZipFile(output) as archive:
         if kind == "ssp":
@@ -58,12 +60,15 @@ def test_an_ssp_and_a_container_are_written(
     ("arguments", "sentence"),
     [
         (["-o", "open.zip"], "open.zip: the name of a packaged system ends in .ssp."),
-        (["-o", "open.fmu"], "open.fmu: the name of a packaged system ends in .ssp."),
-        (["-o", "open.ssp", "--container"], "open.ssp: the name of an FMU ends in .fmu."),
-        (["-o", "open.ssp", "--ssp", "3"], "--ssp is '3'; needed is 1.0 or 2.0."),
+        (["-o", "open.ssp", "--format", "fmu"], "open.ssp: the name of an FMU ends in .fmu."),
         (
-            ["-o", "open.fmu", "--container", "--ssp", "1.0"],
-            "--ssp is the version of a file in .ssp; --container makes an FMU.",
+            ["-o", "open.ssp", "--format", "c"],
+            "--format is c; a system becomes an SSP (ssp) or an FMU (fmu).",
+        ),
+        (["-o", "open.ssp", "--inertia", "3"], "--inertia is for friction laws, not for a system."),
+        (
+            ["-o", "open.fmu", "--ssp", "1.0"],
+            "--ssp is the version of a file in .ssp; the output is an FMU.",
         ),
     ],
 )
@@ -77,7 +82,7 @@ def test_what_cannot_be_asked_for(
 ) -> None:
     system = write_system(opened.spec, tmp_path / "open.toml")
     monkeypatch.chdir(tmp_path)
-    answer = hesr("package", system, *arguments)
+    answer = hesr("export", system, *arguments)
     assert (answer.code, answer.out, answer.err) == (2, "", f"hesr: {sentence}\n")
     assert contents(tmp_path).keys() == {"open.toml"}
 
@@ -99,7 +104,7 @@ TOML = [
 
 
 @pytest.mark.parametrize(("old", "new", "sentence"), TOML)
-@pytest.mark.parametrize("more", [(), ("--container",)], ids=["ssp", "container"])
+@pytest.mark.parametrize("kind", ["ssp", "fmu"])
 def test_a_system_that_does_not_fit(
     old: str,
     new: str,
@@ -121,7 +126,7 @@ def test_a_system_that_does_not_fit(
     assert old in text
     path.write_text(text.replace(old, new), encoding="utf-8")
     before = contents(tmp_path)
-    answer = hesr("package", path, "-o", tmp_path / ("x.fmu" if more else "x.ssp"), *more)
+    answer = hesr("export", path, "-o", tmp_path / f"x.{kind}")
     assert (answer.code, answer.out) == (2, "")
     assert answer.err == f"hesr: {path}: {sentence.format(folder=tmp_path)}\n"
     assert contents(tmp_path) == before
@@ -134,7 +139,7 @@ def test_a_cyclic_connection(closed: SystemContents, tmp_path: Path, hesr: Hesr)
     path = write_system(
         spec.model_copy(update={"connections": connections}), tmp_path / "cyclic.toml"
     )
-    answer = hesr("package", path, "-o", tmp_path / "cyclic.ssp")
+    answer = hesr("export", path, "-o", tmp_path / "cyclic.ssp")
     assert answer.code == 2
     assert answer.err.startswith(
         f"hesr: {path}: algebraic loop through direct feedthrough: controller."
@@ -145,13 +150,13 @@ def test_a_cyclic_connection(closed: SystemContents, tmp_path: Path, hesr: Hesr)
 
 def test_a_missing_system(tmp_path: Path, hesr: Hesr) -> None:
     for name in ("gone.toml", "gone.ssp"):
-        answer = hesr("package", tmp_path / name, "-o", tmp_path / "x.ssp")
+        answer = hesr("export", tmp_path / name, "-o", tmp_path / "x.ssp")
         assert (answer.code, answer.err) == (2, f"hesr: {tmp_path / name}: no such file.\n")
 
 
 def test_an_ssp_without_one_of_its_fmus(edited: Edit, tmp_path: Path, hesr: Hesr) -> None:
     path = edited(without="resources/friction.fmu")
-    answer = hesr("package", path, "-o", tmp_path / "x.ssp")
+    answer = hesr("export", path, "-o", tmp_path / "x.ssp")
     assert (answer.code, answer.err) == (
         2,
         f"hesr: {path}: component 'friction': there is no resources/friction.fmu in it.\n",
@@ -209,7 +214,7 @@ def test_an_ssp_that_cannot_be_read(
 ) -> None:
     others = {key: value for key, value in change.items() if key != "changes"}
     path = edited(*change.get("changes", ()), **others)
-    answer = hesr("package", path, "-o", tmp_path / "x.ssp")
+    answer = hesr("export", path, "-o", tmp_path / "x.ssp")
     with zipfile.ZipFile(path) as archive:
         lines = archive.read(SSD).count(b"\n") if SSD in archive.namelist() else 0
     head, _, tail = sentence.partition("{fmu}")
@@ -230,7 +235,7 @@ def test_more_of_the_standard_is_read(edited: Edit, tmp_path: Path, hesr: Hesr) 
 </ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding>
 </ssd:ParameterBindings><ssd:Elements>"""
     path = edited(("<ssd:Elements>", inline), ("osp:FixedStepAlgorithm", "osp:Other"))
-    assert hesr("package", path, "-o", tmp_path / "again.ssp").code == 0
+    assert hesr("export", path, "-o", tmp_path / "again.ssp").code == 0
     with zipfile.ZipFile(tmp_path / "again.ssp") as archive:
         values = archive.read("resources/friction.ssv").decode()
     assert values.count('value="7.0"') == 1

@@ -7,10 +7,10 @@ from xml.etree import ElementTree as ET
 import fmpy
 import numpy as np
 import pytest
-from cosim.workflow.commands import export
 from lxml import etree
 
 from cosim.systems.parameter_set import COVARIANCE, export_ssv
+from cosim.workflow.export import export
 from fmu_src import model_file
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
@@ -34,7 +34,7 @@ def model() -> FrictionModel:
 
 
 def test_values_and_covariance(model: FrictionModel, tmp_path: Path) -> None:
-    path = export(model, tmp_path / "law.ssv", "ssv")
+    path = export(model, tmp_path / "law.ssv", format="ssv")
     etree.XMLSchema(etree.parse(SCHEMA)).assertValid(etree.parse(path))
     root = ET.parse(path).getroot()
     values = {p.get("name"): float(p[0].get("value")) for p in root.findall(f".//{SSV}Parameter")}

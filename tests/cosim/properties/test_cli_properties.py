@@ -1,4 +1,4 @@
-"""The command `hesr properties`: its tables, its file and its errors."""
+"""The command `hesr test --kind properties`: its tables, its file and its errors."""
 
 import json
 import re
@@ -10,6 +10,8 @@ from subjects import bristle, model, slip
 
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import read_properties
+
+KIND = ("--kind", "properties")
 
 
 @pytest.fixture
@@ -35,7 +37,7 @@ def test_laws_and_fmus_side_by_side(
     hesr: Hesr, lugre: Path, slip_fmu: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "found.json"
-    answer = hesr("properties", lugre, slip_fmu, "--inertia", "0.7", "--why", "--json", file)
+    answer = hesr("test", lugre, slip_fmu, *KIND, "--inertia", "0.7", "--verbose", "-o", file)
     assert answer.code == 0, answer.err
     table = answer.out[: answer.out.index("column")].splitlines()
     head = " ".join(line for line in table if line.split()[:1] == ["law"]).replace("law", "")
@@ -88,7 +90,7 @@ def test_laws_and_fmus_side_by_side(
 def test_what_cannot_be_tested_is_said_in_a_sentence(
     hesr: Hesr, arguments: list[str], said: str
 ) -> None:
-    answer = hesr("properties", *arguments)
+    answer = hesr("test", *KIND, *arguments)
     assert (answer.code, answer.err.strip()) == (2, f"hesr: {said}")
     assert not answer.out
 
@@ -96,7 +98,7 @@ def test_what_cannot_be_tested_is_said_in_a_sentence(
 def test_an_fmu_without_the_connectors_is_refused(hesr: Hesr, tmp_path: Path) -> None:
     other = slip(tmp_path, output="force[1]")
     file = tmp_path / "found.json"
-    answer = hesr("properties", other, "--json", file)
+    answer = hesr("test", other, *KIND, "-o", file)
     assert answer.code == 2
     assert answer.err.strip() == (
         f"hesr: {other}: not a friction FMU: 'tau[1]' is missing; it needs the inputs dq[i], "
@@ -107,6 +109,6 @@ def test_an_fmu_without_the_connectors_is_refused(hesr: Hesr, tmp_path: Path) ->
 
 
 def test_a_file_that_cannot_be_written_is_said_before_the_run(hesr: Hesr, tmp_path: Path) -> None:
-    answer = hesr("properties", "uf850-table1", "--json", tmp_path)
+    answer = hesr("test", "uf850-table1", *KIND, "-o", tmp_path)
     assert answer.code == 2
     assert f"{tmp_path}: cannot be written there" in answer.err

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from cosim.report.digest import short, write_digest
 from cosim.report.results import Results
@@ -74,6 +74,6 @@ def test_a_folder_without_results_is_told(tmp_path: Path) -> None:
 
 def test_the_command_says_what_it_wrote(small_results: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    ended = CliRunner().invoke(app, ["results", str(small_results), "-o", str(page)])
+    ended = CliRunner().invoke(app, ["report", str(small_results), "-o", str(page)])
     assert ended.exit_code == 0, ended.output
     assert page.name in ended.output.replace("\n", "")
