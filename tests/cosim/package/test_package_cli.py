@@ -109,7 +109,7 @@ def test_a_system_that_does_not_fit(
     old: str,
     new: str,
     sentence: str,
-    more: tuple[str, ...],
+    kind: str,
     opened: SystemContents,
     tmp_path: Path,
     hesr: Hesr,
