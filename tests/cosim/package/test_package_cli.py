@@ -202,7 +202,7 @@ SSP: list[tuple[dict[str, Any], str]] = [
                    "<ssd:ParameterMapping/></ssd:ParameterBinding>")]},
      "component 'friction': mappings of parameters are not supported."),
     ({"member": "resources/friction.ssv", "changes": [('value="1.5"', 'value="much"')]},
-     "component 'friction': parameter 'tau_load[1]' is 'much', no Real."),
+     "component 'friction': parameter 'tau_load[1]' is 'much', which is not of type Real."),
     ({"changes": [("<ssd:Elements>", "<ssd:Elements><ssd:System name=\"inner\"/>")]},
      "element 'inner' is not an FMU; nested systems are not supported."),
 ]  # fmt: skip
