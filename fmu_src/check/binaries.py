@@ -62,7 +62,7 @@ def problems(about: Description, contents: Contents, folder: Path) -> Iterator[s
     """Yield what is wrong with the binaries; `folder` is for temporary files."""
     for platform, names in _by_platform(contents).items():
         expected = _platforms(about).get(platform)
-        # Folders in it may hold static libraries, for which there need be no shared one.
+        # Subfolders may contain static libraries only.
         if expected is None or not any("/" not in name for name in names):
             continue
         for identifier in dict.fromkeys(kind.identifier for kind in about.kinds):
@@ -76,7 +76,7 @@ def problems(about: Description, contents: Contents, folder: Path) -> Iterator[s
                 what = " and ".join(kind.element for kind in kinds)
                 yield (
                     f"{_FOLDER}{platform}: it lacks {quoted(posixpath.basename(name))}, the name "
-                    f"that modelIdentifier of {what} demands."
+                    f"that modelIdentifier of {what} requires."
                 )
 
 
@@ -141,7 +141,7 @@ def _exports(part: Mapping[str, Any], about: Description, kinds: list[Kind]) -> 
         for kind in kinds:
             yield from _missing(kind, exports)
     elif missing := [name for name in functions.REQUIRED_3 if name not in exports]:
-        yield f"it does not export {listed(missing)}; FMI 3.0 demands all of its functions."
+        yield f"it does not export {listed(missing)}; FMI 3.0 requires all of its functions."
     # Other versions of FMI have other names, so that one library can serve several of them.
     own = f"fmi{about.fmi}"
     strange = sorted(n for n in exports if n.startswith(own) and n not in functions.KNOWN)
@@ -169,13 +169,13 @@ def _missing(kind: Kind, exports: set[str]) -> Iterator[str]:
     rest = [name for name in missing if name not in promised]
     if rest:
         yield (
-            f"it does not export {listed(rest)}; FMI 2.0 demands all functions of "
+            f"it does not export {listed(rest)}; FMI 2.0 requires all functions of "
             f"{KINDS[kind.element]}."
         )
 
 
 def _place(name: str) -> str:
-    """Return where beside a library another one is looked for; Macs name folders, too."""
+    """Return the run path to the library's own folder; macOS names folders explicitly."""
     for start in ("@rpath/", "@loader_path/"):
         if name.startswith(start):
             return name.removeprefix(start)

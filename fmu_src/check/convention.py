@@ -1,4 +1,4 @@
-"""What an FMU gives for one motion when its inputs are handed over in different ways.
+"""Results of an FMU for one motion under different input conventions.
 
 Importers differ in when they set the inputs of a step (`fmu_src.friction.settings`), and a law that
 changes fast around reversals feels it. Here the FMU itself is run in each of the ways, and compared
@@ -51,7 +51,7 @@ class Convention:
 def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Convention:
     """Run a friction FMU on the reference motion in every setting, at its model's sample time.
 
-    All joints move alike, from rest at the middle of their sinusoidal motion.
+    All joints make the same motion, from rest at the middle of a sinusoid.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Conv
 
 
 def judge(fmu: Path) -> FrictionModel:
-    """Return the model by which the results of a friction FMU are judged; it does not run it.
+    """Return the model that is the reference of a friction FMU, without running the FMU.
 
     Raises
     ------
@@ -97,12 +97,10 @@ def judge(fmu: Path) -> FrictionModel:
     """
     model = embedded_model(fmu)
     if model is None:
-        raise SimulationError(
-            f"{fmu}: carries no friction model, by which its results could be judged."
-        )
+        raise SimulationError(f"{fmu}: contains no friction model to compare with.")
     try:
         variables = model_description(fmu).modelVariables
-    except SimulationError:  # what it is, a check of the FMU says better
+    except SimulationError:  # the static checks report the cause
         return model
     has = {(v.name, v.causality) for v in variables}
     joints = range(1, len(model.joints) + 1)

@@ -1,6 +1,6 @@
 """modelDescription.xml as plain data, read without trusting that it is valid.
 
-A number that is none is None here: the schema has reported it.
+Invalid numbers are None here: the schema check reports them.
 """
 
 import math
@@ -47,13 +47,13 @@ INITIAL: Mapping[tuple[str, str], tuple[str, ...]] = {
 
 
 def integer(text: str | None) -> int | None:
-    """Return an integer, None where the text is none."""
+    """Return an integer, or None if the text is invalid."""
     text = (text or "").strip()
     return int(text) if _INTEGER.fullmatch(text) else None
 
 
 def real(text: str | None) -> float | None:
-    """Return a number, None where the text is none or NaN."""
+    """Return a number, or None if the text is invalid or NaN."""
     text = (text or "").strip()
     value = float(text) if _REAL.fullmatch(text) else math.nan
     return None if math.isnan(value) else value
@@ -173,11 +173,11 @@ class Description:
 
     @property
     def continuous(self) -> tuple[str, ...]:
-        """The types of which continuous variables are."""
+        """Types of continuous variables."""
         return ("Real",) if self.fmi == 2 else FLOATS
 
     def variable(self, index: int | None) -> Variable | None:
-        """Return the variable of an index that counts from 1, None where there is none."""
+        """Return the variable of an index that counts from 1, or None."""
         if index is None or not 0 < index <= len(self.variables):
             return None
         return self.variables[index - 1]
@@ -252,7 +252,7 @@ class Reader:
         return names_of(kind.findall("SourceFiles/File"))
 
     def number(self, text: str | None) -> int | None:
-        """Return the number of the variable that a text refers to, None where the text is none."""
+        """Return the index of the variable that a text refers to, or None."""
         return integer(text)
 
     def variable(self, index: int, element: etree._Element) -> Variable:

@@ -1,6 +1,6 @@
 """Validators of others: FMPy and VDMCheck2.
 
-Both get a copy of the FMU with the same names in which only XML that has been checked has content.
+Both get a copy of the FMU with the same names, in which only checked XML files have content.
 """
 
 import re
@@ -19,7 +19,7 @@ FMPY_SECONDS = 120.0
 VDMCHECK_SECONDS = 300.0
 
 DEFAULT_VDMCHECK = Path(".tools/vdmcheck2")
-"""Where it is looked for, below the current folder."""
+"""Default folder, below the current one."""
 
 JAR = "vdmcheck2.jar"
 
@@ -52,7 +52,7 @@ def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[str], 
     """Return the problems that VDMCheck2 finds and why it was not run, if so."""
     jar = (place or DEFAULT_VDMCHECK) / JAR
     if not jar.is_file():
-        return [], [f"VDMCheck2: there is no {JAR} in {jar.parent}."]
+        return [], [f"VDMCheck2: {JAR} is missing in {jar.parent}."]
     java = shutil.which("java")
     if java is None:
         return [], ["VDMCheck2: Java is not installed."]
@@ -74,7 +74,7 @@ def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[str], 
 
 
 def _rule(name: str, text: str) -> str:
-    """Return what a rule says as a sentence that begins with the line of the XML."""
+    """Return the message of a rule as a sentence that starts with the line of the XML."""
     line = _LINE.search(text)
     where = f"modelDescription.xml, line {line[1]}: " if line else ""
     text = text[: line.start()] if line else text

@@ -51,7 +51,7 @@ REQUIRED_3 = (
     *_functions(_ALL_3, 3),
     *(f"fmi3{verb}{name}" for name in _TYPES_3.split() for verb in ("Get", "Set")),
 )
-"""The standard demands all of them, whether the FMU supports what they do or not."""
+"""The standard requires all of them, even for unsupported features."""
 
 KNOWN = frozenset((*_functions(_COMMON + _EXCHANGE + _SIMULATION), *REQUIRED_3))
 

@@ -1,4 +1,4 @@
-"""Rules on everything in modelDescription.xml but variables and their structure."""
+"""Rules on modelDescription.xml except for variables and their structure."""
 
 import re
 from collections import Counter
@@ -13,15 +13,15 @@ _DATE = "%Y-%m-%dT%H:%M:%SZ"
 
 
 def kinds(about: Description) -> Iterator[str]:
-    """Check that it is for model exchange or co-simulation, so that other tools can run it."""
+    """Check that the FMU supports model exchange or co-simulation without its tool."""
     if not about.kinds:
-        yield f"neither of the elements {' and '.join(KINDS)} is there."
+        yield f"the elements {' and '.join(KINDS)} are both missing."
     state = "FMUstate" if about.fmi == 2 else "FMUState"
     for kind in about.kinds:
         if not _C_NAME.fullmatch(kind.identifier):
             yield (
-                f"{kind.element} has the modelIdentifier {quoted(kind.identifier)}, which is no "
-                "name in C."
+                f"{kind.element} has the modelIdentifier {quoted(kind.identifier)}, which is "
+                "not a C identifier."
             )
         if kind.can("needsExecutionTool"):
             yield (
@@ -30,29 +30,24 @@ def kinds(about: Description) -> Iterator[str]:
             )
         if kind.can("canSerializeFMUstate") and not kind.can("canGetAndSetFMUstate"):
             yield (
-                f"{kind.element} has canSerialize{state}='true', which demands "
-                f"canGetAndSet{state}='true' too."
+                f"{kind.element} has canSerialize{state}='true', which "
+                f"requires canGetAndSet{state}='true'."
             )
 
 
 def identity(about: Description) -> Iterator[str]:
-    """Check that it has a GUID, and a date of the one form that FMI has."""
+    """Check the GUID and the format of the date."""
     token = "guid" if about.fmi == 2 else "instantiationToken"
     if not about.attributes.get(token, "").strip():
-        yield (
-            f"the attribute {token} has no value, so that binaries cannot be told to belong to it."
-        )
+        yield (f"the attribute {token} is empty; it must identify the binaries of the FMU.")
     date = about.attributes.get("generationDateAndTime") if about.fmi == 2 else None
     if date is not None and not _is_date(date):
-        yield (
-            f"generationDateAndTime is {quoted(date)}; needed is a date of the form "
-            "YYYY-MM-DDThh:mm:ssZ."
-        )
+        yield (f"generationDateAndTime is {quoted(date)}; the format is YYYY-MM-DDThh:mm:ssZ.")
 
 
 def _is_date(text: str) -> bool:
     try:
-        # strptime also takes digits left out, which the standard does not.
+        # Unlike the standard, strptime accepts missing digits.
         return len(text) == 20 and bool(datetime.strptime(text, _DATE))
     except ValueError:
         return False
@@ -69,10 +64,10 @@ def experiment(about: Description) -> Iterator[str]:
         yield f"DefaultExperiment has stepSize {step:.15g}, longer than the experiment."
     for name, value in (("stepSize", step), ("tolerance", tolerance)):
         if value is not None and value <= 0:
-            yield f"DefaultExperiment has {name} {value:.15g}; needed is a number above 0."
+            yield f"DefaultExperiment has {name} {value:.15g}; it must be positive."
     for name, text in about.experiment.items():
         if text.strip() in ("INF", "+INF", "-INF", "NaN"):
-            yield f"DefaultExperiment has {name} {text.strip()}; needed is a finite number."
+            yield f"DefaultExperiment has {name} {text.strip()}; it must be finite."
 
 
 def definitions(about: Description) -> Iterator[str]:
@@ -94,7 +89,7 @@ def definitions(about: Description) -> Iterator[str]:
 
 
 def repeated(what: str, names: Iterable[str], done: str = "defined") -> Iterator[str]:
-    """Yield a sentence for each name that is there more than once."""
+    """Yield a sentence for each repeated name."""
     for name, times in Counter(names).items():
         if times > 1:
             yield f"the {what} {quoted(name)} is {done} {times} times."

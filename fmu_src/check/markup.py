@@ -48,7 +48,7 @@ class _Guard:
         self.encoding = encoding
 
     def _doctype(self, *_: object) -> None:
-        # Entities are declared here only, so that without it there are no entity bombs.
+        # Entities can be declared only here; refusing them prevents entity expansion attacks.
         raise _RefusedError("it has a DOCTYPE, which FMI does not use; it is not read any further.")
 
     def _element(self, _name: str, attributes: dict[str, str]) -> None:
@@ -66,7 +66,7 @@ def parse(name: str, file: Path) -> tuple[etree._Element | None, list[str]]:
         return None, [f"{name}: it has more than {MOST_BYTES} bytes; it is not read."]
     data = file.read_bytes()
     if (place := _not_utf8(data)) is not None:
-        text = f"it is not encoded in UTF-8 as FMI needs (byte {place + 1} is none of it)."
+        text = f"it is not valid UTF-8, which FMI requires (byte {place + 1})."
         return None, [f"{name}: {text}"]
     guard = _Guard()
     try:
@@ -91,7 +91,7 @@ def _not_utf8(data: bytes) -> int | None:
         data.decode("utf-8")
     except UnicodeDecodeError as error:
         return error.start
-    # Of UTF-16, which parsers find out by themselves.
+    # Byte-order marks of UTF-16, which parsers detect.
     return data.index(b"\0") if b"\0" in data else None
 
 

@@ -1,4 +1,4 @@
-"""Paths of the machine on which an FMU was built, left in it by a compiler or a tool."""
+"""Paths of the build machine in an FMU, left by a compiler or a tool."""
 
 import re
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from fmu_src.check.archive import Contents
 from hesr_model.support.text import plain, quoted
 
 MOST_PATHS = 100
-"""Looked for in one file; the first and the number are told."""
+"""Maximum number of paths per file; the first one and the number are reported."""
 
 _NAME = rb"[A-Za-z0-9_.+@-]{1,100}"
 # A user's own folder or one for temporary files, and two names in it.
@@ -27,7 +27,7 @@ _OF_WINDOWS = re.compile(
     rb"|[A-Za-z]:(?:\\%(p)s){2,30}\.pdb" % {b"p": _PART}
 )
 
-# What is looked for, how many bytes before it a path begins, and how the path goes on.
+# Pattern, its offset in the path [B], and pattern of the rest of the path.
 _PLACES = (
     *((b"/%s/" % name, 0, _OF_USERS) for name in (b"home", b"Users", b"tmp", b"builds")),
     *((b"/var/%s/" % name, 0, _OF_USERS) for name in (b"tmp", b"folders")),
@@ -36,7 +36,7 @@ _PLACES = (
     (b":/", 1, _OF_WINDOWS),
 )
 
-# What stands before a path is no part of a name or of another path, except compilers' options.
+# A path does not follow a name or another path, except after a compiler option.
 _ALONE = re.compile(rb"(?<![A-Za-z0-9_.~-])(?<!\b[A-Za-z]:)|(?<=-[IL])")
 
 
@@ -47,7 +47,7 @@ _LIBRARIES = (".so", ".dll", ".dylib")
 
 
 def skipped(contents: Contents) -> list[str]:
-    """Return the libraries that an FMU carries as somebody else has built them, and why."""
+    """Return the third-party libraries in an FMU, with the reason."""
     return [
         f"paths in {plain(name)}: {reason}"
         for name, file in contents.files.items()
@@ -56,7 +56,7 @@ def skipped(contents: Contents) -> list[str]:
 
 
 def problems(contents: Contents) -> Iterator[str]:
-    """Yield the files in which there is such a path."""
+    """Yield the files that contain such a path."""
     for name, file in contents.files.items():
         if _built_elsewhere(name, file):
             continue
@@ -64,13 +64,13 @@ def problems(contents: Contents) -> Iterator[str]:
         if found:
             more = f" and {len(found) - 1} more of its kind" if len(found) > 1 else ""
             yield (
-                f"{plain(name)}: it holds {quoted(found[0])}{more}, a path of the machine on which "
+                f"{plain(name)}: it holds {quoted(found[0])}{more}, a path of the machine where "
                 "the FMU was built."
             )
 
 
 def _built_elsewhere(name: str, file: Path) -> str | None:
-    """Why a file is not searched, if so: its paths are not those of whoever made the FMU."""
+    """Return why a file is not searched: its paths are not those of the FMU's author."""
     if _CARRIED.fullmatch(name):
         return "a library that the FMU carries, built elsewhere."
     if name.endswith(_LIBRARIES):

@@ -1,7 +1,7 @@
-"""All checks of one FMU, in the order in which one allows the next.
+"""All checks of one FMU, in order of dependence.
 
-Nothing of the file is trusted. The rules are those of FMI 2.0 and 3.0; of FMI 1.0 the archive, the
-XML and its schema are checked, and FMPy's validation is run.
+The file is untrusted. The rules are those of FMI 2.0 and 3.0. For FMI 1.0 only the archive, the XML
+and its schema are checked, and FMPy's validation is run.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -45,22 +45,22 @@ def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) ->
     Parameters
     ----------
     path : the FMU.
-    vdmcheck : folder with VDMCheck2; by default `.tools/vdmcheck2`, where that is there.
-    hostile : whether the FMU is also run, by a master that does what masters do at their worst.
+    vdmcheck : folder with VDMCheck2; by default `.tools/vdmcheck2` if it exists.
+    hostile : whether to run the FMU under an adverse master.
 
     Returns
     -------
-    All problems that were found, and the validators that were not run.
+    All findings, and the validators that were not run.
 
     Raises
     ------
     ArtifactError
-        If there is no such file or it cannot be opened; whatever is in it is a problem instead.
+        If the file is missing or unreadable; errors in its content are findings instead.
     ConfigError
         If VDMCheck2 is not in the folder that is given.
     """
     if vdmcheck is not None and not (vdmcheck / external.JAR).is_file():
-        raise ConfigError(f"--vdmcheck is '{vdmcheck}', where there is no {external.JAR}.")
+        raise ConfigError(f"--vdmcheck is '{vdmcheck}', which does not contain {external.JAR}.")
     with TemporaryDirectory(prefix="hesr-check-") as temporary:
         files, folder = Path(temporary, "files"), Path(temporary, "work")
         files.mkdir()
@@ -71,7 +71,7 @@ def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) ->
 
 
 class _Found:
-    """What a check has found so far."""
+    """Findings of the checks so far."""
 
     def __init__(self, folder: Path, vdmcheck: Path | None, *, hostile: bool) -> None:
         self._folder = folder
@@ -81,18 +81,18 @@ class _Found:
         self.skipped: list[str] = []
 
     def _add(self, check: str, texts: Iterable[str]) -> bool:
-        """Add problems of a check; return whether there were any."""
+        """Add findings of a check; return whether there were any."""
         problems = problems_of(check, texts)
         self.problems += problems
         return bool(problems)
 
     def _add_run(self, check: str, found: tuple[list[str], list[str]]) -> None:
-        """Add problems of a check that runs something, and what it did not run."""
+        """Add findings and skipped parts of a check that runs a program."""
         self._add(check, found[0])
         self.skipped += found[1]
 
     def check(self, contents: Contents) -> None:
-        """Run every check that what was found before lets run."""
+        """Run all checks that the previous findings allow."""
         damaged = self._add("archive", contents.problems)
         if not contents.names and damaged:
             self.skipped.append("All other checks: the archive could not be read.")
@@ -103,7 +103,7 @@ class _Found:
         broken = self._add("xml", texts)
         version = None if root is None else root.get("fmiVersion", "")
         if root is None or version is None:
-            self.skipped.append(f"All other checks: there is no {_MODEL} to read.")
+            self.skipped.append(f"All other checks: {_MODEL} could not be read.")
             return
         known = "3" if version.startswith("3.") else version
         texts = markup.schema_problems(_MODEL, contents.files[_MODEL], self._folder)
@@ -161,10 +161,10 @@ class _Found:
 
 
 def _model(contents: Contents) -> tuple[etree._Element | None, list[str]]:
-    """Return the root of the model description, if it is one of FMI, and what is wrong with it."""
+    """Return the root of the model description, or None, and its errors."""
     if _MODEL not in contents.names:
         elsewhere = next((n for n in contents.names if n.endswith(f"/{_MODEL}")), None)
-        hint = f"; {quoted(elsewhere)} is not where importers look for it" if elsewhere else ""
+        hint = f"; {quoted(elsewhere)} is in the wrong folder" if elsewhere else ""
         return None, [f"{_MODEL} is missing{hint}."]
     if _MODEL not in contents.files:
         return None, []  # the archive's problems say why
@@ -173,7 +173,7 @@ def _model(contents: Contents) -> tuple[etree._Element | None, list[str]]:
         return None, texts
     if root.tag != "fmiModelDescription":
         tag = quoted(str(root.tag))
-        return None, [*texts, f"{_MODEL}: its root is {tag}; needed is 'fmiModelDescription'."]
+        return None, [*texts, f"{_MODEL}: its root is {tag}; it must be 'fmiModelDescription'."]
     version = root.get("fmiVersion", "")
     if version not in ("1.0", "2.0") and not version.startswith("3."):
         return None, [*texts, f"{_MODEL}: its fmiVersion is {quoted(version)}; needed is '2.0'."]

@@ -9,7 +9,7 @@ from fmu_src.check.description import Description
 from hesr_model.support.text import plain, quoted
 
 MOST_BYTES = 8 << 20
-"""Of one source file; larger ones are tables of data."""
+"""Largest source file that is searched [B]; larger ones are data."""
 
 _OFFICIAL = {
     *("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
@@ -27,7 +27,7 @@ _SYSTEM = frozenset(_SYSTEM_NAMES.split())
 
 _SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".inc")
 
-# Strings are matched so that what looks like a comment in them is none. What is not closed ends
+# Strings are matched first, because they may contain comment markers. Unclosed comments end
 # with the file or line: to look for its end from each beginning would take forever.
 _COMMENT = re.compile(rb'/\*.*?(?:\*/|\Z)|//[^\n]*|"(?:\\.|[^"\\\n])*"?', re.DOTALL)
 _INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]{1,500})"', re.MULTILINE)
@@ -51,7 +51,7 @@ def problems(about: Description, contents: Contents) -> Iterator[str]:
 
 
 def _includes(about: Description, contents: Contents) -> Iterator[str]:
-    """Follow includes from the files that are to be compiled, all files where none is listed."""
+    """Follow includes from the files to be compiled, by default from all files."""
     code = {
         name
         for name in contents.files

@@ -1,4 +1,4 @@
-"""Rules on ModelStructure, each of whose lists masters take at its word."""
+"""Rules on ModelStructure, whose lists masters rely on."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from hesr_model.support.text import listed, quoted
 
 
 def outputs(about: Description) -> Iterator[str]:
-    """Check that Outputs lists the outputs, all of them and nothing else."""
+    """Check that Outputs lists exactly the outputs."""
     needed = [v for v in about.variables if v.causality == "output"]
     yield from _compared(
         about, "Outputs", needed, "every variable with causality 'output' and no other"
@@ -28,7 +28,7 @@ def derivatives(about: Description) -> Iterator[str]:
     if extra:
         yield (
             f"{about.lists['Derivatives']} lists {listed(v.name for v in extra)}, "
-            "which the attribute 'derivative' does not make derivatives."
+            "which have no attribute 'derivative'."
         )
 
 
@@ -55,12 +55,12 @@ def initial_unknowns(about: Description) -> Iterator[str]:
         if after.index < before.index:
             yield (
                 f"{about.lists['InitialUnknowns']} lists {quoted(after.name)} after "
-                f"{quoted(before.name)}; its order is that of the variables."
+                f"{quoted(before.name)}; it must follow the order of the variables."
             )
 
 
 def indices(about: Description) -> Iterator[str]:
-    """Check that what the lists refer to exists and is listed once."""
+    """Check that the listed variables exist and are listed once."""
     for name in STRUCTURE:
         for index, times in Counter(u.index for u in about.structure[name]).items():
             variable = about.variable(index)
@@ -78,7 +78,7 @@ def dependencies(about: Description) -> Iterator[str]:
         if silent:
             yield (
                 f"{about.lists[name]} gives no dependencies for {listed(silent)}, "
-                "so that importers assume all inputs and see algebraic loops."
+                "so importers assume all inputs and find false algebraic loops."
             )
         for unknown in unknowns:
             yield from _of_unknown(about, name, unknown)
@@ -88,7 +88,7 @@ def _of_unknown(about: Description, name: str, unknown: Unknown) -> Iterator[str
     who = f"{about.lists[name]} gives {quoted(_named(about, unknown))}"
     known = unknown.dependencies
     if unknown.kinds is not None and known is None:
-        yield f"{who} kinds of dependencies without dependencies."
+        yield f"{who} dependenciesKind without dependencies."
     if known is None:
         return
     missing = [i for i in known if about.variable(i) is None]
@@ -101,15 +101,15 @@ def _of_unknown(about: Description, name: str, unknown: Unknown) -> Iterator[str
 
 
 def _compared(about: Description, name: str, needed: list[Variable], why: str) -> Iterator[str]:
-    """Yield what a list lacks and what it has too much."""
+    """Yield missing and surplus entries of a list."""
     found = {v.index for v in _listed_variables(about, name)}
     lacking = [v.name for v in needed if v.index not in found]
     extra = found - {v.index for v in needed}
     if lacking:
-        yield f"{about.lists[name]} lacks {listed(lacking)}; it lists {why}."
+        yield f"{about.lists[name]} lacks {listed(lacking)}; it must list {why}."
     if extra:
         names = [about.variables[i - 1].name for i in sorted(extra)]
-        yield f"{about.lists[name]} lists {listed(names)}; needed is {why}."
+        yield f"{about.lists[name]} lists {listed(names)}; it must list {why}."
 
 
 def _listed_variables(about: Description, name: str) -> list[Variable]:

@@ -14,7 +14,7 @@ _ICON = "terminalsAndIcons/icon.png"
 
 
 def problems(root: etree._Element, about: Description, contents: Contents) -> Iterator[str]:
-    """Yield what terminals refer to and is not there, and names that are not unique."""
+    """Yield missing references of terminals, and names that are not unique."""
     known = {name for v in about.variables for name in (v.name, *v.others)}
     yield from repeated("terminal", names_of(root.findall("Terminals/Terminal")), "there")
     for terminal in root.iter("Terminal"):
@@ -27,6 +27,6 @@ def problems(root: etree._Element, about: Description, contents: Contents) -> It
         for member in members:
             variable = member.get("variableName", "")
             if variable not in known:
-                yield f"the {who} has the member {quoted(variable)}, which is no variable."
+                yield f"the {who} has the member {quoted(variable)}, which is not a variable."
     if root.find("GraphicalRepresentation/Icon") is not None and _ICON not in contents.names:
-        yield f"it has a place for an icon, but there is no {_ICON}."
+        yield f"it declares an icon, but {_ICON} is missing."

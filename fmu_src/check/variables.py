@@ -18,7 +18,7 @@ _NUMBERS = ("Real", "Integer", "Enumeration")
 def _of_each(
     rule: Callable[[Description, Variable], Iterator[str]],
 ) -> Callable[[Description], Iterator[str]]:
-    """Make a rule on all variables of a rule on one, whose sentences go on after its name."""
+    """Extend a rule on one variable to all variables; its sentences follow the name."""
 
     @wraps(rule)
     def of_all(about: Description) -> Iterator[str]:
@@ -39,24 +39,24 @@ def names(about: Description) -> Iterator[str]:
 
 @_of_each
 def structured_names(about: Description, v: Variable) -> Iterator[str]:
-    """Check that names are structured where that is declared."""
+    """Check that names are structured if declared so."""
     promised = about.attributes.get("variableNamingConvention") == "structured"
     if promised and not _STRUCTURED.fullmatch(v.name):
-        yield "has no structured name, which variableNamingConvention promises."
+        yield "is not a structured name, as variableNamingConvention requires."
 
 
 @_of_each
 def combinations(about: Description, v: Variable) -> Iterator[str]:
-    """Check that causality, variability and initial go together, and suit the type."""
+    """Check the combination of causality, variability, initial and type."""
     allowed = INITIAL.get((v.causality, v.variability))
     if allowed is None:
         yield (
             f"has causality '{plain(v.causality)}' and variability '{plain(v.variability)}', "
-            "which do not go together."
+            "an invalid combination."
         )
     elif v.declared_initial and v.declared_initial not in allowed:
         yield (
-            f"has initial '{plain(v.declared_initial)}', which does not go with causality "
+            f"has initial '{plain(v.declared_initial)}', which is invalid with causality "
             f"'{v.causality}' and variability '{v.variability}'."
         )
     if v.variability == "continuous" and v.kind not in (*about.continuous, ""):
@@ -67,18 +67,18 @@ def combinations(about: Description, v: Variable) -> Iterator[str]:
 
 
 def independent(about: Description) -> Iterator[str]:
-    """Check that one variable at most is independent."""
+    """Check that at most one variable is independent."""
     found = [v.name for v in about.variables if v.causality == "independent"]
     if len(found) > 1:
-        yield f"the variables {listed(found)} are all independent; there is one at most."
+        yield f"the variables {listed(found)} are all independent; only one may be."
 
 
 @_of_each
 def start_values(_: Description, v: Variable) -> Iterator[str]:
-    """Check that start values are there where they must be and nowhere else but where they may."""
+    """Check that required start values exist, and forbidden ones do not."""
     if "start" not in v.own:
         if demand := _demand(v):
-            yield f"has no start value, which its {demand} demands."
+            yield f"has no start value, which its {demand} requires."
     elif v.causality == "independent":
         yield "has a start value, which its causality 'independent' forbids."
     elif v.initial == "calculated":
@@ -101,7 +101,7 @@ def ranges(about: Description, v: Variable) -> Iterator[str]:
     low, high = (real(v.get(name)) for name in ("min", "max"))
     starts = [real(text) for text in (v.get("start") or "").split()]
     if low is not None and high is not None and low > high:
-        yield f"has min {low:.15g}, which is above its max {high:.15g}."
+        yield f"has min {low:.15g}, above its max {high:.15g}."
     elif outside := [
         start
         for start in starts
@@ -109,18 +109,15 @@ def ranges(about: Description, v: Variable) -> Iterator[str]:
         and ((low is not None and start < low) or (high is not None and start > high))
     ]:
         bounds = [f"{k} {x:.15g}" for k, x in (("min", low), ("max", high)) if x is not None]
-        yield (
-            f"has the start value {outside[0]:.15g}, which is outside of its "
-            f"{' and '.join(bounds)}."
-        )
+        yield (f"has the start value {outside[0]:.15g}, outside its {' and '.join(bounds)}.")
     nominal = real(v.get("nominal"))
     if nominal is not None and nominal <= 0:
-        yield f"has the nominal value {nominal:.15g}; it is above 0."
+        yield f"has the nominal value {nominal:.15g}; it must be positive."
     if v.kind == "Enumeration" and v.type and v.type.kind == "Enumeration":
         value = integer(v.own.get("start"))
         if value is not None and value not in v.type.values:
             yield (
-                f"has the start value {value}, which is no item of the enumeration "
+                f"has the start value {value}, which is not an item of the enumeration "
                 f"{quoted(v.type.name)}."
             )
 
@@ -163,7 +160,7 @@ def units(about: Description) -> Iterator[str]:
 
 @_of_each
 def derivatives(about: Description, v: Variable) -> Iterator[str]:
-    """Check that what a variable is the derivative of exists and is a continuous Real."""
+    """Check that the state of a derivative exists and is a continuous Real."""
     index = integer(v.own.get("derivative"))
     if index is None:
         return
@@ -178,8 +175,8 @@ def derivatives(about: Description, v: Variable) -> Iterator[str]:
     ):
         size = "" if about.fmi == 2 else " and of its size"
         yield (
-            f"is the derivative of {quoted(state.name)}, which is no other continuous variable of "
-            f"type {' or '.join(about.continuous)}{size}."
+            f"is the derivative of {quoted(state.name)}, which is not another continuous "
+            f"variable of type {' or '.join(about.continuous)}{size}."
         )
 
 
@@ -223,7 +220,7 @@ def sizes(_: Description, v: Variable) -> Iterator[str]:
     """Check that an array has one start value, or one for each element."""
     given = len((v.own.get("start") or "").split())
     if v.size is None:
-        yield "has a dimension whose size is not known."
+        yield "has a dimension of unknown size."
     elif v.kind not in ("String", "Binary") and given > 1 and given != v.size:
         yield f"has {given} start values for {v.size} elements."
 
@@ -244,7 +241,7 @@ RULES = (
     units,
     derivatives,
 )
-"""Of every version."""
+"""Rules of every version."""
 
 RULES_2 = (aliases,)
 RULES_3 = (references, sizes)

@@ -75,9 +75,7 @@ def test_an_fmu_without_a_model_is_refused(friction_fmu: Path, tmp_path: Path) -
                 new.writestr(name, old.read(name))
     with pytest.raises(HesrError) as caught:
         measure(bare)
-    assert str(caught.value) == (
-        f"{bare}: carries no friction model, by which its results could be judged."
-    )
+    assert str(caught.value) == (f"{bare}: contains no friction model to compare with.")
     with pytest.raises(HesrError, match="no such file"):
         measure(tmp_path / "missing.fmu")
 

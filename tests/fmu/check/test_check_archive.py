@@ -156,7 +156,7 @@ def test_an_entry_that_claims_two_gigabytes(content, tmp_path):
         "the entry 'modelDescription.xml' claims 2147483648 bytes; more than 536870912 are not "
         "read."
     ]
-    assert found.skipped == ("All other checks: there is no modelDescription.xml to read.",)
+    assert found.skipped == ("All other checks: modelDescription.xml could not be read.",)
 
 
 def test_a_zip_bomb(entry):
@@ -283,14 +283,13 @@ def test_no_model_description(content, tmp_path):
     del content[MODEL]
     found = check(write(tmp_path / "F.fmu", content))
     assert texts(found) == ["modelDescription.xml is missing."]
-    assert found.skipped == ("All other checks: there is no modelDescription.xml to read.",)
+    assert found.skipped == ("All other checks: modelDescription.xml could not be read.",)
 
 
 def test_a_folder_around_everything(content, tmp_path):
     inside = {f"Friction/{name}": data for name, data in content.items()}
     assert said(write(tmp_path / "F.fmu", inside)) == [
-        "modelDescription.xml is missing; 'Friction/modelDescription.xml' is not where importers "
-        "look for it."
+        "modelDescription.xml is missing; 'Friction/modelDescription.xml' is in the wrong folder."
     ]
 
 

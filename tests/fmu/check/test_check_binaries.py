@@ -64,7 +64,7 @@ def test_the_name(table1_fmu, tmp_path):
         BINARY: None, "binaries/linux64/other.so": members(table1_fmu)[BINARY]})  # fmt: skip
     assert said(path) == [
         "binaries/linux64: it lacks 'friction_parfam_h.so', the name that modelIdentifier of "
-        "CoSimulation demands."
+        "CoSimulation requires."
     ]
 
 
@@ -123,7 +123,7 @@ def test_functions_that_are_missing(library, of):
 
     assert of(library(names=names), change=change) == [
         f"{BINARY}: it does not export 'fmi2SetFMUstate', though canGetAndSetFMUstate is 'true'.",
-        f"{BINARY}: it does not export 'fmi2GetReal', 'fmi2DoStep'; FMI 2.0 demands all functions "
+        f"{BINARY}: it does not export 'fmi2GetReal', 'fmi2DoStep'; FMI 2.0 requires all functions "
         "of co-simulation.",
     ]
 
@@ -139,7 +139,7 @@ def test_functions_of_model_exchange_are_needed_for_it(library, of):
         xml.find("CoSimulation").tag = "ModelExchange"
 
     assert of(library(names=sorted(KNOWN - {"fmi2SetTime"})), change=change) == [
-        f"{BINARY}: it does not export 'fmi2SetTime'; FMI 2.0 demands all functions of model "
+        f"{BINARY}: it does not export 'fmi2SetTime'; FMI 2.0 requires all functions of model "
         "exchange."
     ]
 

@@ -35,10 +35,9 @@ def bad(source_fmu, tmp_path):
     )
 
 
-NO_VDMCHECK = "not run: VDMCheck2: there is no vdmcheck2.jar in .tools/vdmcheck2."
+NO_VDMCHECK = "not run: VDMCheck2: vdmcheck2.jar is missing in .tools/vdmcheck2."
 PROBLEM = (
-    "modelDescription.xml: it holds '/home/anna/x', a path of the machine on which the FMU was "
-    "built."
+    "modelDescription.xml: it holds '/home/anna/x', a path of the machine where the FMU was built."
 )
 
 
@@ -88,7 +87,7 @@ def test_a_file_that_is_not_there_is_told_before_any_work(source_fmu, tmp_path):
 def test_a_folder_that_lacks_vdmcheck2(source_fmu):
     found = hesr("check", source_fmu, "--vdmcheck", "none")
     assert found.code == 2
-    assert found.err == "hesr: --vdmcheck is 'none', where there is no vdmcheck2.jar.\n"
+    assert found.err == "hesr: --vdmcheck is 'none', which does not contain vdmcheck2.jar.\n"
 
 
 def test_an_fmu_has_to_be_given():

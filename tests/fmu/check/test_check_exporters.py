@@ -83,11 +83,13 @@ def test_what_is_wrong_with_it(decay):
         "installed.",
         "the variable 'n' is of type Integer and has variability 'continuous' (the default), which "
         "only Real has.",
-        "ModelStructure/Outputs gives no dependencies for 'x', 'n', so that importers assume all "
-        "inputs and see algebraic loops.",
+        "ModelStructure/Outputs gives no dependencies for 'x', 'n', so importers assume all "
+        "inputs and find false algebraic loops.",
     } <= set(texts(found, "rules"))
     (initial,) = (t for t in texts(found, "rules") if "InitialUnknowns" in t)
-    assert initial.startswith("ModelStructure/InitialUnknowns lacks 'x', 'n'; it lists outputs,")
+    assert initial.startswith(
+        "ModelStructure/InitialUnknowns lacks 'x', 'n'; it must list outputs,"
+    )
     needs = "it needs a Python interpreter in the host ('"
     for library in ("linux64/Decay.so", "win64/Decay.dll"):
         name = f"binaries/{library}: "

@@ -73,13 +73,13 @@ def test_vdmcheck2_of_the_current_folder_is_used(source_fmu, monkeypatch):
 
 def test_without_vdmcheck2(source_fmu):
     assert check(source_fmu).skipped == (
-        "VDMCheck2: there is no vdmcheck2.jar in .tools/vdmcheck2.",
+        "VDMCheck2: vdmcheck2.jar is missing in .tools/vdmcheck2.",
     )
 
 
 def test_a_folder_without_vdmcheck2_is_an_error(source_fmu, tmp_path):
     with pytest.raises(
-        ConfigError, match=r"--vdmcheck is 'none', where there is no vdmcheck2\.jar"
+        ConfigError, match=r"--vdmcheck is 'none', which does not contain vdmcheck2\.jar"
     ):
         check(source_fmu, vdmcheck=Path("none"))
 
@@ -144,8 +144,8 @@ def test_a_name_on_which_fmpy_hangs_is_a_problem_of_ours(source_fmu, tmp_path, m
     )
     found = check(path)
     assert texts(found) == [
-        f"the variable '{'a' * 160}...' has no structured name, which variableNamingConvention "
-        "promises."
+        f"the variable '{'a' * 160}...' is not a structured name, as variableNamingConvention "
+        "requires."
     ]
     assert found.skipped[0] == "FMPy gave no answer within 2 s and was ended."
 

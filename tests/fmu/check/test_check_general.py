@@ -9,15 +9,15 @@ GENERAL = {
     "neither kind": (
         lambda xml: [xml.drop(e) for k in ("ModelExchange", "CoSimulation")
                      for e in xml.root.findall(k)],
-        "neither of the elements ModelExchange and CoSimulation is there.",
+        "the elements ModelExchange and CoSimulation are both missing.",
     ),
     "identifier": (
         put("CoSimulation", modelIdentifier="1-2"),
-        "CoSimulation has the modelIdentifier '1-2', which is no name in C.",
+        "CoSimulation has the modelIdentifier '1-2', which is not a C identifier.",
     ),
     "no identifier": (
         put("CoSimulation", modelIdentifier=None),
-        "CoSimulation has the modelIdentifier '', which is no name in C.",
+        "CoSimulation has the modelIdentifier '', which is not a C identifier.",
     ),
     "tool": (
         put("CoSimulation", needsExecutionTool="1"),
@@ -26,31 +26,29 @@ GENERAL = {
     ),
     "serialise": (
         put("CoSimulation", canGetAndSetFMUstate="false", canSerializeFMUstate="true"),
-        "CoSimulation has canSerializeFMUstate='true', which demands canGetAndSetFMUstate='true' "
-        "too.",
+        "CoSimulation has canSerializeFMUstate='true', which requires "
+        "canGetAndSetFMUstate='true'.",
     ),
     "no guid": (
         put(".", guid=None),
-        "the attribute guid has no value, so that binaries cannot be told to belong to it.",
+        "the attribute guid is empty; it must identify the binaries of the FMU.",
     ),
     "empty guid": (
         put(".", guid=" "),
-        "the attribute guid has no value, so that binaries cannot be told to belong to it.",
+        "the attribute guid is empty; it must identify the binaries of the FMU.",
     ),
     "date in another zone": (
         put(".", generationDateAndTime="2024-05-06T07:08:09+02:00"),
-        "generationDateAndTime is '2024-05-06T07:08:09+02:00'; needed is a date of the form "
+        "generationDateAndTime is '2024-05-06T07:08:09+02:00'; the format is "
         "YYYY-MM-DDThh:mm:ssZ.",
     ),
     "date that is none": (
         put(".", generationDateAndTime="2024-02-30T07:08:09Z"),
-        "generationDateAndTime is '2024-02-30T07:08:09Z'; needed is a date of the form "
-        "YYYY-MM-DDThh:mm:ssZ.",
+        "generationDateAndTime is '2024-02-30T07:08:09Z'; the format is YYYY-MM-DDThh:mm:ssZ.",
     ),
     "date without zeros": (
         put(".", generationDateAndTime="2024-2-3T7:8:9Z"),
-        "generationDateAndTime is '2024-2-3T7:8:9Z'; needed is a date of the form "
-        "YYYY-MM-DDThh:mm:ssZ.",
+        "generationDateAndTime is '2024-2-3T7:8:9Z'; the format is YYYY-MM-DDThh:mm:ssZ.",
     ),
     "stop": (
         put("DefaultExperiment", startTime="2", stopTime="2"),
@@ -62,15 +60,15 @@ GENERAL = {
     ),
     "step": (
         put("DefaultExperiment", stepSize="0"),
-        "DefaultExperiment has stepSize 0; needed is a number above 0.",
+        "DefaultExperiment has stepSize 0; it must be positive.",
     ),
     "tolerance": (
         put("DefaultExperiment", tolerance="-1e-3"),
-        "DefaultExperiment has tolerance -0.001; needed is a number above 0.",
+        "DefaultExperiment has tolerance -0.001; it must be positive.",
     ),
     "infinite": (
         put("DefaultExperiment", startTime="0", stopTime="INF"),
-        "DefaultExperiment has stopTime INF; needed is a finite number.",
+        "DefaultExperiment has stopTime INF; it must be finite.",
     ),
     "unit twice": (
         lambda xml: etree.SubElement(xml.find("UnitDefinitions"), "Unit", name="N.m"),

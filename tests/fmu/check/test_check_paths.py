@@ -41,7 +41,7 @@ def of(source_fmu, tmp_path):
 def test_what_is_a_path_of_the_machine(text, path, of):
     path = path.replace(r"\\", "\\")
     assert of(text) == [
-        f"resources/x: it holds '{path}', a path of the machine on which the FMU was built."
+        f"resources/x: it holds '{path}', a path of the machine where the FMU was built."
     ]
 
 
@@ -66,7 +66,7 @@ def test_what_is_none(text, of):
 def test_several_are_one_problem(of):
     assert of(b"/home/anna/a /home/anna/b /home/anna/b /tmp/x/y", "documentation/index.html") == [
         "documentation/index.html: it holds '/home/anna/a' and 2 more of its kind, a path of the "
-        "machine on which the FMU was built."
+        "machine where the FMU was built."
     ]
 
 
@@ -78,7 +78,7 @@ def test_binaries_and_the_description_are_searched_too(table1_fmu, tmp_path):
         lambda xml: xml.root.set("description", "from /home/anna/robot"),
         files={BINARY: binary},
     )
-    rest = "it holds '/home/anna/robot', a path of the machine on which the FMU was built."
+    rest = "it holds '/home/anna/robot', a path of the machine where the FMU was built."
     assert said(path, "paths") == [f"modelDescription.xml: {rest}", f"{BINARY}: {rest}"]
 
 

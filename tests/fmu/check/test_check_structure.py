@@ -4,7 +4,7 @@ import pytest
 from lxml import etree
 from rule_changes import NUMBER, both, new, own, sentences, unknown, var
 
-LOOPS = "so that importers assume all inputs and see algebraic loops."
+LOOPS = "so importers assume all inputs and find false algebraic loops."
 INITIAL = (
     "outputs, states and derivatives with initial 'approx' or 'calculated', calculated "
     "parameters, and no other variable."
@@ -13,14 +13,14 @@ INITIAL = (
 STRUCTURE = {
     "output lacks": (
         lambda xml: xml.drop(xml.unknown("Outputs", "tau[2]")),
-        "ModelStructure/Outputs lacks 'tau[2]'; it lists every variable with causality 'output' "
-        "and no other.",
+        "ModelStructure/Outputs lacks 'tau[2]'; it must list every variable with causality "
+        "'output' and no other.",
     ),
     "output too much": (
         lambda xml: etree.SubElement(xml.find("ModelStructure/Outputs"), "Unknown",
                                      index=str(xml.index("h[1]")), dependencies=""),
-        "ModelStructure/Outputs lists 'h[1]'; needed is every variable with causality 'output' and "
-        "no other.",
+        "ModelStructure/Outputs lists 'h[1]'; it must list every variable with causality "
+        "'output' and no other.",
     ),
     "output twice": (
         lambda xml: etree.SubElement(xml.find("ModelStructure/Outputs"), "Unknown",
@@ -39,29 +39,29 @@ STRUCTURE = {
     ),
     "initial lacks": (
         lambda xml: xml.drop(xml.unknown("InitialUnknowns", "tau[2]")),
-        f"ModelStructure/InitialUnknowns lacks 'tau[2]'; it lists {INITIAL}",
+        f"ModelStructure/InitialUnknowns lacks 'tau[2]'; it must list {INITIAL}",
     ),
     "initial lacks a derivative": (
         lambda xml: xml.drop(xml.unknown("InitialUnknowns", "der(h[2])")),
-        f"ModelStructure/InitialUnknowns lacks 'der(h[2])'; it lists {INITIAL}",
+        f"ModelStructure/InitialUnknowns lacks 'der(h[2])'; it must list {INITIAL}",
     ),
     "initial lacks a state": (
         lambda xml: xml.drop(xml.unknown("InitialUnknowns", "h[1]")),
-        f"ModelStructure/InitialUnknowns lacks 'h[1]'; it lists {INITIAL}",
+        f"ModelStructure/InitialUnknowns lacks 'h[1]'; it must list {INITIAL}",
     ),
     "initial lacks a calculated parameter": (
         new("Real", {}, name="p", causality="calculatedParameter", variability="fixed"),
-        f"ModelStructure/InitialUnknowns lacks 'p'; it lists {INITIAL}",
+        f"ModelStructure/InitialUnknowns lacks 'p'; it must list {INITIAL}",
     ),
     "initial has a state that is exact": (
         both(var("h[1]", initial="exact"), own("h[1]", start="0")),
-        f"ModelStructure/InitialUnknowns lists 'h[1]'; needed is {INITIAL}",
+        f"ModelStructure/InitialUnknowns lists 'h[1]'; it must list {INITIAL}",
     ),
     "initial out of order": (
         lambda xml: xml.find("ModelStructure/InitialUnknowns").insert(
             0, xml.unknown("InitialUnknowns", "tau[2]")),
-        "ModelStructure/InitialUnknowns lists 'tau[1]' after 'tau[2]'; its order is that of the "
-        "variables.",
+        "ModelStructure/InitialUnknowns lists 'tau[1]' after 'tau[2]'; it must follow the order "
+        "of the variables.",
     ),
     "no dependencies": (
         unknown("Outputs", "tau[1]", dependencies=None),
@@ -84,7 +84,7 @@ STRUCTURE = {
     "kinds alone": (
         unknown("Outputs", "tau[1]", dependencies=None, dependenciesKind="dependent"),
         [f"ModelStructure/Outputs gives no dependencies for 'tau[1]', {LOOPS}",
-         "ModelStructure/Outputs gives 'tau[1]' kinds of dependencies without dependencies."],
+         "ModelStructure/Outputs gives 'tau[1]' dependenciesKind without dependencies."],
     ),
 }  # fmt: skip
 
@@ -113,8 +113,8 @@ def test_derivatives_are_complete_for_model_exchange_only(exchange, xml):
     xml.drop(xml.unknown("InitialUnknowns", "der(h[3])"))
     xml.drop(xml.unknown("InitialUnknowns", "h[3]"))
     wanted = (
-        "ModelStructure/Derivatives lacks 'der(h[3])'; it lists every derivative of a state and no "
-        "other variable."
+        "ModelStructure/Derivatives lacks 'der(h[3])'; it must list every derivative of a state "
+        "and no other variable."
     )
     assert sentences(xml) == ([wanted] if exchange else [])
 
@@ -123,5 +123,6 @@ def test_derivatives_are_derivatives_for_co_simulation_too(xml):
     for element in xml.root.findall("ModelExchange"):
         xml.drop(element)
     del xml.typed("der(h[1])").attrib["derivative"]
-    lists = "ModelStructure/Derivatives lists 'der(h[1])', which the attribute 'derivative' does "
-    assert sentences(xml)[0] == f"{lists}not make derivatives."
+    assert sentences(xml)[0] == (
+        "ModelStructure/Derivatives lists 'der(h[1])', which have no attribute 'derivative'."
+    )

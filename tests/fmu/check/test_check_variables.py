@@ -10,25 +10,25 @@ VARIABLES = {
     ),
     "name": (
         var("joint[1].alpha", name="1 alpha"),
-        "the variable '1 alpha' has no structured name, which variableNamingConvention promises.",
+        "the variable '1 alpha' is not a structured name, as variableNamingConvention requires.",
     ),
     "combination": (
         var("joint[1].alpha", variability="continuous"),
         "the variable 'joint[1].alpha' has causality 'parameter' and variability 'continuous', "
-        "which do not go together.",
+        "an invalid combination.",
     ),
     "initial of an input": (
         var("dq[1]", initial="exact"),
-        "the variable 'dq[1]' has initial 'exact', which does not go with causality 'input' and "
+        "the variable 'dq[1]' has initial 'exact', which is invalid with causality 'input' and "
         "variability 'continuous'.",
     ),
     "initial of a parameter": (
         both(var("joint[1].alpha", initial="calculated"), own("joint[1].alpha", start=None),
              new("Real", {}, name="other", causality="local", variability="fixed")),
-        ["the variable 'joint[1].alpha' has initial 'calculated', which does not go with causality "
+        ["the variable 'joint[1].alpha' has initial 'calculated', which is invalid with causality "
          "'parameter' and variability 'tunable'.",
          "the variable 'joint[1].alpha' has no start value, which its causality 'parameter' "
-         "demands."],
+         "requires."],
     ),
     "continuous integer": (
         new("Integer", {}, name="n"),
@@ -39,20 +39,20 @@ VARIABLES = {
         lambda xml: [xml.add_variable("Real", {}, name=n, causality="independent",
                                       valueReference=r) for n, r in (("t1", "901"), ("t2", "902"))]
         + [xml.drop(v) for v in xml.variables() if v.get("name") == "time"],
-        "the variables 't1', 't2' are all independent; there is one at most.",
+        "the variables 't1', 't2' are all independent; only one may be.",
     ),
     "input without start": (
         own("dq[1]", start=None),
-        "the variable 'dq[1]' has no start value, which its causality 'input' demands.",
+        "the variable 'dq[1]' has no start value, which its causality 'input' requires.",
     ),
     "state without start": (
         both(var("h[1]", initial="exact"),
              lambda xml: xml.drop(xml.unknown("InitialUnknowns", "h[1]"))),
-        "the variable 'h[1]' has no start value, which its initial 'exact' demands.",
+        "the variable 'h[1]' has no start value, which its initial 'exact' requires.",
     ),
     "constant without start": (
         new("Real", {}, name="c", variability="constant"),
-        "the variable 'c' has no start value, which its variability 'constant' demands.",
+        "the variable 'c' has no start value, which its variability 'constant' requires.",
     ),
     "calculated with start": (
         own("tau[1]", start="0"),
@@ -64,27 +64,27 @@ VARIABLES = {
     ),
     "below": (
         new("Real", {"start": "1", "min": "2"}, name="x", **PARAMETER),
-        "the variable 'x' has the start value 1, which is outside of its min 2.",
+        "the variable 'x' has the start value 1, outside its min 2.",
     ),
     "above": (
         new("Integer", {"start": "9", "min": "2", "max": "8"}, name="x", **PARAMETER),
-        "the variable 'x' has the start value 9, which is outside of its min 2 and max 8.",
+        "the variable 'x' has the start value 9, outside its min 2 and max 8.",
     ),
     "above the type's": (
         of_type("Real", {"max": "3"}, {"start": "4"}),
-        "the variable 'x' has the start value 4, which is outside of its max 3.",
+        "the variable 'x' has the start value 4, outside its max 3.",
     ),
     "min above max": (
         new("Real", {"start": "1", "min": "2", "max": "1"}, name="x", **PARAMETER),
-        "the variable 'x' has min 2, which is above its max 1.",
+        "the variable 'x' has min 2, above its max 1.",
     ),
     "nominal": (
         new("Real", {"start": "1", "nominal": "0"}, name="x", **PARAMETER),
-        "the variable 'x' has the nominal value 0; it is above 0.",
+        "the variable 'x' has the nominal value 0; it must be positive.",
     ),
     "item": (
         enumeration(("a", "1"), ("b", "2"), start="7"),
-        "the variable 'choice' has the start value 7, which is no item of the enumeration "
+        "the variable 'choice' has the start value 7, which is not an item of the enumeration "
         "'Choice'.",
     ),
     "type": (
@@ -120,7 +120,7 @@ VARIABLES = {
     "derivative of a parameter": (
         lambda xml: xml.add_variable("Real", {"derivative": str(xml.index("joint[1].alpha"))},
                                      name="x", variability="discrete"),
-        "the variable 'x' is the derivative of 'joint[1].alpha', which is no other continuous "
+        "the variable 'x' is the derivative of 'joint[1].alpha', which is not another continuous "
         "variable of type Real.",
     ),
 }  # fmt: skip

@@ -67,15 +67,16 @@ FULL = re.sub(rb'<Float64 name="y".*?/>', TWO_INPUTS.encode(), FMI_3)
         ('start="0.5 0.5"', 'start="0.5"', ""),
         ('start="0.5 0.5"', 'start="1 2 3"', "variable 'u' has 3 start values for 2 elements"),
         ('start="0.5 0.5"', "", "variable 'u' has no start value, which its causality 'input'"),
-        ('start="0.5 0.5"', 'start="1 9" max="8"', "'u' has the start value 9, which is outside"),
-        ('start="1" min', 'start="4" min', "'k' has the start value 4, which is outside of its"),
+        ('start="0.5 0.5"', 'start="1 9" max="8"', "'u' has the start value 9, outside"),
+        ('start="1" min', 'start="4" min', "'k' has the start value 4, outside its"),
         ('valueReference="3"', 'valueReference="2"', " share value reference 2; in FMI 3.0"),
         ('Alias name="z"', 'Alias name="u"', "the variable 'u' is declared 2 times"),
         ('derivative="4"', 'derivative="1"', ""),
-        ('derivative="4"', 'derivative="3"', "'rate' is the derivative of 'k', which is no other "
-         "continuous variable of type Float32 or Float64 and of its size"),
+        ('derivative="4"', 'derivative="3"', "'rate' is the derivative of 'k', which is not "
+                                             "another continuous variable of type Float32 or "
+                                             "Float64 and of its size"),
         ('derivative="4"', 'derivative="9"', "is the derivative of value reference 9, which does"),
-        (OUTPUT, "", "ModelStructure/Output lacks 'y'; it lists every"),
+        (OUTPUT, "", "ModelStructure/Output lacks 'y'; it must list every"),
         (OUTPUT, OUTPUT.replace('""', '"7"'), "ModelStructure/Output gives 'y' a dependency on "
          "value reference 7, which does not exist"),
         ('variability="fixed" start="1"', 'variability="continuous" start="1"',
@@ -164,8 +165,8 @@ def test_terminals(tmp_path):
     assert texts(found, "terminals") == [
         "the terminal 'a' is there 2 times.",
         "the member of the terminal 'a', 'm' is there 2 times.",
-        "the terminal 'a' has the member 'none', which is no variable.",
-        "it has a place for an icon, but there is no terminalsAndIcons/icon.png.",
+        "the terminal 'a' has the member 'none', which is not a variable.",
+        "it declares an icon, but terminalsAndIcons/icon.png is missing.",
     ]
     wrong = CONNECTED.replace(b' matchingRule="plug"', b"")
     found = check(write(tmp_path / "G.fmu", {MODEL: FMI_3, file: wrong}))

@@ -11,7 +11,7 @@ PROLOG = b'<?xml version="1.0" encoding="UTF-8"?>\n'
 DOCTYPE = (
     "modelDescription.xml: it has a DOCTYPE, which FMI does not use; it is not read any further."
 )
-NO_MODEL = ("All other checks: there is no modelDescription.xml to read.",)
+NO_MODEL = ("All other checks: modelDescription.xml could not be read.",)
 
 
 @pytest.fixture
@@ -68,9 +68,7 @@ def test_xml_that_is_not_well_formed(data, why, of_xml):
 
 def test_other_encodings(source_fmu, of_xml):
     text = "<?xml version='1.0' encoding='{}'?><fmiModelDescription fmiVersion='2.0' x='ä'/>"
-    no_utf8 = (
-        "modelDescription.xml: it is not encoded in UTF-8 as FMI needs (byte {} is none of it)."
-    )
+    no_utf8 = "modelDescription.xml: it is not valid UTF-8, which FMI requires (byte {})."
     latin = text.format("ISO-8859-1").encode("latin-1")
     assert texts(of_xml(latin)) == [no_utf8.format(latin.index(b"\xe4") + 1)]
     assert texts(of_xml(text.format("UTF-16").encode("utf-16"))) == [no_utf8.format(1)]
@@ -120,7 +118,7 @@ def test_xml_that_is_too_deep(of_xml):
 
 def test_another_root(of_xml):
     assert texts(of_xml(PROLOG + b"<a:model xmlns:a='urn:x'/>")) == [
-        "modelDescription.xml: its root is '{urn:x}model'; needed is 'fmiModelDescription'."
+        "modelDescription.xml: its root is '{urn:x}model'; it must be 'fmiModelDescription'."
     ]
 
 
