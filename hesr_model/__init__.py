@@ -1,6 +1,6 @@
 """The science of HESR: logs, rigid bodies, friction laws and how they are fitted.
 
-The names that a notebook needs stand here; the modules hold the rest. From logs to the friction
+Names for notebooks; the modules have the rest. From logs to the friction
 torque of a motion that no fit has seen (`docs/tutorial.ipynb` is the long form)::
 
     from pathlib import Path

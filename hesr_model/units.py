@@ -48,7 +48,7 @@ def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
     """Return whether a joint of this kind can be logged in a unit; numbers fit any joint.
 
     The SI unit of a turning joint (rad, rad/s, N.m) is the default of every robot file and also
-    stands in for the SI unit of a sliding joint.
+    accepted for the SI unit of a sliding joint.
     """
     if quantity in OTHERS or not isinstance(unit, str):
         return True

@@ -1,1 +1,1 @@
-"""Forward simulation: torque in, position out, of an identified body and its friction."""
+"""Forward simulation of an identified body with friction: torque in, position out."""

@@ -20,15 +20,15 @@ from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Mask
 
 _ROWS = 450
-"""Rows of all logs together on which hypotheses are tested."""
+"""Number of rows, of all logs together, for testing hypotheses."""
 _BETTER = 2.0
-"""Factor by which a correction must reduce the unexplained torque of the joint it helps most."""
+"""Minimum reduction factor of the unexplained torque on the joint that a correction helps most."""
 _NO_WORSE = 1.25
 """Largest allowed growth of the unexplained torque of any other joint."""
 _EXPLAINED = 0.6
 """Minimum R^2 after the correction where it helps."""
 _CLEARLY = 1.05
-"""Factor by which a mistake must explain more than a simpler one."""
+"""Minimum advantage factor over a simpler mistake."""
 _MOST = 8
 """Largest number of mistakes searched for one after another."""
 

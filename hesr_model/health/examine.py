@@ -57,7 +57,7 @@ def examine(
 
     Parameters
     ----------
-    model : None if there is no model file; torques and limits are not checked then.
+    model : None without a model file; torques and limits are not checked then.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def checked(
     HealthError
         If there are errors, naming all of them.
     ConfigError
-        If `accepted` holds a name that is no check.
+        If `accepted` contains an unknown check.
     """
     require_known(accepted, CHECKS)
     return require_sound(examine(logs, model.description, model).findings, accepted)

@@ -53,7 +53,7 @@ def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> 
 
 
 def require_known(accepted: Sequence[str], known: Sequence[str]) -> None:
-    """Raise ConfigError if `accepted` holds a name that is no check."""
+    """Raise ConfigError if `accepted` contains an unknown check."""
     for name in accepted:
         if name not in known:
             raise ConfigError(f"--accept is '{name}'; the checks are {', '.join(known)}.")

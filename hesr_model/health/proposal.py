@@ -60,7 +60,7 @@ def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal
 
 
 def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> Proposal:
-    """Find a robot description with which the logs can be read and pass the checks.
+    """Find a robot description that reads the logs and passes the checks.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.arrays import Array, Mask
 
 _WINDOW = 0.1
-"""Window over which the speed of a raw position is computed [s]."""
+"""Window for the speed of a raw position [s]."""
 _MOVES = 0.05
 """Speed above which a joint moves [rad/s; m/s]."""
 _LEVELS = 200

@@ -178,7 +178,7 @@ def delay(rows: LagRows, j: int, t: Array, tau: Array) -> tuple[float, float]:
 
 
 def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> tuple[float, float]:
-    """Return the factor by which a motion lasted longer than stamped, and its certainty.
+    """Return the ratio of a motion's duration to that of its stamps, and its certainty.
 
     A motion that lasted r times as long has 1 / r^2 times the inertial torques. The result is (1,
     0) if the best scale is at an end of the search range. See `delay` for the arguments.

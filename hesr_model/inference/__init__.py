@@ -1,1 +1,1 @@
-"""What estimates are worth: covariances of least squares over logs."""
+"""Uncertainty of estimates from logs."""

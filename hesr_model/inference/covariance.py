@@ -24,7 +24,7 @@ from hesr_model.support.arrays import Array, Integers
 from hesr_model.support.typed_json import Numbers, to_json
 
 ENOUGH = 20
-"""Number of logs from which the covariance follows from their scatter."""
+"""Minimum number of logs for a covariance from their scatter."""
 
 BLOCKS = 4
 """Number of blocks of time that replace logs if there is only one log."""
@@ -54,7 +54,7 @@ class Covariance:
     names : names of the unknowns (P,).
     within : (P, P) from the rows of each log, in the unknowns' units.
     between : mean square difference between logs, relative to `within`.
-    degrees : number of independent comparisons behind `between`; 0 if there are none.
+    degrees : number of independent comparisons behind `between`, possibly 0.
     carried : (P, P) from uncertain earlier estimates.
 
     Raises

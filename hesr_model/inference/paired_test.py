@@ -19,7 +19,7 @@ from hesr_model.support.arrays import Array
 Key = TypeVar("Key")
 
 ENOUGH = 8
-"""Number of logs from which each is one unit."""
+"""Minimum number of logs for one unit per log."""
 
 SHORTEST = 8.0
 """Minimum length of a block [s]; errors at rest are correlated over 2.4 to 2.8 s."""

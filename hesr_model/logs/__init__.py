@@ -1,1 +1,1 @@
-"""Robot logs: read from files of many kinds, converted, checked, smoothed."""
+"""Robot logs: read from many formats, converted, checked, smoothed."""

@@ -29,7 +29,7 @@ _OTHERS = _words(
     "target desired des ref reference cmd command setpoint goal acc acceleration ddq qdd error err "
     "tcp ext external voltage control window limit mode status dir"
 )
-"""Words of columns that are none of these quantities."""
+"""Words of columns with other quantities."""
 _MEASURED = _words("actual act meas measured msr")
 _TIME = _words("t time timestamp stamp timestamps clock unix secs seconds sec zeit")
 _UNITS: Mapping[str, Mapping[str, str]] = {
@@ -51,7 +51,7 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
 }
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
 _NUMBER = re.compile(r"(?<!\d)\d{1,9}(?!\d)")
-"""Joint numbers; longer digit strings are none, and slow to parse."""
+"""Joint numbers; longer digit strings are skipped, and slow to parse."""
 _RATES = (5.0, 20_000.0)
 """Plausible sample rates of robot logs [Hz]."""
 

@@ -155,7 +155,7 @@ class LogFormat(Config):
     columns : columns of CSV, Parquet and MATLAB files.
     units : units of these columns, and of the messages of a bag.
     bag : place of the joint states in ROS bags.
-    zero : position of each joint [rad; m] at which the log reads 0, if that is not the model's 0.
+    zero : position of each joint [rad; m] where the log reads 0, if that is not the model's 0.
     torque_per_ampere : torque constant of each joint [N.m/A]; with it, torque is computed from the
         current columns.
     """

@@ -77,7 +77,7 @@ def standard_normal(seed: int, stream: ArrayLike, counter: ArrayLike) -> Array:
     Returns
     -------
     ndarray
-        Of the broadcast shape, without unit.
+        Numbers of the broadcast shape, without unit.
     """
     first = np.asarray(counter, dtype=np.uint64) * np.uint64(2)
     u = (words(seed, stream, first) >> np.uint64(11)).astype(np.float64)

@@ -12,7 +12,7 @@ REVERSAL_WINDOW = 0.1
 
 
 def moving(dq: Array) -> Mask:
-    """Return the rows (N,) at which a joint moves: |dq| > `MOVING` [rad/s]."""
+    """Return the moving rows (N,) of a joint: |dq| > `MOVING` [rad/s]."""
     return np.asarray(np.abs(dq) > MOVING)
 
 

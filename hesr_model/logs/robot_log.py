@@ -310,7 +310,7 @@ def _effort(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
 
 
 def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
-    """Check that products of a few numbers, in any unit, stay finite; NaN fails, too."""
+    """Check that products of a few numbers, in any unit, stay finite; NaN also fails."""
     for what in ("q", "dq", "effort", "temperature"):
         values = getattr(samples, what)
         if values is not None and not np.all(usable := np.abs(values) <= _LARGEST):

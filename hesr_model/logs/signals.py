@@ -1,4 +1,4 @@
-"""The smooth motion of a log, on which the dynamics are evaluated."""
+"""The smooth motion of a log, for evaluating the dynamics."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields

@@ -19,7 +19,7 @@ _KEPT_FREE = 0.05
 """Default margin at either end of a joint's range, as a share; no arm follows exactly."""
 
 _SECONDS_TO_FULL_SPEED = 1.0
-"""Default time in which a joint reaches its speed [s]; model files have no acceleration."""
+"""Default time of a joint to reach its speed [s]; model files have no acceleration."""
 
 _MARGIN = 1e-3
 """Margin of every limit for peaks between the evaluated points."""
@@ -66,7 +66,7 @@ class Limits:
     ----------
     lower, upper : position [rad or m].
     velocity, acceleration : absolute values [rad/s, rad/s2].
-    torque : absolute value [N.m or N]; infinite if there is no limit.
+    torque : absolute value [N.m or N]; infinite without limit.
     """
 
     lower: Array

@@ -1,1 +1,1 @@
-"""Rigid-body identification: base parameters, payload, and the friction that is left."""
+"""Rigid-body identification: base parameters, payload and friction residual."""

@@ -247,9 +247,9 @@ def identify_motions(
     Parameters
     ----------
     method : ``"stacked"``: one least-squares problem over all motions, forward and reversed, in
-        which every joint also has a Coulomb, a viscous and an offset coefficient; no offset where
-        it cannot be told from a weight (`observations.friction_columns`). ``"paper"``: torque and
-        regressor of each motion are averaged with those of its time-reversed counterpart at the
+        which every joint also has a Coulomb, a viscous and an offset coefficient; no offset if it
+        is indistinguishable from a weight (`observations.friction_columns`). ``"paper"``: torque
+        and regressor of each motion are averaged with those of its time-reversed counterpart at the
         same position, where odd friction cancels (eq. 7). Either drops a joint's slow rows
         (`observations.SLOW`).
     weighting : ``"wls"`` weighs each joint by its residual's standard deviation, ``"ols"`` does

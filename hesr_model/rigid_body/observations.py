@@ -14,7 +14,7 @@ from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Integers, Mask
 
 SLOW = 0.1
-"""Speed below which rows are dropped [rad/s, m/s]: friction is no function of velocity there."""
+"""Speed limit of dropped rows [rad/s, m/s]: slow friction depends on more than velocity."""
 
 SLOW_SHARE = 0.25
 """Upper bound of `SLOW` as a share of a joint's peak speed, for slow joints such as lifts."""

@@ -29,7 +29,7 @@ def identify_again(
     ----------
     logs, reversed_logs : as for `identify`.
     model : the robot.
-    rigid_body : the body with which `friction` was fitted; it gives the load torque.
+    rigid_body : the body used for fitting `friction`; it gives the load torque.
     friction : law of every joint.
 
     Raises

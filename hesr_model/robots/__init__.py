@@ -1,1 +1,1 @@
-"""Robots: what a TOML file says of them, and the model file behind it."""
+"""Robots: TOML descriptions and model files."""

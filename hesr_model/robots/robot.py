@@ -95,9 +95,9 @@ class RobotDescription(Config):
         Raises
         ------
         ConfigError
-            For a key that is unknown, missing or out of range.
+            If a key is unknown, missing or out of range.
         RobotError
-            For a list that has not one entry per joint.
+            If a list has not one entry per joint.
         """
         path = path_of(path, "a robot")
         description = read_toml(path, cls)

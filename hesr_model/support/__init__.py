@@ -1,1 +1,1 @@
-"""What every room needs: files, processes, progress, configuration."""
+"""Shared support: files, processes, progress, configuration."""

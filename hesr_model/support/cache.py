@@ -30,7 +30,7 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
     Parameters
     ----------
     kind : folder of such entries.
-    inputs : everything on which the result depends, in a fixed order.
+    inputs : everything that determines the result, in a fixed order.
     make : computes the result; its exceptions propagate, and nothing is stored.
     """
     key = hashlib.sha256()
@@ -74,8 +74,8 @@ def since(earlier: Counter[tuple[str, bool]]) -> dict[str, tuple[int, int]]:
 def folder() -> Path:
     """Return a writable folder for entries: the user's own, else a private one.
 
-    That is `hesr` in XDG_CACHE_HOME, else in .cache of HOME, else, if there is no writable HOME as
-    in many containers, a private folder for temporary files.
+    That is `hesr` in XDG_CACHE_HOME, else in .cache of HOME, else, without a writable HOME as in
+    many containers, a private temporary folder.
     """
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     home = Path(os.environ.get("HOME", ""))
@@ -108,7 +108,7 @@ def _temporary() -> Path:
 
 
 def _read(entry: Path) -> bytes | None:
-    """Return the content of an entry, or None if there is no valid one."""
+    """Return the content of an entry, or None if it is missing or damaged."""
     try:
         data = entry.read_bytes()
     except OSError:

@@ -152,7 +152,7 @@ def _move(temporary: Path, path: Path) -> None:
 
 @contextmanager
 def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
-    """Yield a temporary folder in which any program may write anything.
+    """Yield a temporary folder for any files of any program.
 
     It is in the folder `parent`, by default among the temporary files. An interrupt leaves none
     behind.

@@ -64,7 +64,7 @@ def results_of(
     Raises
     ------
     WorkerError
-        By the iterator, if a process ended before its job was done.
+        If a process ended before its job was done; the iterator raises it.
     """
     count = min(workers or os.cpu_count() or 1, len(jobs))
     if count <= 1:
@@ -175,7 +175,7 @@ class _Pool:
         self._threads[-1].start()
 
     def _serve(self, child: ChildProcess) -> None:
-        """Pass tasks to a process until there are no more."""
+        """Pass tasks to a process until the queue ends."""
         requests, answers = child.process.stdin, child.process.stdout
         assert requests is not None
         assert answers is not None

@@ -90,5 +90,5 @@ def watched(files: Sequence[Path], progress: Progress) -> Iterator[None]:
 def _share(file: Path) -> int:
     try:
         return int(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # not begun, or being written
+    except (OSError, ValueError):  # missing, or being written
         return 0

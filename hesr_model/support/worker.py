@@ -32,7 +32,7 @@ _GROWTH = 1 << 30
 """Memory growth after which a worker starts afresh [B]."""
 
 _ORPHANED = 1.0
-"""Period at which a worker looks for its parent [s]."""
+"""Period of a worker's checks for its parent [s]."""
 
 
 def work(folder: Path, parent: int) -> None:

@@ -1,1 +1,1 @@
-"""Files that logs are read from: tables with named columns, MATLAB files and ROS bags."""
+"""Readers of log files: tables with named columns, MATLAB files and ROS bags."""

@@ -42,7 +42,7 @@ def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array
 
 
 def _temperature(table: LogTable, robot: RobotDescription) -> Array | None:
-    """Return the temperatures (N, n) in the unit of the file; None if there are none by default."""
+    """Return the temperatures (N, n) in the unit of the file; None without default columns."""
     columns = robot.log.columns.temperature
     there = set(column_names(columns, robot.joints)) & set(table.names)
     return None if columns == TEMPERATURES and not there else _joints(table, columns, robot)

@@ -43,7 +43,7 @@ COLUMNS = FileFormat(name="table", recognises=lambda _: True, read=read_columns)
 
 @cache
 def formats() -> tuple[FileFormat, ...]:
-    """Return all formats in the order in which they are tried."""
+    """Return all formats in the order of their trial."""
     found = {plugin: plugin.load() for plugin in plugins.load(GROUP).values()}
     for plugin, value in found.items():
         if not isinstance(value, FileFormat):
