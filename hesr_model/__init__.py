@@ -1,24 +1,22 @@
-"""The science of HESR: logs, rigid bodies, friction laws and how they are fitted.
+"""The science of HESR: logs, rigid bodies, friction laws and their fits.
 
-Names for notebooks; the modules have the rest. From logs to the friction
-torque of a motion that no fit has seen (`docs/tutorial.ipynb` is the long form)::
+Names for notebooks; `docs/tutorial.ipynb` is the long form of::
 
     from pathlib import Path
 
     from fmu_src import export_fmu
-    from hesr_model import RobotDescription, RobotLog, RobotModel, fit, friction_records, identify
+    from hesr_model import RobotLog, RobotModel, fit, friction_records, identify
 
-    robot = RobotModel(RobotDescription.read(Path("robot.toml")))
+    robot = RobotModel("robot.toml")
     excitation, sweep, test = (
-        RobotLog.read(Path(f"{name}.csv"), robot.description)
-        for name in ("excitation", "sweep", "test")
+        RobotLog.read(f"{name}.csv", robot) for name in ("excitation", "sweep", "test")
     )
     body = identify([excitation], robot)
     model = fit("lugre", friction_records(sweep, robot, body))
     tau_f = model.predict(friction_records(test, robot, body))  # (N, n) [N.m]
     export_fmu(model, Path("Friction.fmu"))
 
-Every name is imported when it is first used, so `import hesr_model` takes no time.
+Every name is imported on first use, so `import hesr_model` takes no time.
 """
 
 from typing import TYPE_CHECKING
