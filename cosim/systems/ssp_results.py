@@ -1,7 +1,7 @@
-"""Reference results of a system in an SSP: its signals in each way in which engines couple FMUs.
+"""Reference results of a system in an SSP, one experiment for each exchange scheme of engines.
 
-An SSP says which FMUs are connected, not when values are passed on; so there is one experiment for
-each way, and an engine is compared with its own. They are computed by our FMUs' own code.
+An SSP defines connections, but not when values are exchanged. An engine is compared with the
+experiment of its own scheme. The results are computed by the FMUs.
 """
 
 from collections.abc import Mapping
@@ -51,8 +51,8 @@ there are results for each:
 def result_files(contents: SystemContents) -> dict[str, bytes]:
     """Return the members of an SSP's folder `extra/`.
 
-    There are none where FMUs are not ours, whose code is not run here, where one has a step of its
-    own, nothing is passed on or observed, or a run fails.
+    The result is empty if an FMU is not trusted or has a step of its own, nothing is connected or
+    observed, or a run fails.
     """
     spec = contents.spec
     signals = [f"{component}.{output}" for component, output in contents.used]
@@ -79,7 +79,7 @@ def result_files(contents: SystemContents) -> dict[str, bytes]:
 
 
 def verify_ssp(path: Path) -> Verified:
-    """Run an SSP as its experiments say, and compare with the reference results that it carries.
+    """Run the experiments in an SSP and compare with its reference results.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""What an FMU makes of masters at their worst: steps of odd lengths, calls that others leave out.
+"""Behaviour of an FMU under masters at their worst: odd step sizes, unusual calls.
 
-Reference is the same FMU at an eighth of its preferred step, and at half of it with inputs held for
-twice that step, as masters may hold them. An output jumps where it leaves the range that these have
-around its time by several times what it does at the preferred step, outputs that follow new inputs
-before the step included: that is the step error that the FMU has anyway.
+The reference is the same FMU at an eighth of its preferred step, and at half of it with inputs held
+for twice that step, as masters may do. An output jumps if it leaves the range of the reference
+around its time by several times its step error. The step error is its distance from this range at
+the preferred step, with outputs included that follow new inputs before the step.
 """
 
 import math
@@ -57,9 +57,9 @@ _NAMES = _FREE | {
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """Outcome of a scenario: (N,) times [s] and steps before them, (N, outputs) values.
+    """Outcome of a scenario: (N,) times [s] and steps before them [s], (N, outputs) values.
 
-    `fresh` are those that were read before the steps, where they were.
+    `fresh` are the values that were read before the steps, if any.
     """
 
     times: Array
@@ -70,13 +70,13 @@ class _Run:
 
 
 def problems(about: Description, contents: Contents, folder: Path) -> tuple[list[str], list[str]]:
-    """Return what a hostile master finds, and what it could not try.
+    """Return the findings of a hostile master, and reasons for scenarios that were not run.
 
     Parameters
     ----------
-    about : of an FMU of FMI 2.0.
+    about : description of an FMU of FMI 2.0.
     contents : its files.
-    folder : for files of the run; the FMU's binary is executed.
+    folder : folder for files of the run; the FMU's binary is executed.
     """
     import fmpy
 
@@ -100,7 +100,7 @@ def problems(about: Description, contents: Contents, folder: Path) -> tuple[list
 
 
 class _Master:
-    """The scenarios of one FMU and what is said of them."""
+    """The scenarios of one FMU and their findings."""
 
     def __init__(
         self, about: Description, kinds: Mapping[str, Kind], place: Path, folder: Path
@@ -152,7 +152,7 @@ class _Master:
         return chosen
 
     def findings(self) -> Iterator[str]:
-        """Run all scenarios and yield a sentence for each thing that is wrong."""
+        """Run all scenarios and yield a sentence for each problem."""
         outcomes = self._outcomes(self._scenarios())
         for name, outcome in outcomes.items():
             if refused := outcome.get("refused"):
@@ -208,11 +208,11 @@ class _Master:
         scale = _scale(np.concatenate([one.rows for one in reference]))
         own = np.zeros(len(self._outputs))
         for own_run in (nominal, *_fresh(runs), *small[:-1]):
-            # Small steps differ by themselves where outputs are faster, as ripple over the angle.
+            # Small steps differ from each other if outputs are fast, such as ripple over the angle.
             others = [one for one in reference if one is not own_run]
             around = _around(own_run, others or reference, self._step)
             own = np.maximum(own, _excess(own_run, around).max(axis=0))
-        # Where those that are discrete jump is a matter of the step.
+        # The jumps of discrete outputs depend on the step.
         free = np.array([np.inf if v.variability == "discrete" else 0.0 for v in self._outputs])
         for name in ("summed", *_FREE):
             if name in runs:
@@ -230,7 +230,7 @@ class _Master:
     def _worst(
         self, name: str, run: _Run, over: Array, around: tuple[Array, Array]
     ) -> Iterator[str]:
-        """Say of the output that is furthest off, for its range, where that is."""
+        """Report the output with the largest deviation relative to its range."""
         bad = ~(over <= 0.0)  # NaN is bad
         if not bad.any():
             return
@@ -257,7 +257,7 @@ def _preferred_step(about: Description) -> float:
 
 
 def _excitation(variable: Variable) -> dict[str, Any]:
-    """Return around which value and how far an input swings, within its limits."""
+    """Return centre and amplitude of an input within its limits."""
     start, low, high = (real(variable.get(name)) for name in ("start", "min", "max"))
     centre = start if start is not None and math.isfinite(start) else 0.0
     amplitude = 0.5 * (real(variable.get("nominal")) or 1.0)
@@ -281,14 +281,14 @@ def _run(outcome: Mapping[str, Any], outputs: int) -> _Run:
 
 
 def _fresh(runs: Mapping[str, _Run]) -> Iterator[_Run]:
-    """Yield the outputs that follow new inputs before the step that these are for."""
+    """Yield the outputs that follow new inputs before their step."""
     run = runs.get("refreshed")
     if run is not None and not run.refused:
         yield replace(run, times=run.times[:-1], steps=run.steps[1:], rows=run.fresh)
 
 
 def _scale(rows: Array) -> Array:
-    """Return the range (outputs,) of each output, for one that stands still its rounding."""
+    """Return the range (outputs,) of each output, at least its round-off."""
     finite = np.where(np.isfinite(rows), rows, 0.0)
     rounding = np.maximum(1e-9 * np.abs(finite).max(axis=0), 1e-12)
     scale: Array = np.maximum(np.ptp(finite, axis=0), rounding)
@@ -296,7 +296,7 @@ def _scale(rows: Array) -> Array:
 
 
 def _around(run: _Run, references: Sequence[_Run], step: float) -> tuple[Array, Array]:
-    """Return the least and the most (N, outputs) that references have around the times of a run."""
+    """Return minimum and maximum (N, outputs) of references around the times of a run."""
     low, high = np.full_like(run.rows, np.inf), np.full_like(run.rows, -np.inf)
     for k, (time, last) in enumerate(zip(run.times, run.steps, strict=True)):
         reach = 1.01 * (step + max(step, float(last)))
@@ -309,6 +309,6 @@ def _around(run: _Run, references: Sequence[_Run], step: float) -> tuple[Array, 
 
 
 def _excess(run: _Run, around: tuple[Array, Array]) -> Array:
-    """Return by how much (N, outputs) a run leaves a range."""
+    """Return the distance (N, outputs) of a run from a range."""
     over: Array = np.maximum(np.maximum(around[0] - run.rows, run.rows - around[1]), 0.0)
     return over

@@ -298,7 +298,7 @@ def _events(run: _Run) -> None:
 
 
 def _sizes(run: _Run, _scenario: str) -> None:
-    """Pass one state too many; solvers that need a state where there is none make one up."""
+    """Pass one state too many, as solvers do that need at least one state."""
     _events(run)
     size = run.plan["states"] + 1
     try:

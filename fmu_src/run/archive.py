@@ -1,7 +1,7 @@
-"""FMUs and SSPs as archives: whoever made them, nothing of them is trusted before it is checked.
+"""FMUs and SSPs as archives, checked before they are unpacked.
 
-Everybody who opens one does it here. `hesr check` lists what is wrong with an archive
-(`fmu_src.check.archive`); everything else refuses such an archive as a whole.
+`hesr check` lists all problems of an archive (`fmu_src.check.archive`). Everything else refuses an
+archive with a problem.
 """
 
 import hashlib
@@ -20,17 +20,17 @@ from hesr_model.support.text import plain, quoted
 
 MOST_ENTRIES = 20_000
 MOST_BYTES = 512 << 20
-"""Unpacked size of one entry."""
+"""Largest unpacked size of an entry."""
 
 MOST_BYTES_IN_ALL = 1 << 30
 MOST_DIRECTORY = 16 << 20
-"""Size of the archive's table of contents, which has to be held in memory."""
+"""Largest size of the table of contents, which is held in memory."""
 
 MOST_RATIO = 200
-"""Of the unpacked to the packed size of a large entry; text has 5 to 20, a zip bomb 1000."""
+"""Largest compression ratio of a large entry; text has 5 to 20, a zip bomb 1000."""
 
 MOST_TEXT = 32 << 20
-"""Size of XML and JSON, of which a parser makes twenty times as much."""
+"""Largest size of XML and JSON; a parser needs twenty times as much memory."""
 
 _LARGE = 10 << 20
 _CHUNK = 1 << 20
@@ -50,11 +50,11 @@ DAMAGED = (
     TypeError,
     ValueError,
 )
-"""What the standard library raises for archives that are damaged on purpose or by accident."""
+"""Errors that the standard library raises for damaged archives."""
 
 
 class _Bounded:
-    """A file that refuses to be read in one huge piece."""
+    """A file that limits the size of each read."""
 
     def __init__(self, file: BufferedReader, size: int) -> None:
         self._file = file
@@ -74,12 +74,12 @@ def opened(path: Path) -> BufferedReader:
     Raises
     ------
     ArtifactError
-        If there is none or the operating system does not let it be opened.
+        If it is missing or cannot be opened.
     """
     try:
-        # Before it is opened: opening a pipe waits for its other end.
+        # Checked first, because opening a pipe blocks.
         if path.exists() and not path.is_file():
-            raise ArtifactError(f"{path}: is no file.")
+            raise ArtifactError(f"{path}: is not a file.")
         return path.open("rb")
     except FileNotFoundError as error:
         raise ArtifactError(f"{path}: no such file.") from error
@@ -88,25 +88,25 @@ def opened(path: Path) -> BufferedReader:
 
 
 def entries(file: BufferedReader) -> zipfile.ZipFile:
-    """Return the archive in an open file; any of `DAMAGED` if it is none."""
+    """Return the archive in an open file; raise one of `DAMAGED` if it is damaged."""
     return zipfile.ZipFile(_Bounded(file, file.seek(0, 2)))
 
 
 class Archive:
-    """An FMU or SSP that is read; a context manager, which refuses what is not safe to unpack.
+    """An FMU or SSP for reading; a context manager that refuses unsafe archives.
 
-    Names that lead out of a folder, links and special files, encryption, and more entries or bytes
-    than an FMU has are refused for the whole archive, whichever entries are wanted.
+    The whole archive is refused for paths that lead out of its folder, links, special files,
+    encryption, and too many entries or bytes.
 
     Parameters
     ----------
     path : the file.
-    kind : what it is for messages: "FMU" or "SSP".
+    kind : "FMU" or "SSP", for messages.
 
     Raises
     ------
     ArtifactError
-        By every method: naming the file, the entry and what is wrong with it.
+        By every method, naming file, entry and problem.
     """
 
     def __init__(self, path: Path, kind: str = "FMU") -> None:
@@ -114,7 +114,7 @@ class Archive:
         self._cleanup = ExitStack()
 
     def __enter__(self) -> Self:
-        """Open it and check its table of contents."""
+        """Open the file and check its table of contents."""
         with ExitStack() as cleanup:
             self._file = cleanup.enter_context(opened(self.path))
             try:
@@ -137,27 +137,21 @@ class Archive:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close it."""
+        """Close the file."""
         self._cleanup.close()
 
     @property
     def names(self) -> list[str]:
-        """Names of its files, with '/' between folders."""
+        """Paths of its files."""
         return list(self._entries)
 
     def digest(self) -> str:
-        """Return the SHA-256 of the open file, whatever stands at its path by now."""
+        """Return the SHA-256 of the open file, even if its path now leads to another one."""
         self._file.seek(0)
         return hashlib.file_digest(self._file, "sha256").hexdigest()
 
     def read(self, name: str, most: int = MOST_BYTES) -> bytes:
-        """Return the content of a file.
-
-        Raises
-        ------
-        ArtifactError
-            If there is none of this name, it is damaged, or has more bytes than may be.
-        """
+        """Return the content of a file, at most so many bytes."""
         entry = self._entries.get(name)
         if entry is None:
             raise self._refusal(f"there is no {plain(name)} in it")
@@ -171,13 +165,7 @@ class Archive:
             raise self._damaged(entry, error) from error
 
     def unpack(self, folder: Path, wanted: Callable[[str], bool] = lambda _: True) -> None:
-        """Write files into a folder, those of the wanted names only.
-
-        Raises
-        ------
-        ArtifactError
-            If one of them is damaged, or cannot be written.
-        """
+        """Write the wanted files into a folder."""
         for name, entry in self._entries.items():
             if not wanted(name):
                 continue
@@ -196,14 +184,14 @@ class Archive:
 
 
 def copy_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> None:
-    """Unpack one entry; any of `DAMAGED` if it is not what the archive says of it."""
+    """Unpack one entry; raise one of `DAMAGED` if it is damaged."""
     with target.open("wb") as copy:
         for piece in _pieces(archive, entry):
             copy.write(piece)
 
 
 def _pieces(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]:
-    """Yield the content of an entry; the archive's checksum is verified at its end."""
+    """Yield the content of an entry and verify its checksum."""
     found = 0
     source: IO[bytes]
     with archive.open(entry) as source:
@@ -220,7 +208,7 @@ def is_folder(entry: zipfile.ZipInfo) -> bool:
 
 
 def hazards(entry: zipfile.ZipInfo) -> Iterator[str]:
-    """Yield sentences on what makes an entry unsafe to unpack: its name, its kind, its size."""
+    """Yield a sentence for each reason why an entry is unsafe to unpack."""
     name, shown = entry.filename, quoted(entry.filename)
     parts = name.replace("\\", "/").split("/")
     if not name:
@@ -237,7 +225,7 @@ def hazards(entry: zipfile.ZipInfo) -> Iterator[str]:
 
 
 def unreadable(entry: zipfile.ZipInfo) -> str | None:
-    """Why an entry is not read, if so."""
+    """Return the reason why an entry is not read, None if it is."""
     kind = stat.S_IFMT(entry.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
         what = "a symbolic link" if kind == stat.S_IFLNK else "a special file"
@@ -257,5 +245,5 @@ def unreadable(entry: zipfile.ZipInfo) -> str | None:
 
 
 def said(error: BaseException) -> str:
-    """Return what an error says, without full stop, safe to print."""
+    """Return the text of an error without full stop, safe to print."""
     return plain(str(error).rstrip(".") or type(error).__name__)

@@ -48,7 +48,7 @@ def hash_folder() -> Path:
 
 
 def remember(fmu: Path) -> None:
-    """Trust an FMU from now on.
+    """Trust an FMU.
 
     If the cache folder cannot be written, it stays untrusted: slower, with the same results.
     """
@@ -196,7 +196,7 @@ class FmuInstance:
                 return Instance(unpacked, self._log, self._failure)
             from fmu_src.run.sandbox import SandboxedInstance  # slow to import
 
-            own = folder / "process"  # not a folder of the archive, two of which are unpacked
+            own = folder / "process"  # no folder of the archive has this name
             own.mkdir()
             return SandboxedInstance(unpacked, self._log, self._failure, own, self._seconds)
         except LoadError as error:

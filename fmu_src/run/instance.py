@@ -36,7 +36,7 @@ class LoadError(Exception):
 
 
 class DiedError(Exception):
-    """A process has ended without an answer; the text says in which call and how."""
+    """A process has ended without an answer; the text names the call and the end."""
 
 
 class CallError(Exception):
@@ -44,7 +44,7 @@ class CallError(Exception):
 
     Parameters
     ----------
-    function : name of the function, or a message if there is no status.
+    function : name of the function, or a message without a status.
     status : status that it returned.
     """
 

@@ -31,7 +31,7 @@ class ExchangeScheme:
     Attributes
     ----------
     order : "gauss_seidel" steps the components in their order, each with the newest outputs of the
-        others; "jacobi" gives all of them the outputs of the instant at which their steps begin.
+        others; "jacobi" gives all of them the outputs at the start of their steps.
     first : inputs of the first step: outputs "propagated" during the initialisation, or "zero".
     refreshed : outputs with direct feedthrough that follow the new inputs of an instant: "none",
         those that are "shown", or "all", including those passed on.

@@ -99,7 +99,7 @@ def waves(amplitudes: Mapping[str, float], middle: float = 0.0) -> dict[str, Arr
 def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, bytes]:
     """Return the members of an FMU's folder `extra/`.
 
-    There are none without a binary for this machine, or if a run fails.
+    The result is empty without a binary for this machine, or if a run fails.
 
     Parameters
     ----------

@@ -120,10 +120,10 @@ class _Members:
         for related in self._xml(MANIFEST).iter("Related"):
             place = _resolved(FOLDER, related.get("source", ""))
             if place not in self._archive.names:
-                found.problems.append(f"{MANIFEST} names '{plain(place)}', which is not there.")
+                found.problems.append(f"{MANIFEST} names '{plain(place)}', which is missing.")
                 continue
             if not self._sound(place, related):
-                found.problems.append(f"'{plain(place)}' is not what its checksum says.")
+                found.problems.append(f"'{plain(place)}' does not match its checksum.")
             if related.get("role", "").partition("/")[0] == "experiment":
                 for element in self._xml(place).iter("Experiment"):
                     yield from self._experiment(element, posixpath.dirname(place), found)
@@ -170,7 +170,7 @@ class _Members:
     def _table(self, name: str) -> dict[str, Array]:
         found = self._columns(name)
         if "time" not in found:
-            raise ValueError(f"'{name}' is no table over 'time'")
+            raise ValueError(f"'{name}' is not a table over 'time'")
         return found
 
     def _columns(self, name: str) -> dict[str, Array]:
@@ -178,7 +178,7 @@ class _Members:
         head, *rows = csv.reader(lines[: _MOST_ROWS + 1], skipinitialspace=True)
         columns = np.array([[float(cell) for cell in row] for row in rows]).T
         if columns.shape[:1] != (len(head),):
-            raise ValueError(f"'{name}' is no table over 'time'")
+            raise ValueError(f"'{name}' is not a table over 'time'")
         return dict(zip(head, columns, strict=True))
 
     def _sound(self, place: str, related: ET.Element) -> bool:

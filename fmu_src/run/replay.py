@@ -25,31 +25,30 @@ def replay(
     temperature: ArrayLike | None = None,
     output: str = TORQUE,
 ) -> Array:
-    """Return the friction torque that an FMU computes for a log.
+    """Return the friction torque of an FMU over a log.
 
-    Sample 0 is set before the initialisation and read after it; then each sample is set, the FMU
-    steps from the time of the sample before to its own, and is read.
+    Sample 0 is set before the initialisation and read after it. Then each sample is set, the FMU
+    steps from the previous time to its own, and its output is read.
 
     Parameters
     ----------
-    fmu : a friction FMU; one that is loaded already is reset where it has been used.
+    fmu : a friction FMU; an instance is reset if it has been used.
     t : (N,) time [s], increasing.
     dq : (N, n) joint velocity [rad/s].
-    q : (N, n) joint position [rad]; zero where not given.
-    tau_load : (N, n) load torque [N.m]; zero where not given.
+    q : (N, n) joint position [rad]; zero by default.
+    tau_load : (N, n) load torque [N.m]; zero by default.
     start : parameters by name, as {"start_mode": 2, "h_start[1]": 0.2}.
-    temperature : (N, n) of the joints [degC], of an FMU that follows it; where it is not given
-        friction heats.
-    output : what is read of each joint, as `tau_lower` of an FMU with a band.
+    temperature : (N, n) joint temperature [degC] for a thermal FMU; by default friction heats.
+    output : output that is read of each joint, such as `tau_lower` of an FMU with a band.
 
     Returns
     -------
-    (N, n) friction torque, or what else is read [N.m].
+    (N, n) friction torque or other output [N.m].
 
     Raises
     ------
     SimulationError
-        If the log does not fit the FMU, or the FMU fails.
+        If the log does not fit the FMU or the FMU fails.
     """
     if isinstance(fmu, Path):
         with FmuInstance(fmu) as component:
@@ -98,7 +97,7 @@ def require_finite(fmu: Path, t: Array, torque: Array) -> None:
     Raises
     ------
     SimulationError
-        If it is no finite number somewhere, naming the first time and joint.
+        Naming the first time and joint with a torque that is not finite.
     """
     finite = np.isfinite(torque)
     if not finite.all():

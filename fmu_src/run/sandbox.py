@@ -1,7 +1,7 @@
 """A process with limits on time, memory and files, for FMUs and files that are not trusted.
 
-Each step of an FMU is one message: pending writes go with it, and buffers that were read after the
-step before come back with its answer. Nothing that comes back is trusted.
+Each step of an FMU is one message: it carries pending writes, and its answer carries the buffers
+that were read after the previous step. Nothing that comes back is trusted.
 """
 
 import json
@@ -44,7 +44,7 @@ _POLL = 0.1  # [s] between checks whether the process is alive
 _PIECE = 1 << 16  # bytes that are received at once
 _MOST_PREFETCHED = 8  # buffers
 _MOST_RESULT = 64 << 20  # bytes
-NONSENSE = "answered what no FMU answers and was ended"
+NONSENSE = "gave an answer that makes no sense and was ended"
 """End of the sentence on an answer that makes no sense."""
 
 
@@ -53,7 +53,7 @@ class Sandbox:
 
     Parameters
     ----------
-    folder : empty folder in which the process runs.
+    folder : empty working folder of the process.
     seconds : time limit of each request, from sending it to its whole answer [s].
 
     Attributes

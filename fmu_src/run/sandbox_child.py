@@ -90,7 +90,7 @@ def unpacked_answer(data: bytes) -> tuple[int, int, bytes]:
         If it is too short.
     """
     if len(data) < _ANSWER.size:
-        raise ValueError(f"{len(data)} bytes are no answer")
+        raise ValueError(f"{len(data)} bytes are not an answer")
     status, position = _ANSWER.unpack_from(data)
     return status, position, data[_ANSWER.size :]
 

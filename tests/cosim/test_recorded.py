@@ -110,7 +110,7 @@ def test_a_drive_carries_results_in_motion(table1: FrictionModel, tmp_path: Path
     members[results] = ("\n".join(rows) + "\n").encode()
     zip_members(changed, members, "1980-01-01T00:00:00Z")
     checksum, experiment = verify(changed).problems
-    assert checksum == f"'{results}' is not what its checksum says."
+    assert checksum == f"'{results}' does not match its checksum."
     assert experiment.startswith("experiment 'hold': q[1] is ")
 
 
@@ -140,7 +140,7 @@ def test_an_ssp_carries_results_of_each_coupling(bench: Bench, tmp_path: Path, h
     swapped = tmp_path / "swapped.ssp"
     zip_members(swapped, members, "1980-01-01T00:00:00Z")
     checksum, experiment = verify_ssp(swapped).problems
-    assert checksum.endswith("is not what its checksum says.")
+    assert checksum.endswith("does not match its checksum.")
     assert experiment.startswith("experiment 'hold': ")
 
 

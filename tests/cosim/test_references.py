@@ -87,7 +87,7 @@ def test_other_results_are_told(with_results: Callable[..., Path]) -> None:
 @pytest.mark.parametrize(
     ("stimuli", "answers", "problem"),
     [
-        ("u\n1\n", "time,y\n0,1\n", "'extra/steps_in.csv' is no table over 'time'"),
+        ("u\n1\n", "time,y\n0,1\n", "'extra/steps_in.csv' is not a table over 'time'"),
         ("time,u\n0,x\n", "time,y\n0,1\n", "could not convert string to float: 'x'"),
         ("time,v\n0,1\n", "time,y\n0,1\n", "'v'"),
         (f"time,u\n0,{200_000 * '1'}\n", "time,y\n0,1\n", "field larger than field limit"),
@@ -106,11 +106,11 @@ def test_changed_and_missing_files_are_told(
     fmu = with_results(STIMULI, results(1.0, 2.0))
     changed = {f"{STEPS}_in.csv": STIMULI.replace("0,1", "0,1.0", 1).encode()}
     found = verify(repacked(fmu, tmp_path / "Changed.fmu", changed))
-    assert found.problems == ["'extra/steps_in.csv' is not what its checksum says."]
+    assert found.problems == ["'extra/steps_in.csv' does not match its checksum."]
     with zipfile.ZipFile(fmu) as archive:
         manifest = archive.read(MANIFEST).replace(b"experiments.xml", b"other.xml")
     found = verify(repacked(fmu, tmp_path / "Missing.fmu", {MANIFEST: manifest}))
-    assert found.problems == [f"{MANIFEST} names '{FOLDER}/other.xml', which is not there."]
+    assert found.problems == [f"{MANIFEST} names '{FOLDER}/other.xml', which is missing."]
     broken = {EXPERIMENTS: b"<Experiments>"}
     found = verify(repacked(fmu, tmp_path / "Broken.fmu", broken))
     assert found.problems[-1].startswith("its reference results cannot be read: no element found")
