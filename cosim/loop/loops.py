@@ -18,7 +18,8 @@ from cosim.loop.closed_loop import (
     VelocitySource,
     system,
 )
-from cosim.loop.tracking import LoopMotion, LoopRow, Tracked, track
+from cosim.loop.traces import Tracked
+from cosim.loop.tracking import LoopMotion, LoopRow, track
 from cosim.systems.system import SystemSpec
 from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant

@@ -1,15 +1,16 @@
 """Robustness of the loop to payloads, changed friction, noise, latency and wrong servo gains."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from cosim.loop.closed_loop import NamedScheme, Scheme, Setting, StandIn, VelocitySource
+from cosim.loop.closed_loop import Scheme, Setting, StandIn, VelocitySource
 from cosim.loop.loops import StudyLoop, limits_of, motions
-from cosim.loop.tracking import LoopMotion, LoopRow, Tracked, track
+from cosim.loop.traces import Overcompensation, Tracked
+from cosim.loop.tracking import LoopMotion, LoopRow, track
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.export.package import write_fmu
 from hesr_model.motions.trajectories import Sine
@@ -35,21 +36,6 @@ _REST = 4.0  # [s]
 _AS_IT_IS = "as it is"
 
 _MOTIONS = 3
-
-
-@dataclass(frozen=True, kw_only=True)
-class Overcompensation:
-    """Lowest factor on the friction torque that makes an arm at rest cycle.
-
-    Attributes
-    ----------
-    law, scheme : the loop.
-    factor : first of `FACTORS` with motion above `CYCLING` or a failed run; None if all rest.
-    """
-
-    law: str
-    scheme: NamedScheme
-    factor: float | None
 
 
 def run_sweeps(

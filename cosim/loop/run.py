@@ -1,18 +1,15 @@
 """The closed-loop part of a study: tables, traces, robustness and a check of the masters."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from cosim.loop.closed_loop import ARM, Tracking
 from cosim.loop.loops import StudyLoop, assemble, build, example, require_reachable, run_tracking
-from cosim.loop.robustness import Overcompensation, run_overcompensation, run_sweeps
-from cosim.loop.traces import TRACES, write_traces
-from cosim.loop.tracking import Tracked
+from cosim.loop.robustness import run_overcompensation, run_sweeps
+from cosim.loop.traces import TRACES, LoopOutcome, write_traces
 from cosim.systems.simulation import Master
 from cosim.systems.system import write_system
 from fmu_src.arm.plant import Plant
@@ -29,26 +26,6 @@ from hesr_model.support.progress import Stages
 _SECONDS = 2.0  # length of the runs that compare the masters
 _AGREEMENT = 1e-9  # allowed difference between the masters, relative to the largest value
 _DERIVATIVE = 5e-4  # [s] Kd / Kp in that comparison for joints whose study has no Kd
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LoopOutcome:
-    """Results of the closed loop of a study.
-
-    Attributes
-    ----------
-    tracking : every law in every scheme, on all motions.
-    long : selected rows on a long motion, which shows drift.
-    sweeps : selected rows with a changed arm or controller.
-    overcompensation : largest stable factor on friction.
-    findings : disagreement of the masters; not part of the JSON.
-    """
-
-    tracking: Sequence[Tracked]
-    long: Sequence[Tracked]
-    sweeps: Sequence[Tracked]
-    overcompensation: Sequence[Overcompensation]
-    findings: Annotated[Sequence[Finding], Field(exclude=True)] = ()
 
 
 def run_loop(

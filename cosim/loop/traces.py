@@ -1,16 +1,19 @@
-"""Position traces of tracking runs, as a file of the results."""
+"""Results of the closed loop: tracking errors, and positions over time."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from pydantic import Field
 
-from cosim.loop.closed_loop import Scheme
+from cosim.loop.closed_loop import Law, NamedScheme, Scheme
 from hesr_model.errors import ArtifactError
+from hesr_model.findings import Finding
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
-from hesr_model.support.typed_json import Numbers
+from hesr_model.support.typed_json import Numbers, NumbersWithGaps
 
 if TYPE_CHECKING:
     import pyarrow
@@ -33,6 +36,72 @@ class Trace:
     t: Numbers
     q_d: Numbers
     q: Numbers
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tracked:
+    """Tracking errors of a row.
+
+    Attributes
+    ----------
+    scheme, law : the row.
+    rmse : (M, n) error of each motion and joint [rad]; NaN for a run that failed.
+    last : (M, n) mean error over the last tenth of each run [rad], which shows drift.
+    failures : reasons of runs that ended early.
+    trace : the run along the first motion, if requested; not part of the JSON data.
+    """
+
+    scheme: NamedScheme
+    law: Law
+    rmse: NumbersWithGaps
+    last: NumbersWithGaps
+    failures: tuple[str, ...] = ()
+    trace: Annotated[Trace | None, Field(exclude=True)] = None
+
+    @property
+    def mean(self) -> Array:
+        """Mean over the motions, (n,) [rad]."""
+        return np.asarray(self.rmse.mean(axis=0))
+
+    @property
+    def spread(self) -> Array:
+        """Standard deviation over the motions, (n,) [rad]."""
+        return np.asarray(self.rmse.std(axis=0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overcompensation:
+    """Lowest factor on the friction torque that makes an arm at rest cycle.
+
+    Attributes
+    ----------
+    law, scheme : the loop.
+    factor : first of `FACTORS` with motion above `CYCLING` or a failed run; None if all rest.
+    """
+
+    law: str
+    scheme: NamedScheme
+    factor: float | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopOutcome:
+    """Results of the closed loop of a study.
+
+    Attributes
+    ----------
+    tracking : every law in every scheme, on all motions.
+    long : selected rows on a long motion, which shows drift.
+    sweeps : selected rows with a changed arm or controller.
+    overcompensation : largest stable factor on friction.
+    findings : disagreement of the masters; not part of the JSON.
+    """
+
+    tracking: Sequence[Tracked]
+    long: Sequence[Tracked]
+    sweeps: Sequence[Tracked]
+    overcompensation: Sequence[Overcompensation]
+    findings: Annotated[Sequence[Finding], Field(exclude=True)] = ()
 
 
 def write_traces(path: Path, traces: Iterable[tuple[Scheme, str, Trace]]) -> None:

@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
-from cosim.loop.closed_loop import Law, NamedScheme, Scheme, Setting, system
-from cosim.loop.traces import Trace
+from cosim.loop.closed_loop import Law, Scheme, Setting, system
+from cosim.loop.traces import Trace, Tracked
 from cosim.systems.simulation import Master
 from cosim.systems.system import Value
 from fmu_src.blocks.trajectory import start_values
@@ -22,7 +20,7 @@ from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256, written_whole
 from hesr_model.support.progress import Progress, silent
-from hesr_model.support.typed_json import NumbersWithGaps, from_json, read_json, to_text
+from hesr_model.support.typed_json import from_json, read_json, to_text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,37 +57,6 @@ class LoopRow:
     scheme: Scheme
     law: Law
     setting: Setting
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Tracked:
-    """Tracking errors of a row.
-
-    Attributes
-    ----------
-    scheme, law : the row.
-    rmse : (M, n) error of each motion and joint [rad]; NaN for a run that failed.
-    last : (M, n) mean error over the last tenth of each run [rad], which shows drift.
-    failures : reasons of runs that ended early.
-    trace : the run along the first motion, if requested; not part of the JSON data.
-    """
-
-    scheme: NamedScheme
-    law: Law
-    rmse: NumbersWithGaps
-    last: NumbersWithGaps
-    failures: tuple[str, ...] = ()
-    trace: Annotated[Trace | None, Field(exclude=True)] = None
-
-    @property
-    def mean(self) -> Array:
-        """Mean over the motions, (n,) [rad]."""
-        return np.asarray(self.rmse.mean(axis=0))
-
-    @property
-    def spread(self) -> Array:
-        """Standard deviation over the motions, (n,) [rad]."""
-        return np.asarray(self.rmse.std(axis=0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

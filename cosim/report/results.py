@@ -6,8 +6,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from operator import truediv
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from cosim.loop.closed_loop import Scheme
+from cosim.loop.traces import TRACES as PATHS
+from cosim.loop.traces import LoopOutcome, Trace, read_traces
 from cosim.report.tables.table import joints
 from cosim.study.position_errors import SIMULATION, PositionErrors
 from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_torques
@@ -21,11 +24,6 @@ from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_json import from_json, read_json
 from hesr_model.units import unit_of_joints
-
-if TYPE_CHECKING:
-    from cosim.loop.closed_loop import Scheme
-    from cosim.loop.run import LoopOutcome
-    from cosim.loop.traces import Trace
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,8 +54,8 @@ class Results:
     properties: Mapping[str, Properties] = field(default_factory=dict)
     simulated: Mapping[str, PositionErrors] = field(default_factory=dict)
     truths: Mapping[str, Errors] = field(default_factory=dict)
-    loop: "LoopOutcome | None" = None
-    paths: "Mapping[tuple[Scheme, str], Trace]" = field(default_factory=dict)
+    loop: LoopOutcome | None = None
+    paths: Mapping[tuple[Scheme, str], Trace] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     audited: Mapping[str, ModelAudit] | None = None
 
@@ -187,10 +185,6 @@ def _truths(path: Path) -> dict[str, Errors]:
 
 
 def _loop(folder: Path) -> dict[str, Any]:
-    from cosim.loop.run import LoopOutcome
-    from cosim.loop.traces import TRACES as PATHS
-    from cosim.loop.traces import read_traces
-
     path = folder / "closed_loop.json"
     loop = from_json(LoopOutcome, read_json(path), path, "the closed loop of a run")
     return {"loop": loop, "paths": read_traces(folder / PATHS)}

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from cosim.loop.traces import LoopOutcome
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.results import TRUTHS, Scored, log_findings, save_run, write_findings
 from cosim.study.scores import Comparison, Errors, LogRecords, records_of
@@ -36,7 +37,6 @@ from hesr_model.support.provenance import newest, provenance
 from hesr_model.support.typed_json import to_json, write_json
 
 if TYPE_CHECKING:
-    from cosim.loop.run import LoopOutcome
     from hesr_model.audit.properties import Properties
 
 Result = TypeVar("Result")
@@ -71,7 +71,7 @@ class Outcome:
     left_out: Mapping[str, str]
     properties: "Mapping[str, Properties]"
     verdict: Verdict
-    loop: "LoopOutcome | None" = None
+    loop: LoopOutcome | None = None
     truths: Mapping[str, Errors] = field(default_factory=dict)
     truth: str = ""
     cached: Mapping[str, tuple[int, int]] = field(default_factory=dict)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.loop.traces import LoopOutcome
 from cosim.study.results import log_findings, read_findings, write_findings
 from cosim.study.scores import (
     ORACLE,
@@ -44,7 +45,6 @@ from hesr_model.support.progress import Stages, counted
 from hesr_model.support.typed_json import to_json, write_json
 
 if TYPE_CHECKING:
-    from cosim.loop.run import LoopOutcome
     from hesr_model.audit.properties import Properties
 
 _log = logging.getLogger(__name__)
@@ -217,7 +217,7 @@ class Job:
 
     def closed_loop(
         self, robot: RobotModel, body: RigidBody, folder: Path, models: Mapping[str, FrictionModel]
-    ) -> "LoopOutcome | None":
+    ) -> LoopOutcome | None:
         """Run the closed loop of the study; None if it has none."""
         if self.study.tracking is None or self.study.twin is None:
             return None

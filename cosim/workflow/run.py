@@ -228,7 +228,7 @@ def _going_on(kept: Path) -> Iterator[None]:
 
 def answer(spread: Seeds, _: PathArg | None) -> Answer:
     """Return the answer of a run over draws: its tables."""
-    from cosim.report.tables.scores import over_draws
+    from cosim.report.tables.draws import over_draws
     from hesr_model.support.typed_json import to_json
 
     return Written(

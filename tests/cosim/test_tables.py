@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from cosim.loop.closed_loop import Scheme, StandIn
-from cosim.loop.tracking import Tracked
+from cosim.loop.traces import Tracked
 from cosim.report.markup import table as page
 from cosim.report.tables import loop, properties, scores
 from cosim.report.tables.table import ResultTable, TableRow, number
@@ -103,7 +103,7 @@ def test_page_and_terminal_show_the_same_figures() -> None:
         for cell in row.cells:
             assert cell.text in terminal(table)  # type: ignore[union-attr]
             assert f">{cell.text}</td>" in html  # type: ignore[union-attr]
-            assert f">{cell.beside}</td>" in html  # type: ignore[union-attr]
+            assert f">{cell.side_note}</td>" in html  # type: ignore[union-attr]
 
 
 def findings(joints: int, keys: list[str]) -> Properties:

@@ -22,7 +22,8 @@ from cosim.loop.loops import (
 from cosim.loop.motions import Motions
 from cosim.loop.robustness import CYCLING, FACTORS, run_overcompensation, run_sweeps
 from cosim.loop.run import check_masters
-from cosim.loop.tracking import Tracked, track
+from cosim.loop.traces import Tracked
+from cosim.loop.tracking import track
 from cosim.study.study import Study
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec, write_system

@@ -10,7 +10,8 @@ from significance import against
 
 from cosim.loop.closed_loop import StandIn
 from cosim.loop.loops import StudyLoop, assemble, build, limits_of, motions, run_tracking
-from cosim.loop.tracking import Tracked, track
+from cosim.loop.traces import Tracked
+from cosim.loop.tracking import track
 from cosim.study.results import Scored
 from cosim.study.run import run_study, score_study
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cosim.loop.closed_loop import Scheme, StandIn
-from cosim.loop.run import LoopOutcome
+from cosim.loop.traces import LoopOutcome
 from cosim.study.results import SavedRun
 from cosim.study.scores import Comparison
 from hesr_model.audit import audit

@@ -21,8 +21,8 @@ from small_study import Hesr, hesr_here
 
 from cosim.loop.closed_loop import Scheme, StandIn
 from cosim.loop.loops import assemble, build, motions
-from cosim.loop.traces import TRACES, read_traces, write_traces
-from cosim.loop.tracking import Tracked, track
+from cosim.loop.traces import TRACES, Tracked, read_traces, write_traces
+from cosim.loop.tracking import track
 from cosim.study.study import Study
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.native import export_mjcf

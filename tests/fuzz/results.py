@@ -184,8 +184,8 @@ def _robot_of_fleet(folder: Path) -> object:
 
 def _write_tracked(path: Path) -> None:
     from cosim.loop.closed_loop import Scheme
-    from cosim.loop.traces import Trace
-    from cosim.loop.tracking import Tracked, _Kept
+    from cosim.loop.traces import Trace, Tracked
+    from cosim.loop.tracking import _Kept
     from hesr_model.support.typed_json import to_json, write_json
 
     rows = np.array([[0.1, np.nan], [0.3, 0.4]])

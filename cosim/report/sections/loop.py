@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from cosim.loop.closed_loop import Scheme, StandIn
+from cosim.loop.traces import LoopOutcome, Trace, Tracked
 from cosim.report import paper
 from cosim.report.figures.chart import Chart, Line, Panel
 from cosim.report.figures.style import DESIRED, SOFT, Stroke, strokes
@@ -16,12 +17,8 @@ from cosim.report.results import Results
 from cosim.report.tables import loop as tables
 from cosim.report.tables.table import ResultTable, TableCell, named, row_of, title
 
-if TYPE_CHECKING:
-    from cosim.loop.run import LoopOutcome
-    from cosim.loop.traces import Trace
-    from cosim.loop.tracking import Tracked
-
-    Rows = Mapping[str, Tracked]
+Rows = Mapping[str, Tracked]
+"""Rows of a scheme by law."""
 
 _OWN, _INVERSE = Scheme(compensation="torque_error"), Scheme(compensation="servo_inversion")
 _NONE = Scheme(compensation="none")
@@ -44,7 +41,7 @@ def tracking(results: Results, pictures: Pictures) -> dict[str, Any] | None:
     }
 
 
-def of_scheme(results: Results, scheme: Scheme) -> "dict[str, Tracked]":
+def of_scheme(results: Results, scheme: Scheme) -> dict[str, Tracked]:
     """Return the rows of a scheme by law."""
     rows = results.loop.tracking if results.loop else ()
     return {row.law: row for row in rows if row.scheme == scheme}
@@ -118,19 +115,19 @@ def _inverse(results: Results) -> ResultTable:
     )
 
 
-def _with_command(results: Results, scheme: Scheme, none: Scheme) -> "Rows":
+def _with_command(results: Results, scheme: Scheme, none: Scheme) -> Rows:
     """Return the rows of a scheme by law, and that of the velocity command alone."""
     command = of_scheme(results, none)[StandIn.VELOCITY_ONLY]
     return of_scheme(results, scheme) | {StandIn.VELOCITY_ONLY: command}
 
 
-def _ordered(rows: "Rows") -> list[str]:
+def _ordered(rows: Rows) -> list[str]:
     """Return the rigid body, the laws, and the bounds."""
     laws = [law for law in rows if law not in set(StandIn)]
     return [law for law in (StandIn.BODY_ONLY, *laws, *_BOUNDS) if law in rows]
 
 
-def _best(rows: "Rows") -> list[float]:
+def _best(rows: Rows) -> list[float]:
     laws = [row.mean for law, row in rows.items() if law not in set(StandIn)]
     return list(np.nanmin(laws, axis=0)) if laws else []
 
@@ -148,7 +145,7 @@ def _figure(results: Results, pictures: Pictures, scheme: Scheme) -> Markup:
     first = next(iter(paths.values()))
     whole = [(law, path) for law, path in paths.items() if len(path.t) == len(first.t)]
 
-    def lines(values: "Callable[[Trace], np.ndarray]", joint: int) -> list[Line]:
+    def lines(values: Callable[[Trace], np.ndarray], joint: int) -> list[Line]:
         return [
             Line(name=title(law), x=first.t, y=values(path)[:, joint], stroke=styles[law])
             for law, path in whole
@@ -176,7 +173,7 @@ def _figure(results: Results, pictures: Pictures, scheme: Scheme) -> Markup:
     )
 
 
-def _more(results: Results, loop: "LoopOutcome") -> list[ResultTable]:
+def _more(results: Results, loop: LoopOutcome) -> list[ResultTable]:
     measured = [row for row in loop.tracking if row.scheme.source != "desired"]
     found = []
     if measured:

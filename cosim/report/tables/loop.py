@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cosim.loop.closed_loop import StandIn
+from cosim.loop.traces import LoopOutcome, Overcompensation, Tracked
 from cosim.report.tables.table import (
     ResultTable,
     TableCell,
@@ -19,13 +19,8 @@ from cosim.report.tables.table import (
     title,
 )
 
-if TYPE_CHECKING:  # these modules load MuJoCo
-    from cosim.loop.robustness import Overcompensation
-    from cosim.loop.run import LoopOutcome
-    from cosim.loop.tracking import Tracked
 
-
-def outcome(found: "LoopOutcome") -> list[ResultTable]:
+def outcome(found: LoopOutcome) -> list[ResultTable]:
     """Return all tables of a closed loop."""
     return [
         tracking("Tracking: RMSE [mrad], mean over the motions", found.tracking),
@@ -35,7 +30,7 @@ def outcome(found: "LoopOutcome") -> list[ResultTable]:
     ]
 
 
-def tracking(caption: str, rows: "Sequence[Tracked]") -> ResultTable:
+def tracking(caption: str, rows: Sequence[Tracked]) -> ResultTable:
     """Return errors by scheme and law; notes are their spread, or the end of a single motion."""
     one = all(len(row.rmse) == 1 for row in rows)
     table_rows, digits = [], places(rows)
@@ -54,7 +49,7 @@ def tracking(caption: str, rows: "Sequence[Tracked]") -> ResultTable:
     )
 
 
-def sweeps(rows: "Sequence[Tracked]") -> list[ResultTable]:
+def sweeps(rows: Sequence[Tracked]) -> list[ResultTable]:
     """Return a table per scheme: the error of the worst joint by change and law."""
     tables = []
     for scheme in dict.fromkeys(replace(row.scheme, change="") for row in rows):
@@ -77,7 +72,7 @@ def sweeps(rows: "Sequence[Tracked]") -> list[ResultTable]:
     return tables
 
 
-def overcompensation(found: "Sequence[Overcompensation]") -> ResultTable:
+def overcompensation(found: Sequence[Overcompensation]) -> ResultTable:
     """Return the factor on friction at which an arm at rest begins to cycle."""
     return ResultTable(
         caption="Minimum factor on the friction torque at which the arm at rest begins to cycle",
@@ -100,7 +95,7 @@ def mrad(angle: float, digits: int, note: float | None = None, *, best: bool = F
     return fixed(1e3 * angle, digits, best=best, notes=notes)
 
 
-def places(rows: "Iterable[Tracked]") -> list[int]:
+def places(rows: Iterable[Tracked]) -> list[int]:
     """Return the decimals of each column of angles."""
     laws = [row.mean for row in rows if row.law != StandIn.ORACLE]
     return [decimals(1e3 * np.array(column), 2) for column in zip(*laws, strict=True)]

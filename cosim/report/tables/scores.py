@@ -1,7 +1,7 @@
-"""Tables of prediction errors, bands, alternative plants, draws and position errors."""
+"""Tables of prediction errors, bands, alternative plants and position errors."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from cosim.report.tables.table import (
     ResultTable,
@@ -15,7 +15,6 @@ from cosim.report.tables.table import (
 )
 from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratio
-from cosim.study.seeds import Seeds
 from hesr_model.friction.metrics import BandScore
 from hesr_model.units import unit_of_joints
 
@@ -196,25 +195,6 @@ def position_errors(name: str, found: PositionErrors, sliding: Sequence[bool] = 
         head=("law", *joints(len(found.joints))),
         rows=rows,
     )
-
-
-def over_draws(found: Seeds) -> Iterator[ResultTable]:
-    """Yield errors and ratios of each test set over draws of noise, motions and friction."""
-    draws = f"mean of {found.seeds} draws of noise, motions and true friction [95 % interval]"
-    for test, scores in found.tests.items():
-        for what, laws in (
-            (f"RMSE of the predicted torque [N.m] on '{test}'", scores.rmse),
-            (f"RMSE over that of {title(found.reference)} on '{test}'", scores.ratios),
-        ):
-            rows = []
-            for law, spreads in laws.items():
-                texts = [f"{s.mean:.3f} [{s.low:.3f}, {s.high:.3f}]" for s in spreads]
-                pairs = zip(texts, spreads, strict=True)
-                cells = [TableCell(text=text, value=s.mean) for text, s in pairs]
-                rows.append(row_of(named(law), *cells))
-            yield ResultTable(
-                caption=f"{what}, {draws}", head=("law", *joints(len(found.joints))), rows=rows
-            )
 
 
 def _fitted(per_log: Sequence[str] | None) -> str:
