@@ -1,7 +1,7 @@
-"""A law of somebody else's package takes part in everything, without a line changed in HESR.
+"""A law of another package: every verb and table treats it as one of HESR's own.
 
-The package is the example of docs/add-a-law.md, laid as `pip install` lays it: its module, and its
-entry points in the metadata.
+The package is the example of docs/add-a-law.md, with a module and entry points as `pip install`
+leaves them.
 """
 
 import html
@@ -108,7 +108,7 @@ def test_the_example_is_short() -> None:
 
 
 def test_it_is_listed(site: Path, tmp_path: Path) -> None:
-    assert TITLE in hesr(site, "laws", cwd=tmp_path)
+    assert TITLE in hesr(site, "fit", "--list", cwd=tmp_path)
 
 
 @pytest.mark.ci
@@ -119,8 +119,18 @@ def test_it_is_fitted_and_exported_by_the_command_line(site: Path, results: Path
         "results/rigid_body.json", "--law", LAW, "-o", "law.json", cwd=folder,
     )  # fmt: skip
     assert f"{LAW} for joint1, joint2, joint3" in said
+    assert "Passivity: proven on joint1, joint2, joint3." in said
     hesr(site, "export", "law.json", "-o", "law.fmu", cwd=folder)
-    assert "no problem found." in hesr(site, "check", "law.fmu", cwd=folder)
+    assert "no problem found" in hesr(site, "check", "law.fmu", cwd=folder)
+    hesr(site, "export", "law.json", "--format", "modelica", "-o", "Law.mo", cwd=folder)
+    assert "tanh(" in (folder / "Law.mo").read_text(encoding="utf-8")
+
+
+@pytest.mark.ci
+def test_the_verdict_recommends_it(results: Path) -> None:
+    found = read(results / "verdict.json")
+    assert (found["law"], found["fmu"]) == (LAW, f"fmus/{LAW}.fmu")
+    assert found["unexplained"]
 
 
 @pytest.mark.ci
@@ -191,7 +201,7 @@ def test_a_package_that_does_not_work_is_named(
     module: str, law: str, sentence: str, tmp_path: Path
 ) -> None:
     broken = installed(tmp_path / "site", module=module, law=law)
-    answer = run(broken, "-c", "from hesr.cli import main; main()", "laws", cwd=tmp_path)
+    answer = run(broken, "-c", "from hesr.cli import main; main()", "fit", "--list", cwd=tmp_path)
     assert answer.returncode == 2
     assert answer.stderr == f"hesr: {sentence}\n"
 

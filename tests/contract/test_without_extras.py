@@ -114,7 +114,7 @@ def test_fmus_are_exported_and_checked(site: Path, tmp_path: Path) -> None:
         assert found.returncode == 0, found.stderr
 
 
-@pytest.mark.soak
+@pytest.mark.ci
 def test_a_quick_run(site: Path, tmp_path: Path) -> None:
     (tmp_path / "motions.toml").write_text(MOTIONS, encoding="utf-8")
     (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
@@ -124,7 +124,7 @@ def test_a_quick_run(site: Path, tmp_path: Path) -> None:
     assert (tmp_path / "results" / "report.html").is_file()
 
 
-@pytest.mark.soak
+@pytest.mark.ci
 def test_laws_of_the_papers_table_are_fitted(site: Path, tmp_path: Path) -> None:
     laws = f"laws = {json.dumps(laws_of_paper())}\n"
     (tmp_path / "motions.toml").write_text(MOTIONS, encoding="utf-8")
