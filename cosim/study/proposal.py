@@ -35,7 +35,7 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
         f"name = {json.dumps(_name(path))}  # results go to results/{_name(path)}",
         f"robot = {json.dumps(Path(relpath(robot.resolve(), folder)).as_posix())}",
         "seed = 0",
-        f"laws = {json.dumps(laws_with('proposed'))}  # 'hesr laws' lists all and what they need",
+        f"laws = {json.dumps(laws_with('proposed'))}  # 'hesr fit --list' lists all",
         "# physical = true  # physically possible masses, if the logs determine too little",
         "",
         "[logs]",

@@ -55,8 +55,8 @@ def require_exportable(model: FrictionModel, form: str, *, coupled: bool = True)
         )
     if model.thermal:
         raise ExportError(
-            f"law '{model.law}' follows temperature, which {form} cannot; export it as an FMU "
-            "(--format fmu), or the model that 'hesr thermal' was given."
+            f"law '{model.law}' depends on temperature, which {form} does not support; export it "
+            "as an FMU (--format fmu), or export the model without temperature."
         )
     require_numbers(model)
 

@@ -14,9 +14,9 @@ def rendered(template: str, /, folders: Sequence[Path] = (TEMPLATES,), **values:
     return _environment(folders, autoescape=True).get_template(template).render(**values)
 
 
-def code_templates(**options: str) -> jinja2.Environment:
+def code_templates(folder: Path, **options: str) -> jinja2.Environment:
     """Return the environment of code templates, without HTML escaping; options are Jinja's."""
-    return _environment((TEMPLATES,), autoescape=False, keep_trailing_newline=True, **options)
+    return _environment((folder,), autoescape=False, keep_trailing_newline=True, **options)
 
 
 def _environment(folders: Sequence[Path], **options: Any) -> jinja2.Environment:

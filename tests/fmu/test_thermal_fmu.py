@@ -148,7 +148,7 @@ def test_a_law_without_bounds_follows_no_temperature(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_forms_without_temperature_say_so(form: Any, name: str, tmp_path: Path) -> None:
     options = {"inertia": (1.0, 1.0)} if form == "drive" else {}
-    with pytest.raises(ExportError, match="law 'tried' follows temperature, which"):
+    with pytest.raises(ExportError, match="law 'tried' depends on temperature, which"):
         export(MODEL, tmp_path / name, format=form, **options)
     assert not list(tmp_path.iterdir())
 

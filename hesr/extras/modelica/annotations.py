@@ -6,6 +6,7 @@ plain: no style, no MathML, ASCII only.
 
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from fmu_src.friction.reference import UNKNOWN_SPEED
@@ -19,6 +20,8 @@ from hesr_model.friction.equation import coefficient_lines
 from hesr_model.friction.equation import equations as equations_with_numbers
 from hesr_model.friction.inputs import INPUT_UNITS
 from hesr_model.friction.model import FrictionModel
+
+TEMPLATES = Path(__file__).parent / "templates"
 
 
 def package_html(
@@ -72,5 +75,5 @@ def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
 
 
 def _page(template: str, **values: Any) -> str:
-    page = rendered(template, **values)
+    page = rendered(template, (TEMPLATES,), **values)
     return f"<html>\n{page}</html>".encode("ascii", "xmlcharrefreplace").decode("ascii")

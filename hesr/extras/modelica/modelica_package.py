@@ -13,7 +13,7 @@ from fmu_src.friction.validity import require_exportable
 from fmu_src.pages import datasheet
 from fmu_src.pages.friction_page import title
 from fmu_src.pages.html import code_templates
-from hesr.extras.modelica.annotations import joint_html, package_html
+from hesr.extras.modelica.annotations import TEMPLATES, joint_html, package_html
 from hesr.extras.modelica.printer import FUNCTIONS, Equations, equations, start_of
 from hesr_model.audit.audit import Audit
 from hesr_model.equations.functions import sgn
@@ -86,6 +86,7 @@ def package(model: FrictionModel, name: str) -> str:
             )
     require_exportable(model, "a Modelica package", coupled=False)
     environment = code_templates(
+        TEMPLATES,
         block_start_string="<%",
         block_end_string="%>",
         variable_start_string="<<",

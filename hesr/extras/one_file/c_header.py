@@ -13,7 +13,7 @@ from fmu_src.export.package import own_source
 from fmu_src.friction.friction_component import joints_of
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.html import code_templates
-from hesr.extras.one_file.reference import write_beside
+from hesr.extras.one_file.reference import TEMPLATES, write_beside
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 
@@ -77,7 +77,7 @@ def header(model: FrictionModel, name: str) -> str:
             *([own.rates()] if euler and own.component.memory else []),
         )
     ]
-    text = code_templates().get_template("law.h.j2").render(
+    text = code_templates(TEMPLATES).get_template("law.h.j2").render(
         name=name,
         title=_comment(f"Friction of {model.robot} by {model.law}"),
         version=version("hesr"),

@@ -11,6 +11,7 @@ from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole
 
+TEMPLATES = Path(__file__).parent / "templates"
 _ROWS = 1000
 _PERIODS = 2.5
 _PHASE = 0.35

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from fmu_src.friction.validity import discretisation_of, require_exportable
 from fmu_src.pages.html import code_templates
-from hesr.extras.one_file.reference import write_beside
+from hesr.extras.one_file.reference import TEMPLATES, write_beside
 from hesr.extras.one_file.tensor_printer import begin_function, law_function
 from hesr_model.errors import ExportError
 from hesr_model.friction.law import FrictionLaw, LawForm
@@ -66,7 +66,7 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
         _law(f"_law_{n}", form, joints, [model.laws[i] for i in joints])
         for n, (form, joints) in enumerate(groups.items(), start=1)
     ]
-    return code_templates().get_template(f"law_{library}.py.j2").render(
+    return code_templates(TEMPLATES).get_template(f"law_{library}.py.j2").render(
         title=_text(f"Friction of {model.robot} by {model.law}"),
         library=_TITLES[library],
         version=version("hesr"),

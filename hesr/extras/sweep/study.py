@@ -1,4 +1,4 @@
-"""What `hesr sweep` varies in a system, what it measures, and how its runs are chosen."""
+"""Sweep file: varied variables, measured outputs, and the design of the runs."""
 
 from collections import Counter
 from typing import Annotated, Literal, Self

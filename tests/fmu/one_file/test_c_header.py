@@ -198,7 +198,7 @@ def test_a_batch_is_its_robots_one_by_one(every) -> None:
     rows = [row[::10] for row in rows]  # each row another robot
     states = every.state(len(rows[0]))
     for _ in range(3):
-        count, tau = every.buffer(states, *rows, STEP)
+        count, tau = every.batch(states, *rows, STEP)
     assert count == len(tau)
     for i, row in enumerate(zip(*rows, strict=True)):
         state = every.state()
