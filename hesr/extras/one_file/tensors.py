@@ -19,18 +19,12 @@ _TITLES: Mapping[Library, str] = {"torch": "PyTorch", "jax": "JAX"}
 
 
 def export_torch(model: FrictionModel, path: Path) -> Path:
-    """Write a friction model as one file for PyTorch, and its test data beside it.
-
-    See `tensor_code` for what is in it and for the arguments.
-    """
+    """Write `tensor_code` for PyTorch, and its test data next to it."""
     return _export(model, path, "torch")
 
 
 def export_jax(model: FrictionModel, path: Path) -> Path:
-    """Write a friction model as one file for JAX, and its test data beside it.
-
-    See `tensor_code` for what is in it and for the arguments.
-    """
+    """Write `tensor_code` for JAX, and its test data next to it."""
     return _export(model, path, "jax")
 
 

@@ -81,7 +81,7 @@ class Law:
     def batch(self, state, dq, q, load, dt: float) -> tuple[int, np.ndarray]:
         tau = np.full(dq.shape, np.nan)
         rows = map(_pointer, (dq, q, load))
-        count = self._library.buffer(state, c_size_t(len(dq)), *rows, c_double(dt), _pointer(tau))
+        count = self._library.batch(state, c_size_t(len(dq)), *rows, c_double(dt), _pointer(tau))
         return count, tau
 
     def side_by_side(self, x, dq, q, load, dt: float) -> tuple[int, np.ndarray]:
