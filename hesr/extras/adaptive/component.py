@@ -3,9 +3,9 @@
     e = tau_meas - tau_rigid - tau          phi = (F_i xi_i .., v f(v), 1)
     g = P phi,  s = phi' g,  R = 2 T_c sigma^2
     theta+ = theta + g w e                  w = dt / (R + s dt)
-    P+     = P - g g' (w - dt / (T_f s))    forgotten only along g, where phi tells something
+    P+     = P - g g' (w - dt / (T_f s))    forgotten only along g, the observed direction
 
-theta are level, viscous factor and offset. What a law does not explain is no white noise: its
+theta are level, viscous factor and offset. The unexplained torque is not white noise: its
 correlation time T_c makes R, the noise's density, so that the filter is the same at any step, and
 T_f is over how long it looks back. tau is what is known before the torque is measured, so that no
 loop closes through an adaptive FMU. Source of the forgetting along one direction: R. Kulhavy,
@@ -47,7 +47,7 @@ RIGID = Quantity(
 ADAPT = Quantity(name="adapt", unit="1", description="1 where factors follow, 0 where they stay")
 
 INPUTS = (MEASURED, RIGID, ADAPT)
-"""Inputs of an adaptive law beside those of every law."""
+"""Inputs of an adaptive law in addition to those of every law."""
 
 HEALTH = (
     "factors follow",
@@ -57,27 +57,27 @@ HEALTH = (
     "outlier, or shortly after one",
     "a factor is at its limit",
 )
-"""What the numbers of `health` mean, from 0 on."""
+"""Meaning of the values of `health`, from 0."""
 
 _FACTORS = (
     ("level", "1", "factor on Coulomb and static friction of {joint}"),
     ("viscosity", "1", "factor on viscous friction of {joint}"),
     ("offset", "N.m", "offset of {joint}, beside that of the law"),
 )
-_HUGE = sympy.Float(1e6)  # what regressors are cut to, in standard deviations of the noise
+_HUGE = sympy.Float(1e6)  # limit of regressors, in standard deviations of the noise
 _MIXED = sympy.Float(1e-7)  # share of correlations lost with a sample: rounding stays harmless
 _LEAST_NOISE = sympy.Float(1e-9)  # [N.m]: densities divide by it
 _TINY = sympy.Float(1e-200)
 
 
 def own_parameters(tuning: Tuning, noise: float, speed: float) -> tuple[Parameter, ...]:
-    """Return the parameters of a joint beside its law's.
+    """Return the parameters of a joint in addition to those of its law.
 
     Parameters
     ----------
-    tuning : of all joints.
-    noise : what the law does not explain, as a standard deviation [N.m].
-    speed : largest one of the joint [rad/s].
+    tuning : settings of all joints.
+    noise : standard deviation of the unexplained torque [N.m].
+    speed : largest speed of the joint [rad/s].
     """
 
     def one(name: str, unit: str, text: str, start: float) -> Parameter:
@@ -97,16 +97,16 @@ def adaptive_component(
     law: FrictionLaw, tuning: Tuning, *, noise: float, speed: float, viscosity_least: float = 0.0,
     thermal: Thermal | None = None,
 ) -> Component:  # fmt: skip
-    """Return the equations of a joint whose law follows its friction.
+    """Return the equations of a joint with an adaptive law.
 
     Parameters
     ----------
-    law : of the joint; it needs stops or bristles.
-    tuning : numbers of all joints, written into the equations.
-    noise : standard deviation of what the law does not explain [N.m], positive.
-    speed : largest one of the joint [rad/s].
-    viscosity_least : below which the law's ripple would not be certified.
-    thermal : how the law follows temperature, if it does.
+    law : law of the joint, with stops or bristles.
+    tuning : settings of all joints, constants of the equations.
+    noise : standard deviation of the unexplained torque [N.m], positive.
+    speed : largest speed of the joint [rad/s].
+    viscosity_least : smallest viscosity for the certificate of the ripple.
+    thermal : dependence on temperature, if any.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def adaptive_component(
     warm = warmth(previous(TORQUE)) if thermal else None
     law_parts = parts(law, previous("level"), warm.coulomb if warm else sympy.S.One)
     viscous = law_parts.viscous * (warm.viscous if warm else sympy.S.One)
-    # What temperature leaves of the factor is still what ripple needs.
+    # The factor after temperature still covers the ripple.
     thickness = (
         larger(previous("viscosity") * warm.viscous, viscosity_least)
         if warm
@@ -249,7 +249,7 @@ def adaptive_component(
                      description="of {joint}, 0 where factors follow, else why they do not"),
             *law_parts.sensitivities,
             Equation(name="raw", expression=MEASURED.symbol - RIGID.symbol - _named(TORQUE)),
-            # What is no number is nothing; what is large counts as the noise's usual tail.
+            # NaN counts as 0; large values are clipped to the usual tail of the noise.
             Equation(name="innovation", expression=clip(_number(_named("raw")),
                                                         tuning.clipped * expected)),
             *(
@@ -285,7 +285,7 @@ def _p(i: int, j: int) -> str:
 
 
 def _number(x: sympy.Expr) -> sympy.Expr:
-    """Return x, 0 for what is no number."""
+    """Return x, or 0 for NaN."""
     return positive(x) - positive(-x)
 
 

@@ -1,4 +1,4 @@
-"""Friction followed over logs: the equations of the adaptive FMU, run in Python, log after log."""
+"""Adaptation over logs: the equations of the adaptive FMU, run in Python."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ from hesr_model.support.arrays import Array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
-    """What was known of one joint's friction in one log, at each row before its torque.
+    """Estimates of the friction of one joint in one log, before the torque of each row is used.
 
     Attributes
     ----------
-    record : of the joint.
-    fixed : (N,) torque of the law as it was fitted [N.m].
-    outputs : (N,) each, by name: torque, factors with standard deviations, alarms and health.
+    record : record of the joint.
+    fixed : torque of the law as fitted, (N,) [N.m].
+    outputs : torque, factors with standard deviations, alarms and health by name, (N,) each.
     """
 
     record: FrictionRecord
@@ -40,10 +40,9 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
     Raises
     ------
     ExportError
-        If a law has nothing that a level could scale.
+        If a law has neither stops nor bristles.
     SimulationError
-        If the model does not say how well it fitted and what it was fitted to, or motors turn with
-        several joints.
+        If the model lacks its training error and ranges, or motors are coupled.
     """
     if model.coupling is not None:
         raise SimulationError(
@@ -71,14 +70,14 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
 
 
 class Follower:
-    """A friction model on a robot: a share of what its factors become is carried from log to log.
+    """A friction model on a robot; a share of its learned factors is carried from log to log.
 
-    Each log is an FMU that starts from these factors, as uncertain as one that has just begun.
+    Each log starts from these factors with the initial standard deviations.
 
     Parameters
     ----------
-    model : fitted to other logs.
-    tuning : of the filter.
+    model : friction model fitted to other logs.
+    tuning : settings of the filter.
     """
 
     def __init__(self, model: FrictionModel, tuning: Tuning = TUNING) -> None:
@@ -95,13 +94,13 @@ class Follower:
 
         Parameters
         ----------
-        records : of every joint, in the model's order; `tau` may hold what is no number.
-        adapt : whether factors follow.
+        records : records of all joints, in the order of the model; `tau` may hold NaN.
+        adapt : whether factors adapt.
 
         Raises
         ------
         SimulationError
-            If the records are not those of the model's joints.
+            If records and model differ in their joints.
         """
         found = tuple(r.joint for r in records)
         if found != self._model.joints:

@@ -1,6 +1,6 @@
-"""Friction over days of logs: factors at the end of each log, alarms, and what they point to.
+"""Friction over days of logs: factors at the end of each log, alarms and their likely causes.
 
-What signals can tell apart: temperature and lubrication change all joints, and slowly; wear changes
+Distinguishable causes: temperature and lubrication change all joints, and slowly; wear changes
 friction of one joint; a payload, an error of gravity or a sensor moves offsets. A level that one
 joint alone has lost to heat looks like wear, and an offset like an error of gravity.
 """
@@ -30,14 +30,14 @@ POINTS_TO = {
 
 @dataclass(frozen=True, kw_only=True)
 class Alarm:
-    """A change that was found.
+    """A change of friction.
 
     Attributes
     ----------
     log, joint : names.
-    time : of the log [s].
+    time : time of the log [s].
     kind : a key of `POINTS_TO`.
-    sign : 1 for more friction or torque than was known, -1 for less.
+    sign : 1 for more friction or torque than before, -1 for less.
     """
 
     log: str
@@ -48,7 +48,7 @@ class Alarm:
 
     @property
     def points_to(self) -> str:
-        """What such a change comes from."""
+        """Likely cause of the change."""
         return POINTS_TO[self.kind]
 
 
@@ -62,8 +62,8 @@ class State:
     level, viscosity : factors on Coulomb and viscous friction.
     offset : [N.m], or [N] where the joint slides.
     level_sd, viscosity_sd, offset_sd : their standard deviations.
-    learning : share of the rows in which factors followed.
-    rmse_fixed, rmse : errors over the log of the law as fitted, and of what was followed [N.m].
+    learning : share of the rows with adaptation.
+    rmse_fixed, rmse : errors of the law as fitted, and of the adapted one [N.m].
     """
 
     log: str
@@ -105,7 +105,7 @@ def watch(
     Raises
     ------
     HesrError
-        If the model is none that can be followed, or the records are not of its joints.
+        If the model does not support adaptation, or the records are of other joints.
     """
     follower = Follower(model, tuning)
     followed = tuple(tuple(follower.follow(records)) for records in logs)
@@ -152,12 +152,12 @@ def _alarms(log: Sequence[Followed]) -> Iterator[Alarm]:
 
 
 def shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:
-    """Return the signs of a change of friction that more than half of so many joints share.
+    """Return the signs of a change of friction that more than half of the joints share.
 
     Parameters
     ----------
-    drifts : joint and sign of each change that was found.
-    joints : how many there are.
+    drifts : joint and sign of each change.
+    joints : number of joints.
     """
     found = set(drifts)
     most = max(1.0, _SHARED * joints)
@@ -165,6 +165,6 @@ def shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:
 
 
 def _begins(alarm: Array) -> list[int]:
-    """Return the rows in which an alarm begins."""
+    """Return the first row of each alarm."""
     before = np.concatenate([[0.0], alarm[:-1]])
     return [int(row) for row in np.flatnonzero((alarm != 0.0) & (alarm != before))]

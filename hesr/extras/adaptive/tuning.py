@@ -12,7 +12,7 @@ class Tuning:
     Attributes
     ----------
     correlation_time : correlation time of the unexplained torque [s].
-    forgetting_time : window over which the filter looks back [s].
+    forgetting_time : memory of the filter [s].
     level_sd, viscosity_sd : initial and largest standard deviations of the factors.
     offset_sd : the same for the offset, relative to the noise.
     level, viscosity : limits of the factors.

@@ -1,4 +1,4 @@
-"""Robots of a fleet beside each other: which are unlike their type, which have changed."""
+"""Comparison of the robots of a fleet: deviations from their type, and changes."""
 
 from collections.abc import Iterator, Sequence
 
@@ -72,7 +72,7 @@ def changed(robots: Sequence[RobotResult], level: float, least: float) -> list[C
     ----------
     robots : of the fleet.
     level : probability, adjusted for all trends (Holm), below which one counts.
-    least : share of friction by which it must have changed.
+    least : smallest change, as a share of friction.
     """
     trends = {
         (robot.robot, one.law, one.joint, name): (robot, found)

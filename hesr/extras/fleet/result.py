@@ -8,21 +8,21 @@ from hesr_model.findings import Finding
 from hesr_model.inference.deviation import Trend
 
 BODY = "rigid_body"
-"""What stands in the place of a law where numbers are those of the rigid body."""
+"""Name in place of a law for the rigid body."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointResult:
-    """One joint of a robot under one law, or the robot's rigid body.
+    """Result of one joint and law, or of the rigid body.
 
     Attributes
     ----------
-    law, joint : names; `BODY` and nothing for the rigid body.
-    structure : of the law, as JSON.
-    values, errors : coefficients and their standard errors, where known.
-    rmse, tau_std : error over all rows of all logs, and standard deviation of friction [N.m]; of
-        sliding joints [N], of the rigid body 0.
-    trends : of what changes over days, relative to friction: `level`, `offset`, `error`.
+    law, joint : names; `BODY` and an empty name for the rigid body.
+    structure : structure of the law, as JSON.
+    values, errors : coefficients and their standard errors, if known.
+    rmse, tau_std : error over all logs and standard deviation of friction [N.m; N]; 0 for the
+        rigid body.
+    trends : trends over days of `level`, `offset` and `error`, relative to friction.
     """
 
     law: str
@@ -37,17 +37,17 @@ class JointResult:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotResult:
-    """What is found of one robot.
+    """Result of one robot.
 
     Attributes
     ----------
-    key : changes with anything that it depends on.
+    key : hash of everything that affects the result.
     robot, type : names.
-    logs, rows : that were used.
-    refused : why logs, or laws, were left out; a sentence each.
-    failure : why there is nothing else; empty where there is.
-    findings : of the checks.
-    joints : of each joint under each law, and of the rigid body.
+    logs, rows : numbers of used logs and rows.
+    refused : reasons of omitted logs and laws, a sentence each.
+    failure : reason of a missing result, otherwise empty.
+    findings : findings of the checks.
+    joints : results of each joint and law, and of the rigid body.
     """
 
     key: str
@@ -76,23 +76,23 @@ class RobotResult:
         return [law for law in dict.fromkeys(one.law for one in self.joints) if law != BODY]
 
     def of_law(self, law: str) -> "list[JointResult]":
-        """Return what is found of each joint under a law."""
+        """Return the results of each joint for a law."""
         return [one for one in self.joints if one.law == law]
 
     def structure(self, law: str) -> str:
-        """Return the structures of a law of all joints, as JSON."""
+        """Return the structures of a law for all joints, as JSON."""
         return f"[{', '.join(one.structure for one in self.of_law(law))}]"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Deviant:
-    """A number of a robot that is unlike that of its type.
+    """A number of a robot that deviates from its type.
 
     Attributes
     ----------
-    robot, type, law, joint, name : whose number, and which.
-    value, median : in one unit.
-    z, p : distance in robust standard deviations; probability, adjusted for all comparisons.
+    robot, type, law, joint, name : names.
+    value, median : value of the robot and median of its type.
+    z, p : distance in robust standard deviations, and adjusted probability.
     """
 
     robot: str
@@ -108,17 +108,17 @@ class Deviant:
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """What of a robot has changed over days.
+    """A change of a robot over days.
 
     Attributes
     ----------
-    robot, type, law, joint : of what.
-    kind : of the change.
-    change : from the first day to the last one, as a share of friction.
-    per_day : the same by day.
-    p : probability by chance, adjusted for all trends.
-    worse : whether it is more friction, an offset, or more that no law explains.
-    points_to : what it may come from.
+    robot, type, law, joint : names.
+    kind : kind of change.
+    change : change from the first to the last day, as a share of friction.
+    per_day : change per day.
+    p : probability, adjusted for all trends.
+    worse : whether friction, offset or error increased.
+    points_to : likely cause.
     """
 
     robot: str
@@ -159,7 +159,7 @@ class Fleet:
     reused: int
 
     def z_of(self, robot: str, law: str, joint: str) -> Mapping[str, float]:
-        """Return the z of each number there, by its name; of those that could be compared."""
+        """Return the z of each compared number by name."""
         return self.z.get((robot, law, joint), {})
 
     @property

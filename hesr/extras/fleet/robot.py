@@ -1,4 +1,4 @@
-"""One robot of a fleet: its logs are read one after the other, never all at once."""
+"""One robot of a fleet; its logs are read one at a time."""
 
 import hashlib
 import json
@@ -45,47 +45,47 @@ _VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
 
 
 def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
-    """Do all of one robot and write it into its folder; return whether it was there already.
+    """Process one robot and write its folder; return whether it was complete before.
 
-    What is wrong with its logs is a part of the result.
+    Errors of its logs are part of the result.
 
     Raises
     ------
     ArtifactError
-        If something cannot be written.
+        If a file cannot be written.
     """
     key, file = _key(member, study), folder / RESULT
     try:
         if read_result(folder).key == key:
             return True
     except ArtifactError:
-        pass  # there is none, or half of one
+        pass  # missing or incomplete
     try:
         with threadpool_limits(1):
             result = _Robot(member, study, key).result(folder)
     except ArtifactError:
-        raise  # a full disk is no fault of the robot's, and must not be kept as one
+        raise  # a full disk is not an error of the robot
     except HesrError as error:
         result = RobotResult(key=key, robot=member.name, type=member.type, failure=str(error))
-    # Last: whoever is killed before begins this robot anew.
+    # Written last: a killed process repeats this robot.
     write_json(file, {"format": RESULT_FORMAT, **to_json(result)})
     return False
 
 
 def read_result(folder: Path) -> RobotResult:
-    """Read what is found of a robot.
+    """Read the result of a robot.
 
     Raises
     ------
     ArtifactError
-        If it is not there, or damaged.
+        If the file is missing or damaged.
     """
     file = folder / RESULT
     return from_json(RobotResult, read_json(file, RESULT_FORMAT), file, "a robot of a fleet")
 
 
 def _key(member: Member, study: FleetStudy) -> str:
-    """Return a hash of all that a robot's results depend on; where files stand does not count."""
+    """Return a hash of everything that affects the results of a robot; paths do not."""
     kind = member.kind
     files = [kind.robot, *(path for _, path in member.logs)]
     if kind.robot.is_file():
@@ -101,7 +101,7 @@ def _key(member: Member, study: FleetStudy) -> str:
 
 
 def _hash(file: Path) -> str | None:
-    """Return the hash of a file; none where reading it will tell what is wrong with it."""
+    """Return the hash of a file; None if it is unreadable, which its reader reports."""
     try:
         return sha256(file)
     except OSError:
@@ -110,7 +110,7 @@ def _hash(file: Path) -> str | None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Day:
-    """One joint in one log: rows, error, friction's sum and squares, and what is the log's own."""
+    """One joint in one log: rows, error, sum and squares of friction, level and offset."""
 
     rows: int
     rmse: float
@@ -130,12 +130,12 @@ class _Robot:
         self._findings: list[Finding] = []
 
     def result(self, folder: Path) -> RobotResult:
-        """Do everything, and write rigid body and laws."""
+        """Identify and fit, and write rigid body and laws."""
         member, study = self._member, self._study
         if not member.logs:
             raise LogError(f"{self._where}: there is no log in its folders.")
         stream, sample = self._collected(None)
-        if not stream.fits:  # a joint that is always slow: its slowest rows are others
+        if not stream.fits:  # a joint that is always slow
             stream, sample = self._collected(stream.slow)
         body = stream.body(sample, self._where)
         records = by_joint([motion_records(m, self._model, body) for m in sample])
@@ -213,7 +213,7 @@ class _Robot:
 
     def _joints(self, models: Mapping[str, FrictionModel], body: RigidBody) -> list[JointResult]:
         """Read all logs once more, for errors and trends."""
-        plain = replace(body, covariance=None)  # whose spread nobody asks for here
+        plain = replace(body, covariance=None)  # unused here
         found: dict[tuple[str, int], dict[str, _Day]] = {}
         for parts in self._motions():
             logs = [at_friction(motion_records(part, self._model, plain)) for part in parts]

@@ -1,4 +1,4 @@
-"""A fleet: each robot by itself, then all together; it goes on where it was interrupted."""
+"""Run of a fleet: each robot, then their comparison; an interrupted run continues."""
 
 from functools import partial
 from pathlib import Path
@@ -23,21 +23,20 @@ ABOUT, TABLE, PAGE = "fleet.json", "fleet.parquet", "fleet.html"
 def run_fleet(
     path: Path, output: Path, *, workers: int | None = None, progress: Stages = silent
 ) -> Fleet:
-    """Look at all robots of a fleet, and write what was found; robots that are done are not redone.
+    """Process the robots of a fleet that are not complete, compare all, and write the results.
 
     Parameters
     ----------
-    path : file of the fleet.
+    path : fleet file.
     output : folder of the results.
-    workers : processes; one for each core where not given, none of its own for 1. The files do not
-        depend on it.
-    progress : told how many robots are done.
+    workers : processes, by default one per core; 1 runs in this process. Files do not change.
+    progress : reports the number of robots done.
 
     Raises
     ------
     HesrError
-        If the file, a robot file or the folder is wrong. What is wrong with the logs of a robot is
-        part of its results.
+        If the fleet file, a robot file or the folder is unusable. Errors of logs are part of the
+        results.
     """
     study = FleetStudy.read(path)
     for law in study.laws:

@@ -1,4 +1,4 @@
-"""What `hesr fleet` looks at: types of robots, where their logs are, and which laws are fitted."""
+"""Fleet file: types of robots, their logs, and the laws to fit."""
 
 import os
 import re
@@ -19,21 +19,21 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
 
 _TABLES = {".csv", ".parquet", ".pq", ".mat"}
 _BAG = "metadata.yaml"
-"""In the folder that is a bag of ROS 2."""
+"""File that marks a folder as a bag of ROS 2."""
 _WILD = re.compile(r"[*?\[]")
 _DAY = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
 
 
 class RobotType(Config):
-    """Robots that should be alike.
+    """A type of robots.
 
     Attributes
     ----------
-    robot : robot file of all of them.
-    logs : folders beside the fleet's file, with wildcards: each is a robot of its name, and holds
-        its logs, in any folders. Of names as ``robot=R7``, those of a partitioned data set, the
-        robot is ``R7``; folders of one name are one robot.
-    accept : names of checks whose refusals are only told.
+    robot : robot file of the type.
+    logs : folders relative to the fleet file, with wildcards. Each folder is a robot of its name
+        with its logs, in any subfolders; ``robot=R7`` (partitioned data) is ``R7``. Folders of
+        one name are one robot.
+    accept : names of checks whose errors are accepted.
     """
 
     robot: RelativePath
@@ -46,16 +46,16 @@ class FleetStudy(Config):
 
     Attributes
     ----------
-    name : of the fleet.
-    seed : of samples and fits: the same seed gives the same bytes.
-    laws : that are fitted, names in the registry.
+    name : name of the fleet.
+    seed : seed of samples and fits: the same seed gives the same bytes.
+    laws : names of the laws to fit.
     options : hyper-parameters of their estimators, by law.
-    rows : of each robot that its laws are fitted to; of logs with more, a sample.
-    level : probability below which, adjusted for how many are compared, something counts.
-    least_change : share of friction by which it must have changed to count.
-    fmu : whether each type gets an FMU of each law, and each robot its parameter set.
-    platforms : of the FMUs.
-    types : by their names.
+    rows : largest number of rows per robot in a fit; longer logs are sampled.
+    level : significance level, adjusted for the number of comparisons.
+    least_change : smallest change to report, as a share of friction.
+    fmu : whether each type gets an FMU of each law, and each robot a parameter set.
+    platforms : platforms of the FMUs.
+    types : types by name.
     """
 
     name: Name = "fleet"
@@ -76,9 +76,9 @@ class Member:
 
     Attributes
     ----------
-    name, type : of the robot.
-    kind : what its type says.
-    logs : files in the order of their names, which are their paths without suffix.
+    name, type : names of robot and type.
+    kind : settings of the type.
+    logs : name (path without suffix) and file of each log, sorted by name.
     """
 
     name: str
@@ -88,7 +88,7 @@ class Member:
 
     @property
     def days(self) -> dict[str, float]:
-        """By log its day since the first one; its place where not all names hold a date."""
+        """Days since the first log, by log; its index unless all names hold a date."""
         found = [_day(name) for name, _ in self.logs]
         dated = [day for day in found if day is not None]
         first = min(dated, default=0)
@@ -124,7 +124,7 @@ def members(study: FleetStudy, path: Path) -> list[Member]:
 
 
 def _matching(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
-    """Return what is in front of a pattern's first wildcard, with each folder that matches."""
+    """Return the folder before the first wildcard of a pattern, with each matching folder."""
     parts = Path(pattern).parts
     wild = next((k for k, part in enumerate(parts) if _WILD.search(part)), len(parts) - 1)
     root = path.parent.joinpath(*parts[:wild])

@@ -1,4 +1,4 @@
-"""Tables of a fleet: its types, who deviates, what has changed, and what could not be used."""
+"""Tables of a fleet: types, deviations, changes, and unusable logs."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ _MOST = 30
 
 
 def all_tables(fleet: "Fleet") -> Iterator[ResultTable]:
-    """Yield the tables that have something to show."""
+    """Yield the tables that are not empty."""
     yield types(fleet)
     for table in (deviants(fleet), changes(fleet), broken(fleet)):
         if table.rows:
@@ -24,7 +24,7 @@ def all_tables(fleet: "Fleet") -> Iterator[ResultTable]:
 
 
 def types(fleet: "Fleet") -> ResultTable:
-    """Return how many robots of each type there are, and of how many there is something to say."""
+    """Return the numbers of robots, deviations and changes by type."""
     type_of = {robot.robot: robot.type for robot in fleet.robots}
     columns = [
         {robot.robot for robot in fleet.robots},
@@ -45,7 +45,7 @@ def types(fleet: "Fleet") -> ResultTable:
 
 
 def deviants(fleet: "Fleet") -> ResultTable:
-    """Return which numbers of which robots are unlike those of their type."""
+    """Return the numbers that deviate from the type of the robot."""
     rows = [
         row_of(
             d.robot, "rigid body" if d.law == BODY else d.law, d.joint or "–", d.name,
@@ -64,7 +64,7 @@ def deviants(fleet: "Fleet") -> ResultTable:
 
 
 def changes(fleet: "Fleet") -> ResultTable:
-    """Return what has changed over days, what got worse first."""
+    """Return the changes over days, worse ones first."""
     rows = [
         row_of(
             c.robot, c.law, c.joint, c.kind, _share(c.change, 1), _share(c.per_day, 2), _p(c.p),
@@ -82,7 +82,7 @@ def changes(fleet: "Fleet") -> ResultTable:
 
 
 def broken(fleet: "Fleet") -> ResultTable:
-    """Return what could not be used, and why."""
+    """Return what was left out, and the reasons."""
     sentences = [(robot.robot, text) for robot in fleet.broken for text in robot.sentences]
     return ResultTable(
         caption="Not used",

@@ -1,4 +1,4 @@
-"""One FMU for all robots of a type, of which each has a parameter set (SSP 1.0)."""
+"""One FMU per type, with a parameter set (SSP 1.0) for each robot."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ def write_types(
 
     Returns
     -------
-    FMUs by type, law and structure. Laws whose coefficients are no parameters of an FMU have none.
+    FMUs by type, law and structure, for laws whose coefficients are parameters of an FMU.
     """
     groups: dict[_Kind, list[RobotResult]] = {}
     for robot in robots:

@@ -35,7 +35,7 @@ from hesr_model.laws.stribeck import F_C, SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
 from hesr_model.rigid_body.residual import FrictionRecord
 
 ALPHAS = (1, 2, 3)
-"""Exponents of the Stribeck curve, of which a fit takes the best."""
+"""Candidate exponents of the Stribeck curve."""
 
 _AT_REST = sympy.Symbol("e", real=True)  # stands for exp(-|v/v_s|^alpha)
 _AHEAD, _BACK = (positive(way * sgn(DQ) * TAU_LOAD) for way in (1, -1))
@@ -87,7 +87,7 @@ class _Bam(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Search v_s where there is one; everything else is linear."""
+        """Search v_s, if present; everything else is linear."""
         names = (*(c.name for c, _ in self.terms), SIGMA_2.name)
         return SearchSpace(
             bounds=((V_S.name, VELOCITY_BOUNDS),) if self._falls() else (),

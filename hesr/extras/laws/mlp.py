@@ -23,7 +23,7 @@ DECAYS = (3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
 """Weight decays that are tried, on standardised data. Each network starts from the one with the
 decay before, which makes its result depend less on the random start."""
 SEARCHED_ROWS = 1600
-"""Rows on which the choices are compared; the chosen network is trained on all."""
+"""Number of rows for the comparison of choices; the chosen network is trained on all rows."""
 _TINY = 1e-12
 
 
@@ -131,7 +131,7 @@ def left_out(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[Array])
     z : (N, 3) standardised inputs.
     y : (N,) standardised torque.
     folds : (N,) masks of the rows that are left out in turn.
-    starts : (4, H) hidden layers from which training starts.
+    starts : (4, H) initial hidden layers.
 
     Returns
     -------

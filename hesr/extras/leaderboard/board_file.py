@@ -1,4 +1,4 @@
-"""What an arena file says: robots, logs, classes of inputs, scores; and its logs, read."""
+"""Leaderboard file: robots, logs, classes of inputs and scores."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ Connector = Literal["dq", "q", "tau_load"]
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 KINDS: tuple[Kind, ...] = ("all", "moving", "reversals", "rests")
-"""Rows by which torque is scored."""
+"""Kinds of rows with a score of their own."""
 
 CLASSES: Mapping[str, tuple[Connector, ...]] = {
     "v": ("dq",),
@@ -31,15 +31,15 @@ CLASSES: Mapping[str, tuple[Connector, ...]] = {
     "v, load": ("dq", "tau_load"),
     "v, q, load": ("dq", "q", "tau_load"),
 }
-"""Where an arena names none."""
+"""Default classes of inputs."""
 
 
 class ArenaRobot(Config):
-    """A robot, and the rigid body by which friction is told from its torque.
+    """A robot and its rigid body.
 
     Attributes
     ----------
-    name : in this arena.
+    name : name on the leaderboard.
     file : robot file.
     rigid_body, rigid_body_sha256 : result of `hesr identify`, and the file's hash.
     """
@@ -56,9 +56,8 @@ class ArenaLog(Config):
     Attributes
     ----------
     file, sha256 : the file, and its hash.
-    robot : whose log it is; may be left out where there is one robot.
-    source : where to get it.
-    licence : under which.
+    robot : robot of the log; optional with a single robot.
+    source, licence : origin of the file and its licence.
     """
 
     file: RelativePath
@@ -69,18 +68,17 @@ class ArenaLog(Config):
 
 
 class Arena(Config):
-    """What entries are scored on.
+    """Content of a leaderboard file.
 
     Attributes
     ----------
-    name : of the arena.
+    name : name of the leaderboard.
     robots, logs : at least one log of each robot.
-    warm_up : replayed at the beginning of each log, not scored [s]: nobody who runs an FMU knows
-        the state in which friction begins.
-    block : length of the bootstrap's blocks [s].
-    classes : inputs that entries of a class may use, by its name.
-    scores : what stands on the leaderboard.
-    accept : checks of logs whose refusals are only told.
+    warm_up : start of each log without a score [s]: the initial state of friction is unknown.
+    block : block length of the bootstrap [s].
+    classes : allowed inputs by name of the class.
+    scores : columns of the leaderboard.
+    accept : checks of logs whose errors are accepted.
     """
 
     name: PrintableName = Field(min_length=1)
@@ -109,7 +107,7 @@ class Arena(Config):
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """What entries for one robot are scored on.
+    """Data for the entries of one robot.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""One entry on its robot's logs: its torque, the inputs that it uses, its properties, its time."""
+"""Evaluation of one entry: torque, used inputs, properties and time per step."""
 
 import time
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
 _OPTIONAL = ("q", "tau_load")
-"""Inputs that an entry may use; all use the velocity."""
+"""Optional inputs of an entry, in addition to the velocity."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """An FMU that is entered: its name on the leaderboard, its file, the robot that it is for."""
+    """An FMU with its name on the leaderboard and its robot."""
 
     name: str
     fmu: Path
@@ -36,16 +36,16 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class Tried:
-    """What an entry does on the logs.
+    """Evaluation of an entry.
 
     Attributes
     ----------
-    inputs : that its torque depends on, as a replay without each of them shows.
-    torques : of each part of each log, (N, n) [N.m].
-    seconds : of one step, with its inputs set and its outputs read [s].
-    ours : whether it was exported here, so that it runs in this process.
-    model : the law that it carries, where it is one of ours.
-    properties : what the battery finds; None where not wanted.
+    inputs : inputs that change the torque, found by replays without each of them.
+    torques : torque of each part of each log, (N, n) [N.m].
+    seconds : time per step, inputs and outputs included [s].
+    ours : whether the FMU was exported here and runs in this process.
+    model : embedded law of an FMU that was exported here.
+    properties : results of the physics checks, if requested.
     """
 
     inputs: tuple[str, ...]
@@ -84,7 +84,7 @@ def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
             without = (replay(component, **part | {name: None}) for part in columns)
             if any(np.any(one != torque) for one, torque in zip(without, torques, strict=True)):
                 used.append(name)
-    # Of a foreign FMU nobody knows whether it is the law that it carries.
+    # A foreign FMU need not compute the law that it carries.
     model = embedded_model(entry.fmu) if ours else None
     return Tried(
         inputs=tuple(used),

@@ -1,4 +1,4 @@
-"""The leaderboard: all entries of an arena, scored and ranked within classes of inputs."""
+"""Leaderboard: entries scored and ranked within classes of inputs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ FORMAT = "hesr-arena-1"
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredLog:
-    """A log that entries were scored on: where it is from, and how much of it counts [s]."""
+    """A log with its origin and licence."""
 
     name: str
     robot: str
@@ -33,7 +33,7 @@ class ScoredLog:
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredRobot:
-    """A robot: its joints, whether each slides, and how large friction is [N.m; N]."""
+    """A robot with the standard deviation of friction by joint [N.m; N]."""
 
     name: str
     joints: tuple[str, ...]
@@ -44,23 +44,23 @@ class ScoredRobot:
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """Where an entry stands.
+    """Scores of an entry.
 
     Attributes
     ----------
     name, robot, sha256 : of the entry.
-    law : that it carries; empty for a foreign FMU.
-    group : class of inputs in which it stands.
-    inputs : that its torque was found to depend on.
-    relative : by kind of rows, its error over the size of friction, of all joints, with a 95 %
-        interval; None where no row is of the kind.
-    joints : by kind of rows, RMSE of each joint [N.m; N where it slides].
-    ratio : to the leader of its class; None for that one. Its intervals hold for all of a class at
-        once with 95 %.
-    leads : whether no entry of its class is better than it beyond chance.
-    properties : what the battery finds; None where the arena does not score it.
-    step : time of a step, with inputs set and outputs read [s]; None where not scored.
-    foreign : whether it ran in a process of its own, which takes longer.
+    law : embedded law; empty for a foreign FMU.
+    group : class of inputs.
+    inputs : inputs that change its torque.
+    relative : error over the size of friction by kind of rows, with a 95 % interval; None
+        without rows of the kind.
+    joints : RMSE of each joint by kind of rows [N.m; N].
+    ratio : ratio to the leader of the class, with a simultaneous 95 % interval; None for the
+        leader.
+    leads : whether no entry of its class is significantly better.
+    properties : results of the physics checks, if scored.
+    step : time per step, inputs and outputs included [s], if scored.
+    foreign : whether the FMU ran in a process of its own, which takes longer.
     """
 
     name: str
@@ -80,15 +80,15 @@ class Standing:
 
 @dataclass(frozen=True, kw_only=True)
 class Leaderboard:
-    """All standings, by robot, by class of inputs, the least error first.
+    """Standings by robot and class of inputs, the smallest error first.
 
     Attributes
     ----------
-    arena : its name.
-    warm_up, block : rows that are not scored, and length of the bootstrap's blocks [s].
+    arena : name of the leaderboard.
+    warm_up, block : start of each log without a score, and block length of the bootstrap [s].
     classes : inputs of each class.
-    robots, logs : what entries were scored on.
-    standings : of all entries.
+    robots, logs : data of the scores.
+    standings : scores of all entries.
     """
 
     arena: str
@@ -101,12 +101,12 @@ class Leaderboard:
 
 
 def entries_of(given: Sequence[str], arena: Arena) -> list[Entry]:
-    """Return the entries that a command line names, as FILE or ROBOT=FILE.
+    """Return entries given as FILE or ROBOT=FILE.
 
     Raises
     ------
     ConfigError
-        If one does not say for which of several robots it is, or is given twice.
+        If an entry lacks its robot, or is given twice.
     """
     robots = [robot.name for robot in arena.robots]
     found = []
@@ -136,18 +136,18 @@ def run_arena(
 
     Parameters
     ----------
-    arena, entries : see there.
-    workers : processes; one for each core where not given. Only times depend on it.
-    progress : told how many entries are done.
+    arena, entries : leaderboard file and its entries.
+    workers : processes, by default one per core; only times depend on it.
+    progress : reports the number of entries done.
 
     Raises
     ------
     ConfigError
-        If a file is not the arena's, or an entry is of none of its classes.
+        If a file differs from the leaderboard file, or an entry fits no class.
     HesrError
         If a log cannot be used.
     SimulationError, ArtifactError
-        If an entry is no friction FMU for its robot, fails, or gives no number.
+        If an entry has other connectors than a friction FMU, or fails.
     """
     if not entries:
         raise ConfigError("nobody has entered the arena; needed is at least one FMU.")

@@ -105,7 +105,7 @@ class Judge:
 
 
 def _kinds(part: Sequence[FrictionRecord], rows: Mask) -> dict[Kind, Mask]:
-    """Return which rows (N, n) of one part of a log, after the warm-up, are of which kind."""
+    """Return masks (N, n) of the rows of each kind in one part of a log, after the warm-up."""
     fast = np.column_stack([moving(r.dq) for r in part])[rows]
     near = np.column_stack([near_reversals(r.t, r.dq) for r in part])[rows]
     return {"all": np.ones_like(fast), "moving": fast, "reversals": near, "rests": ~fast}

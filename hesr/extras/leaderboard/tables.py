@@ -1,4 +1,4 @@
-"""Tables of an arena: who stands where, joint by joint, and on which logs."""
+"""Tables of a leaderboard: standings, errors by joint, and logs."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -21,7 +21,7 @@ _HEADS = {"all": "all rows", "moving": "moving", "reversals": "reversals", "rest
 
 
 def standings(board: Leaderboard) -> Iterator[ResultTable]:
-    """Yield the leaderboard of each robot, its classes of inputs one below the other."""
+    """Yield the standings of each robot by class of inputs."""
     for robot in board.robots:
         of_robot = [s for s in board.standings if s.robot == robot.name]
         if not of_robot:
@@ -83,7 +83,7 @@ def by_joint(board: Leaderboard, robot: ScoredRobot, kind: Kind) -> ResultTable:
 
 
 def logs(board: Leaderboard) -> ResultTable:
-    """Return the logs: their hashes, where to get them, under which licence."""
+    """Return the logs with hash, origin and licence."""
     return ResultTable(
         caption="Logs",
         head=("log", "robot", "SHA-256", "from", "licence"),

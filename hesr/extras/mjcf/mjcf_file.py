@@ -1,4 +1,4 @@
-"""A friction model in, an MJCF of passive actuators out, to be included in the model of a robot."""
+"""MJCF export: friction as passive actuators, to be included in the model of a robot."""
 
 import json
 from collections.abc import Iterator
@@ -29,15 +29,14 @@ _HEAD = """\
 
 @dataclass(frozen=True, kw_only=True)
 class JointProjection:
-    """What became of the law of one joint.
+    """Result of the export of one joint.
 
     Attributes
     ----------
-    joint : its name.
-    missing : what in the law MuJoCo has no part for; None where the MJCF is the law itself.
-    fitted, unseen : how far the projection is off where it was fitted and on another motion; None
-        where there is none.
-    unit : of its torque.
+    joint : name of the joint.
+    missing : term of the law without a counterpart in MuJoCo; None if the MJCF is exact.
+    fitted, unseen : errors of a projection on the fitted and on another motion.
+    unit : unit of the torque.
     """
 
     joint: str
@@ -60,13 +59,13 @@ class JointProjection:
 
 @dataclass(frozen=True, kw_only=True)
 class Projection:
-    """What became of a friction model: one entry for each joint."""
+    """Result of the export of a friction model."""
 
     joints: tuple[JointProjection, ...]
 
     @property
     def exact(self) -> bool:
-        """Whether the MJCF is the model itself, but for rounding."""
+        """Whether the MJCF equals the model except for round-off."""
         return all(joint.missing is None for joint in self.joints)
 
     def lines(self) -> list[str]:
@@ -85,12 +84,12 @@ def export_mjcf_law(
     ----------
     model : one law for each joint; the actuators act on joints of these names.
     path : the MJCF to write, ending in .xml.
-    project : approximate a law for which MuJoCo has no parts; refused otherwise.
-    progress : told how many joints are done.
+    project : approximate a law without a counterpart in MuJoCo instead of refusing it.
+    progress : reports the number of joints done.
 
     Returns
     -------
-    Which joints are exact, and how far the others are off.
+    Exact joints, and errors of the others.
 
     Raises
     ------
@@ -128,7 +127,7 @@ def _of_joint(
             if project:
                 nearest, fitted, unseen = projected(law, trained, model.sample_time)
             else:
-                records(law, trained, model.sample_time)  # so that nothing is promised below
+                records(law, trained, model.sample_time)  # refuse what --project would also refuse
         except HesrError as reason:
             raise ExportError(f"{refused} nor can it be projected: {reason}") from reason
         if not project:
@@ -171,9 +170,9 @@ def _document(
 
 
 def _actuators(parts: JointFriction) -> Iterator[str]:
-    """Yield the attributes of each actuator of a joint; the first carries what is viscous.
+    """Yield the attributes of each actuator of a joint; the first has the viscous friction.
 
-    Everything is written, since a robot's defaults may say otherwise.
+    All attributes are written because the robot's defaults may differ.
     """
     count = max(len(parts.bristles), len(parts.waves), 1)
     for k in range(count):

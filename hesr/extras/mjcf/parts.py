@@ -31,7 +31,7 @@ Values = Mapping[sympy.Symbol, float]
 
 
 class NoCounterpartError(ExportError):
-    """A law has something for which MuJoCo has no part; the text says what, with `{unit}` in it."""
+    """A law has a term without a counterpart in MuJoCo; the text names it, with `{unit}`."""
 
     def __init__(self, text: str, unit: str = "1") -> None:
         super().__init__(text.replace("{unit}", unit))
@@ -254,7 +254,7 @@ def _bristle(
             f"{own} slides at {coulomb:g} to {static:g} {{unit}}, a bristle at more than 0",
             "N.m",
         )
-    # Without a peak both levels are the same, whatever the velocity beside them.
+    # Without a peak both levels are equal at any Stribeck velocity.
     stribeck = 1.0 if motion.stribeck is None else motion.stribeck
     return Bristle(
         stiffness=found, damping=micro, coulomb=coulomb, static=static, stribeck=stribeck
@@ -266,7 +266,7 @@ def _uses_inputs(expression: sympy.Expr) -> bool:
 
 
 def _number(expression: sympy.Expr, values: Values, what: str) -> float:
-    """Return the value of an expression; `what` it is in the law is told where it has none."""
+    """Return the value of an expression; an error names it as `what`."""
     value = expression.subs(values)
     if not value.is_real:
         raise NoCounterpartError(f"its coefficients make {what} no number ({shown(expression)})")

@@ -62,8 +62,8 @@ def projected(
     Parameters
     ----------
     law : the law of one joint.
-    trained : what it was fitted to; where not known, speeds are those of `trained_speed`.
-    sample_time : at which the law is run [s].
+    trained : trained range; None uses `trained_speed`.
+    sample_time : step of the law [s].
 
     Raises
     ------

@@ -34,10 +34,10 @@ def package_html(
 
     Parameters
     ----------
-    model : its laws.
-    joints : `name`, `label` and `jumps` of each joint, as the package's template has them.
-    audits : of each joint; none where the audit was refused.
-    refused : why there is no audit, if so.
+    model : friction model.
+    joints : `name`, `label` and `jumps` of each joint, as in the template of the package.
+    audits : audit of each joint; empty if refused.
+    refused : reason of a refused audit.
     """
     return _page(
         "modelica.html.j2",
@@ -61,7 +61,7 @@ def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
         "modelica_joint.html.j2",
         joint=model.joints[index],
         title=title(law, ""),
-        # Of networks nobody reads the numbers in place.
+        # Equations of networks are unreadable with numbers.
         numbers=equations_with_numbers(law) if exposed(law) else [],
         intervals=coefficient_lines(law) if law.standard_errors else [],
         start_samples=law.start_samples,

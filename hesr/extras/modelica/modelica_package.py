@@ -38,7 +38,7 @@ _TAKEN = _WORDS | _LIBRARIES
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
 _FREQUENCY = 0.25
-"""Of the motions in the examples [Hz], as of the reference motion."""
+"""Frequency of the motions in the examples and of the reference motion [Hz]."""
 
 
 _STEADY = "steadyStart"

@@ -48,7 +48,7 @@ class _Printer(LanguagePrinter):
             return f"1/{self.parenthesize(expr.base**-expr.exp, PRECEDENCE['Mul'])}"
         return f"{base}^{self.parenthesize(expr.exp, PRECEDENCE['Pow'])}"
 
-    # By magnitudes, which every tool has without an event.
+    # Magnitudes exist in every tool without an event.
     def _print_positive(self, expr: sympy.Expr) -> str:
         x = expr.args[0]
         return self._half(x + absolute(x))
@@ -62,7 +62,7 @@ class _Printer(LanguagePrinter):
         return self._half(absolute(x + b) - absolute(x - b))
 
     def _half(self, expr: sympy.Expr) -> str:
-        return f"(({self._print(expr)})/2)"  # an atom, whatever stands around it
+        return f"(({self._print(expr)})/2)"  # an atom in any context
 
     def _print_over(self, expr: sympy.Expr) -> str:
         above, below, otherwise = expr.args
@@ -149,7 +149,7 @@ def _sign(argument: str) -> str:
 
 
 def _wrapped(line: str) -> str:
-    """Break a long line at spaces, which stand around sums only."""
+    """Break a long line at spaces, which surround sums only."""
     return fill(
         line, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
     )

@@ -1,4 +1,4 @@
-"""A friction model in, one C99 header out: no FMI, no allocation, nothing of HESR."""
+"""C export: one C99 header without FMI, allocation or other files."""
 
 import re
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ from hesr_model.friction.model import FrictionModel
 
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _LANES = 8
-"""Robots side by side: two vectors of AVX2, one of AVX-512."""
+"""Robots per batch step: two vectors of AVX2, one of AVX-512."""
 
 _OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE) \w+ (\w+)\(", re.MULTILINE)
 
 
 def export_c(model: FrictionModel, path: Path) -> Path:
-    """Write a friction model as one C99 header, and its test data beside it.
+    """Write a friction model as one C99 header, and its test data next to it.
 
     The functions are those of the FMU, so the torques are the same bits where compiler flags and
     mathematical library are.
@@ -42,8 +42,7 @@ def export_c(model: FrictionModel, path: Path) -> Path:
     Raises
     ------
     ExportError
-        If the file's name is none in C, or the model cannot be expressed in C, as one of motors
-        that turn with several joints.
+        If the file name is not an identifier of C, or motors are coupled.
     ArtifactError
         If a file cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Test data that stand beside a file of code: inputs, and the torques of the law in NumPy."""
+"""Test data next to a code file: inputs, and the torques of the law in NumPy."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,12 +19,12 @@ _HALVINGS = 12
 
 
 def write_beside(path: Path, text: str, model: FrictionModel) -> Path:
-    """Write a file of code, and its test data under the same name in .csv; both or none.
+    """Write a code file and its test data with the suffix .csv; both or none.
 
     Raises
     ------
     ExportError
-        If the model gives no torque that is finite on the motion of the data.
+        If the torque is not finite on the motion of the data.
     ArtifactError
         If a file cannot be written.
     """

@@ -99,7 +99,7 @@ def law_function(form: LawForm, name: str) -> str:
     Raises
     ------
     ExportError
-        If an expression has a function that there is none of for tensors.
+        If a function does not exist for tensors.
     """
     component: Component = form.component
     torque = component.outputs[0].symbol
@@ -113,7 +113,7 @@ def begin_function(form: LawForm, name: str) -> str:
     Raises
     ------
     ExportError
-        If an expression has a function that there is none of for tensors.
+        If a function does not exist for tensors.
     """
     program = initial_state(form.memory, form.component.settling)
     return _function(form, name, program, (), (), [initial_symbol(m) for m in form.memory])
@@ -153,7 +153,7 @@ def _function(
 
 
 def _wrapped(expression: sympy.Expr) -> sympy.Expr:
-    """Return an expression in which sines of many turns of the position are of less than one."""
+    """Reduce the arguments of sines of many turns of the position to one turn."""
 
     def wave(node: sympy.Expr) -> sympy.Expr:
         angle = sympy.expand(node.args[0])

@@ -1,4 +1,4 @@
-"""A friction model in, one Python file for PyTorch or JAX out: batched and differentiable."""
+"""Tensor export: one batched, differentiable Python file for PyTorch or JAX."""
 
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -48,8 +48,8 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
     Raises
     ------
     ExportError
-        If the model has no finite numbers, or a law a function that there is none of for tensors,
-        or its joints use both exact and Euler integration.
+        If a number is not finite, a function does not exist for tensors, or joints differ in
+        their integration.
     """
     require_exportable(model, "a file of tensors")
     discretisation = discretisation_of(model)

@@ -40,9 +40,9 @@ def results_of(
     Raises
     ------
     ConfigError
-        If dask.distributed is not installed, or there is no scheduler with a worker.
+        If dask.distributed is missing, or no scheduler has a worker.
     WorkerError
-        By the iterator, if workers die again and again.
+        From the iterator, if workers die repeatedly.
     """
     try:
         from distributed import Client
@@ -70,7 +70,7 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
     for _ in range(_ROUNDS):
         if not left:
             return
-        # Held by every worker, so that those that live have what one that dies has had.
+        # Held by every worker, so that a dead worker loses nothing.
         contents = client.scatter(
             {digest: fmu.read_bytes() for fmu, digest in plan.digests.items()}, broadcast=True
         )
@@ -96,7 +96,7 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
 
 
 def _require_lost(future: Any) -> None:
-    """Raise what a run has raised; a chunk that was lost with its worker is done again."""
+    """Raise the error of a run; repeat a chunk whose worker died."""
     error = future.exception() if future.status == "error" else None
     if isinstance(error, HesrError):
         raise error

@@ -11,7 +11,7 @@ from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
 
 _EDGE = 2.0**-53
-"""Least distance to 0 and 1 of what a normal distribution is drawn by."""
+"""Smallest distance to 0 and 1 of the quantiles of a normal distribution."""
 
 
 def chosen(study: SweepStudy) -> Array:
@@ -85,7 +85,7 @@ def _values(one: SweepInput, unit: Array) -> Array:
 
 
 def _correlated(group: Correlated, unit: Array) -> Array:
-    """Draw by the covariance's symmetric root, which exists without a Cholesky factor, too."""
+    """Draw with the symmetric root of the covariance, which exists for singular matrices."""
     sizes, axes = np.linalg.eigh(np.array(group.covariance))
     root = (axes * np.sqrt(np.maximum(sizes, 0.0))) @ axes.T
     drawn: Array = np.array(group.mean) + _normal(unit) @ root

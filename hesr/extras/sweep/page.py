@@ -1,4 +1,4 @@
-"""The page of a sweep: distributions, the worst runs, and what the outputs depend on."""
+"""Page of a sweep: distributions, worst runs and sensitivities."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,14 +28,14 @@ def write_page(swept: "SweepRuns", path: Path, study: Path) -> None:
     ----------
     swept : the results.
     path : the page.
-    study : file of the study, which stands in commands.
+    study : sweep file, for the commands in the page.
 
     Raises
     ------
     ArtifactError
         If it cannot be written.
     """
-    pictures = Pictures(folder=path.parent)  # its figures stand in the page only
+    pictures = Pictures(folder=path.parent)  # figures are embedded
     sections = [
         Section(key="outputs", title="Outputs", html=_outputs(swept, pictures)),
         Section(key="worst", title="Worst runs", html=_worst(swept, study)),

@@ -1,4 +1,4 @@
-"""A sweep before it runs: its study checked against its system, and a key of all that it is."""
+"""Plan of a sweep: runs, checked against the system, and their key."""
 
 import hashlib
 import json
@@ -26,9 +26,9 @@ class Plan:
 
     Attributes
     ----------
-    study : what was asked for.
-    task : what all runs share.
-    values : (runs, d) of the inputs.
+    study : sweep file.
+    task : system, varied variables and outputs of all runs.
+    values : varied values, (runs, d).
     digests : SHA-256 of each FMU.
     """
 
@@ -47,13 +47,13 @@ class Plan:
         return self.values[first : first + self.study.chunk]
 
     def about(self) -> dict[str, Any]:
-        """Return what is written beside the results."""
+        """Return the description in the folder of results."""
         study = self.study.model_dump(mode="json", exclude={"system"})
         return {"key": self.task.key, "runs": len(self.values), "study": study}
 
 
 def planned(path: Path) -> Plan:
-    """Read a study and check all that can be checked before a run.
+    """Read a sweep file and check it against its system.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def _base(spec: SystemSpec, component: str, variable: str, path: Path) -> tuple[
 
 
 def _key(study: SweepStudy, spec: SystemSpec, digests: dict[Path, str]) -> str:
-    """Return a hash of all that results depend on; where files stand does not count."""
+    """Return a hash of everything that affects results; paths do not."""
     system = spec.model_dump(mode="json", exclude={"components"})
     components = [
         c.model_dump(mode="json", exclude={"fmu"}) | {"fmu": digests.get(c.fmu)}

@@ -1,4 +1,4 @@
-"""A sweep: planned, done chunk by chunk, kept, summed up; it goes on where it was interrupted."""
+"""Run of a sweep in chunks; an interrupted sweep continues where it stopped."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,16 +26,15 @@ def run_sweep(
     cluster: str | None = None,
     progress: Stages = silent,
 ) -> SweepRuns:
-    """Do all runs of a study that are not done yet, and write the page.
+    """Do all missing runs of a sweep file, and write the page.
 
     Parameters
     ----------
-    path : study file.
+    path : sweep file.
     output : folder of the results.
-    workers : processes; one for each core where not given, none of its own for 1. The files do not
-        depend on it.
-    cluster : address of a scheduler of dask.distributed, whose workers do the runs instead.
-    progress : told how many runs are done.
+    workers : processes, by default one per core; 1 runs in this process. Files do not change.
+    cluster : address of a scheduler of dask.distributed, whose workers do the runs.
+    progress : reports the number of runs done.
 
     Raises
     ------
@@ -91,7 +90,7 @@ def _run(
 def _results(
     plan: Plan, left: list[int], workers: int | None, cluster: str | None
 ) -> Iterator[Iterator[tuple[int, RunOutputs]]]:
-    """Yield the iterator of chunks that are done."""
+    """Yield the iterator of finished chunks."""
     if cluster is not None:
         from hesr.extras.sweep.cluster import results_of
 
@@ -114,12 +113,12 @@ def _sensitivities(plan: Plan, table: RunTable) -> list[Sensitivity]:
 
 
 def replay(path: Path, run: int) -> tuple[Plan, Result]:
-    """Do one run of a study again, with all signals that are measured or that its system observes.
+    """Repeat one run, with all measured signals and those that its system observes.
 
     Raises
     ------
     ConfigError
-        If the study has no such run.
+        If the number of the run is too large.
     """
     try:
         plan = planned(path)

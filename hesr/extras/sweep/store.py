@@ -1,4 +1,4 @@
-"""Results of a sweep on disk: a Parquet file for each chunk of runs, whole or not there at all."""
+"""Results of a sweep on disk: one Parquet file per chunk of runs, written atomically."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -27,9 +27,9 @@ class RunTable:
 
     Attributes
     ----------
-    inputs : (runs, d) in their variables' units.
-    outputs : (runs, m) in the signals' units; NaN for runs that failed.
-    failures : why they failed; empty for the others.
+    inputs : varied values, (runs, d).
+    outputs : measured outputs, (runs, m); NaN for failed runs.
+    failures : reason of each failure, otherwise empty.
     """
 
     inputs: Array
@@ -100,21 +100,21 @@ class Store:
 
 @contextmanager
 def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Iterator[None]:
-    """Keep others out of a folder of results, to which this run may add.
+    """Lock a folder of results for this run.
 
     Parameters
     ----------
-    folder : of the results.
-    within : folder in it that holds their parts.
-    file : in which stands whose results they are, for instance ``sweep.json``.
-    about : what is written there; its "key" is that of whoever may add.
+    folder : folder of the results.
+    within : folder of the parts.
+    file : description of the results, for instance ``sweep.json``.
+    about : content of the description; only runs with the same "key" may add results.
 
     Raises
     ------
     ConfigError
-        If the folder holds results of another one.
+        If the folder holds other results.
     ArtifactError
-        If another one is writing there, or it cannot be written.
+        If another run has the lock, or the folder cannot be written.
     """
     what = Path(file).stem
     with ExitStack() as cleanup:

@@ -24,20 +24,20 @@ Signals = Annotated[tuple[Signal, ...], Field(min_length=1), AfterValidator(_dis
 
 
 class SweepInput(Config):
-    """What is varied by itself: one number, given to one or more variables.
+    """One varied number, set on one or more variables.
 
-    One of three groups of keys says which values it takes: `values`; `low` and `high`, between
-    which all are equally likely; `mean` and `std` of a normal distribution.
+    Its distribution is given by `values`, by `low` and `high` (uniform), or by `mean` and `std`
+    (normal).
 
     Attributes
     ----------
-    variables : `component.variable`; without an index it stands for all elements of a vector.
-    factor : whether the number is a factor on the start values in the system, instead of a value.
-    values : that it takes, in the variables' unit as all numbers here.
-    low, high : its range.
-    mean, std : of its normal distribution.
-    integer : whether only whole numbers are taken, as by the seed of a noise.
-    levels : values of a range in a grid.
+    variables : `component.variable`; without an index all elements of a vector.
+    factor : whether the number is a factor on the start values of the system.
+    values : allowed values, in the unit of the variables.
+    low, high : range.
+    mean, std : parameters of a normal distribution.
+    integer : whether values are rounded, as for a seed.
+    levels : number of values in a grid.
     """
 
     variables: Signals
@@ -52,7 +52,7 @@ class SweepInput(Config):
 
     @property
     def name(self) -> str:
-        """The first variable, by which tables call it."""
+        """First variable, as the name in tables."""
         return self.variables[0]
 
     @model_validator(mode="after")
@@ -70,13 +70,13 @@ class SweepInput(Config):
 
 
 class Correlated(Config):
-    """What is varied together, by a normal distribution: coefficients of a law, say.
+    """Varied numbers with a joint normal distribution, such as coefficients of a law.
 
     Attributes
     ----------
-    variables : one for each number.
-    mean : of the numbers, in their variables' units.
-    covariance : (n, n) of the numbers.
+    variables : one variable for each number.
+    mean : means, in the units of the variables.
+    covariance : covariance matrix, (n, n).
     """
 
     variables: Signals
@@ -108,15 +108,15 @@ Measure = Literal["rms", "max", "mean", "final"]
 
 
 class Measured(Config):
-    """What is measured in each run: one number, over all elements of a signal.
+    """One measured number of each run, over all elements of a signal.
 
     Attributes
     ----------
-    name : of the number.
-    signal : of which it is measured.
-    reference : signal that is subtracted first, where one is given.
+    name : name of the number.
+    signal : measured signal.
+    reference : signal to subtract first, if any.
     measure : root mean square, largest magnitude, mean, or mean magnitude at the end.
-    start : before which nothing counts [s].
+    start : start of the measurement [s].
     """
 
     name: str = Field(pattern=r"^[A-Za-z][\w ]*$")
@@ -134,15 +134,15 @@ class SweepStudy(Config):
 
     Attributes
     ----------
-    name : of the study.
-    system : file of the system.
-    design : how the runs are chosen. "sobol" gives first- and total-order sensitivities and takes
+    name : name of the sweep.
+    system : system file.
+    design : choice of the runs. "sobol" gives first- and total-order sensitivities and takes
         `runs` x (inputs + 2) runs (Saltelli's design).
-    runs : how many; a power of 2 for "sobol", not given for "grid".
-    seed : of the choice: the same seed gives the same files, byte for byte.
-    chunk : runs that a worker does at a time, which stand in one file.
-    inputs, correlated : what is varied.
-    outputs : what is measured.
+    runs : number of runs; a power of 2 for "sobol", absent for "grid".
+    seed : seed of the design: the same seed gives the same bytes.
+    chunk : runs per file, done by one worker.
+    inputs, correlated : varied numbers.
+    outputs : measured numbers.
     """
 
     name: str = Field(default="sweep", min_length=1)
@@ -157,7 +157,7 @@ class SweepStudy(Config):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the numbers that are varied."""
+        """Names of the varied numbers."""
         together = (name for group in self.correlated for name in group.variables)
         return (*(one.name for one in self.inputs), *together)
 

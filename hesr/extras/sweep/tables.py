@@ -1,4 +1,4 @@
-"""Tables of a sweep: what its outputs are, its worst runs, and what they depend on."""
+"""Tables of a sweep: distributions, worst runs and sensitivities."""
 
 import shlex
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 def outputs(swept: "SweepRuns") -> ResultTable:
-    """Return how the outputs are distributed over the runs that went well."""
+    """Return the distributions of the outputs over the successful runs."""
     rows = []
     for output, values in zip(swept.plan.study.outputs, swept.table.outputs.T, strict=True):
         found = values[np.isfinite(values)]
@@ -30,7 +30,7 @@ def outputs(swept: "SweepRuns") -> ResultTable:
 
 
 def worst(swept: "SweepRuns", k: int, path: Path) -> ResultTable:
-    """Return the runs with the largest magnitudes of output k, and how to see each again."""
+    """Return the runs with the largest magnitudes of output k, and how to repeat each."""
     name, study = swept.plan.study.outputs[k].name, swept.plan.study
     rows = []
     for run in swept.worst(k):
@@ -51,7 +51,7 @@ def replay_command(path: Path, run: int) -> str:
 
 
 def sensitivities(swept: "SweepRuns") -> Iterator[ResultTable]:
-    """Yield what each output depends on."""
+    """Yield the sensitivities of each output."""
     for one in swept.sensitivities:
         rows = [
             row_of(

@@ -1,4 +1,4 @@
-"""What a worker does: runs of a system whose FMUs stay loaded from one run to the next."""
+"""Work of a worker: runs of a system whose FMUs stay loaded between runs."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -24,14 +24,14 @@ _MEASURES: Mapping[Measure, Callable[[Array], float]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class VariedVariable:
-    """A variable that an input sets.
+    """A variable that a varied number sets.
 
     Attributes
     ----------
-    component, variable : where it is.
-    column : of the input.
-    base : start values that the input is a factor on; None where it is the value.
-    integer : whether the value is a whole number.
+    component, variable : names of component and variable.
+    column : column of the number.
+    base : start values that the number multiplies; None if it is the value.
+    integer : whether the value is an integer.
     """
 
     component: str
@@ -51,14 +51,14 @@ class VariedVariable:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What all runs of a sweep share.
+    """System, varied variables and outputs of all runs.
 
     Attributes
     ----------
-    key : changes with anything that the results depend on.
-    spec : the system; what is measured is observed.
-    targets : what the inputs set.
-    outputs : what is measured.
+    key : hash of everything that affects the results.
+    spec : system that observes the measured signals.
+    targets : varied variables.
+    outputs : measured numbers.
     """
 
     key: str
@@ -67,14 +67,14 @@ class Task:
     outputs: tuple[Measured, ...]
 
     def start(self, row: Array) -> Start:
-        """Return the start values of a run from those of the inputs (d,)."""
+        """Return the start values of a run from the varied numbers (d,)."""
         start: Start = {}
         for target in self.targets:
             start.setdefault(target.component, {})[target.variable] = target.value(row)
         return start
 
     def measured(self, result: Result) -> Array:
-        """Return what is measured of a run (m,), in the signals' units; NaN where it failed."""
+        """Return the measured numbers of a run (m,); NaN if it failed."""
         if result.failure:
             return np.full(len(self.outputs), np.nan)
         return np.array([self._measured(output, result) for output in self.outputs])
@@ -89,12 +89,12 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunOutputs:
-    """What runs gave.
+    """Results of some runs.
 
     Attributes
     ----------
-    outputs : (n, m) in the signals' units; NaN for runs that failed.
-    failures : why they failed; empty for the others.
+    outputs : measured numbers, (n, m); NaN for failed runs.
+    failures : reason of each failure, otherwise empty.
     """
 
     outputs: Array
@@ -107,7 +107,7 @@ _held: tuple[str, Master] | None = None
 
 
 def run_rows(task: Task, values: Array) -> RunOutputs:
-    """Do the runs whose inputs have these values (n, d)."""
+    """Do the runs with these values of the varied numbers (n, d)."""
     with _LOCK:  # a worker of a cluster may have several threads
         return _run_rows(_master(task), task, values)
 
@@ -122,7 +122,7 @@ def _run_rows(master: Master, task: Task, values: Array) -> RunOutputs:
 
 
 def release() -> None:
-    """Free what this process holds of the last task."""
+    """Free the FMUs of the last task in this process."""
     global _held
     if _held is not None:
         held, _held = _held, None

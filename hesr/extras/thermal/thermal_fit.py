@@ -35,13 +35,13 @@ LEAST_TIME = 300.0
 """[s] of the longest log, where no temperature is measured: heat is slow."""
 
 _TIMES = (60.0, 14_400.0)
-"""Between which the thermal time constant is searched [s]."""
+"""Bounds of the thermal time constant [s]."""
 
 _WIDTH = 1.96
 """Standard errors of a 95 % interval to either side."""
 
 _ROUNDS = 2
-"""By which heat and what it does to friction agree."""
+"""Tolerance of the fixed point of heat and friction, relative."""
 
 
 class Factored:
@@ -76,7 +76,7 @@ class Factored:
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalFit:
-    """What logs tell of temperature in the friction of one joint.
+    """Dependence of the friction of one joint on temperature.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class ThermalFit:
 def fit_thermal(
     model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, tuple[ThermalFit, ...]]:
-    """Find what temperature does to the friction of a model, joint by joint.
+    """Fit the dependence of a friction model on temperature, joint by joint.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class _Problem:
     ) -> ThermalFit:  # fmt: skip
         """Return the best numbers; `temperatures` of each record may depend on them.
 
-        The time constant is one of them where it is `searched`.
+        The time constant is one of them if `searched`.
         """
 
         def thermal_of(x: Array) -> Thermal:

@@ -1,4 +1,4 @@
-"""Which runs of a closed loop are shown, from the results of a study alone."""
+"""Selection of the runs of a closed loop to show, from the results of a study."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -14,22 +14,21 @@ from fmu_src.run.archive import Archive
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.rigid_body.identification import RigidBody
 
-_SCHEME = "servo_inversion"  # in which models pay most
+_SCHEME = "servo_inversion"  # scheme with the largest effect of models
 _MODEL = "resources/model.xml"
 _MOST = 4  # arms side by side
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions:
-    """What a user wants to see.
+    """Options of a view.
 
     Attributes
     ----------
-    laws : to be shown side by side; where there are none, the rigid body alone and the law that
-        tracks best.
-    scheme : how commands are made; the one where models pay most where not given.
+    laws : laws side by side; by default the rigid body alone and the law that tracks best.
+    scheme : source of the commands; by default the one with the largest effect of models.
     magnify : factor on the deviations from the commanded pose.
-    speed : of the motion over its own.
+    speed : factor on the speed of the motion.
     """
 
     laws: Sequence[str] = ()
@@ -45,13 +44,13 @@ class ViewOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """What is shown.
+    """Runs to show.
 
     Attributes
     ----------
-    mjcf : of the arm.
-    joints : names of its joints, in the order of the traces.
-    scheme : of all runs.
+    mjcf : model of the arm.
+    joints : names of the joints, in the order of the traces.
+    scheme : source of the commands.
     runs : traces by title of the law.
     """
 
@@ -62,14 +61,14 @@ class Shown:
 
 
 def choose(folder: Path, choice: ViewOptions) -> Shown:
-    """Read from the results of a study what is to be shown.
+    """Read the runs to show from the results of a study.
 
     Raises
     ------
     ArtifactError
         If the folder holds no results of a closed loop, or damaged ones.
     ConfigError
-        If there is no such law or scheme in it.
+        If the results lack the law or scheme.
     """
     if not folder.is_dir():
         raise ArtifactError(f"{folder}: no such folder; needed is what 'hesr run' has written.")
@@ -97,7 +96,7 @@ def choose(folder: Path, choice: ViewOptions) -> Shown:
 
 
 def _telling(runs: Mapping[str, Trace]) -> list[str]:
-    """Return what shows best what a law is good for: none beside the best one."""
+    """Return the rigid body alone and the best law."""
     errors = {
         law: float(np.sqrt(np.mean((trace.q - trace.q_d) ** 2)))
         for law, trace in runs.items()

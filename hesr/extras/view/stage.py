@@ -112,7 +112,7 @@ class Stage:
         return path
 
     def set(self, t: float) -> None:
-        """Put all arms where they are at a time of the motion [s]."""
+        """Set the poses of all arms at a time of the motion [s]."""
         for one in self._arms:
             k = _row(one.t, t)
             self.data.qpos[one.ghost], self.data.qpos[one.solid] = one.q_d[k], one.q[k]
@@ -158,7 +158,7 @@ def _end(model: mujoco.MjModel, prefix: str, joint: str) -> int:
 
 
 def _space(shown: Shown) -> tuple[Array, Array]:
-    """Return the corners of the box in which all bodies of the arm stay [m]."""
+    """Return the corners of the bounding box of the arm over its motion [m]."""
     model = arm(shown.mjcf, shown.joints, paint=_ARM).compile()
     data = mujoco.MjData(model)
     places = [model.joint(name).qposadr[0] for name in shown.joints]

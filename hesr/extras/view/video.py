@@ -1,4 +1,4 @@
-"""A video of the scene, drawn without a screen."""
+"""Video of the scene, drawn without a screen."""
 
 import ctypes.util
 import errno
@@ -38,8 +38,8 @@ def write_video(
     Parameters
     ----------
     path : file in ``.mp4``, or an animated picture for a page in ``.webp``.
-    shown, choice : what is shown, and how.
-    progress : told how many frames are done and how many there are.
+    shown, choice : runs and options of the view.
+    progress : reports the number of frames done.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
     Raises
     ------
     ConfigError
-        If there is no OpenGL that draws without a screen.
+        If OpenGL cannot draw without a screen.
     """
     with ExitStack() as cleanup:
         try:

@@ -13,7 +13,7 @@ from hesr.extras.view.stage import Stage
 from hesr_model.errors import ConfigError
 
 _PATIENCE = 10.0  # [s] for the viewer to close
-_RATE = 60.0  # [Hz] at which the viewer is told where the arms are
+_RATE = 60.0  # [Hz], update rate of the viewer
 
 
 def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None:
@@ -22,12 +22,12 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
     Parameters
     ----------
     shown, choice : what is shown, and how.
-    turns : number of times the motion is shown; until the viewer is closed where not given.
+    turns : repetitions of the motion; None repeats until the viewer is closed.
 
     Raises
     ------
     ConfigError
-        If there is no screen, or the viewer does not open.
+        If the screen is missing, or the viewer does not open.
     RobotError
         If the arm cannot be shown.
     """
@@ -69,12 +69,12 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
 
 
 def require_screen() -> None:
-    """Refuse to open a window where there is no screen.
+    """Refuse to open a window without a screen.
 
     Raises
     ------
     ConfigError
-        If there is none.
+        If the screen is missing.
     """
     if sys.platform == "linux" and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
