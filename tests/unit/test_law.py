@@ -7,10 +7,12 @@ import sympy
 
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.memory import Relaxation
-from hesr_model.errors import ArtifactError
+from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.fitting.estimator import register
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
+from hesr_model.laws.lugre import LuGre
 
 A = Coefficient(name="a", unit="N.m", description="level")
 R = Coefficient(name="r", unit="1/s", description="rate")
@@ -177,3 +179,13 @@ def test_a_model_has_one_law_per_joint(joints: tuple[str, ...], laws: int, sente
 def test_a_model_needs_a_sample_time(sample_time: float) -> None:
     with pytest.raises(ArtifactError, match=r"^friction model 'm': sample time is .* s; needed"):
         FrictionModel(law="m", robot="r", joints=("j",), laws=(law(),), sample_time=sample_time)
+
+
+def test_two_modules_must_not_define_the_same_law() -> None:
+    other = type("Other", (LuGre,), {"__module__": "elsewhere"})
+    with pytest.raises(
+        ConfigError,
+        match=r"law 'lugre' is defined in the modules 'hesr_model\.laws\.lugre' and 'elsewhere'; "
+        r"rename one\.",
+    ):
+        register(other)
