@@ -30,4 +30,4 @@ TORQUE = "tau"
 """Name of a law's output."""
 
 MOVING = 0.02
-"""Minimum initial speed [rad/s, m/s] for a start in the steady state."""
+"""Smallest initial speed [rad/s, m/s] of a start in the steady state."""

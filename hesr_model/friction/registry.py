@@ -57,7 +57,7 @@ def papers_law() -> str:
 
 
 def laws_with(fact: str) -> tuple[str, ...]:
-    """Return the names of the laws for which a fact is true, such as `quick` or `classic`."""
+    """Return the names of the laws with a true fact, such as `quick` or `classic`."""
     return tuple(name for name, law in registry().items() if getattr(law, fact))
 
 
@@ -67,7 +67,7 @@ def estimator(name: str) -> type[Estimator]:
     Raises
     ------
     ArtifactError
-        If there is none, with the known names.
+        If the name is unknown.
     """
     known = registry()
     if name not in known:
