@@ -137,7 +137,7 @@ def test_what_is_no_fmu_is_refused(fmu: Path, tmp_path: Path) -> None:
         (missing, "no such file"),
         (text, "not a readable FMU"),
         (cut, "not a readable FMU"),
-        (tmp_path, "is no file"),
+        (tmp_path, "is not a file"),
     ):
         with pytest.raises(ArtifactError, match=said) as caught:
             embedded_model(file)

@@ -296,7 +296,7 @@ def test_a_folder_around_everything(content, tmp_path):
 def test_what_cannot_be_opened_is_an_error(tmp_path):
     with pytest.raises(ArtifactError, match=r"none\.fmu: no such file\."):
         check(tmp_path / "none.fmu")
-    with pytest.raises(ArtifactError, match=r"is no file\."):
+    with pytest.raises(ArtifactError, match=r"is not a file\."):
         check(tmp_path)
     with pytest.raises(ArtifactError, match=r"null: is no file\."):
         opened((tmp_path / "../../../../../../../dev/null").resolve())
