@@ -233,8 +233,11 @@ class _Reader:
         return found
 
     def connection(self, node: ET.Element, names: Mapping[str, str]) -> tuple[str, str]:
-        ends = [node.get(f"{end}{what}") for end in ("end", "start")
-                for what in ("Element", "Connector")]  # fmt: skip
+        ends = [
+            node.get(f"{end}{what}")
+            for end in ("end", "start")
+            for what in ("Element", "Connector")
+        ]
         into, out = (".".join(filter(None, pair)) for pair in (ends[:2], ends[2:]))
         where = f"connection '{into}' = '{out}'"
         if None in ends:

@@ -154,8 +154,11 @@ class Wiring:
             return tuple(TopologicalSorter(graph).static_order())
         except CycleError as error:
             loop = error.args[1]
-            silent = [n for n in dict.fromkeys(name for name, _ in loop)
-                      if not self._slaves[n].declares_feedthrough]  # fmt: skip
+            silent = [
+                n
+                for n in dict.fromkeys(name for name, _ in loop)
+                if not self._slaves[n].declares_feedthrough
+            ]
             hint = "".join(
                 f" ('{name}' does not say what its outputs depend on: every input counts)"
                 for name in silent

@@ -48,11 +48,19 @@ def joints(views: Sequence[JointView]) -> Figure:
         figure = Figure(figsize=(9.0, height))
         # Fixed places, because laying out many axes takes longer than drawing them.
         axes = figure.subplots(
-            len(views), 4, squeeze=False,
-            gridspec_kw={"left": 0.06, "right": 0.995, "top": 1.0 - 0.5 / height,
-                         "bottom": 0.3 / height, "wspace": 0.16, "hspace": 0.62,
-                         "width_ratios": [1.0, 1.0, 0.6, 0.6]},
-        )  # fmt: skip
+            len(views),
+            4,
+            squeeze=False,
+            gridspec_kw={
+                "left": 0.06,
+                "right": 0.995,
+                "top": 1.0 - 0.5 / height,
+                "bottom": 0.3 / height,
+                "wspace": 0.16,
+                "hspace": 0.62,
+                "width_ratios": [1.0, 1.0, 0.6, 0.6],
+            },
+        )
         for row, view in zip(axes, views, strict=True):
             for line in view.velocities:
                 plot(row[0], line)
@@ -67,9 +75,11 @@ def joints(views: Sequence[JointView]) -> Figure:
                 else:
                     axis.hist(values, bins=_BINS, color=SERIES[2])
             titles = (
-                f"{view.name}: {view.unit} over s", "torque minus model", "rows by velocity",
+                f"{view.name}: {view.unit} over s",
+                "torque minus model",
+                "rows by velocity",
                 "rows by gravity",
-            )  # fmt: skip
+            )
             for axis, title in zip(row, titles, strict=True):
                 axis.set_title(title, fontsize=8.5)
                 style_axis(axis)

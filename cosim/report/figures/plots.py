@@ -81,10 +81,20 @@ def loops(
         figure = Figure(figsize=(9.0, height))
         # Fixed places, because laying out many axes takes longer than drawing them.
         axes = figure.subplots(
-            rows, columns, sharex=True, sharey=True, squeeze=False,
-            gridspec_kw={"left": 0.07, "right": 0.995, "top": 1.0 - 0.25 / height,
-                         "bottom": 0.5 / height, "wspace": 0.07, "hspace": 0.2},
-        ).ravel()  # fmt: skip
+            rows,
+            columns,
+            sharex=True,
+            sharey=True,
+            squeeze=False,
+            gridspec_kw={
+                "left": 0.07,
+                "right": 0.995,
+                "top": 1.0 - 0.25 / height,
+                "bottom": 0.5 / height,
+                "wspace": 0.07,
+                "hspace": 0.2,
+            },
+        ).ravel()
         fastest = float(np.max(np.abs(measured[0])))
         slow = np.abs(measured[0]) <= _REACH * fastest
         # A joint that is never slow is drawn over its whole range.
@@ -120,10 +130,15 @@ def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str
             ).T
             spread = np.array([values - low, high - values])
             axis.errorbar(
-                values, np.arange(len(found)) + offset, xerr=np.maximum(spread, 0.0),
-                fmt=_MARKERS[k % len(_MARKERS)], color=SERIES[k % len(SERIES)], markersize=4.0,
-                elinewidth=1.0, label=joint,
-            )  # fmt: skip
+                values,
+                np.arange(len(found)) + offset,
+                xerr=np.maximum(spread, 0.0),
+                fmt=_MARKERS[k % len(_MARKERS)],
+                color=SERIES[k % len(SERIES)],
+                markersize=4.0,
+                elinewidth=1.0,
+                label=joint,
+            )
         axis.axvline(1.0, color=INK, linewidth=0.9)
         _ratio_axis(axis)
         axis.set_yticks(range(len(laws)), laws, color=INK, fontsize=8.5)
@@ -132,8 +147,9 @@ def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str
         axis.grid(visible=False, axis="y")
         axis.set_xlabel(x)
         style_axis(axis)
-        figure.legend(loc="outside upper left", ncols=len(joints), borderaxespad=0.0,
-                      handletextpad=0.3)  # fmt: skip
+        figure.legend(
+            loc="outside upper left", ncols=len(joints), borderaxespad=0.0, handletextpad=0.3
+        )
     return figure
 
 

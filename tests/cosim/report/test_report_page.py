@@ -187,7 +187,7 @@ def test_variants_make_an_ablation(results: Path) -> None:
 def test_the_command(hesr: Hesr, results: Path, tmp_path: Path) -> None:
     answer = hesr("report", results, "-o", tmp_path / "page.html")
     assert (answer.code, answer.err) == (0, "")
-    assert answer.out == f"written to {tmp_path / 'page.html'}.\n"
+    assert answer.out == f"Written: {tmp_path / 'page.html'}\n"
     assert (tmp_path / "page.html").read_bytes() == (results / "report.html").read_bytes()
 
 
