@@ -1,6 +1,6 @@
 """Motions of a study, as described in TOML."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -27,6 +27,11 @@ class _Motion(Config):
         """Time before the log begins [s]."""
         return 0.0
 
+    def _values(self, *names: str) -> dict[str, Any]:
+        """Return fields by name, lists as arrays."""
+        values = {name: getattr(self, name) for name in names}
+        return {name: np.array(v) if isinstance(v, tuple) else v for name, v in values.items()}
+
 
 class FourierMotion(_Motion):
     """Fourier series drawn from a seed; see `hesr_model.motions.trajectories.random_fourier`.
@@ -52,14 +57,8 @@ class FourierMotion(_Motion):
 
     def trajectory(self) -> Trajectory:
         """Return the motion in closed form."""
-        return random_fourier(
-            seed=self.seed,
-            harmonics=self.harmonics,
-            period=self.period,
-            peak_velocity=np.array(self.peak_velocity),
-            offset=np.array(self.offset),
-            periods=self.periods,
-        )
+        names = ("seed", "harmonics", "period", "peak_velocity", "offset", "periods")
+        return random_fourier(**self._values(*names))
 
 
 class SineMotion(_Motion):
@@ -73,12 +72,7 @@ class SineMotion(_Motion):
 
     def trajectory(self) -> Trajectory:
         """Return the motion in closed form."""
-        return Sine(
-            offset=np.array(self.offset),
-            amplitude=np.array(self.amplitude),
-            frequency=self.frequency,
-            periods=self.periods,
-        )
+        return Sine(**self._values("offset", "amplitude", "frequency", "periods"))
 
 
 class ChirpMotion(_Motion):
@@ -93,13 +87,7 @@ class ChirpMotion(_Motion):
 
     def trajectory(self) -> Trajectory:
         """Return the motion in closed form."""
-        return chirp(
-            start=np.array(self.start),
-            amplitude=np.array(self.amplitude),
-            first=self.first,
-            last=self.last,
-            length=self.length,
-        )
+        return chirp(**self._values("start", "amplitude", "first", "last", "length"))
 
 
 class SweepMotion(_Motion):
@@ -117,16 +105,8 @@ class SweepMotion(_Motion):
 
     def trajectory(self) -> Trajectory:
         """Return the motion in closed form."""
-        return Sweep(
-            start=np.array(self.start),
-            amplitude=np.array(self.amplitude),
-            swing=np.array(self.swing),
-            phase=np.array(self.swing_phase),
-            swing_period=self.swing_period,
-            first=self.first,
-            last=self.last,
-            length=self.length,
-        )
+        names = ("start", "amplitude", "swing", "swing_period", "first", "last", "length")
+        return Sweep(phase=np.array(self.swing_phase), **self._values(*names))
 
 
 MotionSpec = Annotated[

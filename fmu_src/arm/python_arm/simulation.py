@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import astuple, fields
 from typing import Any, cast
 
 import mujoco
@@ -32,17 +33,14 @@ class LossState:
     """
 
     def __init__(self, losses: Sequence[Loss], scale: float) -> None:
-        def column(name: str) -> Array:
-            return np.array([getattr(loss, name) for loss in losses], dtype=float)
-
         self._scale = scale
-        self._dof = np.array([loss.dof for loss in losses], dtype=int)
-        carrier = np.array([loss.carrier for loss in losses], dtype=int)
-        self._carrier = np.maximum(carrier, 0)
-        self._load = column("load") * (carrier >= 0)
-        self._constant, self._longest = column("constant"), column("longest")
-        self._direct, self._speed = column("direct"), column("speed")
-        self._evolution, self._age, self._slip = column("evolution"), column("age"), column("slip")
+        rows = np.array([astuple(loss) for loss in losses], dtype=float)
+        dof, carrier, *numbers = rows.reshape(len(losses), len(fields(Loss))).T
+        self._dof = dof.astype(int)
+        self._carrier = np.maximum(carrier, 0).astype(int)
+        self._constant, self._load, self._direct, self._speed = numbers[:4]
+        self._evolution, self._age, self._slip, self._longest = numbers[4:]
+        self._load = self._load * (carrier >= 0)
         self.levels: Array = self._constant.copy()
         self.ages: Array = np.zeros(len(self._dof))
 
