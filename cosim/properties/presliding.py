@@ -97,11 +97,17 @@ def nested(
     inner, turns = np.concatenate(ways), np.array([of_way[-1] for of_way in ways])
     return [
         _remembered(
-            loop[:, j], inner[:, j], on[:, j], _NESTED_WAY, float(scale.deflection[j]), states[j],
-            innermost=float(turns[3, j] - turns[1, j]), loaded=float(loaded[j]),
+            loop[:, j],
+            inner[:, j],
+            on[:, j],
+            _NESTED_WAY,
+            float(scale.deflection[j]),
+            states[j],
+            innermost=float(turns[3, j] - turns[1, j]),
+            loaded=float(loaded[j]),
         )
         for j in range(bench.joints)
-    ]  # fmt: skip
+    ]
 
 
 def _turn(bench: FrictionBench, scale: Scale) -> Array:

@@ -168,9 +168,14 @@ def _divided(
     body = SubElement(_section(root, "worldbody"), "body", name=f"{name}_rotor")
     SubElement(body, "inertial", _LIGHT)
     rotor = SubElement(
-        body, "joint", name=name, type=joint.get("type", "hinge"), axis="0 0 1",
-        armature=repr(float(known.armature[0])), range=_numbers(known.range),
-    )  # fmt: skip
+        body,
+        "joint",
+        name=name,
+        type=joint.get("type", "hinge"),
+        axis="0 0 1",
+        armature=repr(float(known.armature[0])),
+        range=_numbers(known.range),
+    )
     half = transmission.backlash[i] / 2.0
     springs = [
         {

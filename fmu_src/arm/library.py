@@ -111,10 +111,9 @@ def _downloaded(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
     wanted = f"{_PACKAGE}=={version(_PACKAGE)}"
     options = [option for tag in wheel.tags for option in ("--platform", tag)]
     with TemporaryDirectory(prefix="hesr-") as folder:
-        command = [
-            sys.executable, "-m", "pip", "download", wanted, "--no-deps", "--only-binary", ":all:",
-            "--disable-pip-version-check", "--quiet", "--dest", folder, *options,
-        ]  # fmt: skip
+        download = "-m pip download --no-deps --only-binary :all: --quiet".split()
+        options += ["--disable-pip-version-check", "--dest", folder]
+        command = [sys.executable, *download, wanted, *options]
         try:
             ended = subprocess.run(
                 command, capture_output=True, text=True, check=False, timeout=_SECONDS
