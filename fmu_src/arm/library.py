@@ -111,7 +111,7 @@ def _downloaded(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
     wanted = f"{_PACKAGE}=={version(_PACKAGE)}"
     options = [option for tag in wheel.tags for option in ("--platform", tag)]
     with TemporaryDirectory(prefix="hesr-") as folder:
-        download = "-m pip download --no-deps --only-binary :all: --quiet".split()
+        download = ["-m", "pip", "download", "--no-deps", "--only-binary", ":all:", "--quiet"]
         options += ["--disable-pip-version-check", "--dest", folder]
         command = [sys.executable, *download, wanted, *options]
         try:
