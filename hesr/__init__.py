@@ -24,9 +24,14 @@ from pathlib import Path
 from hesr_model.support.lazy import lazy
 
 _STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+_IMPORTED = {
+    name: f"{module}:{name}"
+    for module, name in re.findall(r"^from (\S+) import (\w+)", _STUB, re.MULTILINE)
+}
+_RENAMED = dict(re.findall(r"^(\w+) = (\w+)$", _STUB, re.MULTILINE))
 _HOMES = {
-    name: f"{module}:{own}"
-    for module, own, name in re.findall(r"^from (\S+) import (\w+) as (\w+)$", _STUB, re.MULTILINE)
+    **{name: home for name, home in _IMPORTED.items() if name not in _RENAMED.values()},
+    **{name: _IMPORTED[own] for name, own in _RENAMED.items()},
 }
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -14,6 +14,9 @@ from cosim.workflow.test import test as test
 from hesr.extras.adaptive.workflow import monitor as monitor
 from hesr_model.errors import HesrError as HesrError
 from hesr_model.friction.model import FrictionModel as FrictionModel
-from hesr_model.logs.robot_log import RobotLog as Log
+from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import RigidBody as RigidBody
-from hesr_model.robots.robot import RobotModel as Robot
+from hesr_model.robots.robot import RobotModel
+
+Log = RobotLog
+Robot = RobotModel

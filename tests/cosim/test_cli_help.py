@@ -142,7 +142,7 @@ def test_each_shell_gets_its_completion(shell: str) -> None:
         ("export x --fo", "--format"),
         ("export x --format d", "drive"),
         ("fit --la", "--law"),
-        ("fit --law parfam_", "parfam_v parfam_h parfam_hx parfam_s parfam_s_load parfam_s_v"),
+        ("fit --law parfam_", "parfam_h parfam_hx parfam_s parfam_s_load parfam_s_v parfam_v"),
         ("export x --platform lin", "linux64"),
     ],
 )

@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from small_study import hesr_here
 
 import hesr
-from hesr_model.errors import ConfigError, ExportError, HesrError, RobotError
+from hesr_model.errors import HesrError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.owner import Owner
@@ -26,16 +26,42 @@ def test_from_a_log_to_scores_in_four_calls(arm: RobotDescription, file: Path) -
     log = hesr.Log.read(str(file), robot=str(arm.model))
     body = hesr.identify(log)
     assert body.joints == arm.joints
-    model = hesr.fit("stribeck", log, rigid_body=body)
-    scores = hesr.evaluate(model, str(file), body, str(arm.model))
-    assert scores.joints == arm.joints
-    np.testing.assert_allclose(scores.laws["stribeck"].rmse, model.training_rmse, rtol=1e-9)
-    assert set(hesr.audit(model)) == set(arm.joints)
+    model = hesr.fit(log, law="stribeck", rigid_body=body)
+    report = hesr.test(model, on=[str(file)], rigid_body=body, robot=str(arm.model))
+    assert report.scores is not None
+    assert report.scores.joints == arm.joints
+    np.testing.assert_allclose(report.scores.laws["stribeck"].rmse, model.training_rmse, rtol=1e-9)
+    assert report.summary().startswith("Best: stribeck. Unexplained friction: j1 ")
+    assert len(report.audits["stribeck"].certificates) == 3
     fmu = hesr.export(model, str(file.with_name("Friction.fmu")))
-    replayed = hesr.replay(fmu, log, body)
+    replayed = hesr.test(fmu, on=[log], rigid_body=body, kind=["prediction"]).scores
+    assert replayed is not None
     np.testing.assert_allclose(replayed.laws["Friction"].rmse, model.training_rmse, rtol=1e-6)
-    header = hesr.export(model, file.with_name("friction.h"), "c")
+    header = hesr.export(model, file.with_name("friction.h"), format="c")
     assert header.read_text(encoding="utf-8")
+
+
+def test_results_of_calls_and_of_the_command_line_are_equal(
+    arm: RobotDescription,
+    file: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also in their provenance."""
+    run = hesr_here(capsys, monkeypatch)
+    written = {name: file.with_name(f"{name}.json") for name in ("body", "again", "law", "other")}
+    hesr.identify(str(file), robot=str(arm.model), output=written["body"])
+    done = run("identify", file, "--robot", arm.model, "-o", written["again"])
+    assert done.code == 0, done.err
+    assert written["body"].read_bytes() == written["again"].read_bytes()
+    body = written["body"]
+    hesr.fit(file, law="stribeck", robot=arm.model, rigid_body=body, output=written["law"])
+    done = run("fit", file, "--law", "stribeck", "--robot", arm.model, "--rigid-body", body,
+               "-o", written["other"])  # fmt: skip
+    assert done.code == 0, done.err
+    assert written["law"].read_bytes() == written["other"].read_bytes()
+    names = [one["name"] for one in FrictionModel.read(written["law"]).provenance["files"]]
+    assert names == ["arm.xml", "body.json", "run.csv"]
 
 
 def test_a_start_from_measured_torques_has_a_row_of_its_own(
@@ -43,8 +69,10 @@ def test_a_start_from_measured_torques_has_a_row_of_its_own(
 ) -> None:
     laws = tuple(replace(law, start_samples=5) for law in table1.laws)
     model = replace(table1, joints=arm.joints, laws=laws)
-    body = hesr.identify(str(file), str(arm.model))
-    scores = hesr.evaluate({"own": model}, str(file), body, str(arm.model))
+    body = hesr.identify(str(file), robot=str(arm.model))
+    known = {"on": [str(file)], "rigid_body": body, "robot": str(arm.model)}
+    scores = hesr.test({"own": model}, kind=["prediction"], **known).scores
+    assert scores is not None
     assert list(scores.laws) == ["own", "own + start"]
     assert scores.laws["own"] != scores.laws["own + start"]
 
@@ -52,14 +80,14 @@ def test_a_start_from_measured_torques_has_a_row_of_its_own(
 def test_models_are_those_of_the_robots_owner(arm: RobotDescription, file: Path) -> None:
     owned = arm.model_copy(update={"owner": Owner(author="A", license="MIT")})
     for robot, owner in ((arm, {}), (owned, {"author": "A", "license": "MIT"})):
-        model = hesr.fit("stribeck", str(file), robot)
+        model = hesr.fit(str(file), law="stribeck", robot=robot)
         assert Owner.of(model.provenance).known == owner
 
 
 def test_a_log_is_looked_at(arm: RobotDescription, file: Path) -> None:
-    proposal = hesr.inspect(str(file), str(arm.model))
-    assert [log.name for log in proposal.logs] == ["run"]
-    assert hesr.inspect([file]).robot.joints == ("joint1", "joint2", "joint3")
+    found = hesr.inspect(str(file), robot=str(arm.model))
+    assert [log.name for log in found.proposal.logs] == ["run"]
+    assert hesr.inspect([file]).proposal.robot.joints == ("joint1", "joint2", "joint3")
 
 
 def test_a_folder_is_laid(arm: RobotDescription, tmp_path: Path) -> None:
@@ -75,26 +103,31 @@ def test_the_laws_are_listed() -> None:
 def test_what_cannot_be_used_is_refused(
     arm_log: RobotLog, table1: FrictionModel, tmp_path: Path
 ) -> None:
-    untrained: Any = table1
-    for call, error, sentence in [
-        (lambda: hesr.identify(arm_log), RobotError, "the logs do not say of which robot they"),
-        (lambda: hesr.identify("a.csv"), RobotError, "a.csv: to read this log its robot must be"),
-        (lambda: hesr.inspect(arm_log), ConfigError, "logs are inspected in their files; needed"),
-        (lambda: hesr.audit(untrained), ConfigError, "does not say what it was fitted to; an"),
+    for call, sentence in [
+        (lambda: hesr.identify(arm_log), "the logs do not say of which robot they"),
+        (lambda: hesr.identify("a.csv"), "a.csv: to read this log its robot must be"),
+        (lambda: hesr.inspect(arm_log), "logs are inspected in their files; needed"),
+        (lambda: hesr.export(table1, "a", format="x"), "'format' is x; allowed are adaptive, c"),
+        (lambda: hesr.export(table1, tmp_path / "a.txt"), "a.txt"),
+        (lambda: hesr.export(table1, "a", robot="r"), "'robot' and 'rigid_body' go together"),
         (
-            lambda: hesr.export(table1, "a", "x"),
-            ConfigError,
-            "export format 'x' is unknown; known are adaptive",
+            lambda: hesr.export(table1, "a", format="c", robot="r", rigid_body="b"),
+            "'robot' needs 'format' fmu, but the format is 'c'.",
         ),
-        (lambda: hesr.export(table1, tmp_path / "a.txt"), ExportError, "a.txt"),
-        (lambda: hesr.export(table1, "a", robot="r"), ConfigError, "'robot' and 'rigid_body' go"),
         (
-            lambda: hesr.export(table1, "a", "c", robot="r", rigid_body="b"),
-            ConfigError,
-            "'rigid_body' is for the page of an FMU, the format is 'c'.",
+            lambda: hesr.export(table1, "a", stiffness=[1.0]),
+            "'stiffness' needs 'format' drive, but the format is 'fmu'.",
         ),
-        (lambda: hesr.evaluate([table1, table1], [], ""), ConfigError, "2 friction models have 1 "),
-        (lambda: hesr.report(3), HesrError, "a folder is given as int; needed is a path"),
+        (lambda: hesr.test([table1, table1]), "is given twice."),
+        (lambda: hesr.test(table1, kind=["no"]), "'kind' is no; allowed are prediction, passiv"),
+        (lambda: hesr.test(table1, kind=["prediction"]), "'kind' prediction needs 'on', a log."),
+        (lambda: hesr.fit("a.csv", law="no"), "law 'no' is unknown"),
+        (lambda: hesr.fit("a.csv", law="lugre", add=["x"]), "'add' is 'x'; there are temperature"),
+        (lambda: hesr.fit("a.csv", law="law.json"), "'law' is fitted already (law.json); give"),
+        (lambda: hesr.report(3), "a folder is given as int; needed is a path"),
+        (lambda: hesr.report("a", output="b.pdf"), "b.pdf: reports are .html, .md, .mp4, .webp."),
+        (lambda: hesr.report("a", magnify=2.0), "are for 'view' and videos"),
     ]:
-        with pytest.raises(error, match=sentence):
+        with pytest.raises(HesrError) as caught:
             call()
+        assert sentence in str(caught.value)

@@ -25,7 +25,7 @@ def monitor(
     accept: Sequence[str] = (),
     progress: Stages = silent,
 ) -> Answer:
-    r"""Find changes of friction over days, or deviating robots of a fleet.
+    r"""Find changes of friction over days, and deviating robots.
 
     An interrupted fleet continues where it stopped, and processes only new logs.
 

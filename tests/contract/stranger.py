@@ -1,0 +1,48 @@
+"""A script of a stranger that uses each public function and class; `mypy --strict` checks it."""
+
+from pathlib import Path
+
+import numpy as np
+
+import hesr
+
+
+def classes() -> None:
+    robot = hesr.Robot("robot.toml")
+    log = hesr.Log.read(Path("sweep.csv"), robot)
+    body = hesr.RigidBody.read("body.json")
+    body.write(Path("copy.json"))
+    model = hesr.FrictionModel.read("law.json")
+    model.write("copy.json")
+    torque = model.predict(t=np.zeros(3), dq=np.zeros((3, 2)))
+    regressor = hesr.FrictionRegressor(law="lugre").fit(log)
+    print(regressor.score(log), regressor.equation(), torque.shape, log.name, robot.n)
+
+
+def verbs() -> None:
+    made = hesr.new("folder", Path("arm.urdf"), joints=("a",))
+    print(made.folder, made.joints)
+    inspection = hesr.inspect("log.csv", robot="robot.toml", write="robot.toml")
+    print([finding.sentence for finding in inspection.findings], inspection.passed)
+    design = hesr.excite("robot.toml", output="motion.csv")
+    print(design.forward)
+    body = hesr.identify(["a.csv", Path("b.csv")], robot="robot.toml", physical=True)
+    model = hesr.fit("a.csv", law="lugre", robot="robot.toml", rigid_body=body, options={"a": 1})
+    report = hesr.test({"own": model}, on=["b.csv"], rigid_body=body, load=1.0)
+    print(report.summary(), report.findings, report.scores)
+    path = hesr.export(model, "F.fmu", platform=("linux64",), fmi=3, power=True)
+    drive = hesr.export(model, Path("D.fmu"), format="drive", inertia=[1.0, 2.0])
+    print(path.name, drive.name, hesr.check([path], kind=("hostile",)).to_json())
+    print(hesr.simulate("loop.toml", output="result.csv"))
+    print(hesr.run("study.toml", quick=True).outcome.fmus["lugre"].name)
+    print(hesr.run(seeds=3))
+    print(hesr.report("results", output="page.html").name)
+    print(hesr.monitor(["a.csv"], law=model, rigid_body=body).summary())
+    print(hesr.laws()["lugre"].title)
+
+
+def errors() -> None:
+    try:
+        hesr.check("none.fmu")
+    except hesr.HesrError as error:
+        print(str(error))
