@@ -103,6 +103,7 @@ def fit(
     >>> hesr.fit("sweep.csv", law="stribeck", robot="robot.toml", rigid_body="rigid_body.json")
     FrictionModel('stribeck' of 'arm', 3 joints)
     """
+    from cosim.study.results import log_findings
     from cosim.workflow.arguments import body_of, checked_logs
     from hesr_model.support.files import path_of
     from hesr_model.support.plugins import load
@@ -125,6 +126,9 @@ def fit(
         model = replace(model, provenance={**model.provenance, name: sentences})
     if output is not None:
         model.write(path_of(output, "a friction model"))
+    if fitted is None:
+        known = {finding.sentence for finding in read.findings}
+        log_findings(f for f in health_of(model.provenance) if f.sentence not in known)
     return model
 
 
@@ -155,7 +159,6 @@ def _fit(
 ) -> FrictionModel:
     from pathlib import Path
 
-    from cosim.study.results import log_findings
     from cosim.study.scores import by_joint
     from hesr_model.fitting.fit import fit_models
     from hesr_model.health.fit_checks import check_laws
@@ -184,7 +187,7 @@ def _fit(
         provenance=source,
         progress=partial(progress, f"fitting {law}"),
     )[law]
-    if found := log_findings(check_laws({law: model}, joined)):
+    if found := list(check_laws({law: model}, joined)):
         health += [to_json(finding) for finding in found]
         model = replace(model, provenance={**model.provenance, "health": health})
     return model

@@ -123,11 +123,12 @@ def identify(
         )
     if any(slides := [joint.prismatic for joint in read.robot.tree]):
         more["sliding"] = slides
-    impossible = log_findings(check_body(found, read.robot))
+    impossible = list(check_body(found, read.robot))
     health = [to_json(finding) for finding in (*read.findings, *impossible)]
     found = replace(found, provenance=provenance(files=files, **more, health=health))
     if output is not None:
         found.write(path_of(output, "a rigid body"))
+    log_findings(impossible)
     return found
 
 

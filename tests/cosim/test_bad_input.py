@@ -260,7 +260,7 @@ def test_a_log_with(
     assert refused(*arguments).startswith(f"{log}: {expected}")
 
 
-@pytest.mark.parametrize("command", ["identify", "fit", "evaluate"])
+@pytest.mark.parametrize("command", ["identify", "fit", "test law"])
 @pytest.mark.parametrize("copied", [False, True])
 def test_a_log_that_is_given_twice(
     command: str, copied: bool, bench: Bench, refused: Callable[..., str], tmp_path: Path
@@ -650,11 +650,12 @@ def test_an_fmu_of_another_name(bench: Bench, refused: Callable[..., str], tmp_p
     )
 
 
-def test_an_unknown_method(bench: Bench, refused: Callable[..., str], tmp_path: Path) -> None:
+def test_an_unknown_method(bench: Bench, hesr: Hesr, tmp_path: Path) -> None:
     arguments = bench.command("identify", output=tmp_path / "output")
-    assert refused(*arguments, "--method", "guess") == (
-        "--method is 'guess'; allowed are 'stacked' and 'paper'."
-    )
+    answer = hesr(*arguments, "--method", "guess")
+    assert (answer.code, answer.out) == (2, "")
+    assert "'--method': 'guess' is not one of 'stacked', 'paper'." in answer.err
+    assert not (tmp_path / "output").exists()
 
 
 def test_a_counterpart_that_is_none(
@@ -695,7 +696,7 @@ def test_a_model_in_the_place_of_a_rigid_body_and_the_other_way_round(
 
 
 @pytest.mark.parametrize("content", ["", "{", "[1, 2]", "null"])
-@pytest.mark.parametrize("command", ["fit", "evaluate", "replay"])
+@pytest.mark.parametrize("command", ["fit", "test law", "test fmu"])
 def test_a_rigid_body_that_is_no_artifact(
     command: str, content: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
@@ -708,7 +709,7 @@ def test_a_rigid_body_that_is_no_artifact(
     )
 
 
-@pytest.mark.parametrize("command", ["evaluate", "export"])
+@pytest.mark.parametrize("command", ["test law", "export"])
 def test_a_model_of_an_unknown_law(
     command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
@@ -718,19 +719,6 @@ def test_a_model_of_an_unknown_law(
     path = changed_json(bench.law, tmp_path, joints=data["joints"])
     arguments = replace(bench, law=path).command(command, output=tmp_path / "output")
     assert refused(*arguments).startswith(f"{path}: law 'lugree' is unknown; known are ")
-
-
-@pytest.mark.parametrize(
-    ("left_out", "missing"), [("log", "log"), ("law", "friction model (.json)")]
-)
-def test_evaluate_needs_logs_and_models(
-    left_out: str, missing: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
-) -> None:
-    arguments = bench.command("evaluate", output=tmp_path / "output")
-    without = [a for a in arguments if a != getattr(bench, left_out)]
-    assert len(without) == len(arguments) - 1
-    said = f"evaluate: no {missing} among the files; both kinds are needed."
-    assert refused(*without) == said
 
 
 def test_artifacts_that_are_missing(
@@ -753,7 +741,7 @@ def test_a_model_for_other_joints(
     for joint, name in zip(data["joints"], ("a", "b", "c"), strict=True):
         joint["joint"] = name
     path = changed_json(bench.law, tmp_path, joints=data["joints"])
-    sentence = refused(*replace(bench, law=path).command("evaluate", output=tmp_path / "output"))
+    sentence = refused(*replace(bench, law=path).command("test law", output=tmp_path / "output"))
     assert sentence == (
         "friction model 'stribeck' is for the joints a, b, c; the robot has joint1, joint2, joint3."
     )
@@ -770,12 +758,14 @@ def test_a_rigid_body_of_another_robot(
     assert sentence.startswith("the rigid body of 'uf850' with 33 parameters does not fit robot")
 
 
-def test_evaluate_needs_both_logs_and_models(
+def test_a_prediction_needs_a_log_and_a_rigid_body(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
-    options = ["--robot", bench.robot, "--rigid-body", bench.rigid_body]
-    assert "no friction model (.json) among" in refused("evaluate", bench.log, *options)
-    assert "no log among" in refused("evaluate", bench.law, *options)
+    sentence = refused("test", bench.law, "--kind", "prediction", "--rigid-body", bench.rigid_body)
+    assert sentence == "--kind prediction needs --on, a log."
+    sentence = refused("test", bench.law, "--on", bench.log, "--robot", bench.robot)
+    assert sentence == "--kind prediction needs --rigid-body, the result of 'hesr identify'."
+    assert "is neither a friction model" in refused("test", bench.log)
 
 
 # --- FMUs -------------------------------------------------------------------------------------
@@ -784,7 +774,7 @@ def test_evaluate_needs_both_logs_and_models(
 def test_files_that_are_no_fmus(bench: Bench, refused: Callable[..., str], tmp_path: Path) -> None:
     missing = tmp_path / "none.fmu"
     for path in (missing, bench.log):
-        arguments = replace(bench, fmu=path).command("replay", output=tmp_path / "output")
+        arguments = replace(bench, fmu=path).command("test fmu", output=tmp_path / "output")
         assert refused(*arguments).startswith(f"{path}: ")
 
 
@@ -796,7 +786,7 @@ def test_an_fmu_for_another_number_of_joints(
         whole, joints=whole.joints[:2], laws=whole.laws[:2], trained=whole.trained[:2]
     )  # fmt: skip
     fmu = export_fmu(model, tmp_path / "Two.fmu")
-    sentence = refused(*replace(bench, fmu=fmu).command("replay", output=tmp_path / "output"))
+    sentence = refused(*replace(bench, fmu=fmu).command("test fmu", output=tmp_path / "output"))
     assert sentence.startswith(f"{fmu}: ")
     assert "2 joints" in sentence
 
@@ -829,7 +819,7 @@ def test_a_file_system_that_takes_no_files(
     assert ": cannot be written there (" in sentence
 
 
-@pytest.mark.parametrize("command", ["identify", "fit", "evaluate", "export"])
+@pytest.mark.parametrize("command", ["identify", "fit", "test law", "export"])
 def test_a_folder_in_the_place_of_the_output(
     command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:

@@ -53,7 +53,7 @@ def test_json_goes_to_standard_output_or_to_a_file(ran: Run, tmp_path: Path, hes
     alone = hesr(*scoring(ran), "--json", "-")
     assert alone.code == 0, alone.err
     beside = hesr(*scoring(ran), "--json", tmp_path / "scores.json")
-    assert "J1" in beside.out
+    assert beside.out.startswith("Best: parfam_h. Unexplained friction: joint1 ")
     assert json.loads(alone.out) == json.loads((tmp_path / "scores.json").read_text())
     assert not Path("-").exists()
 
@@ -98,7 +98,7 @@ def test_quiet_says_nothing_where_all_is_well(ran: Run, tmp_path: Path, hesr: He
     for command in (
         [*scoring(ran), "--json", tmp_path / "scores.json"],
         ["export", "uf850-table1", "-o", tmp_path / "Friction.fmu"],
-        ["laws"],
+        ["fit", "--list"],
     ):
         answer = hesr(*command, "--quiet")
         assert (answer.code, answer.out, answer.err) == (0, "", "")
@@ -179,14 +179,14 @@ def test_long_work_shows_how_far_it_is_and_what_is_left(ran: Run, tmp_path: Path
     assert re.search(r"fitting lugre .* 0% \d:\d\d:\d\d left: -:--:--", drawn)
     assert re.search(r"fitting lugre .* 100%", drawn)
     # Sentences, as of what is odd in a log, are left whole.
-    bars = [line for line in re.split(r"[\r\n]+", drawn) if "━" in line]
+    bars = [line for line in re.split(r"[\r\n]+|\x1b\[[\d;?]*[A-Za-z]", drawn) if "━" in line]
     assert max(map(len, bars)) <= 80
 
 
 def test_work_that_cannot_be_counted_shows_that_it_goes_on(tmp_path: Path) -> None:
     arguments = ("--robot", uf850("uf850.xml"))
     drawn = on_a_terminal("new", tmp_path / "loud", *arguments)
-    assert re.search(r"making sample logs \d:\d\d:\d\d", drawn)
+    assert re.search(r"making sample logs .* \d:\d\d:\d\d", drawn)
     assert on_a_terminal("new", tmp_path / "quiet", *arguments, "--quiet") == ""
 
 
