@@ -241,7 +241,12 @@ def test_the_command_sums_up_and_replays(study: Path, tmp_path: Path, monkeypatc
     text = STUDY.replace('"monte_carlo"', '"sobol"').replace("runs = 12", "runs = 8")
     study = written(tmp_path, text)
     monkeypatch.chdir(tmp_path)
-    assert command("sweep", study, "-o", "out", "--workers", 1, monkeypatch=monkeypatch) == 0
+    assert (
+        command(
+            "simulate", study, "-o", "out", "--workers", 1, "--verbose", monkeypatch=monkeypatch
+        )
+        == 0
+    )
     said = capsys.readouterr().out
     assert "Shares of the variance of end" in said
     page = (tmp_path / "out" / "sweep.html").read_text(encoding="utf-8")
@@ -281,7 +286,7 @@ def test_studies_that_are_wrong(study: Path, tmp_path: Path, old: str, new: str,
                                 monkeypatch, capsys):  # fmt: skip
     assert old in STUDY
     bad = written(tmp_path, STUDY.replace(old, new))
-    assert command("sweep", bad, "-o", tmp_path / "out", monkeypatch=monkeypatch) == 2
+    assert command("simulate", bad, "-o", tmp_path / "out", monkeypatch=monkeypatch) == 2
     err = capsys.readouterr().err
     assert said in err.replace("\n", " ")
     assert len(err.splitlines()) == 1
@@ -341,9 +346,9 @@ def test_where_every_run_fails_the_first_reason_is_said(study: Path, tmp_path: P
 
 
 def test_replays_that_cannot_be(study: Path, tmp_path: Path, monkeypatch, capsys):
-    assert command("sweep", study, "--replay", 12, monkeypatch=monkeypatch) == 2
+    assert command("simulate", study, "--only", 12, monkeypatch=monkeypatch) == 2
     assert "there is no run 12; its runs are 0 to 11." in capsys.readouterr().err
-    assert command("sweep", study, "--replay", 1, "-o", "x.txt", monkeypatch=monkeypatch) == 2
+    assert command("simulate", study, "--only", 1, "-o", "x.txt", monkeypatch=monkeypatch) == 2
     assert "x.txt: results are written as .csv or .parquet." in capsys.readouterr().err
 
 
