@@ -105,7 +105,7 @@ def test_a_verb_and_a_format_of_an_extra_are_unknown(site: Path, tmp_path: Path)
     assert "No such command 'monitor'" in found.stderr
     code = "import hesr; hesr.export('uf850-table1', 'f.mo', format='modelica')"
     found = python(site, "-c", code, cwd=tmp_path)
-    assert "'modelica'" in found.stderr.splitlines()[-1]
+    assert "'format' is modelica; allowed are" in found.stderr.splitlines()[-1]
 
 
 def test_fmus_are_exported_and_checked(site: Path, tmp_path: Path) -> None:

@@ -165,13 +165,14 @@ def test_what_cannot_be_shown_is_refused(result: Path, hesr: Hesr, tmp_path: Pat
         ("--scheme", "x"): f"--scheme is 'x'; there are 'none', 'servo_inversion' in {result}.",
         ("--magnify", "0"): "--magnify is 0; needed is a number above 0.",
         ("--speed", "nan"): "--speed is nan; needed is a number above 0.",
-        ("--video", "arm.avi"): "--video is 'arm.avi'; needed is a file in .mp4 or .webp.",
         ("--law", "parfam_h") * 5: "--law is given 5 times; at most 4 fit side by side.",
     }
     for options, sentence in cases.items():
         answer = hesr("report", result, "--view", *options)
         assert (answer.code, answer.out, answer.err) == (2, "", f"hesr: {sentence}\n")
-    answer = hesr("view", tmp_path / "none")
+    answer = hesr("report", result, "-o", "arm.avi")
+    assert (answer.code, answer.err) == (2, "hesr: arm.avi: reports are .html, .md, .mp4, .webp.\n")
+    answer = hesr("report", tmp_path / "none", "--view")
     assert (answer.code, answer.err) == (
         2,
         f"hesr: {tmp_path / 'none'}: no such folder; needed is what 'hesr run' has written.\n",
@@ -301,7 +302,7 @@ def test_a_video_is_as_long_as_the_motion(result: Path, tmp_path: Path, hesr: He
     path = tmp_path / "new" / "arm.mp4"
     answer = hesr("report", result, "--law", "parfam_h", "--speed", "2", "-o", path)
     assert answer.code == 0, answer.err
-    assert answer.out == f"0.5 s of video, written to {path}.\n"
+    assert answer.out == f"Written: {path}\n"
     decoded = subprocess.run(
         [imageio_ffmpeg.get_ffmpeg_exe(), "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"],
         capture_output=True,
@@ -366,7 +367,7 @@ def test_without_a_screen_it_says_so(
     answer = hesr("report", result, "--view")
     assert (answer.code, answer.out) == (2, "")
     assert answer.err == (
-        "hesr: there is no screen to open a window on; --video FILE.mp4 writes a video instead.\n"
+        "hesr: a window needs a screen; -o FILE.mp4 writes a video without one.\n"
     )
 
 
@@ -378,10 +379,10 @@ def test_without_opengl_it_says_so(
 ) -> None:
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(ctypes.util, "find_library", lambda _name: None)
-    answer = hesr("view", result, "--video", tmp_path / "arm.mp4")
+    answer = hesr("report", result, "-o", tmp_path / "arm.mp4")
     assert (answer.code, answer.out) == (2, "")
     assert answer.err == (
-        "hesr: --video needs OpenGL without a screen, and neither libEGL nor libOSMesa is "
+        "hesr: videos need OpenGL without a screen, and neither libEGL nor libOSMesa is "
         "installed (Debian: apt install libegl1 or libosmesa6).\n"
     )
     assert not list(tmp_path.iterdir())
@@ -403,7 +404,7 @@ def test_opengl_that_fails_is_told(result: Path, tmp_path: Path) -> None:
     )
     assert (answer.returncode, answer.stdout) == (2, "")
     said = answer.stderr.splitlines()[-1]
-    assert said.startswith("hesr: --video: OpenGL does not draw on this machine (")
+    assert said.startswith("hesr: OpenGL does not draw on this machine (")
     assert said.endswith("); try MUJOCO_GL=osmesa or MUJOCO_GL=egl, or another machine.")
     assert "Traceback" not in answer.stderr
     assert not list(tmp_path.iterdir())
@@ -413,10 +414,10 @@ def test_without_an_encoder_it_says_so(
     result: Path, hesr: Hesr, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    answer = hesr("view", result, "--video", tmp_path / "arm.mp4")
+    answer = hesr("report", result, "-o", tmp_path / "arm.mp4")
     assert (answer.code, answer.out) == (2, "")
     assert answer.err == (
-        "hesr: --video needs the package imageio-ffmpeg: pip install 'hesr[video]'.\n"
+        "hesr: videos need the package imageio-ffmpeg: pip install 'hesr[video]'.\n"
     )
 
 
@@ -430,9 +431,9 @@ def test_a_package_without_its_encoder(
         raise RuntimeError("No ffmpeg exe could be found. Install ffmpeg on your system.")
 
     monkeypatch.setattr(package, "get_ffmpeg_exe", nothing)
-    answer = hesr("view", result, "--video", tmp_path / "arm.mp4")
+    answer = hesr("report", result, "-o", tmp_path / "arm.mp4")
     assert (answer.code, answer.out) == (2, "")
-    assert answer.err.startswith("hesr: --video: there is no ffmpeg (No ffmpeg exe could be found.")
+    assert answer.err.startswith("hesr: ffmpeg is missing (No ffmpeg exe could be found.")
 
 
 def test_an_encoder_that_dies_is_told(
@@ -469,7 +470,7 @@ def test_a_viewer_that_wants_another_interpreter(
     assert (answer.code, answer.out) == (2, "")
     assert answer.err == (
         "hesr: the viewer does not open (`launch_passive` requires that the script be run under "
-        "`mjpython`); --video FILE.mp4 writes a video instead.\n"
+        "`mjpython`); -o FILE.mp4 writes a video.\n"
     )
 
 

@@ -53,7 +53,7 @@ def write_video(
     """
     kind = path.suffix.lower()
     if kind not in (".mp4", ".webp"):
-        raise ConfigError(f"--video is '{path}'; needed is a file in .mp4 or .webp.")
+        raise ConfigError(f"{path}: a video ends in .mp4 or .webp.")
     rate = RATE if kind == ".mp4" else RATE / _PAGE
     encoding = partial(_encoding, _encoder()) if kind == ".mp4" else _animating
     stage = Stage(shown, choice)
@@ -87,7 +87,7 @@ def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
             if isinstance(error, ConfigError):
                 raise
             raise ConfigError(
-                f"--video: OpenGL does not draw on this machine ({_first_line(error)}); try "
+                f"OpenGL does not draw on this machine ({_first_line(error)}); try "
                 "MUJOCO_GL=osmesa or MUJOCO_GL=egl, or another machine."
             ) from error
         cleanup.callback(target.free)
@@ -130,7 +130,7 @@ def _gl() -> Any:
         found = [name for name, library in _BACKENDS.items() if ctypes.util.find_library(library)]
         if not found:
             raise ConfigError(
-                "--video needs OpenGL without a screen, and neither libEGL nor libOSMesa is "
+                "videos need OpenGL without a screen, and neither libEGL nor libOSMesa is "
                 "installed (Debian: apt install libegl1 or libosmesa6)."
             )
         wanted = found[0]
@@ -151,10 +151,10 @@ def _encoder() -> str:
         return str(imageio_ffmpeg.get_ffmpeg_exe())
     except ImportError as error:
         raise ConfigError(
-            "--video needs the package imageio-ffmpeg: pip install 'hesr[video]'."
+            "videos need the package imageio-ffmpeg: pip install 'hesr[video]'."
         ) from error
     except RuntimeError as error:
-        raise ConfigError(f"--video: there is no ffmpeg ({_first_line(error)}).") from error
+        raise ConfigError(f"ffmpeg is missing ({_first_line(error)}).") from error
 
 
 @contextmanager

@@ -42,8 +42,7 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
         )
     except RuntimeError as error:  # macOS wants MuJoCo's own interpreter
         raise ConfigError(
-            f"the viewer does not open ({str(error).rstrip('.')}); --video FILE.mp4 writes a video "
-            "instead."
+            f"the viewer does not open ({str(error).rstrip('.')}); -o FILE.mp4 writes a video."
         ) from error
     with ExitStack() as cleanup:
         # Its thread draws on until it sees that it should end; Python must not end before it.
@@ -79,6 +78,4 @@ def require_screen() -> None:
     if sys.platform == "linux" and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     ):
-        raise ConfigError(
-            "there is no screen to open a window on; --video FILE.mp4 writes a video instead."
-        )
+        raise ConfigError("a window needs a screen; -o FILE.mp4 writes a video without one.")
