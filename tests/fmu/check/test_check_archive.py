@@ -298,7 +298,7 @@ def test_what_cannot_be_opened_is_an_error(tmp_path):
         check(tmp_path / "none.fmu")
     with pytest.raises(ArtifactError, match=r"is not a file\."):
         check(tmp_path)
-    with pytest.raises(ArtifactError, match=r"null: is no file\."):
+    with pytest.raises(ArtifactError, match=r"null: is not a file\."):
         opened((tmp_path / "../../../../../../../dev/null").resolve())
     with pytest.raises(ArtifactError, match=r"cannot be opened \(File name too long\)\."):
         check(tmp_path / ("x" * 300))
