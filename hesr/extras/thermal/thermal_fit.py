@@ -117,8 +117,8 @@ def fit_thermal(
     """
     if model.coupling is not None:
         raise FitError(
-            f"friction model '{model.law}': its motors turn with several joints; temperature is "
-            "followed joint by joint only."
+            f"friction model '{model.law}': its motors turn with several joints; a thermal model "
+            "needs uncoupled joints."
         )
     found = tuple(_of_joint(law, [log[j] for log in logs]) for j, law in enumerate(model.laws))
     return replace(model, thermal=tuple(f.thermal for f in found)), found
