@@ -11,8 +11,9 @@ from fakes import description, variable
 from small_study import Hesr
 
 from cosim.systems.contents import read_contents
-from cosim.systems.markup import SSD, ValueWithUnit, in_unit_of, write_ssp
+from cosim.systems.markup import SSD, ValueWithUnit, in_unit_of
 from cosim.systems.simulation import simulate
+from cosim.systems.ssp import write_ssp
 from cosim.systems.ssp_reader import opened_system, safe_names
 from cosim.systems.system import SystemSpec
 from fmu_src.run.variables import SI, Variables
