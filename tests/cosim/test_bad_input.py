@@ -772,8 +772,9 @@ def test_a_prediction_needs_a_log_and_a_rigid_body(
 
 
 def test_files_that_are_no_fmus(bench: Bench, refused: Callable[..., str], tmp_path: Path) -> None:
-    missing = tmp_path / "none.fmu"
-    for path in (missing, bench.log):
+    missing, other = tmp_path / "none.fmu", tmp_path / "log.fmu"
+    other.write_bytes(bench.log.read_bytes())
+    for path in (missing, other):
         arguments = replace(bench, fmu=path).command("test fmu", output=tmp_path / "output")
         assert refused(*arguments).startswith(f"{path}: ")
 
