@@ -139,13 +139,13 @@ def test_sizes_of_torques(
         return told(own, {j: replace(SOUND, **changes)}, "torque-scale")
 
     def gone(x: float) -> bool:
-        return any("taken out" in t for t in scale(gravity=of(x, 1e-4)))
+        return any("was removed" in t for t in scale(gravity=of(x, 1e-4)))
 
     def words(text: str, found: list[str]) -> bool:
         return any(text in x for x in found)
 
     def motor(x: float) -> bool:
-        return words("motor's", scale(geared, gravity=of(x), inertia=of(0.01)))
+        return words("motor torque before", scale(geared, gravity=of(x), inertia=of(0.01)))
 
     def beside(x: float) -> bool:
         found = {0: two, 1: replace(two, gravity=of(x))}
@@ -171,10 +171,14 @@ def test_sizes_of_torques(
             "explained": edge(lambda x: scale(gravity=of(0.1), residual=x), 0.3, 4.9),
             "gone": edge(gone, 0.0, 0.3),
             "gone, beside inertia": edge(
-                lambda x: words("taken out", scale(gravity=of(0.05, 1e-4), inertia=of(x))), 0.1, 1.0
+                lambda x: words("was removed", scale(gravity=of(0.05, 1e-4), inertia=of(x))),
+                0.1,
+                1.0,
             ),
             "weightless": edge(
-                lambda x: words("taken out", scale(gravity=of(0.01, x), inertia=of(1.0))), 1e-3, 0.2
+                lambda x: words("was removed", scale(gravity=of(0.01, x), inertia=of(1.0))),
+                1e-3,
+                0.2,
             ),
             "hardly seen": edge(lambda x: scale(**hardly, gravity=of(x)), 1.0, 29.0),
             "hardly, with an error": edge(

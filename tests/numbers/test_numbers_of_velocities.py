@@ -80,12 +80,18 @@ def test_velocities_of_a_wrong_scale(
             "sure of less": edge(lambda x: told(sized(x, 0.95), "velocity-scale"), 0.0, 0.36),
             "rpm": edge(lambda x: says("rpm", x), 7.0, 30 / np.pi),
             "rpm at most": edge(lambda x: says("rpm", x), 30 / np.pi, 12.0),
-            "motor": edge(lambda x: says("motor's", x, own=geared, by=[1.0, 2.0]), 6.0, 7.0),
-            "motor at most": edge(
-                lambda x: says("motor's", x, own=geared, by=[1.0, 2.0]), 7.0, 8.0
+            "motor": edge(
+                lambda x: says("dq belongs to the motor", x, own=geared, by=[1.0, 2.0]), 6.0, 7.0
             ),
-            "q of motor": edge(lambda x: says("q is the motor", x, own=geared), 1 / 8, 1 / 7),
-            "q of motor at most": edge(lambda x: says("q is the motor", x, own=geared), 1 / 7, 0.2),
+            "motor at most": edge(
+                lambda x: says("dq belongs to the motor", x, own=geared, by=[1.0, 2.0]), 7.0, 8.0
+            ),
+            "q of motor": edge(
+                lambda x: says(" q belongs to the motor", x, own=geared), 1 / 8, 1 / 7
+            ),
+            "q of motor at most": edge(
+                lambda x: says(" q belongs to the motor", x, own=geared), 1 / 7, 0.2
+            ),
             "ms": edge(lambda x: says("time is in ms", x), 9e2, 1e3),
             "ms at most": edge(lambda x: says("time is in ms", x), 1e3, 1.2e3),
             "alike": edge(lambda x: says("all joints alike", 2.0, by=[1.0, x]), 0.8, 1.0),
