@@ -9,7 +9,7 @@ import psutil
 import pytest
 
 LIMIT = 10.0
-"""CPU seconds allowed to a test of `make test`, its own fixtures included."""
+"""CPU seconds allowed to a test of `make test`, without the fixtures that tests share."""
 
 _NAMED = 2.0
 """CPU seconds from which a test has its own line in the record."""
@@ -57,7 +57,7 @@ class CpuTime:
         self, fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
     ) -> Generator[None, object, object]:
         """Charge shared fixtures to no test; the first one would pay for all."""
-        if fixturedef.scope != "session" or self.sharing:
+        if fixturedef.scope == "function" or self.sharing:
             return (yield)
         self.sharing, start = True, used()
         try:

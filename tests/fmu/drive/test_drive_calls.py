@@ -319,6 +319,7 @@ def sources(fmu: Path, tmp_path: Path) -> Path:
     return tmp_path / "sources"
 
 
+@pytest.mark.ci
 def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources: Path) -> None:
     flags = (*LINUX, *FLAGS, "-fsanitize=undefined")
     compile_c(sources / "all.c", flags, sources / "lives", (str(FUZZ), "-lm"))
