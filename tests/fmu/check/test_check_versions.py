@@ -81,8 +81,8 @@ FULL = re.sub(rb'<Float64 name="y".*?/>', TWO_INPUTS.encode(), FMI_3)
          "value reference 7, which does not exist"),
         ('variability="fixed" start="1"', 'variability="continuous" start="1"',
          "variability 'continuous' which only Float32 and Float64 have"),
-        ('instantiationToken="{1}"', 'instantiationToken=" "', "the attribute instantiationToken is "
-         "empty"),
+        ('instantiationToken="{1}"', 'instantiationToken=" "',
+         "the attribute instantiationToken is empty"),
     ],
 )  # fmt: skip
 def test_rules_of_fmi_3(old, new, said):
