@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -45,7 +45,9 @@ class RunResult(Answer):
 
     def summary(self) -> str:
         """Return the verdict, the number of warnings and the report."""
-        lines = list(self.outcome.verdict.sentences)
+        found = self.outcome.verdict
+        located = replace(found, fmu=str(self.outcome.fmus[found.law]))  # can be copied
+        lines = list(located.sentences)
         if count := len(self.findings):
             lines.append(f"{count} finding{'s' * (count > 1)} of the checks: --verbose lists them.")
         lines.append(f"FMUs: {self.folder / 'fmus'}")

@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 import click
 
@@ -21,9 +21,6 @@ from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support.files import written_whole
 from hesr_model.support.interrupts import Interrupted
 from hesr_model.support.progress import Stages
-
-if TYPE_CHECKING:
-    from rich.progress import Progress, ProgressColumn
 
 INTERRUPTED = 130
 """Exit code, as shells give it: 128 and the number of the signal."""
@@ -95,10 +92,18 @@ def command_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Ite
             ) from interrupt
 
 
+class _LogHandler(logging.StreamHandler[TextIO]):
+    """Log to the standard error of the moment, which a progress bar redirects above itself."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.setStream(sys.stderr)
+        super().emit(record)
+
+
 @contextmanager
 def _logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
     """Log to standard error: warnings, everything, or errors."""
-    handler = logging.StreamHandler()
+    handler = _LogHandler()
     before = {name: logging.getLogger(name).level for name in _PACKAGES}
     if verbose:
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
@@ -175,8 +180,10 @@ def shown_progress() -> Iterator[Stages]:
 
     It is drawn where that is a terminal, logged with --verbose, and left out with --quiet.
     """
+    from rich.console import Console
     from rich.progress import (
         BarColumn,
+        Progress,
         TaskID,
         TaskProgressColumn,
         TextColumn,
@@ -184,14 +191,19 @@ def shown_progress() -> Iterator[Stages]:
         TimeRemainingColumn,
     )
 
+    # Messages above the bar are not wrapped, so that paths in them can be copied.
+    console, wanted = Console(stderr=True, soft_wrap=True), _output.get()
     tasks: dict[str, TaskID] = {}
-    with _drawn(
+    with Progress(
         TextColumn("{task.description}"),
         BarColumn(20),
         TaskProgressColumn(),
         TimeElapsedColumn(),
         TextColumn("left:"),
         TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=wanted.quiet or wanted.verbose or not console.is_terminal,
     ) as shown:
 
         def tell(what: str, done: int, total: int) -> None:
@@ -201,28 +213,6 @@ def shown_progress() -> Iterator[Stages]:
             shown.update(tasks[what], completed=done)
 
         yield tell
-
-
-@contextmanager
-def working(what: str) -> Iterator[None]:
-    """Show on standard error that work goes on, where nobody knows how much there is."""
-    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    _log.info("%s", what)
-    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-    with _drawn(*columns) as shown:
-        shown.add_task(what, total=None)
-        yield
-
-
-def _drawn(*columns: "ProgressColumn") -> "Progress":
-    """Return what draws progress on standard error, where that is a terminal that shall have it."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console, wanted = Console(stderr=True), _output.get()
-    hidden = wanted.quiet or wanted.verbose or not console.is_terminal
-    return Progress(*columns, console=console, transient=True, disable=hidden)
 
 
 @contextmanager

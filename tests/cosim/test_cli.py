@@ -71,7 +71,9 @@ def assert_scores(data: Any, laws: set[str]) -> None:
 def test_run_ends_with_a_table_of_laws_and_the_fmus_that_it_wrote(ran: Run) -> None:
     out = ran.answer.out
     summary = out[: out.index("Rigid body:")].splitlines()
-    assert summary[0].startswith("Recommended: ")
+    recommended = re.match(r"Recommended: (\S+) \(", summary[0])
+    assert recommended
+    assert Path(recommended[1]) in (ran.results / "fmus").iterdir()
     assert summary[-1] == f"Report: {ran.results / 'report.html'}"
     assert len(summary) <= 25
     for text in ("Stribeck", "ParFam-H", "J1", "J2", "J3", "unseen", "[N.m]"):

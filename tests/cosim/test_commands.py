@@ -103,6 +103,9 @@ def test_the_laws_are_listed() -> None:
 def test_what_cannot_be_used_is_refused(
     arm_log: RobotLog, table1: FrictionModel, tmp_path: Path
 ) -> None:
+    fleet, board = tmp_path / "fleet.toml", tmp_path / "board.toml"
+    fleet.write_text("[types]\n", encoding="utf-8")
+    board.write_text("robots = []\n", encoding="utf-8")
     for call, sentence in [
         (lambda: hesr.identify(arm_log), "the logs do not say of which robot they"),
         (lambda: hesr.identify("a.csv"), "a.csv: to read this log its robot must be"),
@@ -127,6 +130,20 @@ def test_what_cannot_be_used_is_refused(
         (lambda: hesr.report(3), "a folder is given as int; needed is a path"),
         (lambda: hesr.report("a", output="b.pdf"), "b.pdf: reports are .html, .md, .mp4, .webp."),
         (lambda: hesr.report("a", magnify=2.0), "are for 'view' and videos"),
+        (lambda: hesr.report(["a", "b"]), "a page (.html) shows one result; several go into Mar"),
+        (lambda: hesr.report(["a", "b"], view=True), "one result is shown at a time; use 'law'"),
+        (
+            lambda: hesr.inspect("a.csv", payload=1.0),
+            "'mass_error', 'loaded' and 'payload' are for 'torque_constants'; give that, too.",
+        ),
+        (
+            lambda: hesr.test(table1, on=[board], kind=["passivity"]),
+            "'on' is a leaderboard; give it alone, without 'kind'.",
+        ),
+        (
+            lambda: hesr.simulate(fleet),
+            f"{fleet}: this file is a fleet; run it with 'hesr monitor {fleet}'.",
+        ),
     ]:
         with pytest.raises(HesrError) as caught:
             call()
