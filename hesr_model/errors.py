@@ -5,6 +5,7 @@ the value needed. The command line prints it and exits with code 2.
 """
 
 import re
+from collections.abc import Collection
 
 from hesr_model.support.text import escaped
 
@@ -33,9 +34,13 @@ class ArgumentError(ConfigError):
     The sentence quotes parameters by their Python names.
     """
 
-    def on_command_line(self) -> str:
-        """Return the sentence with the parameters as options."""
-        return re.sub(r"'([a-z_]+)'", lambda m: f"--{m[1].replace('_', '-')}", str(self))
+    def on_command_line(self, parameters: Collection[str]) -> str:
+        """Return the sentence with the parameters of the command as options."""
+
+        def option(found: re.Match[str]) -> str:
+            return f"--{found[1].replace('_', '-')}" if found[1] in parameters else found[0]
+
+        return re.sub(r"'([a-z_]+)'", option, str(self))
 
 
 class LogError(HesrError):

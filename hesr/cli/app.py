@@ -103,13 +103,13 @@ def _answer(function: Function, given: dict[str, Any]) -> "Answer":
     from cosim.workflow.answer import Answer
 
     with shown_progress() as progress:
-        more = (
-            {"progress": progress} if "progress" in inspect.signature(function).parameters else {}
-        )
+        taken = inspect.signature(function).parameters
+        more = {"progress": progress} if "progress" in taken else {}
         try:
             result = function(**given, **more)
         except ArgumentError as error:
-            raise ConfigError(error.on_command_line()) from error
+            options = [*taken, *(one.name for one in _more(function))]
+            raise ConfigError(error.on_command_line(options)) from error
     if isinstance(result, Answer):
         return result
     describe: Callable[..., Answer] = _module(function)["answer"]

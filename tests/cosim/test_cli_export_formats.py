@@ -95,7 +95,7 @@ def test_properties_stand_in_the_pages_of_the_fmu(hesr, tmp_path):
     [
         (
             ["--format", "drive", "-o", "D.fmu"],
-            "--format drive needs --inertia, the rotors' inertia in kg.m2.",
+            "--format drive needs --inertia, the inertia of the rotors in kg.m2.",
         ),
         (
             ["--format", "drive", "--inertia", "3,3", "-o", "D.fmu"],
@@ -106,18 +106,19 @@ def test_properties_stand_in_the_pages_of_the_fmu(hesr, tmp_path):
             ["--format", "drive", "--inertia", "heavy", "-o", "D.fmu"],
             "--inertia is 'heavy'; needed are numbers with commas between them, as 3,3,0.6.",
         ),
-        (["--fmi", "4", "-o", "F.fmu"], "--fmi is '4'; versions of FMI are 2 and 3."),
+        (["--fmi", "4", "-o", "F.fmu"], "Invalid value for '--fmi': '4' is not one of '2', '3'."),
         (
             ["--fmi", "3", "--format", "modelica", "-o", "F.mo"],
-            "--fmi needs --format fmu or --format adaptive or --format drive, but the format is "
-            "'modelica'.",
+            "--fmi needs --format adaptive or drive or fmu, but the format is 'modelica'.",
         ),
-        (["--inertia", "3", "-o", "F.fmu"], "--inertia needs --format drive, but the format is "),
+        (
+            ["--inertia", "3", "-o", "F.fmu"],
+            "--inertia needs --format drive, but the format is 'fmu'.",
+        ),
         (["--project", "-o", "F.fmu"], "--project needs --format mjcf, but the format is 'fmu'."),
         (
             ["--format", "mjcf", "--platform", "win64", "-o", "f.xml"],
-            "--platform needs --format fmu or --format adaptive or --format drive, but the "
-            "format is 'mjcf'.",
+            "--platform needs --format adaptive or drive or fmu, but the format is 'mjcf'.",
         ),
         (
             ["--format", "modelica", "--properties", "-o", "F.mo"],
@@ -156,7 +157,10 @@ def test_the_body_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["others.json"]
     for arguments, sentence in (
         (["--format", "drive"], "--rigid-body needs --format fmu, but the format is 'drive'."),
-        (["--format", "adaptive"], "--rigid-body needs --format fmu, but the format is"),
+        (
+            ["--format", "adaptive"],
+            "--rigid-body needs --format fmu, but the format is 'adaptive'.",
+        ),
     ):
         answer = hesr("export", TABLE_1, *given, *arguments, "-o", "F.fmu")
         assert answer.code == 2
