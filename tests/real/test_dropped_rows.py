@@ -55,7 +55,7 @@ def test_five_seconds_determine_too_little_to_lose_half_of_them(seed: int) -> No
         pytest.skip("the measured TX40 log is not beside the repository")
     robot = RobotDescription.read(Path(__file__).with_name("tx40.toml"))
     whole = RobotLog.read(log, robot)
-    with pytest.raises(HealthError, match=r"leaves its sliding torque at .* uncertain by \d") as no:
+    with pytest.raises(HealthError, match=r"its sliding torque at .* is uncertain by \d") as no:
         checked([halved(whole, seed)], RobotModel(robot))
     assert {finding.check for finding in no.value.findings} == {"missing-rows"}
     assert "joint_3" in no.value.findings[0].joints
