@@ -57,9 +57,9 @@ def commands(fmu: Path) -> list[tuple[object, ...]]:
     system.write_text(LAGS.replace("FMU", str(fmu)), encoding="utf-8")
     return [
         ("simulate", system, "-o", folder / "out.csv"),
-        ("package", system, "-o", folder / "out.ssp"),
-        ("package", system, "--container", "-o", folder / "out.fmu"),
-        ("properties", fmu, "--json", folder / "out.json"),
+        ("export", system, "-o", folder / "out.ssp"),
+        ("export", system, "-o", folder / "out.fmu"),
+        ("test", fmu, "--kind", "properties", "--json", folder / "out.json"),
         ("check", fmu, "--kind", "convention", "--json", folder / "out.json"),
     ]
 

@@ -17,6 +17,7 @@ from fmu_src.pages.datasheet import EULER, RK4, fastest, figure
 from fmu_src.pages.friction_page import to_html
 from fmu_src.pages.html import TEMPLATES
 from fmu_src.pages.mathml import equations
+from hesr.extras.modelica.annotations import TEMPLATES as MODELICA
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
@@ -99,7 +100,7 @@ def test_header_cells_say_what_they_head() -> None:
     """In every page that is made of a template; none of them is empty."""
     cells = [
         (template.name, *cell)
-        for template in TEMPLATES.glob("*.j2")
+        for template in (*TEMPLATES.glob("*.j2"), *MODELICA.glob("*.j2"))
         for cell in re.findall(r"(<th\b[^>]*>)(</th>)?", template.read_text(encoding="utf-8"))
     ]
     assert len({name for name, *_ in cells}) == 6

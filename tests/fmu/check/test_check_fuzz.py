@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fmu_src.check import Report, check, run
-from hesr_model.support.process import FailedError
+from fmu_src.run.instance import DiedError
 
 pytestmark = pytest.mark.ci
 
@@ -20,13 +20,13 @@ QUIET = settings(
 
 @pytest.fixture
 def alone(monkeypatch):
-    """Without other processes, whose work does not depend on the archive's bytes."""
+    """Start no other processes, whose work does not depend on the bytes of the archive."""
 
-    def work(job, file, folder, seconds):
-        raise FailedError("it was not run")
+    def not_run(function, *arguments, folder, seconds):
+        raise DiedError("was not run")
 
     for module in (run.markup, run.binaries, run.external):
-        monkeypatch.setattr(module, "work", work)
+        monkeypatch.setattr(module, "run_in_sandbox", not_run)
 
 
 @pytest.fixture(scope="module")
