@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
+from cosim.systems.signals import Signals
 from cosim.systems.system import SystemSpec, Value
 from cosim.systems.wiring import Wiring
 from fmu_src.arm.clock import untimed
@@ -22,56 +22,11 @@ from fmu_src.run.master import (
     SystemStepper,
 )
 from fmu_src.run.native import native_stepper
-from hesr_model.errors import ConfigError, HesrError, SimulationError
-from hesr_model.logs.tables import write_table
-from hesr_model.support.arrays import Array
-from hesr_model.support.files import written_whole
+from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.progress import Progress, silent
 
 _REPORT_EVERY = 200
 """Number of steps between reports of progress."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Result:
-    """Signals of a run, up to its end or its failure.
-
-    Attributes
-    ----------
-    t : (N,) communication points [s].
-    signals : (N,) values of every observed scalar, by `component.variable`.
-    failure : reason for an early end; None without one.
-    """
-
-    t: Array
-    signals: dict[str, Array]
-    failure: HesrError | None = None
-
-    def vector(self, signal: str) -> Array:
-        """Return all elements of an observed signal, (N, n) in its unit.
-
-        Raises
-        ------
-        SimulationError
-            If it was not observed.
-        """
-        names = [signal] if signal in self.signals else []
-        while (name := f"{signal}[{len(names) + 1}]") in self.signals:
-            names.append(name)
-        if not names:
-            raise SimulationError(f"signal '{signal}' has not been observed.")
-        return np.column_stack([self.signals[name] for name in names])
-
-    def require_success(self) -> "Result":
-        """Return itself, or raise the failure."""
-        if self.failure:
-            raise self.failure
-        return self
-
-    def write(self, path: Path) -> None:
-        """Write time and signals as CSV, or Parquet by suffix."""
-        with written_whole(path) as temporary:
-            write_table(temporary, {"t": self.t} | self.signals)
 
 
 class Master:
@@ -191,7 +146,7 @@ class Master:
         progress: Progress = silent,
         *,
         start: Mapping[str, Mapping[str, Value]] | None = None,
-    ) -> Result:
+    ) -> Signals:
         """Run the system from its start values; a failure ends the run and is part of the result.
 
         A system can be run repeatedly; each run begins with a reset.
@@ -220,7 +175,7 @@ class Master:
         failure = self._not_finite(done * step) or failure
         progress(steps, steps)
         signals = {".".join(e): kept[:done, i] for i, e in enumerate(self._wiring.observed)}
-        return Result(t=step * np.arange(done, dtype=float), signals=signals, failure=failure)
+        return Signals(t=step * np.arange(done, dtype=float), signals=signals, failure=failure)
 
     def require_start(self, start: Mapping[str, Mapping[str, Value]], path: Path) -> None:
         """Check that start values for a run fit the system.
@@ -288,9 +243,3 @@ class Master:
     def _not_finite(self, time: float) -> SimulationError | None:
         finite = np.isfinite(self._layout.values)
         return None if finite.all() else self._layout.not_finite(int(np.argmin(finite)), time)
-
-
-def simulate(spec: SystemSpec, path: Path, progress: Progress = silent) -> Result:
-    """Load a system, run it once and free it."""
-    with Master(spec, path) as master:
-        return master.run(progress)

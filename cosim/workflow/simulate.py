@@ -11,7 +11,7 @@ from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
-    from cosim.systems.simulation import Result
+    from cosim.systems.signals import Signals
     from hesr_model.support.files import PathArg
 
 
@@ -24,7 +24,7 @@ def simulate(
     cluster: str | None = None,
     trust: bool = False,
     progress: Stages = silent,
-) -> Result | Answer:
+) -> Signals | Answer:
     """Run a system of FMUs, once or in a sweep.
 
     An interrupted sweep continues where it stopped.
@@ -48,7 +48,7 @@ def simulate(
 
     Returns
     -------
-    Result or SweepResult
+    Signals or SweepResult
         Observed signals over time [s]; of a sweep outputs, worst runs and sensitivities.
 
     Raises
@@ -69,11 +69,12 @@ def simulate(
     In Python:
 
     >>> import hesr
-    >>> hesr.simulate("loop.toml").t[0]
+    >>> float(hesr.simulate("loop.toml").t[0])
     0.0
     """
     from cosim.systems.simulation import Master
     from cosim.systems.ssp_reader import opened_system
+    from cosim.systems.system_file import System
     from cosim.workflow.arguments import remember_trust
     from cosim.workflow.jobs import find_job
     from hesr_model.support.files import path_of, written_whole
@@ -99,10 +100,7 @@ def simulate(
             )
         stages = partial(progress, spec.name)
         if file is None:
-            with Master(spec, path) as master:
-                result = master.run(stages)
-            result.require_success()
-            return result
+            return System(spec, path).run(stages)
         # Whether the file can be written is found out before the run.
         with written_whole(file) as temporary:
             with Master(spec, path) as master:
@@ -113,7 +111,7 @@ def simulate(
     if result.failure:
         raise SimulationError(
             f"{str(result.failure).rstrip('.')}; the results so far, {len(result.t)} samples to "
-            f"t = {result.t[-1]:.9g} s, are kept in {file}."
+            f"t = {result.end:.9g} s, are kept in {file}."
         )
     return result
 
@@ -123,13 +121,14 @@ def _require_table(path: Path) -> None:
         raise ConfigError(f"{path}: results are written as .csv or .parquet.")
 
 
-def answer(result: Result, output: PathArg | None) -> Answer:
+def answer(result: Signals, output: PathArg | None) -> Answer:
     """Return the answer of a simulation: end time and number of samples."""
-    end = result.t[-1] if len(result.t) else 0.0
-    data: dict[str, Any] = {"samples": len(result.t), "end": float(end)}
+    data: dict[str, Any] = {"samples": len(result.t), "end": result.end}
     return Written(
         format="hesr-simulation-1",
-        lines=[f"{len(result.t)} samples of {len(result.signals)} signals to t = {end:.9g} s."],
+        lines=[
+            f"{len(result.t)} samples of {len(result.signals)} signals to t = {result.end:.9g} s."
+        ],
         data=data | {"signals": list(result.signals)},
         files=written_files(output),
     )

@@ -25,7 +25,6 @@ KNOWN_DUPLICATES = {
     "Description",
     "Kind",
     "Motion",
-    "Result",
     "Score",
     "Unit",
     "Variable",

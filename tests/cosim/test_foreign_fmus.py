@@ -17,8 +17,9 @@ from small_fmus import LAGS
 from small_study import Hesr, hesr_here
 from test_cli_interrupts import started, wait_for
 
-from cosim.systems.simulation import Master, simulate
+from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
+from cosim.systems.system_file import System
 from fmu_src.run.fmu import FmuInstance, hash_folder, is_ours, remember
 from fmu_src.run.sandbox import Sandbox
 from hesr_model.errors import SimulationError
@@ -85,7 +86,7 @@ def test_a_foreign_fmu_gives_the_same_to_the_last_bit(lag_fmu: Path, foreign_lag
                 "step = 0.1", f'order = "{order}"\nstep = 0.1'
             )
             path.write_text(own, encoding="utf-8")
-            found.append(simulate(SystemSpec.read(path), path).require_success())
+            found.append(System.read(path).run())
         for name, values in found[0].signals.items():
             np.testing.assert_array_equal(values, found[1].signals[name])
 

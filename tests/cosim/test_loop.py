@@ -11,7 +11,8 @@ from oracles.monolithic import run_loop
 from scipy.linalg import expm
 
 from cosim.loop.closed_loop import Scheme
-from cosim.systems.simulation import Master, Result
+from cosim.systems.signals import Signals
+from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from fmu_src import export_fmu
 from hesr_model.equations.functions import absolute
@@ -22,7 +23,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import Sine, chirp
 
 
-def run(spec: SystemSpec) -> Result:
+def run(spec: SystemSpec) -> Signals:
     with Master(spec) as master:
         return master.run().require_success()
 

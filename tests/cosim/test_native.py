@@ -11,7 +11,8 @@ from closed_loop import Bench
 
 import fmu_src.run.native
 from cosim.loop.closed_loop import Scheme
-from cosim.systems.simulation import Master, Result
+from cosim.systems.signals import Signals
+from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from fmu_src.arm.python_arm.export import export_python_arm
 from fmu_src.run.fmu import FmuInstance
@@ -21,7 +22,7 @@ from hesr_model.errors import ExportError, SimulationError
 from hesr_model.support.files import models_folder
 
 
-def both(spec: SystemSpec, runs: int = 1) -> tuple[Result, Result]:
+def both(spec: SystemSpec, runs: int = 1) -> tuple[Signals, Signals]:
     """The last of several runs in C and in Python."""
     found = []
     for native, kind in ((True, NativeStepper), (False, PythonStepper)):
@@ -31,7 +32,7 @@ def both(spec: SystemSpec, runs: int = 1) -> tuple[Result, Result]:
     return found[0], found[1]
 
 
-def assert_same(one: Result, other: Result) -> None:
+def assert_same(one: Signals, other: Signals) -> None:
     assert one.t.tobytes() == other.t.tobytes()
     assert one.signals.keys() == other.signals.keys()
     for name, values in one.signals.items():

@@ -5,7 +5,8 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from cosim.systems.simulation import Master, Result
+from cosim.systems.signals import Signals
+from cosim.systems.simulation import Master
 from hesr.extras.sweep.plan import Plan, planned
 from hesr.extras.sweep.result import SweepRuns
 from hesr.extras.sweep.sensitivity import Sensitivity, sensitivities
@@ -112,7 +113,7 @@ def _sensitivities(plan: Plan, table: RunTable) -> list[Sensitivity]:
     )
 
 
-def replay(path: Path, run: int) -> tuple[Plan, Result]:
+def replay(path: Path, run: int) -> tuple[Plan, Signals]:
     """Repeat one run, with all measured signals and those that its system observes.
 
     Raises

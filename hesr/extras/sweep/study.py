@@ -20,7 +20,7 @@ def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-Signals = Annotated[tuple[Signal, ...], Field(min_length=1), AfterValidator(_distinct)]
+DistinctSignals = Annotated[tuple[Signal, ...], Field(min_length=1), AfterValidator(_distinct)]
 
 
 class SweepInput(Config):
@@ -40,7 +40,7 @@ class SweepInput(Config):
     levels : number of values in a grid.
     """
 
-    variables: Signals
+    variables: DistinctSignals
     factor: bool = False
     values: tuple[float, ...] = ()
     low: float | None = None
@@ -79,7 +79,7 @@ class Correlated(Config):
     covariance : covariance matrix, (n, n).
     """
 
-    variables: Signals
+    variables: DistinctSignals
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
 

@@ -6,7 +6,8 @@ from threading import Lock
 
 import numpy as np
 
-from cosim.systems.simulation import Master, Result
+from cosim.systems.signals import Signals
+from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec, Value
 from fmu_src.run.fmu import POOL
 from hesr.extras.sweep.study import Measure, Measured
@@ -73,14 +74,14 @@ class Task:
             start.setdefault(target.component, {})[target.variable] = target.value(row)
         return start
 
-    def measured(self, result: Result) -> Array:
+    def measured(self, result: Signals) -> Array:
         """Return the measured numbers of a run (m,); NaN if it failed."""
         if result.failure:
             return np.full(len(self.outputs), np.nan)
         return np.array([self._measured(output, result) for output in self.outputs])
 
     @staticmethod
-    def _measured(output: Measured, result: Result) -> float:
+    def _measured(output: Measured, result: Signals) -> float:
         values = result.vector(output.signal)
         if output.reference:
             values = values - result.vector(output.reference)

@@ -12,10 +12,10 @@ from small_study import Hesr
 
 from cosim.systems.contents import read_contents
 from cosim.systems.markup import SSD, ValueWithUnit, in_unit_of
-from cosim.systems.simulation import simulate
 from cosim.systems.ssp import write_ssp
 from cosim.systems.ssp_reader import opened_system, safe_names
 from cosim.systems.system import SystemSpec
+from cosim.systems.system_file import System
 from fmu_src.run.variables import SI, Variables
 from hesr_model.errors import ConfigError
 
@@ -179,13 +179,13 @@ def test_names_that_ours_could_not_have(edited: Edit, lags: Write) -> None:
         ('name="b"', 'name="2nd"'), ('Element="b"', 'Element="2nd"'),
         ("<ssd:Elements>", inline),
     ]})  # fmt: skip
-    with opened_system(path) as spec:
-        assert [c.name for c in spec.components] == ["my_fric_1", "_2nd"]
-        assert dict(spec.connections) == {"_2nd.u": "my_fric_1.y"}
-        assert spec.observe == ("my_fric_1.y", "_2nd.y")
-        found = simulate(spec, path).require_success()
-    system = lags()
-    expected = simulate(SystemSpec.read(system), system).require_success()
+    opened = System.read(path)
+    spec = opened.spec
+    assert [c.name for c in spec.components] == ["my_fric_1", "_2nd"]
+    assert dict(spec.connections) == {"_2nd.u": "my_fric_1.y"}
+    assert spec.observe == ("my_fric_1.y", "_2nd.y")
+    found = opened.run()
+    expected = System.read(lags()).run()
     for (_, one), (_, other) in zip(found.signals.items(), expected.signals.items(), strict=True):
         np.testing.assert_array_equal(one, other)
 

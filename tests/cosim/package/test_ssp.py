@@ -16,10 +16,10 @@ from small_study import Hesr
 
 from cosim.systems.contents import SystemContents, read_contents
 from cosim.systems.markup import Version
-from cosim.systems.simulation import simulate
 from cosim.systems.ssp import write_ssp
 from cosim.systems.ssp_reader import opened_system
 from cosim.systems.system import SystemSpec
+from cosim.systems.system_file import System
 
 Write = Callable[..., Path]
 
@@ -174,8 +174,8 @@ def test_an_ssp_is_read_back(either: SystemContents, tmp_path: Path) -> None:
     with opened_system(path) as spec:
         back = read_contents(spec, path)
         assert write_ssp(back, tmp_path / "again.ssp").read_bytes() == path.read_bytes()
-        got = simulate(spec.model_copy(update={"stop": 1.0}), path).require_success()
-    expected = simulate(either.spec.model_copy(update={"stop": 1.0}), path).require_success()
+        got = System(spec.model_copy(update={"stop": 1.0}), path).run()
+    expected = System(either.spec.model_copy(update={"stop": 1.0}), path).run()
     for name, values in expected.signals.items():
         np.testing.assert_array_equal(got.signals[name], values)
 

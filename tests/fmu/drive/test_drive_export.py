@@ -13,8 +13,7 @@ from c_hosts import Wine, build_host
 from drive_runs import model_of
 from fmpy import read_model_description
 
-from cosim.systems.simulation import simulate
-from cosim.systems.system import SystemSpec
+from cosim.systems.system_file import System
 from fmu_src.blocks.controller import controller
 from fmu_src.check import check
 from fmu_src.drive.drive_fmu import export_drive
@@ -26,7 +25,6 @@ from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
-from hesr_model.support.config import read_toml
 
 VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"
 QEMU = shutil.which("qemu-aarch64")
@@ -154,7 +152,7 @@ def test_a_link_that_answers_at_once_makes_no_algebraic_loop(
         stiffness=[200.0],
     )  # fmt: skip
     write_fmu(controller(1, step=0.01), tmp_path / "Controller.fmu")
-    result = simulate(read_toml(path, SystemSpec), path).require_success()
+    result = System.read(path).run()
     torque, speed = (result.vector(n)[:, 0] for n in ("drive.tau_link", "link.dq_cmd"))
     assert len(result.t) == 51
     # At the start all is at rest but the link: tau = -10 v and v = 0.02 (5 - tau).

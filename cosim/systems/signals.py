@@ -1,0 +1,93 @@
+"""Signals that a run of a system has recorded."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hesr_model.errors import HesrError, SimulationError
+from hesr_model.logs.tables import write_table
+from hesr_model.support import frames, html
+from hesr_model.support.arrays import Array
+from hesr_model.support.files import PathArg, path_of, written_whole
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Signals:
+    """Observed signals of a run, up to its end or its failure.
+
+    Attributes
+    ----------
+    t : (N,) array, s
+        Communication points.
+    signals : dict of (N,) arrays
+        Values of every observed scalar in its unit, by `component.variable`.
+    failure : HesrError or None
+        Reason for an early end.
+
+    Examples
+    --------
+    >>> import hesr
+    >>> signals = hesr.System.read("loop.toml").run()
+    >>> signals.to_pandas().index.name
+    't'
+    >>> signals.write("result.csv")
+    """
+
+    t: Array
+    signals: dict[str, Array]
+    failure: HesrError | None = None
+
+    def __repr__(self) -> str:
+        return f"Signals({len(self.signals)} signals, {len(self.t)} samples to {self.end:g} s)"
+
+    def _repr_html_(self) -> str:
+        rows = ((name, *values[:1], *values[-1:]) for name, values in self.signals.items())
+        return html.table(repr(self), ("signal", "first", "last"), rows)
+
+    @property
+    def end(self) -> float:
+        """Time of the last sample [s]; 0 without samples."""
+        return float(self.t[-1]) if len(self.t) else 0.0
+
+    def vector(self, signal: str) -> Array:
+        """Return all elements of an observed signal, (N, n) in its unit.
+
+        Raises
+        ------
+        SimulationError
+            If it was not observed.
+        """
+        names = [signal] if signal in self.signals else []
+        while (name := f"{signal}[{len(names) + 1}]") in self.signals:
+            names.append(name)
+        if not names:
+            raise SimulationError(f"signal '{signal}' has not been observed.")
+        return np.column_stack([self.signals[name] for name in names])
+
+    def require_success(self) -> "Signals":
+        """Return itself, or raise the failure."""
+        if self.failure:
+            raise self.failure
+        return self
+
+    def to_pandas(self) -> Any:
+        """Return a `pandas.DataFrame` with a column per signal over ``t`` [s].
+
+        Raises
+        ------
+        ConfigError
+            If pandas is not installed.
+        """
+        return frames.pandas_frame({"t": self.t} | self.signals, index="t")
+
+    def write(self, path: PathArg) -> None:
+        """Write time and signals as CSV or, with suffix ``.parquet``, as Parquet.
+
+        Raises
+        ------
+        ArtifactError
+            If the file cannot be written.
+        """
+        with written_whole(path_of(path, "an output")) as temporary:
+            write_table(temporary, {"t": self.t} | self.signals)
