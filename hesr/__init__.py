@@ -9,13 +9,14 @@ Every command of `hesr` is a function, and every object a class::
     print(friction.equation(), friction.score(hesr.Log.read("test.csv", robot="robot.toml")))
     friction.to_fmu("Friction.fmu")
 
-Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor; HesrError, the base of all errors
+Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor, Fmu, System, Signals;
+          HesrError, the base of all errors
 Commands  new, inspect, excite, identify, fit, test, export, check, simulate, run, report, monitor;
           laws, the laws that `fit` knows
 
-A path is text or a path object. Logs, bodies, laws and results show themselves as tables in a
-notebook; logs have `to_pandas()` and `to_xarray()`. The stub `__init__.pyi` is the list of names;
-each is imported when it is first used.
+A path is text or a path object. Logs, bodies, laws, FMUs and results show themselves as tables in a
+notebook; logs and signals have `to_pandas()`, logs also `to_xarray()`. The stub `__init__.pyi` is
+the list of names; each is imported when it is first used.
 """
 
 import re

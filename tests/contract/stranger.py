@@ -19,6 +19,21 @@ def classes() -> None:
     print(regressor.score(log), regressor.equation(), torque.shape, log.name, robot.n)
 
 
+def fmus() -> None:
+    fmu = hesr.Fmu(Path("F.fmu"), trust=True)
+    units = {name: variable.unit for name, variable in fmu.variables.items()}
+    if fmu.model is not None:
+        print(fmu.model.law)
+    print(units, fmu.replay(t=np.zeros(3), dq=np.zeros((3, 2))).shape)
+    with fmu.instance() as friction:
+        friction.initialise(start={"dq[1]": 0.2})
+        friction.step(0.0, 0.005)
+        print(friction.get(["tau[1]"]).shape)
+    signals = hesr.System.read("loop.toml").run()
+    signals.write("result.csv")
+    print(signals.t.shape, signals.signals["a.y"].shape, hesr.check(fmu).passed)
+
+
 def verbs() -> None:
     made = hesr.new("folder", Path("arm.urdf"), joints=("a",))
     print(made.folder, made.joints)
@@ -33,7 +48,8 @@ def verbs() -> None:
     path = hesr.export(model, "F.fmu", platform=("linux64",), fmi=3, power=True)
     drive = hesr.export(model, Path("D.fmu"), format="drive", inertia=[1.0, 2.0])
     print(path.name, drive.name, hesr.check([path], kind=("hostile",)).to_json())
-    print(hesr.simulate("loop.toml", output="result.csv"))
+    run = hesr.simulate("loop.toml", output="result.csv")
+    print(run.t if isinstance(run, hesr.Signals) else run.summary())
     print(hesr.run("study.toml", quick=True).outcome.fmus["lugre"].name)
     print(hesr.run(seeds=3))
     print(hesr.report("results", output="page.html").name)

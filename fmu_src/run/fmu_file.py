@@ -1,0 +1,163 @@
+"""FMU files: their variables, embedded friction model, replay and instances."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from numpy.typing import ArrayLike
+
+from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.run.fmu import FmuInstance, remember
+from fmu_src.run.replay import replay
+from fmu_src.run.variables import model_description
+from hesr_model.friction.model import FrictionModel
+from hesr_model.support import html
+from hesr_model.support.arrays import Array
+from hesr_model.support.files import PathArg, path_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class FmuVariable:
+    """A scalar variable of an FMU, as declared.
+
+    Attributes
+    ----------
+    type : str
+        Real, Integer, Boolean, String or Enumeration.
+    causality, variability : str
+        By FMI, as "input" and "continuous".
+    unit, start, description : str
+        Empty if not declared.
+    """
+
+    type: str
+    causality: str
+    variability: str
+    unit: str
+    start: str
+    description: str
+
+
+class Fmu:
+    """An FMU file of any tool, of FMI 2.0 or 3.0; usable wherever a path is.
+
+    Parameters
+    ----------
+    path : path
+        The FMU.
+    trust : bool
+        Run this FMU without a sandbox, now and later: faster, but it can do what you can.
+
+    Attributes
+    ----------
+    path : Path
+        The FMU.
+    variables : mapping of str to FmuVariable
+        Variables by name; arrays of FMI 3.0 have one for each element.
+    model : FrictionModel or None
+        Embedded friction model; None in FMUs of other tools.
+
+    Raises
+    ------
+    SimulationError
+        If the FMU cannot be read.
+
+    Examples
+    --------
+    >>> import hesr
+    >>> fmu = hesr.Fmu("Friction.fmu")
+    >>> fmu.variables["dq[1]"].unit
+    'rad/s'
+    >>> fmu.model.robot
+    'uf850'
+    >>> fmu.replay(t=[0.0, 0.01], dq=[[0.1, 0.0, 0.2], [0.1, 0.0, 0.2]]).shape
+    (2, 3)
+    >>> with fmu.instance() as friction:
+    ...     friction.initialise(start={"dq[1]": 0.2})
+    ...     friction.step(0.0, 0.005)
+    ...     friction.get(["tau[1]"]).shape
+    (1,)
+    """
+
+    def __init__(self, path: PathArg, trust: bool = False) -> None:
+        self.path = path_of(path, "an FMU")
+        about = model_description(self.path)
+        self._fmi: str = about.fmiVersion
+        self.variables: Mapping[str, FmuVariable] = {
+            v.name: FmuVariable(
+                type=v.type,
+                causality=v.causality or "local",
+                variability=v.variability or "continuous",
+                unit=v.unit or (v.declaredType and v.declaredType.unit) or "",
+                start=v.start or "",
+                description=v.description or "",
+            )
+            for v in about.modelVariables
+        }
+        if trust:
+            remember(self.path)
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+    def __repr__(self) -> str:
+        return f"Fmu('{self.path}', FMI {self._fmi}, {len(self.variables)} variables)"
+
+    def _repr_html_(self) -> str:
+        head = ("variable", "causality", "unit", "start", "description")
+        rows = (
+            (name, v.causality, v.unit, v.start, v.description)
+            for name, v in self.variables.items()
+        )
+        return html.table(repr(self), head, rows)
+
+    @cached_property
+    def model(self) -> FrictionModel | None:
+        """Embedded friction model; None in FMUs of other tools.
+
+        Raises
+        ------
+        ArtifactError
+            If the FMU cannot be read, or its model is damaged.
+        """
+        return embedded_model(self.path)
+
+    def replay(
+        self,
+        *,
+        t: ArrayLike,
+        dq: ArrayLike,
+        q: ArrayLike | None = None,
+        tau_load: ArrayLike | None = None,
+    ) -> Array:
+        """Run a friction FMU over a log; it steps from each sample to the next.
+
+        Parameters
+        ----------
+        t : (N,) array, s
+            Time, increasing.
+        dq : (N, n) array, rad/s
+            Joint velocity.
+        q : (N, n) array, rad, optional
+            Joint position; zero by default.
+        tau_load : (N, n) array, N.m, optional
+            Load torque; zero by default.
+
+        Returns
+        -------
+        (N, n) array, N.m
+            Friction torque.
+
+        Raises
+        ------
+        SimulationError
+            If the log does not fit the FMU or the FMU fails.
+        """
+        return replay(self.path, t, dq, q, tau_load)
+
+    def instance(self) -> FmuInstance:
+        """Return an instance of the FMU: a context manager that frees it on every exit.
+
+        A trusted FMU runs in this process, any other one in a sandbox.
+        """
+        return FmuInstance(self.path)
