@@ -191,8 +191,8 @@ def test_a_command_writes_page_and_json(
     assert said.code == 0, said.err
     assert "Coulomb (foreign)" in said.out
     envelope = json.loads(answer.read_text(encoding="utf-8"))
-    assert envelope["format"] == "hesr-arena-1"
-    data = envelope["result"]
+    assert envelope["format"] == "hesr-law-report-1"
+    data = envelope["result"]["leaderboard"]
     text = page.read_text(encoding="utf-8")
     for standing in data["standings"]:
         assert standing["sha256"] in text
