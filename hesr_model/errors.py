@@ -5,7 +5,7 @@ the value needed. The command line prints it and exits with code 2.
 """
 
 import re
-from collections.abc import Collection
+from collections.abc import Mapping
 
 from hesr_model.support.text import escaped
 
@@ -34,13 +34,9 @@ class ArgumentError(ConfigError):
     The sentence quotes parameters by their Python names.
     """
 
-    def on_command_line(self, parameters: Collection[str]) -> str:
-        """Return the sentence with the parameters of the command as options."""
-
-        def option(found: re.Match[str]) -> str:
-            return f"--{found[1].replace('_', '-')}" if found[1] in parameters else found[0]
-
-        return re.sub(r"'([a-z_]+)'", option, str(self))
+    def on_command_line(self, options: Mapping[str, str]) -> str:
+        """Return the sentence with the parameters as options, which are given by parameter."""
+        return re.sub(r"'([a-z_]+)'", lambda found: options.get(found[1], found[0]), str(self))
 
 
 class LogError(HesrError):

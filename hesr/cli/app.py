@@ -108,7 +108,8 @@ def _answer(function: Function, given: dict[str, Any]) -> "Answer":
         try:
             result = function(**given, **more)
         except ArgumentError as error:
-            options = [*taken, *(one.name for one in _more(function))]
+            parameters = click.get_current_context().command.params
+            options = {one.name: one.opts[-1] for one in parameters if one.name}
             raise ConfigError(error.on_command_line(options)) from error
     if isinstance(result, Answer):
         return result

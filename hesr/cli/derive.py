@@ -233,7 +233,7 @@ def _wrapped(metavar: str, *, many: bool, required: bool) -> str:
 def _kind(annotation: str, function: Function, form: Form) -> Kind:
     named = vars(sys.modules[function.__module__]).get(annotation)
     if get_origin(named) is Literal:
-        return click.Choice([str(value) for value in get_args(named)])
+        return click.Choice(get_args(named))
     if annotation.startswith("Mapping"):
         return _Pair()
     kinds: dict[str, Kind] = {

@@ -268,8 +268,15 @@ def test_a_log_that_is_given_twice(
     log = spoiled(bench, tmp_path, len)
     again = tmp_path / "copy.csv" if copied else log
     again.write_bytes(log.read_bytes())
-    name, first, *more = bench.command(command, output=tmp_path / "output", log=log)
-    assert refused(name, first, again, *more) == (
+    arguments = bench.command(command, output=tmp_path / "output", log=log)
+    option = ["--on"] if command == "test law" else []
+    arguments[arguments.index(log) :] = [
+        log,
+        *option,
+        again,
+        *arguments[arguments.index(log) + 1 :],
+    ]
+    assert refused(*arguments) == (
         f"{again}: has the same content as {log}; leave one of them out."
     )
 

@@ -30,7 +30,7 @@ def test_an_mjcf_becomes_an_fmu(hesr, mjcf, tmp_path):
     fmu = tmp_path / "Swing.fmu"
     answer = hesr("export", mjcf, "-o", fmu)
     assert answer.code == 0, answer.err
-    assert answer.out == f"written to {fmu}.\n"
+    assert answer.out.endswith(f" KiB.\nWritten: {fmu}\n")
     with FmuInstance(fmu) as swing:
         assert swing.description.modelName == "swing"
         swing.initialise()
@@ -53,7 +53,7 @@ def test_the_twin_with_its_table(hesr, tmp_path):
 def test_the_same_for_hosts_in_python(hesr, mjcf, tmp_path):
     native, python = tmp_path / "Swing.fmu", tmp_path / "PythonSwing.fmu"
     assert hesr("export", mjcf, "-o", native).code == 0
-    answer = hesr("export", mjcf, "-o", python, "--python")
+    answer = hesr("export", mjcf, "-o", python, "--format", "python-arm")
     assert answer.code == 0, answer.err
     found = []
     for fmu in (native, python):
@@ -78,13 +78,13 @@ def test_the_same_for_hosts_in_python(hesr, mjcf, tmp_path):
         (["swing.xml", "-o", "A.fmu", "--platform", "win64"],
          "platform 'win64': MuJoCo for it is in the wheel of mujoco-core=="),
         (["swing.xml", "-o", "A.fmu", "--platform", "all"], "which pip could not get ("),
-        (["swing.xml", "-o", "A.fmu", "--python", "--platform", "win64"],
-         "--platform is for native FMUs; with --python there is no such choice."),
-        (["uf850-table1", "-o", "A.fmu", "--python"],
-         "--python is for an MJCF, a file in .xml; 'uf850-table1' is none."),
+        (["swing.xml", "-o", "A.fmu", "--format", "python-arm", "--platform", "win64"],
+         "--platform is for native FMUs; python-arm has no such choice."),
+        (["uf850-table1", "-o", "A.fmu", "--format", "python-arm"],
+         "--format is python-arm; allowed are adaptive, c, drive, fmu, jax, mjcf, modelica, ssv, "),
         (["swing.xml", "-o", "A.fmu", "--platform", "vms"], "platform 'vms' is unknown"),
         (["uf850-table1", "-o", "A.fmu", "--signals", "table.toml"],
-         "--signals is for an MJCF, a file in .xml; 'uf850-table1' is none."),
+         "--signals is for an MJCF (.xml)."),
     ],
 )  # fmt: skip
 def test_what_cannot_be_done_is_one_sentence(

@@ -37,7 +37,7 @@ def test_a_system_is_run_and_written(write: Write, tmp_path: Path, hesr: Hesr, s
     output = tmp_path / "results" / f"lags.{suffix}"
     answer = hesr("simulate", write(), "-o", output)
     assert answer.code == 0, answer.err
-    assert answer.out == f"11 samples of 2 signals, written to {output}.\n"
+    assert answer.out == f"11 samples of 2 signals to t = 1 s.\nWritten: {output}\n"
     table = read_table(output)
     assert table.names == ("t", "a.y", "b.y")
     t, a, _ = table.numbers(table.names).T
@@ -124,4 +124,4 @@ def test_outputs_that_cannot_be_written(write: Write, tmp_path: Path, hesr: Hesr
 
 def test_help_names_the_command(hesr: Hesr) -> None:
     assert "simulate" in hesr("--help").out
-    assert "SYSTEM.toml" in hesr("simulate", "--help").out
+    assert "SYSTEM  System (.toml" in hesr("simulate", "--help").out

@@ -65,7 +65,7 @@ def test_a_messy_log_gets_a_robot_file_that_reads_it(
     written, page = messy.with_name("robot.toml"), messy.with_name("page.html")
     said = hesr("inspect", messy, "--robot", arm.model, "--write", written, "-o", page)
     assert (said.code, said.err) == (0, "")
-    assert "With the proposed robot file:" in said.out
+    assert "Fixed by the proposed robot file: log messy" in said.out
     data = tomllib.loads(written.read_text("utf-8"))
     assert data["log"]["missing"] == "drop"
     assert data["log"]["units"] == {"q": "deg", "dq": "deg/s"}
@@ -153,12 +153,15 @@ def test_a_clean_log_is_called_clean(
     answer = tmp_path / "answer.json"
     said = hesr("inspect", path, "--robot", arm.model, "--json", answer)
     assert said.code == 0
-    assert "Nothing wrong or odd was found." in said.out
-    assert json.loads(answer.read_text("utf-8")) == {"given": [], "proposed": [], "reasons": {}}
+    assert "Nothing wrong or unusual was found." in said.out
+    envelope = json.loads(answer.read_text("utf-8"))
+    assert (envelope["passed"], envelope["findings"]) == (True, [])
+    empty = {"given": [], "proposed": [], "reasons": {}, "torque_constants": []}
+    assert envelope["result"] == empty
 
 
 def test_logs_are_looked_at_without_a_robot(messy: Path, hesr: Hesr) -> None:
-    said = hesr("inspect", messy)
+    said = hesr("inspect", messy, "--verbose")
     assert said.code == 0
     assert "joint3" in said.out
     refused = hesr("inspect", messy, "--write", messy.with_name("robot.toml"))

@@ -90,7 +90,7 @@ def test_what_is_laid_runs_at_once_and_again_with_own_logs(
     command = answer.out.splitlines()[-1].removeprefix("Next: hesr ").split()
     assert command == ["run", "my_arm/study.toml"]
 
-    answer = hesr(*command)
+    answer = hesr(*command, "--verbose")
     assert answer.code == 0, answer.err
     assert "LuGre" in answer.out
     assert "results/my_arm/fmus/parfam_h.fmu" in answer.out
@@ -104,7 +104,7 @@ def test_what_is_laid_runs_at_once_and_again_with_own_logs(
     description = RobotDescription.read(Path("my_arm/robot.toml"))
     for name, phase in (("sample_training", 0.0), ("sample_test", 2.0)):
         own_log(description, name, phase).write(Path(f"my_arm/logs/{name}.csv"))
-    answer = hesr(*command)
+    answer = hesr(*command, "--verbose")
     assert answer.code == 0, answer.err
     assert "Stribeck" not in answer.out
     assert "The logs were measured" in Path("results/my_arm/report.html").read_text("utf-8")

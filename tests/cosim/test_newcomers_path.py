@@ -176,7 +176,7 @@ def messy(folder: Path, log: RobotLog) -> str:
 
 
 def commands_of_the_readme() -> list[str]:
-    """Those that lead from a log of one's own to an FMU: the two of the section's first block."""
+    """Those that lead from a log of one's own to a checked FMU: the section's first block."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     section = text.partition("\n## Your own robot\n")[2]
     found = re.match(r"\n((?: {4}hesr .*\n)+)", section)
@@ -213,20 +213,22 @@ def test_a_log_becomes_an_fmu(write: Write, joints: int, seconds: float, tmp_pat
     model.write_text(urdf(UR[:joints]), encoding="utf-8")
     truth = measured(model, UR[:joints], seconds)
     log = write(tmp_path, truth.log)
-    inspect, run = (
+    inspect, run, check = (
         command.replace("log.csv", log).replace("my_arm.urdf", model.name)
         for command in commands_of_the_readme()
     )
-    assert hesr(tmp_path, inspect).endswith(f"Next: {run}\n")
-    said = " ".join(hesr(tmp_path, f"{run} --quick").split())
-    taken = re.search(r"Take (fmus/\S+)", said)
-    results = re.search(r"Everything is in (\S+);", said)
-    assert taken
-    assert results
-    fmu = tmp_path / results[1] / taken[1]
+    following = hesr(tmp_path, inspect).splitlines()[-1]
+    assert run.startswith(following.removeprefix("Next: "))
+    said = hesr(tmp_path, f"{run} --quick")
+    recommended = re.match(r"Recommended: (\S+) \(", said)
+    report = re.search(r"^Report: (.+)$", said, re.MULTILINE)
+    assert recommended
+    assert report
+    fmu = tmp_path / recommended[1]
     if write is messy:
-        assert "rows lack a number" in (fmu.parents[1] / "report.html").read_text("utf-8")
-    assert "no problem found." in hesr(tmp_path, f"hesr check {shlex.quote(str(fmu))}")
+        assert "rows lack a number" in (tmp_path / report[1]).read_text("utf-8")
+    checked = check.replace("results/my_arm/fmus/lugre.fmu", recommended[1])
+    assert "no problem found." in hesr(tmp_path, checked)
     # In the torque of the constants that were proposed where the log holds currents.
     robot = RobotDescription.read(tmp_path / "robot.toml")
     scale = np.ones(joints)
@@ -237,7 +239,7 @@ def test_a_log_becomes_an_fmu(write: Write, joints: int, seconds: float, tmp_pat
 
 
 def test_it_is_short() -> None:
-    """Installing, the two commands above, and a look at what came out."""
+    """Installing, the commands above, and a look at what came out."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(readme.splitlines()) <= 150
     start = readme.partition("\n## Start\n")[2]
