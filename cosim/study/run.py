@@ -39,7 +39,7 @@ from hesr_model.support.typed_json import to_json, write_json
 if TYPE_CHECKING:
     from hesr_model.audit.properties import Properties
 
-Result = TypeVar("Result")
+Returned = TypeVar("Returned")
 
 _WORK = ("cosim.study.scores", "hesr_model.fitting.fit")
 """Modules preloaded by the workers."""
@@ -265,9 +265,9 @@ def _documented(
 
 def _of_each(
     models: Mapping[str, FrictionModel],
-    do: Callable[[str, FrictionModel], Result],
+    do: Callable[[str, FrictionModel], Returned],
     progress: Progress,
-) -> dict[str, Result]:
+) -> dict[str, Returned]:
     """Apply a function to each law, in processes."""
     jobs = [partial(do, law, fitted) for law, fitted in models.items()]
     with parallel.results_of(jobs, costs=[fitted.size for fitted in models.values()]) as done:

@@ -7,7 +7,7 @@ from importlib.metadata import version as installed
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from cosim.systems.contents import SystemContents, Unit
+from cosim.systems.contents import SystemContents, UnitExponents
 from cosim.systems.markup import add_units, text_of, to_bytes
 from fmu_src.run.master import Element
 
@@ -122,7 +122,7 @@ def _convention(exposed: list[Exposed]) -> str:
 
 
 def _scalar(
-    contents: SystemContents, shown: Exposed, reference: int, units: Mapping[str, Unit]
+    contents: SystemContents, shown: Exposed, reference: int, units: Mapping[str, UnitExponents]
 ) -> ET.Element:
     component, name = shown.element
     variable = contents.variables[component][name]

@@ -17,7 +17,7 @@ _FIRST_DATE = datetime(1980, 1, 1, tzinfo=UTC)
 _LAST_DATE = datetime(2107, 12, 31, tzinfo=UTC)
 """Range of dates in a zip archive."""
 
-Unit = tuple[float, ...]
+UnitExponents = tuple[float, ...]
 """A unit in terms of `fmu_src.run.variables.SI`."""
 
 
@@ -52,16 +52,16 @@ class SystemContents:
             if (name, output) in wanted
         ]
 
-    def units(self, elements: Iterable[Element]) -> dict[str, Unit]:
+    def units(self, elements: Iterable[Element]) -> dict[str, UnitExponents]:
         """Return the defined units of variables by name; the first one if definitions differ."""
-        found: dict[str, Unit] = {}
+        found: dict[str, UnitExponents] = {}
         for name, variable in elements:
             unit, base = self.variables[name].unit(variable)
             if unit and base is not None:
                 found.setdefault(unit, base)
         return found
 
-    def unit(self, element: Element, defined: Mapping[str, Unit]) -> dict[str, str]:
+    def unit(self, element: Element, defined: Mapping[str, UnitExponents]) -> dict[str, str]:
         """Return the XML attribute of a variable's unit; empty if the unit is not defined."""
         name, variable = element
         unit, base = self.variables[name].unit(variable)

@@ -6,7 +6,7 @@ from math import isfinite
 from typing import Literal
 from xml.etree import ElementTree as ET
 
-from cosim.systems.contents import Unit
+from cosim.systems.contents import UnitExponents
 from fmu_src.run.variables import SI, Variables
 from hesr_model.errors import ConfigError
 
@@ -42,7 +42,7 @@ class ValueWithUnit:
 
     value: float
     unit: str
-    base: Unit | None
+    base: UnitExponents | None
 
 
 def to_bytes(root: ET.Element) -> bytes:
@@ -62,7 +62,7 @@ def text_of(kind: str, value: float | str) -> str:
 
 
 def add_units(
-    parent: ET.Element, tag: str, units: Mapping[str, Unit], prefix: str = "ssc:"
+    parent: ET.Element, tag: str, units: Mapping[str, UnitExponents], prefix: str = "ssc:"
 ) -> None:
     """Add the definitions of units, if any; FMI has the same elements without a prefix."""
     if not units:
@@ -78,7 +78,7 @@ def add_units(
         ET.SubElement(unit, f"{prefix}BaseUnit", said)
 
 
-def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, Unit]:
+def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponents]:
     """Return the units defined by `ssc:Unit` elements, by name; `where` is for messages.
 
     Raises
@@ -86,7 +86,7 @@ def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, Unit]:
     ConfigError
         If an exponent, a factor or an offset is not a number.
     """
-    found: dict[str, Unit] = {}
+    found: dict[str, UnitExponents] = {}
     for node in nodes:
         name, base = node.get("name", ""), node.find("{*}BaseUnit")
         said = {} if base is None else base.attrib
@@ -103,7 +103,7 @@ def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, Unit]:
     return found
 
 
-def differ(one: str, other: str, defined: Mapping[str, Unit]) -> bool:
+def differ(one: str, other: str, defined: Mapping[str, UnitExponents]) -> bool:
     """Whether two units of one file are defined and not equal."""
     return one in defined and other in defined and defined[one] != defined[other]
 

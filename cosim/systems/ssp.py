@@ -9,7 +9,7 @@ from importlib.metadata import version as installed
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from cosim.systems.contents import SystemContents, Unit
+from cosim.systems.contents import SystemContents, UnitExponents
 from cosim.systems.markup import NAMESPACES, SSD, Version, add_units, text_of, to_bytes
 from cosim.systems.ssp_results import result_files
 from cosim.systems.system import ComponentSpec
@@ -134,7 +134,7 @@ def _component(
     contents: SystemContents,
     component: ComponentSpec,
     connectors: list[Element],
-    units: dict[str, Unit],
+    units: dict[str, UnitExponents],
 ) -> ET.Element:
     name = component.name
     node = ET.Element(

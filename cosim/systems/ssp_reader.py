@@ -13,7 +13,7 @@ from xml.etree import ElementTree as ET
 
 from pydantic import TypeAdapter, ValidationError
 
-from cosim.systems.contents import Unit, description_of
+from cosim.systems.contents import UnitExponents, description_of
 from cosim.systems.markup import NAMESPACES, SSD, ValueWithUnit, differ, in_unit_of, read_units
 from cosim.systems.system import Name, SystemSpec
 from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
@@ -180,7 +180,7 @@ class _Reader:
         return found
 
     def value(
-        self, parameter: ET.Element, units: Mapping[str, Unit], where: str
+        self, parameter: ET.Element, units: Mapping[str, UnitExponents], where: str
     ) -> float | int | bool | str | ValueWithUnit:
         for node in parameter:
             kind, text = node.tag.rpartition("}")[2], self.attribute(node, "value", where)

@@ -9,7 +9,7 @@ from typing import Any
 
 from fmu_src.check import functions, libraries
 from fmu_src.check.archive import Contents
-from fmu_src.check.description import KINDS, Description, Kind
+from fmu_src.check.description import KINDS, InterfaceKind, ParsedDescription
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
 from hesr_model.support.text import listed, plain, quoted
@@ -58,7 +58,7 @@ _FOLDER = "binaries/"
 _PYTHON = re.compile("_?Py[A-Z_][A-Za-z_]+")
 
 
-def problems(about: Description, contents: Contents, folder: Path) -> Iterator[str]:
+def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iterator[str]:
     """Yield what is wrong with the binaries; `folder` is for temporary files."""
     for platform, names in _by_platform(contents).items():
         expected = _platforms(about).get(platform)
@@ -80,11 +80,11 @@ def problems(about: Description, contents: Contents, folder: Path) -> Iterator[s
                 )
 
 
-def _platforms(about: Description) -> Mapping[str, Platform]:
+def _platforms(about: ParsedDescription) -> Mapping[str, Platform]:
     return PLATFORMS if about.fmi == 2 else PLATFORMS_3
 
 
-def skipped(about: Description, contents: Contents) -> list[str]:
+def skipped(about: ParsedDescription, contents: Contents) -> list[str]:
     """Return the folders whose binaries are not looked at, and why."""
     return [
         f"binaries/{plain(platform)}: not looked at, since no platform of this name is known."
@@ -106,8 +106,8 @@ def _by_platform(contents: Contents) -> dict[str, set[str]]:
 
 def _of_library(
     file: Path,
-    about: Description,
-    kinds: list[Kind],
+    about: ParsedDescription,
+    kinds: list[InterfaceKind],
     expected: Platform,
     beside: set[str],
     folder: Path,
@@ -133,7 +133,9 @@ def _of_library(
     yield from dict.fromkeys(texts)
 
 
-def _exports(part: Mapping[str, Any], about: Description, kinds: list[Kind]) -> Iterator[str]:
+def _exports(
+    part: Mapping[str, Any], about: ParsedDescription, kinds: list[InterfaceKind]
+) -> Iterator[str]:
     if not part["shared"]:
         yield "it is a program or object file; needed is a shared library."
     exports = set(part["exports"])
@@ -149,7 +151,7 @@ def _exports(part: Mapping[str, Any], about: Description, kinds: list[Kind]) -> 
         yield f"it exports {listed(strange)}, which FMI {about.fmi}.0 does not have."
 
 
-def _missing(kind: Kind, exports: set[str]) -> Iterator[str]:
+def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[str]:
     """Yield the functions that hosts look for and do not find."""
     required = functions.REQUIRED[kind.element]
     missing = [name for name in required if name not in exports]

@@ -13,7 +13,7 @@ import numpy as np
 
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.reference import reference_motion
-from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
+from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, ReferenceMotion, errors, torques
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import require_finite
 from fmu_src.run.variables import model_description
@@ -118,7 +118,7 @@ def judge(fmu: Path) -> FrictionModel:
     return model
 
 
-def run(fmu: Path, motion: Motion, setting: str) -> Array:
+def run(fmu: Path, motion: ReferenceMotion, setting: str) -> Array:
     """Return the (N, n) torque [N.m] of an FMU whose inputs are handed over in one way.
 
     Parameters

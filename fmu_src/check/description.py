@@ -65,7 +65,7 @@ def flag(text: str | None) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
+class InterfaceKind:
     """The ModelExchange or the CoSimulation element."""
 
     element: str
@@ -99,7 +99,7 @@ class SimpleType:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Variable:
+class ParsedVariable:
     """A variable; `own` are the attributes of its Real, Integer, ... element.
 
     Of FMI 3.0, `size` is how many elements it has, None where that is not known, and `others` are
@@ -140,7 +140,7 @@ class Unknown:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Description:
+class ParsedDescription:
     """All that the rules look at.
 
     Of FMI 3.0, `structure` has the names of FMI 2.0; `lists` has their places in the file.
@@ -149,12 +149,12 @@ class Description:
     fmi: int
     lists: Mapping[str, str]
     attributes: Mapping[str, str]
-    kinds: tuple[Kind, ...]
+    kinds: tuple[InterfaceKind, ...]
     units: tuple[tuple[str, tuple[str, ...]], ...]
     types: tuple[SimpleType, ...]
     categories: tuple[str, ...]
     experiment: Mapping[str, str]
-    variables: tuple[Variable, ...]
+    variables: tuple[ParsedVariable, ...]
     structure: Mapping[str, tuple[Unknown, ...]]
 
     @cached_property
@@ -176,14 +176,14 @@ class Description:
         """Types of continuous variables."""
         return ("Real",) if self.fmi == 2 else FLOATS
 
-    def variable(self, index: int | None) -> Variable | None:
+    def variable(self, index: int | None) -> ParsedVariable | None:
         """Return the variable of an index that counts from 1, or None."""
         if index is None or not 0 < index <= len(self.variables):
             return None
         return self.variables[index - 1]
 
 
-def read_description(root: etree._Element) -> Description:
+def read_description(root: etree._Element) -> ParsedDescription:
     """Read the element fmiModelDescription of FMI 2.0."""
     return Reader(root).description()
 
@@ -216,15 +216,15 @@ class Reader:
         types = tuple(map(self._type, root.findall(self.types)))
         self._types, self._by_name = types, {t.name: t for t in types}
 
-    def description(self) -> Description:
+    def description(self) -> ParsedDescription:
         """Return all that it says."""
         root = self.root
-        return Description(
+        return ParsedDescription(
             fmi=self.fmi,
             lists=self.lists,
             attributes=_attributes(root),
             kinds=tuple(
-                Kind(element=name, attributes=_attributes(e), sources=self.sources(e))
+                InterfaceKind(element=name, attributes=_attributes(e), sources=self.sources(e))
                 for name in self.kinds
                 for e in root.findall(name)
             ),
@@ -255,11 +255,11 @@ class Reader:
         """Return the index of the variable that a text refers to, or None."""
         return integer(text)
 
-    def variable(self, index: int, element: etree._Element) -> Variable:
+    def variable(self, index: int, element: etree._Element) -> ParsedVariable:
         """Return a variable by its number and element."""
         own = self.own(element)
         given = _attributes(own)
-        return Variable(
+        return ParsedVariable(
             index=index,
             name=name_of(element),
             reference=integer(element.get("valueReference")),

@@ -12,9 +12,9 @@ from lxml import etree
 
 from fmu_src.check.description import (
     FLOATS,
-    Description,
+    ParsedDescription,
+    ParsedVariable,
     Reader,
-    Variable,
     integer,
     names_of,
 )
@@ -25,7 +25,7 @@ _TYPES = (
 )  # fmt: skip
 
 
-def read_description3(root: etree._Element, build: etree._Element | None) -> Description:
+def read_description3(root: etree._Element, build: etree._Element | None) -> ParsedDescription:
     """Read the element fmiModelDescription, and the sources that fmiBuildDescription lists."""
     return _Reader3(root, build).description()
 
@@ -70,7 +70,7 @@ class _Reader3(Reader):
         reference = integer(text)
         return -1 if reference is None else self._numbers.get(reference, -1 - reference)
 
-    def variable(self, index: int, element: etree._Element) -> Variable:
+    def variable(self, index: int, element: etree._Element) -> ParsedVariable:
         found = super().variable(index, element)
         own = dict(found.own)
         if "start" not in own and element.find("Start") is not None:  # of texts

@@ -5,14 +5,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from datetime import datetime
 
-from fmu_src.check.description import KINDS, Description, real
+from fmu_src.check.description import KINDS, ParsedDescription, real
 from hesr_model.support.text import quoted
 
 _C_NAME = re.compile("[A-Za-z_][A-Za-z0-9_]*")
 _DATE = "%Y-%m-%dT%H:%M:%SZ"
 
 
-def kinds(about: Description) -> Iterator[str]:
+def kinds(about: ParsedDescription) -> Iterator[str]:
     """Check that the FMU supports model exchange or co-simulation without its tool."""
     if not about.kinds:
         yield f"the elements {' and '.join(KINDS)} are both missing."
@@ -35,7 +35,7 @@ def kinds(about: Description) -> Iterator[str]:
             )
 
 
-def identity(about: Description) -> Iterator[str]:
+def identity(about: ParsedDescription) -> Iterator[str]:
     """Check the GUID and the format of the date."""
     token = "guid" if about.fmi == 2 else "instantiationToken"
     if not about.attributes.get(token, "").strip():
@@ -53,7 +53,7 @@ def _is_date(text: str) -> bool:
         return False
 
 
-def experiment(about: Description) -> Iterator[str]:
+def experiment(about: ParsedDescription) -> Iterator[str]:
     """Check that the default experiment can be run."""
     start, stop, step, tolerance = (
         real(about.experiment.get(n)) for n in ("startTime", "stopTime", "stepSize", "tolerance")
@@ -70,7 +70,7 @@ def experiment(about: Description) -> Iterator[str]:
             yield f"DefaultExperiment has {name} {text.strip()}; it must be finite."
 
 
-def definitions(about: Description) -> Iterator[str]:
+def definitions(about: ParsedDescription) -> Iterator[str]:
     """Check that names of definitions are unique."""
     yield from repeated("unit", (name for name, _ in about.units))
     for unit, displays in about.units:

@@ -16,7 +16,13 @@ from typing import Any
 import numpy as np
 
 from fmu_src.check.archive import Contents
-from fmu_src.check.description import Description, Kind, Variable, integer, real
+from fmu_src.check.description import (
+    InterfaceKind,
+    ParsedDescription,
+    ParsedVariable,
+    integer,
+    real,
+)
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import NONSENSE, Sandbox
 from hesr_model.support.arrays import Array
@@ -69,7 +75,9 @@ class _Run:
     refused: str
 
 
-def problems(about: Description, contents: Contents, folder: Path) -> tuple[list[str], list[str]]:
+def problems(
+    about: ParsedDescription, contents: Contents, folder: Path
+) -> tuple[list[str], list[str]]:
     """Return the findings of a hostile master, and reasons for scenarios that were not run.
 
     Parameters
@@ -103,7 +111,11 @@ class _Master:
     """The scenarios of one FMU and their findings."""
 
     def __init__(
-        self, about: Description, kinds: Mapping[str, Kind], place: Path, folder: Path
+        self,
+        about: ParsedDescription,
+        kinds: Mapping[str, InterfaceKind],
+        place: Path,
+        folder: Path,
     ) -> None:
         self._folder = folder
         self._outputs = [v for v in about.variables if v.causality == "output" and _is_real(v)]
@@ -247,16 +259,16 @@ class _Master:
         )
 
 
-def _is_real(variable: Variable) -> bool:
+def _is_real(variable: ParsedVariable) -> bool:
     return variable.kind == "Real" and variable.reference is not None
 
 
-def _preferred_step(about: Description) -> float:
+def _preferred_step(about: ParsedDescription) -> float:
     step = real(about.experiment.get("stepSize"))
     return step if step is not None and math.isfinite(step) and step > 0.0 else _STEP
 
 
-def _excitation(variable: Variable) -> dict[str, Any]:
+def _excitation(variable: ParsedVariable) -> dict[str, Any]:
     """Return centre and amplitude of an input within its limits."""
     start, low, high = (real(variable.get(name)) for name in ("start", "min", "max"))
     centre = start if start is not None and math.isfinite(start) else 0.0

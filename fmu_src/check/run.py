@@ -25,7 +25,7 @@ from fmu_src.check import (
     variables,
 )
 from fmu_src.check.archive import Contents
-from fmu_src.check.description import Description, read_description
+from fmu_src.check.description import ParsedDescription, read_description
 from fmu_src.check.description3 import read_description3
 from fmu_src.check.report import Report, problems_of
 from hesr_model.errors import ConfigError
@@ -35,7 +35,7 @@ from hesr_model.support.text import plain, quoted
 _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
 _OTHER_XML = (terminals.FILE, _BUILD)
-Rule = Callable[[Description], Iterator[str]]
+Rule = Callable[[ParsedDescription], Iterator[str]]
 _RULES: tuple[Rule, ...] = (*general.RULES, *variables.RULES, *structure.RULES)
 
 
@@ -131,7 +131,9 @@ class _Found:
             found = hostile.problems(read_description(root), contents, self._folder)
             self._add_run("hostile", found)
 
-    def _check_rules(self, about: Description, more: Iterable[Rule], contents: Contents) -> None:
+    def _check_rules(
+        self, about: ParsedDescription, more: Iterable[Rule], contents: Contents
+    ) -> None:
         self._add("rules", chain.from_iterable(rule(about) for rule in (*_RULES, *more)))
         if terminals.FILE in contents.files:
             connected, _ = markup.parse(terminals.FILE, contents.files[terminals.FILE])

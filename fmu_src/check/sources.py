@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 
 from fmu_src.check.archive import Contents
-from fmu_src.check.description import Description
+from fmu_src.check.description import ParsedDescription
 from hesr_model.support.text import plain, quoted
 
 MOST_BYTES = 8 << 20
@@ -34,7 +34,7 @@ _INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]{1,500})"', re.MULTI
 _FOLDER = "sources/"
 
 
-def problems(about: Description, contents: Contents) -> Iterator[str]:
+def problems(about: ParsedDescription, contents: Contents) -> Iterator[str]:
     """Yield what is missing for the sources to be compiled."""
     names = set(contents.names)
     binaries = any(name.startswith("binaries/") for name in names)
@@ -50,7 +50,7 @@ def problems(about: Description, contents: Contents) -> Iterator[str]:
     yield from _includes(about, contents)
 
 
-def _includes(about: Description, contents: Contents) -> Iterator[str]:
+def _includes(about: ParsedDescription, contents: Contents) -> Iterator[str]:
     """Follow includes from the files to be compiled, by default from all files."""
     code = {
         name

@@ -4,11 +4,11 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
 
-from fmu_src.check.description import STRUCTURE, Description, Unknown, Variable, integer
+from fmu_src.check.description import STRUCTURE, ParsedDescription, ParsedVariable, Unknown, integer
 from hesr_model.support.text import listed, quoted
 
 
-def outputs(about: Description) -> Iterator[str]:
+def outputs(about: ParsedDescription) -> Iterator[str]:
     """Check that Outputs lists exactly the outputs."""
     needed = [v for v in about.variables if v.causality == "output"]
     yield from _compared(
@@ -16,7 +16,7 @@ def outputs(about: Description) -> Iterator[str]:
     )
 
 
-def derivatives(about: Description) -> Iterator[str]:
+def derivatives(about: ParsedDescription) -> Iterator[str]:
     """Check that Derivatives lists derivatives only, and all of them for model exchange."""
     declared = [v for v in about.variables if "derivative" in v.own]
     if about.exchanges:
@@ -32,7 +32,7 @@ def derivatives(about: Description) -> Iterator[str]:
         )
 
 
-def initial_unknowns(about: Description) -> Iterator[str]:
+def initial_unknowns(about: ParsedDescription) -> Iterator[str]:
     """Check that InitialUnknowns lists what initialisation computes, in the variables' order."""
     needed = {
         v.index: v
@@ -59,7 +59,7 @@ def initial_unknowns(about: Description) -> Iterator[str]:
             )
 
 
-def indices(about: Description) -> Iterator[str]:
+def indices(about: ParsedDescription) -> Iterator[str]:
     """Check that the listed variables exist and are listed once."""
     for name in STRUCTURE:
         for index, times in Counter(u.index for u in about.structure[name]).items():
@@ -70,7 +70,7 @@ def indices(about: Description) -> Iterator[str]:
                 yield f"{about.lists[name]} lists {quoted(variable.name)} {times} times."
 
 
-def dependencies(about: Description) -> Iterator[str]:
+def dependencies(about: ParsedDescription) -> Iterator[str]:
     """Check that every unknown has dependencies that exist, in order and with their kinds."""
     for name in STRUCTURE:
         unknowns = about.structure[name]
@@ -84,7 +84,7 @@ def dependencies(about: Description) -> Iterator[str]:
             yield from _of_unknown(about, name, unknown)
 
 
-def _of_unknown(about: Description, name: str, unknown: Unknown) -> Iterator[str]:
+def _of_unknown(about: ParsedDescription, name: str, unknown: Unknown) -> Iterator[str]:
     who = f"{about.lists[name]} gives {quoted(_named(about, unknown))}"
     known = unknown.dependencies
     if unknown.kinds is not None and known is None:
@@ -100,7 +100,9 @@ def _of_unknown(about: Description, name: str, unknown: Unknown) -> Iterator[str
         yield f"{who} {len(known)} dependencies and {len(unknown.kinds)} kinds of them."
 
 
-def _compared(about: Description, name: str, needed: list[Variable], why: str) -> Iterator[str]:
+def _compared(
+    about: ParsedDescription, name: str, needed: list[ParsedVariable], why: str
+) -> Iterator[str]:
     """Yield missing and surplus entries of a list."""
     found = {v.index for v in _listed_variables(about, name)}
     lacking = [v.name for v in needed if v.index not in found]
@@ -112,12 +114,12 @@ def _compared(about: Description, name: str, needed: list[Variable], why: str) -
         yield f"{about.lists[name]} lists {listed(names)}; it must list {why}."
 
 
-def _listed_variables(about: Description, name: str) -> list[Variable]:
+def _listed_variables(about: ParsedDescription, name: str) -> list[ParsedVariable]:
     found = (about.variable(u.index) for u in about.structure[name])
     return [v for v in found if v is not None]
 
 
-def _named(about: Description, unknown: Unknown) -> str:
+def _named(about: ParsedDescription, unknown: Unknown) -> str:
     variable = about.variable(unknown.index)
     return variable.name if variable else about.shown(unknown.index)
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from lxml import etree
 
 from fmu_src.check.archive import Contents
-from fmu_src.check.description import Description, name_of, names_of
+from fmu_src.check.description import ParsedDescription, name_of, names_of
 from fmu_src.check.general import repeated
 from hesr_model.support.text import quoted
 
@@ -13,7 +13,7 @@ FILE = "terminalsAndIcons/terminalsAndIcons.xml"
 _ICON = "terminalsAndIcons/icon.png"
 
 
-def problems(root: etree._Element, about: Description, contents: Contents) -> Iterator[str]:
+def problems(root: etree._Element, about: ParsedDescription, contents: Contents) -> Iterator[str]:
     """Yield missing references of terminals, and names that are not unique."""
     known = {name for v in about.variables for name in (v.name, *v.others)}
     yield from repeated("terminal", names_of(root.findall("Terminals/Terminal")), "there")

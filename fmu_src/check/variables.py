@@ -5,7 +5,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from functools import wraps
 
-from fmu_src.check.description import INITIAL, Description, Variable, integer, real
+from fmu_src.check.description import INITIAL, ParsedDescription, ParsedVariable, integer, real
 from hesr_model.support.text import listed, plain, quoted
 
 _PART = r"(?:[A-Za-z_][A-Za-z0-9_]*|'(?:[^'\\]|\\.)+')(?:\[[0-9]+(?:,[0-9]+)*\])?"
@@ -16,12 +16,12 @@ _NUMBERS = ("Real", "Integer", "Enumeration")
 
 
 def _of_each(
-    rule: Callable[[Description, Variable], Iterator[str]],
-) -> Callable[[Description], Iterator[str]]:
+    rule: Callable[[ParsedDescription, ParsedVariable], Iterator[str]],
+) -> Callable[[ParsedDescription], Iterator[str]]:
     """Extend a rule on one variable to all variables; its sentences follow the name."""
 
     @wraps(rule)
-    def of_all(about: Description) -> Iterator[str]:
+    def of_all(about: ParsedDescription) -> Iterator[str]:
         for v in about.variables:
             for text in rule(about, v):
                 yield f"the variable {quoted(v.name)} {text}"
@@ -29,7 +29,7 @@ def _of_each(
     return of_all
 
 
-def names(about: Description) -> Iterator[str]:
+def names(about: ParsedDescription) -> Iterator[str]:
     """Check that names are unique."""
     every = (name for v in about.variables for name in (v.name, *v.others))
     for name, times in Counter(every).items():
@@ -38,7 +38,7 @@ def names(about: Description) -> Iterator[str]:
 
 
 @_of_each
-def structured_names(about: Description, v: Variable) -> Iterator[str]:
+def structured_names(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     """Check that names are structured if declared so."""
     promised = about.attributes.get("variableNamingConvention") == "structured"
     if promised and not _STRUCTURED.fullmatch(v.name):
@@ -46,7 +46,7 @@ def structured_names(about: Description, v: Variable) -> Iterator[str]:
 
 
 @_of_each
-def combinations(about: Description, v: Variable) -> Iterator[str]:
+def combinations(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     """Check the combination of causality, variability, initial and type."""
     allowed = INITIAL.get((v.causality, v.variability))
     if allowed is None:
@@ -66,7 +66,7 @@ def combinations(about: Description, v: Variable) -> Iterator[str]:
         yield f"is of type {v.kind} and has variability 'continuous' {have}."
 
 
-def independent(about: Description) -> Iterator[str]:
+def independent(about: ParsedDescription) -> Iterator[str]:
     """Check that at most one variable is independent."""
     found = [v.name for v in about.variables if v.causality == "independent"]
     if len(found) > 1:
@@ -74,7 +74,7 @@ def independent(about: Description) -> Iterator[str]:
 
 
 @_of_each
-def start_values(_: Description, v: Variable) -> Iterator[str]:
+def start_values(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     """Check that required start values exist, and forbidden ones do not."""
     if "start" not in v.own:
         if demand := _demand(v):
@@ -85,7 +85,7 @@ def start_values(_: Description, v: Variable) -> Iterator[str]:
         yield "has a start value, which its initial 'calculated' forbids."
 
 
-def _demand(v: Variable) -> str | None:
+def _demand(v: ParsedVariable) -> str | None:
     if v.causality in ("input", "parameter"):
         return f"causality '{v.causality}'"
     if v.variability == "constant":
@@ -94,7 +94,7 @@ def _demand(v: Variable) -> str | None:
 
 
 @_of_each
-def ranges(about: Description, v: Variable) -> Iterator[str]:
+def ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     """Check that start values lie within min and max or are items, and nominal is positive."""
     if v.kind not in (*_NUMBERS, *about.continuous) and "Int" not in v.kind:
         return
@@ -123,7 +123,7 @@ def ranges(about: Description, v: Variable) -> Iterator[str]:
 
 
 @_of_each
-def types(_: Description, v: Variable) -> Iterator[str]:
+def types(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     """Check that declared types exist and are of the variable's own type."""
     name = v.own.get("declaredType")
     if name is None:
@@ -137,9 +137,9 @@ def types(_: Description, v: Variable) -> Iterator[str]:
         )
 
 
-def units(about: Description) -> Iterator[str]:
+def units(about: ParsedDescription) -> Iterator[str]:
     """Check that units and display units that are used are defined."""
-    users: list[tuple[str, Mapping[str, str], Variable | None]] = [
+    users: list[tuple[str, Mapping[str, str], ParsedVariable | None]] = [
         (f"variable {quoted(v.name)}", v.own, v) for v in about.variables
     ]
     users += [(f"type {quoted(t.name)}", t.attributes, None) for t in about.types]
@@ -159,7 +159,7 @@ def units(about: Description) -> Iterator[str]:
 
 
 @_of_each
-def derivatives(about: Description, v: Variable) -> Iterator[str]:
+def derivatives(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     """Check that the state of a derivative exists and is a continuous Real."""
     index = integer(v.own.get("derivative"))
     if index is None:
@@ -180,9 +180,9 @@ def derivatives(about: Description, v: Variable) -> Iterator[str]:
         )
 
 
-def aliases(about: Description) -> Iterator[str]:
+def aliases(about: ParsedDescription) -> Iterator[str]:
     """Check that variables of one value reference agree, and only one of them can be set."""
-    sets: dict[tuple[str, int], list[Variable]] = defaultdict(list)
+    sets: dict[tuple[str, int], list[ParsedVariable]] = defaultdict(list)
     for v in about.variables:
         base = "Integer" if v.kind == "Enumeration" else v.kind
         if v.reference is not None:
@@ -202,7 +202,7 @@ def aliases(about: Description) -> Iterator[str]:
             yield f"{who}, but have different units."
 
 
-def references(about: Description) -> Iterator[str]:
+def references(about: ParsedDescription) -> Iterator[str]:
     """Check that each variable of FMI 3.0 has a value reference of its own."""
     sets: dict[int | None, list[str]] = defaultdict(list)
     for v in about.variables:
@@ -216,7 +216,7 @@ def references(about: Description) -> Iterator[str]:
 
 
 @_of_each
-def sizes(_: Description, v: Variable) -> Iterator[str]:
+def sizes(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     """Check that an array has one start value, or one for each element."""
     given = len((v.own.get("start") or "").split())
     if v.size is None:
@@ -225,7 +225,7 @@ def sizes(_: Description, v: Variable) -> Iterator[str]:
         yield f"has {given} start values for {v.size} elements."
 
 
-def _settable(v: Variable) -> bool:
+def _settable(v: ParsedVariable) -> bool:
     started = v.variability != "constant" and v.initial in ("exact", "approx")
     return started or v.causality == "input"
 

@@ -17,7 +17,7 @@ from fmu_src.export.description import (
     to_bytes,
     values,
 )
-from fmu_src.export.interface import Array, Interface, Role, scalars
+from fmu_src.export.interface import ArrayVariable, Interface, Role, scalars
 
 _INDICATORS = "event_indicator"
 
@@ -29,7 +29,7 @@ class Arrays:
     table: Interface
 
     @cached_property
-    def all(self) -> tuple[Array, ...]:
+    def all(self) -> tuple[ArrayVariable, ...]:
         """Arrays, except for states and members of terminals, which remain scalars."""
         return tuple(
             part
@@ -42,7 +42,7 @@ class Arrays:
         )
 
     @cached_property
-    def of(self) -> dict[str, Array]:
+    def of(self) -> dict[str, ArrayVariable]:
         """The array that contains each variable of the interface."""
         return {v.name: array for array in self.all for v in array.elements}
 
@@ -110,7 +110,7 @@ def _type_of(unit: str, nominal: float) -> str:
     return name if nominal == 1.0 else f"{name} of about {nominal:g}"
 
 
-def _variable(array: Array, arrays: Arrays) -> ET.Element:
+def _variable(array: ArrayVariable, arrays: Arrays) -> ET.Element:
     first = array.elements[0]
     text = first.description if first.enumeration else _description(array)
     attributes = common_attributes(first, array.name, array.place, text)
@@ -126,7 +126,7 @@ def _variable(array: Array, arrays: Arrays) -> ET.Element:
     return element
 
 
-def _description(array: Array) -> str:
+def _description(array: ArrayVariable) -> str:
     """Return the joint text of all elements with common parts once: 'velocity of a, b'."""
     texts = [v.description for v in array.elements]
     if len(texts) == 1:
@@ -159,7 +159,7 @@ def _structure(root: ET.Element, arrays: Arrays) -> None:
 def _unknowns(
     structure: ET.Element,
     kind: str,
-    unknowns: Iterable[Array],
+    unknowns: Iterable[ArrayVariable],
     arrays: Arrays,
     known: tuple[Role, ...],
     *,

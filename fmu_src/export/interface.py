@@ -136,13 +136,13 @@ class Interface:
         return found | {variable.name: i for i, variable in enumerate(self.variables)}
 
     @cached_property
-    def arrays(self) -> tuple["Array", ...]:
+    def arrays(self) -> tuple["ArrayVariable", ...]:
         """The variables in order, grouped into arrays.
 
         Elements of an array are consecutive, from `[1]` or `[1,1]` with the last index running
         first, and have one role and one unit; other variables are scalars.
         """
-        found: list[Array] = []
+        found: list[ArrayVariable] = []
         counts = Counter(_split(v.name)[0] for v in self.variables)
         for (name, _), group in groupby(enumerate(self.variables), lambda pair: _alike(pair[1])):
             places, elements = zip(*group, strict=True)
@@ -150,7 +150,9 @@ class Interface:
             shape = indices[-1]
             whole = list(product(*(range(1, size + 1) for size in shape)))
             if name and indices == whole and len(whole) == counts[name]:
-                found.append(Array(name=name, shape=shape, place=places[0], elements=elements))
+                found.append(
+                    ArrayVariable(name=name, shape=shape, place=places[0], elements=elements)
+                )
             else:
                 found += scalars(places[0], elements)
         return tuple(found)
@@ -185,7 +187,7 @@ class Interface:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Array:
+class ArrayVariable:
     """A variable with a shape, () for a scalar.
 
     Attributes
@@ -202,10 +204,11 @@ class Array:
     elements: tuple[Variable, ...]
 
 
-def scalars(place: int, elements: Sequence[Variable]) -> list[Array]:
+def scalars(place: int, elements: Sequence[Variable]) -> list[ArrayVariable]:
     """Return consecutive variables from an index as scalars."""
     return [
-        Array(name=v.name, shape=(), place=i, elements=(v,)) for i, v in enumerate(elements, place)
+        ArrayVariable(name=v.name, shape=(), place=i, elements=(v,))
+        for i, v in enumerate(elements, place)
     ]
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fmu_src.friction.settings import CONTINUOUS, SHOWN, Motion, torques
+from fmu_src.friction.settings import CONTINUOUS, SHOWN, ReferenceMotion, torques
 from fmu_src.run.reference_files import WAYS, ExperimentFiles, manifest_files, options, table
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
@@ -64,7 +64,7 @@ def reference_motion(
     rows: int | None = None,
     phase: float = 0.0,
     lead_in: float = 0.0,
-) -> Motion:
+) -> ReferenceMotion:
     """Return a sinusoidal velocity, its position and a load per joint, within the trained ranges.
 
         dq = A w(t) sin(2 pi f t + i phase),  q = middle + integral of dq,  w(t) from 0 to 1
@@ -89,7 +89,7 @@ def reference_motion(
         for i, seen in enumerate(trained, start=1)
     ]
     dq, q, load = (np.column_stack(part) for part in zip(*columns, strict=True))
-    return Motion(t=t, dq=dq, q=q, tau_load=load)
+    return ReferenceMotion(t=t, dq=dq, q=q, tau_load=load)
 
 
 def _of_joint(
@@ -162,7 +162,13 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
 
 
 def _experiment(
-    name: str, text: str, motion: Motion, step: float, tolerance: float, stem: str, references: str
+    name: str,
+    text: str,
+    motion: ReferenceMotion,
+    step: float,
+    tolerance: float,
+    stem: str,
+    references: str,
 ) -> ExperimentFiles:
     return ExperimentFiles(
         name=name,
@@ -186,14 +192,14 @@ def _units(sliding: Sequence[bool]) -> str:
     return slid if all(sliding) else f"{turning}; {slid} of a joint that slides"
 
 
-def _motion(model: FrictionModel, step: float, lead_in: float = 0.0) -> Motion:
+def _motion(model: FrictionModel, step: float, lead_in: float = 0.0) -> ReferenceMotion:
     return reference_motion(
         model, frequency=1.0 / (_ROWS * step), periods=1.0, rows=_ROWS, phase=_PHASE,
         lead_in=lead_in,
     )  # fmt: skip
 
 
-def _co_simulation(model: FrictionModel) -> tuple[float, Motion, Array] | None:
+def _co_simulation(model: FrictionModel) -> tuple[float, ReferenceMotion, Array] | None:
     """Return step [s], motion and torque, with a shorter step if Euler is unstable otherwise."""
     for halved in range(_HALVINGS):
         step = model.sample_time / 2**halved
@@ -206,17 +212,17 @@ def _co_simulation(model: FrictionModel) -> tuple[float, Motion, Array] | None:
     return None
 
 
-def _rounded(motion: Motion) -> Motion:
+def _rounded(motion: ReferenceMotion) -> ReferenceMotion:
     """Return the motion with inputs rounded towards zero to few digits."""
     inputs = {
         name: np.trunc(10.0**decimals * getattr(motion, name)) / 10.0**decimals
         for name, decimals in _DECIMALS.items()
     }
-    return Motion(t=motion.t, **inputs)
+    return ReferenceMotion(t=motion.t, **inputs)
 
 
 def _members(
-    stem: str, motion: Motion, torque: Array, digits: int, step: float, tolerance: float
+    stem: str, motion: ReferenceMotion, torque: Array, digits: int, step: float, tolerance: float
 ) -> Mapping[str, bytes]:
     inputs = {symbol.name: getattr(motion, symbol.name) for symbol in INPUTS}
     return {
@@ -226,7 +232,7 @@ def _members(
     }
 
 
-def _table(motion: Motion, values: Mapping[str, Array], digits: int) -> bytes:
+def _table(motion: ReferenceMotion, values: Mapping[str, Array], digits: int) -> bytes:
     columns = {
         f"{name}[{i}]": column
         for name, rows in values.items()

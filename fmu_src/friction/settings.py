@@ -36,7 +36,7 @@ CONTINUOUS = "continuous"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class ReferenceMotion:
     """Inputs of all joints over time.
 
     Attributes
@@ -54,11 +54,11 @@ class Motion:
         """Yield (dq, q, tau_load) of each joint, each (N,) [rad/s, rad, N.m]."""
         return zip(self.dq.T, self.q.T, self.tau_load.T, strict=True)
 
-    def at_friction(self, coupling: Coupling | None) -> "Motion":
+    def at_friction(self, coupling: Coupling | None) -> "ReferenceMotion":
         """Return the motion of the friction coordinates."""
         if coupling is None:
             return self
-        return Motion(
+        return ReferenceMotion(
             t=self.t,
             dq=coupling.motion(self.dq),
             q=coupling.motion(self.q),
@@ -80,7 +80,9 @@ class Error:
     rmse_reversal: float | None
 
 
-def torques(model: FrictionModel, motion: "Motion", setting: str, *, substeps: int = 20) -> Array:
+def torques(
+    model: FrictionModel, motion: "ReferenceMotion", setting: str, *, substeps: int = 20
+) -> Array:
     """Return the (N, n) torque [N.m] of a model's laws for an input convention.
 
     It may be infinite or NaN if that of a law is.
@@ -105,7 +107,7 @@ def torques(model: FrictionModel, motion: "Motion", setting: str, *, substeps: i
         return torque if model.coupling is None else model.coupling.at_joints(torque)
 
 
-def errors(motion: "Motion", torque: Array, truth: Array) -> tuple[Error, ...]:
+def errors(motion: "ReferenceMotion", torque: Array, truth: Array) -> tuple[Error, ...]:
     """Return the torque error of each joint against the truth, both (N, n) [N.m]."""
     found = []
     for dq, difference in zip(motion.dq.T, (torque - truth).T, strict=True):

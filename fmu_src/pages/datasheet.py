@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmu_src.friction.reference import UNKNOWN_SPEED, reference_motion
-from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
+from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, ReferenceMotion, errors, torques
 from hesr_model.audit.audit import REACH, Audit, audit
 from hesr_model.audit.certificate import Certificate, certify
 from hesr_model.audit.cycles import ENCODER
@@ -65,7 +65,7 @@ class ModelAudit:
         return cls(certificates=certificates(model, seen), audits=audits(model, seen))
 
 
-def ranges(model: FrictionModel, motion: Motion) -> tuple[TrainedRange, ...]:
+def ranges(model: FrictionModel, motion: ReferenceMotion) -> tuple[TrainedRange, ...]:
     """Return the trained range of each joint, or that of the reference motion if unknown.
 
     Raises
@@ -199,7 +199,7 @@ def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
     return said
 
 
-def costs(model: FrictionModel, motion: Motion) -> Costs:
+def costs(model: FrictionModel, motion: ReferenceMotion) -> Costs:
     """Return the errors of each input convention.
 
     Raises

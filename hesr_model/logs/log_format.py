@@ -44,7 +44,7 @@ def _known_unit(units: _UnitNames, info: ValidationInfo) -> _UnitNames:
 Columns = Annotated[str | tuple[str, ...], AfterValidator(_one_place_for_the_joint)]
 """A pattern such as ``q{}`` or ``actual_q_{0}``, or one name per joint; see `column_names`."""
 
-Unit = Annotated[UnitName, AfterValidator(_known_unit)]
+KnownUnit = Annotated[UnitName, AfterValidator(_known_unit)]
 Units = Annotated[_UnitNames, AfterValidator(_known_unit)]
 """One unit for all joints, or one per joint: a name, or the size of one logged unit in SI."""
 
@@ -93,7 +93,7 @@ class LogUnits(Config):
     or a number of SI units, as for encoder counts. Sliding joints default to m, m/s and N.
     """
 
-    t: Unit = "s"
+    t: KnownUnit = "s"
     q: Units = "rad"
     dq: Units = "rad/s"
     tau: Units = "N.m"

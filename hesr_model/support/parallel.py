@@ -23,7 +23,7 @@ from hesr_model.support.cache import USED
 from hesr_model.support.process import ChildProcess, end_marked, new_mark
 from hesr_model.support.worker import JOBS, JobAnswer, read_answer
 
-Result = TypeVar("Result")
+Returned = TypeVar("Returned")
 
 _START = (
     "import json, sys; from pathlib import Path; path, folder, parent = json.loads(sys.argv[1]); "
@@ -44,10 +44,10 @@ _ENVIRONMENT = dict.fromkeys(
 
 @contextmanager
 def results_of(
-    jobs: Sequence[Callable[[], Result]],
+    jobs: Sequence[Callable[[], Returned]],
     workers: int | None = None,
     costs: Sequence[float] = (),
-) -> Iterator[Iterator[Result]]:
+) -> Iterator[Iterator[Returned]]:
     """Run jobs in processes; yield the iterator of their results, in the order of the jobs.
 
     The processes are new, or those of `one_pool`. They do not import the calling script. At the end

@@ -14,7 +14,7 @@ from registry_models import STUDIED
 from fmu_src import export_fmu
 from fmu_src.friction.friction_fmu import live_of
 from fmu_src.friction.reference import reference_motion
-from fmu_src.friction.settings import Motion, torques
+from fmu_src.friction.settings import ReferenceMotion, torques
 from fmu_src.pages.live.page import live_assets, live_section
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.friction.model import FrictionModel
@@ -53,14 +53,16 @@ def models(
     return {"table1": table1} | registry_models
 
 
-def in_browser(page: "Page", data: dict[str, Any], motion: Motion, step: float) -> np.ndarray:
+def in_browser(
+    page: "Page", data: dict[str, Any], motion: ReferenceMotion, step: float
+) -> np.ndarray:
     """Torques (N, n) of the module in a page, stepped as a log is replayed."""
     page.evaluate("(text) => { globalThis.packed = text; }", data["module"])
     rows = np.column_stack([motion.dq, motion.q, motion.tau_load])
     return np.array(page.evaluate(RUN, [rows.tolist(), motion.dq.shape[1], step]))
 
 
-def in_binary(path: Path, motion: Motion, step: float) -> np.ndarray:
+def in_binary(path: Path, motion: ReferenceMotion, step: float) -> np.ndarray:
     """The same from the FMU's binary of this machine."""
     joints = range(1, motion.dq.shape[1] + 1)
     with FmuInstance(path) as component:

@@ -11,7 +11,7 @@ from fmu_src import export_fmu
 from fmu_src.arm.native import arm, export_mjcf
 from fmu_src.arm.signals import signals_of
 from fmu_src.export.package import write_fmu
-from fmu_src.friction.settings import Motion
+from fmu_src.friction.settings import ReferenceMotion
 from fmu_src.pages.datasheet import costs
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError, ExportError, SimulationError
@@ -59,7 +59,7 @@ def test_a_torque_that_is_not_finite_has_no_data_sheet(make_model):
     law = FrictionLaw(name="odd", form=form, values={"c": 1e4})
     t = 0.01 * np.arange(100)
     dq = np.sin(t)[:, None]
-    motion = Motion(t=t, dq=dq, q=np.zeros_like(dq), tau_load=np.zeros_like(dq))
+    motion = ReferenceMotion(t=t, dq=dq, q=np.zeros_like(dq), tau_load=np.zeros_like(dq))
     with np.errstate(over="ignore", invalid="ignore"), pytest.raises(SimulationError) as caught:
         costs(make_model(law), motion)
     assert str(caught.value) == "the torque is not finite on this motion."

@@ -18,7 +18,7 @@ from hesr_model.support.config import Config, PrintableName, RelativePath
 from hesr_model.support.files import sha256
 
 Kind = Literal["all", "moving", "reversals", "rests"]
-Score = Literal["all", "moving", "reversals", "rests", "properties", "time"]
+ScoreName = Literal["all", "moving", "reversals", "rests", "properties", "time"]
 Connector = Literal["dq", "q", "tau_load"]
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
@@ -87,7 +87,7 @@ class Arena(Config):
     warm_up: float = Field(default=2.0, ge=0.0)
     block: float = Field(default=8.0, gt=0.0)
     classes: Mapping[PrintableName, tuple[Connector, ...]] = Field(default=CLASSES, min_length=1)
-    scores: tuple[Score, ...] = (*KINDS, "properties", "time")
+    scores: tuple[ScoreName, ...] = (*KINDS, "properties", "time")
     accept: tuple[str, ...] = ()
 
     @model_validator(mode="after")

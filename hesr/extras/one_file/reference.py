@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu_src.friction.reference import reference_motion
-from fmu_src.friction.settings import Motion, torques
+from fmu_src.friction.settings import ReferenceMotion, torques
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole
@@ -51,7 +51,7 @@ def reference_rows(model: FrictionModel) -> str:
     return "\n".join([",".join(names), *lines, ""])
 
 
-def _motion(model: FrictionModel) -> tuple[Motion, np.ndarray]:
+def _motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
     """Return inputs and torque; the step is shorter where Euler is not stable at the law's own."""
     for halved in range(_HALVINGS):
         step = model.sample_time / 2**halved
@@ -67,7 +67,7 @@ def _motion(model: FrictionModel) -> tuple[Motion, np.ndarray]:
             name: getattr(motion, name).astype(np.float32).astype(float)
             for name in ("dq", "q", "tau_load")
         }
-        motion = Motion(t=motion.t, **inputs)
+        motion = ReferenceMotion(t=motion.t, **inputs)
         try:
             torque = torques(model, motion, "direct")
         except SimulationError:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from fmu_src.friction.reference import reference_files
-from fmu_src.friction.settings import Motion
+from fmu_src.friction.settings import ReferenceMotion
 from hesr_model.friction.model import FrictionModel
 
 ROBOT = """\
@@ -46,7 +46,7 @@ class Joints:
         self.data.qpos[:], self.data.qvel[:] = q, dq
 
 
-def reference(model: FrictionModel) -> tuple[Motion, np.ndarray]:
+def reference(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
     """The reference motion that an FMU of the model carries, and its torques there."""
     files = reference_files(model, "x")
 
@@ -56,4 +56,4 @@ def reference(model: FrictionModel) -> tuple[Motion, np.ndarray]:
 
     t, inputs = rows("in")[:, 0], rows("in")[:, 1:]
     dq, q, tau_load = np.split(inputs, 3, axis=1)
-    return Motion(t=t, dq=dq, q=q, tau_load=tau_load), rows("ref")[:, 1:]
+    return ReferenceMotion(t=t, dq=dq, q=q, tau_load=tau_load), rows("ref")[:, 1:]
