@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 import pytest
@@ -57,9 +57,9 @@ def test_base_parameters_are_36_and_40_with_rotors(
 
 
 def test_identification_takes_seconds(id_logs: list[RobotLog], ur10e_model: RobotModel) -> None:
-    start = perf_counter()
+    start = process_time()  # of all threads, whatever else runs on the machine
     identify(id_logs, ur10e_model)
-    assert perf_counter() - start < 5.0
+    assert process_time() - start < 5.0
 
 
 def test_the_three_logs_determine_all_parameters(rigid_body: RigidBody) -> None:
