@@ -69,8 +69,8 @@ def identify(
     HesrError
         If a log, the robot or the data do not allow the identification.
 
-    Source
-    ------
+    Notes
+    -----
     Equations 5 to 7 of the paper; `method` paper is its section II.
 
     Examples

@@ -1,4 +1,4 @@
-"""A log dropped into an FMU's page: the numbers of `hesr replay`, and plain words for the rest."""
+"""A log dropped into an FMU's page: the numbers of `hesr test --on`, plain words for the rest."""
 
 import csv
 import zipfile
@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cosim.study.scores import predict_fmu
-from cosim.workflow import commands
+import hesr
+from cosim.study.scores import Comparison, predict_fmu
 from fmu_src import export_fmu
 from fmu_src.run.replay import replay
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import smooth
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
 
@@ -121,14 +122,21 @@ def measured(arm_log: RobotLog, arm: RobotDescription) -> RobotLog:
     return RobotLog(name="day", t=t, q=arm_log.q, dq=dq, tau=tau, robot=arm)
 
 
+def scores_of(fmu: Path, log: RobotLog, body: RigidBody, arm: RobotDescription) -> Comparison:
+    """Scores of an FMU on a log."""
+    report = hesr.test(fmu, on=[log], kind=["prediction"], robot=arm, rigid_body=body)
+    assert report.scores is not None
+    return report.scores
+
+
 @pytest.mark.parametrize("logged", [True, False], ids=["velocity logged", "velocity derived"])
 def test_numbers_are_those_of_replay(
     page: "Page", fmu: Path, measured: RobotLog, arm: RobotDescription, logged: bool
 ) -> None:
-    body = commands.identify(measured, arm)
+    body = hesr.identify(measured, robot=arm)
     log = measured if logged else replace(measured, dq=None)
     records = friction_records(log, RobotModel(arm), body)
-    scores = commands.replay(fmu, log, body, arm)
+    scores = scores_of(fmu, log, body, arm)
     drop(page, table(columns(records, log)))
     assert wrong(page) == ""
     found = saved(page)
@@ -159,12 +167,12 @@ def test_with_its_body_the_page_finds_the_friction_itself(
     tmp_path: Path,
     logged: bool,
 ) -> None:
-    body = commands.identify(measured, arm)
-    fmu = commands.export(model, tmp_path / "law.fmu", robot=arm, rigid_body=body)
+    body = hesr.identify(measured, robot=arm)
+    fmu = hesr.export(model, tmp_path / "law.fmu", robot=arm, rigid_body=body)
     page = opened(open_page, fmu)
     log = measured if logged else replace(measured, dq=None)
     records = friction_records(log, RobotModel(arm), body)
-    scores = commands.replay(fmu, log, body, arm)
+    scores = scores_of(fmu, log, body, arm)
     named = columns(records, log)
     drop(page, table({name: c for name, c in named.items() if not name.startswith("tau_load")}))
     assert wrong(page) == ""
