@@ -154,12 +154,13 @@ def test_the_command_line_goes_the_whole_way(
         assert answer.code == 0, answer.err
     pulses = folder / "DATA_EMPS_PULSES.mat"
     said = hesr(
-        "evaluate", pulses, law, *robot, "--rigid-body", body, "--json", tmp_path / "a.json"
+        *("test", law, "--on", pulses, *robot, "--rigid-body", body),
+        *("--json", tmp_path / "a.json", "--verbose"),
     )
     assert said.code == 0, said.err
     assert "simulated position [mm]" in said.out
     data = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
-    (free,) = data["simulation"]["open_loop"]["stribeck"]
+    (free,) = data["result"]["simulation"]["open_loop"]["stribeck"]
     assert free <= MOST
     log = RobotLog.read(pulses, RobotDescription.read(folder / "robot.toml"))
     model = RobotModel(RobotDescription.read(folder / "robot.toml"))
