@@ -180,7 +180,7 @@ def test_what_is_no_file(odd: Callable[[str], Path], refused: Refused, tmp_path:
         ("system.toml", "simulate", "out.csv"),
         ("loop.ssp", "simulate", "out.csv"),
         ("study.toml", "run", "out.csv"),
-        ("sweep.toml", "sweep", "out.csv"),
+        ("sweep.toml", "simulate", "out.csv"),
     ):
         file = odd(name)
         sentence = refused(command, file, "-o", tmp_path / to)
