@@ -19,7 +19,7 @@ from pythonfmu.builder import FmuBuilder
 
 from fmu_src import export_fmu, model_file
 from fmu_src.run import native
-from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.fmu import FmuInstance, remember
 from fmu_src.run.replay import replay
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel
@@ -47,7 +47,9 @@ def any_fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
         return path
     script = "slave.py" if request.param == "PythonFMU" else "lowered_slave.py"
     folder = tmp_path_factory.mktemp("python")
-    return Path(FmuBuilder.build_FMU(Path(__file__).with_name(script), dest=folder))
+    built = Path(FmuBuilder.build_FMU(Path(__file__).with_name(script), dest=folder))
+    remember(built)  # in this process, as its doStep is called without the rest
+    return built
 
 
 def test_step(any_fmu: Path, benchmark: BenchmarkFixture) -> None:
