@@ -49,7 +49,7 @@ def test_laws_and_fmus_side_by_side(
     assert row.split().count("–") == 5
     assert "…" not in answer.out
     said = " ".join(answer.out.split())
-    for word in ("Mayergoyz", "Dupont", "first-order state cannot", "carries no law"):
+    for word in ("Mayergoyz", "Dupont", "first-order state cannot", "contains no law"):
         assert word in said
     found = read_properties(file)
     assert list(found) == ["lugre", "Slip"]
