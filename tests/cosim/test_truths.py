@@ -65,9 +65,9 @@ def test_a_run_under_another_truth_says_so(tmp_path: Path, capsys, monkeypatch):
     assert answer.code == 0, answer.err
     results = Results.read(tmp_path / "out")
     assert results.run.truth == "rate_and_state"
-    assert "the truth ‘rate_and_state’ of its plant" in (tmp_path / "out/report.html").read_text(
-        encoding="utf-8"
-    )
+    assert "Its friction is ‘rate_and_state’ of its plant" in (
+        tmp_path / "out/report.html"
+    ).read_text(encoding="utf-8")
     # Viscous friction is what the arm has there, and dry friction stands in the written MJCF.
     text = (tmp_path / "out" / "arm.xml").read_text(encoding="utf-8")
     assert "lugre=" not in text.partition("<worldbody>")[2]
