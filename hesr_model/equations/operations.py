@@ -19,20 +19,8 @@ from hesr_model.errors import ArtifactError
 
 NAMES = (
     *("ADD", "SUBTRACT", "MULTIPLY", "DIVIDE", "NEGATE", "ROOT", "POWER", "EXP"),
-    *(
-        "LOG",
-        "SINH",
-        "COSH",
-        "ATAN",
-        "TANH",
-        "SIN",
-        "COS",
-        "CARDINAL_SINE",
-        "SGN",
-        "ABSOLUTE",
-        "POSITIVE",
-        "LARGER",
-    ),
+    *("LOG", "SINH", "COSH", "ATAN", "ATAN2", "TANH", "TAN", "SIN", "COS", "CARDINAL_SINE"),
+    *("SGN", "ABSOLUTE", "POSITIVE", "LARGER"),
     *("CLIP", "EXCEEDS", "OVER", "CARRIED", "RELAX", "STOP", "STOP_BESIDE", "ADD_SAME"),
     "MULTIPLY_SAME",
 )

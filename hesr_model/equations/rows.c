@@ -193,6 +193,10 @@ INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
         EACH(cosh(a[i]));
     case ATAN:
         EACH(atan(a[i]));
+    case ATAN2:
+        EACH(atan2(a[i], b[i]));
+    case TAN:
+        EACH(tan(a[i]));
     case POWER:
         EACH(pow(a[i], b[i]));
     case SIN:

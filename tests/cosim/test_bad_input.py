@@ -239,6 +239,7 @@ def spoiled(bench: Bench, folder: Path, change: Callable[[Rows], object]) -> Pat
     return path
 
 
+@pytest.mark.ci
 def test_commands_work_where_nothing_is_wrong(bench: Bench, hesr: Hesr, tmp_path: Path) -> None:
     """Otherwise every test below could pass for a wrong reason."""
     log = spoiled(bench, tmp_path, len)

@@ -132,6 +132,7 @@ def test_the_same_study_gives_the_same_bytes(ran: Run, study_run_for_programs: R
     assert [name for name in one if one[name] != other[name]] == []
 
 
+@pytest.mark.ci
 def test_run_without_an_output_writes_below_the_current_folder(
     ran: Run, tmp_path: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -41,6 +41,7 @@ def test_from_a_log_to_scores_in_four_calls(arm: RobotDescription, file: Path) -
     assert header.read_text(encoding="utf-8")
 
 
+@pytest.mark.ci
 def test_results_of_calls_and_of_the_command_line_are_equal(
     arm: RobotDescription,
     file: Path,

@@ -78,6 +78,7 @@ def model_file(folder: Path, text: str, name: str = "arm.urdf") -> Path:
     return path
 
 
+@pytest.mark.ci
 def test_what_is_laid_runs_at_once_and_again_with_own_logs(
     tmp_path: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
 ) -> None:

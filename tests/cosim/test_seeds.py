@@ -34,6 +34,7 @@ def test_a_draw_is_the_same_again_and_another_one_is_not(study: Path) -> None:
         first["unseen"]["stribeck"], other["unseen"]["stribeck"]))) > 1e-3)  # fmt: skip
 
 
+@pytest.mark.ci
 def test_the_command(study: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     hesr = hesr_here(capsys, monkeypatch)
     answer = hesr("run", study, "--seeds", "2", "-o", tmp_path / "out")

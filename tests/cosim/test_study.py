@@ -412,6 +412,7 @@ def test_a_variant_may_not_be_named_as_a_law(tmp_path: Path) -> None:
     assert str(caught.value) == (f"{path}: key 'variants.lugre' has the name of a law; rename it.")
 
 
+@pytest.mark.ci
 def test_a_quick_run_has_the_classic_laws_only(tmp_path: Path) -> None:
     found = run_study(tiny(tmp_path), tmp_path / "results", quick=True)
     assert tuple(found.models) == ("stribeck", "lugre", "parfam_h")

@@ -33,6 +33,7 @@ def test_fmpy_finds_no_problem(law, make_model, tmp_path):
     assert validate_fmu(str(export_bare(make_model(law), tmp_path / "F.fmu"))) == []
 
 
+@pytest.mark.ci
 def test_fmpy_finds_no_problem_with_any_registered_law(fitted, table1_fmu, make_model, tmp_path):
     assert validate_fmu(str(table1_fmu)) == []
     for name, law in fitted.items():

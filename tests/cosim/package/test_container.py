@@ -177,6 +177,7 @@ def test_the_same_bytes_every_time(
     assert again.read_bytes() == containers["open"].read_bytes()
 
 
+@pytest.mark.ci
 def test_checks_find_nothing(containers: dict[str, Path]) -> None:
     """What FMPy has left in its own runtime is told, and is no problem."""
     for path in containers.values():

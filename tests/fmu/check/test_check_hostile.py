@@ -214,6 +214,7 @@ def test_a_crash_ends_its_own_scenario_alone(python_fmu):
     ]
 
 
+@pytest.mark.ci
 def test_a_step_that_never_ends(python_fmu, monkeypatch):
     monkeypatch.setattr(hostile, "SECONDS", 8.0)
     sentences = found(python_fmu(f"while step < 1e-9: pass\n        {LAG}"))

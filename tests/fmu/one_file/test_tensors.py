@@ -206,12 +206,12 @@ package("isaaclab"), package("mjlab")
 package("isaaclab.actuators", IdealPDActuator=Pd), package("mjlab.actuator", IdealPdActuator=Pd)
 """
 ISAAC = """
-actuator = RubbingActuator(types.SimpleNamespace(dt=0.005))
+actuator = FrictionActuator(types.SimpleNamespace(dt=0.005))
 q, dq = torch.full((4, 3), 0.1), torch.full((4, 3), 0.5)
 found = lambda: actuator.compute(types.SimpleNamespace(joint_efforts=10 * dq), q, dq).joint_efforts
 """
 MJLAB = """
-actuator = RubbingPdActuator(None)
+actuator = FrictionPdActuator(None)
 space = types.SimpleNamespace
 actuator.initialize(space(opt=space(timestep=0.005)), None, space(nworld=4), "cpu")
 q, dq = torch.full((4, 3), 0.1), torch.full((4, 3), 0.5)
@@ -231,7 +231,7 @@ assert torch.equal(again, 10 * dq - tau) and not torch.equal(again[2], again[1])
 
 
 @pytest.mark.parametrize(
-    ("name", "use"), [("RubbingActuator", ISAAC), ("RubbingPdActuator", MJLAB)]
+    ("name", "use"), [("FrictionActuator", ISAAC), ("FrictionPdActuator", MJLAB)]
 )
 def test_the_actuators_of_the_documentation(table1, tmp_path, name, use) -> None:
     """Their bases here only hand the command on; what the classes do with it is as documented."""
