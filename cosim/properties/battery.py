@@ -89,7 +89,7 @@ def run_battery(
     workers : number of processes; one per core by default, the present one for 1. It does not
         change the result.
     progress : receives the number of finished subjects.
-    kept : folder of finished results, from which they are read again.
+    kept : folder of finished results, which are reused.
 
     Raises
     ------

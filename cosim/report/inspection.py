@@ -149,7 +149,7 @@ def _friction(examination: Examination, k: int, j: int) -> Line | None:
 
 
 def _unseen(proposal: Proposal) -> Markup:
-    """List what no fit can learn from these logs."""
+    """List properties that these logs cannot show."""
     by_gap: dict[str, list[str]] = {}
     for joint, gap in unseen(proposal.examination, proposal.robot.joints):
         by_gap.setdefault(gap, []).append(joint)

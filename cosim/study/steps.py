@@ -58,7 +58,7 @@ class Job:
     ----------
     study, path : the study and its file.
     progress : receives the state of the run.
-    kept : folder of checkpoints, from which an interrupted run continues; None for none.
+    kept : folder of checkpoints for continuing an interrupted run; None without them.
     """
 
     study: Study

@@ -205,7 +205,7 @@ def _at_start(contents: SystemContents, component: str) -> dict[str, list[str]]:
 def _known(
     contents: SystemContents, output: Element, needs: Mapping[str, Mapping[str, list[str]]]
 ) -> set[Element]:
-    """Return the unconnected variables on which a signal depends."""
+    """Return the unconnected variables that a signal depends on."""
     sources = contents.wiring.sources
     # An observed connected input is its source.
     seen, left = set[Element](), [sources.get(output, output)]

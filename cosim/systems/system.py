@@ -61,7 +61,7 @@ class SystemSpec(Config):
     step : communication step [s].
     stop : end of the run, which starts at 0 [s].
     order : "gauss_seidel" or "jacobi"; see `fmu_src.run.master.ExchangeScheme`.
-    components : in the order in which they are stepped.
+    components : components in stepping order.
     connections : for each connected input the output that feeds it.
     observe : signals whose values are kept.
     limits : lowest and highest value of signals; the run stops where one is left.

@@ -25,7 +25,7 @@ class Answer(ABC):
     format : name of the JSON format.
     findings : what the command found, errors first.
     files : files that the command wrote.
-    shows_tables : whether the tables are shown without `--verbose`, too.
+    shows_tables : whether to show the tables even without `--verbose`.
     """
 
     format: str = "hesr-answer-1"

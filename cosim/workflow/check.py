@@ -103,7 +103,7 @@ def check(
     vdmcheck : path, optional
         Folder with VDMCheck2; by default .tools/vdmcheck2, if present.
     trust : bool, optional
-        Run these FMUs without a sandbox, now and later: faster, but they can do what you can.
+        Run these FMUs without a sandbox, now and later: faster, but with all your rights.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -117,7 +117,7 @@ def check(
     ArtifactError
         If a file does not exist or cannot be opened; damage inside is a finding.
     ConfigError
-        If there is no VDMCheck2 in `vdmcheck`, or an SSP is given without ``references``.
+        If VDMCheck2 is missing in `vdmcheck`, or an SSP is given without ``references``.
 
     Examples
     --------

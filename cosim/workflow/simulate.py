@@ -42,7 +42,7 @@ def simulate(
     cluster : str, optional
         Sweep: address of a scheduler of dask.distributed.
     trust : bool
-        Run these FMUs without a sandbox, now and later: faster, but they can do what you can.
+        Run these FMUs without a sandbox, now and later: faster, but with all your rights.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 

@@ -184,7 +184,7 @@ def test(
     output : path, optional
         JSON file of the properties, or page of a leaderboard.
     trust : bool
-        Run these FMUs without a sandbox, now and later: faster, but they can do what you can.
+        Run these FMUs without a sandbox, now and later: faster, but with all your rights.
     accept : sequence of str, optional
         Names of checks whose errors do not refuse the logs; repeatable.
     progress : callable, optional
