@@ -1,4 +1,4 @@
-"""Friction laws as estimators in the manner of scikit-learn, which need not be installed."""
+"""Friction laws as estimators by scikit-learn's rules; scikit-learn is optional."""
 
 import inspect
 from collections.abc import Mapping, Sequence
@@ -27,31 +27,31 @@ from hesr_model.support.files import path_of
 if TYPE_CHECKING:
     from cosim.report.figures.chart import Figure
 Record = Sequence[FrictionRecord]
-"""Of all joints in one log."""
+"""Friction of all joints in one log."""
 
 _TARGETS = ("friction", "torque")
 
 
 class FrictionRegressor:
-    """Fits a friction law to logs, or to tables in memory.
+    """Friction law as an estimator, fitted to logs or to tables in memory.
 
-    Rows of a table are samples of one motion in the order of time: laws remember, so that what
-    they predict for a row depends on the rows before it.
+    Rows of a table are samples of one motion in order of time: laws have memory, so a prediction
+    depends on the rows before it.
 
     Parameters
     ----------
     law : name of a law; see `hesr.laws`.
-    robot : whose logs they are; that for which a log was read where not given.
-    rigid_body : of the robot, or its file; identified from the logs of `fit` where not given.
-    target : what is predicted, and what y is: "friction", or "torque", load torque included.
-    seed : of the fit.
-    options : of the law's estimator.
+    robot : robot of the logs; by default that of the log.
+    rigid_body : rigid body of the robot, or its file; by default identified from the logs of `fit`.
+    target : predicted quantity and meaning of y: "friction", or "torque" including load torque.
+    seed : seed of the fit.
+    options : options of the law's estimator.
 
     Attributes
     ----------
-    model_ : the fitted `FrictionModel`.
-    n_features_in_ : columns of the table that it was fitted to; not there after logs.
-    robot_, rigid_body_ : of the logs that it was fitted to; not there after a table.
+    model_ : fitted `FrictionModel`.
+    n_features_in_ : number of columns of the fitted table; absent after logs.
+    robot_, rigid_body_ : robot and body of the fitted logs; absent after a table.
     """
 
     def __init__(
@@ -83,18 +83,12 @@ class FrictionRegressor:
     def _repr_html_(self) -> str:
         return self._fitted()._repr_html_() if hasattr(self, "model_") else repr(self)
 
-    def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002  # as it is called
+    def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002  # scikit-learn's signature
         """Return the parameters of the constructor by name."""
         return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
 
     def set_params(self, **params: Any) -> Self:
-        """Set parameters of the constructor.
-
-        Raises
-        ------
-        TableError
-            If there is no such parameter.
-        """
+        """Set parameters of the constructor; raise TableError for an unknown one."""
         known = self.get_params()
         for name, value in params.items():
             if name not in known:
@@ -109,16 +103,14 @@ class FrictionRegressor:
 
         Parameters
         ----------
-        X : a log or several, as `RobotLog` or path; or a table with columns t, q, dq, load
+        X : one or several logs (`Log` or path), or a table with columns t, q, dq, load
             [s, rad, rad/s, N.m], numbered from 1 for several joints.
-        y : (N,) or (N, n) measured torque of the rows of a table [N.m]; not given for logs.
+        y : (N,) or (N, n) measured torque of the rows of a table [N.m]; None for logs.
 
         Raises
         ------
-        TableError
-            If the table or y cannot be used.
-        LogError
-            If a log cannot be used.
+        TableError, LogError
+            If the table, y or a log cannot be used.
         FitError
             If the data do not determine the law.
         """
@@ -159,14 +151,14 @@ class FrictionRegressor:
         Returns
         -------
         ndarray
-            (N, n) [N.m]; (N,) where the y of `fit` was.
+            (N, n) [N.m]; (N,) if the y of `fit` was.
 
         Raises
         ------
         TableError
             If the table cannot be used, or several logs are given.
         SimulationError
-            If the log is of other joints.
+            If the log has other joints.
         """
         model = self._fitted()
         if (logs := self._logs(X)) is not None:
@@ -180,11 +172,9 @@ class FrictionRegressor:
         return torque[:, 0] if self._flat else torque
 
     def score(self, X: Any, y: Any = None) -> float:
-        """Return the coefficient of determination R2, the mean of all joints.
+        """Return the coefficient of determination R2, averaged over joints; X and y as in `fit`.
 
-        Parameters
-        ----------
-        X, y : as of `fit`; logs are predicted one by one, without what lies in their gaps.
+        Logs are predicted separately; rows in their gaps do not count.
         """
         model = self._fitted()
         if (logs := self._logs(X)) is not None:
@@ -211,12 +201,7 @@ class FrictionRegressor:
         return "\n".join(lines)
 
     def plot(self, X: Any, y: Any = None) -> "Figure":
-        """Return a figure of what was measured and predicted over time.
-
-        Parameters
-        ----------
-        X, y : one log, or a table and what was measured, as of `fit`.
-        """
+        """Return a figure of measured and predicted torque of one log or table over time."""
         from cosim.report.figures.chart import Chart, Line, Panel, drawn
         from cosim.report.figures.style import MEASURED, strokes
 
@@ -240,10 +225,7 @@ class FrictionRegressor:
         return drawn(Chart(x="t [s]", rows=tuple(rows)))
 
     def to_fmu(self, path: str | PathLike[str], *, platforms: Sequence[str] = ("linux64",)) -> Path:
-        """Write the fitted law as an FMU; see `fmu_src.export_fmu`.
-
-        After logs, its page holds the rigid body, too.
-        """
+        """Write the fitted law as an FMU; after logs, its page includes the body."""
         from fmu_src import export_fmu
 
         model, fmu = self._fitted(), path_of(path, "an FMU")
@@ -265,7 +247,7 @@ class FrictionRegressor:
         return Tags(
             estimator_type="regressor",
             target_tags=TargetTags(required=True, multi_output=True),
-            regressor_tags=RegressorTags(poor_score=True),  # of random rows, which are no motion
+            regressor_tags=RegressorTags(poor_score=True),  # scores of shuffled rows mean nothing
             input_tags=InputTags(),
         )
 
@@ -289,7 +271,7 @@ class FrictionRegressor:
         return moved
 
     def _logs(self, X: Any) -> list[RobotLog] | None:
-        """Return the logs that X is, None where it is a table."""
+        """Return X as logs, None for a table."""
         several = list(X) if isinstance(X, list | tuple) else [X]
         if not several or not all(isinstance(x, RobotLog | str | PathLike) for x in several):
             return None
@@ -313,7 +295,7 @@ class FrictionRegressor:
 
 
 def _unfitted() -> type[FitError]:
-    """Return the error of what is not fitted, scikit-learn's own as well where that is there."""
+    """Return the error of an unfitted estimator, scikit-learn's own class if it is installed."""
     try:
         from sklearn.exceptions import NotFittedError
     except ImportError:

@@ -18,14 +18,9 @@ MOST_LINES = 25
 
 
 class Answer(ABC):
-    """Result of a command.
+    """Result of a command: `format` names its JSON format, `findings` has errors first.
 
-    Attributes
-    ----------
-    format : name of the JSON format.
-    findings : what the command found, errors first.
-    files : files that the command wrote.
-    shows_tables : whether to show the tables even without `--verbose`.
+    `shows_tables` shows the tables without `--verbose` for commands whose tables are the result.
     """
 
     format: str = "hesr-answer-1"
@@ -42,7 +37,7 @@ class Answer(ABC):
         return ()
 
     def result(self) -> Any:
-        """Return the result as JSON data."""
+        """Return the result as data for JSON."""
         return None
 
     @property
@@ -79,14 +74,7 @@ class Answer(ABC):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Written(Answer):
-    """Files that a command wrote, with the sentences that describe them.
-
-    Attributes
-    ----------
-    lines : lines of the summary.
-    shown : tables.
-    data : result as JSON data.
-    """
+    """Files that a command wrote, with the lines, tables and JSON data that describe them."""
 
     format: str = "hesr-answer-1"
     lines: Sequence[str]
@@ -110,7 +98,7 @@ class Written(Answer):
 
 
 def shortened(lines: Iterable[str], files: Sequence[Path] = ()) -> str:
-    """Return lines and the files that were written, as text of at most `MOST_LINES` lines."""
+    """Return lines and written files as text of at most `MOST_LINES` lines."""
     listed = [part for line in lines for part in line.split("\n")]
     written = [f"Written: {', '.join(map(str, files))}"] if files else []
     room = MOST_LINES - len(written)

@@ -40,14 +40,9 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedLogs:
-    """Logs that passed the checks, with their robot.
+    """Logs that passed the checks, with their robot and, as far as known, the files of both.
 
-    Attributes
-    ----------
-    logs : logs in the order of the arguments.
-    robot : robot of the logs.
-    findings : warnings of the checks, and accepted errors.
-    files : robot file, model file and log files, as far as known.
+    `findings` has the warnings of the checks and the accepted errors.
     """
 
     logs: list[RobotLog]
@@ -63,13 +58,7 @@ class CheckedLogs:
 def logs_of(
     logs: Logs, robot: RobotArg | None = None, progress: Progress = silent
 ) -> list[RobotLog]:
-    """Return logs; paths are read.
-
-    Raises
-    ------
-    ArgumentError
-        If a log is a path and its robot is unknown.
-    """
+    """Return logs, reading those that are paths, which needs a robot."""
     several = listed(logs)
     known = robot
     if known is None:
@@ -87,13 +76,7 @@ def logs_of(
 
 
 def robot_of(robot: RobotArg | None, logs: Sequence[RobotLog]) -> RobotModel:
-    """Return the robot that is given, by default that of the logs.
-
-    Raises
-    ------
-    ArgumentError
-        If neither is known.
-    """
+    """Return the given robot, by default that of the logs."""
     found = robot if robot is not None else next((log.robot for log in logs if log.robot), None)
     if found is None:
         raise ArgumentError("the logs do not say of which robot they are; give 'robot'.")
@@ -103,13 +86,7 @@ def robot_of(robot: RobotArg | None, logs: Sequence[RobotLog]) -> RobotModel:
 def checked_logs(
     logs: Logs, robot: RobotArg | None, accept: Sequence[str], progress: Stages = silent
 ) -> CheckedLogs:
-    """Read logs and check them on their robot; warnings are logged.
-
-    Raises
-    ------
-    HealthError
-        Naming all errors of the logs that are not accepted.
-    """
+    """Read logs and check them on their robot; raise HealthError for errors not in `accept`."""
     if robot is not None:
         robot = model_of(robot) if not isinstance(robot, str | PathLike) else robot
     known = model_of(robot) if robot is not None else None
@@ -128,20 +105,14 @@ def examined(logs: Sequence[RobotLog], model: RobotModel, accept: Sequence[str])
 
 
 def body_of(body: BodyArg | None, logs: Sequence[RobotLog], robot: RobotModel) -> RigidBody:
-    """Return the rigid body that is given, by default the one identified from the logs."""
+    """Return the given rigid body, by default one identified from the logs."""
     if body is None:
         return identify(logs, robot)
     return body if isinstance(body, RigidBody) else RigidBody.read(path_of(body, "a rigid body"))
 
 
 def page_body(robot: RobotArg, body: BodyArg) -> "PageBody":
-    """Return a rigid body in the form that the page of an FMU needs.
-
-    Raises
-    ------
-    RobotError
-        If the body is of another robot.
-    """
+    """Return the rigid body for the page of an FMU, refusing that of another robot."""
     from fmu_src.pages.live.body import PageBody
 
     model = model_of(robot)
@@ -157,14 +128,7 @@ def model_given(model: LawArg) -> FrictionModel:
 
 @dataclass(frozen=True, kw_only=True)
 class NamedLaw:
-    """A law by name, with the FMU that carries it if the argument was one.
-
-    Attributes
-    ----------
-    name : law of the model, else stem of the file, else its path; unique among all.
-    model : friction model; None for a foreign FMU.
-    fmu : path of the FMU; None for a model.
-    """
+    """Law under a unique name: `fmu` is None for a model, `model` is None for a foreign FMU."""
 
     name: str
     model: FrictionModel | None
@@ -172,14 +136,7 @@ class NamedLaw:
 
 
 def laws_of(laws: Laws) -> list[NamedLaw]:
-    """Return laws with unique names: by law, else by file name, else by path.
-
-    Raises
-    ------
-    ConfigError
-        If an argument is neither a model, nor an FMU, nor the name of a built-in model; if one is
-        given twice.
-    """
+    """Return models, FMUs and built-in names as laws, each with a unique name."""
     if isinstance(laws, Mapping):
         return [NamedLaw(name=name, model=m, fmu=f) for name, (m, f) in
                 ((str(name), _law(law)) for name, law in laws.items())]  # fmt: skip
@@ -216,17 +173,9 @@ def _law(law: LawArg) -> tuple[FrictionModel | None, Path | None]:
 
 
 def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
-    """Return the first of several ways to name things that gives unique names.
+    """Return the first row of `namings` (ways, things) whose names are unique.
 
-    Parameters
-    ----------
-    namings : (ways, things) names.
-    what : past participle for the error, as "given".
-
-    Raises
-    ------
-    ConfigError
-        If none does, naming one that occurs twice.
+    `what` is a past participle for the error ("given"), which names one that occurs twice.
     """
     for names in namings:
         if len(set(names)) == len(names):
@@ -235,13 +184,7 @@ def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
 
 
 def per_joint(name: str, values: PerJoint | None, joints: int) -> tuple[float, ...] | None:
-    """Return one value per joint; a single one serves all.
-
-    Raises
-    ------
-    ArgumentError
-        If the number of values fits neither.
-    """
+    """Return one value per joint; a single value serves all."""
     if values is None:
         return None
     several = tuple(values) if isinstance(values, Sequence) else (float(values),)
@@ -262,7 +205,7 @@ def listed(given: Any) -> list[Any]:
 
 
 def paths_of(files: PathArg | Sequence[PathArg], what: str) -> list[Path]:
-    """Return one or several paths as a list; `what` names one in the error."""
+    """Return one or several paths as a list; the error calls one of them `what`."""
     return [path_of(file, what) for file in listed(files)]
 
 
@@ -272,5 +215,5 @@ def remember_trust(fmus: Iterable[Path], *, trust: bool) -> None:
         from fmu_src.run.fmu import remember
 
         for fmu in fmus:
-            if fmu.is_file():  # a missing file is refused where it is read
+            if fmu.is_file():  # a missing file is refused by its reader
                 remember(fmu)

@@ -25,12 +25,9 @@ Kind = Literal["static", "references", "hostile", "convention"]
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class FmuReport(Answer):
-    """Findings of the checks of FMUs.
+    """Result of `hesr.check`: a report for each file, in the order of the arguments.
 
-    Attributes
-    ----------
-    reports : report of each file, in the order of the arguments.
-    conventions : cost of each way to hand over inputs, by file; of the kind ``convention``.
+    `conventions` has the cost of each way to hand over inputs by file, for the kind ``convention``.
     """
 
     format = "hesr-fmu-report-1"
@@ -175,7 +172,7 @@ def check(
 
 
 def _with_references(report: Report) -> Report:
-    """Return a report that includes the comparison with the reference results of the file."""
+    """Return a report extended by the comparison with the reference results in the file."""
     from cosim.systems.ssp_results import verify_ssp
     from fmu_src.check.report import problems_of
     from fmu_src.run.reference_results import verify

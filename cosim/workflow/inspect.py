@@ -22,15 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Inspection(Answer):
-    """Result of the inspection of logs.
-
-    Attributes
-    ----------
-    proposal : proposed robot description with reasons, the logs read with it, and findings.
-    constants : estimated torque constants; empty unless requested.
-    next_command : command that uses the written files.
-    files : written page, robot file and study.
-    """
+    """Result of `hesr.inspect`: proposed robot file with reasons, its logs and findings."""
 
     format = "hesr-inspection-1"
     proposal: Proposal
@@ -140,7 +132,7 @@ def inspect(
     LogError
         If a log cannot be read.
     ConfigError
-        If options do not go together.
+        If options contradict each other.
 
     Examples
     --------

@@ -13,13 +13,7 @@ if TYPE_CHECKING:
 
 
 class PluginJob(Protocol):
-    """Kind of TOML file that a plug-in of the group `hesr.jobs` runs.
-
-    Attributes
-    ----------
-    verb : verb that runs such files.
-    key : top-level key that only such files have.
-    """
+    """Kind of TOML file that a plug-in runs: its verb and its distinguishing key."""
 
     verb: str
     key: str
@@ -32,13 +26,7 @@ class PluginJob(Protocol):
 
 
 def find_job(path: Path, verb: str) -> PluginJob | None:
-    """Return the job of a TOML file; None for other files.
-
-    Raises
-    ------
-    ConfigError
-        If another verb runs the file.
-    """
+    """Return the job of a TOML file, None for other files; refuse a file of another verb."""
     from hesr_model.support.plugins import load
     from hesr_model.support.untrusted_text import parse_toml, read_text
 

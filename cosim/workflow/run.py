@@ -29,14 +29,7 @@ _CACHED = {
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class RunResult(Answer):
-    """Results of a study.
-
-    Attributes
-    ----------
-    folder : folder of all results.
-    outcome : rigid body, laws, FMUs, scores and verdict.
-    findings : findings of the checks of logs, body and laws.
-    """
+    """Result of `hesr.run`: body, laws, FMUs, scores and verdict in `outcome`."""
 
     format = "hesr-run-1"
     folder: Path
@@ -209,7 +202,7 @@ def run(
 
 @contextmanager
 def _going_on(kept: Path) -> Iterator[None]:
-    """On an interrupt, count the finished parts from which the next run continues."""
+    """On an interrupt, count the finished parts that the next run takes over."""
     try:
         yield
     except KeyboardInterrupt as interrupt:

@@ -37,17 +37,9 @@ KINDS = ("prediction", "passivity", "properties")
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LawReport(Answer):
-    """Results of the tests of friction laws.
+    """Result of `hesr.test`, by law; `scores` and `positions` [rad, m] are None without prediction.
 
-    Attributes
-    ----------
-    laws : tested laws.
-    scores : errors on the logs; None without prediction.
-    positions : errors of the laws as simulators [rad; m]; None without prediction of models.
-    records : friction in the logs, [joint][log].
-    audits : certificates of passivity and figures, by law.
-    properties : results of the physics checks, by law.
-    others : answers of further kinds (plug-ins), by kind.
+    `others` has the answers of kinds from plug-ins.
     """
 
     format = "hesr-law-report-1"
@@ -160,8 +152,8 @@ def test(
 ) -> LawReport:
     r"""Test friction laws: prediction, passivity, physics checks.
 
-    Models and FMUs of any tool are tested alike. A foreign FMU goes through those physics checks
-    that need its connectors only, and has no proof of passivity.
+    Models and FMUs of any tool get the same tests. A foreign FMU has no proof of passivity and
+    takes only those physics checks that need no more than its connectors.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The command line: parses, calls, prints. Everything else is imported when a command runs."""
+"""Command line: parses, calls, prints. Everything else is imported when a command runs."""
 
 import sys
 from typing import NoReturn
@@ -12,7 +12,7 @@ __all__ = ["app", "main"]
 
 
 def main() -> NoReturn:
-    """Run the command line; an error that a user can mend is one sentence and exit code 2."""
+    """Run the command line; a user error is one sentence and exit code 2."""
     collect_seldom()
     plain_where_needed()
     home_where_needed()

@@ -1,4 +1,4 @@
-"""The application: its verbs, each derived when it is used, and how their results are shown."""
+"""Application: its verbs, derived on first use, and the output of their results."""
 
 import inspect
 import sys
@@ -37,7 +37,7 @@ programs; --json - writes them to standard output, and nothing else there.
 
 
 class _Verbs(click.Group):
-    """Verbs in the order of work; a verb is imported when it is used."""
+    """Verbs in the order of work."""
 
     def list_commands(self, _: click.Context) -> list[str]:
         from hesr_model.support.plugins import names
@@ -99,7 +99,7 @@ def _module(function: Function) -> dict[str, Any]:
 
 
 def _answer(function: Function, given: dict[str, Any]) -> "Answer":
-    """Return what a workflow function answers to the values that were given."""
+    """Call a workflow function with parsed values and return its answer."""
     from cosim.workflow.answer import Answer
 
     with shown_progress() as progress:

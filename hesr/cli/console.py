@@ -1,4 +1,4 @@
-"""What commands print: tables, progress, logs, answers for programs, and what Ctrl-C ends with."""
+"""Output of commands: tables, progress, logs, JSON; and handling of interrupts."""
 
 import _thread
 import logging
@@ -23,18 +23,18 @@ from hesr_model.support.interrupts import Interrupted
 from hesr_model.support.progress import Stages
 
 INTERRUPTED = 130
-"""Exit code, as shells give it: 128 and the number of the signal."""
+"""Exit codes after signals: 128 and the number of the signal."""
 
 _STANDARD_OUTPUT = Path("-")
-_AGAIN = 2.0  # [s] a second Ctrl-C sooner than that does not disturb the tidying after the first
-_LATER = 0.05  # [s] an interrupt that Python has dropped is raised again
+_AGAIN = 2.0  # [s] a second Ctrl-C sooner than this does not disturb the clean-up after the first
+_LATER = 0.05  # [s] delay before an interrupt that Python dropped is raised again
 _PACKAGES = ("hesr_model", "fmu_src", "cosim", "hesr")
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Output:
-    """What was asked for."""
+    """Requested verbosity."""
 
     quiet: bool = False
     verbose: bool = False
@@ -46,25 +46,15 @@ _output: ContextVar[_Output] = ContextVar("_output", default=_USUAL)
 
 
 class _Ended(KeyboardInterrupt):
-    """Another program wants this one to end (SIGTERM)."""
+    """Request to end from another program (SIGTERM)."""
 
 
 @contextmanager
 def command_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Iterator[None]:
-    """Run a command's block as loud as its user wants it.
+    """Run a block at the requested verbosity: errors only, or everything on standard error.
 
-    Parameters
-    ----------
-    quiet : print errors only.
-    verbose : log everything to standard error.
-    json_file : of the command; where it is ``-``, standard output holds nothing else.
-
-    Raises
-    ------
-    ConfigError
-        If both are wanted.
-    SystemExit
-        On an interrupt, once a sentence has said so.
+    With `json_file` ``-``, standard output has the JSON only. An interrupt raises SystemExit after
+    one sentence.
     """
     if quiet and verbose:
         raise ConfigError("--quiet does not go with --verbose; give one of them.")
@@ -93,7 +83,7 @@ def command_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Ite
 
 
 class _LogHandler(logging.StreamHandler[TextIO]):
-    """Log to the standard error of the moment, which a progress bar redirects above itself."""
+    """Handler on the current standard error, which a progress bar redirects above itself."""
 
     def emit(self, record: logging.LogRecord) -> None:
         self.setStream(sys.stderr)
@@ -124,9 +114,9 @@ def _logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Raise KeyboardInterrupt on Ctrl-C, and on SIGTERM too, so that temporary files go.
+    """Raise KeyboardInterrupt on Ctrl-C and SIGTERM, so that temporary files are removed.
 
-    Python drops what is raised where something is just being freed; it is then raised once more.
+    Python drops an exception raised during a deallocation; it is then raised once more.
     """
     wanted = [signal.SIGINT, signal.SIGTERM]
     if threading.current_thread() is not threading.main_thread():
@@ -149,7 +139,7 @@ def ended_by_signals() -> Iterator[None]:
         again.append(threading.Timer(_LATER, _raise_in_main_thread, (number,)))
         again[-1].start()
 
-    # A command that a script starts in the background may have to ignore Ctrl-C.
+    # A script that starts a command in the background may have it ignore Ctrl-C.
     heeded = [s for s in wanted if signal.getsignal(s) is not signal.SIG_IGN]
     before = {s: signal.signal(s, end) for s in heeded}
     again: list[threading.Timer] = []
@@ -169,16 +159,16 @@ def ended_by_signals() -> Iterator[None]:
 
 def _raise_in_main_thread(number: int) -> None:
     if hasattr(signal, "pthread_kill") and (ident := threading.main_thread().ident):
-        signal.pthread_kill(ident, number)  # which ends its waiting, too
+        signal.pthread_kill(ident, number)  # ends its waiting
     else:
         _thread.interrupt_main(signal.Signals(number))
 
 
 @contextmanager
 def shown_progress() -> Iterator[Stages]:
-    """Show on standard error how far the work is and how long it still takes.
+    """Show progress and remaining time on standard error.
 
-    It is drawn where that is a terminal, logged with --verbose, and left out with --quiet.
+    It is drawn on a terminal, logged with --verbose, and omitted with --quiet.
     """
     from rich.console import Console
     from rich.progress import (
@@ -217,15 +207,10 @@ def shown_progress() -> Iterator[Stages]:
 
 @contextmanager
 def answer_file(json_file: Path | None) -> Iterator[Path | None]:
-    """Yield the file into which a program's answer goes, if one is wanted.
+    """Yield the file for the JSON answer, if one is requested.
 
-    Whether it can be written is found out before the block runs; what is written for ``-`` goes to
-    standard output when the block has succeeded.
-
-    Raises
-    ------
-    ArtifactError
-        If the file cannot be written.
+    Whether it can be written is checked before the block runs; ``-`` is written to standard output
+    after the block has succeeded.
     """
     if json_file is None:
         yield None
@@ -241,7 +226,7 @@ def answer_file(json_file: Path | None) -> Iterator[Path | None]:
 
 
 def answer(json_file: Path | None, data: Mapping[str, Any] | list[Any]) -> None:
-    """Write a program's answer as JSON, if one is wanted; ``-`` is standard output."""
+    """Write an answer as JSON, if requested; ``-`` is standard output."""
     import json
 
     with answer_file(json_file) as file:

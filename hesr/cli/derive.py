@@ -25,20 +25,15 @@ _MANY = ("Logs", "Laws", "FmuArgs", "ResultArgs", "Sources", "Sequence[")
 """Annotations of parameters that take several values."""
 
 _WIDTH = 75
-"""Width of an example in the help; it is indented by 2 and may end with a backslash."""
+"""Width of an example in the help, which is indented by 2 and may end with a backslash."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
     """Command-line form of a parameter where it differs from the derived one.
 
-    Attributes
-    ----------
-    names : names of the option.
-    metavar : placeholder of the value.
-    option : whether a positional parameter becomes an option.
-    least : smallest integer.
-    complete : source of the completion: a group of plug-ins, or ``"platforms"``.
+    `complete` is the source of the completion: a group of plug-ins, or ``"platforms"``; `option`
+    makes an option of a positional parameter; `least` is the smallest integer.
     """
 
     names: tuple[str, ...] = ()
@@ -72,7 +67,7 @@ _FORMS = {
 
 
 class _Numbers(Kind):
-    """Numbers with commas between them."""
+    """Numbers separated by commas."""
 
     name = "X[,X...]"
 
@@ -107,15 +102,7 @@ def _option(param: click.Parameter | None) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Docstring:
-    """Parts of a numpydoc docstring.
-
-    Attributes
-    ----------
-    summary : first line.
-    text : summary and extended summary.
-    parameters : description by parameter.
-    examples : commands of the section Examples, without the prompt.
-    """
+    """Parts of a numpydoc docstring: parameters by name, examples as commands without prompt."""
 
     summary: str
     text: str
@@ -146,14 +133,9 @@ def _plain(text: str) -> str:
 def command(
     name: str, function: Function, invoke: Invoke, more: Sequence[inspect.Parameter] = ()
 ) -> click.Command:
-    """Return the command of a workflow function.
+    """Return the click command of a workflow function, which `invoke` calls with the parsed values.
 
-    Parameters
-    ----------
-    name : verb.
-    function : workflow function.
-    invoke : runs the function with the values that were given, by parameter.
-    more : options that the function takes in addition, as those of a format.
+    `more` are options that the function takes in addition, as those of a format.
     """
     told = Docstring.of(function)
     own = [
@@ -165,7 +147,7 @@ def command(
         _parameter(name, one, told.parameters.get(one.name, ""), function) for one in (*own, *more)
     ]
     if "listing" in vars(sys.modules[function.__module__]):
-        shown.append(click.Option(["--list", "listing"], is_flag=True, help="List what there is."))
+        shown.append(click.Option(["--list", "listing"], is_flag=True, help="List the choices."))
     return _Command(
         name,
         callback=lambda **given: invoke(function, _given(given)),
@@ -178,7 +160,7 @@ def command(
 
 
 class _Command(click.Command):
-    """A command that needs no other parameter if it is to list what there is."""
+    """Command whose other parameters become optional with --list."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if "--list" in args and any(param.name == "listing" for param in self.params):
@@ -188,7 +170,7 @@ class _Command(click.Command):
 
 
 def _given(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the values that a user gave, pairs joined; others have the function's default."""
+    """Return the parsed values, pairs joined; others have the function's default."""
     given = {name: value for name, value in values.items() if value not in (None, ())}
     return {
         name: {k: v for pair in value for k, v in pair.items()}
@@ -286,7 +268,7 @@ def _common() -> Iterator[click.Option]:
 
 
 def _lines(examples: Sequence[str]) -> str:
-    """Return examples one below the other, in a form that a shell takes."""
+    """Return examples on lines of their own, in a form that a shell takes."""
     lines = ["\b", f"Example{'s' * (len(examples) > 1)}:"]
     for example in examples:
         line = " "

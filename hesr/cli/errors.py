@@ -1,4 +1,4 @@
-"""What every command does at its very end: say what went wrong, also where text is not UTF-8."""
+"""Errors of all commands as sentences, on outputs without UTF-8 as well."""
 
 import codecs
 import os
@@ -30,24 +30,24 @@ _NEW_FORMS = {
     "interop": "make interop, in a checkout of HESR",
 }
 MOVED = {verb: f"'hesr {verb}' is now: {form}." for verb, form in _NEW_FORMS.items()}
-"""Sentence with the new form of each verb of earlier versions."""
+"""New form of each verb of earlier versions."""
 
 _REFUSED = 2
 _UNREAD = 1
-"""Exit code where whoever reads the output has gone, as of Click."""
+"""Exit code after the reader of the output has closed it, as Click's."""
 
-_LONGEST = 4000  # characters of a sentence: names of files may be of anything and of any length
+_LONGEST = 4000  # characters of a sentence: file names may be of any length
 
 _PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
-"""What stands for marks where an output has only some of all characters; each is as wide."""
+"""Replacements, of the same width, for characters that the output cannot encode."""
 
 
 @contextmanager
 def errors_said() -> Iterator[None]:
-    """Say every error in one sentence and exit with 2, other ones than bugs.
+    """Print every error as one sentence and exit with 2; bugs keep their traceback.
 
-    What a file or the data in it is to blame for is found out where it is read. This is for what
-    may happen everywhere: a disk that is full, memory that does not suffice.
+    Faults of files and data are found where they are read; this covers the rest, such as a full
+    disk or insufficient memory.
     """
     try:
         try:
@@ -77,17 +77,17 @@ def refuse(sentence: str) -> NoReturn:
 
 
 def _give_up_output() -> None:
-    """Send what could not be written to nowhere, or Python tries again when it ends."""
+    """Discard unwritten output, which Python would try to write again when it ends."""
     with suppress(OSError, ValueError):
         sys.stdout.flush()
-    with suppress(OSError, ValueError):  # an output that is no file of the system
+    with suppress(OSError, ValueError):  # not an output of the operating system
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)
 
 
 def home_where_needed() -> None:
-    """Give Matplotlib a folder where HOME cannot be written: else it complains on its own."""
+    """Give Matplotlib a folder if HOME is not writable, since it would print a warning."""
     if not os.access(os.environ.get("HOME", ""), os.W_OK | os.X_OK):
         from hesr_model.support.cache import folder
 
@@ -95,7 +95,7 @@ def home_where_needed() -> None:
 
 
 def plain_where_needed() -> None:
-    """Let standard output and error take any text, in ASCII where their encoding has no more."""
+    """Let standard output and error accept any text; outputs without UTF-8 get ASCII."""
     codecs.register_error("hesr.plain", _plainly)
     for stream in (sys.stdout, sys.stderr):
         if reconfigure := getattr(stream, "reconfigure", None):
