@@ -1,8 +1,4 @@
-"""FMUs and SSPs as archives, checked before they are unpacked.
-
-`hesr check` lists all problems of an archive (`fmu_src.check.archive`). Everything else refuses an
-archive with a problem.
-"""
+"""FMU and SSP archives that are checked before they are unpacked."""
 
 import hashlib
 import re
@@ -69,13 +65,7 @@ class _Bounded:
 
 
 def opened(path: Path) -> BufferedReader:
-    """Open a file for reading.
-
-    Raises
-    ------
-    ArtifactError
-        If it is missing or cannot be opened.
-    """
+    """Open a file for reading; raise ArtifactError if it is missing or cannot be opened."""
     try:
         # Checked first, because opening a pipe blocks.
         if path.exists() and not path.is_file():
@@ -88,25 +78,15 @@ def opened(path: Path) -> BufferedReader:
 
 
 def entries(file: BufferedReader) -> zipfile.ZipFile:
-    """Return the archive in an open file; raise one of `DAMAGED` if it is damaged."""
+    """Open the archive in a file; raise one of `DAMAGED` if it is damaged."""
     return zipfile.ZipFile(_Bounded(file, file.seek(0, 2)))
 
 
 class Archive:
-    """An FMU or SSP for reading; a context manager that refuses unsafe archives.
+    """An FMU or SSP for reading; a context manager.
 
-    The whole archive is refused for paths that lead out of its folder, links, special files,
-    encryption, and too many entries or bytes.
-
-    Parameters
-    ----------
-    path : the file.
-    kind : "FMU" or "SSP", for messages.
-
-    Raises
-    ------
-    ArtifactError
-        By every method, naming file, entry and problem.
+    Archives with paths out of their folder, links, special files, encryption, or too many entries
+    or bytes raise ArtifactError, as does any failing method.
     """
 
     def __init__(self, path: Path, kind: str = "FMU") -> None:
@@ -151,7 +131,7 @@ class Archive:
         return hashlib.file_digest(self._file, "sha256").hexdigest()
 
     def read(self, name: str, most: int = MOST_BYTES) -> bytes:
-        """Return the content of a file, at most so many bytes."""
+        """Return the content of a file of at most `most` bytes."""
         entry = self._entries.get(name)
         if entry is None:
             raise self._refusal(f"there is no {plain(name)} in it")
@@ -191,7 +171,7 @@ def copy_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -
 
 
 def _pieces(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]:
-    """Yield the content of an entry and verify its checksum."""
+    """Yield the content of an entry and verify its size and checksum."""
     found = 0
     source: IO[bytes]
     with archive.open(entry) as source:
@@ -225,7 +205,7 @@ def hazards(entry: zipfile.ZipInfo) -> Iterator[str]:
 
 
 def unreadable(entry: zipfile.ZipInfo) -> str | None:
-    """Return the reason why an entry is not read, None if it is."""
+    """Return why an entry is not read, or None."""
     kind = stat.S_IFMT(entry.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
         what = "a symbolic link" if kind == stat.S_IFLNK else "a special file"

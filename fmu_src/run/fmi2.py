@@ -17,10 +17,7 @@ Tell = Callable[[int, str], None]
 class Fmi2:
     """Names, types and signatures of FMI 2.0.
 
-    Attributes
-    ----------
-    folder : folder of the binaries for this platform in an FMU.
-    functions : function behind each method of `Instance` and `Buffer`.
+    `functions` maps each method of `Instance` and `Buffer` to its function.
     """
 
     folder = f"binaries/{fmpy.platform}/"
@@ -39,7 +36,7 @@ class Fmi2:
     }
 
     def slave(self, *, exchange: bool, **more: Any) -> Any:
-        """Return FMPy's instance, not yet instantiated, of an FMU for model exchange or not."""
+        """Return FMPy's instance of an FMU, not yet instantiated."""
         return (fmi2.FMU2Model if exchange else fmi2.FMU2Slave)(**more)
 
     def instantiate(self, slave: Any, tell: Tell) -> None:
@@ -59,7 +56,7 @@ class Fmi2:
         call(self.functions["setup"], False, 0.0, time, stop is not None, stop or 0.0)
 
     def enter(self, call: Call, _time: float, _stop: float | None) -> None:
-        """Enter the initialisation of an experiment."""
+        """Enter the initialisation of an experiment [s]."""
         call(self.functions["enter_initialisation"])
 
     def kind(self, kind: str, _declared: str | None) -> tuple[str, Any]:
@@ -82,6 +79,6 @@ class Fmi2:
         )
 
     def step(self, call: Call, time: float, size: float) -> str:
-        """Step from a time [s] by a size [s]; return why the simulation must end, if it must."""
+        """Step from a time [s] by a size [s]; return why the simulation must end, or ""."""
         call("fmi2DoStep", time, size, fmi2.fmi2True)
         return ""

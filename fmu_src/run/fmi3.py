@@ -19,7 +19,7 @@ class Fmi3(Fmi2):
     } | {"write": "fmi3SetFloat64", "read": "fmi3GetFloat64"}
 
     def slave(self, *, exchange: bool, **more: Any) -> Any:
-        """Return FMPy's instance; see `Fmi2`."""
+        """Return FMPy's instance, not yet instantiated."""
         return (fmi3.FMU3Model if exchange else fmi3.FMU3Slave)(**more)
 
     def instantiate(self, slave: Any, tell: Tell) -> None:
@@ -34,7 +34,7 @@ class Fmi3(Fmi2):
         """Do nothing: FMI 3.0 passes the experiment on entering the initialisation."""
 
     def enter(self, call: Call, time: float, stop: float | None) -> None:
-        """Enter the initialisation of an experiment."""
+        """Enter the initialisation of an experiment [s]."""
         more = (c_bool(False), 0.0, time, c_bool(stop is not None), stop or 0.0)
         call(self.functions["enter_initialisation"], *more)
 
@@ -53,7 +53,7 @@ class Fmi3(Fmi2):
         raise ValueError("inputs have no derivatives in FMI 3.0")
 
     def step(self, call: Call, time: float, size: float) -> str:
-        """Step from a time [s] by a size [s]; return why the simulation must end, if it must."""
+        """Step from a time [s] by a size [s]; return why the simulation must end, or ""."""
         event, end, early, last = c_bool(), c_bool(), c_bool(), c_double()
         call(
             "fmi3DoStep", time, size, c_bool(True),

@@ -1,8 +1,7 @@
 """FMUs as co-simulation slaves: variables by name, trusted or not, pooled, freed on every exit.
 
-An FMU is trusted if its hash is known because it was exported here or the user trusts it. The
-hashes are names of empty files in the user's cache folder. A user who can write there can run code
-without any FMU.
+An FMU is trusted if it was exported here or the user trusts it. Empty files in the user's cache
+folder are named after the hashes of these FMUs; writing there already takes the user's rights.
 """
 
 import logging
@@ -48,10 +47,7 @@ def hash_folder() -> Path:
 
 
 def remember(fmu: Path) -> None:
-    """Trust an FMU.
-
-    If the cache folder cannot be written, it stays untrusted: slower, with the same results.
-    """
+    """Trust an FMU, unless the cache folder cannot be written: then it runs in a sandbox."""
     try:
         place = hash_folder()
         place.mkdir(parents=True, exist_ok=True)
@@ -75,7 +71,6 @@ def is_ours(fmu: Path) -> bool:
 
 
 def _forget_some(place: Path) -> None:
-    """Remove the older half of too many hashes."""
     with os.scandir(place) as entries:
         if next(islice(entries, _MOST_HASHES, None), None) is None:
             return
@@ -88,32 +83,9 @@ def _forget_some(place: Path) -> None:
 class FmuInstance:
     """A co-simulation slave; a context manager that frees instance and files on every exit.
 
-    A trusted FMU runs in this process, any other one in a sandbox.
+    Trusted FMUs run in this process, others in a sandbox with `seconds` [s] for each call.
+    `unpacked` is the folder of a trusted FMU, in place of the file. Methods raise SimulationError.
 
-    Parameters
-    ----------
-    fmu : the FMU, FMI 2.0 or 3.0 for co-simulation; the variables of 3.0 are named as those of 2.0.
-    name : name of the instance; by default the file's stem.
-    seconds : time limit of each call of an untrusted FMU [s].
-    unpacked : folder of the FMU, unpacked and trusted, in place of the file.
-
-    Attributes
-    ----------
-    description : model description, once the FMU is loaded.
-    variables : its variables by name.
-    declared : variables of FMI 3.0 as declared.
-    time : time that the FMU has reached, or start of the step that failed [s].
-    messages : messages of the FMU.
-    used : whether it must be reset before its next initialisation.
-    failed : whether a call has failed.
-
-    Raises
-    ------
-    SimulationError
-        By every method, naming the FMU, the time and the variable.
-
-    Examples
-    --------
     >>> with FmuInstance(Path("Friction.fmu")) as friction:
     ...     friction.initialise(start={"dq[1]": 0.2})
     ...     friction.step(0.0, 0.005)
@@ -134,9 +106,9 @@ class FmuInstance:
     ) -> None:
         self.fmu = fmu
         self.name = name or fmu.stem
-        self.time = 0.0
+        self.time = 0.0  # time reached, or start of the step that failed [s]
         self.messages: list[str] = []
-        self.used = self.failed = False
+        self.used = self.failed = False  # reset before the next initialisation; a call has failed
         self._seconds, self._unpacked = seconds, unpacked
         self._complaint: str | None = None
         self._stepping = False
@@ -231,13 +203,9 @@ class FmuInstance:
         start: Mapping[str, float | str] | None = None,
         inputs: Buffer | None = None,
     ) -> None:
-        """Set parameters, start values and inputs, and initialise.
+        """Set parameters, start values and inputs, and initialise the experiment [s].
 
-        Parameters
-        ----------
-        time, stop : start and end of the experiment [s].
-        start : values of parameters, states and inputs by name.
-        inputs : buffer that is written in initialisation mode.
+        `start` has values by name; `inputs` is written in initialisation mode.
         """
         self.enter_initialisation(time=time, stop=stop, start=start)
         if inputs is not None:
@@ -299,10 +267,7 @@ class FmuInstance:
     def buffer(self, names: Sequence[str], values: Array | None = None) -> Buffer:
         """Return a buffer to set and read the same Real variables repeatedly.
 
-        Parameters
-        ----------
-        names : names of the variables.
-        values : (n,) contiguous memory of the buffer in the variables' units; new by default.
+        `values` (n,) is its contiguous memory, new by default.
         """
         return self._instance.buffer(self.variables.references(names, "Real"), values)
 
@@ -323,12 +288,7 @@ _Key = tuple[Path, int, int, int, str]
 
 
 class FmuPool:
-    """Instances kept for their next use, since loading takes longer than a short run.
-
-    Parameters
-    ----------
-    most : number of instances kept; the oldest are freed first.
-    """
+    """At most `most` instances that are kept for their next use, because loading is slow."""
 
     def __init__(self, most: int = 48) -> None:
         self._most = most
@@ -338,7 +298,7 @@ class FmuPool:
     def lend(self, fmu: Path, *, name: str) -> Iterator[FmuInstance]:
         """Yield an instance, a kept one if the file has not changed.
 
-        Afterwards it is reset and kept, unless something has failed.
+        Afterwards it is reset and kept, unless a call has failed.
         """
         key = _key(fmu, name)
         instance = self._idle.pop(key, None) if key else None

@@ -18,16 +18,14 @@ from hesr_model.support.files import PathArg, path_of
 
 @dataclass(frozen=True, kw_only=True)
 class FmuVariable:
-    """A scalar variable of an FMU, as declared.
+    """A scalar variable of an FMU, as declared; `unit`, `start` and `description` may be empty.
 
     Attributes
     ----------
     type : str
         Real, Integer, Boolean, String or Enumeration.
     causality, variability : str
-        By FMI, as "input" and "continuous".
-    unit, start, description : str
-        Empty if not declared.
+        Terms of FMI, such as "input" and "continuous".
     """
 
     type: str
@@ -46,7 +44,7 @@ class Fmu:
     path : path
         The FMU.
     trust : bool
-        Run this FMU without a sandbox, now and later: faster, but it can do what you can.
+        Run this FMU without a sandbox, now and later: faster, but with all your rights.
 
     Attributes
     ----------
@@ -54,8 +52,6 @@ class Fmu:
         The FMU.
     variables : mapping of str to FmuVariable
         Variables by name; arrays of FMI 3.0 have one for each element.
-    model : FrictionModel or None
-        Embedded friction model; None in FMUs of other tools.
 
     Raises
     ------
@@ -135,7 +131,7 @@ class Fmu:
         Parameters
         ----------
         t : (N,) array, s
-            Time, increasing.
+            Increasing time.
         dq : (N, n) array, rad/s
             Joint velocity.
         q : (N, n) array, rad, optional
@@ -158,6 +154,6 @@ class Fmu:
     def instance(self) -> FmuInstance:
         """Return an instance of the FMU: a context manager that frees it on every exit.
 
-        A trusted FMU runs in this process, any other one in a sandbox.
+        Trusted FMUs run in this process, others in a sandbox.
         """
         return FmuInstance(self.path)

@@ -40,12 +40,9 @@ class DiedError(Exception):
 
 
 class CallError(Exception):
-    """A function of an FMU has failed, or its instance cannot be made.
+    """A function of an FMU has failed with a status, or its instance cannot be made.
 
-    Parameters
-    ----------
-    function : name of the function, or a message without a status.
-    status : status that it returned.
+    Without a status, `function` is the message.
     """
 
     def __init__(self, function: str, status: int | None = None) -> None:
@@ -57,36 +54,21 @@ class CallError(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class UnpackedFmu:
-    """An FMU in a folder, ready to be loaded.
-
-    Attributes
-    ----------
-    folder : folder of the unpacked FMU.
-    guid, identifier : from its description.
-    name : name of the instance.
-    fmi : major version of FMI.
-    variables : variables of FMI 3.0 as declared.
-    exchange : whether it is used for model exchange instead of co-simulation.
-    """
+    """An FMU in a folder, ready to be loaded."""
 
     folder: str
     guid: str
     identifier: str
-    name: str
-    fmi: int = 2
-    variables: Sequence[Declared] = ()
-    exchange: bool = False
+    name: str  # of the instance
+    fmi: int = 2  # major version
+    variables: Sequence[Declared] = ()  # of FMI 3.0
+    exchange: bool = False  # model exchange instead of co-simulation
 
     to_json = asdict
 
 
 class Buffer(Protocol):
-    """Values of several Real variables of an FMU in any process.
-
-    Attributes
-    ----------
-    values : (n,) values in the units of the variables.
-    """
+    """Values (n,) of Real variables of an FMU in any process, in their units."""
 
     values: Array
 
@@ -100,24 +82,9 @@ class Buffer(Protocol):
 class Instance:
     """An FMU in this process, called through FMPy's class for its version and kind.
 
-    Parameters
-    ----------
-    fmu : the unpacked FMU.
-    tell : receives status and text of each message of the FMU.
-    failure : makes the error that is raised from a `CallError`.
-
-    Attributes
-    ----------
-    slave : FMPy's instance.
-    fmi : version of FMI.
-    held : values last set of FMI 3.0 arrays by value reference; arrays are always set whole.
-
-    Raises
-    ------
-    LoadError
-        If the binary cannot be loaded.
-    CallError
-        By the constructor and every method, if a function of the FMU fails.
+    `held` has the values last set of FMI 3.0 arrays by value reference; arrays are always set
+    whole. Raises LoadError if the binary cannot be loaded, CallError or the error made from it by
+    `failure` if a function fails.
     """
 
     def __init__(
@@ -210,13 +177,7 @@ class Instance:
             raise self._failure(CallError(why))
 
     def buffer(self, references: Sequence[int], values: Array | None = None) -> "LocalBuffer":
-        """Return a buffer of Real variables.
-
-        Parameters
-        ----------
-        references : references of the variables.
-        values : (n,) contiguous memory of the buffer in the variables' units; new by default.
-        """
+        """Return a buffer of Real variables in `values` (n,), contiguous and new by default."""
         own = np.zeros(len(references)) if values is None else values
         return LocalBuffer(self, references, own)
 
@@ -237,13 +198,10 @@ class Instance:
 
 
 class LocalBuffer:
-    """Values of several Real variables of an `Instance`; see `Buffer`.
+    """Values of Real variables of an `Instance`; see `Buffer`.
 
-    Attributes
-    ----------
-    instance : the FMU.
-    references : (m,) value references that are passed to the FMU.
-    is_plain : whether `values` are passed as they are; otherwise they are elements of arrays.
+    `is_plain` means that `values` are passed as they are; otherwise they are elements of arrays,
+    whose value references are `references` (m,).
     """
 
     def __init__(self, instance: Instance, references: Sequence[int], values: Array) -> None:

@@ -21,20 +21,17 @@ Order = Literal["gauss_seidel", "jacobi"]
 """Order of the calls of a communication step; see `ExchangeScheme`."""
 
 Element = tuple[str, str]
-"""FmuInstance and variable."""
+"""Component and variable."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExchangeScheme:
     """When the FMUs of a system exchange values.
 
-    Attributes
-    ----------
-    order : "gauss_seidel" steps the components in their order, each with the newest outputs of the
-        others; "jacobi" gives all of them the outputs at the start of their steps.
-    first : inputs of the first step: outputs "propagated" during the initialisation, or "zero".
-    refreshed : outputs with direct feedthrough that follow the new inputs of an instant: "none",
-        those that are "shown", or "all", including those passed on.
+    Components step in turn, each with the newest outputs of the others ("gauss_seidel"), or all
+    with the outputs at the start of their steps ("jacobi"). The first inputs are "zero" or outputs
+    "propagated" in the initialisation. Outputs with direct feedthrough may follow the new inputs
+    of an instant: "none", those that are "shown", or "all", including those that are passed on.
     """
 
     order: Order = "gauss_seidel"
@@ -44,25 +41,16 @@ class ExchangeScheme:
 
 @dataclass(kw_only=True, eq=False)
 class Station:
-    """A component within a system.
-
-    Attributes
-    ----------
-    slave : the FMU.
-    every : its step as a number of communication steps.
-    inputs : buffer of its connected inputs.
-    sources : (n,) places of the outputs that feed these inputs.
-    outputs : buffer of its outputs, a part of the values of the system.
-    """
+    """A component of a system."""
 
     slave: FmuInstance
-    every: int
-    inputs: Buffer
-    sources: Places
-    outputs: Buffer
+    every: int  # its step in communication steps
+    inputs: Buffer  # connected ones
+    sources: Places  # (n,) indices of the outputs that feed them
+    outputs: Buffer  # part of the values of the system
 
     def set_inputs(self, values: Array) -> None:
-        """Set the connected inputs."""
+        """Set the connected inputs from the values of the system."""
         if self.sources.size:
             # All places are valid. Without "clip" NumPy would copy.
             values.take(self.sources, out=self.inputs.values, mode="clip")
@@ -89,14 +77,7 @@ class Station:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Link:
-    """A connected input or an output that feeds one.
-
-    Attributes
-    ----------
-    buffer : buffer of this variable alone.
-    place : place of the output among the values of the system.
-    is_input : whether the variable is the input.
-    """
+    """A connected input or an output that feeds one; `place` is the index of this output."""
 
     buffer: Buffer
     place: int
@@ -107,23 +88,14 @@ class Link:
 class Layout:
     """A system, prepared for its steps.
 
-    Attributes
-    ----------
-    stations : the components in stepping order.
-    links : connected inputs and their sources, each after those that its value depends on.
-    scheme : exchange of values.
-    step : communication step [s].
-    values : (m,) values of all outputs that are used, grouped by component.
-    names : (m,) names of the values.
-    rows : (n,) places of the values that are recorded.
-    limited : (l,) places of the values with limits.
-    low, high : (l,) these limits.
+    The values (m,) are all outputs in use, grouped by component; `rows` (n,) are the indices of
+    those that are recorded, `limited` (l,) of those with limits.
     """
 
-    stations: tuple[Station, ...]
-    links: tuple[Link, ...]
+    stations: tuple[Station, ...]  # in stepping order
+    links: tuple[Link, ...]  # each after those that its value depends on
     scheme: ExchangeScheme
-    step: float
+    step: float  # [s]
     values: Array
     names: tuple[Element, ...]
     rows: Places
@@ -132,12 +104,9 @@ class Layout:
     high: Array
 
     def propagate(self, time: float) -> None:
-        """Set each connected input to its source at a time [s], along direct feedthrough.
+        """Set each input to its source at a time [s], along direct feedthrough.
 
-        Raises
-        ------
-        SimulationError
-            If a source is not finite.
+        Raises SimulationError if a source is not finite.
         """
         for link in self.links:
             if link.is_input:
@@ -154,13 +123,7 @@ class Layout:
         return SimulationError(f"at t = {time:.9g} s {name} is not a finite number.")
 
     def require_limits(self, shown: Array, time: float) -> None:
-        """Check the limits of values (m,) at a time [s].
-
-        Raises
-        ------
-        SimulationError
-            Naming the first value that is outside.
-        """
+        """Raise SimulationError if one of the values (m,) at a time [s] is outside its limits."""
         values = shown.take(self.limited, mode="clip")
         outside = (values < self.low) | (values > self.high)
         if np.count_nonzero(outside):
@@ -185,20 +148,12 @@ class SystemStepper(Protocol):
     def advance(self, stop: int) -> None:
         """Step until `stop` rows are recorded or a value is not finite.
 
-        Raises
-        ------
-        SimulationError
-            If a component fails or a value leaves its limits.
+        Raises SimulationError if a component fails or a value leaves its limits.
         """
 
 
 class PythonStepper:
-    """Steps in Python; see `SystemStepper`.
-
-    Parameters
-    ----------
-    layout : the system.
-    """
+    """Steps in Python."""
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
@@ -226,7 +181,7 @@ class PythonStepper:
                 layout.require_limits(shown, k * layout.step)
 
     def _shown(self, time: float) -> Array:
-        """Return the values that are shown at a communication point [s]."""
+        """Return the values at a communication point [s], with outputs refreshed if required."""
         layout, values = self._layout, self._layout.values
         if layout.scheme.refreshed == "none":
             return values
@@ -254,7 +209,7 @@ class PythonStepper:
                 station.read_outputs()
 
     def _jacobi(self, k: int) -> None:
-        """Do the same with the outputs at the start of the component's step."""
+        """Step each such component with the outputs at the start of its step."""
         values, step = self._layout.values, self._layout.step
         for station in self._layout.stations:
             if k % station.every == 0:

@@ -1,4 +1,4 @@
-"""The steps of a system in C (`fmu_src/c/master.c`), for FMUs that are loaded in this process."""
+"""Steps of a system in C (`fmu_src/c/master.c`), for FMUs in this process."""
 
 import ctypes
 import logging
@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 class _End(IntEnum):
-    """Reasons for the end of the steps, as in master.c."""
+    """Reasons for the end of the steps, in the order of master.c."""
 
     DONE, NOT_FINITE, OUTSIDE, SET_FAILED, STEP_FAILED, GET_FAILED = range(6)
 
@@ -76,19 +76,11 @@ def native_stepper(layout: Layout) -> "NativeStepper | None":
 
 
 def _is_native(buffer: Buffer) -> TypeGuard[LocalBuffer]:
-    """Whether a buffer is one of an FMU of FMI 2.0 in this process."""
     return isinstance(buffer, LocalBuffer) and buffer.instance.fmi is VERSIONS[2]
 
 
 class NativeStepper:
-    """Steps in C; see `SystemStepper`.
-
-    Parameters
-    ----------
-    layout : the system.
-    inputs, outputs : buffers of its components.
-    library : master.c, compiled.
-    """
+    """Steps in C with the compiled master.c, from the buffers of the components."""
 
     def __init__(
         self,
@@ -174,25 +166,10 @@ _AT_ONCE = 1 << 16  # rows between which Python handles signals
 def through(
     component: FmuInstance, inputs: Buffer, outputs: Buffer, times: Array, sizes: Array, rows: Array
 ) -> Array:
-    """Set rows of inputs, step, and read the outputs of an FMU.
+    """Set inputs (K, m), step from `times` by `sizes` (K,) [s], and return the outputs (K, n).
 
     It runs in C if the FMU is in this process and there is a compiler, with the same results.
-
-    Parameters
-    ----------
-    component : the FMU after its initialisation.
-    inputs, outputs : its buffers.
-    times, sizes : (K,) starts and sizes of the steps [s].
-    rows : (K, m) values of the inputs, in their units.
-
-    Returns
-    -------
-    (K, n) values of the outputs.
-
-    Raises
-    ------
-    SimulationError
-        If the FMU fails.
+    Raises SimulationError if the FMU fails.
     """
     found = np.empty((len(rows), outputs.values.size))
     if _is_native(inputs) and _is_native(outputs) and (library := _library()):
@@ -227,7 +204,7 @@ def _through(
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    """Return the compiled master; None without a compiler, steps run in Python then."""
+    """Return the compiled master; None without a compiler."""
     target = TARGETS.get(PLATFORM)
     if target is None:
         return None

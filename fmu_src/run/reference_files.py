@@ -1,9 +1,8 @@
 """Reference results in the folder `extra/` of an FMU or SSP, and their manifest.
 
-A friction FMU carries results of its law in Python (`friction.reference`). All others carry the
-outputs of their binary for the exporting machine, so that importers and other platforms can be
-compared with it. The files follow the FMI cross-check. The manifest is that of FMI-LS-REF
-1.0.0-alpha.1; paths in it are relative to its folder.
+A friction FMU carries results of its law in Python (`friction.reference`), others those of their
+binary on the exporting machine. The files follow the FMI cross-check, the manifest FMI-LS-REF
+1.0.0-alpha.1; its paths are relative to its folder.
 """
 
 import hashlib
@@ -31,7 +30,7 @@ WAYS: Mapping[str, str] = {
     "hold": "co-simulation: inputs hold over each step, outputs are read after it",
     "shown": "the same, outputs read once the inputs of the next step are set",
 }
-"""Order of writing inputs, stepping and reading outputs, by name of the experiment."""
+"""Order of setting inputs, stepping and reading outputs, by name of the experiment."""
 
 TOLERANCE = 1e-9
 """Tolerance relative to the largest value of an output: differences between platforms."""
@@ -68,16 +67,12 @@ _ABOUT = {
 
 @dataclass(frozen=True, kw_only=True)
 class Stimuli:
-    """Inputs and parameters of an FMU for its reference results.
+    """Inputs (ROWS + 1,) and parameters of an FMU for its reference results, in their units.
 
-    Attributes
-    ----------
-    step : communication step [s].
-    inputs : (ROWS + 1,) values of each input in its unit; others keep their start values.
-    parameters : parameters that differ from their start values.
+    Others keep their start values.
     """
 
-    step: float
+    step: float  # communication step [s]
     inputs: Mapping[str, Array] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
 
@@ -88,7 +83,7 @@ class Stimuli:
 
 
 def waves(amplitudes: Mapping[str, float], middle: float = 0.0) -> dict[str, Array]:
-    """Return a sinusoid (ROWS + 1,) around `middle` for each name, with 1 to 3 periods."""
+    """Return a sinusoid (ROWS + 1,) with 1 to 3 periods around `middle` for each name."""
     angle = 2.0 * np.pi * np.arange(ROWS + 1) / ROWS
     return {
         name: np.round(middle + size * np.sin((1 + j % 3) * angle + _PHASE * j), _DECIMALS)
@@ -97,14 +92,9 @@ def waves(amplitudes: Mapping[str, float], middle: float = 0.0) -> dict[str, Arr
 
 
 def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, bytes]:
-    """Return the members of an FMU's folder `extra/`.
+    """Return the members of the folder `extra/` of an FMU for co-simulation, which is run here.
 
     The result is empty without a binary for this machine, or if a run fails.
-
-    Parameters
-    ----------
-    members : members of an FMU for co-simulation, which is run in this process.
-    stimuli : its inputs and parameters.
     """
     root = ET.fromstring(members["modelDescription.xml"])
     kind = root.find("CoSimulation")
@@ -143,7 +133,7 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
 
 
 def _outputs(instance: FmuInstance) -> list[str]:
-    """Return the outputs that are numbers; those of FMI 2.0 must be continuous."""
+    """Return the Real outputs; those of FMI 2.0 must be continuous."""
     three = bool(instance.declared)
     return [
         v.name
@@ -189,7 +179,7 @@ def _files(
 
 
 def table(columns: Mapping[str, Array], digits: int) -> bytes:
-    """Return a CSV file with a quoted header and values of so many significant digits."""
+    """Return a CSV file with a quoted header and values of `digits` significant digits."""
     header = ",".join(f'"{name}"' for name in columns)
     rows = zip(*(c.tolist() for c in columns.values()), strict=True)
     # Adding zero turns -0 into 0.
@@ -198,7 +188,7 @@ def table(columns: Mapping[str, Array], digits: int) -> bytes:
 
 
 def options(t: Array, step: float, tolerance: float) -> bytes:
-    """Return an .opt file of the FMI cross-check; a step of 0 means a solver's."""
+    """Return an .opt file of the FMI cross-check; a step [s] of 0 means a solver's."""
     values = {"StartTime": t[0], "StopTime": t[-1], "StepSize": step}
     if not step:
         values["OutputIntervalLength"] = t[1]
@@ -208,38 +198,25 @@ def options(t: Array, step: float, tolerance: float) -> bytes:
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentFiles:
-    """Members of an archive that make up an experiment.
-
-    Attributes
-    ----------
-    name, description : name of the experiment and the order of its calls.
-    start, stop : start and end of the experiment [s].
-    step : communication step [s]; 0 if a solver chooses it.
-    tolerance : tolerance relative to the largest value of each output.
-    stimuli, references : CSV files.
-    parameters : CSV file with a single row; empty if all have their start values.
-    """
+    """Members of an archive that make up an experiment."""
 
     name: str
-    description: str
-    start: float
-    stop: float
-    step: float
-    tolerance: float
-    stimuli: str
-    references: str
-    parameters: str = ""
+    description: str  # order of calls
+    start: float  # [s]
+    stop: float  # [s]
+    step: float  # communication step [s]; 0 if a solver chooses it
+    tolerance: float  # relative to the largest value of each output
+    stimuli: str  # CSV file
+    references: str  # CSV file
+    parameters: str = ""  # CSV file of a single row; empty if all have their start values
 
 
 def manifest_files(
     experiments: Sequence[ExperimentFiles], members: Mapping[str, bytes]
 ) -> dict[str, bytes]:
-    """Return manifest and experiments file, by their paths in the archive.
+    """Return the manifest and the experiments file by path.
 
-    Parameters
-    ----------
-    experiments : at least one.
-    members : content of their files and of related ones, such as a README.
+    `members` are the files of the experiments and related ones, such as a README.
     """
     root = ET.Element("Experiments")
     for own in experiments:
@@ -284,7 +261,7 @@ def _manifest(related: Iterable[tuple[str, ...]], members: Mapping[str, bytes]) 
 
 
 def _from_folder(member: str) -> str:
-    """Return the path of a member relative to the manifest's folder."""
+    """Return the path of a member relative to the folder of the manifest."""
     if member.startswith(f"{FOLDER}/"):
         return member.removeprefix(f"{FOLDER}/")
     up = len(PurePosixPath(FOLDER).parts) - 1

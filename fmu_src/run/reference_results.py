@@ -1,7 +1,7 @@
-"""Reference results in an FMU or SSP, as FMI-LS-REF names them: read, played and compared.
+"""Reference results in an FMU or SSP, named by FMI-LS-REF: read, played and compared.
 
-The standard does not fix the order of writing inputs, stepping and reading outputs. Each known
-order is tried until one gives the results; an experiment named after one is played in it alone.
+The standard does not fix the order of setting inputs, stepping and reading outputs. All known
+orders are tried until one gives the results, unless the experiment is named after one.
 """
 
 import csv
@@ -24,23 +24,17 @@ FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
 
 WAYS = ("hold", "shown", "direct")
-"""Orders of calls: inputs of the start of a step are set, then after it outputs are read; the same
-with outputs read once the inputs of the next step are set; inputs of its end are set before a step.
+"""Orders of calls: inputs of the start of a step are set, outputs are read after it; the same with
+outputs read once the inputs of the next step are set; inputs of its end are set before a step.
 """
 
-_TOLERANCE = 1e-3  # of the largest value, unless the experiment names one
+_TOLERANCE = 1e-3  # relative to the largest value, by default
 _MOST_ROWS = 100_000
 
 
 @dataclass(frozen=True)
 class Verified:
-    """Outcome of the reference results of an FMU.
-
-    Attributes
-    ----------
-    problems, skipped : sentences.
-    passed : order of calls of each experiment that agrees.
-    """
+    """Problems and skipped experiments in sentences; order of calls of each that agrees."""
 
     problems: list[str] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
@@ -48,16 +42,9 @@ class Verified:
 
 
 def verify(fmu: Path) -> Verified:
-    """Play the experiments in an FMU and compare with its reference results.
+    """Run the experiments in an FMU and compare with its reference results.
 
-    Parameters
-    ----------
-    fmu : FMU for co-simulation; its code is run.
-
-    Raises
-    ------
-    ArtifactError
-        If the file cannot be read at all.
+    Raises ArtifactError if the file cannot be read at all.
     """
     found = Verified()
     with Archive(fmu) as archive:
@@ -76,29 +63,19 @@ def verify(fmu: Path) -> Verified:
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceExperiment:
-    """Stimuli and results.
+    """Inputs and results (N,) by name at the times t (N,) [s], and parameters."""
 
-    Attributes
-    ----------
-    name : name, which may be that of an order of calls.
-    tolerance : tolerance relative to the largest value of each output.
-    t : (N,) time [s].
-    inputs, outputs : (N,) values by name.
-    parameters : values by name.
-    step : step [s]; the difference of two times if 0.
-    """
-
-    name: str
-    tolerance: float
+    name: str  # may be that of an order of calls
+    tolerance: float  # relative to the largest value of each output
     t: Array
     inputs: dict[str, Array]
     outputs: dict[str, Array]
     parameters: dict[str, float]
-    step: float = 0.0
+    step: float = 0.0  # [s]; by default the difference of two times
 
 
 def experiments(archive: Archive, found: Verified) -> list[ReferenceExperiment]:
-    """Return the experiments for co-simulation in an archive and note problems."""
+    """Return the experiments for co-simulation in an archive; note problems."""
     if MANIFEST not in archive.names:
         found.skipped.append(f"Reference results: there is no {MANIFEST}.")
         return []
@@ -110,7 +87,7 @@ def experiments(archive: Archive, found: Verified) -> list[ReferenceExperiment]:
 
 
 class _Members:
-    """The files that a manifest names."""
+    """Files that a manifest names."""
 
     def __init__(self, archive: Archive) -> None:
         self._archive = archive
@@ -158,7 +135,6 @@ class _Members:
         )
 
     def _parameters(self, folder: str, source: str | None) -> dict[str, float]:
-        """Return the values in the single row of a table."""
         if source is None:
             return {}
         columns = self._columns(_resolved(folder, source))
@@ -197,14 +173,9 @@ def judged(
     played: Callable[[str], Array],
     found: Verified,
 ) -> None:
-    """Note whether an experiment gives its results in one of several orders of calls.
+    """Note whether one of several orders of calls gives the results of an experiment.
 
-    Parameters
-    ----------
-    experiment : the experiment with its results.
-    ways : orders to try.
-    played : returns the (N, outputs) values of an order.
-    found : receives the outcome.
+    `played` returns the values (N, outputs) of an order.
     """
     own = experiment.name
     worst: list[tuple[float, str]] = []
@@ -226,7 +197,7 @@ def judged(
 
 
 def play(instance: FmuInstance, experiment: ReferenceExperiment, way: str) -> Array:
-    """Initialise an FMU, take it through an experiment, and return its outputs (N, outputs)."""
+    """Initialise an FMU, run an experiment, and return its outputs (N, outputs)."""
     t = experiment.t
     rows = np.column_stack([*experiment.inputs.values(), t])[:, :-1]
     inputs = instance.buffer(list(experiment.inputs))
@@ -261,7 +232,6 @@ def _difference(experiment: ReferenceExperiment, rows: Array) -> tuple[float, st
 
 
 def _resolved(folder: str, source: str) -> str:
-    """Return the member at a path relative to a folder of the archive."""
     return posixpath.normpath(posixpath.join(folder, source))
 
 

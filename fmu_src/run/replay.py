@@ -25,30 +25,13 @@ def replay(
     temperature: ArrayLike | None = None,
     output: str = TORQUE,
 ) -> Array:
-    """Return the friction torque of an FMU over a log.
+    """Return the friction torque (N, n) [N.m] of an FMU, or another `output`, over a log.
 
     Sample 0 is set before the initialisation and read after it. Then each sample is set, the FMU
-    steps from the previous time to its own, and its output is read.
-
-    Parameters
-    ----------
-    fmu : a friction FMU; an instance is reset if it has been used.
-    t : (N,) time [s], increasing.
-    dq : (N, n) joint velocity [rad/s].
-    q : (N, n) joint position [rad]; zero by default.
-    tau_load : (N, n) load torque [N.m]; zero by default.
-    start : parameters by name, as {"start_mode": 2, "h_start[1]": 0.2}.
-    temperature : (N, n) joint temperature [degC] for a thermal FMU; by default friction heats.
-    output : output that is read of each joint, such as `tau_lower` of an FMU with a band.
-
-    Returns
-    -------
-    (N, n) friction torque or other output [N.m].
-
-    Raises
-    ------
-    SimulationError
-        If the log does not fit the FMU or the FMU fails.
+    steps from the previous time [s] to its own, and the output is read. `q` [rad] and `tau_load`
+    [N.m] are zero by default, `start` has parameters by name, and `temperature` [degC] is for a
+    thermal FMU; by default friction heats it. Raises SimulationError if the log does not fit the
+    FMU or the FMU fails.
     """
     if isinstance(fmu, Path):
         with FmuInstance(fmu) as component:
@@ -92,13 +75,7 @@ def replay(
 
 
 def require_finite(fmu: Path, t: Array, torque: Array) -> None:
-    """Check the (N, n) torque of a friction FMU at the times t (N,) [s].
-
-    Raises
-    ------
-    SimulationError
-        Naming the first time and joint with a torque that is not finite.
-    """
+    """Raise SimulationError if a torque (N, n) at the times t (N,) [s] is not finite."""
     finite = np.isfinite(torque)
     if not finite.all():
         row, joint = np.argwhere(~finite)[0]

@@ -1,7 +1,7 @@
-"""A process with limits on time, memory and files, for FMUs and files that are not trusted.
+"""A process with limits on time, memory and files, for untrusted FMUs and files.
 
 Each step of an FMU is one message: it carries pending writes, and its answer carries the buffers
-that were read after the previous step. Nothing that comes back is trusted.
+that were read after the previous step. No answer is trusted.
 """
 
 import json
@@ -40,8 +40,8 @@ from hesr_model.support.process import ChildProcess, FailedError, how_it_ended
 from hesr_model.support.text import plain
 
 _FAREWELL = 5.0  # [s] to free an instance
-_POLL = 0.1  # [s] between checks whether the process is alive
-_PIECE = 1 << 16  # bytes that are received at once
+_POLL = 0.1  # [s] between checks of the process
+_PIECE = 1 << 16  # bytes received at once
 _MOST_PREFETCHED = 8  # buffers
 _MOST_RESULT = 64 << 20  # bytes
 NONSENSE = "gave an answer that makes no sense and was ended"
@@ -49,22 +49,11 @@ NONSENSE = "gave an answer that makes no sense and was ended"
 
 
 class Sandbox:
-    """A child process that answers requests; it ends at its first offence.
+    """A child process in an empty folder that answers requests; it is ended at its first offence.
 
-    Parameters
-    ----------
-    folder : empty working folder of the process.
-    seconds : time limit of each request, from sending it to its whole answer [s].
-
-    Attributes
-    ----------
-    reached : position of the last call within its request, once the process has ended.
-
-    Raises
-    ------
-    DiedError
-        By the constructor and every method, if the process cannot be started, ends, exceeds the
-        time limit, or answers nonsense; the text is the end of a sentence.
+    Each request has `seconds` [s]. DiedError is raised if the process cannot be started, ends,
+    exceeds the time limit, or gives an invalid answer; its text is the end of a sentence. `reached`
+    is then the position of the last call within its request.
     """
 
     def __init__(self, folder: Path, seconds: float) -> None:
@@ -95,7 +84,7 @@ class Sandbox:
             theirs.close()
 
     def ask(self, request: bytes, most: int) -> bytes:
-        """Return the answer to a request, at most so many bytes."""
+        """Return the answer to a request, at most `most` bytes."""
         end = time.monotonic() + self.seconds
         try:
             self._send(LENGTH.pack(len(request)) + request, end)
@@ -104,9 +93,9 @@ class Sandbox:
             raise self.died(self._how_it_ended()) from error
 
     def run(self, function: str, *arguments: Any) -> Any:
-        """Return the result of a function, named as "module:function", called in the process.
+        """Return the result of "module:function", called in the process with JSON data.
 
-        Arguments and result are JSON data; an exception is a `DiedError`.
+        An exception of the function is a `DiedError`.
         """
         request = WORDS + json.dumps(["run", [function, *arguments]]).encode()
         data = self.ask(request, _MOST_RESULT)
@@ -124,7 +113,7 @@ class Sandbox:
         return DiedError(how)
 
     def kill(self) -> None:
-        """End the process and all that it has started."""
+        """End the process and its descendants."""
         if not self._position.closed:
             self._position.seek(0)
             self.reached = next(iter(self._position.read(1)), 0)
@@ -177,7 +166,7 @@ class Sandbox:
 
 
 def run_in_sandbox(function: str, *arguments: Any, folder: Path, seconds: float) -> Any:
-    """Return the result of a function in a sandbox of its own; see `Sandbox.run`."""
+    """Return the result of a function in a new sandbox; see `Sandbox.run`."""
     with TemporaryDirectory(dir=folder) as own:
         sandbox = Sandbox(Path(own), seconds)
         try:
@@ -189,20 +178,7 @@ def run_in_sandbox(function: str, *arguments: Any, folder: Path, seconds: float)
 class SandboxedInstance:
     """An FMU in a sandbox, with the methods of `Instance`.
 
-    Parameters
-    ----------
-    fmu, tell, failure : as for `Instance`.
-    folder, seconds : as for `Sandbox`.
-
-    Raises
-    ------
-    LoadError
-        If the binary cannot be loaded.
-    CallError
-        By the constructor and every method, if a function of the FMU fails; a failed write
-        surfaces at the next call.
-    DiedError
-        By the constructor and every method, if the process has ended.
+    A failed write surfaces at the next call. DiedError is raised if the process has ended.
     """
 
     def __init__(
@@ -283,7 +259,6 @@ class SandboxedInstance:
         self._sandbox.seconds = min(self._sandbox.seconds, _FAREWELL)
         self._failure = lambda error: error
         try:
-            # Errors of an FMU that is freed no longer matter.
             with suppress(DiedError, CallError):
                 self._call(self._functions["free"], "close", stepping)
         finally:
@@ -326,7 +301,7 @@ class SandboxedInstance:
         needed: Sequence[int] = (),
         prefetch: Sequence[int] = (),
     ) -> None:
-        """Do pending writes, a step if it has a size, and read buffers."""
+        """Do pending writes, a step [s] if it has a size, and read buffers."""
         written, self._written = self._written, []
         self._known.clear()
         exchange = Exchange(
@@ -366,7 +341,7 @@ class SandboxedInstance:
 
 
 class SandboxedBuffer:
-    """Values of several Real variables of a `SandboxedInstance`; see `Buffer`."""
+    """Values of Real variables of a `SandboxedInstance`; see `Buffer`."""
 
     def __init__(self, instance: SandboxedInstance, number: int, values: Array) -> None:
         self.values, self.number = values, number

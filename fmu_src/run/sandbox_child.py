@@ -1,11 +1,10 @@
-"""The process of a sandbox: serves an FMU, or runs functions by name.
+"""Process of a sandbox, which serves an FMU or runs functions by name.
 
-    python -m fmu_src.run.sandbox_child SOCKET
+python -m fmu_src.run.sandbox_child SOCKET
 
-Messages are a length and that many bytes. Requests and answers are JSON, except for those of each
-step, which are packed (`Exchange`). The first byte of the file `POSITION` in the current folder is
-the position of the running call within its request, in case that call never returns. The process
-ends with the process that started it.
+A message is its length and bytes. Requests and answers are JSON, except for packed ones of steps
+(`Exchange`). The first byte of the file `POSITION` is the position of the running call within its
+request, in case that call never returns. The process ends with its parent.
 """
 
 import importlib
@@ -34,7 +33,7 @@ MOST_FILES = 256
 
 MOST_MESSAGES = 100
 LONGEST_MESSAGE = 2000
-"""Forward only the last messages of an FMU, each truncated to this number of characters."""
+"""Number and size [characters] of the last messages of an FMU that are forwarded."""
 
 LONGEST_TEXT = 4 * MOST_MESSAGES * LONGEST_MESSAGE
 """Largest text of an answer of an FMU [bytes]."""
@@ -51,21 +50,13 @@ _REQUEST, _ANSWER = struct.Struct("<ddIII"), struct.Struct("<ii")
 
 @dataclass(frozen=True, kw_only=True)
 class Exchange:
-    """Buffers to write, a step, and buffers to read.
-
-    Attributes
-    ----------
-    begin, size : start and size of the step [s]; no step if the size is 0.
-    written : numbers of buffers with their values as bytes, in order.
-    needed : buffers to read; a failure is an error.
-    prefetch : buffers to read speculatively.
-    """
+    """Buffers to write, a step [s] unless its size is 0, and buffers to read."""
 
     begin: float = 0.0
     size: float = 0.0
-    written: Sequence[tuple[int, bytes]] = ()
-    needed: Sequence[int] = ()
-    prefetch: Sequence[int] = ()
+    written: Sequence[tuple[int, bytes]] = ()  # numbers of buffers and their values
+    needed: Sequence[int] = ()  # buffers whose failure is an error
+    prefetch: Sequence[int] = ()  # buffers to read speculatively
 
     def packed(self) -> bytes:
         """Return the request."""
@@ -84,10 +75,7 @@ class Exchange:
 def unpacked_answer(data: bytes) -> tuple[int, int, bytes]:
     """Return status and position of the failed call, and the rest, of an answer to an exchange.
 
-    Raises
-    ------
-    ValueError
-        If it is too short.
+    Raises ValueError if it is too short.
     """
     if len(data) < _ANSWER.size:
         raise ValueError(f"{len(data)} bytes are not an answer")
@@ -106,7 +94,6 @@ class _Host:
             self._position = mmap.mmap(file.fileno(), 1)
 
     def serve(self) -> None:
-        """Answer requests until the connection is closed."""
         requests = self._connection.makefile("rb")
         while header := requests.read(LENGTH.size):
             request = requests.read(*LENGTH.unpack(header))
@@ -155,7 +142,7 @@ class _Host:
         self._instance.close(stepping=stepping)
 
     def _exchanged(self, request: bytes) -> bytes:
-        """Do an exchange and return its answer: the values that were read, then the messages."""
+        """Do an exchange and return its answer: the values, then the messages."""
         begin, size, writes, needs, prefetches = _REQUEST.unpack_from(request)
         count = writes + needs + prefetches
         numbers = struct.unpack_from(f"<{count}I", request, _REQUEST.size)
@@ -185,7 +172,7 @@ class _Host:
             try:
                 buffer.read()
             except self._call_error:
-                self._messages = []  # it will be read again, if at all
+                self._messages = []  # it will be read again if needed
                 break
             found.append(buffer)
         self._messages = before + self._messages
@@ -204,7 +191,6 @@ def _write(buffer: "LocalBuffer", values: bytes) -> None:
 
 
 def _run(function: str, *arguments: Any) -> dict[str, Any]:
-    """Call a function, named as "module:function"."""
     module, _, name = function.partition(":")
     try:
         return {"result": getattr(importlib.import_module(module), name)(*arguments)}
@@ -222,14 +208,14 @@ def _limit() -> None:
             (resource.RLIMIT_NOFILE, MOST_FILES),
             (resource.RLIMIT_CORE, 0),
         ):
-            # A system or a user may have set a lower one.
+            # A lower limit may be set already.
             hard = resource.getrlimit(kind)[1]
             least = most if hard == resource.RLIM_INFINITY else min(most, hard)
             resource.setrlimit(kind, (least, least))
 
 
 def _end_with_parent() -> None:
-    """Wait until standard input is closed by the parent, then end the whole process group."""
+    """Wait until the parent closes standard input, then end the process group."""
     with suppress(OSError):
         while os.read(0, 1):
             pass

@@ -1,7 +1,7 @@
 """Model descriptions: read, checked, and searched by variable name.
 
-FMI 3.0 variables become FMI 2.0 ones: one scalar per array element, in four types. The reference of
-an element is the value reference of its array and, above bit 32, the element's position.
+FMI 3.0 variables become FMI 2.0 ones: a scalar per array element, in four types. The reference of
+an element is the value reference of its array with the position of the element above bit 32.
 """
 
 import re
@@ -48,13 +48,7 @@ _TYPES = {"Float64": "Real", "Enumeration": "Integer"} | {
 
 
 def model_description(fmu: Path) -> ModelDescription:
-    """Read the description of an FMU.
-
-    Raises
-    ------
-    SimulationError
-        If it cannot be read, or its model identifier cannot be a file name.
-    """
+    """Read the description of an FMU; see `description_in`."""
     try:
         with Archive(fmu) as archive:
             return description_in(archive)[0]
@@ -63,18 +57,10 @@ def model_description(fmu: Path) -> ModelDescription:
 
 
 def description_in(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
-    """Read the description in an opened FMU.
+    """Read the description in an FMU, and the variables of FMI 3.0 as declared.
 
-    Returns
-    -------
-    Description with scalar variables and, for FMI 3.0, the variables as declared.
-
-    Raises
-    ------
-    ArtifactError
-        If the description is missing or damaged.
-    SimulationError
-        If it cannot be read, or its model identifier cannot be a file name.
+    Raises ArtifactError if it is missing or damaged, SimulationError if it cannot be read or its
+    model identifier cannot be a file name.
     """
     text, fmu = archive.read(DESCRIPTION, MOST_TEXT), archive.path
     with TemporaryDirectory(prefix="hesr-") as folder:
@@ -131,10 +117,8 @@ def arrays_of(about: Any, declared: Sequence[Declared]) -> dict[str, tuple[str, 
 def _with_scalars(about: Any) -> tuple[Any, list[Declared]]:
     """Replace each FMI 3.0 array by its elements; a dependency on an array is one on each element.
 
-    Raises
-    ------
-    ValueError
-        If a size, value reference or start value is invalid, or there are too many elements.
+    Raises ValueError if a size, value reference or start value is invalid, or there are too many
+    elements.
     """
     _require_sizes(about.modelVariables)
     elements = {id(v): _elements(v) for v in about.modelVariables}
@@ -222,7 +206,7 @@ def _number(text: str) -> float:
 def suggestion(name: str, known: Iterable[str], most: int) -> str:
     """Return "did you mean a, b or c?" with the closest names first; empty if none is close."""
     shares = {other: SequenceMatcher(None, other, name).ratio() for other in known}
-    # The sort is stable, so equally close names keep their order.
+    # A stable sort keeps the order of equally close names.
     near = sorted((o for o, s in shares.items() if s >= _CLOSE), key=lambda o: -shares[o])[:most]
     if not near:
         return ""
@@ -231,18 +215,7 @@ def suggestion(name: str, known: Iterable[str], most: int) -> str:
 
 
 class Variables:
-    """Variables of an FMU by name.
-
-    Parameters
-    ----------
-    fmu : the file, for messages.
-    description : FMPy's model description.
-
-    Raises
-    ------
-    SimulationError
-        By every method, naming the FMU and the missing variable.
-    """
+    """Variables of an FMU by name; methods raise SimulationError with the missing variable."""
 
     def __init__(self, fmu: Path, description: Any) -> None:
         self._fmu, self._description = fmu, description
@@ -297,11 +270,7 @@ class Variables:
 
     @property
     def needed(self) -> list[str]:
-        """Inputs that affect outputs or states.
-
-        An FMU with model exchange declares the dependencies of its derivatives. One for
-        co-simulation alone may use any input in its steps.
-        """
+        """Inputs that affect outputs or states; in FMUs for co-simulation alone all inputs."""
         about = self._description
         if about.modelExchange is None:
             return self.inputs
@@ -331,7 +300,6 @@ class Variables:
         return found
 
     def _checked(self, name: str, value: float | str) -> float | str:
-        """Return a start value that fits the type of its variable."""
         variable = self[name]
         if variable.type == "String":
             fits = isinstance(value, str)
@@ -350,8 +318,7 @@ class Variables:
     def _choice(self, name: str, value: str) -> int:
         """Return the value of a named choice.
 
-        An Enumeration declares them; the description of an Integer may list them, as
-        "1 = fourier, 2 = sine".
+        An Enumeration declares them; an Integer may be described as "1 = fourier, 2 = sine".
         """
         variable = self[name]
         declared = variable.declaredType
