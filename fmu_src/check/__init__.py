@@ -1,7 +1,4 @@
-"""Checks of any FMU, all problems at once.
-
-Names are imported when they are first used, so that readers in the sandbox start quickly.
-"""
+"""Checks of any FMU, imported lazily so that readers in the sandbox start quickly."""
 
 from typing import TYPE_CHECKING
 
@@ -20,5 +17,5 @@ _HOMES = {
     "opened": "fmu_src.run.archive",
 }
 
-if not TYPE_CHECKING:  # type checkers use the names above
+if not TYPE_CHECKING:  # seen by type checkers above
     __getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -1,4 +1,4 @@
-"""The archive: nothing of it is trusted, and no entry's name is ever used as a path."""
+"""Checks of the untrusted archive; names of entries are never used as paths."""
 
 import zipfile
 from collections.abc import Iterator
@@ -22,17 +22,10 @@ from hesr_model.support.text import listed, quoted
 
 @dataclass(frozen=True, kw_only=True)
 class Contents:
-    """What could be read of an archive.
-
-    Attributes
-    ----------
-    names : of all files in it, readable or not.
-    files : the file that holds the content of each readable one; its own name is a number.
-    problems : one sentence each.
-    """
+    """Readable files of an archive by name, all its names, and its problems."""
 
     names: tuple[str, ...] = ()
-    files: dict[str, Path] = field(default_factory=dict)
+    files: dict[str, Path] = field(default_factory=dict)  # under numbered names
     problems: tuple[str, ...] = ()
 
     def read(self, name: str) -> bytes:
@@ -41,12 +34,9 @@ class Contents:
 
 
 def unpack(path: Path, folder: Path) -> Contents:
-    """Read an archive into files that are numbered, in a folder that is empty.
+    """Read an archive into numbered files of an empty folder.
 
-    Raises
-    ------
-    ArtifactError
-        If the archive cannot be opened.
+    Raises ArtifactError if the archive cannot be opened.
     """
     with opened(path) as file:
         try:
@@ -91,7 +81,7 @@ def _read_all(archive: zipfile.ZipFile, folder: Path) -> Contents:
 
 
 def _oddities(entry: zipfile.ZipInfo) -> Iterator[str]:
-    """Sentences on what is unsafe in an entry, and on what other systems read otherwise."""
+    """Yield a sentence for each hazard of an entry, and for each difference between systems."""
     yield from hazards(entry)
     if "\\" in entry.filename:
         yield (

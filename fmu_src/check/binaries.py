@@ -1,4 +1,4 @@
-"""Shared libraries: the right kind in the right folder, complete, and able to be loaded."""
+"""Checks of shared libraries: format, functions and dependencies."""
 
 import posixpath
 import re
@@ -20,7 +20,7 @@ _READER = "fmu_src.check.readers:inspect"
 
 @dataclass(frozen=True, kw_only=True)
 class Platform:
-    """What the name of a folder under binaries/ promises."""
+    """Format, machines and suffix of the libraries in a folder under binaries/."""
 
     format: str
     machines: tuple[str, ...]
@@ -38,7 +38,7 @@ PLATFORMS: Mapping[str, Platform] = {
     "win64": Platform(**_PE, machines=("AMD64",)),
     "darwin32": Platform(**_MACH_O, machines=("X86",)),
     "darwin64": Platform(**_MACH_O, machines=("X86_64", "ARM64")),
-    # Names of FMI 3 and of importers, for what FMI 2.0 has no name.
+    # Names of FMI 3.0 and of importers.
     "aarch64-linux": Platform(**_ELF, machines=("AARCH64",)),
     "x86_64-linux": Platform(**_ELF, machines=("X86_64",)),
     "aarch64-windows": Platform(**_PE, machines=("ARM64",)),
@@ -52,14 +52,14 @@ PLATFORMS_3: Mapping[str, Platform] = {
     "x86-windows": Platform(**_PE, machines=("I386",)),
     **{name: platform for name, platform in PLATFORMS.items() if "-" in name},
 }
-"""Of FMI 3.0."""
+"""Platforms of FMI 3.0."""
 
 _FOLDER = "binaries/"
 _PYTHON = re.compile("_?Py[A-Z_][A-Za-z_]+")
 
 
 def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iterator[str]:
-    """Yield what is wrong with the binaries; `folder` is for temporary files."""
+    """Yield the problems of the binaries; `folder` is for temporary files."""
     for platform, names in _by_platform(contents).items():
         expected = _platforms(about).get(platform)
         # Subfolders may contain static libraries only.
@@ -85,7 +85,7 @@ def _platforms(about: ParsedDescription) -> Mapping[str, Platform]:
 
 
 def skipped(about: ParsedDescription, contents: Contents) -> list[str]:
-    """Return the folders whose binaries are not looked at, and why."""
+    """Return the folders whose binaries are not checked, with the reason."""
     return [
         f"binaries/{plain(platform)}: not looked at, since no platform of this name is known."
         for platform in _by_platform(contents)
@@ -94,7 +94,7 @@ def skipped(about: ParsedDescription, contents: Contents) -> list[str]:
 
 
 def _by_platform(contents: Contents) -> dict[str, set[str]]:
-    """Names of the files in each folder under binaries/, and of those in folders in it."""
+    """Return the files in each folder under binaries/ and its subfolders."""
     found: dict[str, set[str]] = {}
     for name in contents.names:
         first, _, rest = name.partition("/")
@@ -144,7 +144,7 @@ def _exports(
             yield from _missing(kind, exports)
     elif missing := [name for name in functions.REQUIRED_3 if name not in exports]:
         yield f"it does not export {listed(missing)}; FMI 3.0 requires all of its functions."
-    # Other versions of FMI have other names, so that one library can serve several of them.
+    # One library may serve several versions of FMI.
     own = f"fmi{about.fmi}"
     strange = sorted(n for n in exports if n.startswith(own) and n not in functions.KNOWN)
     if strange:
@@ -152,7 +152,6 @@ def _exports(
 
 
 def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[str]:
-    """Yield the functions that hosts look for and do not find."""
     required = functions.REQUIRED[kind.element]
     missing = [name for name in required if name not in exports]
     prefixed = [name for name in missing if f"{kind.identifier}_{name}" in exports]
@@ -185,7 +184,7 @@ def _place(name: str) -> str:
 
 
 def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Iterator[str]:
-    """Yield what has to be there for the library to be loaded and is not."""
+    """Yield dependencies that are missing when the library is loaded."""
     python = [name for name in part["imports"] if _PYTHON.fullmatch(name)]
     others = []
     for name in part["libraries"]:

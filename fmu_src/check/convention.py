@@ -1,8 +1,8 @@
 """Results of an FMU for one motion under different input conventions.
 
-Importers differ in when they set the inputs of a step (`fmu_src.friction.settings`), and a law that
-changes fast around reversals feels it. Here the FMU itself is run in each of the ways, and compared
-with its law as logs are replayed, and with its law in continuous time.
+Importers differ in when they set the inputs of a step (`fmu_src.friction.settings`), which matters
+for laws that change fast around reversals. The FMU is run in each way and compared with its law as
+logs are replayed, and with its law in continuous time.
 """
 
 from collections.abc import Mapping
@@ -25,25 +25,17 @@ from hesr_model.support.arrays import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Convention:
-    """Errors of an FMU's torque for each way of handing its inputs over.
+    """Errors of an FMU's torque by setting and joint.
 
-    Attributes
-    ----------
-    joints : names of the joints.
-    sliding : whether each of them slides; empty if all turn.
-    step : of the runs, the model's sample time [s].
-    frequency : of the sinusoidal velocity [Hz].
-    speeds : its amplitude for each joint [rad/s].
-    replay : by setting, each joint's error against the law as logs are replayed, which is the
-        direct setting: that one is off by rounding only.
-    continuous : the same against the law in continuous time, inputs linear between the samples.
+    `replay` compares with the law as logs are replayed (the direct setting, which is off by
+    round-off only), `continuous` with the law in continuous time and inputs linear between samples.
     """
 
     joints: tuple[str, ...]
-    sliding: tuple[bool, ...] = ()
-    step: float
-    frequency: float
-    speeds: tuple[float, ...]
+    sliding: tuple[bool, ...] = ()  # empty if all joints turn
+    step: float  # sample time of the model [s]
+    frequency: float  # of the sinusoidal velocity [Hz]
+    speeds: tuple[float, ...]  # amplitudes of the velocity [rad/s]
     replay: Mapping[str, tuple[Error, ...]]
     continuous: Mapping[str, tuple[Error, ...]]
 
@@ -51,19 +43,9 @@ class Convention:
 def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Convention:
     """Run a friction FMU on the reference motion in every setting, at its model's sample time.
 
-    All joints make the same motion, from rest at the middle of a sinusoid.
-
-    Parameters
-    ----------
-    fmu : an FMU that carries its friction model.
-    frequency, periods : of the motion [Hz], and how many of its periods there are.
-
-    Raises
-    ------
-    ArtifactError
-        If the FMU cannot be read, or the model in it is damaged.
-    SimulationError
-        If it carries no friction model or has other connectors than a friction FMU, or fails.
+    All joints make the same motion, from rest at the middle of a sinusoid with `frequency` [Hz].
+    Raises ArtifactError if the FMU or its model is damaged, SimulationError if `judge` refuses it
+    or it fails.
     """
     model = judge(fmu)
     motion = reference_motion(model, frequency=frequency, periods=periods)
@@ -85,15 +67,9 @@ def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Conv
 
 
 def judge(fmu: Path) -> FrictionModel:
-    """Return the model that is the reference of a friction FMU, without running the FMU.
+    """Return the model in a friction FMU, without running the FMU.
 
-    Raises
-    ------
-    ArtifactError
-        If the FMU cannot be read, or the model in it is damaged.
-    SimulationError
-        If it carries no friction model, has other connectors than a friction FMU, or follows
-        friction or temperature.
+    Raises SimulationError if there is none, it is adaptive or thermal, or connectors are missing.
     """
     model = embedded_model(fmu)
     if model is None:
@@ -119,19 +95,7 @@ def judge(fmu: Path) -> FrictionModel:
 
 
 def run(fmu: Path, motion: ReferenceMotion, setting: str) -> Array:
-    """Return the (N, n) torque [N.m] of an FMU whose inputs are handed over in one way.
-
-    Parameters
-    ----------
-    fmu : a friction FMU of the motion's joints.
-    motion : its inputs.
-    setting : one of `settings.SETTINGS`.
-
-    Raises
-    ------
-    SimulationError
-        If the FMU fails.
-    """
+    """Return the torque (N, n) [N.m] of a friction FMU in one of `SETTINGS`."""
     rows = np.hstack([getattr(motion, symbol.name) for symbol in INPUTS])
     joints = range(1, motion.dq.shape[1] + 1)
     names = [f"{symbol.name}[{i}]" for symbol in INPUTS for i in joints]

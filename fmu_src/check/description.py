@@ -1,4 +1,4 @@
-"""modelDescription.xml as plain data, read without trusting that it is valid.
+"""modelDescription.xml as plain data, read without assuming that it is valid.
 
 Invalid numbers are None here: the schema check reports them.
 """
@@ -66,7 +66,7 @@ def flag(text: str | None) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class InterfaceKind:
-    """The ModelExchange or the CoSimulation element."""
+    """Element ModelExchange, CoSimulation or ScheduledExecution."""
 
     element: str
     attributes: Mapping[str, str]
@@ -100,11 +100,7 @@ class SimpleType:
 
 @dataclass(frozen=True, kw_only=True)
 class ParsedVariable:
-    """A variable; `own` are the attributes of its Real, Integer, ... element.
-
-    Of FMI 3.0, `size` is how many elements it has, None where that is not known, and `others` are
-    the names of its aliases.
-    """
+    """A variable; `own` are the attributes of its Real, Integer, ... element."""
 
     index: int
     name: str
@@ -115,17 +111,17 @@ class ParsedVariable:
     kind: str
     own: Mapping[str, str]
     type: SimpleType | None
-    size: int | None = 1
-    others: tuple[str, ...] = ()
+    size: int | None = 1  # number of elements in FMI 3.0; None if unknown
+    others: tuple[str, ...] = ()  # names of aliases in FMI 3.0
 
     @property
     def initial(self) -> str | None:
-        """Its `initial`, or the default that causality and variability give."""
+        """Declared value of initial, or the default for causality and variability."""
         allowed = INITIAL.get((self.causality, self.variability), ())
         return self.declared_initial or next(iter(allowed), None)
 
     def get(self, attribute: str) -> str | None:
-        """Return an attribute, the declared type's where it has none of its own."""
+        """Return an attribute, by default that of the declared type."""
         inherited = self.type.attributes.get(attribute) if self.type else None
         return self.own.get(attribute, inherited)
 
@@ -141,10 +137,7 @@ class Unknown:
 
 @dataclass(frozen=True, kw_only=True)
 class ParsedDescription:
-    """All that the rules look at.
-
-    Of FMI 3.0, `structure` has the names of FMI 2.0; `lists` has their places in the file.
-    """
+    """All data of the rules; `lists` maps names of `structure`, those of FMI 2.0, to elements."""
 
     fmi: int
     lists: Mapping[str, str]
@@ -168,7 +161,7 @@ class ParsedDescription:
         return {name: frozenset(displays) for name, displays in self.units}
 
     def shown(self, index: int) -> str:
-        """Return how the file names a variable that does not exist."""
+        """Return the text for a variable that does not exist."""
         return f"variable number {index}" if self.fmi == 2 else f"value reference {-1 - index}"
 
     @property
@@ -189,12 +182,12 @@ def read_description(root: etree._Element) -> ParsedDescription:
 
 
 def name_of(element: etree._Element) -> str:
-    """Return its name, empty where it has none."""
+    """Return the name of an element, or ""."""
     return str(element.get("name", ""))
 
 
 def names_of(elements: Iterable[etree._Element]) -> tuple[str, ...]:
-    """Return the name of each element."""
+    """Return the names of elements."""
     return tuple(map(name_of, elements))
 
 
@@ -203,7 +196,7 @@ def _attributes(element: etree._Element | None) -> dict[str, str]:
 
 
 class Reader:
-    """Reads the element fmiModelDescription; other versions differ from FMI 2.0 in methods."""
+    """Reads the element fmiModelDescription of FMI 2.0; subclasses read other versions."""
 
     fmi = 2
     kinds = tuple(KINDS)
@@ -217,7 +210,7 @@ class Reader:
         self._types, self._by_name = types, {t.name: t for t in types}
 
     def description(self) -> ParsedDescription:
-        """Return all that it says."""
+        """Return all data of the element."""
         root = self.root
         return ParsedDescription(
             fmi=self.fmi,
@@ -256,7 +249,7 @@ class Reader:
         return integer(text)
 
     def variable(self, index: int, element: etree._Element) -> ParsedVariable:
-        """Return a variable by its number and element."""
+        """Return a variable by its index and element."""
         own = self.own(element)
         given = _attributes(own)
         return ParsedVariable(

@@ -1,7 +1,7 @@
-"""modelDescription.xml of FMI 3.0 as the rules look at it, in the terms of FMI 2.0.
+"""modelDescription.xml of FMI 3.0 in the terms of FMI 2.0.
 
-What refers to a variable by its value reference becomes its number, which counts from 1; what
-refers to none becomes a negative number.
+Value references become indices of variables, which count from 1; unknown references become
+negative.
 """
 
 from collections.abc import Mapping
@@ -73,7 +73,7 @@ class _Reader3(Reader):
     def variable(self, index: int, element: etree._Element) -> ParsedVariable:
         found = super().variable(index, element)
         own = dict(found.own)
-        if "start" not in own and element.find("Start") is not None:  # of texts
+        if "start" not in own and element.find("Start") is not None:  # of a String
             own["start"] = " ".join(e.get("value", "") or "?" for e in element.findall("Start"))
         if "derivative" in own:
             own["derivative"] = str(self.number(own["derivative"]))
@@ -89,7 +89,7 @@ class _Reader3(Reader):
         return replace(
             found,
             variability=element.get("variability", usual),
-            declared_initial=None if fixed else found.declared_initial,  # inputs have no other
+            declared_initial=None if fixed else found.declared_initial,  # the only value for inputs
             own=own,
             size=prod(known) if len(known) == len(parts) else None,
             others=names_of(element.findall("Alias")),

@@ -1,6 +1,6 @@
-"""Validators of others: FMPy and VDMCheck2.
+"""External validators: FMPy and VDMCheck2.
 
-Both get a copy of the FMU with the same names, in which only checked XML files have content.
+They get a copy of the FMU with the same names, in which only checked XML files have content.
 """
 
 import re
@@ -29,7 +29,7 @@ _LINE = re.compile(r" at \w+\.xml:(\d+)$")
 
 
 def write_copy(contents: Contents, readable: Iterable[str], path: Path) -> None:
-    """Write an archive with the same names, and content only in those that are named."""
+    """Write an archive with the same names, and with the content of readable files only."""
     readable = set(readable)
     with zipfile.ZipFile(path, "w") as archive:
         for name in contents.names:
@@ -39,7 +39,7 @@ def write_copy(contents: Contents, readable: Iterable[str], path: Path) -> None:
 
 
 def fmpy(copy: Path, folder: Path) -> tuple[list[str], list[str]]:
-    """Return the problems that FMPy finds and why it was not run, if so."""
+    """Return the problems that FMPy finds, and why it was not run."""
     try:
         reader = "fmu_src.check.readers:validate"
         found = run_in_sandbox(reader, str(copy), folder=folder, seconds=FMPY_SECONDS)
@@ -49,7 +49,7 @@ def fmpy(copy: Path, folder: Path) -> tuple[list[str], list[str]]:
 
 
 def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[str], list[str]]:
-    """Return the problems that VDMCheck2 finds and why it was not run, if so."""
+    """Return the problems that VDMCheck2 finds, and why it was not run."""
     jar = (place or DEFAULT_VDMCHECK) / JAR
     if not jar.is_file():
         return [], [f"VDMCheck2: {JAR} is missing in {jar.parent}."]
@@ -82,6 +82,6 @@ def _rule(name: str, text: str) -> str:
 
 
 def _sentence(text: str) -> str:
-    # Of several lines the first says it; the others are drawings of parsers.
+    # Further lines are drawings of parsers.
     text = plain(next(iter(text.strip().splitlines()), "no message"), _LONGEST)
     return text if text.endswith((".", "!", "?")) else f"{text}."

@@ -1,4 +1,4 @@
-"""The functions of FMI 2.0 and 3.0, and which capability promises which of those of 2.0."""
+"""Functions of FMI 2.0 and 3.0, and those required by capability flags of FMI 2.0."""
 
 _COMMON = """
 GetTypesPlatform GetVersion SetDebugLogging Instantiate FreeInstance SetupExperiment
@@ -64,4 +64,4 @@ PROMISED = {
     "canInterpolateInputs": _functions("SetRealInputDerivatives"),
     "canRunAsynchronuously": _functions("CancelStep GetStatus"),
 }
-"""Functions that hosts call because of a flag in the XML."""
+"""Functions that hosts call because of a flag."""

@@ -54,7 +54,7 @@ def _is_date(text: str) -> bool:
 
 
 def experiment(about: ParsedDescription) -> Iterator[str]:
-    """Check that the default experiment can be run."""
+    """Check the values of the default experiment."""
     start, stop, step, tolerance = (
         real(about.experiment.get(n)) for n in ("startTime", "stopTime", "stepSize", "tolerance")
     )

@@ -1,9 +1,9 @@
-"""Behaviour of an FMU under masters at their worst: odd step sizes, unusual calls.
+"""Behaviour of an FMU under adverse masters: odd step sizes, unusual calls.
 
 The reference is the same FMU at an eighth of its preferred step, and at half of it with inputs held
 for twice that step, as masters may do. An output jumps if it leaves the range of the reference
-around its time by several times its step error. The step error is its distance from this range at
-the preferred step, with outputs included that follow new inputs before the step.
+around its time by several step errors. The step error is its distance from this range at the
+preferred step, with outputs included that follow new inputs before the step.
 """
 
 import math
@@ -65,7 +65,7 @@ _NAMES = _FREE | {
 class _Run:
     """Outcome of a scenario: (N,) times [s] and steps before them [s], (N, outputs) values.
 
-    `fresh` are the values that were read before the steps, if any.
+    `fresh` are values that were read before the steps.
     """
 
     times: Array
@@ -80,11 +80,7 @@ def problems(
 ) -> tuple[list[str], list[str]]:
     """Return the findings of a hostile master, and reasons for scenarios that were not run.
 
-    Parameters
-    ----------
-    about : description of an FMU of FMI 2.0.
-    contents : its files.
-    folder : folder for files of the run; the FMU's binary is executed.
+    It runs the binary of an FMU of FMI 2.0; `folder` is for temporary files.
     """
     import fmpy
 
@@ -184,7 +180,7 @@ class _Master:
             )
 
     def _outcomes(self, scenarios: Sequence[str]) -> dict[str, dict[str, Any]]:
-        """Run scenarios in a sandbox; after one that ends it the others run in a new one."""
+        """Run scenarios in a sandbox; after one that ends it, the others run in a new one."""
         found, sandbox = dict[str, dict[str, Any]](), None
         try:
             for name in scenarios:

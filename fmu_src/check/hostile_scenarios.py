@@ -1,4 +1,4 @@
-"""Scenarios of a master at its worst, each run with a new instance in the sandbox."""
+"""Scenarios of an adverse master, each run with a new instance in the sandbox."""
 
 import ctypes
 import math
@@ -19,13 +19,7 @@ _OUTCOMES = {2: "is discarded", 3: "ends in an error", 4: "ends in a fatal error
 
 
 class RefusedError(Exception):
-    """The FMU has refused a call.
-
-    Parameters
-    ----------
-    text : which call, and how.
-    status : status of the call, if it has one.
-    """
+    """The FMU has refused a call, with a status if it has one."""
 
     def __init__(self, text: str, status: int | None = None) -> None:
         super().__init__(text)
@@ -50,18 +44,12 @@ def outcome(plan: Mapping[str, Any], scenario: str) -> dict[str, Any]:
 
 
 class _Run:
-    """One instance and its outputs so far.
-
-    Attributes
-    ----------
-    found : times [s], the steps before them [s], and values of the outputs.
-    time, reached : time of the instance and size of its last step [s].
-    """
+    """One instance and its outputs so far."""
 
     def __init__(self, plan: Mapping[str, Any], *, exchange: bool) -> None:
         self.plan, self.step = plan, float(plan["step"])
         self.found: dict[str, Any] = {"times": [], "rows": [], "steps": []}
-        self.time = self.reached = 0.0
+        self.time = self.reached = 0.0  # of the instance, and size of its last step [s]
         self._exchange = exchange
         self._messages: list[str] = []
         fmu = UnpackedFmu(
@@ -114,7 +102,7 @@ class _Run:
         return self._outputs.read().tolist() if self.plan["outputs"] else []
 
     def record(self) -> None:
-        """Read the outputs and keep them."""
+        """Read and record the outputs."""
         self.found["times"].append(self.time)
         self.found["steps"].append(self.reached)
         self.found["rows"].append(self.outputs())
@@ -136,7 +124,7 @@ class _Run:
         self.reached = step
 
     def advance(self, step: float) -> None:
-        """Set the inputs, step, and keep the outputs."""
+        """Set the inputs, step, and record the outputs."""
         self.set_inputs(self.time)
         self.do_step(step)
         self.record()
@@ -190,7 +178,7 @@ def _refreshed(run: _Run, _scenario: str) -> None:
 
 
 def _repeated(run: _Run, _scenario: str) -> None:
-    """Take steps back repeatedly, as masters do that iterate or control their step."""
+    """Take steps back repeatedly, as masters with iteration or step control do."""
     longer = run.step * (2.0 if run.plan["variable"] else 1.0)
     for k in range(run.plan["steps"]):
         if k % 5 == 0:
@@ -215,7 +203,7 @@ class _Stale:
     """Inputs that a solver and its root search never set."""
 
     def apply(self, time: float) -> None:
-        """Leave the inputs as they are."""
+        """Leave the inputs unchanged."""
 
 
 def _solve(run: _Run, scenario: str) -> None:
@@ -275,8 +263,8 @@ def _solved(run: _Run, solver: Any, time: float, end: float) -> tuple[bool, Any,
         run.fmu.ask("getContinuousStates", before, size)
     with suppress(Exception):  # FMPy raises bare exceptions
         return cast("tuple[bool, Any, float]", solver.step(time, end))
-    # CVODE does not know that held inputs jump and may give up there. Masters restart it then; a
-    # second failure is the FMU's.
+    # Held inputs jump, so CVODE may give up. Masters restart it then; a second failure is the
+    # FMU's.
     run.fmu.ask("setTime", time)
     if size:
         run.fmu.ask("setContinuousStates", before, size)

@@ -1,4 +1,4 @@
-"""XML of unknown origin: no DTD, no entities, bounded in size; then the schema of FMI."""
+"""Untrusted XML: no DTD, no entities, bounded in size; then the schema of FMI."""
 
 import re
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from hesr_model.support.text import plain
 
 MOST_BYTES = 64 << 20
 MOST_NODES = 2_000_000
-"""Elements and attributes; each takes some 200 bytes of memory."""
+"""Largest number of elements and attributes; each takes about 200 bytes of memory."""
 
 SECONDS = 60.0
 
@@ -21,18 +21,18 @@ _UTF8 = re.compile("utf-?8", re.IGNORECASE)
 
 
 class _RefusedError(Exception):
-    """XML that is not read, and why."""
+    """XML that is refused."""
 
 
 @dataclass
 class _Guard:
-    """Goes through XML before a tree is built of it."""
+    """A pass over XML before its tree is built."""
 
     nodes: int = 0
     encoding: str | None = None
 
     def run(self, data: bytes) -> None:
-        parser = expat.ParserCreate("UTF-8")  # whatever the file declares
+        parser = expat.ParserCreate("UTF-8")  # regardless of the declaration
         parser.XmlDeclHandler = self._declaration
         parser.StartDoctypeDeclHandler = self._doctype
         parser.StartElementHandler = self._element
@@ -61,7 +61,7 @@ class _Guard:
 
 
 def parse(name: str, file: Path) -> tuple[etree._Element | None, list[str]]:
-    """Return the root of an XML file, None where it cannot be read, and what is wrong with it."""
+    """Return the root of an XML file, or None, and its problems."""
     if file.stat().st_size > MOST_BYTES:
         return None, [f"{name}: it has more than {MOST_BYTES} bytes; it is not read."]
     data = file.read_bytes()
@@ -86,7 +86,7 @@ def parse(name: str, file: Path) -> tuple[etree._Element | None, list[str]]:
 
 
 def _not_utf8(data: bytes) -> int | None:
-    """Return the place of the first byte that is not one of a text in UTF-8."""
+    """Return the index of the first byte that is not valid UTF-8."""
     try:
         data.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -96,9 +96,9 @@ def _not_utf8(data: bytes) -> int | None:
 
 
 def schema_problems(name: str, file: Path, folder: Path) -> list[str]:
-    """Return where XML of FMI that can be read departs from the schema of its version.
+    """Return the schema violations of XML that can be read.
 
-    The time that it takes grows with the square of the number of errors, hence the limit.
+    Validation time grows with the square of the number of errors, so it is limited.
     """
     try:
         reader = "fmu_src.check.readers:compare"

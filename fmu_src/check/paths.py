@@ -14,11 +14,11 @@ MOST_PATHS = 100
 """Maximum number of paths per file; the first one and the number are reported."""
 
 _NAME = rb"[A-Za-z0-9_.+@-]{1,100}"
-# A user's own folder or one for temporary files, and two names in it.
+# Folders of users or for temporary files, with two names in them.
 _OF_USERS = re.compile(
     rb"/(?:home|Users|tmp|builds|var/tmp|var/folders)/%(n)s/%(n)s" % {b"n": _NAME}
 )
-# The superuser's folder is also a common name of an XML element: only with a dot in what follows.
+# "root" is also a common name of an XML element, so a dot is required in the rest.
 _OF_ROOT = re.compile(rb"/root/[A-Za-z0-9_.+@/-]{0,100}\.[A-Za-z0-9_+-]{1,50}")
 _PART = rb"[^\x00-\x1f\\/:*?\"<>|]{1,100}"
 _OF_WINDOWS = re.compile(
@@ -40,7 +40,7 @@ _PLACES = (
 _ALONE = re.compile(rb"(?<![A-Za-z0-9_.~-])(?<!\b[A-Za-z]:)|(?<=-[IL])")
 
 
-# No host looks for the FMU's own binary under a name with a version.
+# Hosts never look for the FMU's own binary under a versioned name.
 _CARRIED = re.compile(r"(.+/)?binaries/[^/]+/lib[^/]+\.so(\.[0-9]+)+")
 
 _LIBRARIES = (".so", ".dll", ".dylib")
@@ -70,7 +70,7 @@ def problems(contents: Contents) -> Iterator[str]:
 
 
 def _built_elsewhere(name: str, file: Path) -> str | None:
-    """Return why a file is not searched: its paths are not those of the FMU's author."""
+    """Return why a file is not searched: another author has built it."""
     if _CARRIED.fullmatch(name):
         return "a library that the FMU carries, built elsewhere."
     if name.endswith(_LIBRARIES):
@@ -82,7 +82,7 @@ def _built_elsewhere(name: str, file: Path) -> str | None:
 
 @cache
 def _of_fmpy() -> dict[int, list[Path]]:
-    """Return the libraries that come with FMPy, which containers have for their own, by size."""
+    """Return the libraries in FMPy, which containers use as their own, by size [B]."""
     found: dict[int, list[Path]] = {}
     spec = find_spec("fmpy")
     for folder in (spec.submodule_search_locations if spec else None) or ():
@@ -93,7 +93,7 @@ def _of_fmpy() -> dict[int, list[Path]]:
 
 
 def _paths(file: Path) -> Iterator[str]:
-    # Not mapped: Python's search in a mapping reads a byte beyond it, where there may be no memory.
+    # No mapping: Python's search in it reads one byte beyond the end.
     data = file.read_bytes()
     for literal, before, pattern in _PLACES:
         place = data.find(literal)

@@ -1,4 +1,4 @@
-"""Readers of untrusted files; they run in the sandbox, where no file can stall a check."""
+"""Readers of untrusted files that run in the sandbox, so that no file can stall a check."""
 
 from collections.abc import Iterable
 from itertools import islice
@@ -26,7 +26,7 @@ def validate(file: str) -> list[str]:
 
 
 def compare(file: str) -> list[tuple[int, str]]:
-    """Return line and message of each violation of the schema; the file has no DTD or entities."""
+    """Return line and message of each schema violation; the file has no DTD or entities."""
     import fmpy
     from lxml import etree
 
@@ -39,7 +39,7 @@ def compare(file: str) -> list[tuple[int, str]]:
 
 
 def inspect(file: str) -> dict[str, Any]:
-    """Return the format of a library, None if unknown, and its parts, one per architecture."""
+    """Return the format of a library, or None, and its parts, one per architecture."""
     import lief
 
     lief.logging.disable()
@@ -64,19 +64,19 @@ def _word(value: object) -> str:
 
 
 def _exports(names: Iterable[object]) -> list[str]:
-    """Return the names that may have to do with FMI."""
+    """Return names that may belong to FMI."""
     return list(islice((str(n) for n in names if n and "fmi" in str(n)), MOST_SYMBOLS))
 
 
 def _imports(names: Iterable[object]) -> list[str]:
-    """Return the names that may be those of Python."""
+    """Return names that may belong to Python."""
     return list(islice((str(n) for n in names if n and "Py" in str(n)), MOST_SYMBOLS))
 
 
 def _elf(elf: Any) -> dict[str, Any] | None:
     if elf is None:
         return None
-    # By where a symbol is defined alone: what lief calls imported leaves out those without a type.
+    # The imported symbols of lief lack those without a type.
     symbols = [s for s in elf.dynamic_symbols if _word(s.binding) in ("GLOBAL", "WEAK")]
     return {
         "machine": _word(elf.header.machine_type),

@@ -9,19 +9,12 @@ from hesr_model.findings import Finding
 from hesr_model.support.typed_json import to_json
 
 MOST_PROBLEMS = 1000
-"""Largest number of findings kept per check; more of them have the same reason."""
+"""Largest number of findings per check."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """Findings of all checks in one FMU.
-
-    Attributes
-    ----------
-    path : the FMU.
-    problems : findings in the order of the checks.
-    skipped : one sentence with the reason for each validator that was not run.
-    """
+    """Findings of all checks in one FMU, and reasons for validators that were not run."""
 
     path: Path
     problems: tuple[Finding, ...]
@@ -29,7 +22,7 @@ class Report:
 
     @property
     def verdict(self) -> str:
-        """One line."""
+        """One-line summary."""
         count = len(self.problems)
         return f"{count} problem{'s' if count > 1 else ''} found." if count else "no problem found."
 

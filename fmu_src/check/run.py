@@ -1,7 +1,6 @@
-"""All checks of one FMU, in order of dependence.
+"""All checks of one untrusted FMU, in order of dependence.
 
-The file is untrusted. The rules are those of FMI 2.0 and 3.0. For FMI 1.0 only the archive, the XML
-and its schema are checked, and FMPy's validation is run.
+The rules are those of FMI 2.0 and 3.0. FMI 1.0 is checked by archive, XML, schema and FMPy only.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -40,24 +39,11 @@ _RULES: tuple[Rule, ...] = (*general.RULES, *variables.RULES, *structure.RULES)
 
 
 def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) -> Report:
-    """Check an FMU.
+    """Check an FMU; return all findings, and the validators that were not run.
 
-    Parameters
-    ----------
-    path : the FMU.
-    vdmcheck : folder with VDMCheck2; by default `.tools/vdmcheck2` if it exists.
-    hostile : whether to run the FMU under an adverse master.
-
-    Returns
-    -------
-    All findings, and the validators that were not run.
-
-    Raises
-    ------
-    ArtifactError
-        If the file is missing or unreadable; errors in its content are findings instead.
-    ConfigError
-        If VDMCheck2 is not in the folder that is given.
+    VDMCheck2 is looked for in `.tools/vdmcheck2` by default; `hostile` runs the FMU under an
+    adverse master. Raises ArtifactError if the file is missing or unreadable, ConfigError if
+    VDMCheck2 is not in its folder.
     """
     if vdmcheck is not None and not (vdmcheck / external.JAR).is_file():
         raise ConfigError(f"--vdmcheck is '{vdmcheck}', which does not contain {external.JAR}.")
@@ -169,7 +155,7 @@ def _model(contents: Contents) -> tuple[etree._Element | None, list[str]]:
         hint = f"; {quoted(elsewhere)} is in the wrong folder" if elsewhere else ""
         return None, [f"{_MODEL} is missing{hint}."]
     if _MODEL not in contents.files:
-        return None, []  # the archive's problems say why
+        return None, []  # the archive's problems explain it
     root, texts = markup.parse(_MODEL, contents.files[_MODEL])
     if root is None:
         return None, texts

@@ -1,4 +1,4 @@
-"""Source code in an FMU: what is listed is there, and so is what it includes."""
+"""Checks of source code: listed and included files exist."""
 
 import posixpath
 import re
@@ -15,7 +15,7 @@ _OFFICIAL = {
     *("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     *("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
 }
-"""Every importer that compiles sources supplies these."""
+"""Headers that every importer that compiles sources supplies."""
 
 _SYSTEM_NAMES = """
 assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign
@@ -23,19 +23,19 @@ stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string tgmath th
 wchar wctype direct dlfcn io malloc process pthread unistd windows
 """
 _SYSTEM = frozenset(_SYSTEM_NAMES.split())
-"""Headers that some write in quotes although the system has them."""
+"""System headers that may be included in quotes."""
 
 _SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".inc")
 
-# Strings are matched first, because they may contain comment markers. Unclosed comments end
-# with the file or line: to look for its end from each beginning would take forever.
+# Strings are matched first, because they may contain comment markers. Unclosed comments end with
+# the file: searching for an end from each beginning would be quadratic.
 _COMMENT = re.compile(rb'/\*.*?(?:\*/|\Z)|//[^\n]*|"(?:\\.|[^"\\\n])*"?', re.DOTALL)
 _INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]{1,500})"', re.MULTILINE)
 _FOLDER = "sources/"
 
 
 def problems(about: ParsedDescription, contents: Contents) -> Iterator[str]:
-    """Yield what is missing for the sources to be compiled."""
+    """Yield missing source files."""
     names = set(contents.names)
     binaries = any(name.startswith("binaries/") for name in names)
     if not binaries and not any(kind.sources for kind in about.kinds):

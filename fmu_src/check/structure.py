@@ -1,4 +1,4 @@
-"""Rules on ModelStructure, whose lists masters rely on."""
+"""Rules on ModelStructure."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ def outputs(about: ParsedDescription) -> Iterator[str]:
 
 
 def derivatives(about: ParsedDescription) -> Iterator[str]:
-    """Check that Derivatives lists derivatives only, and all of them for model exchange."""
+    """Check that Derivatives lists only derivatives, and all of them for model exchange."""
     declared = [v for v in about.variables if "derivative" in v.own]
     if about.exchanges:
         needed = [v for v in declared if v.variability == "continuous"]
@@ -33,7 +33,7 @@ def derivatives(about: ParsedDescription) -> Iterator[str]:
 
 
 def initial_unknowns(about: ParsedDescription) -> Iterator[str]:
-    """Check that InitialUnknowns lists what initialisation computes, in the variables' order."""
+    """Check that InitialUnknowns lists the results of initialisation, in the variables' order."""
     needed = {
         v.index: v
         for v in about.variables
@@ -71,7 +71,7 @@ def indices(about: ParsedDescription) -> Iterator[str]:
 
 
 def dependencies(about: ParsedDescription) -> Iterator[str]:
-    """Check that every unknown has dependencies that exist, in order and with their kinds."""
+    """Check that all unknowns have existing dependencies, in order and with their kinds."""
     for name in STRUCTURE:
         unknowns = about.structure[name]
         silent = [_named(about, u) for u in unknowns if u.dependencies is None]

@@ -1,4 +1,4 @@
-"""Rules on terminalsAndIcons.xml, which is the same in FMI 2.0 and 3.0."""
+"""Rules on terminalsAndIcons.xml of FMI 2.0 and 3.0."""
 
 from collections.abc import Iterator
 
@@ -14,7 +14,7 @@ _ICON = "terminalsAndIcons/icon.png"
 
 
 def problems(root: etree._Element, about: ParsedDescription, contents: Contents) -> Iterator[str]:
-    """Yield missing references of terminals, and names that are not unique."""
+    """Yield missing references and repeated names of terminals."""
     known = {name for v in about.variables for name in (v.name, *v.others)}
     yield from repeated("terminal", names_of(root.findall("Terminals/Terminal")), "there")
     for terminal in root.iter("Terminal"):

@@ -75,7 +75,7 @@ def independent(about: ParsedDescription) -> Iterator[str]:
 
 @_of_each
 def start_values(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that required start values exist, and forbidden ones do not."""
+    """Check that start values are present if required and absent if forbidden."""
     if "start" not in v.own:
         if demand := _demand(v):
             yield f"has no start value, which its {demand} requires."
@@ -95,7 +95,7 @@ def _demand(v: ParsedVariable) -> str | None:
 
 @_of_each
 def ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that start values lie within min and max or are items, and nominal is positive."""
+    """Check start values against min and max or items, and that nominal is positive."""
     if v.kind not in (*_NUMBERS, *about.continuous) and "Int" not in v.kind:
         return
     low, high = (real(v.get(name)) for name in ("min", "max"))
@@ -124,7 +124,7 @@ def ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
 
 @_of_each
 def types(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that declared types exist and are of the variable's own type."""
+    """Check that declared types exist and have the type of the variable."""
     name = v.own.get("declaredType")
     if name is None:
         return
@@ -138,7 +138,7 @@ def types(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
 
 
 def units(about: ParsedDescription) -> Iterator[str]:
-    """Check that units and display units that are used are defined."""
+    """Check that units and display units are defined."""
     users: list[tuple[str, Mapping[str, str], ParsedVariable | None]] = [
         (f"variable {quoted(v.name)}", v.own, v) for v in about.variables
     ]
@@ -160,7 +160,7 @@ def units(about: ParsedDescription) -> Iterator[str]:
 
 @_of_each
 def derivatives(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that the state of a derivative exists and is a continuous Real."""
+    """Check that the state of a derivative exists and is continuous."""
     index = integer(v.own.get("derivative"))
     if index is None:
         return
