@@ -1,4 +1,4 @@
-"""Alternative plants: the arm of a digital twin with another friction than that of its MJCF.
+"""Alternative plants: the arm of a digital twin with other friction than that of its MJCF.
 
 The bristles of an MJCF favour bristle laws. Its passive dcmotor elements are replaced by dry
 friction of variable level and, optionally, by an elastic transmission:
@@ -7,8 +7,7 @@ friction of variable level and, optionally, by an elastic transmission:
     I r'' = servo - level(load) sgn(r') - damping r' - torsion              (dry friction sticks)
 
 The rotor takes the joint's name: servo, encoder and measured torque are on its side, as in most
-arms. Rigid-body motion and gravity compensation are those of the link. The gear transmits torsion
-and gravity compensation.
+arms. Rigid-body motion and gravity compensation are those of the link.
 """
 
 from collections.abc import Iterable
@@ -26,34 +25,21 @@ from hesr_model.support.config import Config
 from hesr_model.support.files import written_whole
 
 _FIRM = "0.9999 0.9999 0.001 0.5 2"
-"""Impedance of dry friction: the highest, to avoid creep under load."""
+"""Highest impedance of dry friction, to avoid creep under load."""
 
 _LIGHT = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-6 1e-6 1e-6"}
-"""Mass and inertia of a rotor's body [kg; kg m2]; the armature of its joint is the inertia."""
+"""Mass [kg] and inertia [kg.m2] of a rotor's body; the armature of its joint is the inertia."""
 
 
 class Yielding(Config):
-    """Yielding elastic elements, one for each joint: hysteresis of the torsion.
-
-    Attributes
-    ----------
-    stiffness : [N.m/rad].
-    limit : yield torque [N.m].
-    """
+    """Yielding elastic elements, one per joint: stiffness [N.m/rad] and yield torque [N.m]."""
 
     stiffness: tuple[Positive, ...]
     limit: tuple[Positive, ...]
 
 
 class GearElasticity(Config):
-    """Elastic transmissions between rotors and links, one entry per joint.
-
-    Attributes
-    ----------
-    stiffness, damping : of the elastic element [N.m/rad], [N.m s/rad].
-    backlash : dead band of the elastic element [rad].
-    hysteresis : parallel yielding elements.
-    """
+    """Elastic transmissions, one entry per joint [N.m, rad, s]; `backlash` is a dead band."""
 
     stiffness: tuple[Positive, ...]
     damping: tuple[NotNegative, ...]
@@ -64,11 +50,8 @@ class GearElasticity(Config):
 class Truth(Config):
     """Friction that replaces that of the MJCF.
 
-    Attributes
-    ----------
-    losses : dry friction at the joints, or at the rotors of a transmission.
-    viscous : at the same place [N.m s/rad].
-    transmission : None for stiff joints.
+    With a transmission, losses and `viscous` [N.m.s/rad] act at the rotors; otherwise at the
+    joints.
     """
 
     losses: Losses
@@ -94,24 +77,7 @@ TruthName = Annotated[str, Field(pattern=r"^[A-Za-z]\w*$")]
 def write_truth(
     truth: Truth, model: Path, joints: tuple[str, ...], table: SignalTable, path: Path
 ) -> SignalTable:
-    """Write the MJCF of an alternative plant and return the names of its signals.
-
-    Parameters
-    ----------
-    truth : replaces the passive dcmotor elements of the arm.
-    model : MJCF of the arm.
-    joints : of the arm, in order.
-    table : of the arm's signals: `q`, the position that is measured; `tau_meas` and `tau_true`, the
-        torque that drives; `tau_f_true`, its friction; `q_true` and `dq_true`, the motion.
-    path : of the MJCF that is written.
-
-    Raises
-    ------
-    ConfigError
-        If the number of joints differs, or a joint is missing.
-    ArtifactError
-        If the file cannot be written.
-    """
+    """Write the MJCF of an alternative plant to `path` and return the names of its signals."""
     if len(truth.viscous) != len(joints):
         raise ConfigError(
             f"{model}: the truth is of {len(truth.viscous)} joints; {len(joints)} are needed."
@@ -160,8 +126,8 @@ def _divided(
 ) -> Element:
     """Divide a joint into rotor and link; return the rotor's joint, which takes its name.
 
-    The rotor turns about its own axis. In coordinates of the link its reaction is that of a gear,
-    but for one part in the gear ratio.
+    The rotor turns about its own axis; in link coordinates its reaction is that of a gear, up to
+    one part in the gear ratio.
     """
     name, link = known.name, _link(known.name)
     joint.attrib |= {"name": link, "armature": "0"}
@@ -214,7 +180,6 @@ def _numbers(values: Iterable[float]) -> str:
 def _signals(
     table: SignalTable, joints: tuple[str, ...], gone: set[str], truth: Truth
 ) -> SignalTable:
-    """Return the names of the signals without friction elements."""
 
     def output(name: str) -> OutputTable:
         vector = table.outputs[name]

@@ -15,10 +15,9 @@ _kept: int | None = None
 
 @contextmanager
 def untimed() -> Iterator[None]:
-    """Stop MuJoCo's clock, a sixth of the time of a small arm's step, until the last user ends.
+    """Stop MuJoCo's clock until the last user ends; it takes a sixth of a small arm's step.
 
-    `MjData.timer` does not change meanwhile. Only MuJoCo's Python package sets a clock; a process
-    without it is left alone.
+    `MjData.timer` does not change meanwhile. Only MuJoCo's Python package sets a clock.
     """
     global _users, _kept
     clock = _clock() if "mujoco" in sys.modules else None
@@ -40,7 +39,7 @@ def untimed() -> Iterator[None]:
 
 @cache
 def _clock() -> Any:
-    """Return MuJoCo's pointer to its clock; None if its library is not found."""
+    """Return MuJoCo's pointer to its clock; None if its library is missing."""
     from fmu_src.arm.library import installed
 
     try:

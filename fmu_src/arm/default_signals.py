@@ -10,7 +10,7 @@ from fmu_src.arm.parts import ArmInput, ArmOutput, ArmSignals, ArmStart
 _S, _J = mujoco.mjtSensor, mujoco.mjtJoint
 
 SINGLE = (_J.mjJNT_HINGE, _J.mjJNT_SLIDE)
-"""Kinds of joints whose position is one number."""
+"""Types of joints with a scalar position."""
 
 _UNITS = {
     _S.mjSENS_ACCELEROMETER: "m/s2",
@@ -30,7 +30,6 @@ _UNITS = {
     _S.mjSENS_E_POTENTIAL: "J",
     _S.mjSENS_E_KINETIC: "J",
 }
-# For a hinge and a slide.
 _UNITS_AT_JOINT = {
     _S.mjSENS_JOINTPOS: ("rad", "m"),
     _S.mjSENS_JOINTVEL: ("rad/s", "m/s"),
@@ -59,13 +58,13 @@ def everything(model: Any) -> ArmSignals:
 
 
 class _Names:
-    """Unique FMI names from names that are unique within their kind only."""
+    """Unique FMI names from names that are unique only within their kind."""
 
     def __init__(self) -> None:
         self._used: set[str] = {"latency"}
 
     def of(self, name: str, otherwise: str) -> str:
-        """Replace characters that FMI does not allow by underscores and number duplicates."""
+        """Replace characters that FMI forbids by underscores, and number duplicates."""
         plain = "".join(c if c.isalnum() and c.isascii() else "_" for c in name) or otherwise
         plain = f"_{plain}" if plain[0].isdigit() else plain
         free, k = plain, 1

@@ -1,4 +1,4 @@
-"""MuJoCo's library for each platform, of the installed version's wheel."""
+"""MuJoCo's library of the installed version for each platform."""
 
 import subprocess
 import sys
@@ -20,14 +20,10 @@ _SECONDS = 600.0
 
 @dataclass(frozen=True, kw_only=True)
 class _Wheel:
-    """Source of a platform's library.
+    """Source of a platform's library: platform tags of wheels, and the file's name pattern.
 
-    Attributes
-    ----------
-    tags : names of the platform in the package registry.
-    pattern : file name of the library in the wheel.
-    place : folder of the library relative to the FMU's binary.
-    flags : linker flags; without any the component looks the library up itself.
+    The library is put into `place`, relative to the FMU's binary. Without linker flags the
+    component looks it up itself.
     """
 
     tags: tuple[str, ...]
@@ -59,17 +55,7 @@ _WHEELS = {
 
 
 def library(platform: str) -> Binary:
-    """Return MuJoCo of the installed version for a platform, to compile against and to ship.
-
-    Parameters
-    ----------
-    platform : folder of binaries in an FMU.
-
-    Raises
-    ------
-    ExportError
-        If the package registry cannot be asked, or has no such wheel.
-    """
+    """Return MuJoCo for a platform, to compile against and to ship; ExportError if unavailable."""
     wheel = _WHEELS[platform]
     own = installed() if platform == _own_platform() else []
     if own:
@@ -85,7 +71,7 @@ def library(platform: str) -> Binary:
 
 
 def installed() -> list[Path]:
-    """Return the library files of this machine in MuJoCo's package; normally one."""
+    """Return the library files of this machine in MuJoCo's package, normally one."""
     platform = _own_platform()
     return sorted(_package().glob(_WHEELS[platform].pattern)) if platform else []
 

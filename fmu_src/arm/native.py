@@ -1,4 +1,4 @@
-"""An MJCF as an FMU of native C with MuJoCo's library: nothing to install in the host."""
+"""Export of an MJCF as an FMU of native C with MuJoCo's library, for hosts without Python."""
 
 import hashlib
 import importlib.metadata
@@ -23,8 +23,8 @@ from fmu_src.run.reference_files import Stimuli, waves
 from hesr_model.errors import ExportError
 from hesr_model.support.progress import Progress, silent
 
-_SMALL = 0.1  # controls of the reference results
-_OWN, _OF_LOSS = 4, 2  # numbers of state in mjcf.c, without MuJoCo's, and per loss
+_SMALL = 0.1  # amplitude of controls in the reference results
+_OWN, _OF_LOSS = 4, 2  # state variables of mjcf.c without MuJoCo's, and per loss
 _SOURCES = (
     "mjcf.c",
     "mjcf_losses.h",
@@ -47,28 +47,8 @@ def export_mjcf(
 ) -> Path:
     """Write an MJCF as an FMI 2.0 FMU for co-simulation, simulated by MuJoCo.
 
-    Parameters
-    ----------
-    model : the MJCF.
-    path : the FMU to write, ending in .fmu.
-    table : its signals, their names, or a TOML file with these, see `fmu_src.arm.table`; by
-        default every control and every sensor.
-    platforms : names of `toolchain.TARGETS`, or "all"; MuJoCo for others than this machine's comes
-        from the package registry.
-    progress : receives the number of finished platforms.
-
-    Returns
-    -------
-    `path`.
-
-    Raises
-    ------
-    ConfigError
-        If the MJCF or the table is missing or not valid, or a name in the table is unknown.
-    ExportError
-        If MuJoCo for a platform cannot be had, or the model needs more than the FMU carries.
-    ArtifactError
-        If `path` cannot be written.
+    By default its signals are every control and every sensor. MuJoCo for platforms other than this
+    machine's comes from the package registry.
     """
     wanted = check_request(path, platforms)
     signals = table if isinstance(table, ArmSignals) else signals_of(model, table)
@@ -95,20 +75,10 @@ def identifier_of(name: str) -> str:
 def arm(
     signals: ArmSignals, *, name: str, source: bytes, platforms: Sequence[str] = ("linux64",)
 ) -> Content:
-    """Return the FMU of a model.
+    """Return the FMU of a model for folders of binaries.
 
-    Parameters
-    ----------
-    signals : the compiled model and its signals.
-    name : name of the model.
-    source : the MJCF, for documentation; the FMU loads the compiled model.
-    platforms : folders of the binaries.
-
-    Raises
-    ------
-    ExportError
-        If MuJoCo for a platform cannot be had, the model needs plugins, or names
-        are not names in FMI.
+    The FMU loads the compiled model; the MJCF, `source`, is documentation. Raises ExportError if
+    MuJoCo for a platform is unavailable or the model needs plugins.
     """
     model = signals.model
     if model.nplugin:

@@ -18,9 +18,9 @@ class ArmInput:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmOutput:
-    """One output: addresses in the sensor data with factors, those that follow the scale; noise.
+    """One output: its reads are sensor addresses, factors, and whether the friction scale applies.
 
-    `losses` are places of losses that are added.
+    `losses` are indices of losses that are added.
     """
 
     name: str
@@ -33,9 +33,10 @@ class ArmOutput:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmStart:
-    """A start value: address of a position, and of an activation and the forces that it holds.
+    """Start value: address of a position, and of an activation that balances forces at rest.
 
-    `held` are their degrees of freedom; `other` is a further position that begins there.
+    `held` are the degrees of freedom with these forces; `other` is a further position with this
+    start.
     """
 
     name: str
@@ -50,9 +51,9 @@ class ArmStart:
 
 @dataclass(frozen=True, kw_only=True)
 class Loss:
-    """Dry friction of a degree of freedom, whose level moves; see `fmu_src.arm.table.Losses`.
+    """Dry friction of variable level at a degree of freedom; see `fmu_src.arm.table.Losses`.
 
-    `carrier` is the degree of freedom whose springs and gravity compensation are the load.
+    Springs and gravity compensation of the degree of freedom `carrier` are the load.
     """
 
     dof: int
@@ -69,17 +70,11 @@ class Loss:
 
 @dataclass(frozen=True, kw_only=True)
 class Delay:
-    """Delay of all actuators that have one, as time from a command until it acts.
+    """Delay [s] common to all delayed actuators, from a command until it acts.
 
-    Without interpolation a command acts at the first step after the delay that is written in the
-    model. The time is then a number of whole steps, and half a step less is written: the rounding
-    of sums of steps would else make it a step longer or shorter now and then.
-
-    Attributes
-    ----------
-    usual : of the model as it is [s].
-    longest : that the buffers hold [s].
-    actuators : that have it.
+    Without interpolation a command acts at the first step after the delay in the model. The time is
+    then in whole steps, and the model gets half a step less: otherwise round-off of summed steps
+    would now and then change it by one step. `longest` is the length of the buffers.
     """
 
     usual: float
@@ -103,7 +98,7 @@ class ArmSignals:
 
     @cached_property
     def delay(self) -> Delay | None:
-        """None as well where actuators have different ones, which no one number describes."""
+        """None also if actuators have different delays."""
         model = self.model
         delayed = np.flatnonzero(np.asarray(model.actuator_delay) > 0)
         usual = np.unique(model.actuator_delay[delayed])

@@ -25,14 +25,8 @@ _SENSORS = {
 class Servo(Config):
     """The parts of the MJCF that are the servo, one entry per joint.
 
-    Attributes
-    ----------
-    commanded
-        Actuators that take the joint's velocity command.
-    integral
-        The one of them whose state is the integrated command, a position.
-    torque
-        Sensors of the servo's torque.
+    `commanded` are the actuators with the velocity command; the state of `integral`, one of them,
+    is the integrated command, a position. `torque` are sensors.
     """
 
     commanded: tuple[tuple[str, ...], ...]
@@ -41,14 +35,9 @@ class Servo(Config):
 
 
 class Noise(Config):
-    """Measurement noise, normal and independent from sample to sample.
+    """White normal measurement noise: standard deviations per joint of torque [N.m], encoder [rad].
 
-    Attributes
-    ----------
-    seed
-        Seed of `hesr_model.logs.noise`.
-    torque, encoder
-        Standard deviations per joint [N.m], [rad].
+    `seed` is that of `hesr_model.logs.noise`.
     """
 
     seed: int
@@ -64,18 +53,10 @@ class Noise(Config):
 
 
 class Plant(Config):
-    """Facts about the arm that the MJCF does not hold.
+    """Properties of an arm that the MJCF lacks.
 
-    Attributes
-    ----------
-    model
-        The MJCF.
-    joints
-        From base to tip, in the order of every list here and of every output.
-    sample_rate
-        Rate of logs and commands [Hz].
-    truths
-        Alternatives to the friction of the MJCF, by name.
+    Joints are from base to tip, in the order of every list here and every output. `sample_rate` is
+    that of logs and commands [Hz]; `truths` are alternatives to the friction of the MJCF.
     """
 
     model: RelativePath
@@ -98,13 +79,7 @@ class Plant(Config):
 
 
 def joint_limits(plant: Plant) -> Array:
-    """Return the lowest and highest position (n, 2) [rad] of each joint.
-
-    Raises
-    ------
-    ConfigError
-        If the MJCF is missing, cannot be compiled or lacks a joint.
-    """
+    """Return the lowest and highest position (n, 2) [rad] of each joint."""
     model = compiled(plant.model)
     for joint in plant.joints:
         _require(model, "joint", joint, plant)
@@ -114,24 +89,14 @@ def joint_limits(plant: Plant) -> Array:
 def servo_signals(
     plant: Plant, coulomb: Array | float = 1.0, viscous: Array | float = 1.0
 ) -> ArmSignals:
-    """Return the signals of an arm without a table of its own: command, motion, torque, friction.
+    """Return the signals of an arm without a signal table: command, motion, torque, friction.
 
     Sensors are added to the compiled model. Friction is that of the passive dcmotors and the
     damping of the joints; the measured torque is everything else that drives a joint, gravity
-    compensation included.
-
-    Parameters
-    ----------
-    plant : the arm.
-    coulomb, viscous : factors, (n,) or for all joints, on Coulomb and static friction with its
-        stiffness, and on the viscous friction of the dcmotors.
-
-    Raises
-    ------
-    ConfigError
-        If the MJCF is missing or cannot be compiled, or lacks a part that `plant` names.
+    compensation included. The factors, scalar or (n,), apply to Coulomb and static friction with
+    its stiffness, and to the viscous friction of the dcmotors.
     """
-    joint_limits(plant)  # refuses files that MuJoCo's specification reader does not
+    joint_limits(plant)  # rejects files that MuJoCo's specification reader accepts
     spec = mujoco.MjSpec.from_file(str(plant.model))
     for i, actuator in enumerate(spec.actuators):
         actuator.name = actuator.name or f"/actuator{i}"

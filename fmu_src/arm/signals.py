@@ -1,4 +1,4 @@
-"""The signals of an MJCF: those named by a table, or every control and sensor."""
+"""Signals of an MJCF: those named by a table, or every control and sensor."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -16,17 +16,11 @@ from fmu_src.arm.table import LossTable, OutputTable, SignalTable, StartTable
 from hesr_model.errors import ConfigError
 from hesr_model.support.config import read_toml
 
-_MOST_PARTS = 15_000  # per MJCF; MuJoCo's compile time grows with the square, to 7 s here
+_MOST_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
 
 
 def compiled(path: Path) -> Any:
-    """Return the MuJoCo model of an MJCF.
-
-    Raises
-    ------
-    ConfigError
-        If the file is missing or cannot be compiled.
-    """
+    """Return the MuJoCo model of an MJCF; ConfigError if it is missing or invalid."""
     if not path.is_file():
         raise ConfigError(f"{path}: no such model file.")
     _require_an_end(path)
@@ -38,7 +32,7 @@ def compiled(path: Path) -> Any:
 
 
 def _require_an_end(path: Path) -> None:
-    """Refuse endless copies and special files: MuJoCo cannot be interrupted."""
+    """Reject endless copies and special files: MuJoCo cannot be interrupted."""
     try:
         root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError:  # reported by MuJoCo
@@ -65,7 +59,7 @@ def _parts(element: ElementTree.Element) -> int:
 
 
 def passive_motors(model: Any, joint: str | None = None) -> list[int]:
-    """Return the dcmotors without control, which act as friction; on one joint if it is named."""
+    """Return the dcmotors without control, which act as friction; on one joint if named."""
     passive = (model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR) & (
         np.asarray(model.actuator_ctrlnum) == 0
     )
@@ -80,18 +74,7 @@ def named_signals(model: Any, file: Path, table: SignalTable) -> ArmSignals:
 
 
 def signals_of(path: Path, table: Path | SignalTable | None = None) -> ArmSignals:
-    """Return the signals of an MJCF: those of a table, or every control and every sensor.
-
-    Parameters
-    ----------
-    path : the MJCF.
-    table : names of the signals, or a TOML file that holds them, see `SignalTable`.
-
-    Raises
-    ------
-    ConfigError
-        If a file is missing or not valid, names a missing part, or the model has no sensor.
-    """
+    """Return the signals of an MJCF: those of a table or its file, or every control and sensor."""
     model = compiled(path)
     if isinstance(table, SignalTable):
         return named_signals(model, path, table)
@@ -103,7 +86,7 @@ def signals_of(path: Path, table: Path | SignalTable | None = None) -> ArmSignal
 
 
 class _Lookup:
-    """Finds the parts that a table names; errors name `file`."""
+    """Finder of the parts that a table names."""
 
     def __init__(self, model: Any, file: Path) -> None:
         self._model, self._file = model, file

@@ -7,7 +7,7 @@ from fmu_src.arm.parts import ArmSignals
 from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name
 from fmu_src.export.interface import Interface, literal
 
-# Type of each table, name of its size, and the element of an empty table: C has no empty arrays.
+# Type, size constant and placeholder element of each table; C has no empty arrays.
 _TABLES = {
     "drives": ("Drive", "DRIVES", "{0, 0}"),
     "reads": ("Read", "READS", "{0, 0, 0.0, 0}"),
@@ -20,15 +20,7 @@ _TABLES = {
 
 
 def to_h(signals: ArmSignals, table: Interface, *, state: int, digest: str) -> str:
-    """Return signals.h.
-
-    Parameters
-    ----------
-    signals : signals of the model.
-    table : variables of the FMU.
-    state : size of MuJoCo's integration state.
-    digest : hash of the compiled model.
-    """
+    """Return signals.h; `state` is the size of MuJoCo's integration state."""
     at = table.places
     rows = _rows(signals, at)
     arrays = []

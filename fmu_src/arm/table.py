@@ -1,4 +1,4 @@
-"""The TOML file that names the signals of an MJCF."""
+"""TOML file that names the signals of an MJCF."""
 
 from typing import Annotated, Self
 
@@ -13,29 +13,18 @@ Element = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
 
 
 class InputTable(Config):
-    """A vector of inputs.
-
-    Attributes
-    ----------
-    unit : unit of every element.
-    actuators : actuators that each element controls.
-    """
+    """Vector of inputs: the actuators that each element controls."""
 
     unit: str
     actuators: tuple[Names, ...] = Field(min_length=1)
 
 
 class OutputTable(Config):
-    """A vector of outputs.
+    """Vector of outputs: the summed sensors of each element, with their factors.
 
-    Attributes
-    ----------
-    unit : unit of every element.
-    sensors : summed sensors of each element, with their factors.
-    losses : joint of each element whose losses are added, as torque against the motion.
-    scaled : sensors whose factor follows the friction scale.
-    noise : standard deviation of each element's noise; no noise by default.
-    streams : noise stream of each element; by default its place among all outputs.
+    `losses` are the joints whose losses are added, as torque against the motion; the factors of
+    `scaled` sensors follow the friction scale; `noise` is a standard deviation. The stream of an
+    element's noise is by default its index among all outputs.
     """
 
     unit: str
@@ -57,15 +46,10 @@ class OutputTable(Config):
 
 
 class StartTable(Config):
-    """A vector of start values.
+    """Vector of start values: the joint whose position each element sets.
 
-    Attributes
-    ----------
-    unit : unit of every element.
-    joints : joint whose position each element sets.
-    others : further joint of each element with the same position.
-    integrals : actuator of each element whose activation it also sets.
-    hold : whether the integrals balance all other torques on the joints at rest.
+    A joint in `others` gets the same position, an actuator in `integrals` the same activation; with
+    `hold`, these balance all other torques on the joints at rest.
     """
 
     unit: str
@@ -90,17 +74,9 @@ class Losses(Config):
         s' = 1 - (|v| / slip + 1 / longest) s
 
     The last two terms are rate-and-state friction with the ageing law of Dieterich and Ruina:
-    contacts strengthen with the logarithm of time at rest and are renewed over a slip distance.
-    Lists have one entry per joint; omitted terms are zero.
-
-    Attributes
-    ----------
-    constant : [N.m].
-    load : share of the transmitted torque.
-    direct, speed : rise with speed [N.m] and its reference speed [rad/s].
-    evolution, age, slip : rise with age [N.m], its reference age [s], and the slip distance that
-        renews a contact [rad].
-    longest : upper bound of the age [s].
+    contacts strengthen with the logarithm of time at rest and are renewed over a slip distance
+    [rad]. `load` is a share of the transmitted torque, the age `s` is in s, levels in N.m, `speed`
+    in rad/s. Lists have one entry per joint; omitted terms are zero.
     """
 
     constant: tuple[NotNegative, ...] = Field(min_length=1)
@@ -135,11 +111,7 @@ class Losses(Config):
 class LossTable(Losses):
     """Losses of joints of an MJCF, each with a `frictionloss` there.
 
-    Attributes
-    ----------
-    joints : joints with losses.
-    carriers : joint of each whose springs and gravity compensation are the transmitted torque;
-        needed with `load`.
+    The springs and the gravity compensation of the `carriers` are the torque for `load`.
     """
 
     joints: Names = Field(min_length=1)
@@ -153,16 +125,11 @@ class LossTable(Losses):
 
 
 class SignalTable(Config):
-    """The signals of an MJCF.
+    """Signals of an MJCF; inputs, outputs and start values by the name of the vector.
 
-    Attributes
-    ----------
-    inputs, outputs, start : by the name of the vector.
-    friction : dcmotor actuators that follow the friction scale.
-    losses : losses of joints, which also follow the friction scale.
-    payload : body that receives the payload, as a point mass at its centre of mass.
-    step : preferred communication step [s]; that of the simulation by default.
-    seed : seed of the noise.
+    The dcmotors in `friction` and the losses follow the friction scale. The body `payload` receives
+    the payload, a point mass at its centre of mass. `step` is the preferred communication step [s],
+    by default that of the simulation; `seed` is that of the noise.
     """
 
     inputs: dict[Element, InputTable] = Field(default_factory=dict)

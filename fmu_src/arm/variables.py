@@ -15,7 +15,7 @@ def variables(signals: ArmSignals) -> tuple[Variable, ...]:
 
 
 def noise_name(output: ArmOutput) -> str:
-    """Return the name of the noise level of an output, as `q_noise[1]` of `q[1]`."""
+    """Return the name of an output's noise level, such as `q_noise[1]` for `q[1]`."""
     stem, bracket, index = output.name.partition("[")
     return f"{stem}_noise{bracket}{index}"
 

@@ -19,21 +19,11 @@ def block(
     step: float,
     example: Mapping[str, float],
 ) -> Content:
-    """Return the FMU of a component for a number of joints.
+    """Return the FMU of a component for a number of joints, with its preferred step [s].
 
-    Parameters
-    ----------
-    component : equations of one joint.
-    joints : number of joints; their signals are `name[1]`, .., shared parameters `name`.
-    name : name of the model; in lower case that of the binaries.
-    text : description in one sentence.
-    step : preferred step [s].
-    example : parameters of the reference results, those of a joint by their own name.
-
-    Raises
-    ------
-    ExportError
-        If the component has states: a block has no variables for their start values.
+    Signals are `name[1]`, .., shared parameters `name`; `example` has the parameters of the
+    reference results by their own name. Raises ExportError if the component has states, because a
+    block has no variables for start values.
     """
     if component.memory:
         raise ExportError(

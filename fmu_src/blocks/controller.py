@@ -1,4 +1,4 @@
-"""The controller of section V.D: velocity commands from desired motion, models and measurements.
+"""Controller of section V.D: velocity commands from desired motion, models and measurements.
 
     dq_cmd = dq_d + dq_comp + Kx (q_d - q),   tau_d = tau_rb + friction_gain tau_f
 
@@ -86,7 +86,7 @@ def controller_equations(step: float) -> Component:
                      expression=COMPENSATION.case({"torque_error": torque_error,
                                                    "servo_inversion": servo_inversion})),
             Equation(name="e", unit="N.m", expression=tau_d - tau_meas, start=e),
-            # At rest the servo's own integral holds the torque already.
+            # At rest the servo's own integral already holds the torque.
             Equation(name="integral", unit="rad",
                      expression=previous("integral") + sample * previous("dq_comp"),
                      start=sympy.Piecewise(((tau_d - tau_g) / ki, ki > 0), (0, True))),

@@ -1,4 +1,4 @@
-"""The InverseDynamics FMU: rigid-body torque of a motion, from identified parameters."""
+"""InverseDynamics FMU: rigid-body torque of a motion, from identified parameters."""
 
 from collections.abc import Sequence
 
@@ -16,13 +16,9 @@ _UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
 def inverse_dynamics(
     robot: RobotModel, parameters: NDArray[np.float64], *, step: float = 0.005
 ) -> Content:
-    """Return the InverseDynamics FMU of a robot.
+    """Return the InverseDynamics FMU of a robot, with a preferred step [s].
 
-    Parameters
-    ----------
-    robot : kinematic tree and gravity.
-    parameters : (P,) parameters in the order of `robot.parameter_names`; tunable in the FMU.
-    step : preferred step [s].
+    The parameters (P,), tunable in the FMU, are in the order of `robot.parameter_names`.
     """
     n, tree = robot.n, robot.tree
     rotors = parameters[10 * n :] if len(parameters) > 10 * n else np.zeros(n)

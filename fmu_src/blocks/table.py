@@ -35,14 +35,9 @@ def scalar(name: str, role: Role, unit: str, text: str, start: float) -> Variabl
 
 
 def places(table: Interface, guard: str, first: Mapping[str, str], **sizes: int) -> str:
-    """Return a C header with the index of the first variable of each kind, and sizes.
+    """Return a C header with indices and constants, inside a guard.
 
-    Parameters
-    ----------
-    table : the variables.
-    guard : include guard in capitals.
-    first : by name in C, the name of the first variable.
-    sizes : further constants.
+    `first` maps a name in C to the first variable of a kind; `sizes` are further constants.
     """
     constants = {name: table.places[variable] for name, variable in first.items()} | sizes
     lines = ",\n".join(f"    {name} = {value}" for name, value in constants.items())
@@ -62,17 +57,10 @@ def content(
     example: Mapping[str, float] | None = None,
     owner: Owner = OURS,
 ) -> Content:
-    """Return the FMU of a block.
+    """Return the FMU of a block, whose binaries have its name in lower case.
 
-    Parameters
-    ----------
-    table : variables.
-    name : name of the model; in lower case that of the binaries.
-    text : description in one sentence.
-    sources : the block's own C files by name.
-    step : preferred step [s].
-    example : parameters of the reference results that differ from their start values.
-    owner : owner of the model; HESR if the block contains nothing of a robot.
+    The preferred step is in s; `example` has the parameters of the reference results that differ
+    from their start values. The owner is HESR if the block contains nothing of a robot.
     """
     about = Description(
         name=name, identifier=name.lower(), text=text, created=RELEASED, step=step, owner=owner

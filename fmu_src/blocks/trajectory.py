@@ -1,4 +1,4 @@
-"""The Trajectory FMU: desired motion, now and at a preview time, selected by parameters."""
+"""Trajectory FMU: desired motion, now and at a preview time, selected by parameters."""
 
 import numpy as np
 
@@ -99,13 +99,7 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
 
 
 def start_values(motion: Trajectory) -> dict[str, float | str | tuple[float, ...]]:
-    """Return the parameters of the Trajectory FMU for a motion.
-
-    Raises
-    ------
-    ExportError
-        If the kind of motion is not supported, or it has more than `HARMONICS` harmonics.
-    """
+    """Return the parameters of the Trajectory FMU for a motion; ExportError if unsupported."""
     match motion:
         case Fourier():
             series = _series(motion)

@@ -1,4 +1,4 @@
-"""The Velocity FMU: velocities from measured positions."""
+"""Velocity FMU: velocities from measured positions."""
 
 import sympy
 

@@ -1,4 +1,4 @@
-"""The drive component: its interface and generated C, from a friction model and its motors."""
+"""Drive component: its interface and generated C, from a friction model and its motors."""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -32,15 +32,11 @@ SUBSTEP = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Motors:
-    """Motor and gear of each joint.
+    """Motor and gear of each joint (n,).
 
-    Attributes
-    ----------
-    inertia : (n,) inertia of the rotor and everything fixed to it [kg.m2], positive.
-    stiffness : (n,) stiffness of the flexspline [N.m/rad], on the joint side of the gear; 0 for
-        none.
-    damping : (n,) damping of the flexspline [N.m.s/rad].
-    ratio : (n,) motor turns per joint turn; non-zero.
+    The inertia [kg.m2] is that of the rotor and everything fixed to it; the ratio is motor turns
+    per joint turn. Stiffness [N.m/rad], 0 for a rigid gear, and damping [N.m.s/rad] are those of
+    the flexspline, on the joint side of the gear.
     """
 
     inertia: tuple[float, ...]
@@ -66,13 +62,7 @@ def motors(
     damping: Sequence[float] | None = None,
     ratio: Sequence[float] | None = None,
 ) -> Motors:
-    """Return the motors of a number of joints; by default rigid and without a gear.
-
-    Raises
-    ------
-    ExportError
-        If the number of values differs from the number of joints, or a value is invalid.
-    """
+    """Return the motors of a number of joints, by default rigid and without a gear."""
     found = {}
     given = (inertia, stiffness, damping, ratio)
     for numbers, (name, (unit, text, usual, sound)) in zip(given, _NEEDED.items(), strict=True):
@@ -116,19 +106,7 @@ _OUTPUTS = (
 
 
 def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) -> Interface:
-    """Return the variables of a drive FMU.
-
-    Parameters
-    ----------
-    model : friction law of each joint.
-    own : motor of each joint.
-    substep : start value of the longest inner step [s].
-
-    Raises
-    ------
-    ExportError
-        If a name of the laws is not an FMI name, or their discretisations differ.
-    """
+    """Return the variables of a drive FMU; `substep` is the longest inner step [s]."""
     zeros = (0.0,) * len(model.laws)
     laws = _joints(model)
     friction = [
@@ -167,7 +145,7 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
         model_exchange=False,
         directional_derivatives=False,
         inner_steps=True,
-        # FMPy requires inputs of one shape: none is an array, because flange inputs are scalars.
+        # FMPy requires inputs of one shape. Flange inputs are scalars, so no input is an array.
         connected=frozenset({*(name for name, _, _ in _INPUTS), "tau_link"}),
     )
 
@@ -188,7 +166,7 @@ _WORDS = {"torque": "force", "angle": "position", "inertia": "mass", "flexspline
 
 
 def _of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:
-    """Return a variable on which inputs act only at the start and by steps."""
+    """Return a variable whose inputs act only at the start and by steps."""
     at_once = tuple(name for name in variable.dependencies if name in inputs)
     others = tuple(name for name in variable.dependencies if name not in inputs)
     return replace(variable, dependencies=others, initial_dependencies=at_once)

@@ -26,7 +26,7 @@ FLANGE = Terminal(
         "tau": ("tau_link", "outflow"),
     },
 )
-"""Options of each joint, on the joint side of the gear."""
+"""Terminal of each joint, on the joint side of the gear."""
 
 _UNKNOWN = 10.0  # default friction torque [N.m]
 
@@ -46,33 +46,10 @@ def export_drive(
 ) -> Path:
     """Write a friction model with the motors of its joints as an FMU for co-simulation.
 
-    The same arguments give the same bytes; dates are those of `friction_fmu.export_fmu`.
-
-    Parameters
-    ----------
-    model : friction law of each joint, in joint coordinates.
-    path : the FMU to write, ending in .fmu.
-    inertia : (n,) inertia of the rotor and everything fixed to it [kg.m2], positive; for a
-        prismatic joint its mass [kg], and so on in m and N.
-    stiffness : (n,) stiffness of the flexspline [N.m/rad]; rigid by default.
-    damping : (n,) damping of the flexspline [N.m.s/rad].
-    ratio : (n,) motor turns per joint turn; 1 by default.
-    platforms : names of `toolchain.TARGETS`, or "all".
-    progress : callback with the number of platforms built.
-    fmi : version of FMI.
-    bare : whether to leave out the documentation.
-
-    Returns
-    -------
-    `path`.
-
-    Raises
-    ------
-    ExportError
-        If a number is invalid, the model cannot be expressed in C or FMI, or a binary cannot be
-        built.
-    ArtifactError
-        If `path` cannot be written.
+    The model is in joint coordinates; stiffness and damping are those of the flexspline. Units are
+    kg.m2, N.m/rad, N.m.s/rad and motor turns per joint turn, for prismatic joints kg, N/m and so
+    on. By default gears are rigid, with ratio 1. The same arguments give the same bytes; dates are
+    those of `friction_fmu.export_fmu`. `bare` omits the documentation.
     """
     check_request(path, platforms)
     own = content(

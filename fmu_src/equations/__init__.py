@@ -1,1 +1,1 @@
-"""Components as equations in C: the generated functions, and the tables of their variables."""
+"""Components as C: the generated functions, and the tables of their variables."""

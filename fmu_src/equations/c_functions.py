@@ -33,14 +33,9 @@ from hesr_model.equations.program import (
 
 @dataclass(frozen=True)
 class Functions:
-    """The C functions of a component.
+    """The C functions of a component, with their common prefix `name`.
 
-    Attributes
-    ----------
-    component : the equations.
-    name : prefix of the functions.
-    tunable : whether the parameters k can change, so that tangents follow them.
-    gathered : whether the parameters are among the inputs u instead of in an array k.
+    If the parameters k are `tunable`, tangents follow them; `gathered` ones are among the inputs u.
     """
 
     component: Component
@@ -194,10 +189,7 @@ class Functions:
         return printed(signature, self._invariants.once, {}, targets, self._arguments.places)
 
     def step(self) -> str:
-        """Advance the states x by dt and write the readings at the end of the step.
-
-        The array c contains the results of `invariants`.
-        """
+        """Advance the states x by dt and write the readings at its end; c is from `invariants`."""
         places = self._arguments.plus(self._invariants.kept, "c").places
         signature = (
             f"{self.name}_step(IN(k), IN(u), IN(s), IN(p), IN(c), double dt, double euler, "

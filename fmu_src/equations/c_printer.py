@@ -106,7 +106,7 @@ def printed(
         f"const double {names.get(symbol, str(symbol))} = {_c(printer, e)};"
         for symbol, e in lines.items()
     ]
-    # Symbols that do not move have no name: their change is zero.
+    # Constant symbols have no name: their change is zero.
     writes = [f"{place} = {_c(printer, s) if s in lines or s in known else '0.0'};"
               for place, s in targets.items()]  # fmt: skip
     signature = re.sub(r"IN\((\w+)\)", r"const double *\1", signature)

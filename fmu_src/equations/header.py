@@ -19,16 +19,10 @@ from hesr_model.support.cache import kept
 class Joint:
     """One joint of an FMU: its equations and the names of their variables.
 
-    Attributes
-    ----------
-    component : the equations.
-    names : variable of each input, shared parameter and output.
-    states, derivatives : consecutive variables of the memory.
-    starts : consecutive variables of the initial states.
-    parameters : consecutive variables of the parameters, if they are variables.
-    constants : values of the parameters, if they are not variables. If both are empty, `names` has
-        the variables of the parameters as well.
-    slope : variable of the slope of the first output over the first input; empty for none.
+    `names` has the variables of inputs, shared parameters and outputs; those of states,
+    derivatives, starts and parameters are consecutive. Parameters that are not variables are
+    `constants`; if there are neither, `names` has them also. `slope` is that of the first output
+    over the first input.
     """
 
     component: Component
@@ -51,12 +45,9 @@ Writer = Callable[[Functions], str]
 
 @dataclass(frozen=True, kw_only=True)
 class Needs:
-    """Functions that a C file calls.
+    """Functions that a C file calls, each with its writer and the type of a pointer to it.
 
-    Attributes
-    ----------
-    functions : by name, their writer and the declaration of a pointer to them.
-    places : additional C constants for indices of variables.
+    `places` are further C constants for indices of variables.
     """
 
     functions: Mapping[str, tuple[Writer, str]]
@@ -158,12 +149,7 @@ def equations_header(
 ) -> str:
     """Return equations.h, with each distinct component written once.
 
-    Parameters
-    ----------
-    joints : the joints.
-    table : variables of the FMU.
-    needs : functions that the C file calls.
-    coupling : map from joints to the coordinates of the equations; None if these are the joints.
+    A coupling maps the joints to the coordinates of the equations; None if these are the joints.
     """
     distinct = list(dict.fromkeys(j.component for j in joints))
     first = {j.component: j for j in reversed(joints)}

@@ -1,4 +1,4 @@
-"""Cache of exported FMUs: the same model with the same options is a copy."""
+"""Cache of exported FMUs, by model and options."""
 
 import json
 import os
@@ -17,17 +17,8 @@ def exported(
 ) -> None:
     """Write an FMU to `output`, or copy it from the cache.
 
-    Parameters
-    ----------
-    model : file of the friction model.
-    options : all other settings that the FMU depends on.
-    output : path of the FMU.
-    write : function that reads the model and writes `output`; its errors are raised here.
-
-    Raises
-    ------
-    ArtifactError
-        If `output` cannot be written.
+    `options` are all other settings that the FMU depends on. `write` reads the model and writes
+    `output`; its errors are raised here.
     """
     try:
         text = read_text(model)

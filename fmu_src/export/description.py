@@ -47,7 +47,6 @@ QUANTITIES: Mapping[str, str] = {
 """Quantity names by unit, as in Modelica.Units.SI."""
 
 DISPLAY: Mapping[str, str] = {"rad": "deg", "rad/s": "deg/s", "rad/s2": "deg/s2"}
-"""Display units."""
 
 RELEASED = "2026-11-22T00:00:00Z"
 """Date of this version, and of FMUs without newer content; the same as in CITATION.cff."""
@@ -77,16 +76,9 @@ CATEGORIES: Mapping[str, str] = {
 class Description:
     """Model description of an FMU apart from its variables.
 
-    Attributes
-    ----------
-    name : display name of the model.
-    identifier : C identifier: name of the binaries.
-    text : description in one sentence.
-    version : version of the exporter.
-    created : date and time, ISO 8601 in UTC with a final Z.
-    step : preferred step size [s].
-    sources : names of the files in sources/ to be compiled; empty if they need a library.
-    owner : owner of the model; every FMU has a separate file with the licence of HESR's code.
+    The C identifier is the name of the binaries; `created` is ISO 8601 in UTC with a final Z;
+    `step` is the preferred one [s]. `sources` are the files in sources/ to be compiled, none if
+    they need a library. Every FMU has a separate file with the licence of HESR's code.
     """
 
     name: str
@@ -100,7 +92,7 @@ class Description:
 
     @property
     def experiment(self) -> dict[str, str]:
-        """Start and stop time of the default experiment: a thousand preferred steps [s]."""
+        """Start and stop time of the default experiment [s]: a thousand preferred steps."""
         times = {"stopTime": _EXPERIMENT * self.step, "stepSize": self.step}
         return {"startTime": "0"} | {name: f"{value:.12g}" for name, value in times.items()}
 
@@ -115,11 +107,7 @@ def si_exponents(unit: str) -> dict[str, int]:
     """Return the exponents of kg, m, s, A, K and rad of a unit such as "N.m.s/rad".
 
     Dots multiply; everything after the slash divides, in parentheses if it has several factors.
-
-    Raises
-    ------
-    ExportError
-        If a part of the unit is unknown.
+    Raises ExportError if a part is unknown.
     """
     exponents: dict[str, int] = {}
     for i, group in enumerate(unit.split("/")):
@@ -241,14 +229,12 @@ def _types(root: ET.Element, table: Interface) -> None:
 def common_attributes(variable: Variable, name: str, place: int, text: str) -> dict[str, str]:
     """Return the attributes of a variable common to both versions and all types.
 
-    Parameters
-    ----------
-    variable : the variable, or the first element of an array.
-    name, place, text : of the whole array; the text of an enumeration lists its choices.
+    For an array, `variable` is its first element; name, place and text are those of the whole
+    array. The text of an enumeration lists its choices.
     """
     causality, variability, initial = variable.attributes
     if variable.enumeration:
-        # Tools display the choices here, and `fmu_src.run.variables` reads their names from here.
+        # Tools display the choices here, and `fmu_src.run.variables` reads their names here.
         names = (f"{i} = {name}" for i, (name, _) in enumerate(variable.enumeration.items, 1))
         text = f"{text}: {', '.join(names)}"
     found = {
@@ -262,12 +248,7 @@ def common_attributes(variable: Variable, name: str, place: int, text: str) -> d
 
 
 def values(elements: Sequence[Variable]) -> dict[str, str]:
-    """Return the attributes for start values and limits of a variable.
-
-    Parameters
-    ----------
-    elements : elements of an array, or a single variable.
-    """
+    """Return the attributes for start values and limits of a variable or an array."""
     first = elements[0]
     if first.enumeration:
         return {

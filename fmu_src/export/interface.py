@@ -1,7 +1,7 @@
 """Interface of an FMU: one table of variables for both the XML and the C.
 
-The position of a variable in the table is its index in the C struct. A separate table maps value
-references, so that one reference of FMI 3.0 can denote an array.
+The position of a variable in the table is its index in the C struct. Value references have a
+separate table, so that one reference of FMI 3.0 can denote an array.
 """
 
 import re
@@ -43,23 +43,14 @@ class Enumeration:
 
 @dataclass(frozen=True, kw_only=True)
 class Variable:
-    """One variable of an FMU.
+    """One variable of an FMU, with a structured name such as `dq[1]` or `joint[1].alpha`.
 
-    Attributes
-    ----------
-    name : structured name, such as `dq[1]` or `joint[1].alpha`.
-    role : causality and variability.
-    description : description for the user.
-    unit : SI unit in FMI's spelling; None only for an enumeration.
-    enumeration : the choices of an enumeration; None for a Real.
-    start : start value; not written for a computed variable or a state.
-    nominal : typical size; solvers scale the tolerance of a state by it.
-    least, greatest : recommended limits; None if unlimited.
-    switch : whether the input is a switch that hosts must not interpolate.
-    derivative_of : name of the state whose time derivative this is.
-    dependencies : for a computed variable, the names of all variables in its expression.
-    initial_dependencies : names of further variables that count until initialisation ends; for a
-        state, those of its initial value.
+    The unit is in FMI's spelling; it is None only for an enumeration. The start value of a computed
+    variable or a state is not written. Solvers scale the tolerance of a state by its nominal value.
+    `least` and `greatest` are recommended limits. Hosts must not interpolate a `switch`.
+
+    `dependencies` of a computed variable are all variables in its expression; initial dependencies
+    count in addition until initialisation ends, and are those of the initial value of a state.
     """
 
     name: str
@@ -92,21 +83,11 @@ class Variable:
 class Interface:
     """All scalar variables of an FMU in index order.
 
-    Attributes
-    ----------
-    variables : the variables.
-    indicators : number of event indicators.
-    own : number of doubles in the component's own memory.
-    model_exchange : whether the component also supports model exchange.
-    directional_derivatives : whether the component provides them.
-    inner_steps : whether the component makes inner steps, in which it follows input slopes itself.
-    connected : names of arrays that terminals of FMI 3.0 connect per joint. A member of a terminal
-        is a whole variable, so these remain scalars.
+    `own` is the number of doubles in the component's own memory. A component with `inner_steps`
+    follows input slopes itself. Arrays in `connected` remain scalars in FMI 3.0, because a member
+    of a terminal, which connects one joint, is a whole variable.
 
-    Raises
-    ------
-    ExportError
-        If a name occurs twice or is not a structured name of FMI.
+    Raises ExportError if a name occurs twice or is not a structured name of FMI.
     """
 
     variables: tuple[Variable, ...]
@@ -188,14 +169,9 @@ class Interface:
 
 @dataclass(frozen=True, kw_only=True)
 class ArrayVariable:
-    """A variable with a shape, () for a scalar.
+    """A variable with a shape, () for a scalar, and the index `place` of its first element.
 
-    Attributes
-    ----------
-    name : name without indices, such as `dq`; the full name of a scalar.
-    shape : sizes of the dimensions.
-    place : index of the first element; the others follow, the last index running first.
-    elements : the scalars.
+    The name has no indices, unless it is a scalar's. The last index of elements runs first.
     """
 
     name: str
@@ -228,12 +204,7 @@ def _alike(variable: Variable) -> tuple[str, object]:
 def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) -> str:
     """Return interface.h: GUID, preferred step [s] and variable tables for the C side.
 
-    Parameters
-    ----------
-    interface : the variables.
-    guid : GUID that a host must pass.
-    step : preferred step [s].
-    arrays : whether a value reference denotes a whole array, as in FMI 3.0, or a scalar.
+    With `arrays`, as in FMI 3.0, a value reference denotes a whole array instead of a scalar.
     """
     rows = []
     shaped = [(a.place, len(a.elements)) for a in interface.arrays]

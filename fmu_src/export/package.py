@@ -25,7 +25,6 @@ from hesr_model.support.files import scratch_folder, written_whole
 from hesr_model.support.progress import Progress, counted, silent
 
 Version = Literal[2, 3]
-"""FMI version."""
 
 _HERE = Path(__file__).parents[1]
 _C = _HERE / "c"
@@ -59,12 +58,7 @@ _FOLDERS = {
 class Binary:
     """A shared library that a component needs on a platform, shipped next to its binary.
 
-    Attributes
-    ----------
-    name : file name that loaders look for.
-    content : bytes of the file.
-    flags : compiler flags.
-    link : flags for linking; empty if the component loads the library itself.
+    Loaders look for the file `name`. Without `link` flags the component loads it itself.
     """
 
     name: str
@@ -77,16 +71,9 @@ class Binary:
 class Content:
     """Contents of the FMU of a component.
 
-    Attributes
-    ----------
-    table : variables.
-    about : model description.
-    sources : the component's own C files by name; all .c files form one translation unit.
-    members : further members of the archive by name: documentation, resources.
-    libraries : library that the component needs, by platform.
-    stimuli : inputs of the FMU's own reference results; None if its members contain results
-        already.
-    terminals : terminals of FMI 3.0.
+    All .c files of `sources` form one translation unit. `members` are further members of the
+    archive; `libraries` are by platform. `stimuli` are the inputs of reference results, None if the
+    members already contain results. `terminals` are those of FMI 3.0.
     """
 
     table: Interface
@@ -118,26 +105,10 @@ def write_fmu(
     progress: Progress = silent,
     fmi: Version = 2,
 ) -> Path:
-    """Compile a component with the FMI glue and write both as an FMU.
+    """Compile a component with the FMI glue, write both as an FMU and return its path.
 
-    Parameters
-    ----------
-    content : the component.
-    path : the FMU to write, ending in .fmu.
-    platforms : names of `toolchain.TARGETS`, or "all".
-    progress : callback with the number of platforms built.
-    fmi : version of FMI; 3 has arrays for numbered variables.
-
-    Returns
-    -------
-    `path`.
-
-    Raises
-    ------
-    ExportError
-        If a binary cannot be built, or the FMU is invalid.
-    ArtifactError
-        If `path` cannot be written.
+    Platforms are names of `toolchain.TARGETS`, or "all". FMI 3 has arrays for numbered variables.
+    Raises ExportError if a binary cannot be built or the FMU is invalid.
     """
     wanted = check_request(path, platforms)
     _require_libraries(content, wanted)
@@ -194,13 +165,7 @@ def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> Non
 
 
 def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
-    """Return the requested targets, checking names before any slow work.
-
-    Raises
-    ------
-    ExportError
-        If the path does not end in .fmu, or a platform is unknown.
-    """
+    """Return the requested targets, checking path and names before any slow work."""
     if path.suffix != ".fmu":
         raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
     return targets(platforms)
@@ -262,7 +227,7 @@ def zip_members(path: Path, members: Mapping[str, bytes], created: str) -> None:
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.create_system = 3  # Unix on every host
             entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
-            # Higher levels save .4 % of a physics engine in three times the time.
+            # Higher levels save 0.4 % of a physics engine in three times the time.
             archive.writestr(entry, content, compresslevel=9 if len(content) < _LARGE else 6)
 
 
@@ -272,7 +237,7 @@ _PLAIN_NAME = re.compile(rf"{_IDENTIFIER}(\.{_IDENTIFIER})*|der\({_IDENTIFIER}(\
 
 
 def _validated(temporary: Path, path: Path) -> bytes:
-    """Refuse descriptions and file names that FMPy reports."""
+    """Reject descriptions and file names that FMPy reports."""
     from fmpy import read_model_description  # slow to import
     from fmpy.model_description import ValidationError
     from fmpy.validation import validate_fmu

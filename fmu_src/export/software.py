@@ -1,4 +1,4 @@
-"""Hash of the software that makes an FMU, as part of the key of the cache."""
+"""Hash of the software that makes an FMU, part of the key of the cache."""
 
 import hashlib
 import sys

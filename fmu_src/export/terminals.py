@@ -22,12 +22,8 @@ _SIZE = "100"  # in the coordinates of the picture
 class Terminal:
     """Variables of a joint that are connected together; see `Interface.connected`.
 
-    Attributes
-    ----------
-    name : name of the terminal.
-    kind : kind of terminal, a class of the Modelica Standard Library.
-    description : description for the user.
-    members : by member, the name of its variable without index, and its kind.
+    `kind` is a class of the Modelica Standard Library; each member has the name of its variable
+    without index, and a kind.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The C compiler: one for all targets, with the same bytes on every host."""
+"""C compiler: one for all targets, with the same bytes on every host."""
 
 import struct
 from collections.abc import Mapping, Sequence
@@ -26,15 +26,10 @@ _LINK = ("-shared", "-g0", "-s")
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """Target of a binary.
+    """Target of a binary: its folder under binaries/ and the suffix of the shared library.
 
-    Attributes
-    ----------
-    folder : folder under binaries/ in the FMU.
-    suffix : suffix of the shared library.
-    triples : target names of the compiler; several make one universal file.
-    flags : flags for this target; `{library}` is the name of the library, `{compiler}` the folder
-        of the compiler.
+    Several compiler targets (`triples`) make one universal file. In the flags `{library}` is the
+    name of the library and `{compiler}` the folder of the compiler.
     """
 
     folder: str
@@ -57,8 +52,8 @@ _ELF = (
     "-fno-unwind-tables",
     "-fno-asynchronous-unwind-tables",
 )
-# The compiler's own C library for Windows takes a hundred seconds to build, for start-up code that
-# plain C does not need. Its headers and the system's import libraries remain available.
+# The compiler's own C library for Windows takes 100 s to build, for start-up code that plain C does
+# not need. Its headers and the system's import libraries remain available.
 _PRINTF = ("snprintf", "vsnprintf", "__local_stdio_printf_options")
 _PE = (
     "-nostdlib",
@@ -92,13 +87,7 @@ TARGETS: Mapping[str, Target] = {
 
 
 def targets(platforms: Sequence[str]) -> tuple[Target, ...]:
-    """Return the targets with these names; "all" selects every one.
-
-    Raises
-    ------
-    ExportError
-        If a name is unknown or the list is empty.
-    """
+    """Return the targets with these names; "all" selects every one."""
     for name in platforms:
         if name not in TARGETS and name != "all":
             raise ExportError(
@@ -112,12 +101,7 @@ def targets(platforms: Sequence[str]) -> tuple[Target, ...]:
 def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = ()) -> bytes:
     """Compile one translation unit to a shared library and return its bytes.
 
-    `link` holds the flags of libraries to link.
-
-    Raises
-    ------
-    ExportError
-        If the compiler fails, with the first line of its output.
+    `link` holds the flags of libraries to link. Raises ExportError with the compiler's first line.
     """
     library = identifier + target.suffix
     with scratch_folder() as folder:
@@ -133,8 +117,7 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
 
 
 # A small module without imports, because it is embedded in a page. Building the compiler's own C
-# library takes 15 s; only its headers and the parts of pow() are used, and `wasm.c` provides the
-# rest.
+# library takes 15 s; only its headers and the parts of pow() are used. `wasm.c` provides the rest.
 _WASM = ("-target", "wasm32-wasi", "-nostdlib", "-Wl,--no-entry", *CFLAGS, "-Oz", "-g0", "-s")
 _MUSL = "{compiler}/lib/libc/musl"
 _POW = tuple(
@@ -159,13 +142,7 @@ _WASM_LAST = (
 
 
 def build_wasm(source: Path, *, powers: bool) -> bytes:
-    """Compile one translation unit, which may call pow(), to WebAssembly and return its bytes.
-
-    Raises
-    ------
-    ExportError
-        If the compiler fails, with the first line of its output.
-    """
+    """Compile one translation unit, which may call pow(), to WebAssembly and return its bytes."""
     with scratch_folder() as folder:
         output = folder / f"{source.stem}.wasm"
         compile_c(source, _WASM, output, (*(_POW if powers else ()), *_WASM_LAST))

@@ -6,7 +6,6 @@ from pathlib import Path
 from hesr_model.support.files import models_folder
 
 BUILT_IN: Mapping[str, str] = {"uf850-table1": "uf850/table1.json"}
-"""File name of each shipped model."""
 
 
 def model_file(name_or_path: str) -> Path:

@@ -1,7 +1,7 @@
 """Friction FMUs with a discrete-time step: thermal ones, and adaptive ones of `hesr.extras`.
 
-Inputs and outputs are those of every friction FMU and those of the joints' components, such as
-`temperature[i]`. Their memory of the previous sample is state of the FMU.
+Inputs and outputs are those of every friction FMU and of the joints' components, such as
+`temperature[i]`. The memory of the previous sample is state of the FMU.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,10 +29,7 @@ from hesr_model.units import unit_of_joint
 def thermal_equations(model: FrictionModel) -> tuple[Interface, str]:
     """Return the variables of the thermal FMU of a model, and its equations.h.
 
-    Raises
-    ------
-    HesrError
-        If temperature scales no part of a law.
+    Raises a HesrError if temperature scales no part of a law.
     """
     rows = zip(model.laws, model.thermal, strict=True)
     return discrete_equations(
@@ -45,10 +42,7 @@ def discrete_equations(
 ) -> tuple[Interface, str]:
     """Return the variables of the FMU of a model, and its equations.h.
 
-    Parameters
-    ----------
-    components : discrete-time equations of each joint.
-    switches : inputs of value 0 or 1 that all joints share; 1 at the start.
+    The switches are inputs of value 0 or 1 that all joints share; they start at 1.
     """
     joints = [_joint(model, i, own, switches) for i, own in enumerate(components, start=1)]
     table = Interface(

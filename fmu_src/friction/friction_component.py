@@ -1,4 +1,4 @@
-"""The friction component: its variables and its equations, from a friction model."""
+"""Friction component: its variables and its equations, from a friction model."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -53,7 +53,6 @@ START = Enumeration(
 )
 
 STEADY, GIVEN = 1.0, 2.0
-"""Values of its choices."""
 
 START_MODE = "start_mode"
 """Name of the parameter that selects the initial state."""
@@ -103,18 +102,9 @@ def interface(
 ) -> Interface:
     """Return the variables of a friction FMU.
 
-    The connectors `dq[i]`, `q[i]`, `tau_load[i]` -> `tau[i]` are those of every friction FMU.
-
-    Parameters
-    ----------
-    model : one law per joint.
-    more : further outputs, such as `POWER`.
-    band : whether the limits of the model's band are outputs.
-
-    Raises
-    ------
-    ExportError
-        If a name of the laws is not an FMI name, or their discretisations differ.
+    The connectors `dq[i]`, `q[i]`, `tau_load[i]` -> `tau[i]` are those of every friction FMU;
+    `more` are outputs such as `POWER`, and `band` adds the limits of the model's band. Raises
+    ExportError if a name of the laws is not an FMI name, or their discretisations differ.
     """
     joints = joints_of(model, more, band=band)
     numbers = range(1, len(joints) + 1)
@@ -193,15 +183,7 @@ def _output_dependencies(
 def of_joint(
     model: FrictionModel, quantity: Quantity, joint: int, role: Role, **more: Any
 ) -> Variable:
-    """Return a variable of one joint that every joint has.
-
-    Parameters
-    ----------
-    model : model with the names and kinds of the joints.
-    quantity : quantity with the unit of a revolute joint.
-    joint : joint number, from 1.
-    role, more : attributes of the variable.
-    """
+    """Return a variable that every joint has, of the joint with this number from 1."""
     slides = model.slides[joint - 1]
     return Variable(
         name=f"{quantity.name}[{joint}]",
@@ -220,10 +202,7 @@ def _trained_size(model: FrictionModel, quantity: Quantity, joint: int) -> float
 
 
 def discretisation(model: FrictionModel, description: str) -> Variable:
-    """Return the parameter that selects the integration of the states.
-
-    Raises the errors of `discretisation_of`.
-    """
+    """Return the parameter that selects the integration of the states."""
     return Variable(
         name="discretisation",
         role="fixed",
@@ -280,12 +259,7 @@ def joints_of(
 ) -> tuple[Joint, ...]:
     """Return each joint of a model with the names of its variables.
 
-    Parameters
-    ----------
-    model : one law per joint.
-    more : further outputs.
-    names : stems of variables whose name differs from that of the quantity.
-    band : whether to add the model's band.
+    `names` has the stems of variables whose names differ from those of the quantities.
     """
     found = []
     # C has no units, the only difference between the forms of revolute and prismatic joints.
@@ -320,12 +294,8 @@ def dependencies(
 ) -> tuple[str, ...]:
     """Return the variables that an equation or derivative of a joint depends on.
 
-    Parameters
-    ----------
-    joint : the joint.
-    symbol : symbol of a variable; initial states (`initial_symbol`) depend on start values.
-    inputs : variables of inputs that are not variables themselves.
-    starting : whether this is before the first step.
+    Initial states (`initial_symbol`) depend on start values. `inputs` has the variables of inputs
+    that are not variables themselves; `starting` means before the first step.
     """
     own = joint.component
     beginnings = initial_state(own.memory, own.settling)
@@ -348,15 +318,7 @@ def dependencies(
 def law_variables(
     law: FrictionLaw, joint: int, own: Joint, inputs: Mapping[str, tuple[str, ...]] | None = None
 ) -> Iterator[Variable]:
-    """Yield the states of a joint's law, their derivatives and its parameters.
-
-    Parameters
-    ----------
-    law : law of the joint.
-    joint : joint number, from 1.
-    own : equations and names of the joint.
-    inputs : as for `dependencies`.
-    """
+    """Yield the states of a joint's law, their derivatives and its parameters."""
     known = {m.name: m for m in law.form.memory}
     memory = [known.get(m.name, m) for m in own.component.memory]
     elements = list(zip(memory, own.states, own.derivatives, strict=True))
@@ -419,7 +381,6 @@ def _usual(size: float) -> float:
 
 
 def _per_second(unit: str) -> str:
-    """Return the unit of a quantity's time derivative."""
     above, slash, below = unit.partition("/")
     return f"{above}/({below}.s)" if slash else f"{above}/s"
 

@@ -59,37 +59,16 @@ def export_fmu(
 ) -> Path:
     """Write a friction model as an FMU of FMI 2.0, or 3.0, for co-simulation and model exchange.
 
-    FMUs of thermal models are for co-simulation only, and have no pages. The same model gives the
-    same bytes. The date is SOURCE_DATE_EPOCH, otherwise that of the model's provenance ("created"),
-    otherwise a fixed one.
+    FMUs of thermal models are for co-simulation only and have no pages. Documentation has the
+    results of the physics checks, `properties`, and the audit, by default computed. `power` adds
+    the dissipated power as an output; `band` adds the limits `tau_lower[i]` and `tau_upper[i]`.
+    With the rigid `body`, the FMU's page computes the friction in a log of measured torques.
 
-    Parameters
-    ----------
-    model : one law for each joint.
-    path : the FMU to write, ending in .fmu.
-    platforms : names of `toolchain.TARGETS`, or "all".
-    properties : results of the physics checks, for the documentation.
-    audit : audit of the model, for the documentation; computed by default.
-    power : whether to add the dissipated power as an output.
-    band : whether to add the limits of the band, `tau_lower[i]` and `tau_upper[i]`, as outputs.
-    body : rigid body of the robot, with which the FMU's page computes the friction in a log of
-        measured torques.
-    progress : callback with the number of platforms built.
-    fmi : version of FMI.
+    The same model gives the same bytes. The date is SOURCE_DATE_EPOCH, otherwise that of the
+    model's provenance ("created"), otherwise a fixed one.
 
-    Returns
-    -------
-    `path`.
-
-    Raises
-    ------
-    ExportError
-        If the model cannot be expressed in C or FMI, or a binary cannot be built; or it follows
-        temperature, and properties, power, band or body are given.
-    ArtifactError
-        If `path` cannot be written.
-    SimulationError
-        If the model has no band.
+    Raises ExportError if the model cannot be expressed in C or FMI, a binary cannot be built, or a
+    thermal model gets properties, power, band or body; SimulationError if the model has no band.
     """
     check_request(path, platforms)
     if model.thermal:
@@ -107,22 +86,13 @@ def export_bare(
     band: bool = False,
     fmi: Version = 2,
 ) -> Path:
-    """Write the same FMU without its documentation.
-
-    For arguments and errors see `export_fmu`.
-    """
+    """Write the same FMU as `export_fmu` without its documentation."""
     bare = thermal_content(model, beside=band) if model.thermal else _component(model, band=band)
     return write_fmu(bare, path, platforms=platforms, fmi=fmi)
 
 
 def live_of(model: FrictionModel) -> dict[str, Any]:
-    """Return the data of a model's interactive section, for pages outside its FMU.
-
-    Raises
-    ------
-    ExportError
-        If the model cannot be expressed in C or FMI, or the compiler fails.
-    """
+    """Return the data of a model's interactive section, for pages outside its FMU."""
     bare = _component(model)
     return live_data(model, bare.table, wasm(translation_unit(bare)[1]))
 
@@ -158,7 +128,7 @@ def content(
 def _component(
     model: FrictionModel, more: tuple[Equation, ...] = (), *, band: bool = False
 ) -> Content:
-    """Return a model's FMU with no pages."""
+    """Return a model's FMU without pages."""
     require_numbers(model)
     if band:
         model.require_band()
@@ -170,10 +140,7 @@ def _component(
 def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
     """Return the FMU of a model that follows temperature, before it is compiled.
 
-    Raises
-    ------
-    HesrError
-        If temperature scales no part of a law, or an option is not supported.
+    Raises a HesrError if temperature scales no part of a law, or an option is not supported.
     """
     if beside:
         raise ExportError(
@@ -211,8 +178,7 @@ def description_of(
 ) -> Description:
     """Return the model description of an FMU, with the model's date and owner.
 
-    Attributes are those of `Description`; characters that C does not allow in identifiers are
-    replaced.
+    Characters that C does not allow in identifiers are replaced.
     """
     return Description(
         name=name,
@@ -228,11 +194,6 @@ def date_of(model: FrictionModel) -> datetime:
     """Return the date in the FMU of a model.
 
     It is SOURCE_DATE_EPOCH, otherwise that of the provenance ("created"), otherwise a fixed one.
-
-    Raises
-    ------
-    ExportError
-        If the value is not a date.
     """
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     created = model.provenance.get("created")

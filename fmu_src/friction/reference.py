@@ -1,8 +1,7 @@
 """Reference motion for importers, and the reference results in an FMU.
 
-The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt, and are listed in
-a manifest of FMI-LS-REF. They are computed from the laws in Python instead of the FMU, so that they
-test the FMU.
+The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt, listed in a
+manifest of FMI-LS-REF. They test the FMU, because the laws in Python compute them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -70,15 +69,9 @@ def reference_motion(
         dq = A w(t) sin(2 pi f t + i phase),  q = middle + integral of dq,  w(t) from 0 to 1
 
     A is the largest speed trained in both directions, or `UNKNOWN_SPEED`. The position oscillates
-    about the middle of the trained positions, or 0.
-
-    Parameters
-    ----------
-    model : model with sample time and trained ranges.
-    frequency, periods : frequency [Hz] and number of periods of the sinusoid.
-    rows : number of rows over all periods; by default at the model's sample time.
-    phase : phase lead of each joint over the previous one [rad], including the first.
-    lead_in : time over which the velocity grows smoothly from rest [s]; 0 for none.
+    about the middle of the trained positions, or 0. The frequency f is in Hz; the phase [rad] also
+    leads in the first joint. Without `rows`, they are at the model's sample time. The velocity
+    grows smoothly from rest over `lead_in` [s].
     """
     count = round(periods / (frequency * model.sample_time)) if rows is None else rows
     step = model.sample_time if rows is None else periods / (frequency * rows)
@@ -119,15 +112,9 @@ def trained_speed(trained: TrainedRange | None) -> float:
 def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     """Return the members of an FMU's folder `extra/`, by their paths in the archive.
 
-    Parameters
-    ----------
-    model : model of the FMU.
-    identifier : identifier of the FMU, used in the file names.
-
-    Returns
-    -------
-    Inputs, reference torques and options for co-simulation and model exchange, and instructions;
-    only the instructions if a law gives no finite torque on the motion.
+    They are inputs, reference torques and options for co-simulation and model exchange, named with
+    the FMU's identifier, and instructions; only the latter if a law gives no finite torque on the
+    motion.
     """
     found = _co_simulation(model)
     if found is None:

@@ -4,8 +4,8 @@ The step from row k to row k + 1 uses
     hold    the constant inputs of row k, as most masters do;
     linear  the inputs of row k and their slopes (fmi2SetRealInputDerivatives) to row k + 1;
     direct  the inputs of row k + 1, as in the replay of a log.
-The torque is always read after the step, at the time of row k + 1. This module computes the results
-from the law itself; `fmu_src.check.convention` runs the FMU.
+The torque is always read after the step, at the time of row k + 1. These results are those of the
+law itself; `fmu_src.check.convention` runs the FMU.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,7 +29,7 @@ SETTINGS: Mapping[str, str] = {
 """Input conventions, the most common one first."""
 
 SHOWN = "shown"
-"""As "hold", with the torque read after the inputs of the next step are set, as some tools do."""
+"""As "hold", with the torque read after setting the inputs of the next step, as some tools do."""
 
 CONTINUOUS = "continuous"
 """Not a convention of masters: fine integration of the law with linear inputs between the rows."""
@@ -37,13 +37,7 @@ CONTINUOUS = "continuous"
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceMotion:
-    """Inputs of all joints over time.
-
-    Attributes
-    ----------
-    t : (N,) time [s].
-    dq, q, tau_load : (N, n) velocity [rad/s], position [rad], load torque [N.m].
-    """
+    """Inputs of all joints: time (N,) [s]; velocity, position and load (N, n) [rad/s, rad, N.m]."""
 
     t: Array
     dq: Array
@@ -68,13 +62,7 @@ class ReferenceMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class Error:
-    """Torque error of one joint [N.m].
-
-    Attributes
-    ----------
-    rmse : error over all rows.
-    rmse_reversal : error within `phases.REVERSAL_WINDOW` of reversals; None without reversals.
-    """
+    """Torque error of one joint [N.m], over all rows and within `REVERSAL_WINDOW` of reversals."""
 
     rmse: float
     rmse_reversal: float | None
@@ -83,19 +71,11 @@ class Error:
 def torques(
     model: FrictionModel, motion: "ReferenceMotion", setting: str, *, substeps: int = 20
 ) -> Array:
-    """Return the (N, n) torque [N.m] of a model's laws for an input convention.
+    """Return the (N, n) torque [N.m] of a model's laws for one of the conventions above.
 
-    It may be infinite or NaN if that of a law is.
-
-    Parameters
-    ----------
-    setting : one of `SETTINGS`, `SHOWN` or `CONTINUOUS`.
-    substeps : number of steps between two rows for `CONTINUOUS`.
-
-    Raises
-    ------
-    SimulationError
-        If the laws' discretisation is unstable at the steps of the motion.
+    It may be infinite or NaN if that of a law is. `substeps` is the number of steps between two
+    rows for `CONTINUOUS`. Raises SimulationError if the laws' discretisation is unstable at the
+    steps.
     """
     own = motion.at_friction(model.coupling)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # checked by the callers

@@ -10,15 +10,11 @@ _LONGEST = 60
 
 
 def require_numbers(model: FrictionModel) -> None:
-    """Refuse a model with a law that has no value for any input.
+    """Reject a model with a law that has no value for any input.
 
     Only causes in the coefficients are found, such as a division by one that is 0; a torque may
-    still be NaN at some speeds.
-
-    Raises
-    ------
-    ExportError
-        Naming the law, the joint, the part of the law and the coefficients.
+    still be NaN at some speeds. The ExportError names the law, joint, part of the law and
+    coefficients.
     """
     for law, joint in zip(model.laws, model.joints, strict=True):
         part = _undefined(law)
@@ -35,18 +31,10 @@ def require_numbers(model: FrictionModel) -> None:
 
 
 def require_exportable(model: FrictionModel, form: str, *, coupled: bool = True) -> None:
-    """Refuse a model that another format than an FMU cannot express.
+    """Reject a model that `form`, another format than an FMU, cannot express.
 
-    Parameters
-    ----------
-    model : one law per joint.
-    form : name of the format, which cannot express temperature.
-    coupled : whether the format supports motors that turn with several joints.
-
-    Raises
-    ------
-    ExportError
-        Naming the law and the format; or as `require_numbers` does.
+    No such format supports temperature; `coupled` ones support motors that turn with several
+    joints. Raises ExportError, also as `require_numbers` does.
     """
     if model.coupling and not coupled:
         raise ExportError(
@@ -62,13 +50,7 @@ def require_exportable(model: FrictionModel, form: str, *, coupled: bool = True)
 
 
 def discretisation_of(model: FrictionModel) -> str:
-    """Return the integration of the states of all joints, "exact" or "euler".
-
-    Raises
-    ------
-    ExportError
-        If the discretisations of the laws differ.
-    """
+    """Return the integration of the states of all joints, "exact" or "euler"; it must be one."""
     found = {law.discretisation for law in model.laws if law.form.relaxations}
     if len(found) > 1:
         raise ExportError(

@@ -30,10 +30,8 @@ _ALMOST_PASSIVE = 1e-6  # [J]; less is round-off
 class Costs:
     """Errors of each input convention on the reference motion, by joint.
 
-    Attributes
-    ----------
-    replay : errors against the law in a log replay, the direct convention.
-    continuous : errors against the law in continuous time with linear inputs between rows.
+    `replay` is against the law in a log replay, the direct convention; `continuous` is against the
+    law in continuous time with linear inputs between rows.
     """
 
     replay: Mapping[str, tuple[Error, ...]]
@@ -44,10 +42,7 @@ class Costs:
 class ModelAudit:
     """Passivity of a model's laws, by joint.
 
-    Attributes
-    ----------
-    certificates : certificates of passivity.
-    audits : figures of closed cycles, of rest and of motion just outside the trained range.
+    The audits have closed cycles, rest and motion just outside the trained range.
     """
 
     certificates: tuple[Certificate, ...]
@@ -57,10 +52,7 @@ class ModelAudit:
     def of(cls, model: FrictionModel, seen: Sequence[TrainedRange]) -> "ModelAudit":
         """Examine each joint's law with cycles within its range.
 
-        Raises
-        ------
-        SimulationError
-            If a law cannot be audited because it is unstable or not finite in its range.
+        Raises SimulationError if a law is unstable or not finite in its range.
         """
         return cls(certificates=certificates(model, seen), audits=audits(model, seen))
 
@@ -68,10 +60,7 @@ class ModelAudit:
 def ranges(model: FrictionModel, motion: ReferenceMotion) -> tuple[TrainedRange, ...]:
     """Return the trained range of each joint, or that of the reference motion if unknown.
 
-    Raises
-    ------
-    SimulationError, ArtifactError
-        If a range is unknown and the law gives no finite torque on the motion.
+    Raises SimulationError or ArtifactError if that motion has no finite torque.
     """
     if model.trained:
         return model.trained
@@ -89,13 +78,7 @@ def ranges(model: FrictionModel, motion: ReferenceMotion) -> tuple[TrainedRange,
 
 
 def audits(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Audit, ...]:
-    """Return the audit of each joint's law in a range.
-
-    Raises
-    ------
-    SimulationError
-        If a law cannot be audited because it is unstable or not finite in its range.
-    """
+    """Return the audit of each joint's law in a range."""
     return tuple(audit(law, range_) for law, range_ in zip(model.laws, seen, strict=True))
 
 
@@ -113,13 +96,7 @@ def certificates(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Ce
 
 
 def certified(found: Certificate, *, slides: bool = False) -> str:
-    """Return a certificate in words.
-
-    Parameters
-    ----------
-    found : certificate of one joint.
-    slides : whether the joint is prismatic.
-    """
+    """Return the certificate of one joint in words."""
     if found.verdict == "proven":
         if found.largest_step is None:
             reach = "in continuous time"
@@ -138,13 +115,7 @@ def certified(found: Certificate, *, slides: bool = False) -> str:
 
 
 def audit_rows(found: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str, list[str]]:
-    """Return the figures of audits as text: labels, and a cell per joint.
-
-    Parameters
-    ----------
-    found : audit of each joint.
-    sliding : whether each joint is prismatic; empty if none is.
-    """
+    """Return the figures of audits as text: labels, and a cell per joint."""
     speed, torque, slope, angle = (
         unit_of_joints(unit, sliding) for unit in ("rad/s", "N.m", "N.m.s/rad", "µrad")
     )
@@ -172,14 +143,7 @@ def audit_rows(found: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str
 
 
 def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
-    """Return the conclusions of an audit in words.
-
-    Parameters
-    ----------
-    found : audit of a joint.
-    known : whether its range is that of the training.
-    slides : whether the joint is prismatic.
-    """
+    """Return the conclusions of an audit in words; `known` if its range is that of the training."""
     speed = unit_of_joint("rad/s", slides=slides)
     cycle = found.generating
     if cycle is None or found.generated < _ALMOST_PASSIVE:
@@ -202,11 +166,8 @@ def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
 def costs(model: FrictionModel, motion: ReferenceMotion) -> Costs:
     """Return the errors of each input convention.
 
-    Raises
-    ------
-    SimulationError
-        If the laws' discretisation is unstable at the steps of the motion, or their torque is not
-        finite.
+    Raises SimulationError if the laws' discretisation is unstable at the steps of the motion or the
+    torque is not finite.
     """
     found = {way: torques(model, motion, way) for way in SETTINGS}
     fine = torques(model, motion, CONTINUOUS)

@@ -79,7 +79,7 @@ def _sliding(law: FrictionLaw, speeds: Array) -> Array:
 
 def _rest(law: FrictionLaw, *, slides: bool) -> str:
     effort, unit = ("force", "N") if slides else ("torque", "N.m")
-    with np.errstate(all="ignore"):  # values that are not finite hold nothing
+    with np.errstate(all="ignore"):  # non-finite values hold nothing
         held, stopped = holding_torque(law), stopping_torque(law)
     if held > _HOLDS:
         return (

@@ -40,17 +40,10 @@ def to_html(
     properties: str = "",
     audit: ModelAudit | None = None,
 ) -> str:
-    """Return the page.
+    """Return the page, with the HTML of an interactive section and of the properties, if any.
 
     It needs only `model.png` next to its folder: no font, no network, and no script except that of
-    its interactive section.
-
-    Parameters
-    ----------
-    model, table, about : model, variables and description of the FMU.
-    live : HTML of `live.page` for the interactive section, if any.
-    properties : HTML of `properties_sheet.section`, if any.
-    audit : audit of the model; computed by default.
+    the interactive section. The audit is computed by default.
     """
     units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
     used = {symbol for law in model.laws for symbol in law.form.inputs}

@@ -44,10 +44,7 @@ _BETTER = {
 def equations(law: FrictionLaw, *, numbers: bool = False) -> list[str]:
     """Return the torque, each state derivative and the bound of a stop as MathML.
 
-    Parameters
-    ----------
-    law : the law.
-    numbers : whether to show coefficients as values with four digits instead of names.
+    With `numbers`, coefficients are shown as values with four digits instead of names.
     """
     printer = _Printer(law.form, law.values if numbers else {})
     lines = [[f"{_name('tau')}{_EQUALS}", *printer.terms(law.form.output)]]
@@ -108,7 +105,6 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         return parts
 
     def text(self, expression: sympy.Expr) -> str:
-        """Return an expression as MathML."""
         return self._text(self._readable(expression))
 
     def _readable(self, expression: sympy.Expr) -> sympy.Expr:

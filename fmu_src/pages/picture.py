@@ -1,4 +1,4 @@
-"""The picture of a friction FMU, which tools show as its icon.
+"""Picture of a friction FMU, which tools show as its icon.
 
 It contains no text of the model, because names may have letters that the font lacks.
 """
@@ -34,7 +34,7 @@ _SHARES = {1 / 3: "#9ecae1", 2 / 3: "#4a98c9", 1.0: "#0b559f"}
 """Velocity amplitudes, as fractions of the reference motion, and their colours."""
 _GREY = "#777777"
 _LARGEST = 1e9  # [N.m]; larger values count as infinite
-_MOST_COLOURS = 256  # colours of a palette
+_MOST_COLOURS = 256
 _SHADE = 32  # steps between shades of a colour, of 256
 
 
@@ -90,7 +90,7 @@ def _loops(model: FrictionModel) -> list[list[Loop]]:
         exact = replace(law, discretisation="exact")
         middle = 0.5 * (q.min() + q.max())
         of_joint = []
-        with np.errstate(all="ignore"):  # results that are not finite are left out
+        with np.errstate(all="ignore"):  # non-finite results are left out
             for share in _SHARES:
                 v, place = share * dq, middle + share * (q - middle)
                 tau = predict(exact, t=motion.t, dq=v, q=place, tau_load=load)

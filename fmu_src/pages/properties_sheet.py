@@ -25,10 +25,7 @@ _DIGITS = 3
 def section(found: Properties, *, sliding: Sequence[bool] = ()) -> str:
     """Return HTML: a table of properties by joint, then each experiment with its plots.
 
-    Parameters
-    ----------
-    found : results of the physics checks.
-    sliding : whether each joint is prismatic; empty if none is.
+    `sliding` has whether each joint is prismatic; it is empty if none is.
     """
     slides = sliding or (False,) * len(found.joints)
     return rendered(

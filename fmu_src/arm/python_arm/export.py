@@ -1,4 +1,4 @@
-"""An MJCF as an FMU that runs in the host's Python, by PythonFMU: same variables as in C."""
+"""Export of an MJCF as an FMU that runs in the host's Python, by PythonFMU."""
 
 import hashlib
 import json
@@ -28,28 +28,9 @@ _MODULE = "hesr_python_arm"  # unique: all Python FMUs of a process share the li
 
 
 def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path) -> Path:
-    """Write an MJCF as an FMU that needs a host with Python, HESR and MuJoCo.
+    """Write an MJCF, without references to files, as an FMU for hosts with Python, HESR and MuJoCo.
 
-    Its variables are those of the native FMU; both give the same results.
-
-    Parameters
-    ----------
-    mjcf : the MJCF, which refers to no other files.
-    table : names of its signals, or the TOML file with them; every control and sensor if None.
-    output : the FMU to write, ending in .fmu.
-
-    Returns
-    -------
-    `output`.
-
-    Raises
-    ------
-    ConfigError
-        If the MJCF or the table is missing or not valid, or a name in the table is unknown.
-    ExportError
-        If a name is not allowed in FMI, or `output` has the wrong suffix.
-    ArtifactError
-        If `output` cannot be written.
+    Variables and results are those of the native FMU.
     """
     check_request(output, ("linux64",))
     about = _about(mjcf, table)
@@ -108,7 +89,7 @@ def _built(folder: Path, parts: list[Path]) -> Path:
 
 @contextmanager
 def _modules_restored() -> Iterator[None]:
-    """Undo the changes of the builder to the module path and the loaded modules."""
+    """Undo the builder's changes to the module path and the loaded modules."""
     places = list(sys.path)
     try:
         yield

@@ -1,4 +1,4 @@
-"""A model and its signals simulated by MuJoCo's Python package, as the native FMU does in C."""
+"""Simulation of a model by MuJoCo's Python package, equal to that of the native FMU in C."""
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,20 +16,17 @@ from hesr_model.errors import SimulationError
 from hesr_model.logs.noise import standard_normal
 from hesr_model.support.arrays import Array
 
-_LEAST_SCALE = 1e-9  # of friction that is switched off: bristles need a stiffness
+_LEAST_SCALE = 1e-9  # without friction; bristles need a stiffness
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-_MAX = 1e10  # beyond it MuJoCo takes controls for zero and resets states
-_BLOCK = 256  # samples of noise drawn at once
+_MAX = 1e10  # beyond it MuJoCo zeroes controls and resets states
+_BLOCK = 256  # noise samples drawn at once
 _LEAST_LEVEL = 1e-9  # [N.m] MuJoCo has no friction constraint for a joint without friction
 
 
 class LossState:
-    """Levels [N.m] and ages [s] of dry friction, as `mjcf_losses.h` computes them.
+    """Levels [N.m] and ages [s] of dry friction, as in `mjcf_losses.h`.
 
-    Parameters
-    ----------
-    losses : losses of the model.
-    scale : factor on the levels and on the damping of their joints.
+    `scale` multiplies the levels and the damping of their joints.
     """
 
     def __init__(self, losses: Sequence[Loss], scale: float) -> None:
@@ -78,12 +75,7 @@ class LossState:
 
 
 class Simulation:
-    """A model under control, with the variables of its FMUs.
-
-    Parameters
-    ----------
-    signals : the compiled model, which is not changed, and its signals.
-    """
+    """A compiled model with the variables of its FMUs; the model itself is not changed."""
 
     _data: mujoco.MjData
     _drawn: Array
@@ -93,7 +85,6 @@ class Simulation:
         self.signals = signals
         self.variables = variables(signals)
         self.defaults = {v.name: v.start for v in self.variables if v.role == "fixed"}
-        """Default parameters."""
         self._noisy = [k for k, o in enumerate(signals.outputs) if o.noise is not None]
         self._state_size = mujoco.mj_stateSize(signals.model, _STATE)
         drives = [(c, k) for k, one in enumerate(signals.inputs) for c in one.controls]
@@ -107,13 +98,7 @@ class Simulation:
         return float(self.signals.model.opt.timestep)
 
     def reset(self, parameters: Mapping[str, float] | None = None) -> Array:
-        """Start with these parameters, the others as in `defaults`, and return the outputs.
-
-        Raises
-        ------
-        SimulationError
-            If a parameter is unknown or its value is not allowed.
-        """
+        """Start with these parameters, the others by default, and return the outputs."""
         given = self.defaults | dict(parameters or {})
         self._check(given)
         self.parameters = given
@@ -135,18 +120,10 @@ class Simulation:
         return self.outputs()
 
     def step(self, inputs: ArrayLike, dt: float) -> Array:
-        """Hold the inputs for `dt` and return the outputs at its end.
+        """Hold the inputs over `dt` [s], a multiple of `timestep`; return the outputs at its end.
 
-        Parameters
-        ----------
-        inputs : (inputs,) in the order and units of the signals.
-        dt : a positive integer multiple of `timestep` [s].
-
-        Raises
-        ------
-        SimulationError
-            If `dt` is not such a multiple, an input is too large, or the simulation diverges. The
-            state is then unchanged.
+        Raises SimulationError if `dt` is no such multiple, an input is too large, or the simulation
+        diverges; the state is then unchanged.
         """
         own = self.timestep
         count = round(dt / own)
@@ -179,7 +156,7 @@ class Simulation:
             self._losses.advance(self._model, self._data)
 
     def outputs(self) -> Array:
-        """Return the outputs (outputs,) at this instant, in the order and units of the signals."""
+        """Return the outputs at this instant, in the order and units of the signals."""
         data = self._data
         # Reading outputs must not change the initial guess of the contact solver.
         guess = data.qacc_warmstart.copy()
@@ -193,7 +170,7 @@ class Simulation:
         return found
 
     def _noise(self, sample: int) -> Array:
-        """Return the normal numbers of a sample; samples are drawn in blocks, for speed."""
+        """Return the normal numbers of a sample, drawn in blocks for speed."""
         row = sample - self._drawn_from
         if not 0 <= row < len(self._drawn):
             self._drawn_from = sample
@@ -203,7 +180,7 @@ class Simulation:
         return np.asarray(self._drawn[row])
 
     def state(self) -> dict[str, Any]:
-        """Return the state as numbers and lists of numbers."""
+        """Return the state in a form that JSON can hold."""
         return {
             "parameters": self.parameters,
             "samples": self.samples,
@@ -284,12 +261,12 @@ class Simulation:
         data = self._data
         first = int(mujoco.mjtWarning.mjWARN_CONTACTFULL)
         extremes = (data.qpos.max(), -data.qpos.min(), data.qvel.max(), -data.qvel.min())
-        bounded = all(extreme <= _MAX for extreme in extremes)  # which NaN is not
+        bounded = all(extreme <= _MAX for extreme in extremes)  # false for NaN
         return not bounded or bool(data.warning.number[first:].any())
 
 
 def _delay(model: Any, actuator: int, latency: float) -> float:
-    """Return the delay to write into the model [s], see `Delay`."""
+    """Return the delay to write into the model [s]; see `Delay`."""
     step = float(model.opt.timestep)
     interpolated = model.actuator_history[actuator, 1] > 0
     return latency if interpolated else max(np.ceil(latency / step - 1e-6) - 0.5, 0.0) * step

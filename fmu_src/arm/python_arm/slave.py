@@ -1,6 +1,6 @@
 """A simulated model as a PythonFMU slave.
 
-The FMU carries a copy of this file; it imports everything else from HESR in the host's Python.
+The FMU contains a copy of this file; it imports everything else from HESR in the host's Python.
 """
 
 import ctypes
@@ -24,7 +24,7 @@ _ROUNDING = 1e-6  # tolerance of communication points, in steps of the simulatio
 
 
 class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
-    """Adapter of `Simulation`: a value reference is an index into its table of variables."""
+    """Adapter of `Simulation`; a value reference is an index into its variables."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
@@ -65,7 +65,7 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
     def setup_experiment(
         self, start_time: float, stop_time: float | None, tolerance: float | None
     ) -> None:
-        """Store the start time [s]; stop time and tolerance have no meaning here."""
+        """Store the start time [s]."""
         del stop_time, tolerance
         self._start = start_time
 
@@ -78,7 +78,7 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
     def do_step(self, time: float, step: float) -> bool:
         """Simulate to the last multiple of the simulation's own step; log the reason of a failure.
 
-        Inputs are sampled and outputs held at these multiples, so that any step is allowed.
+        Inputs are sampled and outputs held at these multiples, so any step is allowed.
         """
         own = self._simulation.timestep
         due = math.floor((time + step - self._start) / own + _ROUNDING) - self._steps
@@ -99,7 +99,7 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
                 {self._variables[k].name: self._values[k] for k in self._parameters}
             )
         except HesrError:
-            # PythonFMU releases these when a call raises, and once more in the end.
+            # PythonFMU releases these when a call raises, and again at the end.
             for held in (self, type(self), self.log_queue):
                 ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))
             raise

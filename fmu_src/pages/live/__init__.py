@@ -1,1 +1,1 @@
-"""The FMU's own C, live in a page: compiled to WebAssembly, with sliders and without a network."""
+"""Interactive pages: the FMU's own C, compiled to WebAssembly, with sliders, without a network."""

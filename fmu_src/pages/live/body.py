@@ -16,11 +16,7 @@ from hesr_model.robots.robot import RobotModel
 class PageBody:
     """A rigid body for pages that compute the friction in a log.
 
-    Attributes
-    ----------
-    joints : joint names.
-    fmu : contents of its InverseDynamics FMU.
-    cutoff : cut-off of the low-pass filter of the robot's logs [Hz].
+    `fmu` is its InverseDynamics FMU, `cutoff` that of the low-pass filter of the robot's logs [Hz].
     """
 
     joints: Sequence[str]
@@ -29,13 +25,7 @@ class PageBody:
 
     @classmethod
     def of(cls, robot: RobotModel, body: RigidBody) -> "PageBody":
-        """Return the body of a robot.
-
-        Raises
-        ------
-        RobotError
-            If `body` belongs to another robot.
-        """
+        """Return the body of a robot; RobotError if `body` belongs to another robot."""
         return cls(
             joints=robot.description.joints,
             fmu=inverse_dynamics(robot, body.parameters_for(robot)),
@@ -50,10 +40,7 @@ class PageBody:
     def data(self, joints: Sequence[str]) -> dict[str, Any]:
         """Return the data for a page: the module and the connectors of each joint.
 
-        Raises
-        ------
-        ExportError
-            If the joints differ, or the compiler fails.
+        Raises ExportError if the joints differ or the compiler fails.
         """
         if tuple(joints) != tuple(self.joints):
             raise ExportError(

@@ -19,12 +19,8 @@ def log_section(model: FrictionModel, body: PageBody | None = None, key: str = "
     """Return the section of a page that takes a log.
 
     It uses the module and connectors of a live section of the same key before it, and needs
-    `page.live_assets(log=True)` after it. With a body it computes the rigid-body torque.
-
-    Raises
-    ------
-    ExportError
-        If body and model have different joints, or the compiler fails.
+    `page.live_assets(log=True)` after it. With a body it computes the rigid-body torque;
+    ExportError if its joints are not the model's.
     """
     return rendered("log.html.j2", data=_data(model, body), key=key)
 

@@ -11,23 +11,14 @@ def live_section(data: Mapping[str, Any], key: str = "live") -> str:
     """Return the section of a friction model; `live_assets` must follow it on the page.
 
     It needs no network and no other file. Without scripts it gives the reason. Its colours are
-    those of the page: --ink, --soft, --line, --paper, --card and --accent.
-
-    Parameters
-    ----------
-    data : result of `section.live_data`.
-    key : prefix of the identifiers of its elements, different for each section of a page.
+    those of the page: --ink, --soft, --line, --paper, --card and --accent. The key, different for
+    each section of a page, is the prefix of its elements' identifiers.
     """
     return rendered("live.html.j2", data=data, key=key)
 
 
 def live_assets(*, log: bool = False) -> str:
-    """Return the style and script of all interactive sections of a page, to follow them.
-
-    Parameters
-    ----------
-    log : whether a section reads logs.
-    """
+    """Return the style and script of all interactive sections of a page, to follow them."""
     scripts = ["live_plot.js", "live.js"]
     if log:
         scripts += ["fit.js", "log_table.js", "log_motion.js", "log_score.js", "log.js"]

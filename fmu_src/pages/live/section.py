@@ -27,26 +27,19 @@ _USUAL = 0.25  # [Hz], as in the FMU's picture
 _UNITS = {"velocity": "rad/s", "position": "rad", "time": "s", "torque": "N.m"}
 _NO_LOAD = 20.0  # default load [N.m]
 # Limits of the number fields beyond the sliders keep the page responsive: a sine has some rows, and
-# a browser runs this many within seconds.
+# a
+# browser runs this many within seconds.
 _LEAST_ROWS, _MOST_ROWS = 4, 20_000  # rows of a cycle
 _MOST_CYCLES = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Knob:
-    """A number with a slider and a number field.
+    """A number with a slider and a number field; `name` is its key on the page.
 
-    Attributes
-    ----------
-    name : key on the page.
-    symbol : MathML of the name; may be empty.
-    text : description.
-    unit : SI unit; may be empty.
-    value : start value.
-    low, high : limits of the slider.
-    least, most : limits of the number field; None if unlimited.
-    scale : scale of the slider: "linear", "log" (both limits of one sign), or "whole" numbers.
-    reference : value reference, for a parameter of the FMU.
+    The symbol is MathML; it and the SI unit may be empty. `low` and `high` limit the slider, whose
+    scale is "linear", "log" (both limits of one sign) or "whole" numbers; `least` and `most` limit
+    the number field. A parameter of the FMU has its value reference.
     """
 
     name: str
@@ -63,14 +56,7 @@ class Knob:
 
 
 def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str, Any]:
-    """Return the JSON data of an interactive section.
-
-    Parameters
-    ----------
-    model : the laws.
-    table : variables of the model's FMU.
-    module : result of `wasm` for that FMU.
-    """
+    """Return the JSON data of an interactive section; `module` is the result of `wasm`."""
     trained = model.trained or (None,) * len(model.joints)
     return {
         "module": packed(module),
