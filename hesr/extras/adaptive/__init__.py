@@ -1,1 +1,1 @@
-"""Friction that is followed: a law whose level, viscous part and offset are estimated online."""
+"""Adaptive friction: level, viscous factor and offset of a law are estimated online."""

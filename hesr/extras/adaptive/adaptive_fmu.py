@@ -1,7 +1,7 @@
 """Adaptive friction FMUs: friction estimated from measured torques, for co-simulation only.
 
-Inputs in addition to those of a friction FMU: `tau_meas[i]`, `tau_rigid[i]`, `adapt`. Further
-outputs: factors with standard deviations, alarms and health.
+Additional inputs: `tau_meas[i]`, `tau_rigid[i]`, `adapt`. Additional outputs: factors with standard
+deviations, alarms and health.
 """
 
 from collections.abc import Sequence
@@ -25,29 +25,14 @@ def export_adaptive(
     progress: Progress = silent,
     fmi: Version = 2,
 ) -> Path:
-    """Write a friction model as an adaptive FMU, without pages.
-
-    Parameters
-    ----------
-    model : one law for each joint, with stops or bristles.
-    path : the FMU to write, ending in .fmu.
-    platforms : names of `toolchain.TARGETS`, or "all".
-    progress : reports the number of platforms built.
-    fmi : version of FMI.
-
-    Raises
-    ------
-    HesrError
-        If the model lacks its training error, has coupled motors or a law without stops and
-        bristles; or `path` cannot be written.
-    """
+    """Write a friction model with stops or bristles as an adaptive FMU, without pages."""
     check_request(path, platforms)
     content = adaptive_content(model)
     return write_fmu(content, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
 def adaptive_content(model: FrictionModel) -> Content:
-    """Return the adaptive FMU of a model before it is compiled; errors are as above."""
+    """Return the adaptive FMU of a model before compilation."""
     about = about_model(model, "adaptive", "that follow what is measured")
     table, header = discrete_equations(model, adaptive_components(model), (ADAPT,))
     require_numbers(model)

@@ -13,7 +13,6 @@ from hesr_model.findings import Finding
 from hesr_model.support.typed_json import to_json
 
 _MOST_ALARMS = 12
-"""Alarms in a summary."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -1,22 +1,21 @@
-"""An adaptive law as equations: a Kalman filter of three factors a joint.
+"""Adaptive law as equations: a Kalman filter of three factors per joint.
 
     e = tau_meas - tau_rigid - tau          phi = (F_i xi_i .., v f(v), 1)
     g = P phi,  s = phi' g,  R = 2 T_c sigma^2
     theta+ = theta + g w e                  w = dt / (R + s dt)
     P+     = P - g g' (w - dt / (T_f s))    forgotten only along g, the observed direction
 
-theta are level, viscous factor and offset. The unexplained torque is not white noise: its
-correlation time T_c makes R, the noise's density, so that the filter is the same at any step, and
-T_f is over how long it looks back. tau is what is known before the torque is measured, so that no
-loop closes through an adaptive FMU. Source of the forgetting along one direction: R. Kulhavy,
-Restricted exponential forgetting in real-time identification, Automatica 23 (1987).
+theta holds level, viscous factor and offset. The unexplained torque is not white noise: R, its
+density from the correlation time T_c, makes the filter independent of the step. T_f is the
+memory. tau is known before the torque is measured, so no loop closes through an adaptive FMU.
+Forgetting along one direction: R. Kulhavy, Restricted exponential forgetting in real-time
+identification, Automatica 23 (1987).
 
-Changes are found by CUSUM on the innovations over their density: of friction as a whole, and of the
-offset,
+CUSUM on the innovations over their density detects changes of friction and of the offset,
 
     c+ = max(0, c + d p e w - d^2/2 p^2 w),    alarm at c > h
 
-whose mean time between false alarms is 2 (exp(h) - h - 1) / d^2 in units of R / p^2 [s].
+with a mean time between false alarms of 2 (exp(h) - h - 1) / d^2 in units of R / p^2 [s].
 """
 
 from dataclasses import replace
@@ -65,20 +64,13 @@ _FACTORS = (
     ("offset", "N.m", "offset of {joint}, beside that of the law"),
 )
 _HUGE = sympy.Float(1e6)  # limit of regressors, in standard deviations of the noise
-_MIXED = sympy.Float(1e-7)  # share of correlations lost with a sample: rounding stays harmless
+_MIXED = sympy.Float(1e-7)  # share of correlations lost per sample, which keeps round-off harmless
 _LEAST_NOISE = sympy.Float(1e-9)  # [N.m]: densities divide by it
 _TINY = sympy.Float(1e-200)
 
 
 def own_parameters(tuning: Tuning, noise: float, speed: float) -> tuple[Parameter, ...]:
-    """Return the parameters of a joint in addition to those of its law.
-
-    Parameters
-    ----------
-    tuning : settings of all joints.
-    noise : standard deviation of the unexplained torque [N.m].
-    speed : largest speed of the joint [rad/s].
-    """
+    """Return a joint's parameters beyond its law from `noise` [N.m] and top `speed` [rad/s]."""
 
     def one(name: str, unit: str, text: str, start: float) -> Parameter:
         return Parameter(name=name, unit=unit, description=text, start=start)
@@ -99,19 +91,9 @@ def adaptive_component(
 ) -> Component:  # fmt: skip
     """Return the equations of a joint with an adaptive law.
 
-    Parameters
-    ----------
-    law : law of the joint, with stops or bristles.
-    tuning : settings of all joints, constants of the equations.
-    noise : standard deviation of the unexplained torque [N.m], positive.
-    speed : largest speed of the joint [rad/s].
-    viscosity_least : smallest viscosity for the certificate of the ripple.
-    thermal : dependence on temperature, if any.
-
-    Raises
-    ------
-    ExportError
-        If the law has nothing that a level could scale.
+    `noise` is the standard deviation of the unexplained torque [N.m], `speed` the largest speed of
+    the joint [rad/s]; `viscosity_least` keeps the passivity certificate of the ripple. Raises
+    ExportError if the law has neither stops nor bristles.
     """
     own = own_parameters(tuning, noise, speed)
     sigma = larger(own[0].symbol, _LEAST_NOISE)
@@ -130,7 +112,7 @@ def adaptive_component(
     deviations = (tuning.level_sd, tuning.viscosity_sd, tuning.offset_sd * sigma)
     phi = [_named("phi_level"), _named("phi_viscosity"), sympy.Integer(1)]
     error, gain, learns = _named("innovation"), _named("gain"), _named("learns")
-    # Sums over names that are used in many places.
+    # Names for sums that are used in several places.
     g = [_named(f"g_{i}") for i in range(3)]
     p = {(i, j): previous(_p(i, j)) for i in range(3) for j in range(3)}
     spread, density = _named("spread"), 2 * tuning.correlation_time * sigma**2
@@ -220,7 +202,7 @@ def adaptive_component(
         (1, 1 - exceeds(ADAPT.symbol, 0.5)),
     )
     health = sympy.Integer(0)
-    for number, so in reasons:  # the last one that holds
+    for number, so in reasons:  # the last true one wins
         health = so * number + (1 - so) * health
     base = law.form.component
     return replace(
@@ -303,7 +285,7 @@ def _cusum(
 ) -> Equation:  # fmt: skip
     """Return the log-likelihood ratio of a shift d of a factor, not below 0.
 
-    It stops above the alarm, from where it comes down again once innovations fit.
+    It saturates above the alarm and falls again once the innovations fit.
     """
     change = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
     top = 1.5 * alarm

@@ -22,11 +22,8 @@ from hesr_model.support.arrays import Array
 class Followed:
     """Estimates of the friction of one joint in one log, before the torque of each row is used.
 
-    Attributes
-    ----------
-    record : record of the joint.
-    fixed : torque of the law as fitted, (N,) [N.m].
-    outputs : torque, factors with standard deviations, alarms and health by name, (N,) each.
+    `fixed` is the torque of the law as fitted, (N,) [N.m]; `outputs` holds torque, factors with
+    standard deviations, alarms and health by name, (N,) each.
     """
 
     record: FrictionRecord
@@ -37,12 +34,7 @@ class Followed:
 def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[Component, ...]:
     """Return the adaptive equations of each joint of a model.
 
-    Raises
-    ------
-    ExportError
-        If a law has neither stops nor bristles.
-    SimulationError
-        If the model lacks its training error and ranges, or motors are coupled.
+    Raises SimulationError if the model lacks its training error or ranges, or motors are coupled.
     """
     if model.coupling is not None:
         raise SimulationError(
@@ -70,14 +62,9 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
 
 
 class Follower:
-    """A friction model on a robot; a share of its learned factors is carried from log to log.
+    """Follows a friction model over logs; a share of the learned factors carries over to the next.
 
-    Each log starts from these factors with the initial standard deviations.
-
-    Parameters
-    ----------
-    model : friction model fitted to other logs.
-    tuning : settings of the filter.
+    Each log starts with the initial standard deviations.
     """
 
     def __init__(self, model: FrictionModel, tuning: Tuning = TUNING) -> None:
@@ -90,18 +77,7 @@ class Follower:
         ]
 
     def follow(self, records: Sequence[FrictionRecord], *, adapt: bool = True) -> list[Followed]:
-        """Follow friction over one log.
-
-        Parameters
-        ----------
-        records : records of all joints, in the order of the model; `tau` may hold NaN.
-        adapt : whether factors adapt.
-
-        Raises
-        ------
-        SimulationError
-            If records and model differ in their joints.
-        """
+        """Follow friction over the records of all joints in one log; `tau` may hold NaN."""
         found = tuple(r.joint for r in records)
         if found != self._model.joints:
             raise SimulationError(

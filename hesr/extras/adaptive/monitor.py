@@ -1,8 +1,8 @@
 """Friction over days of logs: factors at the end of each log, alarms and their likely causes.
 
-Distinguishable causes: temperature and lubrication change all joints, and slowly; wear changes
-friction of one joint; a payload, an error of gravity or a sensor moves offsets. A level that one
-joint alone has lost to heat looks like wear, and an offset like an error of gravity.
+Temperature and lubrication change all joints slowly; wear changes friction of one joint; a payload,
+a gravity error or a sensor moves offsets. Heat of a single joint looks like wear, and an offset
+like a gravity error.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -30,15 +30,7 @@ POINTS_TO = {
 
 @dataclass(frozen=True, kw_only=True)
 class Alarm:
-    """A change of friction.
-
-    Attributes
-    ----------
-    log, joint : names.
-    time : time of the log [s].
-    kind : a key of `POINTS_TO`.
-    sign : 1 for more friction or torque than before, -1 for less.
-    """
+    """A change of friction at a time [s]; `sign` is 1 for more friction or torque, -1 for less."""
 
     log: str
     joint: str
@@ -54,16 +46,10 @@ class Alarm:
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """One joint at the end of one log.
+    """Factors and errors of one joint at the end of one log.
 
-    Attributes
-    ----------
-    log, joint : names.
-    level, viscosity : factors on Coulomb and viscous friction.
-    offset : [N.m], or [N] where the joint slides.
-    level_sd, viscosity_sd, offset_sd : their standard deviations.
-    learning : share of the rows with adaptation.
-    rmse_fixed, rmse : errors of the law as fitted, and of the adapted one [N.m].
+    Offsets in [N.m] ([N] for a prismatic joint), errors of the fixed and the adapted law in [N.m];
+    `learning` is the share of rows with adaptation.
     """
 
     log: str
@@ -81,15 +67,7 @@ class State:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FollowedLogs:
-    """Friction of a robot over days of logs, relative to its model.
-
-    Attributes
-    ----------
-    model : friction model as fitted.
-    followed : estimates [log][joint] at every row.
-    states : state of each joint at the end of each log.
-    alarms : changes in the order of time.
-    """
+    """Friction of a robot over days of logs, relative to its model; `followed` is [log][joint]."""
 
     model: FrictionModel
     followed: tuple[tuple[Followed, ...], ...]
@@ -100,13 +78,7 @@ class FollowedLogs:
 def watch(
     model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]], tuning: Tuning = TUNING
 ) -> FollowedLogs:
-    """Follow friction over logs [log][joint], in the order of their days.
-
-    Raises
-    ------
-    HesrError
-        If the model does not support adaptation, or the records are of other joints.
-    """
+    """Follow friction over logs [log][joint] in the order of their days."""
     follower = Follower(model, tuning)
     followed = tuple(tuple(follower.follow(records)) for records in logs)
     return FollowedLogs(
@@ -152,13 +124,7 @@ def _alarms(log: Sequence[Followed]) -> Iterator[Alarm]:
 
 
 def shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:
-    """Return the signs of a change of friction that more than half of the joints share.
-
-    Parameters
-    ----------
-    drifts : joint and sign of each change.
-    joints : number of joints.
-    """
+    """Return the signs of drifts (joint, sign) that more than half of `joints` share."""
     found = set(drifts)
     most = max(1.0, _SHARED * joints)
     return [sign for sign in (1, -1) if sum(own == sign for _, own in found) > most]

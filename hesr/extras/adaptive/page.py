@@ -19,13 +19,7 @@ _TRENDS = (
 
 
 def write_monitor(path: Path, watched: FollowedLogs) -> None:
-    """Write the page.
-
-    Raises
-    ------
-    ArtifactError
-        If it cannot be written.
-    """
+    """Write the page."""
     pictures = Pictures(folder=path.parent)  # figures are embedded
     count = len(watched.alarms)
     alarms = table(alarm_table(watched)) if count else paragraph("None.")

@@ -9,24 +9,17 @@ from hesr_model.friction.factors import CHANGE, CHANGE_OF_OFFSET
 class Tuning:
     """Speed, limits and gates of the adaptation, and thresholds of its alarms.
 
-    Attributes
-    ----------
     correlation_time : correlation time of the unexplained torque [s].
     forgetting_time : memory of the filter [s].
     level_sd, viscosity_sd : initial and largest standard deviations of the factors.
-    offset_sd : the same for the offset, relative to the noise.
-    level, viscosity : limits of the factors.
-    offset : limit of the offset, relative to the noise.
+    offset, offset_sd : limit and standard deviation of the offset, relative to the noise.
     offset_rate : largest rate of the offset, relative to the noise [1/s].
     rest : share of the largest speed below which nothing is learned.
-    outlier : innovations above this number of standard deviations are not learned from.
-    clipped : innovations are limited to this number of standard deviations.
+    outlier, clipped : rejection and clipping of innovations, in standard deviations.
     hold : time without learning after an outlier [s].
-    carried : share of the learned factors that the next log starts from; their standard deviations
-        start anew because days may lie between logs.
-    change : smallest change of friction to detect, as a share.
-    change_of_offset : the same for the offset, relative to the noise.
-    alarm : threshold of the log-likelihood ratio for a change.
+    carried : share of the learned factors at the start of the next log.
+    change, change_of_offset : smallest change to detect, relative to friction and to the noise.
+    alarm : threshold of the log-likelihood ratio.
     """
 
     correlation_time: float = 0.5
@@ -49,5 +42,5 @@ class Tuning:
 
 
 TUNING = Tuning()
-"""Values chosen on the training logs of the UR10e: laws were fitted to one or two logs and followed
-over the others in the order of their days; no joint loses much."""
+"""Chosen on the training logs of the UR10e: laws fitted to one or two logs were followed over the
+others in the order of their days, without a large loss on any joint."""

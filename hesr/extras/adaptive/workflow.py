@@ -1,4 +1,4 @@
-"""The command `monitor`: friction over days of logs, of one robot or a fleet."""
+"""The command `monitor`."""
 
 from __future__ import annotations
 

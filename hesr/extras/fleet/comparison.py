@@ -14,22 +14,15 @@ Key = tuple[str, str, str, str]
 _KINDS = {"level": "drift", "offset": "shift", "error": "error"}
 _POINTS_TO = POINTS_TO | {"error": "what no law of friction explains: play, damage, or a sensor"}
 _ERROR = "rmse"
-"""Name of the error of a law, which is compared as a coefficient is."""
 
 
 def compared(
     robots: Sequence[RobotResult], level: float
 ) -> tuple[dict[tuple[str, str, str], dict[str, float]], list[Deviant]]:
-    """Compare all numbers of each type whose laws have one structure, `ENOUGH` robots at least.
+    """Compare the numbers of each type and law structure with at least `ENOUGH` robots.
 
-    Parameters
-    ----------
-    robots : of the fleet.
-    level : probability, adjusted for all comparisons (Holm), below which one deviates.
-
-    Returns
-    -------
-    Robust z by robot, law and joint, then by name; and what deviates, the farthest first.
+    Returns robust z by (robot, law, joint), then by name, and the deviants at significance `level`
+    (adjusted by Holm), largest z first.
     """
     groups: dict[tuple[str, ...], list[tuple[RobotResult, float, float | None]]] = {}
     for robot in robots:
@@ -59,20 +52,17 @@ def compared(
 
 
 def _numbers(one: JointResult) -> Iterator[tuple[str, float]]:
-    if len(one.values) <= MOST_COEFFICIENTS or one.law == BODY:  # no network, say
+    if len(one.values) <= MOST_COEFFICIENTS or one.law == BODY:  # except coefficients of networks
         yield from one.values.items()
     if one.law != BODY:
         yield _ERROR, one.rmse
 
 
 def changed(robots: Sequence[RobotResult], level: float, least: float) -> list[Change]:
-    """Return what has changed over days, what got worse first.
+    """Return changes over days, deteriorations first.
 
-    Parameters
-    ----------
-    robots : of the fleet.
-    level : probability, adjusted for all trends (Holm), below which one counts.
-    least : smallest change, as a share of friction.
+    `level` is the significance (adjusted by Holm), `least` the smallest change as a share of
+    friction.
     """
     trends = {
         (robot.robot, one.law, one.joint, name): (robot, found)

@@ -56,7 +56,7 @@ class FleetResult(Fleet, Answer):
     files: Sequence[Path] = ()
 
     def summary(self) -> str:
-        """Return the numbers of robots, and the worst deviations and changes."""
+        """Return the numbers of robots, and the largest deviations and changes."""
         deviating = {one.robot for one in self.deviants}
         worse = [one for one in self.changes if one.worse]
         lines = [

@@ -10,13 +10,7 @@ from hesr.extras.fleet.result import Fleet
 
 
 def write_page(fleet: Fleet, path: Path) -> None:
-    """Write the page, the same bytes for the same results.
-
-    Raises
-    ------
-    ArtifactError
-        If it cannot be written.
-    """
+    """Write the page; the same results give the same bytes."""
     rows = sum(robot.rows for robot in fleet.robots)
     logs = sum(robot.logs for robot in fleet.robots)
     text = (

@@ -1,4 +1,4 @@
-"""The results of a fleet as one Parquet file: a row for each robot, law and joint."""
+"""The results of a fleet as one Parquet file, with a row for each robot, law and joint."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,9 +12,9 @@ _TRENDS = ("level", "offset", "error")
 
 
 def write_table(path: Path, fleet: Fleet) -> None:
-    """Write the file, the same bytes for the same results.
+    """Write the file; the same results give the same bytes.
 
-    A row of the rigid body has no joint, one of a robot that could not be used no law either.
+    Rows of the rigid body have no joint, rows of an unusable robot neither joint nor law.
     """
     import pyarrow as pa
     from pyarrow import parquet

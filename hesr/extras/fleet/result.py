@@ -13,16 +13,11 @@ BODY = "rigid_body"
 
 @dataclass(frozen=True, kw_only=True)
 class JointResult:
-    """Result of one joint and law, or of the rigid body.
+    """Result of one joint and law, or of the rigid body (`BODY`, without a joint).
 
-    Attributes
-    ----------
-    law, joint : names; `BODY` and an empty name for the rigid body.
-    structure : structure of the law, as JSON.
-    values, errors : coefficients and their standard errors, if known.
-    rmse, tau_std : error over all logs and standard deviation of friction [N.m; N]; 0 for the
-        rigid body.
-    trends : trends over days of `level`, `offset` and `error`, relative to friction.
+    `structure` is JSON; `errors` are the known standard errors of `values`. RMSE and standard
+    deviation of friction over all logs are in [N.m; N]. `trends` over days (`level`, `offset`,
+    `error`) are relative to friction.
     """
 
     law: str
@@ -39,15 +34,8 @@ class JointResult:
 class RobotResult:
     """Result of one robot.
 
-    Attributes
-    ----------
-    key : hash of everything that affects the result.
-    robot, type : names.
-    logs, rows : numbers of used logs and rows.
-    refused : reasons of omitted logs and laws, a sentence each.
-    failure : reason of a missing result, otherwise empty.
-    findings : findings of the checks.
-    joints : results of each joint and law, and of the rigid body.
+    `key` hashes everything that affects the result; `refused` gives reasons for omitted logs and
+    laws, `failure` for a missing result.
     """
 
     key: str
@@ -62,7 +50,7 @@ class RobotResult:
 
     @property
     def sentences(self) -> list[str]:
-        """Reasons why the robot, logs or laws were left out."""
+        """Reasons for an omitted robot, log or law."""
         return [*filter(None, [self.failure]), *self.refused]
 
     @property
@@ -72,11 +60,11 @@ class RobotResult:
 
     @property
     def laws(self) -> list[str]:
-        """Names of the laws that could be fitted."""
+        """Names of the fitted laws."""
         return [law for law in dict.fromkeys(one.law for one in self.joints) if law != BODY]
 
     def of_law(self, law: str) -> "list[JointResult]":
-        """Return the results of each joint for a law."""
+        """Return the results of all joints for a law."""
         return [one for one in self.joints if one.law == law]
 
     def structure(self, law: str) -> str:
@@ -86,14 +74,7 @@ class RobotResult:
 
 @dataclass(frozen=True, kw_only=True)
 class Deviant:
-    """A number of a robot that deviates from its type.
-
-    Attributes
-    ----------
-    robot, type, law, joint, name : names.
-    value, median : value of the robot and median of its type.
-    z, p : distance in robust standard deviations, and adjusted probability.
-    """
+    """A number of a robot that deviates from its type: robust `z`, and adjusted probability `p`."""
 
     robot: str
     type: str
@@ -108,17 +89,9 @@ class Deviant:
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A change of a robot over days.
+    """A change of a robot from the first to the last day, as a share of friction.
 
-    Attributes
-    ----------
-    robot, type, law, joint : names.
-    kind : kind of change.
-    change : change from the first to the last day, as a share of friction.
-    per_day : change per day.
-    p : probability, adjusted for all trends.
-    worse : whether friction, offset or error increased.
-    points_to : likely cause.
+    `p` is adjusted for all trends; `worse` means that friction, offset or error increased.
     """
 
     robot: str
@@ -137,16 +110,8 @@ class Change:
 class Fleet:
     """Result of a fleet.
 
-    Attributes
-    ----------
-    name : name of the fleet.
-    robots : results of the robots, sorted by name.
-    z : z of each number by robot, law and joint, then by name.
-    deviants : deviating numbers, the largest z first.
-    changes : changes over days, worse ones first, then by size.
-    fmus : FMUs by type, law and structure of the law as JSON.
-    folder : folder of the results.
-    reused : number of robots that were complete before.
+    `z` is indexed by (robot, law, joint), then by name; `fmus` by (type, law, structure). `reused`
+    counts the robots that were complete before.
     """
 
     name: str

@@ -47,12 +47,7 @@ _VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
 def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
     """Process one robot and write its folder; return whether it was complete before.
 
-    Errors of its logs are part of the result.
-
-    Raises
-    ------
-    ArtifactError
-        If a file cannot be written.
+    Errors of its logs are part of the result; ArtifactError means a file cannot be written.
     """
     key, file = _key(member, study), folder / RESULT
     try:
@@ -73,19 +68,13 @@ def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
 
 
 def read_result(folder: Path) -> RobotResult:
-    """Read the result of a robot.
-
-    Raises
-    ------
-    ArtifactError
-        If the file is missing or damaged.
-    """
+    """Read the result of a robot; raises ArtifactError if it is missing or damaged."""
     file = folder / RESULT
     return from_json(RobotResult, read_json(file, RESULT_FORMAT), file, "a robot of a fleet")
 
 
 def _key(member: Member, study: FleetStudy) -> str:
-    """Return a hash of everything that affects the results of a robot; paths do not."""
+    """Return a hash of everything that affects the results of a robot, except paths."""
     kind = member.kind
     files = [kind.robot, *(path for _, path in member.logs)]
     if kind.robot.is_file():
@@ -173,7 +162,7 @@ class _Robot:
         )
 
     def _collected(self, slow: Any) -> tuple[Streamed, list[Motion]]:
-        """Read all logs once, for the rigid body and for the sample."""
+        """Read all logs once, for the rigid body and the sample."""
         stream = Streamed(self._model, slow)
         sample = Sample(self._study.rows, self._study.seed)
         for parts in self._motions(check=slow is None):
@@ -186,7 +175,7 @@ class _Robot:
         return stream, sample.motions()
 
     def _motions(self, *, check: bool = False) -> Iterator[list[Motion]]:
-        """Yield the parts of each log that can be used, one log after the other."""
+        """Yield the parts of each usable log."""
         cutoff = self._description.log.filter_cutoff
         for name, path in self._member.logs:
             if name in self._refused:
@@ -212,7 +201,7 @@ class _Robot:
         self._findings = merged([*self._findings, *found])
 
     def _joints(self, models: Mapping[str, FrictionModel], body: RigidBody) -> list[JointResult]:
-        """Read all logs once more, for errors and trends."""
+        """Read all logs again for errors and trends."""
         plain = replace(body, covariance=None)  # unused here
         found: dict[tuple[str, int], dict[str, _Day]] = {}
         for parts in self._motions():

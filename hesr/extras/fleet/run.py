@@ -23,20 +23,10 @@ ABOUT, TABLE, PAGE = "fleet.json", "fleet.parquet", "fleet.html"
 def run_fleet(
     path: Path, output: Path, *, workers: int | None = None, progress: Stages = silent
 ) -> Fleet:
-    """Process the robots of a fleet that are not complete, compare all, and write the results.
+    """Process the incomplete robots of a fleet, compare all robots, and write the results.
 
-    Parameters
-    ----------
-    path : fleet file.
-    output : folder of the results.
-    workers : processes, by default one per core; 1 runs in this process. Files do not change.
-    progress : reports the number of robots done.
-
-    Raises
-    ------
-    HesrError
-        If the fleet file, a robot file or the folder is unusable. Errors of logs are part of the
-        results.
+    `workers` are processes, by default one per core; 1 runs in this process. It does not change
+    files. Errors of logs are part of the results.
     """
     study = FleetStudy.read(path)
     for law in study.laws:
@@ -64,7 +54,7 @@ def run_fleet(
             reused=reused,
         )
         write_table(output / TABLE, found)
-        from hesr.extras.fleet.page import write_page  # draws, which takes long to load
+        from hesr.extras.fleet.page import write_page  # slow to import: it draws
 
         write_page(found, output / PAGE)
     return found

@@ -27,13 +27,9 @@ _DAY = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
 class RobotType(Config):
     """A type of robots.
 
-    Attributes
-    ----------
-    robot : robot file of the type.
-    logs : folders relative to the fleet file, with wildcards. Each folder is a robot of its name
-        with its logs, in any subfolders; ``robot=R7`` (partitioned data) is ``R7``. Folders of
-        one name are one robot.
-    accept : names of checks whose errors are accepted.
+    `logs` gives folders relative to the fleet file, with wildcards. Each folder is a robot of its
+    name with its logs in any subfolder; ``robot=R7`` (partitioned data) is ``R7``. Folders of one
+    name are one robot. `accept` names checks whose errors are accepted.
     """
 
     robot: RelativePath
@@ -42,20 +38,12 @@ class RobotType(Config):
 
 
 class FleetStudy(Config):
-    """A fleet.
+    """Content of a fleet file.
 
-    Attributes
-    ----------
-    name : name of the fleet.
-    seed : seed of samples and fits: the same seed gives the same bytes.
-    laws : names of the laws to fit.
-    options : hyper-parameters of their estimators, by law.
-    rows : largest number of rows per robot in a fit; longer logs are sampled.
-    level : significance level, adjusted for the number of comparisons.
-    least_change : smallest change to report, as a share of friction.
-    fmu : whether each type gets an FMU of each law, and each robot a parameter set.
-    platforms : platforms of the FMUs.
-    types : types by name.
+    `rows` limits the rows per robot in a fit (longer logs are sampled). `level` is the
+    significance, adjusted for the number of comparisons; `least_change` the smallest reported
+    change as a share of friction. With `fmu` each type gets an FMU of each law and each robot a
+    parameter set.
     """
 
     name: Name = "fleet"
@@ -72,14 +60,7 @@ class FleetStudy(Config):
 
 @dataclass(frozen=True, kw_only=True)
 class Member:
-    """A robot of a fleet.
-
-    Attributes
-    ----------
-    name, type : names of robot and type.
-    kind : settings of the type.
-    logs : name (path without suffix) and file of each log, sorted by name.
-    """
+    """A robot of a fleet; `logs` holds name (path without suffix) and file, sorted by name."""
 
     name: str
     type: str
@@ -99,10 +80,8 @@ class Member:
 def members(study: FleetStudy, path: Path) -> list[Member]:
     """Find the robots of a fleet and their logs.
 
-    Raises
-    ------
-    ConfigError
-        If a type has no robots, two types have the same, or a folder holds itself by a link.
+    Raises ConfigError if a type has no robots, two types share one, or a link leads to a parent
+    folder.
     """
     found: dict[str, Member] = {}
     for type_, kind in study.types.items():
@@ -130,7 +109,7 @@ def _matching(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
     root = path.parent.joinpath(*parts[:wild])
     try:
         return [(root, f) for f in sorted(root.glob("/".join(parts[wild:]))) if f.is_dir()]
-    except (OSError, ValueError, NotImplementedError) as error:  # of names that no folder can have
+    except (OSError, ValueError, NotImplementedError) as error:  # names that no folder can have
         raise ConfigError(
             f"{path}: type '{type_}': folders like {quoted(pattern)} cannot be looked for."
         ) from error
@@ -139,7 +118,7 @@ def _matching(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
 def _logs_in(folder: Path, above: tuple[Path, ...] = ()) -> list[Path]:
     found: list[Path] = []
     own = Path(os.path.realpath(folder))
-    if any(other.is_relative_to(own) for other in above):  # its logs would count again and again
+    if any(other.is_relative_to(own) for other in above):  # its logs would count repeatedly
         raise ConfigError(f"{folder}: is a link to a folder in which it stands; remove it.")
     for entry in sorted(folder.iterdir()):
         if entry.name.startswith((".", "_")):

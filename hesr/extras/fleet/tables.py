@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from hesr.extras.fleet.result import Fleet
 
 _MOST = 30
-"""Rows of a table; all are in the Parquet file."""
+"""Rows per table; the Parquet file has all."""
 
 
 def all_tables(fleet: "Fleet") -> Iterator[ResultTable]:
-    """Yield the tables that are not empty."""
+    """Yield the non-empty tables."""
     yield types(fleet)
     for table in (deviants(fleet), changes(fleet), broken(fleet)):
         if table.rows:
@@ -82,7 +82,7 @@ def changes(fleet: "Fleet") -> ResultTable:
 
 
 def broken(fleet: "Fleet") -> ResultTable:
-    """Return what was left out, and the reasons."""
+    """Return omitted robots, logs and laws with the reasons."""
     sentences = [(robot.robot, text) for robot in fleet.broken for text in robot.sentences]
     return ResultTable(
         caption="Not used",

@@ -28,14 +28,10 @@ class _Kind(NamedTuple):
 def write_types(
     study: FleetStudy, robots: Sequence[RobotResult], output: Path, progress: Stages
 ) -> dict[tuple[str, str, str], Path]:
-    """Write an FMU for each type and law, to which the parameter sets of its robots belong.
+    """Write an FMU per type and law with exposed coefficients, by (type, law, structure).
 
-    Where data chose other structures for some robots, these share an FMU of their own, numbered
-    from the most frequent one. The coefficients in an FMU are the medians of its robots.
-
-    Returns
-    -------
-    FMUs by type, law and structure, for laws whose coefficients are parameters of an FMU.
+    Its coefficients are the medians of its robots, whose parameter sets belong to it. Robots with
+    other structures share an FMU of their own, numbered by decreasing frequency.
     """
     groups: dict[_Kind, list[RobotResult]] = {}
     for robot in robots:
@@ -59,7 +55,7 @@ def write_types(
 
 
 def _typical(kind: _Kind, robots: Sequence[RobotResult], output: Path) -> FrictionModel:
-    """Return the model of the first robot with the medians of all as coefficients."""
+    """Return the model of the first robot with the median coefficients of all."""
     first = FrictionModel.read(output / ROBOTS / robots[0].robot / f"{kind.law}.json")
     laws = []
     for joint, law in enumerate(first.laws):

@@ -7,14 +7,14 @@ With e = exp(-|v/v_s|^alpha), alpha 1, 2 or 3, and the load L, the torque is sgn
 
     M1  F_c                             M2  F_c + F_e e
     M3  F_c + mu |L|                    M4  F_c + mu |L| + e (F_e + mu_e |L|)
-    M5  as M4, and mu, mu_e differ where the motor drives the load and where the load drives it
-    M6  as M5, and + e nu L^2, likewise
+    M5  M4 with separate mu, mu_e for the driving and the driven motor
+    M6  M5 + e nu L^2, with separate nu
 
 plus viscous friction and an offset. BAM weighs the torque of the motor, K_m, against that of the
-load, K_e. A motor's torque is load plus friction, tau, and nobody tells it to a friction law here;
-solved for it, tau = F_c + |(K_m + K_e) L + K_m tau| is a level per load of (K_m + K_e)/(1 -+ K_m):
-one where the motor drives, another one where it is driven. These are what is fitted. With its one
-weight M3 and M4 are that to first order, the same both ways.
+load, K_e. The motor torque is load plus friction tau, which is no input of a friction law. Solved
+for tau, tau = F_c + |(K_m + K_e) L + K_m tau| is a level per load of (K_m + K_e)/(1 -+ K_m), with
+one value for the driving and one for the driven motor. These two are fitted. The single weight of
+M3 and M4 equals that to first order, in both directions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -65,7 +65,7 @@ _SQUARES = tuple(
 
 
 class _Bam(OneForm):
-    """A level that is a sum of terms, none of them negative."""
+    """A level that is a sum of non-negative terms."""
 
     terms: ClassVar[tuple[tuple[Coefficient, sympy.Expr], ...]]
     everyday = False
@@ -73,7 +73,7 @@ class _Bam(OneForm):
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions; {"alpha": 1} gives another exponent than 2."""
+        """Return the expressions; {"alpha": 1} selects another exponent than 2."""
         alpha = structure.get("alpha", 2)
         falls = cls._falls()
         if structure.keys() - ({"alpha"} if falls else set()) or alpha not in ALPHAS:
@@ -87,7 +87,7 @@ class _Bam(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Search v_s, if present; everything else is linear."""
+        """Search v_s, if present; all others are linear."""
         names = (*(c.name for c, _ in self.terms), SIGMA_2.name)
         return SearchSpace(
             bounds=((V_S.name, VELOCITY_BOUNDS),) if self._falls() else (),
@@ -96,7 +96,7 @@ class _Bam(OneForm):
         )
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Fit with each exponent, as many coefficients each, and keep the least squares."""
+        """Fit with each exponent (equal numbers of coefficients) and keep the least squares."""
         if not self._falls():
             return super().fit(records, rng)
         samples = JointRows.of(records, coefficients=len(self.core({}).coefficients))
@@ -155,7 +155,7 @@ class BamM4(_Bam):
 
 @register
 class BamM5(_Bam):
-    """M4 whose friction per load differs where the motor drives and where it is driven."""
+    """M4 with separate friction per load for the driving and the driven motor."""
 
     name = "bam_m5"
     title = "BAM M5"
@@ -165,7 +165,7 @@ class BamM5(_Bam):
 
 @register
 class BamM6(_Bam):
-    """M5 with the square of the load in what rises at rest."""
+    """M5 with the square of the load in the rise at rest."""
 
     name = "bam_m6"
     title = "BAM M6"

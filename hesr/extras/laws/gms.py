@@ -1,19 +1,18 @@
-"""Maxwell-slip in general: parallel stops whose level follows Stribeck's curve with a delay.
+"""Generalised Maxwell-slip: parallel stops whose bound follows the Stribeck curve with a lag.
 
 Sources: V. Lampaert, F. Al-Bender, J. Swevers, A generalized Maxwell-slip friction model
 appropriate for control purposes, 2003; F. Al-Bender, V. Lampaert, J. Swevers, The generalized
 Maxwell-slip model: a novel model for friction simulation and compensation, 2005.
 
-There an element sticks, F_i' = k_i v, up to alpha_i s(v), and slides until v turns,
+In the sources an element sticks, F_i' = k_i v, up to alpha_i s(v), and slides until v reverses,
 
     F_i' = sgn(v) C (alpha_i - F_i / s(v))
 
-With F_i = sgn(v) alpha_i b this is b' = C (1 - b / s(v)), alpha_i of an element in it for all of
-them: one relaxation, and while it slides an element stands at that bound. Here it does so at all
-times, x_i = clip(x_i + v dt / w_i, -b, b). What differs is the moment of sliding: at b, which lags,
-and not at s(v); and elements that stick below b go on as stops do. It spares the switch that is
-neither a relaxation nor a stop, and which gives energy where motions are so small that s(v) rises
-while an element slides: a bound gives none.
+With F_i = sgn(v) alpha_i b this is b' = C (1 - b / s(v)), the same relaxation for all elements, and
+a sliding element is at the bound b. Here all elements follow x_i = clip(x_i + v dt / w_i, -b, b) at
+all times. They start to slide at the lagging b instead of s(v), and elements below b behave as
+stops. This avoids the switch of the sources, which is neither a relaxation nor a stop and generates
+energy in motions so small that s(v) rises while an element slides. A bound generates none.
 """
 
 from collections.abc import Mapping
@@ -43,7 +42,7 @@ _FORCES = tuple(
 )
 _CURVE = 1 + (RATIO.symbol - 1) * sympy.exp(-((DQ / V_S.symbol) ** 2))
 _RATE = ATTRACTION.symbol / _CURVE
-# How far the bound is below that of rest, so that it begins at 0 as states do.
+# Distance of the bound below its value at rest; states begin at 0.
 _BELOW = Relaxation(name="y", unit="1", drive=_RATE * (RATIO.symbol - _CURVE), rate=_RATE)
 _STOPS = tuple(
     Stop(
@@ -79,7 +78,7 @@ class Gms(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Search F_s / F_c, v_s and C; everything else is linear."""
+        """Search F_s / F_c, v_s and C; all others are linear."""
         forces = (*(f.name for f in _FORCES), SIGMA_2.name)
         return SearchSpace(
             bounds=(

@@ -20,10 +20,10 @@ from hesr_model.support.progress import counted, step
 MAX_HIDDEN = 16
 """Largest hidden layer."""
 DECAYS = (3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
-"""Weight decays that are tried, on standardised data. Each network starts from the one with the
-decay before, which makes its result depend less on the random start."""
+"""Weight decays on standardised data. Each network starts from that of the previous decay, which
+makes the result depend less on the random start."""
 SEARCHED_ROWS = 1600
-"""Number of rows for the comparison of choices; the chosen network is trained on all rows."""
+"""Rows for the comparison of choices; the chosen network is trained on all rows."""
 _TINY = 1e-12
 
 
@@ -33,13 +33,13 @@ class MlpH(Estimator):
 
     For each (alpha, beta) of stage 1 and each size, Levenberg-Marquardt with weight decay trains
     networks from several random starts. (alpha, beta), size and decay are those that predict
-    left-out logs best on the mean of the starts; then the start is taken that fits best.
+    left-out logs best on average over the starts; the best-fitting start is used.
 
     Parameters
     ----------
-    hidden : sizes of the hidden layer that are tried, up to `MAX_HIDDEN`.
-    cells, starts : how many (alpha, beta) and how many random starts are tried.
-    discretisation : of the hysteresis state.
+    hidden : sizes of the hidden layer, up to `MAX_HIDDEN`.
+    cells, starts : numbers of (alpha, beta) and of random starts.
+    discretisation : discretisation of the hysteresis state.
     """
 
     name = "mlp_h"
@@ -62,7 +62,7 @@ class MlpH(Estimator):
 
     @staticmethod
     def form(structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions of a structure {"hidden": size}: ParFam's with as many units."""
+        """Return the expressions of {"hidden": size}: those of ParFam with as many units."""
         units = size("mlp_h", structure, "hidden", MAX_HIDDEN)
         unit = {"g": "tanh", "arguments": list(family.FEATURES)}
         return family.form({"linear": ["1"], "units": [unit] * units})
@@ -98,7 +98,7 @@ class MlpH(Estimator):
 
     def _law(self, inputs: Inputs, network: Network, level: float, scale: float) -> FrictionLaw:
         gains, theta = network.gains, network.theta
-        # tanh is odd: positive gains, the largest first, so that a network prints in one way only.
+        # tanh is odd: positive gains, largest first, make the printed network unique.
         theta = np.where(gains < 0.0, -theta, theta)
         gains = np.abs(gains)
         order = np.argsort(-gains, kind="stable")
@@ -124,18 +124,10 @@ class MlpH(Estimator):
 
 
 def left_out(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[Array]) -> Array:
-    """Mean square on left-out rows of networks trained without them.
+    """Return (decays,) mean squares on left-out rows, relative to the variance of the torque.
 
-    Parameters
-    ----------
-    z : (N, 3) standardised inputs.
-    y : (N,) standardised torque.
-    folds : (N,) masks of the rows that are left out in turn.
-    starts : (4, H) initial hidden layers.
-
-    Returns
-    -------
-    (decays,) mean over the starts and all rows, relative to the torque's variance.
+    Standardised `z` (N, 3) and `y` (N,); `folds` mask left-out rows (N,); `starts` (4, H) are
+    initial hidden layers.
     """
     stride = max(1, len(y) // SEARCHED_ROWS)
     total = np.zeros(len(DECAYS))

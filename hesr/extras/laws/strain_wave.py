@@ -1,4 +1,4 @@
-"""The strain-wave law: gear meshing whose friction is proportional to the load."""
+"""Strain-wave laws: gear meshing with friction proportional to the load."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -26,7 +26,7 @@ class StrainWave(OneForm):
 
     Source: issue 3528 of the MuJoCo tracker, plus a Coulomb, a viscous and an offset term. While
     sliding z^2 = 1, so mu_dif tau_load is collinear with the rigid-body torque: from motor currents
-    alone mu_dif is determined by reversals only, and hardly so.
+    alone mu_dif is determined by reversals only, and poorly.
     """
 
     name = "strain_wave"
@@ -51,7 +51,7 @@ class StrainWave(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Search the deflection; everything else is linear."""
+        """Search the deflection; all others are linear."""
         return SearchSpace(
             bounds=((X_0.name, DEFLECTION_BOUNDS),),
             linear=("F_c", "sigma_2", "mu_avg", "mu_dif", "tau_0"),
@@ -60,7 +60,7 @@ class StrainWave(OneForm):
 
 
 RISE_BOUNDS = (1e-4, 10.0)
-"""Of the bounds' rises per load [1/(N.m)]."""
+"""Bounds of the relative rise per load [1/(N.m)]."""
 RISE_D = Coefficient(
     name="rise_d", unit="1/(N.m)", description="relative rise per load, the motor drives"
 )
@@ -73,8 +73,8 @@ RISE_B = Coefficient(
 class StrainWaveBound(OneForm):
     """Meshing z' = (v - |v| z/b)/x_0, b = 1 + rise_d max(L sgn(v), 0) + rise_b max(-L sgn(v), 0).
 
-    The strain-wave law with the load L in the bound of its deflection, where it gives no energy;
-    what differs while the gear drives and is driven are two rises of it.
+    The strain-wave law with the load L in the bound of its deflection, which generates no energy;
+    the driving and the driven gear have separate rises.
     """
 
     name = "strain_wave_bound"
@@ -99,7 +99,7 @@ class StrainWaveBound(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Search the deflection and both rises; everything else is linear."""
+        """Search the deflection and both rises; all others are linear."""
         return SearchSpace(
             bounds=(
                 (X_0.name, DEFLECTION_BOUNDS),

@@ -1,1 +1,1 @@
-"""The arena: friction FMUs of anybody, scored on the same logs."""
+"""Leaderboards: friction FMUs of any origin, scored on the same logs."""

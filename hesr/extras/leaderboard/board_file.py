@@ -23,7 +23,7 @@ Connector = Literal["dq", "q", "tau_load"]
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 KINDS: tuple[Kind, ...] = ("all", "moving", "reversals", "rests")
-"""Kinds of rows with a score of their own."""
+"""Kinds of rows with a separate score."""
 
 CLASSES: Mapping[str, tuple[Connector, ...]] = {
     "v": ("dq",),
@@ -35,14 +35,7 @@ CLASSES: Mapping[str, tuple[Connector, ...]] = {
 
 
 class ArenaRobot(Config):
-    """A robot and its rigid body.
-
-    Attributes
-    ----------
-    name : name on the leaderboard.
-    file : robot file.
-    rigid_body, rigid_body_sha256 : result of `hesr identify`, and the file's hash.
-    """
+    """A robot and its rigid body (result of `hesr identify`), with the hash of the body's file."""
 
     name: PrintableName = Field(min_length=1)
     file: RelativePath
@@ -51,14 +44,7 @@ class ArenaRobot(Config):
 
 
 class ArenaLog(Config):
-    """A log.
-
-    Attributes
-    ----------
-    file, sha256 : the file, and its hash.
-    robot : robot of the log; optional with a single robot.
-    source, licence : origin of the file and its licence.
-    """
+    """A log with its hash, origin and licence; `robot` is optional with a single robot."""
 
     file: RelativePath
     sha256: Hash
@@ -70,15 +56,9 @@ class ArenaLog(Config):
 class Arena(Config):
     """Content of a leaderboard file.
 
-    Attributes
-    ----------
-    name : name of the leaderboard.
-    robots, logs : at least one log of each robot.
-    warm_up : start of each log without a score [s]: the initial state of friction is unknown.
-    block : block length of the bootstrap [s].
-    classes : allowed inputs by name of the class.
-    scores : columns of the leaderboard.
-    accept : checks of logs whose errors are accepted.
+    `warm_up` is the unscored start of each log [s], since the initial state of friction is unknown;
+    `block` the block length of the bootstrap [s]. `classes` gives the allowed inputs by class,
+    `scores` the columns, `accept` checks of logs whose errors are accepted.
     """
 
     name: PrintableName = Field(min_length=1)
@@ -107,13 +87,7 @@ class Arena(Config):
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """Data for the entries of one robot.
-
-    Attributes
-    ----------
-    model, body : the robot and its rigid body.
-    records : of each part of each log, [part][joint].
-    """
+    """Data for the entries of one robot; records are [part][joint]."""
 
     model: RobotModel
     body: RigidBody
@@ -121,15 +95,7 @@ class Ground:
 
 
 def read_grounds(arena: Arena) -> dict[str, Ground]:
-    """Read robots, bodies and logs, by name of the robot.
-
-    Raises
-    ------
-    ConfigError
-        If a file is not there or is another one than the arena's.
-    HesrError
-        If a robot, a body or a log cannot be used.
-    """
+    """Read robots, bodies and logs, by robot; raises ConfigError for a missing or changed file."""
     grounds = {}
     for robot in arena.robots:
         _require_same(robot.rigid_body, robot.rigid_body_sha256, "")

@@ -22,7 +22,6 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
 _OPTIONAL = ("q", "tau_load")
-"""Optional inputs of an entry, in addition to the velocity."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,14 +37,9 @@ class Entry:
 class Tried:
     """Evaluation of an entry.
 
-    Attributes
-    ----------
-    inputs : inputs that change the torque, found by replays without each of them.
-    torques : torque of each part of each log, (N, n) [N.m].
-    seconds : time per step, inputs and outputs included [s].
-    ours : whether the FMU was exported here and runs in this process.
-    model : embedded law of an FMU that was exported here.
-    properties : results of the physics checks, if requested.
+    `inputs` are those that change the torque, found by replays without each. `torques` is (N, n)
+    [N.m] per part of a log, `seconds` the time per step, inputs and outputs included [s]. `ours`
+    marks FMUs exported here, which run in this process.
     """
 
     inputs: tuple[str, ...]
@@ -59,12 +53,8 @@ class Tried:
 def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
     """Replay an entry over all logs of its robot.
 
-    Raises
-    ------
-    SimulationError
-        If it lacks a connector, is for another number of joints, fails, or gives no number.
-    ArtifactError
-        If it cannot be read.
+    Raises SimulationError if it lacks a connector, has another number of joints, fails or gives
+    NaN.
     """
     ours = is_ours(entry.fmu) if entry.fmu.is_file() else False
     with FmuInstance(entry.fmu) as component:
@@ -84,7 +74,7 @@ def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
             without = (replay(component, **part | {name: None}) for part in columns)
             if any(np.any(one != torque) for one, torque in zip(without, torques, strict=True)):
                 used.append(name)
-    # A foreign FMU need not compute the law that it carries.
+    # The torque of a foreign FMU need not be that of its embedded law.
     model = embedded_model(entry.fmu) if ours else None
     return Tried(
         inputs=tuple(used),

@@ -1,4 +1,4 @@
-"""Leaderboard: entries scored and ranked within classes of inputs."""
+"""Entries scored and ranked within classes of inputs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -46,21 +46,10 @@ class ScoredRobot:
 class Standing:
     """Scores of an entry.
 
-    Attributes
-    ----------
-    name, robot, sha256 : of the entry.
-    law : embedded law; empty for a foreign FMU.
-    group : class of inputs.
-    inputs : inputs that change its torque.
-    relative : error over the size of friction by kind of rows, with a 95 % interval; None
-        without rows of the kind.
-    joints : RMSE of each joint by kind of rows [N.m; N].
-    ratio : ratio to the leader of the class, with a simultaneous 95 % interval; None for the
-        leader.
-    leads : whether no entry of its class is significantly better.
-    properties : results of the physics checks, if scored.
-    step : time per step, inputs and outputs included [s], if scored.
-    foreign : whether the FMU ran in a process of its own, which takes longer.
+    `relative` is the error over the size of friction by kind of rows, `ratio` the ratio to the
+    leader of the class; both have 95 % intervals, simultaneous for `ratio`. `joints` holds RMSE
+    [N.m; N]. `leads` means that no entry of the class is significantly better. `step` is the time
+    per step [s], longer for `foreign` FMUs, which run in a separate process.
     """
 
     name: str
@@ -82,13 +71,7 @@ class Standing:
 class Leaderboard:
     """Standings by robot and class of inputs, the smallest error first.
 
-    Attributes
-    ----------
-    arena : name of the leaderboard.
-    warm_up, block : start of each log without a score, and block length of the bootstrap [s].
-    classes : inputs of each class.
-    robots, logs : data of the scores.
-    standings : scores of all entries.
+    `warm_up` and `block` [s] are those of the leaderboard file.
     """
 
     arena: str
@@ -101,13 +84,7 @@ class Leaderboard:
 
 
 def entries_of(given: Sequence[str], arena: Arena) -> list[Entry]:
-    """Return entries given as FILE or ROBOT=FILE.
-
-    Raises
-    ------
-    ConfigError
-        If an entry lacks its robot, or is given twice.
-    """
+    """Return entries given as FILE or ROBOT=FILE; raises ConfigError if one lacks its robot."""
     robots = [robot.name for robot in arena.robots]
     found = []
     for text in given:
@@ -132,22 +109,9 @@ def run_arena(
     workers: int | None = None,
     progress: Progress = silent,
 ) -> Leaderboard:
-    """Score entries, each in a process of its own.
+    """Score entries, each in a separate process; `workers` changes measured times only.
 
-    Parameters
-    ----------
-    arena, entries : leaderboard file and its entries.
-    workers : processes, by default one per core; only times depend on it.
-    progress : reports the number of entries done.
-
-    Raises
-    ------
-    ConfigError
-        If a file differs from the leaderboard file, or an entry fits no class.
-    HesrError
-        If a log cannot be used.
-    SimulationError, ArtifactError
-        If an entry has other connectors than a friction FMU, or fails.
+    Raises ConfigError if a file differs from the leaderboard file or an entry fits no class.
     """
     if not entries:
         raise ConfigError("nobody has entered the arena; needed is at least one FMU.")
@@ -200,7 +164,7 @@ def run_arena(
 
 
 def _group(arena: Arena, entry: Entry, of_entry: Tried) -> str:
-    """Return the smallest class whose inputs are enough for an entry, the first of equal ones."""
+    """Return the smallest class that allows the inputs of an entry; the first if equal."""
     holding = [n for n, may in arena.classes.items() if set(of_entry.inputs) <= {*may, "dq"}]
     if not holding:
         raise ConfigError(
@@ -213,7 +177,7 @@ def _group(arena: Arena, entry: Entry, of_entry: Tried) -> str:
 def _ranked(
     arena: Arena, group: str, members: Sequence[tuple[Entry, Tried]], judge: Judge
 ) -> list[Standing]:
-    """Return the standings of a class, the least error first."""
+    """Return the standings of a class, the smallest error first."""
     errors = {entry.name: judge.errors(of_entry.torques) for entry, of_entry in members}
     size = {
         name: float(np.mean(np.square(np.vstack(of_entry) / judge.tau_std)))

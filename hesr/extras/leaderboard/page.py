@@ -11,13 +11,7 @@ from hesr.extras.leaderboard.leaderboard import Leaderboard
 
 
 def write_page(board: Leaderboard, path: Path) -> None:
-    """Write the page.
-
-    Raises
-    ------
-    ArtifactError
-        If it cannot be written.
-    """
+    """Write the page."""
     sections = [Section(key="standings", title="Standings", html=_standings(board))]
     found = {s.name: s.properties for s in board.standings if s.properties is not None}
     if found:

@@ -1,8 +1,8 @@
-"""How good a torque is over all joints of a robot at once, and how sure that is.
+"""Torque errors over all joints of a robot, with confidence intervals.
 
-Errors are taken over the standard deviation of each joint's measured friction and put together as
-a root of mean squares over rows and joints, so that one bootstrap draws the same stretches of time
-for all joints, whose errors go together.
+Errors are relative to the standard deviation of each joint's measured friction and combined as a
+root mean square over rows and joints. One bootstrap draws the same stretches of time for all
+joints because their errors are correlated.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ _LEVEL = 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """A value without unit, and its interval by a block bootstrap."""
+    """A dimensionless value and its interval by a block bootstrap."""
 
     value: float
     low: float
@@ -32,15 +32,8 @@ class Interval:
 class Judge:
     """Scores torques on the logs of one robot.
 
-    Parameters
-    ----------
-    ground : robot and logs.
-    warm_up : rows before are not scored [s].
-    block : length of the bootstrap's blocks [s].
-
-    Attributes
-    ----------
-    tau_std : (n,) standard deviation of the measured friction [N.m].
+    Rows before `warm_up` [s] are not scored; `block` is the block length of the bootstrap [s].
+    `tau_std` (n,) is the standard deviation of the measured friction [N.m].
     """
 
     def __init__(self, ground: Ground, *, warm_up: float, block: float) -> None:
@@ -58,19 +51,19 @@ class Judge:
         }
 
     def errors(self, torques: Sequence[Array]) -> list[Array]:
-        """Return the errors of torques, (N, n) [N.m] of each part, on the rows that count."""
+        """Return the errors of torques, (N, n) [N.m] per part, on the scored rows."""
         pairs = zip(torques, self._rows, self._tau, strict=True)
         return [torque[rows] - tau for torque, rows, tau in pairs]
 
     def by_joint(self, errors: Sequence[Array], kind: Kind) -> tuple[float | None, ...]:
-        """Return the RMSE of each joint [N.m] on rows of a kind; None where it has none."""
+        """Return the RMSE of each joint [N.m] on rows of a kind; None without such rows."""
         error, mask = np.vstack(errors), np.vstack(self._masks[kind])
         return tuple(
             rmse(error[rows, j]) if np.any(rows) else None for j, rows in enumerate(mask.T)
         )
 
     def relative(self, errors: Sequence[Array], kind: Kind) -> Interval | None:
-        """Return the error over the size of friction, of all joints; None where no row counts."""
+        """Return the error over the size of friction of all joints; None without scored rows."""
         counts = [np.sqrt(mask.sum(axis=1)) for mask in self._masks[kind]]
         if not any(map(np.any, counts)):
             return None
@@ -79,13 +72,13 @@ class Judge:
     def ratio(self, errors: Sequence[Array], below: Sequence[Array], compared: int) -> Interval:
         """Return the ratio of two relative errors over all rows.
 
-        Its interval holds for all of `compared` ratios at once (Bonferroni).
+        Its interval holds simultaneously for `compared` ratios (Bonferroni).
         """
         level = 1.0 - (1.0 - _LEVEL) / max(1, compared)
         return self._interval(self._sizes(errors, "all"), self._sizes(below, "all"), level)
 
     def _sizes(self, errors: Sequence[Array], kind: Kind) -> list[Array]:
-        """Return the root of the sum of all joints' squares, (N,) of each part."""
+        """Return the root of the sum of squares over joints, (N,) per part."""
         return [
             np.sqrt(np.sum(mask * np.square(error / self.tau_std), axis=1))
             for error, mask in zip(errors, self._masks[kind], strict=True)

@@ -95,7 +95,7 @@ def logs(board: Leaderboard) -> ResultTable:
 
 
 def entries(standings: Sequence[Standing]) -> ResultTable:
-    """Return what was entered."""
+    """Return the entries with their inputs and hashes."""
     return ResultTable(
         caption="Entries",
         head=("entry", "robot", "law", "inputs", "SHA-256"),
@@ -113,7 +113,7 @@ def _cell(value: Interval | None, *, best: bool = False) -> TableCell:
 
 
 def _passed(standing: Standing) -> str:
-    """Return how many of the joints' experiments pass, of those that could be run."""
+    """Return passed over run experiments of all joints."""
     found = standing.properties.joints if standing.properties else ()
     verdicts = [f.verdict for joint in found for f in joint.findings.values()]
     return f"{verdicts.count('pass')}/{verdicts.count('pass') + verdicts.count('fail')}"

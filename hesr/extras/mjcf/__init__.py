@@ -1,1 +1,1 @@
-"""Friction laws as parts of MuJoCo: passive dcmotor actuators in an MJCF."""
+"""Friction laws as passive dcmotor actuators of MuJoCo in an MJCF."""

@@ -1,4 +1,4 @@
-"""MJCF export: friction as passive actuators, to be included in the model of a robot."""
+"""MJCF export: friction as passive actuators to include in the model of a robot."""
 
 import json
 from collections.abc import Iterator
@@ -31,12 +31,8 @@ _HEAD = """\
 class JointProjection:
     """Result of the export of one joint.
 
-    Attributes
-    ----------
-    joint : name of the joint.
-    missing : term of the law without a counterpart in MuJoCo; None if the MJCF is exact.
-    fitted, unseen : errors of a projection on the fitted and on another motion.
-    unit : unit of the torque.
+    `missing` is the term of the law without a counterpart in MuJoCo (None: exact); `fitted` and
+    `unseen` are errors of a projection on the fitted and on another motion.
     """
 
     joint: str
@@ -69,34 +65,17 @@ class Projection:
         return all(joint.missing is None for joint in self.joints)
 
     def lines(self) -> list[str]:
-        """Return a line of text for each joint."""
+        """Return a line of text per joint."""
         return [str(joint) for joint in self.joints]
 
 
 def export_mjcf_law(
     model: FrictionModel, path: Path, *, project: bool = False, progress: Progress = silent
 ) -> Projection:
-    """Write a friction model as passive dcmotor actuators in an MJCF.
+    """Write a friction model as passive dcmotor actuators on joints of the same names in an MJCF.
 
-    The same model gives the same bytes. Numbers have all their digits.
-
-    Parameters
-    ----------
-    model : one law for each joint; the actuators act on joints of these names.
-    path : the MJCF to write, ending in .xml.
-    project : approximate a law without a counterpart in MuJoCo instead of refusing it.
-    progress : reports the number of joints done.
-
-    Returns
-    -------
-    Exact joints, and errors of the others.
-
-    Raises
-    ------
-    ExportError
-        If a law has no exact counterpart and `project` is not set, or cannot be run.
-    ArtifactError
-        If `path` cannot be written.
+    The same model gives the same bytes, with all digits. `project` approximates a law without a
+    counterpart in MuJoCo; otherwise it raises ExportError.
     """
     if path.suffix.lower() != ".xml":
         raise ExportError(f"{path}: the name of an MJCF ends in .xml.")
@@ -172,7 +151,7 @@ def _document(
 def _actuators(parts: JointFriction) -> Iterator[str]:
     """Yield the attributes of each actuator of a joint; the first has the viscous friction.
 
-    All attributes are written because the robot's defaults may differ.
+    All attributes are written because the defaults of the robot may differ.
     """
     count = max(len(parts.bristles), len(parts.waves), 1)
     for k in range(count):

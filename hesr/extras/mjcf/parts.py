@@ -1,15 +1,15 @@
-"""Which friction laws MuJoCo has parts for, and with what numbers.
+"""Friction laws as parts of MuJoCo, with their numbers.
 
 A passive dcmotor of MuJoCo (no input, no electrical branch) puts on its joint
 
     - (stiffness z + damping z') - viscous v + amplitude sin(poles q + phase)
     z' = v - stiffness |v| / g(v) z,    g = coulomb + (static - coulomb) exp(-(v / stribeck)^2)
 
-(XML reference of MuJoCo 4, actuator/dcmotor: lugre, damping, cogging). A law is such a sum if its
-expressions say so; its name does not matter. With its own state x = k z, a law's relaxation
-x' = k v - r x is that of a bristle whose stiffness is k times the torque per x; where the level
-g = stiffness |v| / r is constant the bristle is one of Dahl. A constant torque is a cogging without
-poles.
+(XML reference of MuJoCo 4, actuator/dcmotor: lugre, damping, cogging). The expressions of a law,
+not
+its name, decide whether it is such a sum. With the state x = k z, a relaxation x' = k v - r x is a
+bristle whose stiffness is k times the torque per x; with a constant level g = stiffness |v| / r the
+bristle is a Dahl element. A constant torque is a cogging without poles.
 """
 
 import math
@@ -44,7 +44,7 @@ class NoCounterpartError(ExportError):
 
 @dataclass(frozen=True, kw_only=True)
 class Bristle:
-    """A LuGre element: stiffness [N.m/rad], damping [N.m.s/rad], levels [N.m], velocity [rad/s]."""
+    """LuGre element: stiffness [N.m/rad], damping [N.m.s/rad], levels [N.m], velocity [rad/s]."""
 
     stiffness: float
     damping: float
@@ -55,7 +55,7 @@ class Bristle:
 
 @dataclass(frozen=True, kw_only=True)
 class Wave:
-    """A torque on the joint: amplitude [N.m] sin(poles q + phase [rad]), any number of poles."""
+    """Torque on the joint: amplitude [N.m] sin(poles q + phase [rad]), any number of poles."""
 
     amplitude: float
     poles: float
@@ -64,7 +64,7 @@ class Wave:
 
 @dataclass(frozen=True, kw_only=True)
 class JointFriction:
-    """The friction of one joint in MuJoCo's terms; viscous in [N.m.s/rad]."""
+    """Friction of one joint in MuJoCo's terms; viscous in [N.m.s/rad]."""
 
     bristles: tuple[Bristle, ...]
     viscous: float
@@ -72,13 +72,7 @@ class JointFriction:
 
 
 def parts_of(law: FrictionLaw) -> JointFriction:
-    """Return the parts of MuJoCo that are a law of one joint, exactly.
-
-    Raises
-    ------
-    NoCounterpartError
-        Naming what in the law none of MuJoCo's parts can be.
-    """
+    """Return the exact parts of MuJoCo for a law of one joint; raises NoCounterpartError."""
     form = law.form
     if form.stops:
         raise NoCounterpartError(
@@ -112,14 +106,10 @@ def parts_of(law: FrictionLaw) -> JointFriction:
 
 @dataclass(frozen=True, kw_only=True)
 class _Motion:
-    """How a state moves, as a bristle does: x' = scale v - rate |v| x.
+    """Differential equation of a bristle: x' = scale v - rate |v| x.
 
-    Attributes
-    ----------
-    scale : of x against the bristle's deflection z.
-    rate : with its one exponential replaced by `_PEAK`, where it has one.
-    peak : that exponential, exp(-(v / v_s)^2).
-    stribeck : its velocity v_s [rad/s].
+    `scale` is that of x against the deflection z; in `rate` the exponential `peak` = exp(-(v /
+    v_s)^2), if any, is replaced by `_PEAK`; `stribeck` is v_s [rad/s].
     """
 
     scale: sympy.Expr
@@ -153,7 +143,7 @@ class _Motion:
 
 
 _PEAK = sympy.Symbol("_peak", positive=True)
-"""Stands for exp(-(v / v_s)^2): 1 at rest, 0 at speed."""
+"""exp(-(v / v_s)^2): 1 at rest, 0 at speed."""
 
 
 def _stribeck_velocity(peak: sympy.Expr, values: Values, own: str) -> float | None:
@@ -167,7 +157,7 @@ def _stribeck_velocity(peak: sympy.Expr, values: Values, own: str) -> float | No
 
 @dataclass
 class _Torque:
-    """What the terms of a law's torque are, gathered one by one."""
+    """Terms of a law's torque, collected one by one."""
 
     values: Values
     viscous: float = 0.0
@@ -175,7 +165,7 @@ class _Torque:
     waves: list[Wave] = field(default_factory=list)
 
     def add(self, term: sympy.Expr, relaxations: tuple[Relaxation, ...]) -> None:
-        """Take one term in, a factor of a state, viscous, constant or a wave in the angle."""
+        """Add a term: a factor of a state, viscous, constant or a wave in the angle."""
         states = {s for r in relaxations for s in (r.state, r.derivative)} & term.free_symbols
         for symbol in states or {DQ}:
             factor = term / symbol
@@ -225,7 +215,7 @@ def _bristle(
     damping: sympy.Expr | None,
     values: Values,
 ) -> Bristle | None:
-    """Return the bristle of a relaxation; None where its state does not count in the torque."""
+    """Return the bristle of a relaxation; None if its state has no effect on the torque."""
     stiffness = (force or sympy.Integer(0)) * motion.scale
     own = f"its state '{relaxation.name}'"
     found = _number(stiffness, values, f"the stiffness of {own}")
@@ -266,7 +256,7 @@ def _uses_inputs(expression: sympy.Expr) -> bool:
 
 
 def _number(expression: sympy.Expr, values: Values, what: str) -> float:
-    """Return the value of an expression; an error names it as `what`."""
+    """Return the value of an expression; errors name it as `what`."""
     value = expression.subs(values)
     if not value.is_real:
         raise NoCounterpartError(f"its coefficients make {what} no number ({shown(expression)})")

@@ -1,12 +1,11 @@
-"""The nearest friction that MuJoCo has parts for: bristles in parallel, viscous, ripple, offset.
+"""Nearest friction from parts of MuJoCo: parallel bristles, viscous friction, ripple, offset.
 
     tau = sum_i F_i / x_i (z_i + T z_i') + sigma_2 v + tau_0 + sum_p a_p cos(p q) + b_p sin(p q)
     z_i' = v - |v| / (x_i s(v)) z_i,    s = 1 + (ratio - 1) exp(-(v / v_s)^2)
 
 The sliding deflections x_i are those of the Dahl basis; ratio, v_s and T are searched, the rest is
-least squares with F_i and sigma_2 not negative. What is fitted is the law itself, on a Fourier
-motion at speeds for which it was trained; how far that is off is said for this motion and for a
-faster one that the fit has not seen.
+least squares with non-negative F_i and sigma_2. The target is the torque of the law on a Fourier
+motion at trained speeds. Errors are given for this motion and for a faster, unseen one.
 """
 
 from dataclasses import dataclass
@@ -35,7 +34,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 RATIO = Coefficient(name="ratio", unit="1", description="static over Coulomb friction")
 TIME = Coefficient(name="T", unit="s", description="micro-damping over stiffness")
 TIME_BOUNDS = (1e-7, 0.05)
-"""Bounds of T [s]; at the lower one it does nothing at any step in use."""
+"""Bounds of T [s]; the lower one has no effect at any step in use."""
 
 _FORCES = tuple(
     Coefficient(name=f"F_{i}", unit="N.m", description="Coulomb friction of a bristle")
@@ -46,7 +45,7 @@ _LOAD_FREQUENCY = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class Misfit:
-    """How far torques are off: [N.m], and the largest difference over the largest torque."""
+    """RMSE of a torque [N.m], and the largest error over the largest torque."""
 
     rmse: float
     relative: float
@@ -55,22 +54,10 @@ class Misfit:
 def projected(
     law: FrictionLaw, trained: TrainedRange | None, sample_time: float
 ) -> tuple[FrictionLaw, Misfit, Misfit]:
-    """Return the nearest law of MuJoCo's parts, and how far it is off, fitted and unseen.
+    """Return the nearest law from parts of MuJoCo, and its errors on the fitted and another motion.
 
-    The same law gives the same result, bit for bit on one machine.
-
-    Parameters
-    ----------
-    law : the law of one joint.
-    trained : trained range; None uses `trained_speed`.
-    sample_time : step of the law [s].
-
-    Raises
-    ------
-    ExportError
-        If the law's torque is not finite on the motions.
-    SimulationError
-        If the law is not stable at that sample time.
+    The same law gives the same result, bit for bit on one machine. Raises ExportError if the torque
+    is not finite on the motions, SimulationError if the law is unstable at `sample_time` [s].
     """
     seen, unseen = records(law, trained, sample_time)
     form, space = _family(_poles(law))
@@ -86,11 +73,8 @@ def projected(
 def records(
     law: FrictionLaw, trained: TrainedRange | None, sample_time: float
 ) -> tuple[FrictionRecord, FrictionRecord]:
-    """Return what a projection of a law is fitted to, and what it is tried on.
-
-    Arguments and errors are those of `projected`.
-    """
-    # With wide and narrow loops up to the speed.
+    """Return records for the fit and the test of a projection."""
+    # Wide and narrow loops up to the speed.
     peak, middle = np.array([trained_speed(trained)]), np.zeros(1)
     slow, fast = (
         random_fourier(seed=seed, harmonics=10, period=period, peak_velocity=peak, offset=middle)
@@ -100,7 +84,7 @@ def records(
 
 
 def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
-    """Return how far a law's torque is from that of a record."""
+    """Return the error of a law on a record."""
     torque = predict(law, t=record.t, dq=record.dq, q=record.q, tau_load=record.tau_load)
     difference = torque - record.tau
     largest = float(np.max(np.abs(record.tau)))
@@ -113,7 +97,7 @@ def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
 def _record(
     law: FrictionLaw, trajectory: Trajectory, trained: TrainedRange | None, sample_time: float
 ) -> FrictionRecord:
-    """Return the law along a motion around the middle of what was trained, under its loads."""
+    """Return the law along a motion around the middle of the training range, under its loads."""
     rows = np.arange(round(trajectory.duration / sample_time), dtype=np.float64)
     t = sample_time * rows
     q, dq, _ = (column[:, 0] for column in trajectory.sample(t))
@@ -122,7 +106,7 @@ def _record(
     low, high = trained.tau_load if trained else (0.0, 0.0)
     swing = np.cos(2.0 * np.pi * _LOAD_FREQUENCY * t)
     load = 0.5 * (low + high) + 0.5 * (high - low) * swing
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # looked for below
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # checked below
         tau = predict(law, t=t, dq=dq, q=q, tau_load=load)
     if not np.all(np.isfinite(tau)):
         raise ExportError(
@@ -133,7 +117,7 @@ def _record(
 
 
 def _poles(law: FrictionLaw) -> list[float]:
-    """Return the waves per radian of the joint that a law's torque has."""
+    """Return the waves per radian of the joint in a law's torque."""
     values = {c.symbol: law.values[c.name] for c in law.form.coefficients}
     angles = [wave.args[0] for wave in law.form.output.atoms(sympy.sin, sympy.cos)]
     slopes = (sympy.diff(angle, Q).subs(values) for angle in angles)

@@ -1,1 +1,1 @@
-"""A friction model as a Modelica package."""
+"""Friction models as Modelica packages."""

@@ -1,7 +1,6 @@
-"""What a Modelica package says of itself: equations, where it comes from, what the audit found.
+"""Documentation of a Modelica package: equations, provenance and audit.
 
-Modelica's documentation is HTML in a string. Browsers in modelling tools are often old, so it is
-plain: no style, no MathML, ASCII only.
+Browsers in modelling tools are often old: plain HTML without style or MathML, ASCII only.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,12 +31,8 @@ def package_html(
 ) -> str:
     """Return the documentation of the package.
 
-    Parameters
-    ----------
-    model : friction model.
-    joints : `name`, `label` and `jumps` of each joint, as in the template of the package.
-    audits : audit of each joint; empty if refused.
-    refused : reason of a refused audit.
+    `joints` has `name`, `label` and `jumps` of each joint; `audits` is empty if refused for the
+    reason `refused`.
     """
     return _page(
         "modelica.html.j2",
@@ -54,14 +49,14 @@ def package_html(
 
 
 def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
-    """Return the documentation of the law of a joint; `index` counts from 0."""
+    """Return the documentation of the law of joint `index`, from 0."""
     law = model.laws[index]
     seen = model.trained[index] if model.trained else None
     return _page(
         "modelica_joint.html.j2",
         joint=model.joints[index],
         title=title(law, ""),
-        # Equations of networks are unreadable with numbers.
+        # Equations of networks with numbers are unreadable.
         numbers=equations_with_numbers(law) if exposed(law) else [],
         intervals=coefficient_lines(law) if law.standard_errors else [],
         start_samples=law.start_samples,

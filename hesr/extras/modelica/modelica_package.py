@@ -1,4 +1,4 @@
-"""A friction model in, a Modelica package out."""
+"""Modelica export of a friction model."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -42,32 +42,17 @@ _FREQUENCY = 0.25
 
 
 _STEADY = "steadyStart"
-"""Name of the parameter that says where states begin."""
+"""Parameter that starts states in the steady state of the first inputs."""
 
 
 def export_modelica(model: FrictionModel, path: Path) -> Path:
-    """Write a friction model as a Modelica package, in one file.
+    """Write a friction model as a Modelica package in one file, NAME.mo with package NAME.
 
-    The package has the equations of each distinct form, a block of each joint's law, the same
-    between rotational flanges, and examples. It uses the Modelica Standard Library 4.0.
-    States begin where those of FMUs do.
-
-    Parameters
-    ----------
-    model : one law for each joint.
-    path : the file to write, NAME.mo; NAME becomes the name of the package.
-
-    Returns
-    -------
-    `path`.
-
-    Raises
-    ------
-    ExportError
-        If a joint slides, the file's or a law's names are none in Modelica, or an expression has no
-        counterpart.
-    ArtifactError
-        If `path` cannot be written.
+    The package has the equations of each distinct form, a block for the law of each joint, the same
+    between rotational flanges, and examples. It uses the Modelica Standard Library 4.0. States
+    start
+    as in the FMUs. Raises ExportError if a joint slides, a name is not valid in Modelica, or an
+    expression has no counterpart.
     """
     _check_name(path)
     text = package(model, path.stem)
@@ -77,7 +62,7 @@ def export_modelica(model: FrictionModel, path: Path) -> Path:
 
 
 def package(model: FrictionModel, name: str) -> str:
-    """Return the text of the package; errors are those of `export_modelica`."""
+    """Return the text of the package."""
     for joint, slides in zip(model.joints, model.slides, strict=True):
         if slides:
             raise ExportError(
@@ -122,7 +107,7 @@ def _check_name(path: Path) -> None:
 
 
 def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
-    """Return the first law of each distinct form by a name for the form, as `ParfamH`."""
+    """Return the first law of each distinct form by a name of the form, such as `ParfamH`."""
     first: dict[LawForm, FrictionLaw] = {}
     for law in laws:
         first.setdefault(law.form, law)
@@ -138,7 +123,7 @@ def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
 
 
 def _form(name: str, law: FrictionLaw) -> dict[str, Any]:
-    """Return a form as the template has it."""
+    """Return a form for the template."""
     form = law.form
     found = equations(form)
     _check_names(law, found)
@@ -177,7 +162,7 @@ def _check_names(law: FrictionLaw, found: Equations) -> None:
 def _joints(
     model: FrictionModel, names: Mapping[LawForm, str], audits: Sequence[Audit]
 ) -> list[dict[str, Any]]:
-    """Return each joint as the template has it."""
+    """Return each joint for the template."""
     motion = reference_motion(model, frequency=_FREQUENCY)
     found = []
     for i, law in enumerate(model.laws):
@@ -198,7 +183,7 @@ def _joints(
                 "uses_load": TAU_LOAD in law.form.inputs,
                 "load": f"{motion.tau_load[:, i].mean():.4g}",
                 "speed": f"{speed:.4g}",
-                # Overcomes the friction; its inertia lets the speed stay near the trained ones.
+                # Overcomes the friction; the inertia keeps the speed near the trained ones.
                 "torque": "" if jumps or not largest else f"{1.5 * largest:.4g}",
                 "inertia": f"{largest / (2.0 * np.pi * _FREQUENCY * speed):.4g}",
             }
@@ -207,7 +192,7 @@ def _joints(
 
 
 def _modifications(law: FrictionLaw) -> list[str]:
-    """Return what makes a form the law of a joint: its numbers."""
+    """Return the numbers that make a form the law of a joint."""
     values = [f"{name}={value!r}" for name, value in law.values.items()]
     for element, start in zip(law.form.memory, law.start, strict=True):
         values.append(f"{start_of(element.name)}={start!r}")
@@ -216,6 +201,5 @@ def _modifications(law: FrictionLaw) -> list[str]:
 
 
 def _quoted(text: str) -> str:
-    """Return a string of Modelica."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return f'"{escaped}"'

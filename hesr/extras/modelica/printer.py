@@ -1,8 +1,8 @@
 """SymPy to Modelica: the equations of a friction law.
 
-`sign` and `abs` of Modelica make no events (they are defined with noEvent), but where a law jumps
-or bends a solver has to stop, as it does at the FMU's event indicators. So the signs of inputs are
-variables of their own, written as `if` with relations, which a tool holds between events.
+`sign` and `abs` of Modelica trigger no events (they are defined with noEvent), but a solver must
+stop where a law jumps or bends, as at the event indicators of the FMU. So the signs of inputs are
+separate variables, written as `if` with relations, which tools hold between events.
 """
 
 from collections.abc import Mapping
@@ -23,14 +23,14 @@ FUNCTIONS = (
     "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "der", "exp", "log", "sign", "sin",
     "sinh", "sqrt", "tan", "tanh",
 )  # fmt: skip
-"""Functions and operators of Modelica that equations are written with."""
+"""Functions and operators of Modelica in use."""
 
 _HALF = sympy.Rational(1, 2)
 _WIDTH = 96
 
 
 class _Printer(LanguagePrinter):
-    """Modelica with our functions; a state's derivative is `der` of it."""
+    """Modelica with our functions; the derivative of a state is its `der`."""
 
     printmethod = "_modelica"
     language = "Modelica"
@@ -48,7 +48,7 @@ class _Printer(LanguagePrinter):
             return f"1/{self.parenthesize(expr.base**-expr.exp, PRECEDENCE['Mul'])}"
         return f"{base}^{self.parenthesize(expr.exp, PRECEDENCE['Pow'])}"
 
-    # Magnitudes exist in every tool without an event.
+    # Magnitudes trigger no event in any tool.
     def _print_positive(self, expr: sympy.Expr) -> str:
         x = expr.args[0]
         return self._half(x + absolute(x))
@@ -74,12 +74,9 @@ class _Printer(LanguagePrinter):
 class Equations:
     """A form in Modelica.
 
-    Attributes
-    ----------
-    signs : of inputs, held between events: the name of each and its declaration's right side.
-    lines : the equations, without semicolons.
-    beginning : for each state where it begins in the steady state of the first inputs; none where
-        the rate of one sees its state, so that this is not to be written down.
+    `signs` gives the right side of each sign of an input, held between events. `lines` are the
+    equations, without semicolons. `beginning` is each state in the steady state of the first
+    inputs; empty if a rate depends on its state, so that no closed form exists.
     """
 
     signs: Mapping[str, str]
@@ -88,13 +85,7 @@ class Equations:
 
 
 def equations(form: LawForm) -> Equations:
-    """Return the equations of a form: `der(x) = drive - rate*x` of each state, and `tau`.
-
-    Raises
-    ------
-    ExportError
-        If an expression has a function that Modelica does not have.
-    """
+    """Return the equations of a form: `der(x) = drive - rate*x` of each state, and `tau`."""
     bends = Jumps(form.component, every=True).expressions
     signs = [
         sympy.Dummy(f"sign_{e.name if e.is_Symbol else i}", real=True)
@@ -105,7 +96,7 @@ def equations(form: LawForm) -> Equations:
     printer = _Printer({m.derivative: f"der({m.name})" for m in form.memory})
 
     def text(expression: sympy.Expr, level: int = 0, *, begins: bool = False) -> str:
-        # No sign is held before there is an event.
+        # No sign is held before the first event.
         own = expression if begins else expression.xreplace(held)
         try:
             return str(printer.parenthesize(own, level))
@@ -130,7 +121,7 @@ def equations(form: LawForm) -> Equations:
 
 
 def _beginning(form: LawForm) -> dict[str, sympy.Expr]:
-    """Return where each state begins, of inputs, start values and the states before it."""
+    """Return the initial value of each state, from inputs, start values and preceding states."""
     if any(m.seeks for m in form.memory):
         return {}
     found = initial_state(form.memory, SETTLING)

@@ -1,1 +1,1 @@
-"""A friction model as one file of code that needs nothing of HESR: C, PyTorch, JAX."""
+"""Friction models as one file of code without HESR: C, PyTorch, JAX."""

@@ -25,26 +25,11 @@ _OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE) \w+ (\w+)\(", re.MULTIL
 
 
 def export_c(model: FrictionModel, path: Path) -> Path:
-    """Write a friction model as one C99 header, and its test data next to it.
+    """Write a friction model as the C99 header NAME.h, with the prefix NAME, and its test data.
 
-    The functions are those of the FMU, so the torques are the same bits where compiler flags and
-    mathematical library are.
-
-    Parameters
-    ----------
-    model : one law for each joint.
-    path : the file to write, NAME.h; functions and types begin with NAME.
-
-    Returns
-    -------
-    `path`.
-
-    Raises
-    ------
-    ExportError
-        If the file name is not an identifier of C, or motors are coupled.
-    ArtifactError
-        If a file cannot be written.
+    The functions are those of the FMU: torques are equal bit for bit with the same compiler flags
+    and mathematical library. Raises ExportError if NAME is no identifier of C, or motors are
+    coupled.
     """
     if path.suffix != ".h":
         raise ExportError(f"{path}: a C header ends in .h, found '{path.suffix}'.")
@@ -57,7 +42,7 @@ def export_c(model: FrictionModel, path: Path) -> Path:
 
 
 def header(model: FrictionModel, name: str) -> str:
-    """Return the text of the header, whose names begin with `name`."""
+    """Return the text of the header with the prefix `name`."""
     require_exportable(model, "one C header", coupled=False)
     joints = joints_of(model)
     distinct = list(dict.fromkeys(j.component for j in joints))
@@ -95,7 +80,7 @@ def header(model: FrictionModel, name: str) -> str:
 def _rows(
     model: FrictionModel, joints: Sequence[Joint], functions: dict[Any, Functions], *, euler: bool
 ) -> list[dict[str, Any]]:
-    """Return each joint as the template has it."""
+    """Return each joint for the template."""
     rows: list[dict[str, Any]] = []
     states, coefficients = 0, 0
     for label, law, joint in zip(model.joints, model.laws, joints, strict=True):
@@ -127,12 +112,12 @@ def _rows(
 
 
 def _comment(text: str) -> str:
-    """Return a text that ends no comment."""
+    """Return a text that does not end a comment."""
     return text.replace("*/", "* /").replace("\\", "/")
 
 
 def _with_prefix(text: str, name: str) -> str:
-    """Give what is ours names that do not meet those of others, nor of other headers."""
+    """Rename our functions to avoid clashes with others and with other headers."""
     text = re.sub(r"\bLANES\b", f"{name.upper()}_LANES", text)
     names = "|".join(_OWN_MATH.findall(own_source("law_math.h")))
     return re.sub(rf"\b({names})\(", r"law_\1(", text)

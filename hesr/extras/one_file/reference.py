@@ -19,15 +19,7 @@ _HALVINGS = 12
 
 
 def write_beside(path: Path, text: str, model: FrictionModel) -> Path:
-    """Write a code file and its test data with the suffix .csv; both or none.
-
-    Raises
-    ------
-    ExportError
-        If the torque is not finite on the motion of the data.
-    ArtifactError
-        If a file cannot be written.
-    """
+    """Write a code file and its test data with the suffix .csv; both or none."""
     rows = reference_rows(model)
     with written_whole(path) as code, written_whole(path.with_suffix(".csv")) as data:
         code.write_text(text, encoding="utf-8", newline="\n")
@@ -38,21 +30,20 @@ def write_beside(path: Path, text: str, model: FrictionModel) -> Path:
 def reference_rows(model: FrictionModel) -> str:
     """Return the data as CSV: t, then dq[i], q[i], tau_load[i] and tau[i] of all joints.
 
-    Row 0 is read with the start values of the states; to each further row the states move with the
-    inputs of that row held. Inputs are numbers of single precision, so that each precision gets the
-    same ones.
+    Row 0 is read at the start values of the states; states move to each further row with its inputs
+    held. Inputs are single-precision numbers, so they are the same in each precision.
     """
     motion, torque = _motion(model)
     joints = range(1, len(model.joints) + 1)
     names = ["t", *(f"{name}[{i}]" for name in ("dq", "q", "tau_load", "tau") for i in joints)]
     columns = np.column_stack([motion.t, motion.dq, motion.q, motion.tau_load, torque])
-    # Adding zero turns a negative zero into a plain one.
+    # Adding zero turns a negative zero into a positive one.
     lines = [",".join(f"{value + 0.0:.17g}" for value in row) for row in columns.tolist()]
     return "\n".join([",".join(names), *lines, ""])
 
 
 def _motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
-    """Return inputs and torque; the step is shorter where Euler is not stable at the law's own."""
+    """Return inputs and torque; the step is shorter where Euler is unstable at that of the law."""
     for halved in range(_HALVINGS):
         step = model.sample_time / 2**halved
         motion = reference_motion(

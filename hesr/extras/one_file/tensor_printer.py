@@ -1,7 +1,6 @@
-"""SymPy to Python on batches of tensors: the step of a law for PyTorch and JAX alike.
+"""SymPy to Python on batches of tensors: the step of a law for PyTorch and JAX.
 
-Both have the functions that are used under the same names, in a module that is called `xp`. What
-neither has under one name stands in the template of the file.
+Functions with the same name in both are in the module `xp`; all others are in the template.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,12 +30,12 @@ _OWN = ("positive", "larger", "clip", "exceeds", "over")
 
 _HALF = sympy.Rational(1, 2)
 _HIGH_BITS = 12
-"""Of a factor on the position, half of what single precision has: its products are exact."""
+"""High bits of a factor on the position, half of single precision, so that products are exact."""
 _DIGITS = 40
 
 
 class _turned(sympy.Function):  # type: ignore[misc] # noqa: N801 - SymPy is not typed
-    """factor * position less whole turns; printed so that the product loses nothing."""
+    """factor * position minus whole turns; printed without loss of precision."""
 
     nargs = 2
 
@@ -86,7 +85,7 @@ class _Printer(LanguagePrinter):
 
     def _print__turned(self, expr: sympy.Function) -> str:
         factor, position = expr.args
-        # With more digits than a double has, since the whole turns that are left out have them.
+        # The whole turns are left out, so more digits than those of a double are needed.
         turns = (sympy.Rational(float(factor)) / (2 * sympy.pi)).evalf(_DIGITS)
         mantissa, exponent = frexp(float(turns))
         high = ldexp(round(ldexp(mantissa, _HIGH_BITS)), exponent - _HIGH_BITS)
@@ -94,13 +93,7 @@ class _Printer(LanguagePrinter):
 
 
 def law_function(form: LawForm, name: str) -> str:
-    """Return the text of `name(c, dq, q, tau_load, dt, x_0, ..)`: the torque, and the states moved.
-
-    Raises
-    ------
-    ExportError
-        If a function does not exist for tensors.
-    """
+    """Return the text of `name(c, dq, q, tau_load, dt, x_0, ..)`: torque and moved states."""
     component: Component = form.component
     torque = component.outputs[0].symbol
     ends = [moved(m) for m in form.memory]
@@ -108,13 +101,7 @@ def law_function(form: LawForm, name: str) -> str:
 
 
 def begin_function(form: LawForm, name: str) -> str:
-    """Return the text of `name(c, dq, q, tau_load, x_0, ..)`: where the states begin.
-
-    Raises
-    ------
-    ExportError
-        If a function does not exist for tensors.
-    """
+    """Return the text of `name(c, dq, q, tau_load, x_0, ..)`: the initial states."""
     program = initial_state(form.memory, form.component.settling)
     return _function(form, name, program, (), (), [initial_symbol(m) for m in form.memory])
 
@@ -127,7 +114,7 @@ def _function(
     read: Sequence[sympy.Symbol],
     ends: Sequence[sympy.Symbol],
 ) -> str:
-    """Return a function of the inputs and `more`: it returns what is read, and the states' ends."""
+    """Return a function of the inputs and `more` that returns what is read and the final states."""
     program = {symbol: _wrapped(e) for symbol, e in program.items()}
     lines, names = straight_line(program, (*read, *ends))
     states = [f"x_{i}" for i, _ in enumerate(form.memory)]

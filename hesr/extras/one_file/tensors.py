@@ -35,21 +35,11 @@ def _export(model: FrictionModel, path: Path, library: Library) -> Path:
 
 
 def tensor_code(model: FrictionModel, library: Library) -> str:
-    """Return the text of a Python file that needs nothing but PyTorch or JAX.
+    """Return the text of a Python file that needs only PyTorch or JAX.
 
     It steps any batch of robots at once and carries their hidden states, in the precision of its
-    numbers. Joints of one form are computed together.
-
-    Parameters
-    ----------
-    model : one law for each joint.
-    library : "torch" or "jax".
-
-    Raises
-    ------
-    ExportError
-        If a number is not finite, a function does not exist for tensors, or joints differ in
-        their integration.
+    numbers. Joints of one form are computed together. Raises ExportError if joints differ in their
+    integration.
     """
     require_exportable(model, "a file of tensors")
     discretisation = discretisation_of(model)
@@ -73,7 +63,7 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
 
 
 def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -> dict[str, Any]:
-    """Return the law of some joints as the template has it."""
+    """Return the law of some joints for the template."""
     return {
         "name": name,
         "function": law_function(form, name),
@@ -86,5 +76,5 @@ def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -
 
 
 def _text(text: str) -> str:
-    """Return a text that ends no string."""
+    """Return a text that does not end a string."""
     return text.replace("\\", "/").replace('"', "'")

@@ -1,1 +1,1 @@
-"""Many runs of one system of FMUs: designed, done on all cores or a cluster, kept and summed up."""
+"""Sweeps: many runs of one system of FMUs, on all cores or a cluster."""

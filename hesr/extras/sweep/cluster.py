@@ -1,8 +1,8 @@
 """The runs of a sweep on the workers of a dask.distributed scheduler.
 
-FMUs travel by their content hash: each worker gets them once and keeps them as files in its
-machine's cache. Where workers die, dask gives their chunks to others; where the last copy of an FMU
-dies with them, it is sent again.
+FMUs are identified by their content hash: each worker gets them once and stores them in the cache
+of its machine. dask reassigns the chunks of dead workers; an FMU whose last copy is lost is sent
+again.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,27 +22,17 @@ if TYPE_CHECKING:
 
 _ROUNDS = 5
 _SECONDS = 20
-"""In which the scheduler must answer, and have a worker."""
+"""Time limit for the scheduler to answer and to have a worker [s]."""
 
 
 @contextmanager
 def results_of(
     plan: Plan, firsts: list[int], address: str
 ) -> Iterator[Iterator[tuple[int, RunOutputs]]]:
-    """Yield the iterator of chunks as they are done, with the first run of each.
+    """Yield an iterator of finished chunks with their first runs; `address` as tcp://host:8786.
 
-    Parameters
-    ----------
-    plan : the sweep.
-    firsts : first runs of the chunks to do.
-    address : of the scheduler, such as tcp://host:8786.
-
-    Raises
-    ------
-    ConfigError
-        If dask.distributed is missing, or no scheduler has a worker.
-    WorkerError
-        From the iterator, if workers die repeatedly.
+    Raises ConfigError if dask.distributed or the scheduler is missing; the iterator raises
+    WorkerError if workers die repeatedly.
     """
     try:
         from distributed import Client
@@ -70,7 +60,7 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
     for _ in range(_ROUNDS):
         if not left:
             return
-        # Held by every worker, so that a dead worker loses nothing.
+        # A copy on every worker: a dead worker loses nothing.
         contents = client.scatter(
             {digest: fmu.read_bytes() for fmu, digest in plan.digests.items()}, broadcast=True
         )
@@ -96,7 +86,7 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
 
 
 def _require_lost(future: Any) -> None:
-    """Raise the error of a run; repeat a chunk whose worker died."""
+    """Raise the error of a run; return if its worker died."""
     error = future.exception() if future.status == "error" else None
     if isinstance(error, HesrError):
         raise error
@@ -114,15 +104,10 @@ def run_there(
     ours: Mapping[str, bool],
     contents: Mapping[str, bytes],
 ) -> RunOutputs:
-    """Do runs on a worker of a cluster, with FMUs that came as bytes.
+    """Do runs (n, d) on a worker of a cluster, with FMUs that came as bytes.
 
-    Parameters
-    ----------
-    task : what all runs share.
-    values : (n, d) of the inputs.
-    names : content hash of each FMU by its file in `task`.
-    ours : whether it may run as our own code, by hash; trust comes with the FMU.
-    contents : of the FMUs, by hash.
+    `names` gives the hash of each FMU file in `task`; by hash, `ours` permits running as our own
+    code (trust comes with the FMU), and `contents` holds the bytes.
     """
     folder = cache.folder() / "fmus"
     files = {}

@@ -1,4 +1,4 @@
-"""Which values the inputs of a sweep have in each run."""
+"""Designs of a sweep: values of the inputs in each run."""
 
 from itertools import product
 from math import prod
@@ -15,21 +15,16 @@ _EDGE = 2.0**-53
 
 
 def chosen(study: SweepStudy) -> Array:
-    """Return the values of all inputs, (runs, d) in their variables' units.
+    """Return the values of all inputs, (runs, d) in the units of their variables.
 
-    Those of a "sobol" design are Saltelli's: the blocks A, B and, for each input, A with this
-    input of B (Comput. Phys. Commun. 181 (2010) 259-270, table 2, radial form).
-
-    Raises
-    ------
-    ConfigError
-        If a grid has more runs than can be done.
+    A "sobol" design is Saltelli's: the blocks A, B and, for each input, A with this input from B
+    (Comput. Phys. Commun. 181 (2010) 259-270, table 2, radial form).
     """
     return values_of(study, _unit(study))
 
 
 def values_of(study: SweepStudy, unit: Array) -> Array:
-    """Return values (runs, d) for places (runs, d) in the unit cube."""
+    """Return values (runs, d) for points (runs, d) in the unit cube."""
     columns = [_values(one, unit[:, k]) for k, one in enumerate(study.inputs)]
     at = len(columns)
     for group in study.correlated:

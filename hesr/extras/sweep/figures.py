@@ -1,4 +1,4 @@
-"""Pictures of a sweep: how outputs are distributed, and which inputs they depend on."""
+"""Figures of a sweep: distributions of outputs, and their sensitivities."""
 
 from collections.abc import Sequence
 
@@ -13,13 +13,7 @@ _WIDTH = 7.2  # [in]
 
 
 def distributions(names: Sequence[str], values: Array) -> Figure:
-    """Draw a histogram of each output.
-
-    Parameters
-    ----------
-    names : (m,) of the outputs.
-    values : (runs, m), NaN where a run failed.
-    """
+    """Draw a histogram of each output (runs, m); failed runs are NaN."""
     with styled():
         figure = Figure(figsize=(_WIDTH, 1.7 * len(names)), layout="constrained")
         axes = figure.subplots(len(names), squeeze=False)[:, 0]
@@ -35,14 +29,7 @@ def distributions(names: Sequence[str], values: Array) -> Figure:
 
 
 def shares(inputs: Sequence[str], first: Array, total: Array, intervals: Array) -> Figure:
-    """Draw first- and total-order sensitivities of an output as bars.
-
-    Parameters
-    ----------
-    inputs : (d,) names.
-    first, total : (d,) the indices.
-    intervals : (2, d, 2) their confidence intervals.
-    """
+    """Draw first- and total-order sensitivities (d,) of an output, with intervals (2, d, 2)."""
     places = np.arange(len(inputs), dtype=float)
     with styled():
         figure = Figure(figsize=(_WIDTH, 0.5 * len(inputs) + 0.9), layout="constrained")

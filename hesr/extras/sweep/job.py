@@ -48,19 +48,14 @@ JOB = SweepJob()
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SweepResult(SweepRuns, Answer):
-    """Result of a sweep.
-
-    Attributes
-    ----------
-    path : sweep file.
-    """
+    """Result of a sweep file."""
 
     format = "hesr-sweep-1"
     path: Path
     files: Sequence[Path] = ()
 
     def summary(self) -> str:
-        """Return the numbers of runs and failures, and how to replay the worst runs."""
+        """Return the numbers of runs and failures, and the commands to replay the worst runs."""
         failures = self.table.failures
         lines = [f"{len(failures)} runs, {sum(map(bool, failures))} failed."]
         if self.reused:

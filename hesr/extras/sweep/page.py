@@ -22,19 +22,7 @@ _DESIGNS = {
 
 
 def write_page(swept: "SweepRuns", path: Path, study: Path) -> None:
-    """Write the page, the same bytes for the same results.
-
-    Parameters
-    ----------
-    swept : the results.
-    path : the page.
-    study : sweep file, for the commands in the page.
-
-    Raises
-    ------
-    ArtifactError
-        If it cannot be written.
-    """
+    """Write the page, with commands for the sweep file `study`."""
     pictures = Pictures(folder=path.parent)  # figures are embedded
     sections = [
         Section(key="outputs", title="Outputs", html=_outputs(swept, pictures)),

@@ -22,15 +22,7 @@ from hesr_model.support.files import sha256
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """A sweep.
-
-    Attributes
-    ----------
-    study : sweep file.
-    task : system, varied variables and outputs of all runs.
-    values : varied values, (runs, d).
-    digests : SHA-256 of each FMU.
-    """
+    """A sweep: varied `values` (runs, d), and SHA-256 digests of the FMUs."""
 
     study: SweepStudy
     task: Task
@@ -47,7 +39,7 @@ class Plan:
         return self.values[first : first + self.study.chunk]
 
     def about(self) -> dict[str, Any]:
-        """Return the description in the folder of results."""
+        """Return the description for the folder of results."""
         study = self.study.model_dump(mode="json", exclude={"system"})
         return {"key": self.task.key, "runs": len(self.values), "study": study}
 
@@ -55,12 +47,7 @@ class Plan:
 def planned(path: Path) -> Plan:
     """Read a sweep file and check it against its system.
 
-    Raises
-    ------
-    ConfigError
-        Naming the file, and the variable or signal that is not in the system or cannot be varied.
-    SimulationError
-        If an FMU cannot be loaded.
+    Raises ConfigError for a variable or signal that the system lacks or that cannot be varied.
     """
     study = SweepStudy.read(path)
     spec = SystemSpec.read(study.system)
@@ -122,7 +109,7 @@ def _base(spec: SystemSpec, component: str, variable: str, path: Path) -> tuple[
 
 
 def _key(study: SweepStudy, spec: SystemSpec, digests: dict[Path, str]) -> str:
-    """Return a hash of everything that affects results; paths do not."""
+    """Return a hash of everything that affects results, except paths."""
     system = spec.model_dump(mode="json", exclude={"components"})
     components = [
         c.model_dump(mode="json", exclude={"fmu"}) | {"fmu": digests.get(c.fmu)}

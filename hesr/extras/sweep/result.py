@@ -11,14 +11,9 @@ from hesr.extras.sweep.store import RunTable
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SweepRuns:
-    """Runs of a sweep.
+    """Runs of a sweep; `sensitivities` are those of the design ``"sobol"``.
 
-    Attributes
-    ----------
-    plan : runs of the sweep.
-    table : varied values, outputs and failures of all runs.
-    sensitivities : sensitivities of each output, for the design ``"sobol"``.
-    reused : number of runs that were complete before.
+    `reused` counts the runs that were complete before.
     """
 
     plan: Plan

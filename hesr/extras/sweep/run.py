@@ -29,18 +29,8 @@ def run_sweep(
 ) -> SweepRuns:
     """Do all missing runs of a sweep file, and write the page.
 
-    Parameters
-    ----------
-    path : sweep file.
-    output : folder of the results.
-    workers : processes, by default one per core; 1 runs in this process. Files do not change.
-    cluster : address of a scheduler of dask.distributed, whose workers do the runs.
-    progress : reports the number of runs done.
-
-    Raises
-    ------
-    HesrError
-        If the study or its system is wrong, the folder holds another sweep, or every run failed.
+    `workers` are processes, by default one per core; 1 runs in this process. It does not change
+    files. `cluster` is the address of a dask.distributed scheduler.
     """
     try:
         plan = planned(path)
@@ -62,7 +52,7 @@ def run_sweep(
                     f"{path}: every one of the {len(table.failures)} runs failed, the first one "
                     f"because {table.failures[0]}"
                 )
-            from hesr.extras.sweep.page import write_page  # draws, which takes long to load
+            from hesr.extras.sweep.page import write_page  # slow to import: it draws
 
             write_page(swept, output / PAGE, path)
     finally:
@@ -114,13 +104,7 @@ def _sensitivities(plan: Plan, table: RunTable) -> list[Sensitivity]:
 
 
 def replay(path: Path, run: int) -> tuple[Plan, Signals]:
-    """Repeat one run, with all measured signals and those that its system observes.
-
-    Raises
-    ------
-    ConfigError
-        If the number of the run is too large.
-    """
+    """Repeat one run with all measured signals and those that its system observes."""
     try:
         plan = planned(path)
         if not 0 <= run < len(plan.values):

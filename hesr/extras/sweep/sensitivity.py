@@ -1,4 +1,4 @@
-"""Which inputs of a sweep matter: shares of an output's variance."""
+"""Sensitivities of a sweep: shares of an output's variance."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,9 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensitivity:
-    """Shares of the variance of one output.
+    """Shares of the variance of one output by input (d,), with 95 % bootstrap intervals (d, 2).
 
-    Attributes
-    ----------
-    output : its name.
-    first : (d,) what each input explains by itself.
-    total : (d,) what it explains with all of its interactions.
-    first_interval, total_interval : (d, 2) bootstrap intervals of 95 %.
+    `first` is the share of the input alone, `total` that with all of its interactions.
     """
 
     output: str
@@ -31,17 +26,10 @@ class Sensitivity:
 def sensitivities(
     outputs: Array, names: tuple[str, ...], *, inputs: int, runs: int, seed: int
 ) -> list[Sensitivity]:
-    """Return first- and total-order indices of each output, with their intervals.
+    """Return first- and total-order indices of each output (m,) in the order of `design.chosen`.
 
-    An output that failed in some runs, or does not vary, has none.
-
-    Parameters
-    ----------
-    outputs : (runs x (inputs + 2), m) in the order of `design.chosen`.
-    names : (m,) of the outputs.
-    inputs : how many numbers are varied.
-    runs : of each block.
-    seed : of the bootstrap.
+    Outputs that failed in some runs, or do not vary, are left out. `runs` is the size of each
+    block.
     """
     from scipy.stats import bootstrap  # slow to import
 
@@ -50,8 +38,8 @@ def sensitivities(
         if not np.isfinite(values).all() or np.ptp(values) == 0.0:
             continue
         blocks = values.reshape(inputs + 2, runs)
-        blocks = blocks - blocks[:2].mean()  # which lessens the error of the estimates
-        # Not by scipy's `sobol_indices`, whose bootstrap takes no seed.
+        blocks = blocks - blocks[:2].mean()  # reduces the error of the estimates
+        # The bootstrap of scipy's `sobol_indices` takes no seed.
         spread = bootstrap(
             [np.arange(runs)],
             lambda chosen, of=blocks: _shares(of[:, chosen]),

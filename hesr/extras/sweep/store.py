@@ -18,19 +18,12 @@ from hesr_model.support.typed_json import read_json, write_json
 
 ABOUT = "sweep.json"
 RUNS = "runs"
-"""Folder of the Parquet files; all of them are one data set."""
+"""Folder of the Parquet files, which form one data set."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunTable:
-    """All runs of a sweep.
-
-    Attributes
-    ----------
-    inputs : varied values, (runs, d).
-    outputs : measured outputs, (runs, m); NaN for failed runs.
-    failures : reason of each failure, otherwise empty.
-    """
+    """All runs of a sweep: inputs (runs, d), outputs (runs, m), NaN for failures, and reasons."""
 
     inputs: Array
     outputs: Array
@@ -38,13 +31,7 @@ class RunTable:
 
 
 class Store:
-    """The folder of a sweep, once it is `taken`.
-
-    Parameters
-    ----------
-    folder : of the results.
-    inputs, outputs : names of the columns.
-    """
+    """The folder of a sweep, once it is `taken`; `inputs` and `outputs` name the columns."""
 
     def __init__(self, folder: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
         self._folder, self._inputs, self._outputs = folder, inputs, outputs
@@ -54,7 +41,7 @@ class Store:
         return self._folder / RUNS / f"part-{first:08d}.parquet"
 
     def write(self, first: int, values: Array, rows: RunOutputs) -> None:
-        """Write a chunk: the same bytes for the same runs."""
+        """Write a chunk; the same runs give the same bytes."""
         import pyarrow as pa
         from pyarrow import parquet
 
@@ -66,7 +53,7 @@ class Store:
             parquet.write_table(pa.table(columns), temporary, compression="zstd")
 
     def has(self, first: int, values: Array) -> bool:
-        """Whether a chunk is there, readable and of these inputs."""
+        """Whether a chunk exists, is readable and has these inputs."""
         from pyarrow import ArrowException
 
         try:
@@ -75,7 +62,7 @@ class Store:
             return False
 
     def read(self, firsts: list[int]) -> RunTable:
-        """Read chunks, in their order."""
+        """Read chunks in the given order."""
         parts = [self._read(first) for first in firsts]
         return RunTable(
             inputs=np.concatenate([part.inputs for part in parts]),
@@ -102,19 +89,9 @@ class Store:
 def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Iterator[None]:
     """Lock a folder of results for this run.
 
-    Parameters
-    ----------
-    folder : folder of the results.
-    within : folder of the parts.
-    file : description of the results, for instance ``sweep.json``.
-    about : content of the description; only runs with the same "key" may add results.
-
-    Raises
-    ------
-    ConfigError
-        If the folder holds other results.
-    ArtifactError
-        If another run has the lock, or the folder cannot be written.
+    `within` is the folder of the parts, `file` the description of the results with the content
+    `about`. Raises ConfigError if the folder holds results of another "key", ArtifactError if
+    another run has the lock.
     """
     what = Path(file).stem
     with ExitStack() as cleanup:
@@ -138,6 +115,6 @@ def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Ite
                 f"{folder}: holds results of another {what}, of other files; "
                 "give another folder, or remove this one."
             )
-        for left in (folder / within).glob(".part-*"):  # of a run that was killed
+        for left in (folder / within).glob(".part-*"):  # left by a killed run
             left.unlink(missing_ok=True)
         yield

@@ -24,20 +24,11 @@ DistinctSignals = Annotated[tuple[Signal, ...], Field(min_length=1), AfterValida
 
 
 class SweepInput(Config):
-    """One varied number, set on one or more variables.
+    """One varied number, set on variables `component.variable` (without index: all elements).
 
     Its distribution is given by `values`, by `low` and `high` (uniform), or by `mean` and `std`
-    (normal).
-
-    Attributes
-    ----------
-    variables : `component.variable`; without an index all elements of a vector.
-    factor : whether the number is a factor on the start values of the system.
-    values : allowed values, in the unit of the variables.
-    low, high : range.
-    mean, std : parameters of a normal distribution.
-    integer : whether values are rounded, as for a seed.
-    levels : number of values in a grid.
+    (normal). `factor` multiplies the start values of the system, `integer` rounds, `levels` is the
+    number of values in a grid.
     """
 
     variables: DistinctSignals
@@ -70,14 +61,7 @@ class SweepInput(Config):
 
 
 class Correlated(Config):
-    """Varied numbers with a joint normal distribution, such as coefficients of a law.
-
-    Attributes
-    ----------
-    variables : one variable for each number.
-    mean : means, in the units of the variables.
-    covariance : covariance matrix, (n, n).
-    """
+    """Varied numbers with a joint normal distribution, such as coefficients of a law."""
 
     variables: DistinctSignals
     mean: tuple[float, ...]
@@ -110,13 +94,8 @@ Measure = Literal["rms", "max", "mean", "final"]
 class Measured(Config):
     """One measured number of each run, over all elements of a signal.
 
-    Attributes
-    ----------
-    name : name of the number.
-    signal : measured signal.
-    reference : signal to subtract first, if any.
-    measure : root mean square, largest magnitude, mean, or mean magnitude at the end.
-    start : start of the measurement [s].
+    `measure` is root mean square, largest magnitude, mean, or mean magnitude at the end, from
+    `start` [s], after subtraction of `reference`.
     """
 
     name: str = Field(pattern=r"^[A-Za-z][\w ]*$")
@@ -132,17 +111,9 @@ Design = Literal["grid", "latin_hypercube", "monte_carlo", "sobol"]
 class SweepStudy(Config):
     """A study of many runs.
 
-    Attributes
-    ----------
-    name : name of the sweep.
-    system : system file.
-    design : choice of the runs. "sobol" gives first- and total-order sensitivities and takes
-        `runs` x (inputs + 2) runs (Saltelli's design).
-    runs : number of runs; a power of 2 for "sobol", absent for "grid".
-    seed : seed of the design: the same seed gives the same bytes.
-    chunk : runs per file, done by one worker.
-    inputs, correlated : varied numbers.
-    outputs : measured numbers.
+    The design "sobol" gives first- and total-order sensitivities and takes `runs` x (inputs + 2)
+    runs (Saltelli's design); `runs` is a power of 2 for it and absent for "grid". The same `seed`
+    gives the same bytes. `chunk` runs share one file and one worker.
     """
 
     name: str = Field(default="sweep", min_length=1)

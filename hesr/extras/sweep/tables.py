@@ -30,7 +30,7 @@ def outputs(swept: "SweepRuns") -> ResultTable:
 
 
 def worst(swept: "SweepRuns", k: int, path: Path) -> ResultTable:
-    """Return the runs with the largest magnitudes of output k, and how to repeat each."""
+    """Return the runs with the largest magnitudes of output k, and commands to repeat them."""
     name, study = swept.plan.study.outputs[k].name, swept.plan.study
     rows = []
     for run in swept.worst(k):

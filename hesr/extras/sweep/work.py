@@ -1,4 +1,4 @@
-"""Work of a worker: runs of a system whose FMUs stay loaded between runs."""
+"""Runs of a system whose FMUs stay loaded between runs."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -25,15 +25,7 @@ _MEASURES: Mapping[Measure, Callable[[Array], float]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class VariedVariable:
-    """A variable that a varied number sets.
-
-    Attributes
-    ----------
-    component, variable : names of component and variable.
-    column : column of the number.
-    base : start values that the number multiplies; None if it is the value.
-    integer : whether the value is an integer.
-    """
+    """A variable set by the varied number in `column`, as a factor on `base` if given."""
 
     component: str
     variable: str
@@ -52,15 +44,7 @@ class VariedVariable:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """System, varied variables and outputs of all runs.
-
-    Attributes
-    ----------
-    key : hash of everything that affects the results.
-    spec : system that observes the measured signals.
-    targets : varied variables.
-    outputs : measured numbers.
-    """
+    """System, varied variables and outputs of all runs; `key` hashes all that affects results."""
 
     key: str
     spec: SystemSpec
@@ -90,13 +74,7 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunOutputs:
-    """Results of some runs.
-
-    Attributes
-    ----------
-    outputs : measured numbers, (n, m); NaN for failed runs.
-    failures : reason of each failure, otherwise empty.
-    """
+    """Results of some runs: outputs (n, m), NaN for failures, and the reason of each failure."""
 
     outputs: Array
     failures: tuple[str, ...]
@@ -104,7 +82,7 @@ class RunOutputs:
 
 _LOCK = Lock()
 _held: tuple[str, Master] | None = None
-"""The system of the last task, loaded."""
+"""System of the last task, loaded."""
 
 
 def run_rows(task: Task, values: Array) -> RunOutputs:

@@ -1,1 +1,1 @@
-"""Temperature in friction, fitted to logs."""
+"""Temperature dependence of friction, fitted to logs."""

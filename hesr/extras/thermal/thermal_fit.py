@@ -1,11 +1,10 @@
-"""Temperature in friction, from logs: with a thermometer, or by the heat of long logs.
+"""Temperature dependence of friction, from measured temperatures or the heat of long logs.
 
-Of a law that is fitted already five numbers are found by least squares: both factors at the
-reference, both coefficients, and an offset, with the factors on bounds and on viscous friction as
-the adaptive FMU has them. Where no temperature is measured the thermal time constant is searched
-with them, and a log begins at the ambient; R is 1 then, since temperatures are known up to a
-factor only. Where it is measured, R, T_th and the ambient are those with which the heat of friction
-explains it best.
+For a fitted law, five numbers are found by least squares: both factors at the reference, both
+coefficients, and an offset. The factors act on bounds and on viscous friction as in the adaptive
+FMU. Without measured temperatures the thermal time constant is also searched, a log starts at the
+ambient, and R is 1 because temperatures are known up to a factor only. With them, R, T_th and the
+ambient are those whose frictional heat explains the temperatures best.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,33 +28,23 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
 LEAST_SPREAD = 3.0
-"""[K] between the coldest and the warmest twentieth of the rows."""
+"""Smallest difference between the coldest and the warmest twentieth of the rows [K]."""
 
 LEAST_TIME = 300.0
-"""[s] of the longest log, where no temperature is measured: heat is slow."""
+"""Smallest length of the longest log without temperatures [s]: heat is slow."""
 
 _TIMES = (60.0, 14_400.0)
 """Bounds of the thermal time constant [s]."""
 
 _WIDTH = 1.96
-"""Standard errors of a 95 % interval to either side."""
+"""Half width of a 95 % interval in standard errors."""
 
 _ROUNDS = 2
-"""Tolerance of the fixed point of heat and friction, relative."""
+"""Iterations of the fixed point of heat and friction."""
 
 
 class Factored:
-    """A law whose bounds and viscous friction have factors that change from row to row.
-
-    Parameters
-    ----------
-    law : of one joint, with stops or bristles.
-
-    Raises
-    ------
-    ExportError
-        If it has neither.
-    """
+    """A law of one joint whose bounds and viscous friction have factors that vary by row."""
 
     def __init__(self, law: FrictionLaw) -> None:
         level, viscosity = sympy.symbols("level viscosity", real=True)
@@ -78,12 +67,8 @@ class Factored:
 class ThermalFit:
     """Dependence of the friction of one joint on temperature.
 
-    Attributes
-    ----------
-    joint : its name.
-    thermal : the model.
-    coulomb_error, viscous_error : standard errors of both coefficients [1/K].
-    rmse_fixed, rmse : errors of the law without and with temperature [N.m].
+    Standard errors of both coefficients in [1/K]; errors of the law without and with temperature in
+    [N.m].
     """
 
     joint: str
@@ -97,23 +82,10 @@ class ThermalFit:
 def fit_thermal(
     model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, tuple[ThermalFit, ...]]:
-    """Fit the dependence of a friction model on temperature, joint by joint.
+    """Fit the temperature dependence of a fitted model to logs [log][joint]; its own numbers stay.
 
-    Parameters
-    ----------
-    model : fitted already; its own numbers stay.
-    logs : records [log][joint], temperatures in all of them or in none.
-
-    Returns
-    -------
-    The model with its thermal models, and what was found of each joint.
-
-    Raises
-    ------
-    FitError
-        If temperatures hardly vary, logs without them are short, or friction does not follow.
-    ExportError
-        If a law has nothing that a factor could act on.
+    Temperatures are measured in all logs or in none. Raises FitError if they hardly vary, logs
+    without them are short, or friction does not follow.
     """
     if model.coupling is not None:
         raise FitError(
@@ -127,7 +99,7 @@ def fit_thermal(
 def add_temperature(
     model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, list[str]]:
-    """Return a fitted law with its dependence on temperature, and a sentence for each joint."""
+    """Return a fitted law with its temperature dependence, and a sentence per joint."""
     warm, found = fit_thermal(model, logs)
     return warm, [
         f"{one.joint}: Coulomb friction falls by {100 * one.thermal.coulomb:.2g} ± "
@@ -180,7 +152,7 @@ def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit
 
 
 class _Problem:
-    """Least squares of one joint: ln c_0, ln n_0, b_c, b_v, an offset; ln T_th where searched."""
+    """Least squares of one joint: ln c_0, ln n_0, b_c, b_v, an offset; ln T_th if searched."""
 
     def __init__(self, law: FrictionLaw, records: Sequence[FrictionRecord]) -> None:
         self._law, self._records = Factored(law), records
@@ -213,7 +185,7 @@ class _Problem:
         high = np.array([1.0, 1.5, 0.5, 0.5, np.inf, np.log(_TIMES[1])])[:count]
         first = np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.log(start.time_constant)])[:count]
         scale = np.array([0.1, 0.1, 0.01, 0.01, 1.0, 0.3])[:count]
-        if searched:  # where nothing depends on heat its time constant has no slope
+        if searched:  # without heat dependence the time constant has no slope
             first[2:4] = 1e-3
         found = least_squares(
             lambda x: left(thermal_of(x), x[4]), first, bounds=(low, high), x_scale=scale
@@ -242,7 +214,7 @@ class _Problem:
         return covariance(names[: len(jacobian.T)], gradients, hessians, labels).standard_errors
 
     def by_heat(self, thermal: Thermal) -> list[Array]:
-        """Return temperatures of each record that its friction and the ambient give it [degC]."""
+        """Return the temperature of each record from its friction and the ambient [degC]."""
         found = [np.full_like(r.t, thermal.ambient) for r in self._records]
         for _ in range(_ROUNDS):
             found = [
@@ -261,7 +233,7 @@ class _Problem:
         measured = np.concatenate(list(temperatures))
 
         def mass(time: float) -> tuple[Array, float]:
-            """Resistance, ambient and the first temperature of each log; and their error."""
+            """Return resistance, ambient and first temperature of each log, and their error."""
             rows = []
             for k, (power, dt, r) in enumerate(
                 zip(powers, self._steps, self._records, strict=True)

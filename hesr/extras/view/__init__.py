@@ -1,1 +1,1 @@
-"""The arm of a closed loop to look at: in the viewer of MuJoCo, or as a video."""
+"""Views of the arm of a closed loop: a window of MuJoCo's viewer, or a video."""

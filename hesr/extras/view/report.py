@@ -20,20 +20,9 @@ def show_arm(
 ) -> Written:
     """Show the arm of a closed loop next to its commanded pose.
 
-    Parameters
-    ----------
-    results : folder of `hesr run`.
-    output : video (.mp4) or animation (.webp); a window if None.
-    law : laws side by side; by default the rigid body alone and the law that tracks best.
-    scheme : source of the commands; by default ``servo_inversion``.
-    magnify : factor on deviations from the commanded pose.
-    speed : factor on the speed of the motion.
-    progress : reports the number of frames drawn.
-
-    Raises
-    ------
-    HesrError
-        If the folder has no closed loop, a law or scheme is unknown, or drawing fails.
+    `output` is a video (.mp4) or animation (.webp), a window if None. By default the rigid body
+    alone and the law that tracks best are shown, with the commands of ``servo_inversion``.
+    `magnify` is a factor on deviations from the commanded pose, `speed` one on the motion.
     """
     from hesr.extras.view.runs import ViewOptions, choose
 

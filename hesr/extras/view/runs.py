@@ -1,4 +1,4 @@
-"""Selection of the runs of a closed loop to show, from the results of a study."""
+"""Selection of the runs of a closed loop to show."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -21,15 +21,7 @@ _MOST = 4  # arms side by side
 
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions:
-    """Options of a view.
-
-    Attributes
-    ----------
-    laws : laws side by side; by default the rigid body alone and the law that tracks best.
-    scheme : source of the commands; by default the one with the largest effect of models.
-    magnify : factor on the deviations from the commanded pose.
-    speed : factor on the speed of the motion.
-    """
+    """Options of a view, as those of `show_arm`."""
 
     laws: Sequence[str] = ()
     scheme: str | None = None
@@ -44,15 +36,7 @@ class ViewOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """Runs to show.
-
-    Attributes
-    ----------
-    mjcf : model of the arm.
-    joints : names of the joints, in the order of the traces.
-    scheme : source of the commands.
-    runs : traces by title of the law.
-    """
+    """Runs to show, by title of the law; joints in the order of the traces."""
 
     mjcf: str
     joints: Sequence[str]
@@ -61,15 +45,7 @@ class Shown:
 
 
 def choose(folder: Path, choice: ViewOptions) -> Shown:
-    """Read the runs to show from the results of a study.
-
-    Raises
-    ------
-    ArtifactError
-        If the folder holds no results of a closed loop, or damaged ones.
-    ConfigError
-        If the results lack the law or scheme.
-    """
+    """Read the runs to show from the results of a study."""
     if not folder.is_dir():
         raise ArtifactError(f"{folder}: no such folder; needed is what 'hesr run' has written.")
     traces = read_traces(folder / TRACES)

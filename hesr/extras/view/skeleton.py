@@ -1,4 +1,4 @@
-"""An arm to look at: the shapes of its model, or primitives along its joints."""
+"""Shapes of an arm: those of its model, or primitives along its joints."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,13 +19,7 @@ _SMALL = 1e-3  # over the reach: shorter links are not drawn
 
 @dataclass(frozen=True, kw_only=True)
 class Paint:
-    """How an arm looks.
-
-    Attributes
-    ----------
-    links, joints, end : colours.
-    thick : factor on the thickness of primitives.
-    """
+    """Colours of an arm; `thick` is a factor on the thickness of primitives."""
 
     links: Colour
     joints: Colour
@@ -34,21 +28,11 @@ class Paint:
 
 
 def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
-    """Return an arm as an MjSpec that holds nothing but bodies, joints and shapes.
+    """Return an arm as an MjSpec with only bodies, joints and shapes.
 
-    Shapes that are files (meshes, height fields) are left out, as those files are not at hand; an
-    arm without any other shapes is drawn as capsules between its joints.
-
-    Parameters
-    ----------
-    mjcf : the model.
-    joints : that it must have.
-    paint : colours.
-
-    Raises
-    ------
-    RobotError
-        If MuJoCo cannot read the model, or it lacks a joint.
+    Shapes from files (meshes, height fields) are left out because the files are missing; without
+    other shapes capsules between the joints are drawn. Raises RobotError if MuJoCo cannot read the
+    model, or it lacks a joint.
     """
     try:
         spec = mujoco.MjSpec.from_string(mjcf)
@@ -71,12 +55,12 @@ def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
 
 
 def reach(model: mujoco.MjModel) -> float:
-    """Return the length of all links one after the other [m]."""
+    """Return the length of all links in sequence [m]."""
     return float(np.linalg.norm(model.body_pos, axis=1).sum()) or 1.0
 
 
 def _strip(spec: Any) -> None:
-    """Delete all that cannot be seen, and shapes that are files."""
+    """Delete everything invisible, and shapes from files."""
     files = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
     elements = (
         *(spec.sensors, spec.actuators, spec.tendons, spec.equalities, spec.pairs, spec.excludes),
@@ -86,14 +70,14 @@ def _strip(spec: Any) -> None:
     for group in elements:
         for element in list(group):
             spec.delete(element)
-    # Options of simulation would be at odds with those of the scene, where nothing is simulated.
+    # Nothing is simulated; other options than the scene's would conflict.
     usual = mujoco.MjSpec().option
     for name in (name for name in dir(usual) if not name.startswith("_")):
         setattr(spec.option, name, getattr(usual, name))
 
 
 def _draw(spec: Any, length: float, paint: Paint) -> None:
-    """Add a capsule for each link, a cylinder for each turning joint, a ball at the end."""
+    """Add a capsule for each link, a cylinder for each revolute joint, a ball at the end."""
     radius = _LINK * length * paint.thick
     for body in _below(spec.worldbody):
         for child in body.bodies:

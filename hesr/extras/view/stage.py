@@ -21,13 +21,13 @@ _ORANGE: Colour = (0.84, 0.37, 0.0, 1.0)
 _RUST: Colour = (0.50, 0.15, 0.0, 1.0)  # lines are lit brighter: this one looks orange
 _TEXT: Colour = (0.1, 0.1, 0.12, 1.0)
 _ARM = Paint(links=(0.78, 0.80, 0.83, 1.0), joints=(0.25, 0.27, 0.31, 1.0), end=_ORANGE)
-# Around the arm like a shell.
+# A shell around the arm.
 _GHOST = Paint(
     links=(*_BLUE[:3], 0.14), joints=(*_BLUE[:3], 0.14), end=(*_BLUE[:3], 0.14), thick=1.12
 )
-_TRAIL = 2.5  # [s] of the way that the arm's end has come
-_PIECES = 60  # of a trail
-_LINE, _LEFT = 0.09, 0.3  # [m] between lines of text; they begin on the left of the arm
+_TRAIL = 2.5  # [s] length of the trail of the arm's end
+_PIECES = 60  # segments of a trail
+_LINE, _LEFT = 0.09, 0.3  # [m] line spacing of text, and its distance to the left of the arm
 _FOVY = 40.0  # [degrees]
 
 
@@ -46,18 +46,7 @@ class _Placed:
 
 
 class Stage:
-    """A MuJoCo model of all arms that are shown, and how it is to be moved.
-
-    Parameters
-    ----------
-    shown : the arm and its runs.
-    choice : speed and magnification.
-
-    Raises
-    ------
-    RobotError
-        If the model of the arm cannot be shown.
-    """
+    """A MuJoCo model of all shown arms, and their motion."""
 
     def __init__(self, shown: Shown, choice: ViewOptions) -> None:
         self._magnify, self._scheme = choice.magnify, shown.scheme
@@ -103,7 +92,7 @@ class Stage:
         )
 
     def _path(self, one: _Placed) -> Array:
-        """Return where the ends of ghost and arm go, (N, 2, 3) [m]."""
+        """Return the paths of the ends of ghost and arm, (N, 2, 3) [m]."""
         path = np.empty((len(one.t), 2, 3))
         for k in range(len(one.t)):
             self.data.qpos[one.ghost], self.data.qpos[one.solid] = one.q_d[k], one.q[k]
@@ -120,7 +109,7 @@ class Stage:
         mujoco.mj_camlight(self.model, self.data)
 
     def annotate(self, scene: mujoco.MjvScene, t: float) -> None:
-        """Add trails and words to a scene that MuJoCo has filled or that is empty."""
+        """Add trails and labels to a scene that is empty or filled by MuJoCo."""
         for one, path in zip(self._arms, self._paths, strict=True):
             last = _row(one.t, t)
             first = _row(one.t, t - _TRAIL)
@@ -132,7 +121,7 @@ class Stage:
                 _text(scene, one.above - np.array([0.0, 0.0, _LINE * line]), text)
 
     def legend(self, t: float) -> tuple[str, str]:
-        """Return what is what, in two columns, at a time [s]."""
+        """Return the two-column legend at time t [s]."""
         size = "" if self._magnify == 1.0 else f", deviations x {self._magnify:g}"
         told = {
             "blue": "commanded",
@@ -148,7 +137,7 @@ def _row(t: Array, at: float) -> int:
 
 
 def _end(model: mujoco.MjModel, prefix: str, joint: str) -> int:
-    """Return the body that is farthest down the chain from a joint."""
+    """Return the body farthest down the chain from a joint."""
     start = int(model.joint(f"{prefix}{joint}").bodyid[0])
     depth = {start: 0}
     for body in range(start + 1, model.nbody):  # parents come first
@@ -173,7 +162,7 @@ def _space(shown: Shown) -> tuple[Array, Array]:
 
 
 def _camera(low: Array, high: Array, spots: Array) -> mujoco.MjvCamera:
-    """Return a camera that sees all arms, from ahead and a little above."""
+    """Return a camera in front of all arms and a little above."""
     camera = mujoco.MjvCamera()
     words = 3 * _LINE
     camera.lookat = [
@@ -197,7 +186,7 @@ def _room() -> Any:
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.35] * 3
     spec.visual.headlight.specular = [0.1] * 3
     spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 2048, 2
-    # Shadows are sharp within that distance, whatever the size of the floor.
+    # Shadows are sharp within that distance, independent of the size of the floor.
     spec.stat.extent, spec.stat.center = 3.0, [0.0, 0.0, 0.5]
     spec.visual.map.znear = 0.01
     spec.add_texture(
@@ -239,7 +228,7 @@ def _room() -> Any:
 def _line(scene: mujoco.MjvScene, start: Array, end: Array, pixels: float, colour: Colour) -> None:
     if scene.ngeom < scene.maxgeom:
         geom = scene.geoms[scene.ngeom]
-        kind = mujoco.mjtGeom.mjGEOM_LINE  # four times as fast as tubes, where software draws
+        kind = mujoco.mjtGeom.mjGEOM_LINE  # four times as fast as tubes in software rendering
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), _floats(colour))
         mujoco.mjv_connector(geom, kind, pixels, start, end)
         scene.ngeom += 1

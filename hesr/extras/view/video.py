@@ -25,7 +25,7 @@ from hesr_model.support.progress import Progress, counted, silent
 Image = NDArray[np.uint8]
 
 RATE = 30  # frames per second
-_PAGE = 2  # an animated picture for a page has the size and the rate of a video over this
+_PAGE = 2  # divisor of size and rate for an animation
 _BACKENDS = {"egl": "EGL", "osmesa": "OSMesa"}
 _GEOMS = 4000
 
@@ -33,23 +33,10 @@ _GEOMS = 4000
 def write_video(
     path: Path, shown: Shown, choice: ViewOptions, *, progress: Progress = silent
 ) -> float:
-    """Write a video; return how long it is [s].
+    """Write a video (.mp4) or an animation for a page (.webp); return its length [s].
 
-    Parameters
-    ----------
-    path : file in ``.mp4``, or an animated picture for a page in ``.webp``.
-    shown, choice : runs and options of the view.
-    progress : reports the number of frames done.
-
-    Raises
-    ------
-    ConfigError
-        If the file's name ends in neither, if nothing can draw on this machine, or if the package
-        that encodes videos is not installed.
-    RobotError
-        If the arm cannot be shown.
-    ArtifactError
-        If the file cannot be written or encoded.
+    Raises ConfigError if nothing can draw on this machine or the encoder is not installed,
+    ArtifactError if the file cannot be written or encoded.
     """
     kind = path.suffix.lower()
     if kind not in (".mp4", ".webp"):
@@ -70,20 +57,14 @@ def write_video(
 
 @contextmanager
 def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
-    """Yield a function that draws the scene at a time [s], as an image (HEIGHT, WIDTH, 3).
-
-    Raises
-    ------
-    ConfigError
-        If OpenGL cannot draw without a screen.
-    """
+    """Yield a function that draws the scene at a time [s], as an image (HEIGHT, WIDTH, 3)."""
     with ExitStack() as cleanup:
         try:
             context = _gl()(WIDTH, HEIGHT)
             cleanup.callback(context.free)
             context.make_current()
             target = mujoco.MjrContext(stage.model, mujoco.mjtFontScale.mjFONTSCALE_150)
-        except Exception as error:  # drivers fail in ways of their own
+        except Exception as error:  # drivers raise their own types
             if isinstance(error, ConfigError):
                 raise
             raise ConfigError(
@@ -144,7 +125,7 @@ def _gl() -> Any:
 
 
 def _encoder() -> str:
-    """Return the path of ffmpeg, which comes with a package."""
+    """Return the path of the packaged ffmpeg."""
     try:
         import imageio_ffmpeg
 
@@ -159,18 +140,18 @@ def _encoder() -> str:
 
 @contextmanager
 def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
-    """Yield a function that adds an image to the video in a file, which will be `path`."""
+    """Yield a function that adds an image to the video in a file, later `path`."""
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{WIDTH}x{HEIGHT}", "-r", str(RATE)]
     result = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
     command = [encoder, "-y", "-loglevel", "error", *source, "-i", "-", *result, str(file)]
     with tempfile.TemporaryFile() as said:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said)
         pipe = process.stdin
-        assert pipe is not None  # as it is to be a pipe
+        assert pipe is not None  # a pipe was requested
         try:
             yield lambda image: _send(pipe, image)
             pipe.close()
-        except BrokenPipeError:  # said below
+        except BrokenPipeError:  # reported below
             pass
         except BaseException:
             process.kill()
@@ -183,7 +164,7 @@ def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image]
             said.seek(0)
             lines = said.read().decode(errors="replace").strip().splitlines()
             full = os.strerror(errno.ENOSPC)
-            if any(full in line for line in lines):  # of the last lines it is only one
+            if any(full in line for line in lines):  # it may not be the last line
                 raise OSError(errno.ENOSPC, full, str(path))
             reason = lines[-1].rstrip(".") if lines else f"exit code {process.returncode}"
             raise ArtifactError(f"{path}: the video cannot be encoded ({reason}).")
@@ -191,7 +172,7 @@ def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image]
 
 @contextmanager
 def _animating(file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
-    """Yield a function that adds an image to an animated WebP, which pages play by themselves."""
+    """Yield a function that adds an image to an animated WebP, which pages play automatically."""
     import PIL.Image
 
     del path

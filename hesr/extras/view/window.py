@@ -17,20 +17,7 @@ _RATE = 60.0  # [Hz], update rate of the viewer
 
 
 def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None:
-    """Show the motion again and again until the viewer is closed.
-
-    Parameters
-    ----------
-    shown, choice : what is shown, and how.
-    turns : repetitions of the motion; None repeats until the viewer is closed.
-
-    Raises
-    ------
-    ConfigError
-        If the screen is missing, or the viewer does not open.
-    RobotError
-        If the arm cannot be shown.
-    """
+    """Show the motion until the viewer is closed, or `turns` times."""
     require_screen()
     from mujoco import viewer  # fails without a screen
 
@@ -40,12 +27,12 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
         window = viewer.launch_passive(
             stage.model, stage.data, show_left_ui=False, show_right_ui=False
         )
-    except RuntimeError as error:  # macOS wants MuJoCo's own interpreter
+    except RuntimeError as error:  # macOS needs MuJoCo's own interpreter
         raise ConfigError(
             f"the viewer does not open ({str(error).rstrip('.')}); -o FILE.mp4 writes a video."
         ) from error
     with ExitStack() as cleanup:
-        # Its thread draws on until it sees that it should end; Python must not end before it.
+        # Its thread draws until it notices the end; Python must not end before it.
         for thread in set(threading.enumerate()) - before:
             cleanup.callback(thread.join, _PATIENCE)
         cleanup.enter_context(window)
@@ -68,13 +55,7 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
 
 
 def require_screen() -> None:
-    """Refuse to open a window without a screen.
-
-    Raises
-    ------
-    ConfigError
-        If the screen is missing.
-    """
+    """Raise ConfigError without a screen."""
     if sys.platform == "linux" and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     ):
