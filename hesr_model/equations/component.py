@@ -1,12 +1,11 @@
-"""A component: named equations over signals, parameters, names before them and memory.
+"""Components: named equations over signals, parameters, previous values and memory.
 
     name = expression            function of inputs, parameters, states, names and `dt`
     previous(name)               value at the last sample, with its own start expression
     Relaxation, Stop             memory with a sampled and a continuous form
 
-It is written once and lowered to C, programs over logs, a Python step, directional derivatives,
-dependencies, Modelica, LaTeX and pages. A component describes one joint; an FMU has one per joint
-and parameters shared by all.
+A component describes one joint. C, programs over logs, a Python step, derivatives, Modelica, LaTeX
+and pages are lowered from it.
 """
 
 from collections import Counter
@@ -25,7 +24,7 @@ K = TypeVar("K")
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """A named number, with its SI unit in FMI's spelling ("1" if dimensionless)."""
+    """Named number with its SI unit in FMI's spelling ("1" if dimensionless)."""
 
     name: str
     unit: str
@@ -39,7 +38,7 @@ class Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(Quantity):
-    """A number set by the user: its start value, and whether it may change during a run."""
+    """Number set by the user; it may change during a run if `tunable`."""
 
     start: float = 0.0
     tunable: bool = True
@@ -47,7 +46,7 @@ class Parameter(Quantity):
 
 @dataclass(frozen=True, kw_only=True)
 class Choice(Parameter):
-    """A parameter with named values, numbered from 1."""
+    """Parameter with named values, numbered from 1."""
 
     unit: str = "1"
     tunable: bool = False
@@ -69,8 +68,8 @@ class Equation(Quantity):
     Attributes
     ----------
     expression : function of inputs, parameters, states, derivatives, names and previous values.
-    output : True if it is visible outside the component.
-    start : previous(name) at the first sample, with the same symbols; None if it is not used.
+    output : True if visible outside the component.
+    start : previous(name) at the first sample, with the same symbols; None if unused.
     """
 
     unit: str = "1"
@@ -82,14 +81,7 @@ class Equation(Quantity):
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """A condition on a parameter at the start of a run.
-
-    Attributes
-    ----------
-    name : name of the parameter.
-    condition : expression of parameters that must be true.
-    text : continuation of "it must", such as "be positive".
-    """
+    """Condition on a parameter at the start of a run; `text` continues "it must"."""
 
     name: str
     condition: sympy.Basic
@@ -103,21 +95,18 @@ def previous(name: str) -> sympy.Symbol:
 
 @dataclass(frozen=True, kw_only=True)
 class Component:
-    """The equations of one joint.
+    """Equations of one joint.
 
     Attributes
     ----------
-    inputs : signals.
-    parameters : parameters of the joint.
     shared : parameters of all joints.
-    memory : states, in the order in which they move; they may also read previous values.
+    memory : states, in the order of their moves; they may also read previous values.
     equations : equations in any order, without a circle.
     sample_time : name of the parameter with the sample period [s]; all values hold in between.
         Empty if every step is a sample.
-    requirements : conditions on parameters.
-    reversing : inputs whose sign changes are events for a solver because a magnitude bends there.
-    settling : initial state as a share, 0 to 1, of the way from the states' own start to the steady
-        state of the first inputs; a function of inputs and parameters.
+    reversing : inputs whose sign changes are solver events because a magnitude bends there.
+    settling : share (0 to 1) of the steady state of the first inputs in the initial state, a
+        function of inputs and parameters; the rest is the states' start.
 
     Raises
     ------
@@ -204,15 +193,15 @@ class Component:
 
     @cached_property
     def holds(self) -> bool:
-        """True if outputs change by steps only, since they depend on `dt` and previous values."""
+        """True if outputs change by steps only: they depend on `dt` and previous values."""
         timed = any(DT in e.expression.free_symbols for e in self.equations)
         return timed and bool(self.remembered)
 
     def sources(self, expression: sympy.Expr, *, starting: bool = False) -> frozenset[sympy.Symbol]:
         """Return the inputs, parameters and states that an expression depends on.
 
-        A derivative depends on the symbols of its element; before the first step (`starting`) a
-        previous value depends on those of its start.
+        A derivative depends on its element's symbols; before the first step (`starting`) a previous
+        value depends on those of its start.
         """
         into = {e.symbol: e.expression for e in self.equations}
         into |= self.starts if starting else {}
@@ -227,13 +216,7 @@ class Component:
 
 
 def in_order(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> Iterator[sympy.Symbol]:
-    """Yield the symbols of named expressions, each after those its expression uses.
-
-    Raises
-    ------
-    ArtifactError
-        If they form a circle.
-    """
+    """Yield symbols, each after those its expression uses; raise ArtifactError for a circle."""
     done: set[sympy.Symbol] = set()
 
     def visit(symbol: sympy.Symbol, path: tuple[sympy.Symbol, ...]) -> Iterator[sympy.Symbol]:
@@ -255,7 +238,7 @@ def in_order(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> Iterator[sympy.S
 
 
 def elements_of(memory: Iterable[Element], kind: type[K]) -> tuple[K, ...]:
-    """Return the elements of one kind, in their order."""
+    """Return the elements of one kind, in order."""
     return tuple(m for m in memory if isinstance(m, kind))
 
 

@@ -1,8 +1,7 @@
-"""Functions for equations in addition to those of SymPy.
+"""Functions of real arguments with derivatives almost everywhere, and their NumPy counterparts.
 
 SymPy differentiates `sign` to a Dirac impulse, `Abs` to a complex expression and `Max` to a step
-with a value in between. Equations of machines need derivatives almost everywhere for real
-arguments, so these functions are defined here, each with its NumPy counterpart.
+with a value in between.
 """
 
 import math
@@ -18,7 +17,7 @@ _SERIES_BELOW = 1e-3
 
 
 class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
-    """A function of real arguments that is evaluated for numbers only."""
+    """Function of real arguments, evaluated for numbers only."""
 
     latex_form: ClassVar[str]
 
@@ -125,7 +124,7 @@ class over(_Real):  # noqa: N801
     latex_form = r"\left({0}\right) / \left({1}\right)"
 
     def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative by each."""
+        """Return the derivative by each argument."""
         a, b, _ = self.args
         if argindex == 1:
             return over(1, b, 0)
@@ -220,7 +219,7 @@ def _over(a: Any, b: Any, otherwise: Any) -> Any:
 NUMPY: Mapping[str, Callable[..., Any]] = {
     "sgn": np.sign,
     "absolute": np.abs,
-    # Not np.maximum, which passes NaN on.
+    # np.maximum would propagate NaN.
     "positive": lambda x: np.where(np.greater(x, 0.0), x, 0.0),
     "larger": np.maximum,
     "clip": lambda x, b: np.minimum(np.maximum(x, -b), b),

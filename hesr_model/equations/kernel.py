@@ -1,7 +1,4 @@
-"""Memory and expressions over whole logs, run by `rows.c` with the processor's vectors.
-
-One binary serves all equations; it is compiled once per user.
-"""
+"""Memory and expressions over whole logs, run by `rows.c`, which is compiled once per user."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -17,22 +14,12 @@ from hesr_model.support.arrays import Array
 
 
 class Kernel:
-    """Expressions of states and inputs as programs for `rows.c`.
+    """Programs for `rows.c`: `wanted` as functions of `numbers`, equal for all rows, and `inputs`.
 
-    Parameters
-    ----------
-    memory : elements.
-    numbers : symbols of values that are the same for all rows.
-    inputs : symbols of values that differ between rows, without `dt`.
-    wanted : expressions; states and their derivatives are those at the end of a step.
-    settling : share of the steady state in the initial state, see `Component.settling`.
-    names : expressions of intermediate values by their symbols, each using only earlier ones.
-    once : True if the rows are run only once; subexpressions of inputs alone are then not cached.
-
-    Raises
-    ------
-    ArtifactError
-        If an expression contains a function that `rows.c` does not have.
+    States and derivatives in `wanted` are those at the end of a step; `inputs` exclude `dt`. See
+    `Component.settling` for `settling`. Expressions of `names` use earlier names only. With `once`,
+    subexpressions of inputs alone are not cached between runs. Raises ArtifactError for a function
+    that `rows.c` lacks.
     """
 
     def __init__(
@@ -70,7 +57,7 @@ class Kernel:
         target: Array | None = None,
         found: Array | None = None,
     ) -> "KernelRun":
-        """Return the kernel bound to rows; see `KernelRun` for parameters and errors."""
+        """Bind the kernel to rows; see `KernelRun`."""
         return KernelRun(
             self, inputs, dt, firsts, euler=euler, start=start, target=target, found=found
         )
@@ -92,23 +79,11 @@ def _in_doubles(values: Array) -> Array:
 
 
 class KernelRun:
-    """A kernel bound to the rows of logs.
+    """Kernel bound to rows of logs: `inputs` (N,) each, and steps `dt` (N,) [s] ending at each row.
 
-    Parameters
-    ----------
-    kernel : the expressions.
-    inputs : (N,) values of each input.
-    dt : (N,) step that ends at each row [s].
-    firsts : first row of each record, increasing from 0.
-    euler : True if relaxations move by Euler's step.
-    start : value of each state at rest; 0 by default.
-    target : (N,) values that the results are fitted to.
-    found : (N, K) array for the results; a new one by default.
-
-    Raises
-    ------
-    ExportError
-        If `rows.c` cannot be compiled.
+    `firsts` are the first rows of records, increasing from 0. `start` is each state's value at
+    rest, 0 by default. Results fit `target` (N,) and are written into `found` (N, K). Raises
+    ExportError if `rows.c` cannot be compiled.
     """
 
     def __init__(
@@ -146,13 +121,10 @@ class KernelRun:
         )
 
     def begin(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
-        """Set the initial states of all records and return them, (m, records).
+        """Set the initial states (m, records) of all records and return them.
 
-        Parameters
-        ----------
-        numbers : values of the kernel's numbers, in their units.
-        start : value of each state at rest, (m,) or (m, records); `start` of the run by default.
-        settled : True if `start` itself is the initial state, whatever the first inputs are.
+        `start` is each state's value at rest, (m,) or (m, records), by default the run's; with
+        `settled` it is the initial state itself, whatever the first inputs are.
         """
         if settled and start is not None:
             self._run.starts[:] = start if start.ndim > 1 else start[:, None]
@@ -163,54 +135,25 @@ class KernelRun:
         return self._run.starts
 
     def at(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
-        """Return the (N, K) results for numbers, valid until the next call.
+        """Return the (N, K) results, valid until the next call; see `begin` for the arguments.
 
-        Parameters are those of `begin`.
-
-        Raises
-        ------
-        SimulationError
-            If Euler's step is unstable.
+        Raises SimulationError if Euler's step is unstable.
         """
         self.begin(numbers, start, settled=settled)
         self._run(numbers)
         return self._run.found
 
     def on(self, numbers: Array, first: int, stop: int) -> None:
-        """Write the results of some rows into `found`, after `begin` and all earlier rows.
-
-        Parameters
-        ----------
-        numbers : values of the kernel's numbers, in their units.
-        first, stop : rows.
-
-        Raises
-        ------
-        SimulationError
-            If Euler's step is unstable.
-        """
+        """Write results of rows `first` to `stop` into `found`, after `begin` and earlier rows."""
         self._run.on(numbers, first, stop)
 
     def solved(
         self, numbers: Array, *, non_negative: int, weights: Array | None = None, keep: bool = False
     ) -> tuple[Array, float] | None:
-        """Solve for the factors of the results that fit the target best.
+        """Return the factors (K,) of the results that fit the target best, and the squared error.
 
-        Parameters
-        ----------
-        numbers : values of the kernel's numbers, in their units.
-        non_negative : number of leading factors that must not be negative.
-        weights : (N,) weights of the rows.
-        keep : True if the results are written into `found`.
-
-        Returns
-        -------
-        (K,) factors and the sum of squared residuals, or None if the factors are ill-conditioned.
-
-        Raises
-        ------
-        SimulationError
-            If Euler's step is unstable.
+        The leading `non_negative` factors are at least 0; `weights` (N,) weight the rows; `keep`
+        writes the results into `found`. Returns None if the factors are ill-conditioned.
         """
         self.begin(numbers)
         by = None if weights is None else _whole(weights, len(self._run.found))

@@ -1,8 +1,7 @@
-"""Memory of a component: relaxations and stops, each sampled, continuous and settled.
+"""Memory of a component: relaxations and stops, each as expressions in three forms.
 
-The sampled form moves a state by a step of any length with held inputs. The continuous form is for
-model exchange. The settled form is the limit for inputs held forever. All three are expressions,
-so every target lowered from a component has the same.
+The sampled form moves a state by a step of any length with held inputs, the continuous form is for
+model exchange, and the settled form is the limit for inputs held forever.
 """
 
 from collections.abc import Mapping
@@ -49,7 +48,7 @@ class _Element:
                 object.__setattr__(self, f.name, sympy.S.Zero + getattr(self, f.name))
 
     def subs(self, replaced: Mapping[sympy.Symbol, sympy.Expr]) -> Self:
-        """Return the element with symbols replaced in its expressions."""
+        """Replace symbols in the element's expressions."""
         own = {f.name: getattr(self, f.name) for f in fields(self)}
         return replace(
             self, **{k: v.xreplace(replaced) for k, v in own.items() if isinstance(v, sympy.Basic)}
@@ -68,7 +67,7 @@ class _Element:
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation(_Element):
-    """One state x' = drive - rate x; a negative rate counts as 0.
+    """State with x' = drive - rate x; a negative rate counts as 0.
 
     Drive and rate may use earlier states; the rate may also use x, which is frozen over a step.
     """
@@ -82,10 +81,9 @@ class Relaxation(_Element):
         return self.drive, self.rate
 
     def sampled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
-        """Return x at the end of a step; exact for held drive and rate.
+        """Return x at the end of a step, from drive and guarded rate; exact if both are held.
 
-        x+ = x exp(-z) + drive dt (1 - exp(-z)) / z with z = rate dt; `first` and `second` are drive
-        and guarded rate.
+        x+ = x exp(-z) + drive dt (1 - exp(-z)) / z with z = rate dt.
         """
         z = second * DT
         e = decay(z, EULER)
@@ -112,7 +110,7 @@ class Relaxation(_Element):
 
 
 class Slow(Relaxation):
-    """A relaxation over minutes or hours, whose initial state is its start."""
+    """Relaxation over minutes or hours, whose initial state is its start."""
 
     @property
     def seeks(self) -> bool:
@@ -126,7 +124,7 @@ class Slow(Relaxation):
 
 @dataclass(frozen=True, kw_only=True)
 class Stop(_Element):
-    """One state x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii.
+    """State with x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii.
 
     Attributes
     ----------
@@ -158,7 +156,7 @@ class Stop(_Element):
         return sgn(first) * second + (1 - absolute(sgn(first))) * clip(self.state, second)
 
     def continuous(self) -> sympy.Expr:
-        """Return x' of the form without events: passive with the same storage function.
+        """Return x' without events, passive with the same storage function.
 
         With e = w x, d = max(.01 w s, 1e-3 w), b = max(w s - d, 0) and m = max(w s, d),
         e' = v - abs(v)/d (e - clip(e, -b, b)) - (e - clip(e, -m, m))/T: the second term bounds the
@@ -172,4 +170,3 @@ class Stop(_Element):
 
 
 Element: TypeAlias = Relaxation | Stop
-"""One element of memory."""

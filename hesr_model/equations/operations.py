@@ -1,7 +1,7 @@
-"""Equations as lists of operations on registers, run by `rows.c` over blocks of rows.
+"""Equations as operations on registers, run by `rows.c` over blocks of rows.
 
-An expression becomes a graph whose equal parts are one node. Values that are the same for all rows
-are computed once per run, values that depend on inputs alone once per log.
+Equal subexpressions are one node. Values equal for all rows are computed once per run, values that
+depend on inputs alone once per log.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -44,14 +44,9 @@ class Dependence(IntEnum):
 
 @dataclass(frozen=True)
 class Node:
-    """A value of every row.
+    """Value of every row; `operation` is empty for literals, numbers and inputs.
 
-    Attributes
-    ----------
-    operation : name of the operation; empty for literals, numbers and inputs.
-    operands : nodes.
-    detail : number of the state, the literal, or the index of the number or input.
-    dependence : values that the node depends on.
+    `detail` is the state's number, the literal, or the index of the number or input.
     """
 
     operation: str
@@ -63,10 +58,7 @@ class Node:
 class Graph:
     """Nodes of several expressions, each after its operands.
 
-    Parameters
-    ----------
-    numbers : symbols of values that are the same for all rows.
-    inputs : symbols of values that differ between rows, without `dt`.
+    `numbers` are symbols of values equal for all rows, `inputs` of all others except `dt`.
     """
 
     def __init__(self, numbers: Sequence[sympy.Symbol], inputs: Sequence[sympy.Symbol]) -> None:
@@ -111,13 +103,7 @@ class Graph:
             self._of[m.derivative] = self.of(m.continuous())
 
     def of(self, expression: sympy.Expr) -> int:
-        """Return the node of an expression.
-
-        Raises
-        ------
-        ArtifactError
-            If the expression contains a function without an operation.
-        """
+        """Return an expression's node; raise ArtifactError for a function without operation."""
         if expression not in self._of:
             self._of[expression] = self._made(expression)
         return self._of[expression]
@@ -191,7 +177,7 @@ class Graph:
         return found
 
     def _by_dependence(self, nodes: Iterable[int]) -> list[int]:
-        """Sort nodes so that values of all rows are combined first."""
+        """Sort nodes so that values equal for all rows are combined first."""
         return sorted(nodes, key=lambda node: self.nodes[node].dependence)
 
     def _folded(self, name: str, nodes: Iterable[int]) -> int:
@@ -232,9 +218,8 @@ class Program:
     given : (G,) literals of the next registers, 0 in place of numbers.
     numbers : (2, M) positions in `given` and the index of the number for each.
     operations : (K, 5) operation, result and three operands, uniform operations first.
-    uniform : number of operations that are the same for all rows.
-    uniform_count : number of registers that are the same for all rows.
-    registers : total number of registers.
+    uniform : number of operations that are equal for all rows.
+    uniform_count : number of registers that are equal for all rows.
     results : (R,) register of each result.
     """
 
@@ -286,14 +271,7 @@ def fixed_nodes(graph: Graph, results: Sequence[int]) -> list[int]:
 
 
 def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) -> Program:
-    """Return the program of results.
-
-    Parameters
-    ----------
-    graph : the nodes.
-    results : nodes.
-    known : nodes computed earlier, inputs of the program.
-    """
+    """Return the program of result nodes; `known` nodes are inputs, computed earlier."""
     nodes = graph.nodes
     order = _in_order(nodes, results, set(known))
     numbered = {k: len(graph.inputs) + i for i, k in enumerate(known)}
@@ -305,7 +283,7 @@ def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) 
     inputs = [k for k in order if k in numbered]
     given = [k for k in order if not nodes[k].operation and k not in numbered]
     uniform = [k for k in order if nodes[k].operation and nodes[k].dependence <= Dependence.NUMBERS]
-    # The step always comes first: states move by it.
+    # `dt` always comes first: states move by it.
     places = {k: 1 + i for i, k in enumerate((*inputs, *given, *uniform))}
     rest = [k for k in order if k not in places]
     registers = _allocate(nodes, rest, set(results), places, 1 + len(places))

@@ -1,8 +1,4 @@
-"""Straight-line programs of a component: step, readings and their directional derivatives.
-
-A program is an ordered list of assignments. All code that runs a component is printed from one;
-derivatives are taken assignment by assignment.
-"""
+"""Straight-line programs of a component, ordered assignments: steps, readings, derivatives."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -47,8 +43,8 @@ def initial_state(
 ) -> dict[sympy.Symbol, sympy.Expr]:
     """Return the initial states for the first inputs by `initial_symbol`, and intermediate values.
 
-    Each is a share (`Component.settling`) of the way from the start value to the steady state,
-    computed with the earlier initial states.
+    Each is the start value moved by the share `Component.settling` towards the steady state that
+    follows from the earlier initial states.
     """
     found: dict[sympy.Symbol, sympy.Expr] = {}
     seen: dict[sympy.Symbol, sympy.Expr] = {}
@@ -108,7 +104,7 @@ def change_of(symbol: sympy.Symbol) -> sympy.Symbol:
 
 @dataclass(frozen=True)
 class Jumps:
-    """Events of a solver: sign changes that make a component jump; signs are held in between.
+    """Solver events: sign changes that make a component jump; signs are held in between.
 
     A magnitude bends but does not jump, so its sign is not held; bends of reversing inputs are
     still events. Signs of states alone are not held, since only outputs depend on them.
@@ -169,12 +165,9 @@ def needed(
 def straight_line(
     assignments: Assignments, wanted: Iterable[sympy.Symbol]
 ) -> tuple[dict[sympy.Symbol, sympy.Expr], dict[sympy.Symbol, str]]:
-    """Return the assignments needed for the wanted symbols, with common subexpressions shared.
+    """Return the ordered assignments needed, subexpressions shared, and their short names.
 
-    Returns
-    -------
-    Assignments in order, and short names `a_0`, `a_1`, .. of the given ones; shared subexpressions
-    are called `t0`, `t1`, ..
+    Assigned symbols are named `a_0`, `a_1`, .., shared subexpressions `t0`, `t1`, ..
     """
     own = needed(assignments, wanted)
     shared, results = sympy.cse(
@@ -194,7 +187,7 @@ def sampled(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
 
 @dataclass(frozen=True, kw_only=True)
 class Invariants:
-    """A straight-line program split into a fixed part and a part computed at every step.
+    """Straight-line program split by dependence on fixed symbols.
 
     Attributes
     ----------
@@ -228,7 +221,7 @@ class Invariants:
             return parts[part]
 
         def separated(expression: sympy.Expr) -> sympy.Expr:
-            """Return an expression with its fixed parts replaced by symbols."""
+            """Replace the fixed parts of an expression by symbols."""
             if expression.is_Atom:
                 return expression
             if expression.free_symbols and expression.free_symbols <= known:

@@ -7,17 +7,7 @@ from hesr_model.support.arrays import Array
 
 
 def recurrence(a: Array, c: Array, start: float) -> Array:
-    """Solve x[0] = start, x[k] = a[k] x[k-1] + c[k] without a Python loop.
-
-    Parameters
-    ----------
-    a, c : (N,) factors and increments; those of k = 0 are not used.
-    start : value at k = 0.
-
-    Returns
-    -------
-    (N,) solution of a unit lower bidiagonal system, by LAPACK's banded substitution.
-    """
+    """Solve x[0] = start, x[k] = a[k] x[k-1] + c[k], (N,), by LAPACK's banded substitution."""
     bands = np.empty((2, len(a)), order="F")
     bands[0] = 1.0
     bands[1, :-1] = -a[1:]

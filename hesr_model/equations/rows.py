@@ -1,4 +1,4 @@
-"""Programs of `operations.py` on arrays: the compiled `rows.c` and one run of a program."""
+"""The compiled `rows.c`, and one run of a program of `operations.py` on arrays."""
 
 import ctypes
 import platform
@@ -34,7 +34,7 @@ _FLAGS = (
 _LIBRARIES: Mapping[str, tuple[str, ...]] = {
     ".so": ("-lm",),
     ".dylib": ("-lc",),
-    # Building the C library of Windows takes minutes; its headers and the system's own are enough.
+    # Building the C library of Windows takes minutes; its headers and the system's own suffice.
     ".dll": (
         "-Wl,--no-entry",
         "-D_UCRT=",
@@ -78,13 +78,7 @@ class _Program(ctypes.Structure):
 
 
 def built(folder: Path, host: tuple[str, str]) -> Path:
-    """Compile `rows.c` in a folder for a machine and return the library.
-
-    Raises
-    ------
-    ExportError
-        If the compiler fails.
-    """
+    """Compile `rows.c` in a folder for a machine and return the library."""
     triple, suffix = HOSTS[host]
     for name in _SOURCES:
         Path(folder, name).write_bytes(Path(__file__).with_name(name).read_bytes())
@@ -98,13 +92,7 @@ def built(folder: Path, host: tuple[str, str]) -> Path:
 
 @cache
 def library() -> ctypes.CDLL:
-    """Return the compiled `rows.c`.
-
-    Raises
-    ------
-    ExportError
-        If this machine is not supported or the compiler fails.
-    """
+    """Return the compiled `rows.c`; raise ExportError if machine or compiler do not support it."""
     host = sys.platform, platform.machine()
     if host not in HOSTS:
         raise ExportError(
@@ -130,23 +118,10 @@ def vectors() -> int:
 
 
 class ProgramRun:
-    """A program bound to arrays.
+    """Program bound to arrays (N,), its inputs by number; see `KernelRun`.
 
-    Parameters
-    ----------
-    own : the program.
-    arrays : (N,) inputs by their numbers.
-    firsts : first row of each record.
-    states : number of states.
-    euler : True if relaxations move by Euler's step.
-    block : rows per block.
-    target : (N,) values that the results are fitted to.
-    found : (N, K) array for the results.
-
-    Attributes
-    ----------
-    found : results of the last call that kept them.
-    starts : (states, firsts) initial states.
+    `found` (N, K) holds the results of the last call that kept them, `starts` (states, records) the
+    initial states.
     """
 
     def __init__(
@@ -221,7 +196,7 @@ class ProgramRun:
         self._reference = ctypes.byref(self._program)
 
     def __call__(self, numbers: Array) -> None:
-        """Write the results for numbers into `found`; errors as for `KernelRun.at`."""
+        """Write the results into `found`; see `KernelRun.at` for errors."""
         self.on(numbers, 0, self._rows)
 
     def on(self, numbers: Array, first: int, stop: int) -> None:

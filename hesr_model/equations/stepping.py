@@ -1,7 +1,7 @@
 """Components with previous values, run one step at a time in Python.
 
-The order is that of `c/equations.c`: before the first step previous values are their starts; a step
-moves the memory, then evaluates the equations, whose values are the previous ones of the next step.
+As in `c/equations.c`, previous values are their starts before the first step; a step moves the
+memory, then evaluates the equations, whose values are the previous ones of the next step.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,13 +26,9 @@ from hesr_model.support.arrays import Array
 
 
 class Steps:
-    """A component lowered to two functions of numbers.
+    """Component lowered to functions of numbers, or of arrays of parallel runs (`lanes`).
 
-    Parameters
-    ----------
-    component : the equations; relaxations move exactly.
-    observed : names of the equations returned by each step; the outputs by default.
-    lanes : True if every number is an array of parallel runs.
+    Relaxations move exactly. Each step returns the equations `observed`, by default the outputs.
     """
 
     def __init__(
@@ -73,11 +69,8 @@ class Steps:
     ) -> "ComponentRun":
         """Return a run before its first step.
 
-        Parameters
-        ----------
-        values : values of parameters and constant inputs by name.
-        start : start value of each state.
-        inputs : names of the inputs passed to each step, in this order.
+        `values` are those of parameters and constant inputs, `start` is each state's start value,
+        and `inputs` names the inputs passed to each step.
         """
         return ComponentRun(
             self._settle, self._start, self._step, self.component, values, start, inputs
@@ -92,15 +85,10 @@ class Steps:
         *,
         settled: bool = True,
     ) -> Array:
-        """Return the observed equations at each row of a log, (observed, N).
+        """Return the observed equations (observed, N) over a log at times `t` (N,) [s].
 
-        Parameters
-        ----------
-        t : (N,) time [s], increasing.
-        columns : (N,) values by input; names that are not inputs are ignored.
-        values : as for `run`.
-        start : start value of each state.
-        settled : True if initial states follow from the first row.
+        `columns` has (N,) values by input; other names are ignored. With `settled`, the first row
+        settles the initial states; see `run` for `values` and `start`.
         """
         used = {q.name: columns[q.name] for q in self.component.inputs if q.name in columns}
         run = self.run(values, start, list(used))
@@ -114,7 +102,7 @@ class Steps:
 
 
 class ComponentRun:
-    """A running component; its memory is in `states` and `remembered`."""
+    """Running component; its memory is in `states` and `remembered`."""
 
     def __init__(
         self,
@@ -139,7 +127,7 @@ class ComponentRun:
             self._given[place] = value if isinstance(value, np.ndarray) else float(value)
 
     def settle(self, *inputs: float) -> None:
-        """Set the initial states for the first inputs."""
+        """Settle the initial states for the first inputs."""
         self._set(inputs)
         [self.states] = self._settle(self._given, self.states)
 
@@ -165,10 +153,7 @@ def _function(
     *,
     lanes: bool,
 ) -> Any:
-    """Return a Python function of numbers or arrays that runs a program.
-
-    Arguments and targets are grouped.
-    """
+    """Return a Python function of grouped numbers or arrays that runs a program."""
     lines, names = straight_line(program, [symbol for group in targets for symbol in group])
     short = {symbol: sympy.Symbol(name) for symbol, name in names.items()}
     lines = {short.get(symbol, symbol): e.xreplace(short) for symbol, e in lines.items()}

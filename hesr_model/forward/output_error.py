@@ -43,13 +43,9 @@ _SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """A body and its friction after the refinement.
+    """Body and friction after the refinement, or the original ones if nothing better was found.
 
-    Attributes
-    ----------
-    body, friction : the refined ones, or the original ones if nothing better was found.
-    ratio : root mean square ratio of the position errors to those before; 1 if nothing better was
-        found.
+    `ratio` is the RMS ratio of the position errors to those before.
     """
 
     body: RigidBody
@@ -69,18 +65,9 @@ def refine(
 ) -> Refined:
     """Refine body and friction jointly by output error, from several starts.
 
-    Parameters
-    ----------
-    robot, body, friction : model and estimates from the logs.
-    motions : motions of the training logs.
-    rounds : damped Gauss-Newton steps from the best start.
-    starts : number of starts: the given parameters, and random variations of the friction.
-    seed : seed of the variations.
-
-    Raises
-    ------
-    SimulationError
-        If a log is too short, or the body cannot be simulated.
+    The starts are the given parameters and random variations of the friction; the best one
+    continues for `rounds` damped Gauss-Newton steps. Raises SimulationError if a log is too short
+    or the body cannot be simulated.
     """
     problem = _Problem(robot, body, friction, motions)
     rng = np.random.default_rng(seed)

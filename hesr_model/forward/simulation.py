@@ -38,14 +38,10 @@ def inner_steps(dt: Array) -> int:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulator:
-    """A body and its friction.
+    """Body with (P,) standard parameters, or (W, P) for each window, and its friction.
 
-    Attributes
-    ----------
-    robot, parameters : the body with (P,) standard parameters, or (W, P) for each window.
-    friction : law of each joint.
-    as_plant : whether to step explicitly and without inner steps, as MuJoCo steps an arm; for logs
-        of the twin at its own step.
+    `as_plant` steps explicitly and without inner steps, as MuJoCo steps an arm; for logs of the
+    twin at its own step.
     """
 
     robot: RobotModel
@@ -62,16 +58,9 @@ class Simulator:
     ) -> Array:
         """Return the positions over windows, (W, K + 1, n) [rad; m].
 
-        Parameters
-        ----------
-        windows : start and torque of each window.
-        values : (C, W) coefficients of each law for each window; by default those of the laws.
-        states : (m, W) initial states of each law; by default run in along the logs.
-
-        Raises
-        ------
-        SimulationError
-            If the mass matrix is not positive definite.
+        `values` (C, W) are coefficients of each law, by default its own; `states` (m, W) its
+        initial states, by default run in along the logs. Raises SimulationError if the mass matrix
+        is not positive definite.
         """
         q, v = windows.q[:, 0].copy(), windows.dq[:, 0].copy()
         # MuJoCo uses the rates before a step, so its states lag a law's by one row.
@@ -174,13 +163,7 @@ class Simulator:
 
 
 def position_errors(found: Array, windows: Windows) -> tuple[float | None, ...]:
-    """Return the RMS position error of each joint over windows [rad; m]; None if it diverges.
-
-    Parameters
-    ----------
-    found : (W, K + 1, n) [rad; m].
-    windows : measured motions.
-    """
+    """Return the RMS error of positions (W, K + 1, n) per joint [rad; m]; None if it diverges."""
     with np.errstate(all="ignore"):
         error = np.sqrt(np.mean(np.square(found - windows.q), axis=(0, 1)))
     return tuple(float(e) if np.isfinite(e) else None for e in error)

@@ -24,14 +24,9 @@ Logs = Sequence[Sequence[FrictionRecord]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Windows:
-    """W windows of K steps.
+    """W windows of K steps: `t` (W, K + 1) [s]; `q`, `dq`, `tau` (W, K + 1, n), measured.
 
-    Attributes
-    ----------
-    t : (W, K + 1) [s].
-    q, dq, tau : (W, K + 1, n), measured [rad, rad/s, N.m; m, m/s, N].
-    places : part of a log, and first row in it, of each window.
-    logs : source of the windows.
+    `places` has the part of a log, and the first row in it, of each window.
     """
 
     t: Array
@@ -42,7 +37,7 @@ class Windows:
     logs: Logs = field(repr=False)
 
     def states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
-        """Return the states of each law at the starts of the windows, (m, W) each.
+        """Return the states (m, W) of each law at the starts of the windows.
 
         They are run in along the measured motion from the start of each log, and taken `delay` rows
         earlier.
@@ -61,12 +56,9 @@ class Windows:
 
 
 def windows_of(logs: Logs, length: float) -> Windows:
-    """Cut logs into consecutive windows of a length [s], after their run-in.
+    """Cut logs into consecutive windows of a length [s] after their run-in.
 
-    Raises
-    ------
-    SimulationError
-        If no log is long enough.
+    Raises SimulationError if no log is long enough.
     """
     times = [log[0].t for log in logs]
     steps = max(1, round(length / float(np.median(np.concatenate([np.diff(t) for t in times])))))

@@ -1,12 +1,12 @@
-"""The band of a law: torques between which measured friction lies, with a given probability.
+"""Band of a law: torques that contain the measured friction with a given probability.
 
     w   = s(v, load) (ln(1 - coverage) / ln(1 - 0.95))^tail
     s^2 = floor^2 + slow^2 / (1 + (v/v_slow)^2) + rest^2 r + (fast v)^2 + (share load)^2
     r   = (1 - min((v/v_rest)^2, 1))^2, 1 at rest and 0 in motion
 
 In motion tau - w and tau + w bound friction. At rest friction is any torque that holds the joint,
-so the band spans both break-away torques, those of the law creeping at `MOVING`, and the floor
-beyond them because of noise. If the calibration logs contain rests, their width is used instead.
+so the band spans both break-away torques, those of the law creeping at `MOVING`, and beyond them
+the floor because of noise. If the calibration logs contain rests, their width is used instead.
 
 The numbers are half-widths at 95 %, from `fitting.calibration`. Other probabilities follow from a
 Weibull tail of the standardised error, whose exponent is 0.65 for a normal distribution.
@@ -69,21 +69,10 @@ NUMBERS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Numbers of one joint's band; see the module.
+    """Numbers of one joint's band, with units as in `NUMBERS`.
 
-    Attributes
-    ----------
-    floor, slow, rest : half-widths at 95 % [N.m].
-    slow_speed : [rad/s].
-    fast : [N.m.s/rad].
-    load : [1].
-    tail : exponent.
-    envelope : 1 if the band at rest spans the break-away torques, 0 if rests were measured.
-
-    Raises
-    ------
-    ArtifactError
-        If a number is negative or not finite, or the speed is 0.
+    `envelope` is 1 if the band at rest spans the break-away torques, 0 if rests were measured.
+    Raises ArtifactError if a number is negative or not finite, or the speed is 0.
     """
 
     floor: float
@@ -115,13 +104,7 @@ def shapes(
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Return the factors of floor^2, slow^2, rest^2, fast^2 and load^2 in s^2.
 
-    Arguments and results are arrays or expressions.
-
-    Parameters
-    ----------
-    dq, tau_load : velocity [rad/s] and load [N.m].
-    slow_speed : speed v_slow [rad/s].
-    most : minimum of two arguments.
+    Arguments and results are arrays or expressions; `most` is the minimum of two.
     """
     resting = (1 - most((dq / REST) ** 2, 1)) ** 2
     return 1 + 0 * dq, 1 / (1 + (dq / slow_speed) ** 2), resting, dq**2, tau_load**2
@@ -133,13 +116,9 @@ def start_values(band: Band) -> Mapping[str, float]:
 
 
 def band_equations(memory: Sequence[Element], output: sympy.Expr) -> tuple[Equation, ...]:
-    """Return the equations of the band of a law: two outputs after their intermediate values.
+    """Return a band's two outputs after their intermediate values, from a law's memory and torque.
 
     They read the torque by its name, `NUMBERS` and `COVERAGE`.
-
-    Parameters
-    ----------
-    memory, output : memory and torque of the law.
     """
     floor, slow, slow_speed, rest, fast, load, tail, envelope = (q.symbol for q in NUMBERS)
     parts = shapes(DQ, TAU_LOAD, slow_speed, most=lambda a, b: clip(a, b))

@@ -33,15 +33,14 @@ _CLIPPED = 1.0 - 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """A law with factors.
+    """Law with factors: terms of its torque [N.m].
 
     Attributes
     ----------
     memory : memory of the law, its bounds scaled by the level.
-    hysteresis : torque of the memory [N.m].
-    viscous : viscous torque at factor 1 [N.m].
-    rest : ripple and offset of the law, without a factor [N.m].
-    along : derivative of the hysteresis by the level [N.m], a function of `sensitivities`.
+    viscous : viscous torque at factor 1.
+    rest : ripple and offset, without a factor.
+    along : derivative of the hysteresis by the level, a function of `sensitivities`.
     sensitivities : equations of the stops' derivatives by the level, warmth included.
     """
 
@@ -54,18 +53,9 @@ class Parts:
 
 
 def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -> Parts:
-    """Return a law with a level in its memory.
+    """Return a law with a positive level in its memory and a factor `warm` of temperature.
 
-    Parameters
-    ----------
-    law : the law of one joint.
-    level : the positive factor before a step.
-    warm : positive factor of temperature on the bounds.
-
-    Raises
-    ------
-    ExportError
-        If the law has no bound to scale, or its torque is not linear in its states.
+    Raises ExportError if the law has no bound to scale.
     """
     form = law.form
     scaled = tuple(scaled_bound(m, level * warm) for m in form.memory)

@@ -21,7 +21,6 @@ QUANTITIES = (_VELOCITY, _POSITION, _LOAD)
 """Inputs available to laws, in the order used everywhere."""
 
 INPUTS = tuple(quantity.symbol for quantity in QUANTITIES)
-"""Symbols of the inputs."""
 
 INPUT_UNITS = {quantity.name: quantity.unit for quantity in QUANTITIES}
 """Units for a revolute joint; see `units.unit_of_joint` for a prismatic one."""

@@ -38,18 +38,12 @@ _LARGEST = 1e100
 
 @dataclass(frozen=True, kw_only=True)
 class Coefficient(Quantity):
-    """A named constant of a law."""
+    """Named constant of a law."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LawForm:
-    """The expressions of a law, without numbers.
-
-    Raises
-    ------
-    ArtifactError
-        If an expression uses an unknown symbol, or a name is used twice.
-    """
+    """Expressions of a law, without numbers; ArtifactError for unknown or repeated symbols."""
 
     coefficients: tuple[Coefficient, ...]
     memory: tuple[Element, ...] = ()
@@ -65,7 +59,7 @@ class LawForm:
 
     @cached_property
     def component(self) -> Component:
-        """The equations of a joint with this law."""
+        """Equations of a joint with this law."""
         torque = Equation(
             name=TORQUE,
             unit="N.m",
@@ -113,13 +107,12 @@ class LawForm:
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionLaw:
-    """A frozen law of one joint: a form, its numbers and its discretisation.
+    """Frozen law of one joint: a form, its numbers and its discretisation.
 
     Attributes
     ----------
     name : name in the registry; rebuilds `form` together with `structure`.
     structure : JSON data that select one form of a family; empty if there is only one.
-    form : the expressions.
     values : value of every coefficient of `form`, in its order and unit.
     discretisation : "exact" integrates each relaxation exactly for inputs held over a step;
         "euler" is eq. 10 and requires 0 <= rate * dt < 1.
@@ -127,8 +120,6 @@ class FrictionLaw:
     start_samples : number of first torques of a log that can replace the start
         (`records.record_start`); 0 for none.
     standard_errors : standard errors of coefficients, in their units, if known.
-    covariance : covariance of the fitted coefficients; None if unknown.
-    band : band of the measured friction; None if unknown.
 
     Raises
     ------

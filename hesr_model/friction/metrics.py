@@ -1,7 +1,4 @@
-"""Errors of torque predictions: over all rows, around reversals, in motion.
-
-Rows of all logs are pooled with equal weight.
-"""
+"""Errors of torque predictions, over rows of all logs with equal weight."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,11 +12,9 @@ from hesr_model.support.arrays import Array, Mask
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Prediction errors of one joint in N.m, apart from `r2`; None without rows of the kind.
+    """Prediction errors [N.m] of one joint and R^2; None without rows of the kind.
 
-    Attributes
-    ----------
-    tau_std : standard deviation of the measured friction, the error of its mean.
+    `tau_std` is the standard deviation of the measured friction, the error of its mean.
     """
 
     tau_std: float
@@ -30,12 +25,7 @@ class Score:
 
 
 def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Score:
-    """Score predictions of one joint's friction, pooled over its records.
-
-    Parameters
-    ----------
-    predictions : one array (N,) [N.m] per record, on its rows.
-    """
+    """Score predictions (N,) [N.m] of one joint's friction on the rows of each record."""
     error = np.concatenate(
         [record.tau - predicted for record, predicted in zip(records, predictions, strict=True)]
     )
@@ -77,13 +67,7 @@ def score_band(
     predictions: Sequence[Array],
     bands: Sequence[tuple[Array, Array]],
 ) -> BandScore:
-    """Score the band of one joint's friction, pooled over its records.
-
-    Parameters
-    ----------
-    predictions : one array (N,) [N.m] per record, on its rows.
-    bands : lower and upper end per record, (N,) [N.m] each.
-    """
+    """Score the band of one joint's friction, (N,) [N.m] for each end on each record's rows."""
     inside = [
         (r.tau >= lower) & (r.tau <= upper)
         for r, (lower, upper) in zip(records, bands, strict=True)
@@ -122,21 +106,11 @@ def rmse_ratio_interval(
     resamples: int = 2000,
     level: float = 0.95,
 ) -> tuple[float, float]:
-    """Return the interval of the ratio of two RMSEs over the same rows.
+    """Return the interval, of probability `level`, of the ratio of two RMSEs over the same rows.
 
-    Circular block bootstrap: blocks of rows are drawn with replacement from each log, the same for
-    both, because errors of neighbouring rows are correlated. Blocks shorter than the correlation
-    length make the interval too narrow.
-
-    Parameters
-    ----------
-    errors, reference : (N,) errors [N.m] of each log; the ratio is `errors` over `reference`.
-    block : rows per block, a few times the errors' correlation length.
-
-    Returns
-    -------
-    tuple
-        Lower and upper end of the central interval of probability `level`.
+    Circular block bootstrap: blocks of rows are drawn with replacement from each log's errors (N,)
+    [N.m], the same for both, because errors of neighbouring rows are correlated. A `block` has a
+    few correlation lengths [rows]; with less the interval is too narrow.
     """
     above, below = np.zeros(resamples), np.zeros(resamples)
     for error, other in zip(errors, reference, strict=True):

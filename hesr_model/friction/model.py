@@ -41,9 +41,8 @@ class FrictionModel:
     law : name of the law, as in the registry or of a published model.
     robot : name of the robot.
     joints : names of the joints.
-    laws : the law of each joint, converted to the units of prismatic joints.
-    sliding : True for prismatic joints, with positions in m and forces in N; empty if there are
-        none.
+    laws : law of each joint, converted to the units of prismatic joints.
+    sliding : True for prismatic joints, with positions in m and forces in N; empty if none.
     coupling : map from joints to friction coordinates if they differ; laws, trained ranges and
         training errors are then of these coordinates.
     sample_time : sample period of the training data [s].
@@ -184,7 +183,7 @@ class FrictionModel:
             raise ArtifactError(f"{path}: {error}") from error
 
     def to_json(self) -> dict[str, Any]:
-        """Return the model as JSON data, the content of its file."""
+        """Return the JSON data of the model's file."""
         unknown = (None,) * len(self.joints)
         columns = {
             "joint": self.joints,
@@ -238,9 +237,9 @@ class FrictionModel:
     ) -> Array:
         """Return the friction torque of all joints, (N, n) [N.m].
 
-        The motion is a log or arrays. If it starts in motion, the initial states are steady. A
-        thermal model takes the temperature of the records, or computes the heat of friction; for
-        arrays it takes the reference temperature of the fit.
+        A motion that starts at speed has steady initial states. A thermal model takes the
+        temperature of the records, or computes the heat of friction; for arrays it takes the
+        reference temperature of the fit.
 
         Parameters
         ----------

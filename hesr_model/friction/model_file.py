@@ -1,7 +1,6 @@
-"""The JSON form of a friction model: names, structures, numbers and units, never code.
+"""JSON form of a friction model: names, structures, numbers and units, never code.
 
-The registry rebuilds the expressions of a law from its name and structure, so no text of a file is
-parsed as a formula.
+The registry rebuilds a law's expressions, so no text of a file is parsed as a formula.
 """
 
 from collections.abc import Mapping
@@ -34,7 +33,7 @@ class _CoefficientEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class JointEntry:
-    """The law of one joint, and what is known about its training."""
+    """Law of one joint and its training data."""
 
     joint: str
     # Written for sliding joints only: version 1 has no such key.
@@ -69,13 +68,7 @@ class JointEntry:
         )
 
     def friction_law(self) -> FrictionLaw:
-        """Rebuild the law.
-
-        Raises
-        ------
-        ArtifactError
-            If the law, a coefficient or its unit is unknown.
-        """
+        """Rebuild the law; raise ArtifactError if the law, a coefficient or its unit is unknown."""
         form = estimator(self.law).form(self.structure)
         entries = self.coefficients
         for coefficient in form.coefficients:
@@ -99,7 +92,7 @@ class JointEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelFile:
-    """The keys of a file."""
+    """Keys of a file."""
 
     law: str
     robot: str

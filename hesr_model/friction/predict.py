@@ -1,8 +1,8 @@
-"""Run a law over a log.
+"""Predictions of laws over logs.
 
-The convention is that of the FMU: the inputs of sample k are held while the states move from t[k-1]
-to t[k]; then the torque of sample k is read. At the first sample the states are in the steady state
-of its inputs in motion, and at the law's start at rest.
+As in the FMU, the inputs of sample k are held while the states move from t[k-1] to t[k]; then the
+torque of sample k is read. At the first sample the states are in the steady state of its inputs in
+motion, and at the law's start at rest.
 """
 
 from collections.abc import Sequence
@@ -94,27 +94,12 @@ def predict(
     start: tuple[float, ...] | None = None,
     shown: Sequence[Array] | None = None,
 ) -> Array:
-    """Return the friction torque of a law over a log.
+    """Return the friction torque (N,) [N.m] of a law over a log.
 
-    Parameters
-    ----------
-    law : the law of one joint.
-    t : (N,) time [s], increasing.
-    dq : (N,) joint velocity [rad/s].
-    q : (N,) joint position [rad]; zero by default.
-    tau_load : (N,) load torque [N.m]; zero by default.
-    start : states at t[0]; `first_states` of the first row by default.
-    shown : (N,) `dq`, `q` and `tau_load` for reading the torque, if other than those that move the
-        states.
-
-    Returns
-    -------
-    (N,) friction torque [N.m].
-
-    Raises
-    ------
-    SimulationError
-        If the discretisation is not stable at the log's steps.
+    Inputs are (N,) in [s, rad/s, rad, N.m], `q` and `tau_load` zero by default. `start` has the
+    states at t[0], by default `first_states`. `shown` has `dq`, `q` and `tau_load` for reading the
+    torque, if other than those that move the states. Raises SimulationError if the discretisation
+    is unstable at the log's steps.
     """
     dt, inputs = _arrays(t, (dq, q, tau_load))
     if shown is None:
@@ -127,10 +112,7 @@ def predict(
 def predict_joints(
     laws: Sequence[FrictionLaw], *, t: Array, dq: Array, q: Array, tau_load: Array
 ) -> Array:
-    """Return the (N, n) torques of the laws of n joints over a log.
-
-    Arguments are (N, n); units and errors are those of `predict`.
-    """
+    """Return the (N, n) torques of n joints over a log with (N, n) inputs; see `predict`."""
     dt, inputs = _arrays(t, (dq, q, tau_load))
     found = np.empty(dq.shape)
     runs = [
@@ -161,23 +143,10 @@ def predict_band(
     coverage: float = LEVEL,
     torque: Array,
 ) -> tuple[Array, Array]:
-    """Return the band of the measured friction of a joint over a log.
+    """Return lower and upper end (N,) [N.m] of a joint's band around the predicted `torque` (N,).
 
-    Parameters
-    ----------
-    law : the law of one joint, with a band.
-    t, dq, q, tau_load : (N,) as for `predict`.
-    coverage : share of the rows within the band, from 0.5 to 0.999.
-    torque : (N,) predicted torque [N.m].
-
-    Returns
-    -------
-    Lower and upper end, (N,) each [N.m].
-
-    Raises
-    ------
-    ArtifactError
-        If the law has no band.
+    `coverage` is the share of rows within, 0.5 to 0.999; for the other arguments see `predict`.
+    Raises ArtifactError if the law has no band.
     """
     if law.band is None:
         raise ArtifactError(
@@ -226,17 +195,12 @@ def _run(
 def estimated_start(
     law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array, tau: Array
 ) -> tuple[float, ...]:
-    """Return the start of the states that explains the first `law.start_samples` torques best.
+    """Return the start of the states that best explains the first `law.start_samples` torques.
 
-    A relaxation is searched within the limits that it can reach in the log; stops share one number,
-    their deflection as a share of their bounds. The law's own start is returned if it has no such
-    samples, or if its memory is neither stops nor one relaxation whose parts are independent of
-    its state.
-
-    Parameters
-    ----------
-    law : the law of one joint.
-    t, dq, q, tau_load, tau : (N,) rows of the log [s, rad/s, rad, N.m, N.m]; tau is friction.
+    A relaxation is searched within its reachable limits in the log; stops share one number, their
+    deflection as a share of their bounds. The result is the law's own start if it has no such
+    samples, or if its memory is neither stops nor one relaxation with parts independent of its
+    state. Rows are (N,) in [s, rad/s, rad, N.m, N.m]; `tau` is friction.
     """
     first = slice(0, law.start_samples)
 

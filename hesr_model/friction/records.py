@@ -24,10 +24,10 @@ def predict_record(
     measured_start: bool = False,
     thermal: Thermal | None = None,
 ) -> Array:
-    """Return the (N,) torque [N.m] of a law for a record.
+    """Return the (N,) torque [N.m] of a law for a record, at its temperature if `thermal` is given.
 
     With `measured_start` the initial states are estimated from the first torques, which a
-    simulation does not have. With `thermal` the law follows the record's temperature.
+    simulation does not have.
     """
     start = record_start(law, record) if measured_start and law.start_samples else None
     if thermal:
@@ -39,5 +39,5 @@ def predict_record(
 
 
 def training_error(law: FrictionLaw, records: Sequence[FrictionRecord]) -> float:
-    """Return the RMSE of a law over all rows of the records of its joint [N.m]."""
+    """Return the RMSE [N.m] of a law over all rows of the records of its joint."""
     return rmse(np.concatenate([predict_record(law, r) - r.tau for r in records]))

@@ -1,7 +1,7 @@
-"""The registry of laws, in the order of tables: HESR's laws, then those of other packages.
+"""Registry of laws, in the order of tables: HESR's laws, then those of other packages.
 
-A package brings a law by an entry point of the group `hesr.laws`: the name of the law, and the
-module that registers it (see `docs/add-a-law.md`).
+An entry point of the group `hesr.laws` has the name of a law and the module that registers it (see
+`docs/add-a-law.md`).
 """
 
 from collections.abc import Mapping
@@ -17,13 +17,7 @@ GROUP = "hesr.laws"
 
 @cache
 def load_laws() -> None:
-    """Register all laws.
-
-    Raises
-    ------
-    ConfigError
-        If the law of another package cannot be loaded.
-    """
+    """Register all laws; raise ConfigError if the law of another package cannot be loaded."""
     for plugin in plugins.load(GROUP).values():
         plugin.load()
         if plugin.name not in registered():
@@ -34,13 +28,7 @@ def load_laws() -> None:
 
 
 def registry() -> Mapping[str, type[Estimator]]:
-    """Return all estimators by name, sorted by their `order`, then as they were registered.
-
-    Raises
-    ------
-    ConfigError
-        If the law of another package cannot be loaded.
-    """
+    """Return all estimators by name, sorted by their `order`, then as they were registered."""
     load_laws()
     return dict(sorted(registered().items(), key=lambda item: item[1].order))
 
@@ -62,13 +50,7 @@ def laws_with(fact: str) -> tuple[str, ...]:
 
 
 def estimator(name: str) -> type[Estimator]:
-    """Return the estimator of a name.
-
-    Raises
-    ------
-    ArtifactError
-        If the name is unknown.
-    """
+    """Return the estimator of a name; raise ArtifactError if it is unknown."""
     known = registry()
     if name not in known:
         raise ArtifactError(f"law '{name}' is unknown; known are {', '.join(known)}.")

@@ -1,4 +1,4 @@
-"""One step of a friction law for many motions at once."""
+"""Steps of a friction law for many motions at once."""
 
 from functools import lru_cache
 
@@ -21,13 +21,7 @@ def _kernel(form: LawForm, *, own: bool) -> Kernel:
 
 
 class LawStepper:
-    """Step a law for W motions at once.
-
-    Parameters
-    ----------
-    law : the law of one joint.
-    values : (C, W) coefficients of each motion, in their units; those of the law by default.
-    """
+    """Step a law for W motions at once, with coefficients `values` (C, W) or those of the law."""
 
     def __init__(self, law: FrictionLaw, values: Array | None = None) -> None:
         self._kernel = _kernel(law.form, own=values is None)
@@ -49,21 +43,10 @@ class LawStepper:
     def __call__(
         self, dt: Array, dq: Array, q: Array, tau_load: Array, x: Array
     ) -> tuple[Array, Array]:
-        """Hold inputs over steps and return torque and states at their end.
+        """Hold inputs (W,) in [s, rad/s, rad, N.m] and return torque (W,) [N.m] and states (m, W).
 
-        Parameters
-        ----------
-        dt, dq, q, tau_load : (W,) [s, rad/s, rad, N.m]; dt = 0 reads the torque at `x`.
-        x : (m, W) states before the step, in their units.
-
-        Returns
-        -------
-        (W,) torque [N.m] and (m, W) states.
-
-        Raises
-        ------
-        SimulationError
-            If Euler's step is unstable.
+        `x` (m, W) are the states before; dt = 0 reads the torque there. Raises SimulationError if
+        Euler's step is unstable.
         """
         if self._run is None or self._table.shape[1] != 2 * len(dt):
             self._run = self._bind(len(dt))

@@ -18,13 +18,7 @@ _NAME = re.compile(r"(q|dq|load|tau_load)(\d*)")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionTable:
-    """The motion of some joints.
-
-    Attributes
-    ----------
-    t : (N,) time [s], increasing.
-    q, dq, load : (N, n) position [rad], velocity [rad/s] and load torque [N.m].
-    """
+    """Motion of some joints: `t` (N,) [s]; `q` [rad], `dq` [rad/s], `load` [N.m], (N, n) each."""
 
     t: Array
     q: Array
@@ -32,13 +26,7 @@ class MotionTable:
     load: Array
 
     def records(self, friction: Array, robot_joints: Sequence[str] = ()) -> list[FrictionRecord]:
-        """Return the records of all joints for measured friction (N, n) [N.m].
-
-        Raises
-        ------
-        TableError
-            If the number of columns of `friction` differs.
-        """
+        """Return the records of all joints for measured friction (N, n) [N.m]."""
         n = self.dq.shape[1]
         if friction.shape[1] != n:
             raise TableError(
@@ -61,12 +49,9 @@ class MotionTable:
 
 
 def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
-    """Return a table as numbers (N, P) and the names of its columns, if it has any.
+    """Return a table as numbers (N, P) and the names of its columns, if any.
 
-    Raises
-    ------
-    TableError
-        If it is not a table of finite real numbers, or is empty.
+    Raises TableError if it is empty or not a table of finite real numbers.
     """
     if hasattr(table, "tocsr"):
         raise TableError(f"{name} is a sparse matrix; needed is a dense table.")
@@ -100,13 +85,7 @@ def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
 
 
 def torques(y: Any, rows: int) -> Array:
-    """Return torques as (N, n); those of one joint may be (N,).
-
-    Raises
-    ------
-    TableError
-        If they are missing, not finite, or their number of rows differs.
-    """
+    """Return torques as (N, n), from (N,) for one joint; raise TableError if they do not match."""
     if y is None:
         raise TableError(
             "a table of motion requires y to be passed, but the target y is None; y is the "
@@ -120,18 +99,11 @@ def torques(y: Any, rows: int) -> Array:
 
 
 def motion(values: Array, names: Sequence[str] = ()) -> MotionTable:
-    """Return the motion in the columns of a table.
+    """Return the motion in the columns of a table (N, P) [s, rad, rad/s, N.m].
 
-    Parameters
-    ----------
-    values : (N, P) [s, rad, rad/s, N.m].
-    names : names of the columns: t, dq and optionally q and load, numbered from 1 for several
-        joints. Without names the columns are t, then q, dq and load, each of all joints.
-
-    Raises
-    ------
-    TableError
-        If a column is missing or unknown, or time does not increase.
+    Names are t, dq and optionally q and load, numbered from 1 for several joints. Without names the
+    columns are t, then q, dq and load, each of all joints. Raises TableError if a column is missing
+    or unknown, or time does not increase.
     """
     columns = _by_name(values, names) if names else _in_order(values)
     t, dq = columns["t"][:, 0], columns["dq"]

@@ -3,9 +3,9 @@
     Coulomb     c(T) = c_0 (1 - b_c (T - T_0))       viscous    n(T) = n_0 exp(-b_v (T - T_0))
     heat        x' = (R |tau dq| - x) / T_th         T = T_a + x
 
-The Coulomb factor acts on bounds (`factors`), the viscous one on viscous friction; both are
-limited. T is measured at the joint, or computed for one lumped mass, heated by friction and cooled
-by the ambient. The exponential is Reynolds' law of lubricant viscosity.
+The Coulomb factor acts on bounds (`factors`); both factors are limited. T is measured at the joint,
+or computed for one lumped mass, heated by friction and cooled by the ambient. The exponential is
+Reynolds' law of lubricant viscosity.
 """
 
 from dataclasses import dataclass
@@ -30,23 +30,21 @@ COULOMB_RANGE = 0.5
 VISCOUS_RANGE = 1.5
 """Largest logarithm of the viscous factor: 0.22 to 4.5."""
 
-_LEAST_TIME = 1e-3  # [s]: rates divide by it
+_LEAST_TIME = 1e-3  # [s], rates divide by it
 _LEAST_SCALE = 1e-3  # bounds stay positive
 
 
 @dataclass(frozen=True, kw_only=True)
 class Thermal:
-    """Thermal model of one joint.
+    """Thermal model of one joint, with units as in `_UNITS`.
 
     Attributes
     ----------
     coulomb, viscous : b_c and b_v, temperature coefficients [1/K].
-    coulomb_scale, viscous_scale : c_0 and n_0, factors at the reference.
-    reference : T_0, reference temperature [degC].
+    coulomb_scale, viscous_scale : c_0 and n_0, factors at the reference T_0 [degC].
     resistance, time_constant : R [K/W] (K.s/J) and T_th [s] of the lumped mass; the resistance is 1
         if no temperature was measured.
-    ambient : T_a, ambient temperature [degC].
-    measured : True if temperatures were measured.
+    ambient : T_a [degC].
 
     Raises
     ------
@@ -80,13 +78,10 @@ class Thermal:
         return self.coulomb_scale * coulomb, self.viscous_scale * viscous
 
     def rise(self, power: Array, dt: Array, start: float = 0.0) -> Array:
-        """Return the temperature rise of a joint over the ambient, (N,) [K].
+        """Return the rise (N,) [K] of a joint over the ambient for friction power (N,) [W].
 
-        Parameters
-        ----------
-        power : (N,) friction power [W], held over each step.
-        dt : (N,) step that ends at each row [s]; the first one is not used.
-        start : rise at the first row [K].
+        The power is held over the step `dt` (N,) [s] that ends at each row; `start` [K] is the rise
+        at the first row.
         """
         a = np.exp(-dt / self.time_constant)
         return self.resistance * recurrence(a, (1.0 - a) * power, start / self.resistance)
@@ -129,13 +124,7 @@ def thermal_parameters(thermal: Thermal) -> tuple[Parameter, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Warmth:
-    """A thermal model as expressions of `thermal_parameters`, `TEMPERATURE` and the state.
-
-    Attributes
-    ----------
-    memory : the lumped mass.
-    coulomb, viscous : factors on friction.
-    """
+    """Expressions of a thermal model: its lumped mass, and factors on friction."""
 
     memory: Slow
     coulomb: sympy.Expr
@@ -143,12 +132,7 @@ class Warmth:
 
 
 def warmth(torque: sympy.Expr) -> Warmth:
-    """Return the expressions of a thermal model.
-
-    Parameters
-    ----------
-    torque : friction torque that heats the joint [N.m].
-    """
+    """Return the expressions of a thermal model heated by a friction torque [N.m]."""
     k = {name: sympy.Symbol(f"thermal_{name}", real=True) for name in _UNITS}
     read = clip(sympy.Symbol(THERMOMETER, real=True), 1)
     rate = 1 / larger(k["time_constant"], _LEAST_TIME)

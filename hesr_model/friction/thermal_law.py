@@ -4,7 +4,7 @@
     torque           tau = hysteresis + n(T) v f(v) + ripple + tau_0
     heat             x' = (R |tau dq| - x) / T_th, of the torque at the last sample
 
-The factors on Coulomb and viscous friction of every law (`SCALES`) multiply those of temperature.
+The factors `SCALES` of every law multiply those of temperature.
 """
 
 from collections.abc import Mapping
@@ -33,13 +33,7 @@ from hesr_model.support.arrays import Array
 
 
 def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
-    """Return the equations of a joint with a thermal model.
-
-    Raises
-    ------
-    ExportError
-        If the law has no bound to scale.
-    """
+    """Return the equations of a joint with a thermal model; raise ExportError without a bound."""
     warm = warmth(previous(TORQUE))
     own = parts(law, larger(COULOMB.symbol, LEAST), warm.coulomb)
     # Ripple needs a minimum viscosity.
@@ -71,7 +65,7 @@ def inputs_over(record: FrictionRecord) -> tuple[dict[str, Array], dict[str, flo
 def predict_thermal(
     law: FrictionLaw, thermal: Thermal, record: FrictionRecord, start: tuple[float, ...] | None
 ) -> Array:
-    """Return the (N,) torque [N.m] of a law with a thermal model for a record.
+    """Return the (N,) torque [N.m] of a thermal law for a record.
 
     The initial states are `start`, or steady for the first row if it is None.
     """

@@ -19,18 +19,9 @@ INPUTS = ("dq", "q", "tau_load")
 
 @dataclass(frozen=True, kw_only=True)
 class TrainedRange:
-    """Ranges of one joint in the training records.
+    """Ranges of one joint in its training records [rad/s, rad, N.m]; median `sample_time` [s].
 
-    Attributes
-    ----------
-    sample_time : median sample period [s].
-    dq, q, tau_load : ranges of the inputs [rad/s], [rad], [N.m].
-    tau : range of the friction torque [N.m].
-
-    Raises
-    ------
-    ArtifactError
-        If ranges are not finite or not ordered, or the joint does not move.
+    Raises ArtifactError if ranges are not finite or not ordered, or the joint does not move.
     """
 
     sample_time: float
@@ -78,10 +69,8 @@ class TrainedRange:
 class Excess:
     """Excess of an input over the trained range.
 
-    Attributes
-    ----------
-    rows : share of the rows outside.
-    below, above : largest distance below and above the range, in the unit of the input.
+    `rows` is the share of rows outside; `below` and `above` are the largest distances, in the unit
+    of the input.
     """
 
     rows: float

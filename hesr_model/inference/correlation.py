@@ -8,10 +8,7 @@ from hesr_model.support.arrays import Array
 def standard_errors(jacobian: Array, residual: Array) -> Array:
     """Return the (P,) standard errors of a least-squares solution, in the unknowns' units.
 
-    Parameters
-    ----------
-    jacobian : (N, P) derivatives of the residual.
-    residual : (N,) at the solution.
+    `jacobian` (N, P) and `residual` (N,) are those at the solution.
     """
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-150)
     _, s, vt = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"))
@@ -22,9 +19,9 @@ def standard_errors(jacobian: Array, residual: Array) -> Array:
 
 
 def correlation_length(residual: Array) -> float:
-    """Return the integrated autocorrelation of a residual (N,), in rows.
+    """Return the integrated autocorrelation [rows] of a residual (N,), at least 1.
 
-    At least 1; the sum ends at the first zero crossing.
+    The sum ends at the first zero crossing.
     """
     centred = residual - residual.mean()
     size = 2 ** int(np.ceil(np.log2(2 * len(centred))))

@@ -47,11 +47,10 @@ _RANK = 1e-13
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Covariance:
-    """Covariance of the unknowns of one least-squares problem.
+    """Covariance of the P unknowns of one least-squares problem.
 
     Attributes
     ----------
-    names : names of the unknowns (P,).
     within : (P, P) from the rows of each log, in the unknowns' units.
     between : mean square difference between logs, relative to `within`.
     degrees : number of independent comparisons behind `between`, possibly 0.
@@ -124,12 +123,7 @@ def left_out(jacobian: Array, residual: Array, hessian: Array) -> Array:
     """Return the residual (N,) of each row by an estimate without it.
 
     A few rows around reversals determine some unknowns alone, which hides their errors (MacKinnon
-    and White 1985, HC3).
-
-    Parameters
-    ----------
-    jacobian, residual : (N, P) and (N,), in one unit per that of each unknown.
-    hessian : (P, P) of half the sum of squares of all rows.
+    and White 1985, HC3). `hessian` (P, P) is that of half the sum of squares of all rows.
     """
     leverage = np.sum((jacobian @ _inverse(hessian, hessian)) * jacobian, axis=1)
     return np.asarray(residual / (1.0 - np.minimum(leverage, _MOST_LEVERAGE)))
@@ -151,11 +145,10 @@ def covariance(
     known: Array | None = None,
     carried: Array | None = None,
 ) -> Covariance:
-    """Return the covariance of a least-squares estimate.
+    """Return the covariance of a least-squares estimate of P unknowns.
 
     Parameters
     ----------
-    names : names of the unknowns (P,).
     gradients : (N, P) of half the squared residual of each row at the estimate, in the order of
         time, with leave-one-out residuals (`left_out`).
     hessians : (P, P) share of each label in the Hessian.

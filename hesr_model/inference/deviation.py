@@ -28,14 +28,7 @@ _ALIKE = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
-    """Distance of a value from the others.
-
-    Attributes
-    ----------
-    value, median : in the unit of the values.
-    z : distance in robust standard deviations.
-    p : two-sided probability of this distance by chance.
-    """
+    """Distance of a value from the median: `z` robust standard deviations, two-sided p-value."""
 
     value: float
     median: float
@@ -44,13 +37,9 @@ class Deviation:
 
 
 def deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[Deviation]:
-    """Return the distance of each value from the median of all.
+    """Return the distance of each value from the median of all, at least `ENOUGH`.
 
-    Parameters
-    ----------
-    values : (n,) of one quantity, at least `ENOUGH`.
-    errors : (n,) standard errors in the same unit, None if unknown; a value deviates at most as its
-        own error allows.
+    `errors` are standard errors in the same unit, None if unknown; they limit z.
     """
     x = np.array(values, dtype=float)
     own = np.array([0.0 if error is None else error for error in errors])
@@ -72,13 +61,10 @@ def deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[
 
 @dataclass(frozen=True, kw_only=True)
 class Trend:
-    """A straight line over days, by least squares.
+    """Straight line over days, by least squares.
 
-    Attributes
-    ----------
-    slope : change per day, or per log if logs have no days.
-    change : change from the first to the last day, by the line.
-    p : two-sided probability of this slope by chance, by Student's t.
+    `slope` is per day, or per log if logs have no days; `change` is from the first to the last day,
+    and `p` is two-sided, by Student's t.
     """
 
     slope: float

@@ -1,4 +1,4 @@
-"""Paired test: which of two predictions of the same logs is better, and how certain that is.
+"""Paired test of two predictions of the same logs.
 
 Errors of neighbouring rows are correlated, so rows are summed in units: whole logs if there are at
 least `ENOUGH`, else blocks of time of at least 8 s, longer if residuals are correlated for longer.
@@ -36,13 +36,9 @@ LEVEL = 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class Paired:
-    """Ratio of two root mean squared errors.
+    """Ratio of two RMSEs over all rows, with its 95 % interval; None if there is only one unit.
 
-    Attributes
-    ----------
-    value : first over second, over all rows.
-    low, high : 95 % interval; None if there is only one unit.
-    p : two-sided probability of a ratio as far from 1 if both were equally good.
+    `p` is the two-sided probability of a ratio as far from 1 if both were equally good.
     """
 
     value: float
@@ -54,12 +50,9 @@ class Paired:
 def units(
     above: Sequence[Array], below: Sequence[Array], periods: Sequence[float]
 ) -> tuple[Array, Array]:
-    """Return the sums of squares (units,) of two errors.
+    """Return the sums of squares (units,) of two errors (N,) for each log, in one unit.
 
-    Parameters
-    ----------
-    above, below : errors (N,) of both predictions for each log, in one unit.
-    periods : sample period of each log [s].
+    `periods` are the sample periods of the logs [s].
     """
     if len(above) >= ENOUGH:
         whole = [np.array([float(e @ e) for e in of]) for of in (above, below)]
@@ -112,9 +105,9 @@ def compare_errors(
 
 @lru_cache(maxsize=8)
 def _resamples(count: int) -> tuple[Array, int, Array]:
-    """Return exchanges (F, count) of units, how many of them stand for the observation, and draws.
+    """Return exchanges (F, count) of units, the number equal to the observation, and draws.
 
-    Cached by the number of units: they take longer than a comparison.
+    They are cached by the number of units because they take longer than a comparison.
     """
     rng = np.random.default_rng(0)
     if 2**count <= DRAWS:

@@ -36,15 +36,11 @@ class ExcitationSettings(Config):
 
     Attributes
     ----------
-    harmonics : number of harmonics, at least 2: rest at the start takes one coefficient of each
-        kind.
+    harmonics : at least 2: rest at the start takes one coefficient of each kind.
     period : shortest and longest period [s]; optimised in between.
-    periods : number of periods.
     starts : number of random starts of the search.
-    seed : seed of the starts.
     sample_rate : rate of the setpoints [Hz]; a period is a whole number of them. By default the
         logs' rate, or 200.
-    limits : limits of the motion; `MotionLimits` has the defaults.
     """
 
     harmonics: int = Field(default=10, ge=2)
@@ -65,14 +61,12 @@ class ExcitationSettings(Config):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Excitation:
-    """A designed motion.
+    """Designed motion, at rest at both ends; `motion.time_reversed()` is its counterpart.
 
     Attributes
     ----------
-    motion : at rest at both ends; `motion.time_reversed()` is its counterpart.
     condition : condition number of W_b, see `condition`.
     sample_rate : rate of the setpoints [Hz].
-    limits : limits that the motion keeps.
     peak_torque : (n,) largest absolute torque [N.m] of the model file's rigid body, without
         friction.
     """
@@ -90,13 +84,9 @@ class Excitation:
 
 
 def condition(model: RobotModel, base: tuple[int, ...], motion: Fourier) -> float:
-    """Return the condition number of W_b: base columns over one period, in SI, unscaled.
+    """Return the condition number of W_b: `base` columns over one period, in SI, unscaled.
 
     Time reversal leaves W_b unchanged, because rigid-body torque is even in velocity.
-
-    Parameters
-    ----------
-    base : indices of the base columns, see `base_parameters.base_columns`.
     """
     t = np.linspace(0.0, motion.period, _SAMPLES, endpoint=False)
     columns = model.regressor(*motion.sample(t))[:, :, list(base)]
@@ -113,19 +103,8 @@ def design(
 
     From random admissible motions L-BFGS-B descends a smooth bound of the condition number with
     penalties for exceeded limits. The best of these motions is refined, and shrunk until every
-    limit holds at every instant.
-
-    Parameters
-    ----------
-    settings : limits, harmonics, periods; None for the defaults.
-    progress : called with the number of finished descents.
-
-    Raises
-    ------
-    RobotError
-        If the limits do not fit the robot.
-    FitError
-        If they admit no motion.
+    limit holds at every instant. Raises RobotError if the limits do not fit the robot, FitError if
+    they admit no motion.
     """
     settings = settings or ExcitationSettings()
     rate = settings.sample_rate or model.description.log.sample_rate or _USUAL_RATE

@@ -2,8 +2,8 @@
 
 Position, velocity and acceleration of a Fourier motion are linear in its coefficients, and the
 regressor depends on these three at one instant only. Its derivatives therefore need one finite
-difference per joint and quantity, for all instants at once; everything else has a closed form. A
-gradient costs 3 n + 1 regressors, whatever the number of coefficients.
+difference per joint and quantity, for all instants at once. A gradient costs 3 n + 1 regressors,
+whatever the number of coefficients.
 """
 
 from dataclasses import dataclass
@@ -31,11 +31,10 @@ _SINGULAR = 1e-14
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Search:
-    """Fourier motions at rest at both ends, as vectors.
+    """Fourier motions at rest at both ends, with a range of periods [s], as vectors.
 
     A vector contains, joint by joint, H - 1 coordinates of `a` and H - 1 of `b` in units of the
     joint's speed, then the mean positions from -1 to 1 within their limits, then ln(period).
-    `period` is the range of the periods [s].
     """
 
     model: RobotModel
@@ -93,10 +92,10 @@ class Search:
         )
 
     def value_and_gradient(self, x: Array, weight: float) -> tuple[float, Array]:
-        """Return the log of a bound of cond(W_b), plus `weight` times the mean squared excess.
+        """Return the log of a bound of cond(W_b) plus `weight` times the mean squared excess.
 
         The excess is the part of |q - middle|, |dq|, |ddq| and |tau| above their limits, relative
-        to them. The gradient is with respect to the coordinates x, (coordinates,) without unit.
+        to them. The gradient is with respect to the coordinates x.
         """
         shape, offset, period = self._split(x)
         rate = 2 * np.pi / period

@@ -60,13 +60,9 @@ class MotionLimits(Config):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Limits:
-    """Limits of every joint of one robot, (n,) each, in its units.
+    """Limits (n,) of one robot's joints [rad or m]; speed, acceleration and torque are absolute.
 
-    Attributes
-    ----------
-    lower, upper : position [rad or m].
-    velocity, acceleration : absolute values [rad/s, rad/s2].
-    torque : absolute value [N.m or N]; infinite without limit.
+    `torque` is infinite without limit.
     """
 
     lower: Array
@@ -79,10 +75,8 @@ class Limits:
     def of(cls, model: RobotModel, given: MotionLimits) -> Self:
         """Return the limits, with the model's values for those that are None.
 
-        Raises
-        ------
-        RobotError
-            If a list has not one entry per joint, or a position is outside the joint's range.
+        Raises RobotError if a list has not one entry per joint, or a position is outside the
+        joint's range.
         """
         _require_one_per_joint(model, given)
         lowest, highest, speed = model.limits
@@ -154,7 +148,7 @@ class Limits:
     def rest(self, model: RobotModel) -> Array:
         """Return the position (n,) [rad] with the smallest gravity relative to the torque limits.
 
-        Raise FitError if gravity alone exceeds a limit everywhere.
+        Raises FitError if gravity alone exceeds a limit everywhere.
         """
         places = np.random.default_rng(0).uniform(self.lower, self.upper, (_RESTS, model.n))
         places[0] = 0.5 * (self.lower + self.upper)

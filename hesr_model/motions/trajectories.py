@@ -26,7 +26,7 @@ _POINTS_PER_CYCLE = 256
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory(ABC):
-    """A motion of n joints over a finite time."""
+    """Motion of n joints over a finite time."""
 
     @property
     @abstractmethod
@@ -35,16 +35,9 @@ class Trajectory(ABC):
 
     @abstractmethod
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return position, velocity and acceleration at the times `t`.
+        """Return q, dq and ddq, (N, n) each [rad, rad/s, rad/s2], at times `t` (N,) [s].
 
-        Parameters
-        ----------
-        t : (N,) [s], from 0 to `duration`; outside, periodic motions continue and others rest.
-
-        Returns
-        -------
-        tuple of ndarray
-            q, dq, ddq, (N, n) each [rad, rad/s, rad/s2].
+        Before 0 and after `duration` periodic motions continue and others rest.
         """
 
     def time_reversed(self) -> "Trajectory":
@@ -54,12 +47,7 @@ class Trajectory(ABC):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reversed(Trajectory):
-    """A time-reversed motion.
-
-    Attributes
-    ----------
-    forward : the original motion.
-    """
+    """Time-reversed motion."""
 
     forward: Trajectory
 
@@ -80,26 +68,15 @@ class Reversed(Trajectory):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fourier(Trajectory):
-    """Finite Fourier series, periodic (paper, section III-B).
+    """Finite Fourier series, periodic (paper, section III-B), from coefficients (n, H) [rad/s].
 
-    With w = 2 pi / period and k = 1..H::
+    With w = 2 pi / period [1/s] and k = 1..H::
 
         dq = sum_k a_k cos(k w t) + b_k sin(k w t)
         q  = offset + sum_k (a_k sin(k w t) - b_k cos(k w t)) / (k w)
 
-    It starts and ends at rest and without acceleration: sum_k a_k = 0 and sum_k k b_k = 0.
-
-    Attributes
-    ----------
-    offset : (n,) mean position over a period [rad].
-    a, b : (n, H) [rad/s].
-    period : period [s].
-    periods : number of periods.
-
-    Raises
-    ------
-    ConfigError
-        If a joint does not start at rest.
+    It starts and ends at rest and without acceleration: sum_k a_k = 0 and sum_k k b_k = 0. Raises
+    ConfigError if a joint does not start at rest.
     """
 
     offset: Array
@@ -148,16 +125,9 @@ def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sine(Trajectory):
-    """Sine of one frequency.
+    """Sine of one frequency [Hz] and peak velocity `amplitude` (n,) [rad/s], 0 for a resting joint.
 
     dq = amplitude sin(w t) and q = offset - amplitude / w cos(w t), w = 2 pi frequency.
-
-    Attributes
-    ----------
-    offset : (n,) mean position [rad].
-    amplitude : (n,) peak velocity [rad/s]; 0 for a resting joint.
-    frequency : frequency [Hz].
-    periods : number of periods.
     """
 
     offset: Array
@@ -180,7 +150,7 @@ class Sine(Trajectory):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sweep(Trajectory):
-    """Rising frequency with a varying amplitude.
+    """Rising frequency [Hz] with a varying peak velocity (n,) [rad/s].
 
     In formulas::
 
@@ -188,22 +158,8 @@ class Sweep(Trajectory):
         phi   = 2 pi (first t + (last - first) t^2 / (2 length))
 
     The position is the exact integral, by Fresnel's functions. The joint rests before t = 0 and
-    after the length.
-
-    Attributes
-    ----------
-    start : (n,) position at t = 0 [rad].
-    amplitude, swing : (n,) mean and variation of the peak velocity [rad/s]; both 0 for a resting
-        joint.
-    phase : (n,) phase of the variation [rad].
-    swing_period : period of the variation [s].
-    first, last : frequencies at the start and at the end [Hz], last > first.
-    length : duration of the sweep [s].
-
-    Raises
-    ------
-    ConfigError
-        If the frequency does not rise.
+    after the length [s]; amplitude and swing are 0 for a resting joint. Raises ConfigError if the
+    frequency does not rise.
     """
 
     start: Array
@@ -247,12 +203,7 @@ class Sweep(Trajectory):
 
 
 def chirp(*, start: Array, amplitude: Array, first: float, last: float, length: float) -> Sweep:
-    """Return a sweep of constant peak velocity: dq = amplitude sin(phi(t)).
-
-    Parameters
-    ----------
-    start, amplitude, first, last, length : as in `Sweep`.
-    """
+    """Return a sweep of constant peak velocity: dq = amplitude sin(phi(t))."""
     none = np.zeros_like(amplitude)
     return Sweep(
         start=start,
@@ -275,23 +226,12 @@ def random_fourier(
     offset: Array,
     periods: int = 1,
 ) -> Fourier:
-    """Draw a Fourier motion with given peak velocities.
+    """Draw a Fourier motion with peak velocities (n,) [rad/s].
 
     The coefficients are normal numbers of `hesr_model.logs.noise`, so a seed gives the same motion
-    on every machine. They are projected onto motions that start at rest, and scaled.
-
-    Parameters
-    ----------
-    seed : any integer.
-    harmonics : H, at least 2: rest at the start takes one degree of freedom from `a` and from `b`.
-    period, periods : as in `Fourier`.
-    peak_velocity : (n,) largest absolute velocity [rad/s].
-    offset : (n,) mean position [rad].
-
-    Raises
-    ------
-    ConfigError
-        If there are fewer than 2 harmonics.
+    on every machine. They are projected onto motions that start at rest, and scaled. Raises
+    ConfigError for fewer than 2 harmonics: rest at the start takes one degree of freedom each from
+    `a` and `b`.
     """
     if harmonics < 2:
         raise ConfigError(f"random Fourier motion: {harmonics} harmonics; at least 2 are needed.")
@@ -310,7 +250,7 @@ def random_fourier(
 def _quadratic_phase_integral(
     phase: Array | float, rate: float, slope: float, t: Array
 ) -> NDArray[np.complex128]:
-    """Integral from 0 to t of exp(i (phase + rate s + slope s^2 / 2)) ds, for slope > 0.
+    """Return the integral from 0 to t of exp(i (phase + rate s + slope s^2 / 2)) ds, for slope > 0.
 
     Completing the square turns it into Fresnel's C + i S (Abramowitz and Stegun 7.3).
     """
