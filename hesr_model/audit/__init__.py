@@ -1,1 +1,1 @@
-"""What a law must be known for before it is trusted."""
+"""Audit of friction laws."""

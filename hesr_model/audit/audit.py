@@ -1,12 +1,10 @@
 """Audit of a friction law: dissipation, stiffness at rest and range of the torque.
 
-A law may predict torque well and still not be friction: published laws drive the joint at low
-speed, generate energy, chatter on encoder noise or explode just outside their training data. The
-audit measures this at the law's own sample time and discretisation.
+Published laws drive the joint at low speed, generate energy, chatter on encoder noise or explode
+just outside their training data. The audit measures this at the law's own sample time.
 
-A constant offset, or any torque of position alone, can drive the joint without generating net
-energy. Steady sliding is therefore reported with them (`driving`) and without
-(`driving_both_ways`); over closed cycles they do no work.
+Torques of position alone, such as an offset, can drive the joint without generating net energy in a
+closed cycle, so steady sliding is audited with them (`driving`) and without (`driving_both_ways`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,13 +29,12 @@ from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import Range, TrainedRange
 from hesr_model.support.arrays import Array
 
-SLOWEST = 1e-3
-"""Slowest steady speed, relative to the largest trained speed."""
-REACH = 1.5
-"""Range outside the training data, relative to trained speed and half range of load."""
+SLOWEST = 1e-3  # slowest steady speed, relative to the largest trained speed
+REACH = 1.5  # range outside the training data, relative to trained speed and half range of load
 EXPLODES = 2.5
 """Largest torque within that range, relative to the largest trained one. Viscous friction gives up
-to 1.5, quadratic or load-dependent viscous friction 2.25."""
+to 1.5, quadratic or load-dependent viscous friction 2.25.
+"""
 _STEADY = 1e6  # [s] step to steady sliding, even at the slowest speed
 _POSITIONS = 32  # positions to average the steady torque over, if the law uses position
 _NUMERICAL = 1e-9  # [N.m] smaller differences are round-off
@@ -46,37 +43,18 @@ _SMALL, _SMALLER = 1e-6, 1e-9  # [rad/s] distances from rest, too small for curv
 
 @dataclass(frozen=True, kw_only=True)
 class Audit:
-    """Figures of an audit.
+    """Results of an audit."""
 
-    Attributes
-    ----------
-    driving : velocity ranges [rad/s] with steady sliding torque tau dq < 0 at a trained load,
-        including offsets.
-    driving_both_ways : speed ranges [rad/s] with |dq| (tau(|dq|) - tau(-|dq|)) / 2 < 0 in steady
-        sliding, excluding offsets.
-    generated : largest energy generated in a closed cycle of the grid [J], 0 for a passive law.
-    generating : the cycle of `generated`, None for a passive law.
-    jump : step of the torque across zero velocity [N.m].
-    slope : d tau / d dq at rest for constant start states [N.m.s/rad]; None if the torque jumps.
-        Explicit coupling to an inertia J needs a step of at most 2 J / slope.
-    slope_of_step : the same for a velocity held over one sample, with moving states.
-    chatter : standard deviation of the torque at rest [N.m] for white encoder noise of `ENCODER`
-        and its backward difference as velocity.
-    largest : largest |tau| [N.m] within trained speeds and loads.
-    largest_outside : largest |tau| [N.m] up to `REACH` times beyond; None if not finite.
-    explodes : True if `largest_outside` disqualifies the law.
-    """
-
-    driving: tuple[Range, ...]
-    driving_both_ways: tuple[Range, ...]
-    generated: float
-    generating: Cycle | None
-    jump: float
-    slope: float | None
-    slope_of_step: float | None
-    chatter: float
-    largest: float
-    largest_outside: float | None
+    driving: tuple[Range, ...]  # [rad/s] with steady torque tau dq < 0
+    driving_both_ways: tuple[Range, ...]  # [rad/s] with tau(|dq|) < tau(-|dq|)
+    generated: float  # [J] largest energy of a closed cycle, 0 for a passive law
+    generating: Cycle | None  # its cycle
+    jump: float  # [N.m] step of the torque across zero velocity
+    slope: float | None  # [N.m.s/rad] d tau / d dq at rest; explicit steps <= 2 J / slope
+    slope_of_step: float | None  # with moving states, for a velocity held over one sample
+    chatter: float  # [N.m] standard deviation at rest with noise `ENCODER`
+    largest: float  # [N.m] largest |tau| within trained speeds and loads
+    largest_outside: float | None  # up to `REACH` times beyond; None if not finite
     explodes: bool
 
 
@@ -92,15 +70,7 @@ class _Response:
 def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
     """Audit the law of one joint.
 
-    Parameters
-    ----------
-    law : any law; unused inputs are left out of the grid.
-    trained : ranges of its training records.
-
-    Raises
-    ------
-    SimulationError
-        If the torque is not finite or the discretisation is unstable within the trained range.
+    Raises SimulationError if the torque is not finite or the discretisation unstable when trained.
     """
     loads = loads_of(law, trained)
     responses = list(_responses(law, trained, np.multiply(AMPLITUDES, trained.speed), loads))
@@ -131,19 +101,12 @@ def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
 
 
 def explodes(law: FrictionLaw, trained: TrainedRange) -> bool:
-    """Return True if the torque just outside the trained range is too large or not finite.
-
-    The largest |tau| over cycles up to `REACH` times the trained speed and load is compared with
-    `EXPLODES` times the largest trained |tau|. Searches refuse such candidates.
-    """
+    """Return True if |tau| just outside the trained range exceeds `EXPLODES` times its maximum."""
     return _too_large(_largest_outside(law, trained), trained)
 
 
 def loads_of(law: FrictionLaw, trained: TrainedRange, reach: float = 1.0) -> tuple[float, ...]:
-    """Return the minimum, the smallest and the maximum load; one load if the law uses none.
-
-    In between, friction usually depends monotonically on the load.
-    """
+    """Return the minimum, the smallest and the maximum load [N.m]; one if the law uses none."""
     low, high = trained.tau_load
     beyond = (reach - 1.0) * (high - low) / 2.0
     smallest = min(max(0.0, low), high)
@@ -252,7 +215,6 @@ def _at_rest(
 
 
 def _chatter(law: FrictionLaw, trained: TrainedRange, load: float) -> float:
-    """Return the standard deviation [N.m] of the torque at rest under encoder noise."""
     dq, q, settling = encoder_noise(trained)
     t = trained.sample_time * np.arange(len(dq), dtype=float)
     return float(np.std(_run(law, t, dq, q, load)[settling:]))

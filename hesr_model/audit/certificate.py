@@ -2,8 +2,7 @@
 
 A storage function S >= 0 with tau dq >= dS for every motion proves that a law never generates
 energy. Here S is a sum of k x^2 over stops and bristles, tau is read after the states have moved,
-and dq = v dt is the displacement of the step. Torques of position alone (an offset, ripple without
-lag) are left out, since they do no work over closed paths.
+and dq = v dt is the displacement of the step. Torques of position alone are left out.
 
     stop       F x, F >= 0                 S = F w x^2 / 2, any step: a clip is a projection on a
                                            set that contains 0, for any change of its bound
@@ -42,23 +41,13 @@ _STEPS = np.geomspace(1e-6, 10.0, 141)  # [s] candidates of the largest certifie
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """Result of the passivity analysis of a law.
-
-    Attributes
-    ----------
-    verdict : proven, refuted by `cycle`, or open.
-    storage : storage function as text; empty without a proof.
-    rests_on : numeric conditions of the proof as text; for other laws the one that failed.
-    largest_step : largest step with a proof for the sampled law [s], inf for any step; None for a
-        proof in continuous time only, or no proof.
-    cycle : cycle with net energy.
-    """
+    """Result of the passivity analysis of a law."""
 
     verdict: ProofVerdict
-    storage: str = ""
-    rests_on: tuple[str, ...] = ()
-    largest_step: float | None = None
-    cycle: Attack | None = None
+    storage: str = ""  # storage function; empty without a proof
+    rests_on: tuple[str, ...] = ()  # conditions of the proof, or the one that failed
+    largest_step: float | None = None  # [s] with a proof, inf for any; None in continuous time
+    cycle: Attack | None = None  # a cycle with net energy
 
 
 _NOT_LINEAR = "what {} is multiplied by depends on inputs or states"
@@ -69,13 +58,7 @@ class _UnprovenError(Exception):
 
 
 def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
-    """Prove the passivity of a law, refute it by a cycle, or return the open condition.
-
-    Parameters
-    ----------
-    law : the law of one joint.
-    trained : ranges for the search of cycles; a proof holds for all inputs.
-    """
+    """Prove the passivity of a law, refute it by a cycle, or return the open condition."""
     try:
         return _Proof(law).certificate()
     except _UnprovenError as reason:
@@ -86,10 +69,9 @@ def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
 
 
 def least_viscosity(law: FrictionLaw) -> float:
-    """Return the smallest factor on the viscous friction of a law that keeps its proof.
+    """Return the smallest factor on the viscous friction that keeps the proof; 0 without a proof.
 
-    The factor may vary freely above it, since dissipation is compared with the requirement of
-    ripple and bristles at each moment. 0 for a law without a proof.
+    The factor may vary freely above it: dissipation exceeds its requirement at each moment.
     """
     proof = _Proof(law)
     try:
@@ -100,10 +82,7 @@ def least_viscosity(law: FrictionLaw) -> float:
 
 
 def storage(law: FrictionLaw) -> Mapping[str, float]:
-    """Return the factor k of k x^2 of each state in the storage function of a proven law.
-
-    Its unit is J per square of the state's unit; it is 0 for states without a term.
-    """
+    """Return k of k x^2 [J per square of its unit] of each state in the storage of a proven law."""
     proof = _Proof(law)
     proof.certificate()
     return {m.name: proof.stored.get(m.name, 0.0) for m in law.form.memory}

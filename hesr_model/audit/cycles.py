@@ -1,7 +1,4 @@
-"""Test motions of laws: closed cycles, whose work must be positive, and rest with encoder noise.
-
-The audit runs laws over them, the physics checks the same laws as FMUs.
-"""
+"""Test motions: closed cycles, whose work must be positive, and rest with encoder noise."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,11 +11,10 @@ from hesr_model.support.arrays import Array
 
 FREQUENCIES = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
 """Frequencies of the closed cycles [Hz]. Laws that drive at low speed generate more energy per slow
-cycle: Table I 12 and 21 J on joints 1 and 2 at 0.05 Hz, 63 and 104 J at 0.01 Hz."""
-AMPLITUDES = (1 / 100, 1 / 20, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0)
-"""Velocity amplitudes of the cycles, relative to the largest trained speed."""
-ENCODER = 20e-6
-"""RMS noise of the encoder at rest [rad]."""
+cycle: Table I 12 and 21 J on joints 1 and 2 at 0.05 Hz, 63 and 104 J at 0.01 Hz.
+"""
+AMPLITUDES = (1 / 100, 1 / 20, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0)  # of the trained speed
+ENCODER = 20e-6  # [rad] RMS noise of the encoder at rest
 
 _SETTLING = 3.0  # [s] before the measured cycle: several time constants of the states
 _NOISE_ROWS = 4000
@@ -27,56 +23,32 @@ _ROUNDING = 1e-9  # share of the work below which it is round-off
 
 @dataclass(frozen=True, kw_only=True)
 class Cycle:
-    """A motion dq = amplitude cos(2 pi frequency t) at a load, and the law's work in it.
+    """A motion dq = amplitude cos(2 pi frequency t) at a load, and the law's work in it."""
 
-    Attributes
-    ----------
-    amplitude : amplitude of the velocity [rad/s].
-    frequency : sampled frequency [Hz].
-    tau_load : load torque [N.m].
-    work : energy dissipated by the law in one settled cycle [J]; negative if generated.
-    share : work over the integral of |tau dq|, from 1 (a brake) to -1 (a motor).
-    swing : amplitude of the load about `tau_load`, at twice the frequency [N.m].
-    """
-
-    amplitude: float
-    frequency: float
-    tau_load: float
-    work: float
-    share: float
-    swing: float = 0.0
+    amplitude: float  # [rad/s]
+    frequency: float  # [Hz]
+    tau_load: float  # [N.m]
+    work: float  # [J] dissipated in one settled cycle; negative if generated
+    share: float  # work over the integral of |tau dq|, from 1 (a brake) to -1 (a motor)
+    swing: float = 0.0  # [N.m] amplitude of the load at twice the frequency
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedMotions:
-    """Settling and one closed cycle of `rows` rows at one frequency, for each amplitude.
+    """Settling and one closed cycle of `rows` rows at one frequency, for each of A amplitudes."""
 
-    Attributes
-    ----------
-    amplitudes : (A,) amplitudes of the velocity [rad/s].
-    frequency : sampled frequency [Hz].
-    rows : rows of the last cycle.
-    dq, q : (A, K) velocity [rad/s] and position [rad].
-    """
-
-    amplitudes: Array
-    frequency: float
+    amplitudes: Array  # (A,) [rad/s]
+    frequency: float  # [Hz]
     rows: int
-    dq: Array
-    q: Array
+    dq: Array  # (A, K) [rad/s]
+    q: Array  # (A, K) [rad]
 
 
 def closed_motions(trained: TrainedRange, amplitudes: Array, wanted: float) -> ClosedMotions:
-    """Return motions dq = amplitude cos(2 pi f t) around the middle of the trained positions.
+    """Return motions of (A,) amplitudes [rad/s] at about `wanted` [Hz] around the middle position.
 
     Samples are symmetric, so each position occurs once at dq and once at -dq: the work of a torque
     of position alone, such as motor ripple, sums to exactly 0.
-
-    Parameters
-    ----------
-    trained : sample time and range of position.
-    amplitudes : (A,) amplitudes of the velocity [rad/s].
-    wanted : frequency [Hz], rounded to an integer number of samples in half a cycle.
     """
     half = max(4, round(0.5 / (wanted * trained.sample_time)))
     settling = half * max(1, round(2.0 * wanted * _SETTLING))
@@ -93,14 +65,7 @@ def closed_motions(trained: TrainedRange, amplitudes: Array, wanted: float) -> C
 
 
 def cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Iterator[Cycle]:
-    """Yield the work in the last cycle of each amplitude.
-
-    Parameters
-    ----------
-    motions : the motions.
-    tau_load : constant load [N.m].
-    tau : (A, K) torque of the law [N.m].
-    """
+    """Yield the work of `tau` (A, K) [N.m] in the last cycle of each amplitude."""
     dt = 1.0 / (motions.frequency * motions.rows)
     power = (tau * motions.dq)[:, -motions.rows :]
     for amplitude, row in zip(motions.amplitudes, power, strict=True):
@@ -117,12 +82,9 @@ def cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Iterator[Cycl
 
 
 def encoder_noise(trained: TrainedRange) -> tuple[Array, Array, int]:
-    """Return encoder readings of a joint at rest at the middle of the trained positions.
+    """Return velocity (K,) [rad/s] and position (K,) [rad] of a noisy encoder at rest.
 
-    Returns
-    -------
-    (K,) velocity [rad/s], the backward difference of white noise of `ENCODER`; (K,) position [rad];
-    and the number of rows for settling.
+    The third value is the number of rows for settling.
     """
     settling = round(_SETTLING / trained.sample_time)
     noise = ENCODER * standard_normal(0, 0, np.arange(settling + _NOISE_ROWS + 1))

@@ -1,35 +1,19 @@
-"""Expected properties of friction: thirteen experiments with limits and sources.
-
-A law passes if it has a property within its limit. No law needs all of them; users need to know
-which ones are missing.
-"""
+"""Expected properties of friction: experiments, limits and sources. No law needs all of them."""
 
 from dataclasses import dataclass
 
-SMOOTH = 0.1
-"""Largest jump of the torque at a pre-sliding reversal, relative to the height of the loop."""
-RATE = 0.2
-"""Largest change of a pre-sliding loop at a tenth of the speed, relative to its area."""
-CLOSED = 0.02
-"""Largest closing error of an inner loop, relative to the height of the outer one."""
-INNER = 0.95
-"""Largest height of an inner loop with memory, relative to the outer one."""
-BEGINS = 0.05
-"""Largest deviation of the first torque in motion from the steady one, relative to friction."""
-FALLS = 0.01
-"""Smallest relative fall of the break-away torque from the slowest to the fastest ramp."""
-WIDTH = 0.01
-"""Smallest width of the loop of frictional lag, relative to the friction level."""
-WEAKENING = 0.05
-"""Smallest fall of the steady torque with speed that causes stick-slip, relative to the level."""
-HELD = 10e-6
-"""Largest drift of a joint at rest within a minute [rad]: half the noise of an encoder."""
-QUIET = 0.1
-"""Largest chatter at rest, relative to the friction level."""
-PASSIVE = 1e-6
-"""Round-off of the energy per closed cycle [J]."""
-STEP = 1e-3
-"""Smallest useful step of explicit coupling [s]: the period of a robot's servo."""
+SMOOTH = 0.1  # largest jump at a reversal, relative to the height of the loop
+RATE = 0.2  # largest change of a loop at a tenth of the speed, relative to its area
+CLOSED = 0.02  # largest closing error of an inner loop, relative to the height of the outer one
+INNER = 0.95  # largest height of an inner loop with memory, relative to the outer one
+BEGINS = 0.05  # largest deviation of the first torque from the steady one, relative to friction
+FALLS = 0.01  # smallest relative fall of the break-away torque from slowest to fastest ramp
+WIDTH = 0.01  # smallest width of the loop of frictional lag, relative to the friction level
+WEAKENING = 0.05  # smallest relative fall of the steady torque with speed that causes stick-slip
+HELD = 10e-6  # [rad] largest drift within a minute: half the noise of an encoder
+QUIET = 0.1  # largest chatter at rest, relative to the friction level
+PASSIVE = 1e-6  # [J] round-off of the energy per closed cycle
+STEP = 1e-3  # [s] smallest useful step of explicit coupling: the period of a robot's servo
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,29 +27,16 @@ class Source:
 
 @dataclass(frozen=True, kw_only=True)
 class Expectation:
-    """A property of friction: experiment and expectation.
-
-    Attributes
-    ----------
-    key : name in results.
-    title : usual name of the property.
-    short : heading of its column.
-    shows : name of the figure in tables.
-    unit : unit of the figure in tables.
-    factor : factor from the SI value to this unit.
-    measured : the experiment.
-    expected : condition for a pass.
-    sources : literature.
-    """
+    """A property of friction: experiment and expectation."""
 
     key: str
     title: str
-    short: str
-    shows: str
-    unit: str
-    factor: float = 1.0
-    measured: str
-    expected: str
+    short: str  # heading of its column
+    shows: str  # name of the figure in tables
+    unit: str  # of the figure
+    factor: float = 1.0  # from the SI value to this unit
+    measured: str  # the experiment
+    expected: str  # condition for a pass
     sources: tuple[Source, ...]
 
 
@@ -337,5 +308,4 @@ _ALL = (
     ),
 )
 
-EXPECTATIONS = {expectation.key: expectation for expectation in _ALL}
-"""Expectations by key, in the order of tables."""
+EXPECTATIONS = {expectation.key: expectation for expectation in _ALL}  # in the order of tables

@@ -1,8 +1,4 @@
-"""Results of the physics checks and their file.
-
-The experiments run FMUs and are in `cosim.properties`; the limits are in
-`hesr_model.audit.expectations`.
-"""
+"""Results of the physics checks and their file; the experiments are in `cosim.properties`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -20,7 +16,6 @@ FORMAT = "hesr-friction-properties-1"
 PropertyVerdict = Literal["pass", "fail", "not applicable", "not run"]
 """Not applicable: the check has no meaning for the law, which is not a defect."""
 MARKS = {"pass": "✓", "fail": "✗", "not applicable": "n/a", "not run": "–"}
-"""Verdicts in tables."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +38,7 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class Plot:
-    """A small plot: names of its axes, its lines, and the units of the axes."""
+    """A small plot with the names and units of its axes."""
 
     x: str
     y: str
@@ -59,18 +54,10 @@ class Plot:
 
 @dataclass(frozen=True, kw_only=True)
 class PropertyResult:
-    """Result of one experiment on one joint.
-
-    Attributes
-    ----------
-    verdict : verdict on the property.
-    figures : measured values; tables show the first one.
-    reason : reason or remark in one or two sentences.
-    plot : plot of the experiment.
-    """
+    """Result of one experiment on one joint."""
 
     verdict: PropertyVerdict
-    figures: tuple[Figure, ...] = ()
+    figures: tuple[Figure, ...] = ()  # tables show the first one
     reason: str = ""
     plot: Plot | None = None
 
@@ -99,42 +86,23 @@ def _every(findings: Mapping[str, PropertyResult]) -> Mapping[str, PropertyResul
 
 @dataclass(frozen=True, kw_only=True)
 class JointProperties:
-    """All results of one joint, and the scales of the experiments.
-
-    Attributes
-    ----------
-    joint : name of the joint.
-    speed : largest trained speed or its substitute [rad/s].
-    level : friction level [N.m]: absolute half difference of the steady torques at plus and minus
-        a tenth of the speed.
-    deflection : amplitude of pre-sliding motions [rad].
-    inertia : inertia of the joint [kg.m2]; None if unknown.
-    findings : results by key of the property.
-    """
+    """All results of one joint, and the scales of the experiments."""
 
     joint: str
-    speed: float
-    level: float
-    deflection: float
-    inertia: float | None
-    findings: Annotated[Mapping[str, PropertyResult], AfterValidator(_every)]
+    speed: float  # [rad/s] largest trained one or its substitute
+    level: float  # [N.m] half difference of the steady torques at a tenth of the speed, both ways
+    deflection: float  # [rad] amplitude of pre-sliding motions
+    inertia: float | None  # [kg.m2]
+    findings: Annotated[Mapping[str, PropertyResult], AfterValidator(_every)]  # by key
 
 
 @dataclass(frozen=True, kw_only=True)
 class Properties:
-    """Results of the laws of a friction model.
+    """Results of the laws of a friction model."""
 
-    Attributes
-    ----------
-    law : name of the model's law, or of the FMU if it contains no model.
-    robot : name of the robot; empty if unknown.
-    tau_load : default load torque of every joint [N.m].
-    joints : results of each joint.
-    """
-
-    law: str
-    robot: str
-    tau_load: float
+    law: str  # or name of the FMU
+    robot: str  # empty if unknown
+    tau_load: float  # [N.m] default of every joint
     joints: tuple[JointProperties, ...]
 
     @property
@@ -164,12 +132,6 @@ def write_properties(path: Path, found: Mapping[str, Properties]) -> None:
 
 
 def read_properties(path: Path) -> dict[str, Properties]:
-    """Read a file of `write_properties`.
-
-    Raises
-    ------
-    ArtifactError
-        If the file cannot be read, or a key or value is missing or invalid.
-    """
+    """Read a file of `write_properties`."""
     found = from_json(_File, read_json(path, FORMAT), path, "findings of the property battery")
     return dict(found.laws)

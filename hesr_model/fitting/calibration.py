@@ -5,10 +5,9 @@ of a law on a log outside its training data are
 
     e_k + J_k (H - H_k)^-1 J_k' e_k,    H = sum over logs H_k = J_k' J_k
 
-with blocks of time in place of logs if there is only one. Their variance is that of the
-coefficients, extrapolated by `band.shapes` beyond the trained speeds and loads, plus noise, found
-by maximum likelihood of normal errors with non-negative shares. The result is scaled to contain
-95 % of these errors.
+or with blocks of time of a single log. Their variance is that of the coefficients, extrapolated by
+`band.shapes`, plus noise, found by maximum likelihood of normal errors with non-negative shares and
+scaled to contain 95 % of these errors.
 """
 
 from collections.abc import Sequence
@@ -24,38 +23,24 @@ from hesr_model.inference.covariance import blocks_of_time
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
-SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)
-"""Candidates of the speed v_slow [rad/s]."""
+SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)  # [rad/s] candidates of v_slow
 
-RESTS = 10
-"""Minimum number of rests in the logs to calibrate the width at rest."""
-_LONG = 0.5
-"""Minimum duration of a rest below `MOVING` [s]."""
+RESTS = 10  # minimum number of rests to calibrate the width at rest
+_LONG = 0.5  # [s] minimum duration of a rest below `MOVING`
 
-_LEVELS = (0.8, 0.9, 0.98)
-"""Probabilities of the quantiles that determine the tail, in addition to 95 %."""
-_TAIL = (0.4, 1.2)
-"""Limits of the exponent of the tail."""
+_LEVELS = (0.8, 0.9, 0.98)  # quantiles that determine the tail, in addition to 95 %
+_TAIL = (0.4, 1.2)  # limits of the exponent of the tail
 _STEP = 1e-6
-_RANK = 1e-10
-"""Relative variance of a scaled covariance below which a direction was not free."""
+_RANK = 1e-10  # relative variance below which a direction was not free
 _ROUNDS = 100
-_ENOUGH = 4000
-"""Maximum number of rows for the shares; quantiles use all rows."""
+_ENOUGH = 4000  # maximum number of rows for the shares; quantiles use all rows
 _NONE = 1e-30
 
 
 def with_band(law: FrictionLaw, records: Sequence[FrictionRecord]) -> FrictionLaw:
-    """Return the law with the band of its torque.
+    """Return the law with the band of its torque, or the law itself if its torque is not finite.
 
-    Parameters
-    ----------
-    law : the law of one joint; without a covariance its coefficients are taken as exact.
-    records : its training records.
-
-    Returns
-    -------
-    The law with a band, or the law itself if its torque is not finite on these records.
+    Without a covariance its coefficients are taken as exact.
     """
     errors, certain = _left_out(law, records)
     if not np.all(np.isfinite(errors) & np.isfinite(certain)):
@@ -144,13 +129,8 @@ def _sensitivities(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array
 def _shares(columns: Array, squares: Array, known: Array) -> Array:
     """Return the non-negative shares (B,) of shapes (N, B) in the variance of normal errors.
 
-    A multiplicative update that never lowers the likelihood.
-
-    Parameters
-    ----------
-    columns : (N, B) shapes.
-    squares : (N,) squared errors.
-    known : (N,) variance from other sources.
+    `known` (N,) is the variance from other sources. The multiplicative update never lowers the
+    likelihood.
     """
     mean = columns.mean(axis=0)
     found = np.where(mean > 0.0, squares.mean() / (columns.shape[1] * np.maximum(mean, _NONE)), 0.0)

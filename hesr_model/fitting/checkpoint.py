@@ -1,7 +1,4 @@
-"""Checkpoints: the law of each joint is written when it is fitted.
-
-The name of a file contains a hash of everything that the fit depends on.
-"""
+"""Checkpoints: fitted laws of single joints, named by a hash of everything they depend on."""
 
 import hashlib
 import json

@@ -2,10 +2,9 @@
 
     tau = level_k f(...) + offset_k    in log k,    mean of the levels 1, of the offsets 0
 
-Friction falls with temperature, and torque sensors drift, so one law may fit no log of several days
-well. The nuisances are estimated with a coarse law (Coulomb and viscous friction, alternating least
-squares) and removed before a law is fitted. They are unknown for other logs, so blind predictions
-do not use them.
+Friction falls with temperature, and torque sensors drift. The nuisances are estimated with a coarse
+law (Coulomb and viscous friction, alternating least squares) and removed before a law is fitted.
+They are unknown for other logs, so blind predictions do not use them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,8 +20,7 @@ from hesr_model.support.arrays import Array
 Nuisance = Literal["offset", "level"]
 
 _ROUNDS = 30
-_LEAST, _MOST = 0.2, 5.0
-"""Limits of a level."""
+_LEAST, _MOST = 0.2, 5.0  # limits of a level
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,13 +34,7 @@ class OwnOfLog:
 def own_of_logs(
     records: Sequence[FrictionRecord], wanted: Sequence[Nuisance]
 ) -> dict[str, OwnOfLog]:
-    """Estimate the nuisances of each log by name; parts of one log share them.
-
-    Parameters
-    ----------
-    records : records of one joint; a single log has none.
-    wanted : nuisances to estimate.
-    """
+    """Estimate the nuisances of each log of a joint by name; a single log has none."""
     logs = list(dict.fromkeys(record.log for record in records))
     if len(logs) < 2 or not wanted:
         return {log: OwnOfLog() for log in logs}
@@ -74,10 +66,7 @@ def without_own(
 def with_own(
     predicted: Sequence[Array], records: Sequence[FrictionRecord], wanted: Sequence[Nuisance]
 ) -> list[Array]:
-    """Return predictions (N,) [N.m] with the nuisances of each log, fitted to its torque.
-
-    Such predictions are not blind.
-    """
+    """Return predictions (N,) [N.m] with fitted nuisances of each log; these are not blind."""
     logs = list(dict.fromkeys(record.log for record in records))
     found = {}
     for log in logs:
@@ -100,7 +89,6 @@ def _coarse(dq: Array) -> Array:
 def _law(
     columns: Mapping[str, Array], torque: Mapping[str, Array], own: Mapping[str, OwnOfLog]
 ) -> Array:
-    """Solve the coarse law for known nuisances."""
     rows = np.concatenate([own[log].level * columns[log] for log in columns])
     target = np.concatenate([torque[log] - own[log].offset for log in columns])
     return np.asarray(np.linalg.lstsq(rows, target, rcond=None)[0])

@@ -91,12 +91,6 @@ class OneForm(Described):
 
 
 def no_structure(name: str, structure: Mapping[str, Any]) -> None:
-    """Refuse structure data for a law with one form.
-
-    Raises
-    ------
-    ArtifactError
-        If there is any.
-    """
+    """Raise ArtifactError if a law with one form has structure data."""
     if structure:
         raise ArtifactError(f"law '{name}' has no structure, found {dict(structure)}.")

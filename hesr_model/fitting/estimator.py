@@ -1,10 +1,4 @@
-"""Interface and registry of estimators.
-
-An estimator turns friction records of one joint into a frozen law. Hyper-parameters are arguments
-of the constructor, data and a random generator those of `fit`. To add a law, write a class with
-`form` and `fit`, decorate it with `register` and name its module in an entry point of the group
-`hesr.laws` (`docs/add-a-law.md`).
-"""
+"""Interface and registry of estimators."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -21,6 +15,10 @@ from hesr_model.rigid_body.residual import FrictionRecord
 class Estimator(ABC):
     """Estimator of one law from the friction records of one joint.
 
+    Hyper-parameters are arguments of the constructor. To add a law, write a class with `form` and
+    `fit`, decorate it with `register` and name its module in an entry point of the group
+    `hesr.laws` (`docs/add-a-law.md`). Subclasses do not inherit `order` and the facts below it.
+
     Attributes
     ----------
     name : key in the registry and in model files.
@@ -34,8 +32,6 @@ class Estimator(ABC):
     proposed : True to include it in proposed studies.
     paper : position among the laws of the paper, 1 for the paper's own; 0 if not one of them.
     adds : law that it extends and part that it adds, for the ablation table.
-
-    Subclasses do not inherit `order` and the facts below it.
     """
 
     name: ClassVar[str]
@@ -60,13 +56,7 @@ class Estimator(ABC):
     @staticmethod
     @abstractmethod
     def form(structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions that `structure` selects (JSON data, checked here).
-
-        Raises
-        ------
-        ArtifactError
-            If the structure is not one of this law.
-        """
+        """Return the expressions of `structure`; raises ArtifactError if it is invalid."""
 
     @classmethod
     def as_text(cls) -> str:
@@ -75,13 +65,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Return the law that explains the records' `tau` [N.m] best.
-
-        Raises
-        ------
-        FitError
-            If the records do not determine the law.
-        """
+        """Return the law of the records; raises FitError if they do not determine it."""
 
 
 _REGISTRY: dict[str, type[Estimator]] = {}
@@ -90,13 +74,7 @@ Registered = TypeVar("Registered", bound=type[Estimator])
 
 
 def register(estimator: Registered) -> Registered:
-    """Register an estimator by name; a class of the same module replaces it.
-
-    Raises
-    ------
-    ConfigError
-        If an estimator of another module has this name.
-    """
+    """Register an estimator by name; raises ConfigError if another module has this name."""
     other = _REGISTRY.get(estimator.name, estimator).__module__
     if other != estimator.__module__:
         raise ConfigError(

@@ -37,19 +37,8 @@ def fit_joint(
 ) -> FrictionLaw:
     """Fit one law to the records of one joint, with one BLAS thread for bit reproducibility.
 
-    Parameters
-    ----------
-    law : name in the registry.
-    records : records of one joint.
-    seed : seed of the generator; equal data and seed give equal laws.
-    options : hyper-parameters of the estimator's constructor.
-
-    Raises
-    ------
-    ArtifactError
-        If the law is unknown.
-    FitError
-        If the records do not determine the law, or lack a field that it needs.
+    `options` are arguments of the estimator. Raises ArtifactError if the law is unknown, and
+    FitError if the records do not determine the law or lack a field that it needs.
     """
     chosen = estimator(law)
     try:
@@ -76,25 +65,10 @@ def fit(
     robot: str = "robot",
     workers: int = 1,
 ) -> FrictionModel:
-    """Fit one law to every joint of a robot.
+    """Fit one law to every joint of a robot; each of `logs` has one record per joint.
 
-    Parameters
-    ----------
-    law : name in the registry, see `hesr fit --list`.
-    logs : records of one log each, from `residual.friction_records`.
-    seed : seed of the fit; equal logs and seed give equal models.
-    options : hyper-parameters of the law's estimator.
-    robot : name of the robot in the model.
-    workers : number of processes. With more than one, joints are fitted in fresh processes that do
-        not import the calling script.
-
-    Raises
-    ------
-    ArtifactError
-        If the law is unknown.
-    FitError
-        If `logs` is empty, the logs have different joints, or the records do not determine the law
-        or lack a field that it needs.
+    Raises ArtifactError if the law is unknown, and FitError if `logs` is empty, its joints differ,
+    or the records do not determine the law or lack a field that it needs.
     """
     if not logs:
         raise FitError(f"law '{law}': no log is given; pass the records of at least one.")
@@ -131,37 +105,21 @@ def fit_models(
     kept: Path | None = None,
     per_log: Sequence[Nuisance] = (),
 ) -> dict[str, FrictionModel]:
-    """Fit several laws to every joint.
+    """Return models by name of the law or variant, independent of `workers`.
 
     Parameters
     ----------
     laws : names in the registry, or names of variants.
     records : records of each joint, one per training log.
-    robot : name of the robot.
-    seed : seed of every fit.
     options : hyper-parameters by law or variant.
     variants : name in the registry of each variant, a law with other options.
-    provenance : JSON data for the models.
     workers : number of processes; one per core by default, no extra process for 1.
-    progress : callback for the progress of the fits, with `progress.PARTS` for each.
+    progress : callback with `progress.PARTS` for each fit.
     left_out : callback for each law that the records do not determine, with the reason; other laws
-        are still fitted. Without it the first such law raises its error.
-    kept : folder of checkpoints. The law of each joint is written there when it is fitted, and read
-        if it is there already, so that a killed run can continue.
-    per_log : nuisances that differ by log and are removed from the records first
-        (`hesr_model.fitting.day_offsets`). They are part of the provenance; training errors are
-        without them.
-
-    Returns
-    -------
-    Models by name of the law or variant, independent of `workers`.
-
-    Raises
-    ------
-    ArtifactError
-        If a law is unknown.
-    FitError
-        If the records do not determine a law, or no law at all if `left_out` is given.
+        are still fitted. By default the first such law raises FitError.
+    kept : folder of checkpoints, so that a killed run can continue.
+    per_log : nuisances of each log that are removed first (`hesr_model.fitting.day_offsets`); they
+        are part of the provenance, and training errors are without them.
     """
     registered = {law: (variants or {}).get(law, law) for law in laws}
     coupling = records[0][0].coupling

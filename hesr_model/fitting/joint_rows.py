@@ -18,25 +18,16 @@ from hesr_model.support.arrays import Array, Integers, Mask
 
 @dataclass(frozen=True, kw_only=True)
 class JointRows:
-    """Rows of several records of one joint in sequence.
+    """Rows of several records of one joint in sequence."""
 
-    Attributes
-    ----------
-    dt : (N,) time since the previous row [s], 0 at the first row of a record.
-    gear_ratio : turns of the motor per turn of the joint, if known.
-    begins : (N,) True at the first row of a record.
-    record : (N,) index of the record's log; of the record if there is only one log.
-    dq, q, tau_load, tau : (N,) as in the records.
-    """
-
-    dt: Array
-    begins: Mask
-    record: Integers
+    dt: Array  # (N,) [s] since the previous row, 0 at the first row of a record
+    begins: Mask  # (N,) True at the first row of a record
+    record: Integers  # (N,) index of the log; of the record if there is only one log
     dq: Array
     q: Array
     tau_load: Array
     tau: Array
-    gear_ratio: float | None = None
+    gear_ratio: float | None = None  # turns of the motor per turn of the joint
 
     @property
     def folds(self) -> "list[Mask]":
@@ -46,19 +37,10 @@ class JointRows:
 
     @classmethod
     def of(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "JointRows":
-        """Join records.
+        """Join the records of one joint.
 
-        Parameters
-        ----------
-        records : records of one joint.
-        coefficients : number of coefficients of the law.
-
-        Raises
-        ------
-        FitError
-            If there are fewer rows than coefficients.
-        LogError
-            If the joint never reverses.
+        Raises FitError if there are fewer rows than coefficients, LogError if the joint never
+        reverses.
         """
         rows = sum(len(r.t) for r in records)
         joint = records[0].joint if records else "?"
@@ -86,10 +68,7 @@ class JointRows:
         return np.asarray(_settling(self.dq)[0])
 
     def recurrence(self, a: Array, c: Array, steady: Array) -> Array:
-        """Solve x[k] = a[k] x[k-1] + c[k] along every record, all (N,).
-
-        The initial state is that of laws with the steady state `steady` (N,).
-        """
+        """Solve x[k] = a[k] x[k-1] + c[k] (N,) along records that start from `steady` (N,)."""
         c = np.where(self.begins, self.settling * steady, c)
         return recurrence(np.where(self.begins, 0.0, a), c, float(c[0]))
 
@@ -112,19 +91,10 @@ def least_squares(columns: Array, target: Array) -> Array:
 def non_negative_least_squares(
     columns: Array, target: Array, *, non_negative: int
 ) -> tuple[Array, float]:
-    """Solve least squares with non-negative leading coefficients.
+    """Return (K,) coefficients, the leading ones non-negative, and the sum of squared residuals.
 
     Negative ones are set to zero one by one, the worst first: exact for the few, nearly orthogonal
     columns of friction laws, and much faster than a general solver.
-
-    Parameters
-    ----------
-    columns, target : (N, K) and (N,), in any units.
-    non_negative : number of leading coefficients that must not be negative.
-
-    Returns
-    -------
-    (K,) coefficients and the sum of squared residuals.
     """
     gram, moment = columns.T @ columns, columns.T @ target
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))

@@ -15,20 +15,13 @@ _RIDGE = 1e-9  # relative to each column's square, because columns may be linear
 
 
 class Normal:
-    """Normal equations with non-negative coefficients, apart from the last ones.
-
-    Parameters
-    ----------
-    blocks : blocks of weighted columns (N, k), in any units.
-    products : products of these columns and the target.
-    free : number of last columns with coefficients of any sign.
-    """
+    """Normal equations of weighted blocks (N, k); all but the last `free` are non-negative."""
 
     @classmethod
     def of(
         cls, columns: Array, tau: Array, folds: Sequence[Mask], weights: Array, *, free: int
     ) -> Self:
-        """Return the equations of columns (N, K); see `Products` for the other parameters."""
+        """Return the equations of columns (N, K)."""
         return cls([weights[:, None] * columns], Products(tau, folds, weights), free=free)
 
     def __init__(self, blocks: Sequence[Array], products: "Products", *, free: int) -> None:
@@ -62,14 +55,7 @@ class Normal:
 
 
 class Products:
-    """Products of columns over each fold, computed once per pair.
-
-    Parameters
-    ----------
-    tau : (N,) target in any unit.
-    folds : (N,) masks of the rows left out in turn.
-    weights : (N,) 1 for rows that are used, 0 for others.
-    """
+    """Products of columns over each fold, computed once per pair; `weights` (N,) are 1 or 0."""
 
     def __init__(self, tau: Array, folds: Sequence[Mask], weights: Array) -> None:
         self.tau: Array = (weights * tau)[:, None]
@@ -87,14 +73,7 @@ class Products:
 
 
 def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
-    """Minimise x G x / 2 - m x over x (K,) with x >= 0, apart from the last `free` ones.
-
-    Parameters
-    ----------
-    gram : (K, K) products of the columns.
-    moment : (K,) products of columns and target.
-    free : number of last coefficients of any sign; they are eliminated.
-    """
+    """Minimise x G x / 2 - m x over x (K,) with x >= 0, apart from the last `free` ones."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     g, m = gram * scale * scale[:, None] + _RIDGE * np.eye(len(scale)), moment * scale
     signed = len(m) - free
@@ -121,14 +100,9 @@ def blocks_of(dt: Array, begins: Mask, seconds: float = 8.0, least: int = 8) -> 
 
 
 def pays(before: Array, after: Array, blocks: Any) -> bool:
-    """Return True if errors fall by more than one standard error of the gain over blocks of time.
+    """Return True if errors (N,) fall by more than one standard error of the gain over blocks.
 
     A gain within round-off does not count.
-
-    Parameters
-    ----------
-    before, after : (N,) errors on left-out rows.
-    blocks : (N,) index of each row's block.
     """
     gains = np.bincount(blocks, weights=before**2 - after**2)
     if len(gains) < 2:

@@ -1,8 +1,8 @@
 """Separable least squares for laws that are linear in most coefficients.
 
-Columns are the derivatives of the law's output expression by its linear coefficients, so estimators
-need nothing but the description of a law. For given non-linear coefficients the linear ones follow
-by least squares (variable projection, Golub and Pereyra 1973).
+Columns are the derivatives of the law's output expression by its linear coefficients. For given
+non-linear coefficients the linear ones follow by least squares (variable projection, Golub and
+Pereyra 1973).
 """
 
 from collections.abc import Mapping, Sequence
@@ -50,22 +50,14 @@ class SearchSpace:
         return tuple(name for name, _ in self.bounds)
 
 
-LEAST = 1e-9
-"""Smallest value of a non-negative coefficient that scales others [its unit]."""
+LEAST = 1e-9  # [its unit] smallest value of a non-negative coefficient that scales others
 
 
 class Separable:
     """The least-squares problem of a form on the rows of a joint.
 
-    A point is the vector of searched numbers, logarithms where the bounds are positive.
-
-    Parameters
-    ----------
-    form : the expressions of the law.
-    space : search space of its coefficients.
-    samples : rows of the joint.
-    discretisation : discretisation of the states.
-    start : value of each state at rest; 0 by default.
+    A point is the vector of searched numbers, logarithms where the bounds are positive. `start` has
+    the value of each state at rest, 0 by default.
     """
 
     def __init__(
@@ -155,10 +147,10 @@ class Separable:
         return np.asarray(best.x)
 
     def polish(self, point: Array, *, evaluations: int = 12, rows: Mask | None = None) -> Array:
-        """Return the `point` after a local search of all coefficients at once.
+        """Return the `point` after a local search over a mask (N,) of rows.
 
         Linear unknowns are projected out of the residual, so steps are in the searched numbers
-        only. `rows` is a mask (N,) of the rows used; all by default.
+        only.
         """
         if not len(self.bounds):
             return point
@@ -193,13 +185,7 @@ class Separable:
 
 
 def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:
-    """Return the mean square error of a linear law by cross-validation.
-
-    Parameters
-    ----------
-    columns, tau : (N, K) columns and (N,) torque [N.m].
-    folds : (N,) masks of the rows left out in turn.
-    """
+    """Return the mean square error of a linear law by cross-validation over (N,) masks."""
     gram, moment = columns.T @ columns, columns.T @ tau
     total = 0.0
     for fold in map(in_one_piece, folds):

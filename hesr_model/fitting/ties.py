@@ -6,8 +6,7 @@ tied, and the first one, which callers make the simplest, wins.
 
 from collections.abc import Sequence
 
-ROUND_OFF = 1e-9
-"""Share of a cost below which a difference is round-off."""
+ROUND_OFF = 1e-9  # share of a cost below which a difference is round-off
 
 
 def no_worse(cost: float, than: float) -> bool:

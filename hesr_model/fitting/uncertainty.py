@@ -1,8 +1,8 @@
 """Uncertainty of the coefficients of a law: covariance from the Jacobian of its prediction.
 
-Searched and solved unknowns are treated the same. Coefficients at a bound, or in a structure chosen
-by the data, have a covariance for derived values but no interval, since it would ignore the choice.
-If the torque is curved over a coefficient, its interval is that of the wider side.
+Coefficients at a bound, or in a structure chosen by the data, have a covariance for derived values
+but no interval, since it would ignore the choice. If the torque is curved over a coefficient, its
+interval is that of the wider side.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,33 +21,21 @@ from hesr_model.inference.covariance import blocks_of_time, covariance, left_out
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
-MOST_COEFFICIENTS = 64
-"""Maximum number of coefficients; those of larger laws, networks, have no meaning of their own."""
+MOST_COEFFICIENTS = 64  # larger laws are networks, whose coefficients have no meaning
 _STEP = 1e-6
-_NONE = 1e-12
-"""Derivative below which only round-off is left."""
-_WIDTH = 2.0
-"""Distance in standard errors for measuring the curvature of the torque."""
-_FLATTEST = 0.25
-"""Lower limit of the ratio between actual and linear change of the torque."""
-_AT_BOUND = 1e-3
-"""Distance from a bound, relative to the (logarithmic) range, that counts as at the bound."""
+_NONE = 1e-12  # derivative below which only round-off is left
+_WIDTH = 2.0  # standard errors for measuring the curvature of the torque
+_FLATTEST = 0.25  # lower limit of the ratio between actual and linear change of the torque
+_AT_BOUND = 1e-3  # distance from a bound that counts as at it, of the (logarithmic) range
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinates:
-    """Free numbers of a fitted law.
+    """Free numbers of a fitted law."""
 
-    Attributes
-    ----------
-    point : (P,) numbers in their units.
-    values : function from a point to all coefficients of the law.
-    held : names of the coefficients at a bound.
-    """
-
-    point: Array
-    values: Callable[[Array], dict[str, float]]
-    held: frozenset[str]
+    point: Array  # (P,) in their units
+    values: Callable[[Array], dict[str, float]]  # all coefficients at a point
+    held: frozenset[str]  # names of the coefficients at a bound
 
 
 def with_standard_errors(
@@ -55,11 +43,7 @@ def with_standard_errors(
 ) -> FrictionLaw:
     """Return the law with covariance and standard errors of its coefficients.
 
-    Parameters
-    ----------
-    law : the law of one joint.
-    records : its training records.
-    space : its search space, if its form was not chosen by the data.
+    `space` is the search space of a law whose form was not chosen by the data.
     """
     if len(law.values) > MOST_COEFFICIENTS:
         return law
@@ -102,7 +86,6 @@ def with_standard_errors(
         labels,
         carried=carried,
     )
-    # Coefficients with a slope, in their order.
     moves = np.any(slope != 0.0, axis=1)
     own_names = [name for name, m in zip(names, moves, strict=True) if m]
     whole = found.mapped(own_names, slope[moves])
@@ -163,17 +146,11 @@ def wider_side(
 ) -> float:
     """Return the ratio of the wider side of a coefficient's interval to its standard error.
 
-    The coefficient is moved by some standard errors and all others are fitted again. If the torque
-    moves less than linearly, the interval is wider by that ratio: the profile t of Bates and Watts
-    (1988, ch. 6), at its end.
-
-    Parameters
-    ----------
-    slope : (P,) derivative of the coefficient by the coordinates.
-    covariance : (P, P) covariance of the coordinates.
-    q, r : QR decomposition of the torque's (N, P) derivatives.
-    moved_by : function from a step (P,) of the coordinates to the changes of the coefficient and
-        of the torque (N,) [N.m].
+    `slope` (P,) is its derivative by the coordinates, `q` and `r` the QR decomposition of the
+    torque's (N, P) derivatives. The coefficient is moved by some standard errors and all others are
+    fitted again by `moved_by`, which maps a step (P,) to the changes of the coefficient and of the
+    torque (N,) [N.m]. If the torque moves less than linearly, the interval is wider by that ratio:
+    the profile t of Bates and Watts (1988, ch. 6), at its end.
     """
     error = float(np.sqrt(slope @ covariance @ slope))
     # Orthogonal to all directions that keep the coefficient.
