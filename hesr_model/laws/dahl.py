@@ -16,8 +16,7 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.laws.stribeck import SIGMA_2, TAU_0
 
-DEFLECTIONS = np.geomspace(2e-4, 5e-2, 5)
-"""Sliding deflections 1 / kappa of the elements [rad]: from sharp to wide hysteresis loops."""
+DEFLECTIONS = np.geomspace(2e-4, 5e-2, 5)  # [rad] 1 / kappa: from sharp to wide hysteresis loops
 
 _ELEMENTS = range(1, len(DEFLECTIONS) + 1)
 
@@ -64,10 +63,9 @@ class DahlBasis(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Solve for all coefficients; the problem is linear.
+        """Solve for all coefficients; F_i are non-negative, since elements must not drive.
 
-        Elements must not drive, so F_i are non-negative. With load they may be negative, because
-        the force of an element is F_i + mu_i |tau_load|.
+        With load F_i may be negative, because the force of an element is F_i + mu_i |tau_load|.
         """
         linear = (*_FORCE, *(_LOAD if self.load else ()), SIGMA_2, TAU_0)
         return SearchSpace(
@@ -92,8 +90,7 @@ class DahlBasisLoad(DahlBasis):
 
 
 RISE = Coefficient(name="rise", unit="1/(N.m)", description="relative rise of the bounds per load")
-RISE_BOUNDS = (1e-4, 1.0)
-"""Bounds of the rise [1/(N.m)]."""
+RISE_BOUNDS = (1e-4, 1.0)  # [1/(N.m)]
 
 
 @register

@@ -19,10 +19,8 @@ SIGMA_0 = Coefficient(name="sigma_0", unit="N.m/rad", description="bristle stiff
 SIGMA_1 = Coefficient(name="sigma_1", unit="N.m.s/rad", description="bristle damping")
 MU = Coefficient(name="mu", unit="1/(N.m)", description="relative rise with the load")
 
-DEFLECTION_BOUNDS = (1e-5, 0.1)
-"""Bounds of the sliding deflection F_c / sigma_0 [rad]; wide, since the update is exact."""
-STATIC_RATIO_BOUNDS = (0.2, 5.0)
-"""Bounds of F_s / F_c; below 1 the level rises with speed, as in lubricated gears."""
+DEFLECTION_BOUNDS = (1e-5, 0.1)  # [rad] F_c / sigma_0; wide, since the update is exact
+STATIC_RATIO_BOUNDS = (0.2, 5.0)  # F_s / F_c; below 1 as in lubricated gears
 
 
 def bristle() -> Relaxation:
@@ -134,15 +132,13 @@ class LuGreLoadRipple(LuGreLoad):
     start_samples = 5
 
 
-RATIO_TEXTBOOK = (1.0, 5.0)
-"""Bounds of F_s / F_c with static friction above Coulomb friction."""
+RATIO_TEXTBOOK = (1.0, 5.0)  # F_s / F_c with static friction above Coulomb friction
 SIGMA_T = Coefficient(
     name="sigma_t", unit="N.m.s/rad", description="viscous friction that thins with speed"
 )
 V_T = Coefficient(name="v_t", unit="rad/s", description="speed of shear thinning")
 S_2 = Coefficient(name="s_2", unit="N.m.s/rad", description="viscous friction above what is needed")
-THINNING_BOUNDS = (1e-2, 3.0)
-"""Bounds of the speed of shear thinning [rad/s]."""
+THINNING_BOUNDS = (1e-2, 3.0)  # [rad/s]
 
 
 @register

@@ -3,9 +3,9 @@
     sum_k (a_k cos(k N (q - lag dq)) + b_k sin(k N (q - lag dq))) / (1 + (k N smoothing dq)^2)
 
 N is the gear ratio, k the order per turn of the motor. The lag is the delay of the logged torque
-behind the logged position. Without it the phase of the ripple changes with speed and the ripple
-averages out (on a UR10e by a quarter turn at 0.5 rad/s, for 3 ms). The smoothing is the time
-constant that attenuates fast ripple in the logged torque, such as a servo's bandwidth.
+behind the logged position; without it the ripple averages out (on a UR10e its phase changes by a
+quarter turn at 0.5 rad/s, for 3 ms). The smoothing is the time constant that attenuates fast ripple
+in the logged torque, such as a servo's bandwidth.
 """
 
 from collections.abc import Sequence
@@ -24,22 +24,15 @@ from hesr_model.friction.inputs import DQ, Q
 from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.support.arrays import Array, Mask
 
-ORDERS = range(1, 17)
-"""Candidate orders per turn of the motor."""
-LAG_BOUNDS = (0.0, 0.012)
-"""Bounds of the lag [s]."""
-SMOOTHING_BOUNDS = (0.0, 0.02)
-"""Bounds of the smoothing [s]."""
-MOST = 6
-"""Maximum number of orders of a joint."""
-GAIN = 0.002
-"""Smallest relative reduction of the mean square on left-out logs by an order."""
-CHANCE = 18.0
-"""Smallest reduction in mean squares per row, because the best of many orders gains by chance."""
+ORDERS = range(1, 17)  # candidates per turn of the motor
+LAG_BOUNDS = (0.0, 0.012)  # [s]
+SMOOTHING_BOUNDS = (0.0, 0.02)  # [s]
+MOST = 6  # maximum number of orders of a joint
+GAIN = 0.002  # smallest relative reduction of the mean square on left-out logs by an order
+CHANCE = 18.0  # the same in mean squares per row: the best of many orders gains by chance
 LAG = Coefficient(name="lag", unit="s", description="lag behind the position")
 SMOOTHING = Coefficient(name="smoothing", unit="s", description="time constant over fast ripple")
-Times = tuple[float, float]
-"""Lag and smoothing [s]."""
+Times = tuple[float, float]  # lag and smoothing [s]
 _TIMES: list[Times] = [
     (float(lag), smoothing)
     for lag in np.linspace(*LAG_BOUNDS, 25)
@@ -51,26 +44,14 @@ _ATTEMPTS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Ripple:
-    """Harmonics of a joint.
+    """Harmonics of a joint."""
 
-    Attributes
-    ----------
-    gear_ratio : turns of the motor per turn of the joint.
-    orders : orders per turn of the motor.
-    """
-
-    gear_ratio: float
-    orders: tuple[int, ...]
+    gear_ratio: float  # turns of the motor per turn of the joint
+    orders: tuple[int, ...]  # per turn of the motor
 
     @classmethod
     def of_structure(cls, data: Any) -> "Ripple":
-        """Return the ripple of a law's structure, {"gear_ratio", "orders"}.
-
-        Raises
-        ------
-        ArtifactError
-            If the data are not a ripple.
-        """
+        """Return the ripple of {"gear_ratio", "orders"}; raises ArtifactError if invalid."""
         try:
             return TypeAdapter(cls).validate_python(data)
         except ValidationError as error:
@@ -131,15 +112,8 @@ def select(
 ) -> tuple[Ripple, Times] | None:
     """Return the ripple with lag and smoothing that predicts left-out logs best, or None.
 
-    Orders are added one by one, the one that explains most of the residual first, while the error
-    on left-out logs falls.
-
-    Parameters
-    ----------
-    base : (N, L) columns of the law without ripple, [N.m] per unit of their coefficients.
-    samples : rows of the joint.
-    gear_ratio : turns of the motor per turn of the joint.
-    folds : (N,) masks of the rows left out in turn.
+    `base` (N, L) are the columns of the law without ripple. Orders are added one by one, the one
+    that explains most of the residual first, while the error on left-out logs falls.
     """
     tau = samples.tau
     gain = max(GAIN, CHANCE / len(tau))

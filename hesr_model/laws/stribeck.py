@@ -18,8 +18,7 @@ V_S = Coefficient(name="v_s", unit="rad/s", description="Stribeck velocity")
 SIGMA_2 = Coefficient(name="sigma_2", unit="N.m.s/rad", description="viscous friction")
 TAU_0 = Coefficient(name="tau_0", unit="N.m", description="offset")
 
-VELOCITY_BOUNDS = (1e-3, 1.0)
-"""Bounds of the Stribeck velocity [rad/s]."""
+VELOCITY_BOUNDS = (1e-3, 1.0)  # [rad/s] of the Stribeck velocity
 
 
 @register

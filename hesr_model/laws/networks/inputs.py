@@ -17,26 +17,18 @@ from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
-TRIED = 30
-"""Maximum number of networks tried for a torque in bounds."""
+TRIED = 30  # maximum number of networks tried for a torque in bounds
 _TINY = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inputs:
-    """Inputs of a network for one (alpha, beta), each with mean 0 and spread 1 over all rows.
-
-    Attributes
-    ----------
-    cell : the hysteresis parameters.
-    z : (N, 3) standardised dq, h, dh.
-    mean, spread : (3,) means and spreads of dq [rad/s], h [1], dh [1/s].
-    """
+    """Inputs of a network for one (alpha, beta), each with mean 0 and spread 1 over all rows."""
 
     cell: Cell
-    z: Array
-    mean: Array
-    spread: Array
+    z: Array  # (N, 3) standardised dq, h, dh
+    mean: Array  # (3,) of dq [rad/s], h [1], dh [1/s]
+    spread: Array  # (3,)
 
     @classmethod
     def of(cls, features: HysteresisFeatures, cell: Cell) -> "Inputs":
@@ -53,13 +45,7 @@ def candidates(features: HysteresisFeatures, count: int) -> list[Inputs]:
 
 
 def first_tame(laws: Iterable[FrictionLaw], records: Sequence[FrictionRecord]) -> FrictionLaw:
-    """Return the first law whose torque stays in bounds just outside the trained range.
-
-    Raises
-    ------
-    FitError
-        If all of the first `TRIED` explode.
-    """
+    """Return the first law with a bounded torque; raises FitError if the first `TRIED` explode."""
     trained = TrainedRange.of(records)
     for law in islice(laws, TRIED):
         if not explodes(law, trained):
@@ -71,13 +57,7 @@ def first_tame(laws: Iterable[FrictionLaw], records: Sequence[FrictionRecord]) -
 
 
 def size(law: str, structure: Mapping[str, Any], key: str, largest: int) -> int:
-    """Return the size of a network from its structure {key: size}.
-
-    Raises
-    ------
-    ArtifactError
-        If the structure has other keys, or the size is not an integer from 1 to `largest`.
-    """
+    """Return the size from a structure {key: size}; raises ArtifactError if it is invalid."""
     found = structure.get(key)
     if set(structure) != {key} or type(found) is not int or not 1 <= found <= largest:
         raise ArtifactError(
@@ -88,13 +68,7 @@ def size(law: str, structure: Mapping[str, Any], key: str, largest: int) -> int:
 
 
 def sizes(law: str, key: str, tried: Sequence[int], least: int, largest: int) -> tuple[int, ...]:
-    """Return the candidate sizes of an estimator.
-
-    Raises
-    ------
-    FitError
-        If it is empty, or a size is not an integer from `least` to `largest`.
-    """
+    """Return the candidate sizes of an estimator; raises FitError if one is invalid."""
     if not tried or any(type(x) is not int or not least <= x <= largest for x in tried):
         raise FitError(
             f"law '{law}': '{key}' is {list(tried)}; needed are whole numbers from {least} to "

@@ -21,15 +21,13 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import counted, step
 
-MAX_CENTRES = 40
-"""Maximum number of Gaussians; such a network runs in microseconds."""
-FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-"""Candidate widths, in mean distances from a centre to the nearest other one."""
+MAX_CENTRES = 40  # such a network runs in microseconds
+FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # widths, in mean distances of the centres
 RIDGES = tuple(float(x) for x in 10.0 ** np.arange(-8, -1))
 """Candidate ridges, added to the mean square of Gaussians with peak 1. Smaller ones give weights so
-large that their sum loses digits."""
-CLUSTERED_ROWS = 2400
-"""Maximum number of rows for k-means."""
+large that their sum loses digits.
+"""
+CLUSTERED_ROWS = 2400  # maximum number of rows for k-means
 
 _INPUTS = (("dq", "rad/s"), ("h", "1"), ("dh", "1/s"))
 
@@ -38,16 +36,10 @@ _INPUTS = (("dq", "rad/s"), ("h", "1"), ("dh", "1/s"))
 class RbfnnH(Estimator):
     """tau = w_0 + sum_k w_k exp(-1/2 sum_i ((x_i - m_ki) / s_i)^2), x = (dq, h, h').
 
-    For each (alpha, beta) of stage 1 and each number of centres, k-means places the centres m_k on
-    the standardised inputs, the width is a factor times their mean distance to the nearest other
-    one, and ridge regression gives the weights. Cross-validation selects (alpha, beta), number,
-    factor and ridge. As in the paper, linear terms are missing.
-
-    Parameters
-    ----------
-    centres : candidate numbers of Gaussians, up to `MAX_CENTRES`.
-    cells : number of candidate (alpha, beta).
-    discretisation : discretisation of the hysteresis state.
+    For each of the best `cells` (alpha, beta) of stage 1 and each number of `centres`, k-means
+    places the centres m_k on the standardised inputs, the width is a factor times their mean
+    distance to the nearest other one, and ridge regression gives the weights. Cross-validation
+    selects (alpha, beta), number, factor and ridge. As in the paper, linear terms are missing.
     """
 
     name = "rbfnn_h"
@@ -137,18 +129,9 @@ class RbfnnH(Estimator):
 
 
 def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator) -> Array:
-    """Return the mean square errors of networks by cross-validation.
+    """Return (factors, ridges) mean square errors [N^2.m^2] of networks by cross-validation.
 
-    Parameters
-    ----------
-    z : (N, 3) standardised inputs.
-    samples : rows of the joint.
-    count : number of centres.
-    rng : random generator of k-means.
-
-    Returns
-    -------
-    (factors, ridges) mean square over all rows [N^2.m^2].
+    `z` (N, 3) are standardised inputs, `count` is the number of centres.
     """
     total = np.zeros((len(FACTORS), len(RIDGES)))
     for fold in samples.folds:
@@ -162,10 +145,9 @@ def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator)
 
 
 def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:
-    """Return (count, 3) centres by k-means and their mean distance to the nearest other one.
+    """Return (count, 3) centres of inputs z (N, 3), and their mean distance to the nearest one.
 
-    Both are in the units of z, the (N, 3) standardised inputs. There are at most as many centres as
-    distinct rows.
+    There are at most as many centres as distinct rows.
     """
     # Equal rows, such as those of a joint at rest, break k-means.
     points = np.unique(z[:: max(1, len(z) // CLUSTERED_ROWS)], axis=0)
@@ -184,13 +166,9 @@ def gaussians(z: Array, centres: Array, width: float) -> Array:
 
 
 def ridge_weights(columns: Array, tau: Array, ridges: Sequence[float]) -> tuple[Array, Array]:
-    """Return (R,) offsets and (K, R) weights of ridge regression without shrinking the offset.
+    """Return (R,) offsets and (K, R) weights [N.m] of regression on (N, K) columns for R ridges.
 
-    Parameters
-    ----------
-    columns : (N, K) Gaussians, without unit.
-    tau : (N,) torque [N.m]; offsets and weights have its unit.
-    ridges : R penalties of the squared coefficients.
+    The offset is not shrunk.
     """
     mean, level = columns.mean(axis=0), float(tau.mean())
     centred = columns - mean

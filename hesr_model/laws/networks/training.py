@@ -7,27 +7,18 @@ import numpy as np
 
 from hesr_model.support.arrays import Array
 
-ITERATIONS = 15
-"""Maximum number of iterations per weight decay."""
-CONVERGED = 1e-5
-"""Relative gain of an iteration for convergence."""
+ITERATIONS = 15  # maximum number per weight decay
+CONVERGED = 1e-5  # relative gain of an iteration for convergence
 _DAMPING = (1e-9, 1e-2)  # minimum and initial value
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Network:
-    """y = bias + gains . tanh(theta' (1, z)) on standardised data.
+    """y = bias + gains . tanh(theta' (1, z)) on standardised data."""
 
-    Attributes
-    ----------
-    bias : offset.
-    gains : (H,) output weights.
-    theta : (4, H) hidden weights, the constant first.
-    cost : mean squared residual on the training rows plus decay.
-    """
-
-    bias: float
-    gains: Array
+    # (H,)
+    bias: float  # (4, H), the constant first
+    gains: Array  # mean squared residual on the training rows plus decay
     theta: Array
     cost: float
 
@@ -38,14 +29,9 @@ class Network:
 
 
 def path(z: Array, y: Array, theta: Array, decays: Sequence[float]) -> list[Network]:
-    """Return the trained network of each weight decay, each started from the previous one.
+    """Return the network of each decreasing weight decay, started from the previous one.
 
-    Parameters
-    ----------
-    z : (N, 3) standardised inputs.
-    y : (N,) standardised torque.
-    theta : (4, H) initial hidden weights.
-    decays : decreasing penalties of the squared parameters, apart from the offset.
+    `z` (N, 3) and `y` (N,) are standardised, `theta` (4, H) are initial hidden weights.
     """
     problem = _Problem(z, y, theta.shape[1])
     point = problem.start(theta, decays[0])

@@ -9,14 +9,10 @@ import numpy as np
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.support.arrays import Array
 
-GRID = (10, 10)
-"""Cells of the (alpha, beta) profile."""
-MEMORY = 1.0
-"""Longest memory of h, 1 / alpha [s]. A slower state follows the load instead of reversals."""
-STEEPNESS = (1.0, 2000.0)
-"""Bounds of beta times the joint's typical speed."""
-COURSE = 200
-"""Maximum number of rows after a reversal."""
+GRID = (10, 10)  # cells of the (alpha, beta) profile
+MEMORY = 1.0  # [s] longest 1 / alpha; slower states follow the load instead of reversals
+STEEPNESS = (1.0, 2000.0)  # bounds of beta times the joint's typical speed
+COURSE = 200  # maximum number of rows after a reversal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +37,8 @@ def bounds(features: HysteresisFeatures) -> tuple[tuple[float, float], tuple[flo
 def profile(features: HysteresisFeatures) -> list[Cell]:
     """Return the cells of a logarithmic (alpha, beta) grid, best first.
 
-    The cost of a cell is the residual of a least-squares fit of polynomials of (dq, h, dh) of
-    degree three, which approximate any smooth unit g.
+    Their costs are residuals of polynomials of (dq, h, dh) of degree three, which approximate any
+    smooth unit g.
     """
     tau = features.samples.tau
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
@@ -75,9 +71,9 @@ def distinct(cells: list[Cell], count: int) -> list[Cell]:
 def geometric(features: HysteresisFeatures) -> tuple[float, float]:
     """Return (alpha, beta) from the geometry of the loop, as in stage 1 of the paper.
 
-    The width of the loop is the mean settling time of friction after a reversal: the area between
-    its course and the settled value, divided by the height. For h this is 1 / alpha. The slope of
-    the torque over speed at its sign change, relative to the sliding level, gives beta.
+    The width of the loop, for h 1 / alpha, is the mean settling time of friction after a reversal:
+    the area between its course and the settled value, divided by the height. The slope of the
+    torque over speed at its sign change, relative to the sliding level, gives beta.
     """
     s = features.samples
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)

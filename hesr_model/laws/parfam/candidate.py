@@ -21,32 +21,17 @@ UNIT_FUNCTIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array, Array
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """tau = c . x + gain g(theta . x) with x = (1, dq, h, dh) in raw units.
+    """tau = c . x + gain g(theta . x) with x = (1, dq, h, dh) in raw units."""
 
-    Attributes
-    ----------
-    g : function of the unit, or None for the linear law.
-    alpha, beta : hysteresis parameters [1/s], [s/rad].
-    c, theta : (4,) coefficients.
-    gain : factor of the unit [N.m].
-    c_active, theta_active : (4,) masks of the coefficients in the structure.
-    cost : mean squared residual on the searched rows [N^2.m^2].
-
-    Raises
-    ------
-    ValueError
-        If a candidate without a unit has arguments.
-    """
-
-    g: str | None
-    alpha: float
-    beta: float
-    c: Array
-    theta: Array
-    gain: float
-    c_active: Array
-    theta_active: Array
-    cost: float
+    g: str | None  # None for the linear law
+    alpha: float  # [1/s]
+    beta: float  # [s/rad]
+    c: Array  # (4,)
+    theta: Array  # (4,)
+    gain: float  # [N.m]
+    c_active: Array  # (4,) mask of the coefficients in the structure
+    theta_active: Array  # (4,)
+    cost: float  # [N^2.m^2] mean squared residual on the searched rows
 
     def __post_init__(self) -> None:
         # Their columns of the Jacobian would be uninitialised.

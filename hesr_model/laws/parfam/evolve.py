@@ -12,12 +12,9 @@ from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.support.arrays import Array
 
-ROWS = 600
-"""Maximum number of rows for the search; the last stage uses all."""
-ROUNDS = ((6, 0.5), (6, 0.4), (12, 1.0))
-"""Rounds of (Levenberg-Marquardt iterations, share of starts kept for the next round)."""
-ARGUMENT_LIMIT = 12.0
-"""Bound of the standardised coefficients of an argument; beyond it g saturates or wraps."""
+ROWS = 600  # maximum number for the search; the last stage uses all
+ROUNDS = ((6, 0.5), (6, 0.4), (12, 1.0))  # (iterations, share of starts kept for the next round)
+ARGUMENT_LIMIT = 12.0  # of standardised coefficients of an argument; beyond it g saturates or wraps
 
 
 def linear(cell: Cell, features: Array, tau: Array) -> Candidate:
@@ -28,16 +25,10 @@ def linear(cell: Cell, features: Array, tau: Array) -> Candidate:
 def search(
     cell: Cell, g: str, features: Array, tau: Array, starts: Array, keep: int
 ) -> list[Candidate]:
-    """Return the best distinct laws with one unit g at one (alpha, beta).
+    """Return the best distinct laws with one unit g, at most `keep`, at one (alpha, beta).
 
-    Parameters
-    ----------
-    cell : hysteresis parameters.
-    g : name of the function.
-    features : (M, 4) features 1, dq, h, dh of the searched rows.
-    tau : (M,) torque [N.m].
-    starts : (S, 4) starting points of theta for standardised features.
-    keep : maximum number of laws returned.
+    `features` (M, 4) are 1, dq, h, dh of the searched rows, `starts` (S, 4) starting points of
+    theta for standardised features.
     """
     found = arguments(g, features, features, tau, starts, keep)
     return [_candidate(cell, g, features, tau, theta) for theta in found]
@@ -54,15 +45,8 @@ def arguments(
 ) -> list[Array]:
     """Return the best distinct arguments theta (F,) of a unit g added to a linear law, best first.
 
-    Parameters
-    ----------
-    g : name of the function.
-    features : (M, F) features of the argument, the first one constant.
-    linear : (M, L) columns of the linear law.
-    tau : (M,) torque [N.m].
-    starts : (S, F) starting points of theta for standardised features.
-    keep : maximum number of arguments returned.
-    limit : bound of the standardised theta.
+    `features` (M, F) are those of the argument, the first one constant, `linear` (M, L) the columns
+    of the linear law. `starts` (S, F) and `limit` are for standardised features.
     """
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
     problem = _Projected(g, features / scale, linear, tau, limit)

@@ -18,20 +18,15 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.laws.stribeck import V_S
 
-FEATURES = ("1", "dq", "h", "dh")
-"""Features of a unit's argument, in the order of every coefficient vector."""
+FEATURES = ("1", "dq", "h", "dh")  # of a unit's argument, in the order of every coefficient vector
 
-LINEAR = (*FEATURES, "h_load", "h_bump")
-"""Features of the linear part: also h |tau_load| and h exp(-(dq/v_s)^2)."""
+LINEAR = (*FEATURES, "h_load", "h_bump")  # also h |tau_load| and h exp(-(dq/v_s)^2)
 
-DIVISORS = ("dq", "h")
-"""Features of a denominator; h' is excluded because it is unbounded and would allow poles."""
+DIVISORS = ("dq", "h")  # features of a denominator; h' is unbounded and would allow poles
 
-STATES = ("paper", "generalised", "bristle")
-"""Hysteresis states: that of eq. 9; the same with position memory; LuGre's bristle."""
+STATES = ("paper", "generalised", "bristle")  # of eq. 9; with position memory; LuGre's bristle
 
 FUNCTIONS = {"tanh": sympy.tanh, "sin": sympy.sin, "cos": sympy.cos, "exp": sympy.exp}
-"""Functions g of units."""
 
 _UNIT = {
     "1": "N.m",
@@ -72,12 +67,8 @@ def form(structure: Mapping[str, Any]) -> LawForm:
     """Return the expressions of a structure {"linear": [...], "units": [{"g", "arguments"}]}.
 
     Optional keys are "state", one of `STATES`, by default that of eq. 9, and "denominator",
-    features x of a denominator 1 + sum_i d_i x_i of the whole output.
-
-    Raises
-    ------
-    ArtifactError
-        If a feature, function or key is unknown.
+    features x of a denominator 1 + sum_i d_i x_i of the whole output. Raises ArtifactError if one
+    is unknown.
     """
     linear, units, state, below = _checked(structure)
     hysteresis, own = hysteresis_state(state)

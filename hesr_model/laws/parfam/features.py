@@ -11,13 +11,7 @@ from hesr_model.support.arrays import Array
 
 @dataclass(frozen=True, kw_only=True)
 class HysteresisFeatures:
-    """Features x = (1, dq, h, dh) of eq. 11 as functions of (alpha, beta).
-
-    Attributes
-    ----------
-    samples : rows of one joint.
-    discretisation : discretisation of the hysteresis state.
-    """
+    """Features x = (1, dq, h, dh) of eq. 11 as functions of (alpha, beta)."""
 
     samples: JointRows
     discretisation: Discretisation

@@ -18,7 +18,8 @@ from hesr_model.rigid_body.residual import FrictionRecord
 
 STATE_GAIN = 0.02
 """Smallest relative gain on left-out rows by memory in time in addition to position memory: one per
-cent for each of two coefficients, as for a unit."""
+cent for each of two coefficients, as for a unit.
+"""
 
 
 @register
@@ -29,17 +30,10 @@ class ParFamHX(Described):
         tau = c . (1, v, h, h', h |tau_load|, h exp(-(v/v_s)^2)) + c_g g(theta . (1, v, h, h'))
               + sum_k a_k cos(k N (q - lag v)) + b_k sin(k N (q - lag v))
 
-    Cross-validation selects linear terms, the unit and the orders of ripple.
-
-    Parameters
-    ----------
-    memory : True for a state with position memory, False for that of eq. 9.
-    load : allow the load term.
-    bump : allow the Stribeck term.
-    functions : candidate functions g; empty for a law without a unit.
-    ripple : allow motor ripple.
-    initial_state : True to estimate the start of h from the first torques of a log.
-    starts : number of random starts per g.
+    Cross-validation selects linear terms, the unit and the orders of ripple. Options allow parts of
+    the law: `memory` the position memory, `bump` the Stribeck term, `functions` the candidate
+    functions g, `initial_state` a start of h from the first torques of a log; `starts` is for each
+    g.
     """
 
     name = "parfam_hx"

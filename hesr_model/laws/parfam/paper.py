@@ -12,26 +12,17 @@ from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.support.arrays import Array
 
-GAMMA = 1e-3
-"""Weight of the L1 term of eq. 12 for standardised data; 1e-4 prunes nothing, 1e-2 all units."""
-HOPS = 10
-"""Hops of basin hopping per function g."""
-STEP = 1.0
-"""Largest displacement of a hop, in standardised coefficients."""
-TRUNCATION = 0.02
-"""Standardised coefficients below this are truncated: 2 % of the torque's spread."""
+GAMMA = 1e-3  # weight of the L1 term for standardised data; 1e-4 prunes nothing, 1e-2 all units
+HOPS = 10  # per function g
+STEP = 1.0  # largest displacement of a hop, in standardised coefficients
+TRUNCATION = 0.02  # smaller standardised coefficients are truncated: 2 % of the torque's spread
 
 
 class Objective:
     """Eq. 12 for one unit g with its analytic gradient.
 
-    Parameters
-    ----------
-    g : name of the unit's function.
-    x : (N, 4) standardised features.
-    y : (N,) standardised torque.
-    gamma : weight of the L1 term.
-    active : (9,) mask of c (4), gain, theta (4) that may differ from zero.
+    `x` (N, 4) and `y` (N,) are standardised features and torque; `active` (9,) masks those of c
+    (4), gain, theta (4) that may differ from zero.
     """
 
     def __init__(self, g: str, x: Array, y: Array, gamma: float, active: Array) -> None:
@@ -62,16 +53,7 @@ class Objective:
 
 
 def search(cell: Cell, g: str, features: Array, tau: Array, rng: np.random.Generator) -> Candidate:
-    """Return the law with one unit g by the search of the paper at one (alpha, beta).
-
-    Parameters
-    ----------
-    cell : hysteresis parameters of stage 1.
-    g : name of the function.
-    features : (N, 4) features 1, dq, h, dh.
-    tau : (N,) torque [N.m].
-    rng : random generator of starting point and hops.
-    """
+    """Return the law with one unit g by the search of the paper at one (alpha, beta)."""
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
     level = max(float(tau.std()), 1e-12)
     x, y = features / scale, tau / level

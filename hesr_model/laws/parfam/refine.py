@@ -18,25 +18,19 @@ from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.progress import step
 
-SIGNIFICANCE = 2.0
-"""Significance threshold of a coefficient, in standard errors."""
+SIGNIFICANCE = 2.0  # threshold of a coefficient, in standard errors
 
 
 _ALL = slice(None)
 
 ROUNDS = ((8, 10), (16, 4))
-"""Screening rounds of (evaluations per candidate, number of candidates kept).
-
-They use all rows, because only the few rows of a reversal determine a steep beta.
+"""Screening rounds of (evaluations per candidate, number of candidates kept). They use all rows,
+because only the few rows of a reversal determine a steep beta.
 """
-LONG, PRUNED, FOLD = 60, 12, 8
-"""Evaluations of the final fit, after pruning a coefficient, and without a fold."""
-HOPEFUL = 1.1
-"""Largest mean square for a final fit, relative to the best candidate."""
-ROUNDING = 1e-15
-"""Mean square relative to the torque's variance that counts as zero."""
-SAME = 1e-6
-"""Relative difference of mean squares of candidates that are the same law."""
+LONG, PRUNED, FOLD = 60, 12, 8  # evaluations of the final fit, after pruning, without a fold
+HOPEFUL = 1.1  # largest mean square for a final fit, relative to the best candidate
+ROUNDING = 1e-15  # mean square relative to the torque's variance that counts as zero
+SAME = 1e-6  # relative difference of mean squares of candidates that are the same law
 
 
 def select(
@@ -47,17 +41,8 @@ def select(
 ) -> Candidate:
     """Refine candidates, prune them and return the one that predicts left-out rows best.
 
-    Parameters
-    ----------
-    features : rows of the joint.
-    found : candidates of stage 2.
-    folds : (N,) masks of the rows left out in turn.
-    trained : ranges of the rows; laws that explode just outside are refused.
-
-    Raises
-    ------
-    FitError
-        If every candidate explodes.
+    Laws that explode just outside the trained ranges are refused; raises FitError if every one
+    does.
     """
     looked = list(found)
     for i, (evaluations, keep) in enumerate(ROUNDS):
@@ -143,10 +128,7 @@ def _still_as_good(features: HysteresisFeatures, candidate: Candidate) -> float:
 def left_out_cost(
     features: HysteresisFeatures, candidate: Candidate, folds: Sequence[Mask]
 ) -> float:
-    """Return the mean square error [N^2.m^2] of a candidate by cross-validation.
-
-    Folds are masks (N,); the candidate is refined without each of them.
-    """
+    """Return the mean square error [N^2.m^2] by cross-validation; folds are masks (N,)."""
     total = 0.0
     for fold in folds:
         held = Refinement(features, candidate, ~fold).run(FOLD)[0]

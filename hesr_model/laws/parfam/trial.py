@@ -21,17 +21,12 @@ from hesr_model.laws.stribeck import V_S, VELOCITY_BOUNDS
 from hesr_model.logs.phases import MOVING
 from hesr_model.support.arrays import Array
 
-MEMORY_BOUNDS = (0.05, 2000.0)
-"""Bounds of kappa [1/rad]: from no position memory to one of a milliradian."""
-REST_SPEED = 1e-3
-"""Speed of the gate below which the state holds [rad/s]."""
-BUMP_BOUNDS = (MOVING, VELOCITY_BOUNDS[1])
-"""Bounds of the Stribeck term's velocity [rad/s]; a narrower bump acts at rest alone."""
-DIVISOR_LIMIT = 0.9
-"""Largest deviation of a denominator from 1."""
+MEMORY_BOUNDS = (0.05, 2000.0)  # [1/rad] kappa: no position memory to one of a milliradian
+REST_SPEED = 1e-3  # [rad/s] of the gate below which the state holds
+BUMP_BOUNDS = (MOVING, VELOCITY_BOUNDS[1])  # [rad/s]; a narrower bump acts at rest alone
+DIVISOR_LIMIT = 0.9  # largest deviation of a denominator from 1
 _ROWS = 3000
-UNIT_GAIN = 0.05
-"""Smallest relative reduction of the mean square on left-out rows by a unit or denominator."""
+UNIT_GAIN = 0.05  # smallest relative gain on left-out rows by a unit or denominator
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,12 +76,7 @@ def with_unit(
 ) -> list[Trial]:
     """Return the trial with a further unit g, with the two best arguments of every g.
 
-    Parameters
-    ----------
-    trial : the base trial.
-    features : (N, 4) features 1, dq [rad/s], h, dh [1/s] of the argument.
-    functions : candidate functions g.
-    starts : number of random starts per g, drawn from `rng`.
+    `features` (N, 4) are 1, dq [rad/s], h, dh [1/s] of the argument; `starts` is for every g.
     """
     tau = trial.problem.samples.tau
     rows = slice(None, None, max(1, len(tau) // _ROWS))

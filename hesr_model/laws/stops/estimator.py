@@ -18,16 +18,13 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_json import to_json
 
-WINDOW = 1.5
-"""Longest step without averaging of ripple, in sample times of the logs."""
+WINDOW = 1.5  # longest step without averaging of ripple, in sample times of the logs
 
 
 class _Stops(Estimator):
     """Stops with expressions as bounds; no part generates energy.
 
-    Parameters
-    ----------
-    skeleton_only : True to skip the search and return its baseline.
+    `skeleton_only` skips the search and returns its baseline.
     """
 
     load: ClassVar[bool] = False

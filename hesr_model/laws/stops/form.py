@@ -25,8 +25,7 @@ from hesr_model.laws.ripple import LAG
 from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S
 from hesr_model.support.arrays import Array
 
-DEFLECTIONS = np.geomspace(3e-5, 1e-2, 9)
-"""Sliding deflections w of the stops [rad; m]."""
+DEFLECTIONS = np.geomspace(3e-5, 1e-2, 9)  # [rad; m] sliding deflections w of the stops
 
 LOAD_SCALE = Coefficient(
     name="load_scale", unit="N.m", description="load torque at which bounds of the load are 1"
@@ -50,10 +49,9 @@ BOUNDS: Mapping[str, sympy.Expr] = {
     "plus": positive(_LOAD),
     "minus": positive(-_LOAD),
 }
-"""Bounds of the family by name; none is negative, and none vanishes at rest alone."""
+"""Bounds by name; none is negative, and none vanishes at rest alone."""
 
-SHARES = {"a": 0.05, "b": 0.2, "c": 0.6}
-"""Speeds of shear thinning relative to the largest speed, by the letter of their term of f."""
+SHARES = {"a": 0.05, "b": 0.2, "c": 0.6}  # speeds of shear thinning relative to the largest speed
 THINNING = {
     letter: Coefficient(name=f"v_{letter}", unit="rad/s", description="speed of shear thinning")
     for letter in SHARES
@@ -78,33 +76,18 @@ _VISCOUS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """Terms of a law.
-
-    Attributes
-    ----------
-    stops : name of the bound and index of the deflection, from 0, of each stop.
-    viscous : terms of f: "1" for a constant, "v" for |v|, a letter of `SHARES` for
-        1 / (1 + |v| / v_letter).
-    ripple : frequencies in the joint angle [1/rad] of harmonics of the motor's angle.
-    window : longest step [s] without averaging of ripple.
-    """
+    """Terms of a law."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
-    stops: tuple[tuple[str, int], ...] = ()
-    viscous: tuple[str, ...] = ()
-    ripple: tuple[PositiveInt, ...] = ()
-    window: NonNegativeFloat = 0.0
+    stops: tuple[tuple[str, int], ...] = ()  # bound and index of the deflection of each stop
+    viscous: tuple[str, ...] = ()  # of f: "1", "v" for |v|, "a" for 1 / (1 + |v| / v_a) ..
+    ripple: tuple[PositiveInt, ...] = ()  # [1/rad] frequencies in the joint angle
+    window: NonNegativeFloat = 0.0  # [s] longest step without averaging of ripple
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Self:
-        """Return the structure of JSON data.
-
-        Raises
-        ------
-        ArtifactError
-            If the data are not a structure.
-        """
+        """Return the structure of JSON data; raises ArtifactError if the data are invalid."""
         try:
             found = TypeAdapter(cls).validate_python(dict(data))
         except ValidationError as error:
@@ -205,14 +188,7 @@ def start_at_rest(form: LawForm) -> tuple[float, ...]:
 
 
 def viscous_at(structure: Structure, numbers: Mapping[str, float], speeds: Array) -> Array:
-    """Return the (S, V) terms of f, without their coefficients, at speeds [rad/s].
-
-    Parameters
-    ----------
-    structure : structure with the terms.
-    numbers : coefficients of shear thinning by name, in their units.
-    speeds : (S,) non-negative speeds.
-    """
+    """Return the (S, V) terms of f, without their coefficients, at speeds (S,) >= 0 [rad/s]."""
     known = {v.symbol: numbers[v.name] for k, v in THINNING.items() if k in structure.viscous}
     terms = [_VISCOUS[kind][1].subs(known) for kind in structure.viscous]
     found = lowered([DQ], terms)(speeds)

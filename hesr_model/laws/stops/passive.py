@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from hesr_model.support.arrays import Array
 
 SPEEDS = np.concatenate([[0.0], np.geomspace(1e-4, 1e6, 241)])
-"""Speeds [rad/s] for checking the condition; in between all terms are monotonic."""
+"""[rad/s] to check the condition; in between all terms are monotonic"""
 
 
 def distance(lag: float, window: float) -> float:
@@ -37,18 +37,11 @@ def needed(frequencies: Sequence[int], lag: float, window: float) -> Array:
 def constrained(
     gram: Array, moment: Array, x: Array, viscous: Array, waves: Array, *, free: int
 ) -> Array:
-    """Return the least-squares coefficients that satisfy the condition.
+    """Return the least-squares coefficients that satisfy the condition, a cone problem.
 
-    It is a cone problem: linear apart from the amplitudes of waves.
-
-    Parameters
-    ----------
-    gram, moment : (K, K) and (K,) normal equations.
-    x : (K,) unconstrained solution; the last `free` have any sign and end in pairs of cosines and
-        sines.
-    viscous : (S, V) terms of f at each speed; their coefficients precede the free ones.
-    waves : (S, W) result of `needed`.
-    free : number of last coefficients of any sign.
+    `gram` and `moment` are normal equations. The last `free` coefficients of the unconstrained
+    solution `x` have any sign and end in cosines and sines; those of `viscous` (S, V) precede them.
+    `waves` (S, W) is the result of `needed`.
     """
     first = len(x) - free
     f, a = slice(first - viscous.shape[1], first), slice(len(x) - 2 * waves.shape[1], len(x))

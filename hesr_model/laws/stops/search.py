@@ -13,36 +13,22 @@ from hesr_model.laws.stops.form import Structure
 from hesr_model.laws.stops.terms import VISCOUS, columns, every, fixed, weights
 from hesr_model.support.arrays import Array
 
-SPEEDS = (0.05, 0.1, 0.2, 0.4)
-"""Candidate Stribeck velocities, relative to the largest speed."""
-TIMES = (0.05, 0.1, 0.2, 0.4)
-"""Candidate ageing times T [s]."""
-MORE = ("root", "plus", "minus")
-"""Candidate bounds in addition to those of the skeleton."""
-LEAST = 2e-3
-"""Smallest relative force of a stop."""
+SPEEDS = (0.05, 0.1, 0.2, 0.4)  # Stribeck velocities, relative to the largest speed
+TIMES = (0.05, 0.1, 0.2, 0.4)  # [s] ageing times T
+MORE = ("root", "plus", "minus")  # candidate bounds in addition to those of the skeleton
+LEAST = 2e-3  # smallest relative force of a stop
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Terms:
-    """Bounds and viscous terms with their errors on left-out rows.
+    """Bounds and viscous terms with their errors on left-out rows."""
 
-    Attributes
-    ----------
-    bounds : names of bounds, each with a stop at every deflection.
-    numbers : other coefficients by name, in their units.
-    samples : rows of the joint.
-    weights : (N,) 1 for rows that are used.
-    products : products of columns, shared by trials.
-    cache : weighted columns by bound.
-    """
-
-    bounds: tuple[str, ...]
-    numbers: dict[str, float]
+    bounds: tuple[str, ...]  # each with a stop at every deflection
+    numbers: dict[str, float]  # other coefficients
     samples: JointRows
-    weights: Array
-    products: Products
-    cache: dict[str, Array] = field(default_factory=dict)
+    weights: Array  # (N,) 1 for rows that are used, else 0
+    products: Products  # shared by trials
+    cache: dict[str, Array] = field(default_factory=dict)  # weighted columns by bound
 
     @property
     def structure(self) -> Structure:
@@ -99,13 +85,7 @@ class Terms:
 
 
 def dictionary(samples: JointRows, *, load: bool) -> Terms:
-    """Return the baseline: bounds of the skeleton with the best v_s and T.
-
-    Parameters
-    ----------
-    samples : rows of the joint.
-    load : True if bounds may depend on the load.
-    """
+    """Return the baseline: bounds of the skeleton with the best v_s and T."""
     speed = float(np.max(np.abs(samples.dq)))
     bounds = ("1", "p", "load") if load else ("1", "p")
     counted = weights(samples)

@@ -19,8 +19,7 @@ from hesr_model.laws.stops.form import (
 from hesr_model.support.arrays import Array
 
 _ANY = (1e-12, 1e12)
-VISCOUS = ("1", "v", *SHARES)
-"""Terms of f."""
+VISCOUS = ("1", "v", *SHARES)  # terms of f
 
 
 def every(kind: str) -> Structure:
@@ -52,14 +51,7 @@ def weights(samples: JointRows) -> Array:
 
 
 def columns(structure: Structure, numbers: Mapping[str, float], samples: JointRows) -> Array:
-    """Return the (N, K) columns [N.m per unit] of a structure's forces and waves, without offset.
-
-    Parameters
-    ----------
-    structure : structure with the terms.
-    numbers : all other coefficients by name, in their units.
-    samples : rows of the joint.
-    """
+    """Return the (N, K) columns [N.m per unit] of a structure's forces and waves."""
     form, space = _posed(structure)
     problem = Separable(form, space, samples, start=start_at_rest(form))
     return problem.columns(problem.point({name: numbers[name] for name in space.names}))[:, :-1]

@@ -13,16 +13,11 @@ from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.nonnegative import Normal, blocks_of, pays
 from hesr_model.support.arrays import Array
 
-ORDERS = range(1, 17)
-"""Candidate orders per turn of the motor."""
-NEAR = 3
-"""Largest distance of a frequency from an integer multiple of the gear ratio [1/rad]."""
-LAGS = np.arange(0.0, 0.0121, 0.0005)
-"""Candidate lags of the torque behind the position [s]."""
-MOST = 6
-"""Maximum number of frequencies of a joint."""
-GAIN = 0.002
-"""Smallest relative gain of the mean square on left-out rows by a frequency."""
+ORDERS = range(1, 17)  # candidates per turn of the motor
+NEAR = 3  # [1/rad] distance of a frequency from an integer multiple of the gear ratio
+LAGS = np.arange(0.0, 0.0121, 0.0005)  # [s] of the torque behind the position
+MOST = 6  # maximum number of frequencies of a joint
+GAIN = 0.002  # smallest relative gain of the mean square on left-out rows by a frequency
 
 
 _PHASE = 0.6  # search range of the lag, as a phase of the fastest wave at 1 rad/s [rad]
@@ -45,12 +40,7 @@ def waves(frequencies: Sequence[int], lag: float, samples: JointRows) -> Array:
 def select(base: Array, samples: JointRows, weights: Array, gear_ratio: float) -> Waves:
     """Return the waves that lower the error on left-out rows by more than one standard error.
 
-    Parameters
-    ----------
-    base : (N, K) columns of a law with a force, the offset last.
-    samples : rows of the joint.
-    weights : (N,) 1 for rows that are used, 0 for others.
-    gear_ratio : turns of the motor per turn of the joint.
+    `base` (N, K) are the columns of a law with a force, the offset last; `weights` (N,) are 1 or 0.
     """
     problem = _Problem(base=base, samples=samples, weights=weights)
     blocks = blocks_of(samples.dt, samples.begins)
