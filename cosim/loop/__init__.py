@@ -1,1 +1,1 @@
-"""The studies: each takes its configuration and returns a result."""
+"""Closed loops on the twin's arm: motions, tracking and robustness."""

@@ -1,8 +1,4 @@
-"""Scores of laws on the alternative plants of a twin.
-
-The bristles of the twin's MJCF favour bristle laws. With each other truth of its plant the same
-motions are run, body and laws are identified again and scored on the same tests.
-"""
+"""Scores of laws on alternative plants; the bristles of the twin's MJCF favour bristle laws."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -23,21 +19,10 @@ from hesr_model.support.progress import Progress, counted, silent
 def under_truths(
     study: Study, path: Path, laws: Sequence[str], *, progress: Progress = silent
 ) -> dict[str, Errors]:
-    """Return the errors of laws under each further truth of the twin, by truth.
+    """Return the errors of laws by alternative plant of the twin.
 
-    Laws that the logs of a truth do not determine are absent there.
-
-    Parameters
-    ----------
-    study : study of a twin.
-    path : file of the study.
-    laws : names in the registry.
-    progress : receives the number of finished truths.
-
-    Raises
-    ------
-    HesrError
-        If a truth is unknown, or its logs do not suffice.
+    Body and laws are identified again on the same motions. Laws that the logs do not determine are
+    absent.
     """
     names = study.twin.truths if study.twin else ()
     return {truth: _under(study, path, truth, laws) for truth in counted(names, progress)}

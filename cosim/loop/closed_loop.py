@@ -27,10 +27,8 @@ class StandIn(StrEnum):
 
 
 Law = Annotated[StandIn | str, Field(union_mode="left_to_right")]
-"""Name of a law, or its substitute."""
 
 ARM = "Arm.fmu"
-"""File name of the arm's FMU."""
 
 PerJoint = Annotated[tuple[float, ...], Field(min_length=1)]
 _REST = 0.05  # [s] rest before the motion, longer than any preview
@@ -40,76 +38,47 @@ _TITLES: Mapping[Compensation, str] = {
     "torque_error": "torque error (the paper’s scheme)",
     "servo_inversion": "servo inversion",
 }
-VelocitySource = Literal["desired", "measured", "filtered"]
-"""Velocity input of the friction law."""
+VelocitySource = Literal["desired", "measured", "filtered"]  # velocity input of the friction law
 
 
 class Gains(Config):
-    """Gains of the controller, one entry per joint.
+    """Gains of the controller, one entry per joint."""
 
-    Attributes
-    ----------
-    Kp, Kd : gains of the torque error [rad/(s N.m)], [rad/(N.m)].
-    decay : decay of both with the desired velocity, lambda [s/rad].
-    Kv, Ki : servo gains that the controller assumes [N.m s/rad], [N.m/rad].
-    latency : servo latency that the controller assumes [s].
-    """
-
-    Kp: PerJoint
-    Kd: PerJoint
-    decay: float
-    Kv: PerJoint
-    Ki: PerJoint
-    latency: float
+    Kp: PerJoint  # gain of the torque error [rad/(s N.m)]
+    Kd: PerJoint  # gain of its derivative [rad/(N.m)]
+    decay: float  # decay of both with the desired velocity, lambda [s/rad]
+    Kv: PerJoint  # servo gain assumed by the controller [N.m s/rad]
+    Ki: PerJoint  # integral servo gain assumed by the controller [N.m/rad]
+    latency: float  # servo latency assumed by the controller [s]
 
 
 class Tracking(Config):
-    """The tracking study.
+    """Settings of the tracking study; see `random_fourier` for the motions."""
 
-    Attributes
-    ----------
-    seeds : one random Fourier motion each.
-    duration : period of each motion [s].
-    harmonics, peak_velocity, offset : see `random_fourier`.
-    gains : gains of the controller.
-    Kx : gain of the outer position loop, in schemes with one [1/s].
-    sources : laws whose friction is also evaluated on measured and filtered velocity.
-    drift : length of a long run that shows drift [s].
-    """
-
-    seeds: tuple[int, ...] = Field(min_length=1)
-    duration: float = Field(gt=0)
+    seeds: tuple[int, ...] = Field(min_length=1)  # one motion each
+    duration: float = Field(gt=0)  # period of each motion [s]
     harmonics: int = Field(ge=2)
     peak_velocity: PerJoint
     offset: PerJoint
     gains: Gains
-    Kx: float = Field(gt=0)
-    sources: tuple[str, ...] = ()
-    drift: float = Field(default=60.0, gt=0)
+    Kx: float = Field(gt=0)  # gain of the outer position loop [1/s]
+    sources: tuple[str, ...] = ()  # laws also evaluated on measured and filtered velocity
+    drift: float = Field(default=60.0, gt=0)  # length of a long run that shows drift [s]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
-    """Control scheme.
-
-    Attributes
-    ----------
-    compensation : compensation of the controller.
-    Kx : gain of the outer position loop [1/s].
-    source : velocity input of the friction law.
-    friction_gain : factor on the friction torque.
-    change : difference from the identified loop, for tables; empty if none.
-    """
+    """Control scheme."""
 
     compensation: Compensation
-    Kx: float = 0.0
-    source: VelocitySource = "desired"
-    friction_gain: float = 1.0
-    change: str = ""
+    Kx: float = 0.0  # gain of the outer position loop [1/s]
+    source: VelocitySource = "desired"  # velocity input of the friction law
+    friction_gain: float = 1.0  # factor on the friction torque
+    change: str = ""  # difference from the identified loop, for tables
 
     @property
     def name(self) -> str:
-        """Name in files; `of_name` is the inverse."""
+        """Name in files, the inverse of `of_name`."""
         change = f": {self.change}" if self.change else ""
         return ", ".join((self.compensation, *self._more)) + change
 
@@ -129,13 +98,7 @@ class Scheme:
 
     @classmethod
     def of_name(cls, name: str) -> Self:
-        """Return the scheme of a name.
-
-        Raises
-        ------
-        ValueError
-            If the name is not valid.
-        """
+        """Return the scheme of a name; raise ValueError if it is not valid."""
         found = _NAME.fullmatch(name)
         if found is None:
             raise ValueError(f"'{name}' is not a scheme")
@@ -150,7 +113,6 @@ _NAME = re.compile(
 
 
 def _digits(value: float) -> str:
-    """Return a number with all its digits."""
     return repr(float(value)).removesuffix(".0")
 
 
@@ -161,12 +123,11 @@ def _scheme(value: Any) -> Any:
 NamedScheme = Annotated[
     Scheme, BeforeValidator(_scheme), PlainSerializer(lambda scheme: scheme.name, return_type=str)
 ]
-"""A scheme that is its name in JSON."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fmus:
-    """The FMUs of a loop: arm, trajectory, rigid body, friction, controller, velocity filter."""
+    """FMUs of a loop."""
 
     arm: Path
     trajectory: Path
@@ -174,36 +135,26 @@ class Fmus:
     friction: Path
     controller: Path
     velocity: Path
-    gravity: Path | None = None
-    """Rigid body of the gravity torque; `body` by default."""
+    gravity: Path | None = None  # rigid body of the gravity torque; `body` by default
 
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """One loop: FMUs, scheme and gains.
-
-    Attributes
-    ----------
-    fmus, scheme, gains : parts of the loop.
-    step : communication step [s].
-    time_constant : time constant of the filter of measured velocities [s].
-    arm : further parameters of the arm.
-    noise : standard deviation of the measured torque, one entry per joint [N.m].
-    """
+    """One loop: FMUs, scheme and gains."""
 
     fmus: Fmus
     scheme: Scheme
     gains: Gains
-    step: float
-    time_constant: float = 0.02
-    arm: Mapping[str, Value] = field(default_factory=dict)
-    noise: PerJoint = ()
+    step: float  # communication step [s]
+    time_constant: float = 0.02  # time constant of the velocity filter [s]
+    arm: Mapping[str, Value] = field(default_factory=dict)  # further parameters of the arm
+    noise: PerJoint = ()  # standard deviation of the measured torque per joint [N.m]
 
 
 def preview(scheme: Scheme, gains: Gains, step: float) -> float:
-    """Return the preview of the desired motion [s].
+    """Return the preview of the desired motion [s]: nonzero for servo inversion.
 
-    Servo inversion looks ahead by the latency and half a step, since a command is held for a step.
+    A command is held for a step, so half a step adds to the latency.
     """
     return gains.latency + 0.5 * step if scheme.compensation == "servo_inversion" else 0.0
 
@@ -215,14 +166,10 @@ def system(
     limits: Collection[tuple[float, float]] = (),
     motion: Mapping[str, Value] | None = None,
 ) -> SystemSpec:
-    """Return the loop as a system; the arm is stepped first, with the commands of the last sample.
+    """Return the loop as a system that steps the arm first, with the commands of the last sample.
 
-    Parameters
-    ----------
-    setting : the loop.
-    duration : length of the run [s].
-    limits : lowest and highest position of each joint, beyond which the run stops [rad].
-    motion : start values of the trajectory; they can also be set for each run.
+    A run of `duration` [s] ends early outside `limits` (n, 2) [rad]. `motion` holds start values of
+    the trajectory, which can also be set for each run.
     """
     fmus, scheme, gains = setting.fmus, setting.scheme, setting.gains
     source = "trajectory.dq_ahead" if scheme.source == "desired" else "velocity.dq"

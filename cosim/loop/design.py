@@ -28,22 +28,13 @@ _TABLES = {".csv", ".parquet", ".pq"}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExcitationDesign:
-    """A designed excitation and its files.
-
-    Attributes
-    ----------
-    excitation : the motion.
-    random_condition : median condition number of W_b over 200 random motions within the same
-        limits.
-    forward, backward : setpoints of the motion and of its time-reversed counterpart.
-    picture : position and velocity with their limits.
-    """
+    """A designed excitation and its files."""
 
     excitation: Excitation
-    random_condition: float
-    forward: Path
-    backward: Path
-    picture: Path
+    random_condition: float  # median of 200 random motions within the same limits, of W_b
+    forward: Path  # setpoints
+    backward: Path  # setpoints of the time-reversed motion
+    picture: Path  # position and velocity with their limits
 
 
 def design(
@@ -55,28 +46,10 @@ def design(
 ) -> ExcitationDesign:
     """Design an excitation and write it.
 
-    The files are `output`, ``<name>_reversed`` with the same suffix and ``<name>.png``. Columns
-    are ``t, q1.., dq1.., ddq1..`` [s, rad, rad/s, rad/s2; m for prismatic joints]; rows run from
-    rest to rest at the settings' sample rate. Collisions are not checked: position limits must
-    exclude them.
-
-    Parameters
-    ----------
-    robot : robot file.
-    output : CSV or Parquet file.
-    settings : TOML of `hesr_model.motions.excitation.ExcitationSettings`; the defaults if left out.
-    progress : receives the number of finished descents.
-
-    Raises
-    ------
-    ConfigError
-        If a file is missing or wrong, or `output` is neither CSV nor Parquet.
-    RobotError
-        If the limits do not fit the robot.
-    FitError
-        If the limits admit no motion.
-    ArtifactError
-        If a file cannot be written.
+    The files are `output`, ``<name>_reversed`` with its suffix, and ``<name>.png``. The setpoints
+    (CSV or Parquet) have columns ``t, q1.., dq1.., ddq1..`` [s, rad, rad/s, rad/s2; m for prismatic
+    joints] and run from rest to rest at the sample rate of `settings`, a TOML of
+    `ExcitationSettings`. Collisions are not checked: position limits must exclude them.
     """
     from cosim.report.figures.motions import excitation
 

@@ -1,4 +1,4 @@
-"""Run the digital twin along the motions of a study and write its logs."""
+"""Runs of the digital twin along the motions of a study, and their logs."""
 
 import hashlib
 import logging
@@ -26,19 +26,11 @@ _MOST_SAMPLES = 10**8  # per log
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """Log and truth of one motion of the twin.
+    """Log and truth of one motion of the twin."""
 
-    Attributes
-    ----------
-    log : noisy position and torque, and velocity as central differences over two samples: noisy,
-        without delay.
-    truth : motion and torques (N, n) at the times of the log.
-    desired : (N, n) commanded position [rad].
-    """
-
-    log: RobotLog
-    truth: ArmRun
-    desired: Array
+    log: RobotLog  # noisy; the velocity is a central difference over two samples
+    truth: ArmRun  # true motion and torques at the times of the log
+    desired: Array  # commanded position (N, n) [rad]
 
     @property
     def tracking_error(self) -> Array:
@@ -54,27 +46,11 @@ def excite(
     seed: int | None = None,
     fmu: Path | None = None,
 ) -> dict[str, Path]:
-    """Run the arm along every motion; write a CSV and the true friction of each.
+    """Run the arm along every motion; return the CSV files ``<name>.csv`` of the logs by name.
 
-    Parameters
-    ----------
-    motions : the motions.
-    plant : the arm.
-    folder : receives the logs as ``<name>.csv``; created if it does not exist.
-    seed : seed of the noise; that of the plant by default.
-    fmu : FMU of the arm; made from its servo by default.
-
-    Returns
-    -------
-    dict
-        Name of each log to its file, in the order of the motions.
-
-    Raises
-    ------
-    ConfigError
-        If a motion does not fit the arm or leaves its joint limits.
-    ArtifactError
-        If a log cannot be written.
+    The true friction is written next to each log. `seed` of the noise and `fmu` of the arm are
+    those of `plant` by default. Raises ConfigError if a motion does not fit the arm or leaves its
+    joint limits.
     """
     paths = {}
     for recording in recordings(motions, plant, seed=seed, fmu=fmu):
@@ -103,21 +79,12 @@ def recordings(
 def record(
     arm: TwinArm, trajectory: Trajectory, seed: int, *, name: str, unlogged: float = 0.0
 ) -> Recording:
-    """Run the arm along one motion from rest and log it.
+    """Run the arm along one motion from rest and log it after `unlogged` [s].
 
     The command is the mean desired velocity over each sample period, whose integral is the desired
-    position without drift.
-
-    Parameters
-    ----------
-    seed : combined with `name`, so that the noise of a log does not depend on other logs.
-    unlogged : time before the log begins [s].
-
-    Raises
-    ------
-    ConfigError
-        If the motion has another number of joints, leaves the joint limits, or is over before
-        the log begins.
+    position without drift. `seed` is combined with `name`, so that the noise of a log does not
+    depend on other logs. Raises ConfigError if the motion does not fit the arm or leaves its joint
+    limits.
     """
     rate = arm.plant.sample_rate
     if not trajectory.duration * rate <= _MOST_SAMPLES:
@@ -146,7 +113,7 @@ def record(
 
 
 def truth_of(log: Path) -> Path:
-    """Return the file of the true friction of a log: columns t, tau_f1.."""
+    """Return the file of the true friction of a log, with columns t, tau_f1.."""
     return log.parent / "truth" / log.name
 
 

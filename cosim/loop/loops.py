@@ -38,11 +38,11 @@ from hesr_model.support.progress import Stages
 
 _COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
 _MEASURED: tuple[VelocitySource, ...] = ("measured", "filtered")
-_MARGIN = 0.5  # [rad] beyond the joint limits: a run has diverged
+_MARGIN = 0.5  # [rad] beyond the joint limits: the run has diverged
 
 
 def motions(tracking: Tracking, periods: int = 1) -> list[LoopMotion]:
-    """Return the motions of a study with a number of periods each."""
+    """Return the motions of a study with the given number of periods."""
     return [LoopMotion.of(_fourier(tracking, seed, periods)) for seed in tracking.seeds]
 
 
@@ -58,13 +58,7 @@ def _fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
 
 
 def require_reachable(tracking: Tracking, robot: RobotModel) -> None:
-    """Check that the motions of a study fit the robot and its limits.
-
-    Raises
-    ------
-    ConfigError
-        Naming the motion and the joint.
-    """
+    """Raise ConfigError with motion and joint if a motion leaves the limits of the robot."""
     for key, entries in (("peak_velocity", tracking.peak_velocity), ("offset", tracking.offset)):
         if len(entries) != robot.n:
             raise ConfigError(
@@ -85,26 +79,15 @@ def require_reachable(tracking: Tracking, robot: RobotModel) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyLoop:
-    """Common data of the rows of a study.
-
-    Attributes
-    ----------
-    tracking : the study.
-    friction : FMU of each law.
-    oracle : FMU of the true friction.
-    fmus : other FMUs, with the identified rigid body.
-    true_body : FMU of the true rigid body.
-    step : communication step [s].
-    noise : standard deviation of the measured torques [N.m].
-    """
+    """Common data of the rows of a study."""
 
     tracking: Tracking
-    friction: Mapping[str, Path]
-    oracle: Path
-    fmus: Fmus
-    true_body: Path
-    step: float
-    noise: tuple[float, ...] = ()
+    friction: Mapping[str, Path]  # by law
+    oracle: Path  # FMU of the true friction
+    fmus: Fmus  # other FMUs, with the identified rigid body
+    true_body: Path  # FMU of the true rigid body
+    step: float  # communication step [s]
+    noise: tuple[float, ...] = ()  # standard deviation of the measured torques [N.m]
 
     def setting(self, law: str, scheme: Scheme) -> Setting:
         """Return the loop of a law in a scheme."""
@@ -150,14 +133,9 @@ _OWN = ("Trajectory", "Controller", "Velocity", "InverseDynamics", "TrueInverseD
 def build(
     folder: Path, robot: RobotModel, body: RigidBody, plant: Plant, *, oracle: FrictionModel
 ) -> None:
-    """Write the FMUs of a loop, except those of the arm and the laws.
+    """Write the FMUs of a loop to `folder`, except those of the arm and the laws.
 
-    Parameters
-    ----------
-    folder : folder of the FMUs.
-    robot, body : identified rigid body; the true one is that of the robot's model file.
-    plant : the arm, for its sample rate.
-    oracle : true friction.
+    The true rigid body is that of the robot's model file, `oracle` the true friction.
     """
     step = 1.0 / plant.sample_rate
     contents: tuple[Callable[[], Content], ...] = (
@@ -185,7 +163,7 @@ def _written(content: Callable[[], Content], path: Path) -> Path:
 def assemble(
     folder: Path, *, tracking: Tracking, friction: Mapping[str, Path], plant: Plant
 ) -> StudyLoop:
-    """Return the loop of the FMUs in a folder that `build` has filled, and of friction laws."""
+    """Return the loop of the FMUs in a folder written by `build`, and of friction laws."""
     paths = {name: folder / f"{name}.fmu" for name in _OWN}
     return StudyLoop(
         tracking=tracking,
@@ -212,14 +190,7 @@ def example(
     compensation: Compensation = "servo_inversion",
     duration: float | None = None,
 ) -> SystemSpec:
-    """Return one complete loop: the last of the study's `sources` along its first motion.
-
-    Parameters
-    ----------
-    loop, robot : the study.
-    compensation : of the controller.
-    duration : length of the run [s]; that of the study by default.
-    """
+    """Return a loop of `duration` [s]: the last of the study's `sources` on its first motion."""
     tracking = loop.tracking
     law = (tracking.sources or tuple(loop.friction))[-1]
     scheme = Scheme(compensation=compensation, Kx=tracking.Kx)

@@ -11,16 +11,10 @@ from hesr_model.support.config import Config
 
 
 class _Motion(Config):
-    """Common part of all motions.
-
-    Attributes
-    ----------
-    name : name of the log and of its file.
-    also_reversed : whether to also run the time-reversed motion, as ``<name>_reversed``.
-    """
+    """Common part of all motions."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
-    also_reversed: bool = False
+    also_reversed: bool = False  # also run the time-reversed motion as ``<name>_reversed``
 
     @property
     def unlogged(self) -> float:
@@ -34,12 +28,7 @@ class _Motion(Config):
 
 
 class FourierMotion(_Motion):
-    """Fourier series drawn from a seed; see `hesr_model.motions.trajectories.random_fourier`.
-
-    Attributes
-    ----------
-    periods, unlogged_periods : number of periods, and of the first ones without log.
-    """
+    """Fourier series drawn from a seed; see `hesr_model.motions.trajectories.random_fourier`."""
 
     kind: Literal["fourier"]
     seed: int
@@ -48,7 +37,7 @@ class FourierMotion(_Motion):
     peak_velocity: PerJoint
     offset: PerJoint
     periods: int = Field(default=1, ge=1)
-    unlogged_periods: int = Field(default=0, ge=0)
+    unlogged_periods: int = Field(default=0, ge=0)  # first periods without log
 
     @property
     def unlogged(self) -> float:
@@ -91,7 +80,7 @@ class ChirpMotion(_Motion):
 
 
 class SweepMotion(_Motion):
-    """Sweep whose amplitude swings; see `hesr_model.motions.trajectories.Sweep`."""
+    """Sweep with varying amplitude; see `hesr_model.motions.trajectories.Sweep`."""
 
     kind: Literal["sweep"]
     first: float = Field(gt=0)
@@ -115,7 +104,7 @@ MotionSpec = Annotated[
 
 
 class Motions(Config):
-    """The motions of a study; each gives one log, or two with `also_reversed`."""
+    """Motions of a study; each gives one log, or two with `also_reversed`."""
 
     motions: tuple[MotionSpec, ...] = Field(min_length=1)
 
@@ -130,5 +119,5 @@ class Motions(Config):
 
 
 def names_of(motion: MotionSpec) -> tuple[str, ...]:
-    """Names of the logs that a motion gives."""
+    """Return the names of the logs of a motion."""
     return (motion.name, f"{motion.name}_reversed") if motion.also_reversed else (motion.name,)

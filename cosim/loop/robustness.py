@@ -18,20 +18,15 @@ from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.progress import Stages
 
-PAYLOADS = (1.0, 2.5, 5.0)
-"""Payloads [kg], unknown to the loop or identified."""
-FRICTION_SCALES = (0.5, 0.75, 1.5, 2.0)
-"""Friction of the arm over that of the training, as temperature changes it."""
-LATENCIES = (0.0, 0.02, 0.04)
-"""Servo latencies, known to the controller [s]."""
-GAIN_ERRORS = (0.8, 1.2)
-"""Ratios of assumed to true servo gains."""
-NOISE = 3.0
-"""Factor on the torque noise."""
+PAYLOADS = (1.0, 2.5, 5.0)  # [kg] unknown to the loop, or identified
+FRICTION_SCALES = (0.5, 0.75, 1.5, 2.0)  # friction of the arm over that of the training
+LATENCIES = (0.0, 0.02, 0.04)  # [s] servo latencies, known to the controller
+GAIN_ERRORS = (0.8, 1.2)  # assumed over true servo gains
+NOISE = 3.0  # on the torque noise
 FACTORS = tuple(float(f) for f in np.round(np.arange(0.2, 3.01, 0.2), 1))
 """Factors on the friction torque in the search for limit cycles."""
 CYCLING = 2e-4
-"""Threshold of cycling: RMS motion of an arm at rest [rad], ten times the encoder's noise."""
+"""Threshold of cycling: RMS motion of an arm at rest [rad], ten times the encoder noise."""
 _REST = 4.0  # [s]
 _AS_IT_IS = "as it is"
 
@@ -50,13 +45,7 @@ def run_sweeps(
 ) -> list[Tracked]:
     """Run the selected laws under every change, on a few motions.
 
-    Parameters
-    ----------
-    loop : FMUs and gains.
-    robot, body : identified rigid body.
-    folder : receives the FMUs of identified payloads.
-    known : rows of the tables, which provide the unchanged loops.
-    kept, progress : see `track`.
+    `known` rows provide the unchanged loops; `folder` receives the FMUs of identified payloads.
     """
     rows = list(_rows(loop, _payload_bodies(robot, body, folder, loop.step)))
     unchanged = {(replace(t.scheme, change=_AS_IT_IS).name, t.law): t for t in known}

@@ -1,4 +1,4 @@
-"""The closed-loop part of a study: tables, traces, robustness and a check of the masters."""
+"""Closed-loop part of a study: tables, traces, robustness, and comparison of the masters."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -23,9 +23,9 @@ from hesr_model.robots.robot import RobotModel
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Stages
 
-_SECONDS = 2.0  # length of the runs that compare the masters
+_SECONDS = 2.0  # [s] length of the runs that compare the masters
 _AGREEMENT = 1e-9  # allowed difference between the masters, relative to the largest value
-_DERIVATIVE = 5e-4  # [s] Kd / Kp in that comparison for joints whose study has no Kd
+_DERIVATIVE = 5e-4  # [s] Kd / Kp in that comparison for joints without Kd
 
 
 def run_loop(
@@ -43,17 +43,8 @@ def run_loop(
 ) -> LoopOutcome:
     """Build the FMUs of a loop and run the closed-loop part of a study.
 
-    Parameters
-    ----------
-    tracking : the study.
-    plant, signals : the arm and the signals of its FMU.
-    robot, body : identified rigid body.
-    folder : of the results, with the FMUs in ``fmus``, that of the arm as Arm.fmu. Receives one
-        complete loop as closed_loop.toml and the positions along the first motion as `TRACES`.
-    truth : the arm's own friction.
-    friction : FMU of each law.
-    kept : folder of finished rows, read again by a resumed run.
-    progress : receives the progress of each stage.
+    `folder` has FMUs in ``fmus``, including Arm.fmu. It receives one loop as closed_loop.toml and
+    the positions along the first motion as `TRACES`. `truth` is the friction of the arm.
     """
     require_reachable(tracking, robot)
     progress("building the loop", 0, 1)
@@ -77,10 +68,10 @@ def run_loop(
 def check_masters(
     loop: StudyLoop, robot: RobotModel, plant: Plant, signals: SignalTable
 ) -> list[Finding]:
-    """Step one loop by the Python and by the native master; return a finding if they disagree.
+    """Step one loop in the Python and the native master; return a finding if they disagree.
 
-    The loop has the arm as a PythonFMU and a PD controller of the torque error. The native arm
-    under the native master is the third run.
+    The loop has the arm as a PythonFMU and a PD controller of the torque error. The third run has
+    the native arm in the native master.
     """
     gains = loop.tracking.gains
     Kd = tuple(kd or _DERIVATIVE * kp for kp, kd in zip(gains.Kp, gains.Kd, strict=True))

@@ -19,44 +19,27 @@ if TYPE_CHECKING:
     import pyarrow
 
 TRACES = "closed_loop.parquet"
-"""Name of the file in a folder of results."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trace:
-    """One run of the closed loop.
+    """One run of the closed loop."""
 
-    Attributes
-    ----------
-    t : (N,) time [s].
-    q_d : (N, n) desired positions [rad].
-    q : (N, n) true positions of the arm [rad].
-    """
-
-    t: Numbers
-    q_d: Numbers
-    q: Numbers
+    t: Numbers  # (N,) [s]
+    q_d: Numbers  # desired positions (N, n) [rad]
+    q: Numbers  # true positions (N, n) [rad]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracked:
-    """Tracking errors of a row.
-
-    Attributes
-    ----------
-    scheme, law : the row.
-    rmse : (M, n) error of each motion and joint [rad]; NaN for a run that failed.
-    last : (M, n) mean error over the last tenth of each run [rad], which shows drift.
-    failures : reasons of runs that ended early.
-    trace : the run along the first motion, if requested; not part of the JSON data.
-    """
+    """Tracking errors of a row."""
 
     scheme: NamedScheme
     law: Law
-    rmse: NumbersWithGaps
-    last: NumbersWithGaps
-    failures: tuple[str, ...] = ()
-    trace: Annotated[Trace | None, Field(exclude=True)] = None
+    rmse: NumbersWithGaps  # (M, n) of each motion and joint [rad]; NaN if failed
+    last: NumbersWithGaps  # (M, n) mean error over the last tenth of each run [rad]
+    failures: tuple[str, ...] = ()  # reasons of runs that ended early
+    trace: Annotated[Trace | None, Field(exclude=True)] = None  # not in JSON
 
     @property
     def mean(self) -> Array:
@@ -71,49 +54,26 @@ class Tracked:
 
 @dataclass(frozen=True, kw_only=True)
 class Overcompensation:
-    """Lowest factor on the friction torque that makes an arm at rest cycle.
-
-    Attributes
-    ----------
-    law, scheme : the loop.
-    factor : first of `FACTORS` with motion above `CYCLING` or a failed run; None if all rest.
-    """
+    """Lowest factor on the friction torque that makes an arm at rest cycle."""
 
     law: str
     scheme: NamedScheme
-    factor: float | None
+    factor: float | None  # None if the arm rests at all `FACTORS`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopOutcome:
-    """Results of the closed loop of a study.
+    """Results of the closed loop of a study."""
 
-    Attributes
-    ----------
-    tracking : every law in every scheme, on all motions.
-    long : selected rows on a long motion, which shows drift.
-    sweeps : selected rows with a changed arm or controller.
-    overcompensation : largest stable factor on friction.
-    findings : disagreement of the masters; not part of the JSON.
-    """
-
-    tracking: Sequence[Tracked]
-    long: Sequence[Tracked]
-    sweeps: Sequence[Tracked]
+    tracking: Sequence[Tracked]  # every law in every scheme, on all motions
+    long: Sequence[Tracked]  # selected rows on a long motion
+    sweeps: Sequence[Tracked]  # selected rows with a changed arm or controller
     overcompensation: Sequence[Overcompensation]
-    findings: Annotated[Sequence[Finding], Field(exclude=True)] = ()
+    findings: Annotated[Sequence[Finding], Field(exclude=True)] = ()  # not in JSON
 
 
 def write_traces(path: Path, traces: Iterable[tuple[Scheme, str, Trace]]) -> None:
-    """Write traces of (scheme, law) as one long Parquet table.
-
-    Columns: ``scheme, law, t, q_d1.., q1..``. Repeated values are stored once.
-
-    Raises
-    ------
-    ArtifactError
-        If it cannot be written.
-    """
+    """Write traces of (scheme, law) as one long Parquet table: ``scheme, law, t, q_d1.., q1..``."""
     import pyarrow
     import pyarrow.parquet
 
@@ -132,10 +92,7 @@ def write_traces(path: Path, traces: Iterable[tuple[Scheme, str, Trace]]) -> Non
 def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
     """Return the traces of a file by (scheme, law), in its order.
 
-    Raises
-    ------
-    ArtifactError
-        If the file is missing or is not what `write_traces` writes.
+    Raises ArtifactError if the file is missing or not written by `write_traces`.
     """
     import pyarrow
     import pyarrow.parquet
@@ -167,7 +124,7 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
 
 
 def _of(table: "pyarrow.Table", vector: str) -> list[str]:
-    """Return the columns of a vector; raise KeyError if there are none."""
+    """Return the columns of a vector; raise KeyError if it has none."""
     names = [f"{vector}{k + 1}" for k in range(len(table.column_names))]
     found = [name for name in names if name in table.column_names]
     if not found:

@@ -25,16 +25,10 @@ from hesr_model.support.typed_json import from_json, read_json, to_text
 
 @dataclass(frozen=True, kw_only=True)
 class LoopMotion:
-    """A motion in the parameters of the FMUs.
+    """A motion in the parameters of the FMUs."""
 
-    Attributes
-    ----------
-    parameters : start values of the Trajectory FMU.
-    q0 : start position of the arm [rad].
-    """
-
-    parameters: Mapping[str, Value]
-    q0: tuple[float, ...]
+    parameters: Mapping[str, Value]  # start values of the Trajectory FMU
+    q0: tuple[float, ...]  # start position of the arm [rad]
 
     @classmethod
     def of(cls, trajectory: Trajectory) -> "LoopMotion":
@@ -45,14 +39,7 @@ class LoopMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRow:
-    """One row of a table: a law in a scheme.
-
-    Attributes
-    ----------
-    scheme : control scheme.
-    law : name of the law, or its substitute.
-    setting : the loop.
-    """
+    """One row of a table: a law in a scheme."""
 
     scheme: Scheme
     law: Law
@@ -61,7 +48,7 @@ class LoopRow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Kept:
-    """A stored row; the JSON data of `Tracked` excludes `trace`."""
+    """A stored row; the JSON of `Tracked` excludes `trace`."""
 
     tracked: Tracked
     trace: Trace | None
@@ -78,22 +65,11 @@ def track(
     workers: int | None = None,
     progress: Progress = silent,
 ) -> list[Tracked]:
-    """Run every row along every motion.
+    """Run every row along every motion for `duration` [s].
 
-    Parameters
-    ----------
-    rows : laws in schemes.
-    motions : desired motions.
-    duration : length of a run [s].
-    limits : (n, 2) positions beyond which a run stops [rad].
-    traced : keep the positions along the first motion.
-    kept : folder of finished rows, read again by a resumed study.
-    workers : number of processes; one per core by default, the present one for 1.
-    progress : receives the number of finished rows.
-
-    Returns
-    -------
-    One result per row, in order, failed runs included.
+    A run ends early outside the positions `limits` (n, 2) [rad]. Returns one result per row, in
+    order, including failures. `traced` keeps the positions along the first motion; `kept` is a
+    folder of finished rows for a resumed study.
     """
     done: dict[int, Tracked] = {}
     left: list[int] = []

@@ -1,4 +1,4 @@
-"""The digital twin's arm: its plant and signals as a study names them, and runs of its FMU."""
+"""Arm of the digital twin: plant, signals, and runs of its FMU."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -33,18 +33,10 @@ _OUTPUTS = {
 
 
 def twin_plant(twin: Twin, study: Path, folder: Path) -> tuple[Plant, SignalTable | None]:
-    """Return a twin's arm with the friction that its study names, and its table of signals if any.
+    """Return the arm of a twin with the friction of its study, and its table of signals, if any.
 
-    Parameters
-    ----------
-    twin : of the study.
-    study : its file, for errors.
-    folder : receives the MJCF of an alternative plant.
-
-    Raises
-    ------
-    ConfigError
-        If a file is wrong, or the plant has no such truth.
+    `study` is the file for messages; `folder` receives the MJCF of an alternative plant. Raises
+    ConfigError if a file is wrong or the plant has no such truth.
     """
     plant = Plant.read(twin.plant)
     signals = SignalTable.read(twin.signals) if twin.signals else None
@@ -63,59 +55,37 @@ def twin_plant(twin: Twin, study: Path, folder: Path) -> tuple[Plant, SignalTabl
 def export_twin(
     plant: Plant, folder: Path, signals: SignalTable | ArmSignals | None = None
 ) -> Path:
-    """Write the arm as an FMU in `folder`; its signals follow from the servo unless given."""
+    """Write the arm as an FMU in `folder`; by default its signals follow from the servo."""
     folder.mkdir(parents=True, exist_ok=True)
     return export_mjcf(plant.model, folder / ARM, table=signals or servo_signals(plant))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmRun:
-    """Motion and torques of an arm, (N, n) at N instants.
+    """Motion and torques of an arm, (N, n) at N instants."""
 
-    Attributes
-    ----------
-    q, dq : without noise [rad, rad/s].
-    tau_meas : torque of the servo with gravity compensation [N.m]: rigid body plus friction.
-    tau_f_true : friction torque [N.m], positive where it opposes positive velocity.
-    q_noisy, tau_noisy : position and torque as they are measured [rad, N.m].
-    """
-
-    q: Array
-    dq: Array
-    tau_meas: Array
-    tau_f_true: Array
-    q_noisy: Array
-    tau_noisy: Array
+    q: Array  # without noise [rad]
+    dq: Array  # without noise [rad/s]
+    tau_meas: Array  # torque of the servo without noise [N.m]: rigid body plus friction
+    tau_f_true: Array  # friction torque [N.m], positive if it opposes positive velocity
+    q_noisy: Array  # measured position [rad]
+    tau_noisy: Array  # measured torque [N.m]
 
 
 class TwinArm:
-    """An arm under velocity command, run as an FMU.
-
-    Parameters
-    ----------
-    component : FMU with the signals of models/uf850/arm.toml, loaded.
-    plant : joints, sample rate and noise.
-    """
+    """An arm under velocity command, run as an FMU with the signals of models/uf850/arm.toml."""
 
     def __init__(self, component: FmuInstance, plant: Plant) -> None:
         self.plant = plant
-        self.limits = joint_limits(plant)
-        """Lowest and highest position (n, 2) [rad]."""
+        self.limits = joint_limits(plant)  # (n, 2) [rad]
         self._component = component
 
     def run(self, q0: ArrayLike, commands: Array, *, seed: int, unlogged: int = 0) -> ArmRun:
-        """Start at rest at `q0` (n,) [rad], hold each command for a sample, and log.
+        """Start at rest at `q0` (n,) [rad], hold each command (N, n) [rad/s] for a sample, and log.
 
-        Parameters
-        ----------
-        q0 : start position; the servo's integral holds gravity and ripple there.
-        commands : (N, n) velocity commands [rad/s].
-        seed : seed of the measurement noise, 64 bit.
-        unlogged : number of samples before the log begins.
-
-        Returns
-        -------
-        The arm at the beginning of each command.
+        Returns the arm at the start of each command, without the first `unlogged` samples. `seed`
+        (64 bit) is that of the measurement noise. The servo's integral holds gravity and ripple at
+        `q0`.
         """
         fmu, noise = self._component, self.plant.noise
         if fmu.used:
@@ -147,7 +117,7 @@ class TwinArm:
 def loaded_arm(
     plant: Plant, *, fmu: Path | None = None, signals: ArmSignals | None = None
 ) -> Iterator[TwinArm]:
-    """Load the arm's FMU, which is made of `signals` unless given, and free it in the end."""
+    """Load the FMU of the arm, exported with `signals` by default, and free it in the end."""
     with ExitStack() as cleanup:
         if fmu is None:
             fmu = export_twin(plant, cleanup.enter_context(scratch_folder()), signals)

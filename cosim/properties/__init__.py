@@ -1,1 +1,1 @@
-"""The property battery: the same experiments on every friction law, run on its FMUs."""
+"""Physics checks: the same experiments on the FMUs of every friction law."""

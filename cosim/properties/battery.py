@@ -1,4 +1,4 @@
-"""Run all experiments on one model or FMU, and on many of them side by side."""
+"""All experiments on one model or FMU, and on many in parallel."""
 
 import hashlib
 import json
@@ -56,20 +56,12 @@ _NO_MODEL = "Not run: the FMU contains no law for a JointDrive."
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """A model or FMU to examine.
+    """A model or FMU to examine."""
 
-    Attributes
-    ----------
-    name : display name if there is no model.
-    model : the laws; None for an FMU that does not contain them.
-    fmu : a friction FMU; exported from the model by default.
-    inertia : (n,) of the joints [kg.m2]; by default that of a shipped robot.
-    """
-
-    name: str
-    model: FrictionModel | None
-    fmu: Path | None = None
-    inertia: tuple[float, ...] | None = None
+    name: str  # display name without a model
+    model: FrictionModel | None  # None for an FMU that does not contain its laws
+    fmu: Path | None = None  # a friction FMU; exported from the model by default
+    inertia: tuple[float, ...] | None = None  # [kg.m2]; that of a shipped robot by default
 
 
 def run_battery(
@@ -80,23 +72,10 @@ def run_battery(
     progress: Progress = silent,
     kept: Path | None = None,
 ) -> list[Properties]:
-    """Examine models or FMUs in parallel processes.
+    """Examine models or FMUs in parallel processes, under a constant load [N.m] of every joint.
 
-    Parameters
-    ----------
-    subjects : models and FMUs.
-    load : load torque of every joint in experiments without a load of their own [N.m].
-    workers : number of processes; one per core by default, the present one for 1. It does not
-        change the result.
-    progress : receives the number of finished subjects.
-    kept : folder of finished results, which are reused.
-
-    Raises
-    ------
-    ConfigError
-        If an inertia is not valid.
-    ExportError, SimulationError
-        If an FMU cannot be built, or is not a friction FMU.
+    `kept` is a folder of finished results, which are reused. Raises ConfigError if an inertia is
+    not valid, ExportError or SimulationError if an FMU cannot be built or is not a friction FMU.
     """
     for subject in subjects:
         _require_inertia(subject)
@@ -121,7 +100,7 @@ def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties
 
 
 def measure(subject: Subject, *, load: float = 0.0) -> Properties:
-    """Examine one model or FMU; see `run_battery` for arguments and errors.
+    """Examine one model or FMU; see `run_battery`.
 
     Coupled joints move one friction coordinate at a time. Thermal laws stay at the temperature of
     their fit.
@@ -198,7 +177,7 @@ def _moved(
     seen: list[TrainedRange],
     inertia: Array | None,
 ) -> dict[str, list[PropertyResult]]:
-    """Run the experiments on a friction FMU and give a reason for the others."""
+    """Run the experiments on a friction FMU; the others get a reason."""
     n = bench.joints
     laws = model.laws if model else (None,) * n
     states = [None if law is None else len(law.form.memory) for law in laws]
@@ -224,10 +203,7 @@ def _moved(
 
 
 def _peaks(seen: list[TrainedRange], scale: Scale) -> Array:
-    """Return the trained load of largest magnitude, (n,) [N.m].
-
-    Without trained load it is the constant load plus the friction level.
-    """
+    """Return the largest trained load (n,) [N.m]; else load plus friction level."""
     trained = np.array([max(one.tau_load, key=abs) for one in seen])
     return np.where(trained != 0.0, trained, scale.load + scale.level)
 

@@ -1,4 +1,4 @@
-"""Two benches: one moves the joints of a friction FMU, the other drives those of a JointDrive."""
+"""Benches: one moves the joints of a friction FMU, the other drives those of a JointDrive."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -57,21 +57,9 @@ class _Bench:
 class FrictionBench(_Bench):
     """A friction FMU whose joints are moved independently, all at once.
 
-    Parameters
-    ----------
-    component : the loaded FMU.
-    places : (n,) position of each joint at rest [rad]; zero by default.
-
-    Attributes
-    ----------
-    joints : number of joints.
-    exact : whether the FMU can integrate its states exactly over a step of any length, as ours.
-    forever : duration of steady sliding [s].
-
-    Raises
-    ------
-    SimulationError
-        If the FMU lacks the connectors of a friction FMU.
+    The rest positions are `places` (n,) [rad], zero by default. With `exact` the FMU integrates its
+    states exactly over a step of any length; `forever` is the duration of steady sliding [s].
+    Raises SimulationError if the FMU lacks the connectors of a friction FMU.
     """
 
     def __init__(self, component: FmuInstance, places: Array | None = None) -> None:
@@ -98,16 +86,11 @@ class FrictionBench(_Bench):
         dq: Array | None = None,
         unmoved: bool = False,
     ) -> Array:
-        """Restart at rest or at a velocity and return the torque (n,) [N.m].
+        """Restart at rest or at a velocity dq (n,) [rad/s] and return the torque (n,) [N.m].
 
-        In motion friction starts in its steady state if the FMU has one.
-
-        Parameters
-        ----------
-        load : of each joint [N.m], held until the next start.
-        exact : integrate exactly if the FMU can, whatever the law's own discretisation.
-        dq : (n,) velocity [rad/s].
-        unmoved : start with the states of rest, whatever the velocity.
+        In motion friction starts in its steady state if the FMU has one, except with `unmoved`. The
+        load of each joint [N.m] is held until the next start; `exact` overrides the discretisation
+        of the law.
         """
         n = self.joints
         chosen = {DISCRETISATION: _EXACT} if exact and self.exact else {}
@@ -132,19 +115,10 @@ class FrictionBench(_Bench):
     def move(
         self, dt: Array, dq: Array, q: Array | None = None, load: Array | None = None
     ) -> Array:
-        """Hold velocities one after the other.
+        """Hold dq (K, n) [rad/s] for dt (K,) [s]; return the torque at each end (K, n) [N.m].
 
-        Parameters
-        ----------
-        dt : (K,) duration of each [s].
-        dq : (K, n) [rad/s].
-        q : (K, n) position input [rad]; by default the joint's place, which excludes effects of
-            position.
-        load : (K, n) [N.m]; by default that of the start.
-
-        Returns
-        -------
-        (K, n) torque at the end of each [N.m].
+        The position input q (K, n) [rad] is constant by default, which excludes effects of
+        position; load (K, n) [N.m] is that of the start by default.
         """
         n = self.joints
         q = np.broadcast_to(self.places, dq.shape) if q is None else q
@@ -164,12 +138,9 @@ def friction_bench(fmu: Path, places: Array | None = None) -> Iterator[FrictionB
 
 
 class DriveBench(_Bench):
-    """A JointDrive whose joints get motor torque, and a link if they have a spring.
+    """A JointDrive whose joints start at `places` (n,) [rad] and get motor torque.
 
-    Parameters
-    ----------
-    component : the loaded FMU.
-    places : (n,) start positions of the joints [rad].
+    Joints with a spring also have a link.
     """
 
     def __init__(self, component: FmuInstance, places: Array) -> None:
@@ -185,14 +156,10 @@ class DriveBench(_Bench):
         stiffness: Array | None = None,
         substep: float | None = None,
     ) -> None:
-        """Restart at rest under a torque (n,) [N.m], the link at the joint's position.
+        """Restart at rest under a motor torque (n,) [N.m], the link at the joint's position.
 
-        Parameters
-        ----------
-        load : of every joint [N.m].
-        torque : (n,) of the motors [N.m].
-        stiffness : (n,) of the flexsplines [N.m/rad].
-        substep : longest inner step [s]; the FMU's own by default.
+        The load [N.m] is that of every joint, `stiffness` (n,) that of the flexsplines [N.m/rad];
+        `substep` is the longest inner step [s], that of the FMU by default.
         """
         n = self.joints
         start = {
@@ -226,13 +193,9 @@ class DriveBench(_Bench):
         link: Array | None = None,
         load: Array | None = None,
     ) -> Array:
-        """Return q, dq and tau_f over steps, (3, K, n) in SI units.
+        """Return q, dq and tau_f (3, K, n) in SI units over steps dt (K,) [s].
 
-        Parameters
-        ----------
-        dt : (K,) step sizes [s].
-        torque, link, load : (K, n) motor torque [N.m], position of the link [rad] and load [N.m];
-            unchanged if None.
+        Motor torque [N.m], link position [rad] and load [N.m] are (K, n); unchanged if None.
         """
         n = self.joints
         rows = np.tile(self._inputs.values, (len(dt), 1))

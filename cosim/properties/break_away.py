@@ -1,4 +1,4 @@
-"""Experiments with torque in: break-away, and what holds a load with and without dither."""
+"""Experiments driven by torque: break-away, and holding a load with and without dither."""
 
 import numpy as np
 
@@ -9,18 +9,15 @@ from hesr_model.audit.expectations import FALLS, HELD
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
-RAMPS = (10.0, 3.0, 1.0, 0.3)
-"""Durations of torque ramps up to the friction level [s]."""
-LOAD = 0.5
-"""Load to hold, as a share of the friction level."""
-DITHER, FREQUENCY = 0.2, 5.0
-"""Amplitude of the dither as a share of the friction level, and its frequency [Hz]."""
+RAMPS = (10.0, 3.0, 1.0, 0.3)  # [s] durations of torque ramps up to the friction level
+LOAD = 0.5  # load to hold, as a share of the friction level
+DITHER, FREQUENCY = 0.2, 5.0  # amplitude as a share of the friction level, and frequency [Hz]
 MINUTE = 60.0
 
-_SLIDES = 0.05  # of the trained speed: faster is sliding
+_SLIDES = 0.05  # share of the trained speed above which a joint slides
 _HIGHEST = 3.0  # end of a ramp, in friction levels
 _RAMP_STEPS = 1000  # up to the level
-_CREEPS = 2.0  # ratio of ways on ramps of different rate; pre-sliding has 1
+_CREEPS = 2.0  # ratio of displacements on ramps of different rate; pre-sliding has 1
 _PUT_ON, _SETTLING = 1.0, 1.0  # [s] rise of a load, and rest
 _PER_PERIOD = 20  # steps of the dither
 
@@ -39,9 +36,9 @@ def breakaway(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
 
 
 def _ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, Array]:
-    """Return the peak friction before sliding [N.m] and the way at half of it [rad], (n,) each.
+    """Return the peak friction before sliding [N.m] and the displacement at half of it [rad].
 
-    Both are NaN for a joint that does not slide.
+    Both are (n,), and NaN for a joint that does not slide.
     """
     bench.start(load=scale.load, torque=scale.offset)
     dt, slides = seconds / _RAMP_STEPS, _SLIDES * scale.speed
@@ -97,7 +94,7 @@ def _broken(peaks: Array, ways: Array, level: float) -> PropertyResult:
 
 
 def hold(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
-    """Hold a constant load for a minute; it is also the law's load input."""
+    """Hold a constant load for a minute; it is also the load input of the law."""
     load = LOAD * scale.level
     bench.start(load=load, torque=scale.offset)
     _put_on(bench, scale, load)

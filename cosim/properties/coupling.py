@@ -1,4 +1,4 @@
-"""Largest step for explicit coupling of a friction FMU to a joint's inertia."""
+"""Largest step for explicit coupling of a friction FMU to the inertia of a joint."""
 
 import numpy as np
 
@@ -10,11 +10,10 @@ from hesr_model.audit.properties import PropertyResult
 from hesr_model.errors import SimulationError
 from hesr_model.support.arrays import Array
 
-LEAST, MOST = 5e-5, 0.1
-"""Bounds of the step search [s]."""
+LEAST, MOST = 5e-5, 0.1  # [s] bounds of the step search
 _COARSE = np.geomspace(LEAST, MOST, 24)
 _HALVINGS = 5
-_STEPS = 400  # at least
+_STEPS = 400  # minimum
 _SLIDES = 5.0  # run time in stopping times at the friction level
 _LONGEST = 2.0  # [s] limit of the run time
 _QUIET, _STOPPED = 1e-3, 0.2  # shares of the first speed: rest, and a stop at the finest step
@@ -23,14 +22,7 @@ _TURNS = 8  # sign changes in a row; a true stop has fewer
 
 
 def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[PropertyResult]:
-    """Let each joint slide to a stop under its friction, with many coupling steps.
-
-    Parameters
-    ----------
-    bench : with the FMU.
-    scale : sizes of its joints.
-    inertia : (n,) of each joint [kg.m2].
-    """
+    """Slide joints of an inertia (n,) [kg.m2] to a stop, with many coupling steps."""
     bad: dict[float, Array] = {}
     stops = np.zeros(bench.joints, dtype=bool)
     for dt in _COARSE.tolist():
@@ -68,7 +60,7 @@ def _slide(bench: FrictionBench, scale: Scale, inertia: Array, dt: float) -> Arr
     dq = np.full((steps + 1, bench.joints), np.nan)
     dq[0] = v = first
     q = bench.places.copy()
-    # Start with the states of rest: a steady slide does not excite the slope at rest.
+    # Start with the states of rest: steady sliding does not excite the slope at rest.
     tau = bench.start(load=scale.load, dq=v, unmoved=True)
     try:
         for k in range(1, steps + 1):

@@ -9,13 +9,10 @@ from hesr_model.audit.expectations import PASSIVE
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
-AMPLITUDES = (0.02, 0.5, 2.0)
-"""Torque amplitudes in friction levels: deep pre-sliding, half the level, sliding."""
-FREQUENCY = 1.0
-"""Frequency of the torque [Hz]; that of the load is twice as high."""
-PHASES = (0.5 * np.pi, 1.5 * np.pi)
-"""Phases of the load [rad]."""
-_STEP = 4e-3  # [s] communication and inner step: rows contain all work
+AMPLITUDES = (0.02, 0.5, 2.0)  # in friction levels: deep pre-sliding, half the level, sliding
+FREQUENCY = 1.0  # of the torque [Hz]; that of the load is twice as high
+PHASES = (0.5 * np.pi, 1.5 * np.pi)  # of the load [rad]
+_STEP = 4e-3  # [s] communication and inner step, so that the rows contain all work
 _ROWS = round(1.0 / (FREQUENCY * _STEP))  # per cycle
 _CYCLES, _MEASURED = 10, 4
 _SPRING = 20.0  # stretch of the spring at the friction level, in deflections
@@ -26,12 +23,7 @@ def dissipation(
 ) -> list[PropertyResult]:
     """Drive spring-held joints to and fro and sum up the work of their friction.
 
-    Parameters
-    ----------
-    bench : with the drive.
-    scale : sizes of its joints.
-    peaks : (n,) largest load of each joint [N.m].
-    loaded : (n,) whether the law uses the load, which then moves between 0 and its peak.
+    If a law is `loaded` (n,), its load moves between 0 and `peaks` (n,) [N.m].
     """
     angle = 2.0 * np.pi / _ROWS * np.arange(1, _ROWS * _CYCLES + 1)
     dt = np.full(len(angle), _STEP)

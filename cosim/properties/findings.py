@@ -19,14 +19,10 @@ _UNITS = {
     "velocity": "rad/s",
     "work taken, share": "",
 }
-"""Units of plot axes."""
 
 
 def curve(label: str, x: Array, y: Array, *, closed: bool = False, most: int = 80) -> Curve:
-    """Return a line of at most `most` finite points, rounded to four digits.
-
-    x and y are (N,), in the units of the plot's axes.
-    """
+    """Return a line of at most `most` finite points (N,), rounded to four digits."""
     finite = np.isfinite(x) & np.isfinite(y)
     x, y = x[finite], y[finite]
     keep = np.unique(np.linspace(0, len(x) - 1, min(len(x), most)).round().astype(int))
@@ -42,14 +38,14 @@ def plot(x: str, y: str, *curves: Curve) -> Plot:
 
 
 def figures(*measured: tuple[str, float | None, str]) -> tuple[Figure, ...]:
-    """Return measured values from name, value and SI unit."""
+    """Return figures from name, value and SI unit."""
     return tuple(Figure(name=name, value=value, unit=unit) for name, value, unit in measured)
 
 
 def judged(
     *measured: tuple[str, float | None, str], wrong: Sequence[str], plot: Plot | None = None
 ) -> PropertyResult:
-    """Return a result that passes if `wrong`, a list of sentences, is empty."""
+    """Return a result that passes if the list of sentences `wrong` is empty."""
     return PropertyResult(
         verdict="fail" if wrong else "pass",
         figures=figures(*measured),

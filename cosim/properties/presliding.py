@@ -11,8 +11,7 @@ from hesr_model.audit.expectations import CLOSED, INNER, RATE, SMOOTH
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
-PERIOD, SLOW_PERIOD = 4.0, 40.0
-"""Periods of the loops [s]."""
+PERIOD, SLOW_PERIOD = 4.0, 40.0  # [s] of the loops
 _CYCLES = 3  # the last one is measured
 _JUMP, _STIFF = 5e-4, 0.025
 """Shares of a branch: end of a jump, and end of the stiffness measurement."""
@@ -20,12 +19,12 @@ _BRANCH = np.concatenate([[_JUMP, 5e-3, _STIFF], np.linspace(0.05, 1.0, 39)])
 _TURN = 0.75  # start of an inner loop, as a share of the rising branch
 _DEPTH = np.concatenate(
     [[2.0 * _JUMP, 0.01], np.linspace(0.05, 0.5, 10)]
-)  # way back, in amplitudes of the outer loop
+)  # return path, in amplitudes of the outer loop
 _TURNS = int(np.searchsorted(_BRANCH, _TURN))  # its row
 _INNER_WAY = np.concatenate([[0.0], _DEPTH, _DEPTH[-1] - _DEPTH])
 _NESTED_WAYS = (-1.0, 1.0, -1.0, 1.0)
 _NESTED = (0.5 * _DEPTH, 0.25 * _DEPTH, 0.25 * _DEPTH, 0.5 * _DEPTH)
-"""Ways of two nested loops, in widths of the outer one."""
+"""Displacements of two nested loops, in widths of the outer one."""
 _NESTED_WAY = np.concatenate(
     [
         [0.0],
@@ -35,8 +34,8 @@ _NESTED_WAY = np.concatenate(
         _DEPTH[-1] - _DEPTH,
     ]
 )  # in amplitudes below the turning point
-_AT_ONCE = 0.99  # of the height; above it there is no position loop
-_LITTLE = 1e-9  # [N.m] least height of a loop
+_AT_ONCE = 0.99  # of the height; a larger jump excludes pre-sliding
+_LITTLE = 1e-9  # [N.m] minimum height of a loop
 
 
 def presliding(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
@@ -53,13 +52,8 @@ def memory(
 ) -> list[PropertyResult]:
     """Reverse on the rising branch of the slow loop, return and continue.
 
-    Slow motion excludes memory of time.
-
-    Parameters
-    ----------
-    bench : with the FMU.
-    scale : sizes of its joints.
-    states : number of states of each joint's law; None if unknown.
+    Slow motion excludes memory of time. `states` is the number of states of each law; None if
+    unknown.
     """
     loop = _loop(bench, scale, SLOW_PERIOD, scale.load)
     turned = _turn(bench, scale)
@@ -77,14 +71,9 @@ def memory(
 def nested(
     bench: FrictionBench, scale: Scale, states: Sequence[int | None], peaks: Array
 ) -> list[PropertyResult]:
-    """Reverse twice, in nested loops, while the load rises and returns on each way.
+    """Reverse twice, in nested loops, while the load rises and returns on each path.
 
-    Parameters
-    ----------
-    bench : with the FMU.
-    scale : sizes of its joints.
-    states : number of states of each joint's law; None if unknown.
-    peaks : (n,) largest load; the smallest is half of it [N.m].
+    The load moves between half of `peaks` (n,) and `peaks` [N.m]; see `memory` for `states`.
     """
     loaded = np.ptp(_loop(bench, scale, SLOW_PERIOD, peaks), axis=0)
     loop = _loop(bench, scale, SLOW_PERIOD, 0.5 * peaks)
@@ -129,7 +118,7 @@ def _branch(
     shares: Array,
     load: Array | None = None,
 ) -> Array:
-    """Move by shares of the loop's width and return the torque (K, n)."""
+    """Move by shares of the width of the loop and return the torque (K, n)."""
     speed = way * 4.0 * scale.deflection / period
     dt = 0.5 * period * np.diff(shares, prepend=0.0)
     return bench.move(dt, np.broadcast_to(speed, (len(dt), len(speed))), load=load)
@@ -210,7 +199,7 @@ def _remembered(
     """Judge inner loops and the branch `on` after them by the outer loop.
 
     `way` (K,) holds the positions of the torque `inner` (K,), in amplitudes below the turning
-    point. `innermost` is the gap of the innermost loop, `loaded` the height of the outer loop at
+    point; `innermost` is the gap of the innermost loop, `loaded` the height of the outer loop at
     the largest load [N.m].
     """
     height = max(float(np.ptp(loop)), _LITTLE)

@@ -1,4 +1,4 @@
-"""Scales of the experiments on a law: measured on its FMU, and the inertia of its joints."""
+"""Scales of the experiments: sizes measured on the FMU of a law, and the inertia of its joints."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,12 +12,9 @@ from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array
 
-CREEP = 0.01
-"""Slow sliding, as a share of the largest trained speed."""
-SLIDING = 0.1
-"""Speed of the friction level, as a share of the largest trained speed."""
-DEFLECTION = 1e-3
-"""Amplitude of pre-sliding motions for laws without a deflection [rad]."""
+CREEP = 0.01  # slow sliding, as a share of the largest trained speed
+SLIDING = 0.1  # speed of the friction level, as a share of the largest trained speed
+DEFLECTION = 1e-3  # [rad] amplitude of pre-sliding motions for laws without a deflection
 
 INERTIA: Mapping[str, tuple[float, ...]] = {"uf850": (3.0, 3.0, 0.6)}
 """Inertia of the joints of shipped robots, the other joints at rest [kg.m2]."""
@@ -30,26 +27,15 @@ _BACK = np.geomspace(1e-7, 0.5, 100)  # [rad] after a reversal
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scale:
-    """Sizes of a model's joints; all arrays are (n,) by default.
+    """Sizes of a model's joints, (n,) each unless noted."""
 
-    Attributes
-    ----------
-    speed : largest trained speed, or its substitute [rad/s].
-    speeds : (S, n) speeds of steady sliding [rad/s].
-    steady : (S, n) half the difference of the torques in both directions [N.m].
-    level : absolute value of `steady` at `SLIDING` [N.m].
-    offset : mean torque of both directions there [N.m].
-    load : constant load torque [N.m].
-    deflection : amplitude of pre-sliding motions [rad].
-    """
-
-    speed: Array
-    speeds: Array
-    steady: Array
-    level: Array
-    offset: Array
-    load: float
-    deflection: Array
+    speed: Array  # largest trained speed, or its substitute [rad/s]
+    speeds: Array  # (S, n) speeds of steady sliding [rad/s]
+    steady: Array  # (S, n) half the difference of the torques in both directions [N.m]
+    level: Array  # absolute value of `steady` at `SLIDING` [N.m]
+    offset: Array  # mean torque of both directions there [N.m]
+    load: float  # constant load torque [N.m]
+    deflection: Array  # amplitude of pre-sliding motions [rad]
 
     @property
     def drives(self) -> Array:
@@ -68,14 +54,7 @@ class Scale:
 
 
 def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
-    """Slide and reverse the joints of a friction FMU and measure its torques.
-
-    Parameters
-    ----------
-    bench : with the FMU.
-    speed : (n,) largest trained speed of each joint [rad/s].
-    load : load torque of every joint [N.m].
-    """
+    """Slide and reverse joints up to `speed` (n,) [rad/s] under a load [N.m]; measure torques."""
     speeds = _SHARES[:, None] * speed
     both = []
     for sign in (1.0, -1.0):
@@ -86,7 +65,7 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
     creep = CREEP * speed
     bench.start(load=load)
     before = bench.move(np.array([bench.forever]), creep[None])[0]
-    # All joints reach the same share of their way at the same time.
+    # All joints reach the same share of their path at the same time.
     back = _BACK / np.max(creep)
     tau = bench.move(np.diff(back, prepend=0.0), np.broadcast_to(-creep, (len(back), len(creep))))
     return Scale(
@@ -101,7 +80,7 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
 
 
 def _deflections(before: Array, tau: Array, way: Array) -> Array:
-    """Return the way after a reversal to half of the torque change [rad]."""
+    """Return the displacement after a reversal at half of the torque change [rad]."""
     turned = (before - tau) / np.where(before == tau[-1], 1.0, before - tau[-1])
     first = np.argmax(turned >= 0.5, axis=0)
     found = way[first, np.arange(len(before))]

@@ -48,7 +48,7 @@ def start(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
 
 
 def _started(speeds: Array, first: Array, steady: Array) -> PropertyResult:
-    """Judge (S, 2) first and steady torques at speeds (S,), ahead and back."""
+    """Judge (S, 2) first and steady torques at speeds (S,), forward and backward."""
     # Half the difference of both directions, which an offset cannot hide or inflate.
     friction = np.maximum(0.5 * np.abs(steady[:, 0] - steady[:, 1]), _NO_FRICTION)
     off = (first - steady) / friction[:, None]
@@ -106,7 +106,7 @@ def _lagging(dq: Array, fast: Array, slow: Array, level: float) -> PropertyResul
     else:
         if abs(width) < WIDTH * level:
             wrong.append(f"The branches are only {abs(width) / level:.2%} of the level apart.")
-        # Parts of the torque may rise at once, so that one fall anywhere suffices.
+        # Parts of the torque may rise at once, so one fall anywhere suffices.
         if (width > 0.0 and slope.min() >= 0.0) or (width < 0.0 and slope[row] <= 0.0):
             wrong.append("The torque leads the velocity instead of lagging behind it.")
         if abs(width) <= abs(slow_width):
@@ -124,7 +124,7 @@ def _lagging(dq: Array, fast: Array, slow: Array, level: float) -> PropertyResul
 def chatter(
     bench: FrictionBench, scale: Scale, trained: list[TrainedRange]
 ) -> list[PropertyResult]:
-    """Rest under encoder noise, with the law's own sample time and discretisation."""
+    """Rest under encoder noise, with the sample time and discretisation of the law."""
     noise = [encoder_noise(seen) for seen in trained]
     dq, q = (np.column_stack([of_joint[part] for of_joint in noise]) for part in (0, 1))
     settling, sample = noise[0][2], trained[0].sample_time
@@ -149,14 +149,7 @@ def chatter(
 def work(
     bench: FrictionBench, trained: list[TrainedRange], loads: list[tuple[float, ...]]
 ) -> list[PropertyResult]:
-    """Run closed cycles at the amplitudes and frequencies of the audit and sum up their work.
-
-    Parameters
-    ----------
-    bench : with the FMU.
-    trained : range of each joint, with one sample time.
-    loads : loads of each joint [N.m].
-    """
+    """Run closed cycles of the audit under loads [N.m] by joint and sum up their work."""
     found: list[list[Cycle]] = [[] for _ in trained]
     for wanted in FREQUENCIES:
         motions = [closed_motions(r, np.multiply(AMPLITUDES, r.speed), wanted) for r in trained]

@@ -1,4 +1,4 @@
-"""Stick-slip of a joint that a soft spring pulls at constant speed."""
+"""Stick-slip of a joint pulled by a soft spring at constant speed."""
 
 import numpy as np
 
@@ -9,14 +9,13 @@ from hesr_model.audit.expectations import WEAKENING
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
-STRETCH = 0.2
-"""Stretch of the spring under the friction level [rad]."""
+STRETCH = 0.2  # [rad] of the spring under the friction level
 _TIMES = 6.0  # run time in stretching times
 _STEP = 1e-2  # [s]
 _FASTEST = 0.2  # end of the examined curve, as a share of the trained speed
 _NO_WEAKENING = 1e-3  # of the level; up to WEAKENING both outcomes are right
 _STICKS, _SLIPS = 0.1, 1.5  # of the pulling speed
-_LASTS = 0.8  # least ratio of the last two quarters' amplitudes
+_LASTS = 0.8  # minimum ratio of the amplitudes of the last two quarters
 
 
 def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:

@@ -18,44 +18,28 @@ from hesr_model.robots.robot import RobotModel
 from hesr_model.support import parallel
 
 SIMULATION = "simulation.json"
-"""File of the errors in a folder of results."""
-LENGTHS = (0.2, 0.5)
-"""Lengths of the windows [s]."""
+LENGTHS = (0.2, 0.5)  # [s] of the windows
 
-_WEIGHTLESS = 1e-9
-"""Gravity torque over the largest torque, below which there is no gravity."""
-_Errors = tuple[float | None, ...]
-"""Error of each joint [rad; m]; None if the simulation diverges."""
+_WEIGHTLESS = 1e-9  # threshold of gravity torque over the largest torque
+_Errors = tuple[float | None, ...]  # [rad; m] by joint; None if the simulation diverges
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PositionErrors:
-    """Position errors of laws as simulators.
-
-    Attributes
-    ----------
-    joints : names of the joints.
-    lengths : lengths of the windows [s].
-    windows : by law, the RMS errors of the joints for each length [rad; m]; None if it diverges.
-    open_loop : by law, the same over whole logs; empty under gravity, where an upright arm diverges
-        with any friction.
-    """
+    """Position errors of laws as simulators."""
 
     joints: tuple[str, ...]
-    lengths: tuple[float, ...]
-    windows: Mapping[str, tuple[_Errors, ...]]
+    lengths: tuple[float, ...]  # [s] of the windows
+    windows: Mapping[str, tuple[_Errors, ...]]  # by law and length; None if it diverges
     open_loop: Mapping[str, _Errors]
 
 
 def simulate_laws(
     models: Mapping[str, FrictionModel], records: Records, robot: RobotModel, body: RigidBody
 ) -> PositionErrors | None:
-    """Score laws as simulators on records [joint][log]; log a warning and return None if none can.
-
-    See `simulate_tests`.
-    """
+    """Score laws as simulators on records [joint][log]; warn and return None if impossible."""
     return simulate_tests(models, {"": records}, robot, body).get("")
 
 
@@ -65,7 +49,10 @@ def simulate_tests(
     robot: RobotModel,
     body: RigidBody,
 ) -> dict[str, PositionErrors]:
-    """Score laws as simulators on test sets; those that cannot be simulated are left out."""
+    """Score laws as simulators on test sets; those that cannot be simulated are left out.
+
+    Errors over whole logs are empty under gravity, where an upright arm diverges with any friction.
+    """
     windows: dict[str, list[Windows]] = {}
     logs: dict[str, list[Windows]] = {}
     for test, records in tests.items():
@@ -110,7 +97,7 @@ def _warn(reason: SimulationError) -> None:
 def _errors(
     model: FrictionModel, cut: Sequence[Windows], robot: RobotModel, body: RigidBody
 ) -> list[_Errors] | SimulationError:
-    """Return the errors over each set of windows, or the reason why there are none.
+    """Return the errors over each set of windows, or the error.
 
     Sets with the same number of steps run together, which takes little longer than the largest.
     """

@@ -14,18 +14,13 @@ from hesr_model.logs.robot_log import RobotLog
 
 _TRAINED, _MOST_TRAINED = 0.6, 0.8
 """Share of a single log used for training, and its maximum if a joint reverses late."""
-_BEYOND = 0.02
-"""Share of the log trained beyond a joint's first reversal."""
+_BEYOND = 0.02  # share of the log trained beyond a joint's first reversal
 
 
 def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     """Return the text of a study file at `path`.
 
     The last of several logs is the test. A single log is split in time, and its end is the test.
-
-    Parameters
-    ----------
-    robot : robot file of the logs.
     """
     folder = path.resolve().parent
     files = [Path(relpath(_file(log.path), folder)).as_posix() for log in proposal.logs]

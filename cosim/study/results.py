@@ -1,4 +1,4 @@
-"""Saved results of a run: `run.json`, `health.json` and torque traces, read by reports."""
+"""Saved results of a run: `run.json`, `health.json` and torque traces."""
 
 import logging
 from collections import Counter
@@ -27,125 +27,72 @@ from hesr_model.support.typed_json import from_json, read_json, to_json, write_j
 
 RUN, TRACES, TRUTHS, HEALTH = "run.json", "traces", "truths.json", "health.json"
 RUN_FORMAT, HEALTH_FORMAT = "hesr-run-1", "hesr-health-1"
-MOST_ROWS = 20_000
-"""Maximum number of rows of a trace; the rest of a longer log is not shown."""
+MOST_ROWS = 20_000  # of a trace
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SavedLog:
-    """A log of a run.
-
-    Attributes
-    ----------
-    name, file : name of the log, and its file without the folder.
-    sha256 : hash of the file.
-    roles : uses of the log: "identification", "training", or names of test sets.
-    rows : number of samples.
-    duration : length [s].
-    rate : sample rate [Hz].
-    trace : file in `traces/`; empty if its torques are not saved.
-    sample : whether it is a simulated log made by `hesr new`.
-    """
+    """A log of a run."""
 
     name: str
-    file: str
+    file: str  # without its folder
     sha256: str
-    roles: tuple[str, ...]
+    roles: tuple[str, ...]  # "identification", "training", or names of test sets
     rows: int
-    duration: float
-    rate: float
-    trace: str = ""
-    sample: bool = False
+    duration: float  # [s]
+    rate: float  # [Hz]
+    trace: str = ""  # file in `traces/`; empty if its torques are not saved
+    sample: bool = False  # whether it is a simulated log made by `hesr new`
 
 
 @dataclass(frozen=True, kw_only=True)
 class SavedRun:
-    """Description of a run.
-
-    Attributes
-    ----------
-    study : name of the study.
-    command : command that repeats the run.
-    robot, model : name of the robot and of its model file.
-    joints : names of the joints.
-    gear_ratio : motor turns per turn of each joint; empty if unknown.
-    twin : whether the logs come from the digital twin.
-    truth : friction of the twin instead of that of its MJCF; empty for none.
-    quick : whether it was a quick run.
-    seed : seed of every fit.
-    logs : all logs.
-    bands : parts of test sets with scores of their own.
-    inputs : inputs of each law.
-    variants : law behind each variant.
-    controller : parameters of the closed loop; empty without one.
-    versions : versions of the programs.
-    left_out : reason for each law of the study that was not fitted.
-    """
+    """Description of a run."""
 
     __pydantic_config__: ClassVar = ConfigDict(extra="forbid")
 
     study: str
-    command: str
+    command: str  # command that repeats the run
     robot: str
-    model: str
+    model: str  # name of the model file
     joints: tuple[str, ...]
-    gear_ratio: tuple[float, ...]
-    twin: bool
+    gear_ratio: tuple[float, ...]  # motor turns per turn of each joint
+    twin: bool  # whether the logs come from the digital twin
     quick: bool
     seed: int
     logs: tuple[SavedLog, ...]
     bands: tuple[TimeBand, ...]
-    inputs: Mapping[str, str]
-    variants: Mapping[str, str]
-    controller: Mapping[str, Any]
+    inputs: Mapping[str, str]  # inputs of each law
+    variants: Mapping[str, str]  # law behind each variant
+    controller: Mapping[str, Any]  # parameters of the closed loop
     versions: Mapping[str, str]
-    left_out: Mapping[str, str] = field(default_factory=dict)
-    truth: str = ""
+    left_out: Mapping[str, str] = field(default_factory=dict)  # reasons by law
+    truth: str = ""  # alternative plant of the twin
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read `run.json`.
-
-        Raises
-        ------
-        ArtifactError
-            If the file is damaged, naming the file and the key.
-        """
+        """Read `run.json`; raise ArtifactError with file and key if it is damaged."""
         return from_json(cls, read_json(path, RUN_FORMAT), path, "the description of a run")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scored:
-    """Results of a run up to the scores on the test logs.
-
-    Attributes
-    ----------
-    study : the study.
-    robot : model of the robot.
-    rigid_body : the identified rigid body.
-    files, logs, records : of every log by name; records by part of the log and joint.
-    models : fitted model of each law.
-    left_out : reason for each law of the study that was not fitted.
-    source : provenance of the laws.
-    fmus : path of each law's FMU.
-    comparisons : scores of the FMUs on each test set.
-    predictions : torques of the FMUs there.
-    """
+    """Results of a run up to the scores on the test logs."""
 
     study: Study
     robot: RobotModel
     rigid_body: RigidBody
     files: Mapping[str, Path]
     logs: Mapping[str, RobotLog]
-    records: LogRecords
+    records: LogRecords  # [part][joint] of every log
     models: Mapping[str, FrictionModel]
-    left_out: Mapping[str, str]
-    source: Mapping[str, Any]
+    left_out: Mapping[str, str]  # reasons by law
+    source: Mapping[str, Any]  # provenance of the laws
     fmus: Mapping[str, Path]
     comparisons: Mapping[str, Comparison]
-    predictions: Predictions
+    predictions: Predictions  # torques of the FMUs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,14 +177,10 @@ def _save_torques(folder: Path, run: Scored) -> dict[str, str]:
 def write_torques(
     path: Path, records: Sequence[FrictionRecord], predicted: Mapping[str, Sequence[Array]]
 ) -> None:
-    """Write the torques of one log to Parquet: measured, rigid body, and every law.
+    """Write the torques [N.m] of one log to Parquet: measured, rigid body, and every law.
 
-    Parameters
-    ----------
-    path : file with the columns t, then for joint k of 1..n: q{k}, dq{k}, tau{k} (measured),
-        tau_rb{k} (rigid body) and {law}.tau_f{k} (friction).
-    records : one per joint.
-    predicted : friction torque (N,) of each law and joint [N.m].
+    The columns are t, then for joint k of 1..n: q{k}, dq{k}, tau{k} (measured), tau_rb{k} (rigid
+    body) and {law}.tau_f{k} (friction).
     """
     rows = slice(0, MOST_ROWS)
     columns: dict[str, Array] = {"t": records[0].t[rows] - records[0].t[0]}
@@ -251,18 +194,12 @@ def write_torques(
         for law, torques in predicted.items():
             columns[f"{law}.tau_f{k}"] = torques[k - 1][rows]
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Single precision is more than any picture shows.
+    # Single precision exceeds the resolution of any figure.
     write_table(path, {name: values.astype(np.float32) for name, values in columns.items()})
 
 
 def read_torques(path: Path) -> dict[str, Array]:
-    """Read the columns (N,) of `write_torques`.
-
-    Raises
-    ------
-    LogError
-        If the file is missing, damaged, or not finite.
-    """
+    """Read the columns (N,) of `write_torques`."""
     table = read_table(path)
     return dict(zip(table.names, table.numbers(table.names).T, strict=True))
 
@@ -282,13 +219,7 @@ def write_findings(folder: Path, findings: Sequence[Finding]) -> None:
 
 
 def read_findings(folder: Path) -> list[Finding]:
-    """Read the findings of a run; results of earlier versions have none.
-
-    Raises
-    ------
-    ArtifactError
-        If the file is damaged.
-    """
+    """Read the findings of a run; results of earlier versions have none."""
     path = folder / HEALTH
     if not path.is_file():
         return []

@@ -1,4 +1,4 @@
-"""Run a study: identify the rigid body, fit laws, export FMUs, score them, judge them."""
+"""Run of a study: identify the rigid body, fit laws, export FMUs, score them, judge them."""
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -41,40 +41,24 @@ if TYPE_CHECKING:
 
 Returned = TypeVar("Returned")
 
-_WORK = ("cosim.study.scores", "hesr_model.fitting.fit")
-"""Modules preloaded by the workers."""
+_WORK = ("cosim.study.scores", "hesr_model.fitting.fit")  # preloaded by the workers
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Results of a run.
-
-    Attributes
-    ----------
-    rigid_body : the identified rigid body.
-    comparisons : scores of the FMUs on each test set.
-    models : fitted model of each law.
-    fmus : path of each law's FMU.
-    left_out : reason for each law of the study that was not fitted.
-    properties : results of the physics checks by law; empty for a quick run.
-    verdict : the recommended FMU and the reasons.
-    loop : results of the closed loop; None without one.
-    truths : errors on the alternative plants of a twin, by plant, test set and law.
-    truth : friction of the twin; empty for that of its MJCF.
-    cached : cache hits and requests by kind of entry.
-    """
+    """Results of a run."""
 
     rigid_body: RigidBody
     comparisons: Mapping[str, Comparison]
     models: Mapping[str, FrictionModel]
     fmus: Mapping[str, Path]
-    left_out: Mapping[str, str]
-    properties: "Mapping[str, Properties]"
+    left_out: Mapping[str, str]  # reasons by law
+    properties: "Mapping[str, Properties]"  # empty for a quick run
     verdict: Verdict
     loop: LoopOutcome | None = None
-    truths: Mapping[str, Errors] = field(default_factory=dict)
-    truth: str = ""
-    cached: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    truths: Mapping[str, Errors] = field(default_factory=dict)  # by alternative plant of the twin
+    truth: str = ""  # alternative plant of the twin
+    cached: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # hits, requests
 
 
 def run_study(
@@ -89,23 +73,11 @@ def run_study(
     """Run a study and write all results into a folder, or nothing on an error.
 
     Finished parts of long work (laws of single joints, rows of the closed loop, physics checks) are
-    kept next to the folder, so that an interrupted run continues there. The scores are those of
-    the FMUs, replayed in FMPy over the test logs.
+    kept next to the folder, so that an interrupted run continues there. The scores are those of the
+    FMUs, replayed in FMPy over the test logs.
 
-    Parameters
-    ----------
-    path : study file.
-    output : folder of the results.
-    platforms : platforms of the FMUs' binaries.
-    quick : run the `quick` laws only, without variants, refinement of the rigid body, closed loop
-        and physics checks.
-    accepted : log checks that only warn.
-    progress : receives the state of the run.
-
-    Raises
-    ------
-    HesrError
-        If the study, a log or the data in it do not allow the run.
+    `quick` runs the `quick` laws only, without variants, refinement of the rigid body, closed loop
+    and physics checks. The log checks in `accepted` only warn.
     """
     study = Study.read(path)
     if quick:
@@ -175,10 +147,7 @@ def run_study(
 def score_study(
     job: Job, folder: Path, *, platforms: Sequence[str] = ("linux64",), accepted: Sequence[str] = ()
 ) -> Scored:
-    """Identify, fit, write the FMUs into an existing folder and score them on the test logs.
-
-    See `run_study` for `platforms`, `accepted` and errors.
-    """
+    """Identify, fit, write the FMUs into an existing folder and score them; see `run_study`."""
     study, model = job.study, RobotModel(job.robot)
     files = job.log_files(folder)
     logs = {name: job.read(name, file) for name, file in files.items()}
@@ -255,7 +224,7 @@ def _documented(
     model: FrictionModel,
     **more: Any,
 ) -> ModelAudit | None:
-    """Write an FMU with its documentation; return the audit in it, if any."""
+    """Write an FMU with its documentation; return its audit, if any."""
     audit = None
     with suppress(SimulationError):
         audit = ModelAudit.of(model, model.trained)

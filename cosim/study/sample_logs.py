@@ -1,4 +1,4 @@
-"""Simulated sample logs of any robot, until a user has measured ones."""
+"""Simulated sample logs of any robot, as a placeholder for measured ones."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,21 +20,16 @@ from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 
-RATE = 200.0
-"""Sample rate [Hz]."""
+RATE = 200.0  # [Hz]
 
 _MARK = "SAMPLES.sha256"
 """SHA-256 list next to the sample logs; a replaced log no longer matches it."""
 
-_PERIOD = 20.0
-"""Period of the motions [s]."""
+_PERIOD = 20.0  # [s]
 _HARMONICS = 5
-_CANDIDATES = 8
-"""Number of random motions; the best conditioned one is taken for training."""
-_FINER = 10
-"""Steps of simulated friction per sample."""
-_NO_LIMIT = 1e12
-"""Torque limit [N.m]; effort limits of model files are often invented."""
+_CANDIDATES = 8  # random motions; the best conditioned one is taken for training
+_FINER = 10  # steps of simulated friction per sample
+_NO_LIMIT = 1e12  # [N.m], because effort limits of model files are often invented
 
 # Relative to the largest rigid-body torque of the joint, at least to that of the robot / 20.
 _COULOMB, _VISCOUS, _TORQUE_NOISE = 0.15, 0.15, 0.005
@@ -47,12 +42,8 @@ _POSITION_NOISE, _VELOCITY_NOISE = 5e-6, 5e-4  # of travel and of peak velocity
 def sample_logs(model: RobotModel) -> tuple[RobotLog, RobotLog]:
     """Simulate two random Fourier motions of 20 s, for training and test.
 
-    The torque is that of the model file's rigid body, LuGre friction (eq. 1-3) and noise.
-
-    Raises
-    ------
-    RobotError
-        If the limits of a joint allow no motion fast enough for identification.
+    The torque is that of the model file's rigid body, LuGre friction (eq. 1-3) and noise. Raises
+    RobotError if the limits of a joint allow no motion fast enough for identification.
     """
     settings = sample_settings(model)
     base = base_columns(model)
@@ -89,13 +80,7 @@ def is_sample(file: Path) -> bool:
 
 
 def plausible_friction(model: RobotModel, motion: Fourier) -> list[FrictionLaw]:
-    """Return LuGre laws scaled by the torques of a motion.
-
-    Raises
-    ------
-    RobotError
-        If a joint moves too slowly for identification.
-    """
+    """Return LuGre laws scaled by the torques of a motion; raise RobotError for a slow joint."""
     q, dq, ddq = motion.sample(np.arange(round(_PERIOD * RATE)) / RATE)
     speed, travel = np.abs(dq).max(axis=0), np.ptp(q, axis=0)
     for joint, peak in zip(model.description.joints, speed, strict=True):

@@ -21,44 +21,32 @@ from hesr_model.support.frames import pandas_frame
 from hesr_model.support.html import table
 from hesr_model.support.progress import Progress, counted, silent
 
-Records = Sequence[Sequence[FrictionRecord]]
-"""Records by joint and log."""
-LogRecords = Mapping[str, Sequence[Sequence[FrictionRecord]]]
-"""Records by log, [part][joint]; a log with gaps has several parts."""
+Records = Sequence[Sequence[FrictionRecord]]  # [joint][log]
+LogRecords = Mapping[str, Sequence[Sequence[FrictionRecord]]]  # by log, [part][joint]
 Predictions = Mapping[str, Mapping[str, Sequence[Sequence[Array]]]]
-"""Friction torques by test set and law, [joint][log], (N,) each [N.m]."""
+"""Torques (N,) [N.m] by test set and law, [joint][log]."""
 
 MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
 
 REFERENCE = "lugre"
-"""Reference law of ratios if a class of inputs has none of its own; otherwise the first law."""
-BASELINE = "stribeck"
-"""Law without memory that summaries and figures show for comparison."""
+"""Reference of ratios if a class of inputs has none of its own; otherwise the first law."""
+BASELINE = "stribeck"  # law without memory, for comparison in summaries and figures
 MEASURED_START = " + start"
 """Row-name suffix: initial state estimated from measured torque."""
-Errors = Mapping[str, Mapping[str, Sequence[float]]]
-"""RMSE of each joint [N.m], by test set and law."""
+Errors = Mapping[str, Mapping[str, Sequence[float]]]  # RMSE by test set, law and joint [N.m]
 ORACLE = "true friction"
 """Row of the twin's own friction; its error is noise and the error of the rigid body."""
-SIGNIFICANCE = 0.05
-"""Significance level of differences, adjusted for all comparisons of a table."""
+SIGNIFICANCE = 0.05  # level of differences, adjusted for all comparisons of a table
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ratio:
-    """RMSE of a law over that of its reference.
-
-    Attributes
-    ----------
-    value, low, high : the ratio and its 95 % interval; None if the log is too short.
-    p : p-value of the difference, adjusted for all ratios of the table (Holm); None in results of
-        earlier versions.
-    """
+    """RMSE of a law over that of its reference, and 95 % interval; None for a short log."""
 
     value: float
     low: float | None
     high: float | None
-    p: float | None = None
+    p: float | None = None  # adjusted for the table (Holm); None in earlier versions
 
     @property
     def verdict(self) -> str:
@@ -75,17 +63,9 @@ class Ratio:
 
 @dataclass(frozen=True, kw_only=True)
 class Ratios:
-    """Ratios of each other law to its reference, one per joint.
+    """Ratios of each other law to its reference, one per joint."""
 
-    Attributes
-    ----------
-    reference : fallback reference.
-    laws : ratios by law.
-    references : reference of each law, the strongest classic law without further inputs; empty in
-        results of earlier versions, or if inputs are unknown.
-    """
-
-    reference: str
+    reference: str  # fallback reference
     laws: Mapping[str, tuple[Ratio, ...]]
     references: Mapping[str, str] = field(default_factory=dict)
 
@@ -106,37 +86,22 @@ class LawScores:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Scores of several laws on the same logs.
+    """Scores of several laws on the same logs; defaults are those of earlier versions.
 
-    Attributes
-    ----------
-    joints : names of the joints.
-    tau_std : standard deviation of the measured friction of each joint [N.m].
-    laws : scores by law.
-    ratios : ratios of the other laws to their references.
-    leading : for each joint the law with the lowest error and all laws that are not significantly
-        worse (Holm over the joint); empty in results of earlier versions.
-    per_log : quantities fitted to each test log before the comparison; empty for none, None in a
-        study without `per_log`.
-    bands : coverage of the 95 % band by law and joint; empty in results of earlier versions.
+    For each joint, `leading` has the law with the lowest error and all laws that are not
+    significantly worse (Holm over the joint).
     """
 
     joints: tuple[str, ...]
-    tau_std: tuple[float, ...]
+    tau_std: tuple[float, ...]  # standard deviation of the measured friction of each joint [N.m]
     laws: Mapping[str, LawScores]
     ratios: Ratios
     leading: tuple[tuple[str, ...], ...] = ()
-    per_log: tuple[str, ...] | None = None
-    bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)
+    per_log: tuple[str, ...] | None = None  # quantities fitted to each test log
+    bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)  # coverage of 95 %
 
     def to_pandas(self) -> Any:
-        """Return a `pandas.DataFrame` of all measures [N.m; `r2` has none] by law and joint.
-
-        Raises
-        ------
-        ConfigError
-            If pandas is not installed.
-        """
+        """Return a DataFrame of all measures [N.m; `r2` has none] by law and joint."""
         rows = [(law, k, joint) for law in self.laws for k, joint in enumerate(self.joints)]
         names = {"law": [law for law, *_ in rows], "joint": [joint for *_, joint in rows]}
         scores = {m: [getattr(self.laws[law], m)[k] for law, k, _ in rows] for m in MEASURES}
@@ -166,10 +131,8 @@ def compare(
 ) -> Comparison:
     """Score predictions [law][joint][log], (N,) [N.m] each, on records [joint][log].
 
-    Parameters
-    ----------
-    inputs : inputs of each law, see `inputs_of`; they decide the references.
-    models : models by row whose bands are also scored.
+    The `inputs` of each law decide the references, see `inputs_of`. Bands of `models` are also
+    scored.
     """
     errors = {
         law: [
@@ -289,13 +252,8 @@ def within(
 ) -> tuple[list[list[FrictionRecord]], list[list[Array]]]:
     """Return the rows of records and torques with start <= t < stop [s].
 
-    Torques are (N,) [N.m], by joint and log. Time counts from the start of each log; logs without
-    such rows are left out.
-
-    Raises
-    ------
-    ConfigError
-        If no log has such rows.
+    Torques are (N,) [N.m], [joint][log]. Time counts from the start of each log; logs without such
+    rows are left out. Raises ConfigError if no log has such rows.
     """
     kept_records, kept_torques = [], []
     for of_joint, predicted in zip(records, torques, strict=True):
@@ -344,12 +302,8 @@ def predict_model(
 ) -> list[list[Array]]:
     """Return the model's torque for records, (N,) [N.m] by joint and log.
 
-    With `measured_start` the initial state is estimated from the first measured torques.
-
-    Raises
-    ------
-    ArtifactError
-        If the model is for other joints.
+    With `measured_start` the initial state is estimated from the first measured torques. Raises
+    ArtifactError if the model is for other joints.
     """
     joints = tuple(of_joint[0].joint for of_joint in records)
     if joints != model.joints:
@@ -377,8 +331,8 @@ def predict_models(
 def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) -> list[list[Array]]:
     """Return the torque of an FMU for records, (N,) [N.m] by joint and log, replayed in FMPy.
 
-    With `measured_start` the initial state is estimated from the first measured torques, with the
-    model inside the FMU, and set before the initialisation.
+    With `measured_start` the model inside the FMU estimates the initial state, set before the
+    initialisation.
     """
     from fmu_src.friction.embedded_model import embedded_model
     from fmu_src.friction.friction_component import GIVEN, START_MODE

@@ -31,16 +31,12 @@ from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, counted, silent
 
-LEAST = 2
-"""Minimum number of draws."""
+LEAST = 2  # draws
 LEVEL, VISCOSITY = 0.15, 0.3
 """Standard deviations of the logarithms of Coulomb and viscous friction."""
-_AMPLITUDE = 0.8
-"""Minimum factor on the amplitude of motions other than Fourier series."""
-_TRIES = 100
-"""Maximum number of Fourier motions drawn to stay within the limits."""
-_UPPER = 0.975
-"""Quantile of the upper end of intervals."""
+_AMPLITUDE = 0.8  # factor on the amplitude of motions other than Fourier series
+_TRIES = 100  # Fourier motions drawn to stay within the limits
+_UPPER = 0.975  # quantile of the upper end of intervals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,52 +50,28 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True)
 class SeedScores:
-    """Errors of laws on one test set, over draws.
+    """Errors of laws on one test set over draws, by law, one per joint."""
 
-    Attributes
-    ----------
-    rmse : mean over draws by law, one per joint [N.m].
-    ratios : geometric mean of the RMSE over that of the reference, by law, one per joint.
-    """
-
-    rmse: Mapping[str, tuple[Spread, ...]]
-    ratios: Mapping[str, tuple[Spread, ...]]
+    rmse: Mapping[str, tuple[Spread, ...]]  # mean [N.m]
+    ratios: Mapping[str, tuple[Spread, ...]]  # geometric mean, over the RMSE of the reference
 
 
 @dataclass(frozen=True, kw_only=True)
 class Seeds:
-    """Scores over draws.
+    """Scores over draws."""
 
-    Attributes
-    ----------
-    seeds : number of draws.
-    joints : names of the joints.
-    reference : reference of the ratios.
-    tests : scores by test set.
-    """
-
-    seeds: int
+    seeds: int  # number of draws
     joints: tuple[str, ...]
-    reference: str
+    reference: str  # reference of the ratios
     tests: Mapping[str, SeedScores]
 
 
 def run_seeds(
     path: Path, seeds: int, *, laws: Sequence[str] = (), progress: Progress = silent
 ) -> Seeds:
-    """Run the prediction part of a twin's study over random draws.
+    """Run the prediction part of a twin's study over random draws; the first has the study's seed.
 
-    Parameters
-    ----------
-    path : study file of a twin.
-    seeds : number of draws; the first has the study's seed.
-    laws : names in the registry; by default those of the study.
-    progress : receives the number of finished draws.
-
-    Raises
-    ------
-    ConfigError
-        If the study has no twin, there are fewer than two draws, or no law is named.
+    Raises ConfigError if the study has no twin, there are fewer than two draws, or no law is named.
     """
     study = Study.read(path)
     if study.twin is None:
@@ -152,12 +124,8 @@ def errors_on(
 ) -> Errors:
     """Return the errors of laws and of the true friction on the test sets of a twin's logs.
 
-    Parameters
-    ----------
-    study : uses of the logs.
-    logs, truths : logs of the twin and their true friction (N, n) [N.m], by name.
-    laws : names in the registry.
-    fit : `fit_models` with the settings of the run.
+    `truths` holds the true friction (N, n) [N.m] of the logs, `fit` is `fit_models` with the
+    settings of the run.
     """
     robot = RobotModel(RobotDescription.read(study.robot))
     body = identify(

@@ -21,39 +21,17 @@ _FILES = ("robot.toml", "study.toml", "README.txt")
 
 @dataclass(frozen=True, kw_only=True)
 class NewProject:
-    """A created project folder.
-
-    Attributes
-    ----------
-    folder : the folder.
-    joints : joints of the robot file.
-    unused : further joints of the model, which are fixed or follow others.
-    """
+    """A created project folder."""
 
     folder: Path
-    joints: tuple[str, ...]
-    unused: tuple[str, ...]
+    joints: tuple[str, ...]  # joints of the robot file
+    unused: tuple[str, ...]  # further joints of the model, which are fixed or follow others
 
 
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
-    """Create a project folder for `hesr run FOLDER/study.toml`.
+    """Create a project folder for `hesr run FOLDER/study.toml`; see `hesr.new`.
 
-    The model file is copied without its meshes; the logs are simulated, see `sample_logs`.
-
-    Parameters
-    ----------
-    folder : a new or empty folder.
-    model : URDF, or MJCF (``.xml``).
-    joints : joints to use; by default all revolute and prismatic ones that do not follow others.
-
-    Raises
-    ------
-    ConfigError
-        If the folder is not empty.
-    RobotError
-        If the model or one of its joints cannot be used.
-    ArtifactError
-        If the folder cannot be written.
+    The model (URDF, or MJCF with suffix ``.xml``) is copied without its meshes.
     """
     if folder.is_file():
         raise ConfigError(f"{folder}: is a file; give a new or an empty folder.")

@@ -52,19 +52,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """Steps of a study; it is checked against the registry of laws.
-
-    Attributes
-    ----------
-    study, path : the study and its file.
-    progress : receives the state of the run.
-    kept : folder of checkpoints for continuing an interrupted run; None without them.
-    """
+    """Steps of a study, which is checked against the registry of laws."""
 
     study: Study
     path: Path
     progress: Stages
-    kept: Path | None = None
+    kept: Path | None = None  # folder of checkpoints for continuing an interrupted run
 
     def __post_init__(self) -> None:
         study = self.study
@@ -128,20 +121,14 @@ class Job:
         return list(dict.fromkeys((*logs.identification, *logs.reversed, *logs.training)))
 
     def log_files(self, folder: Path) -> dict[str, Path]:
-        """Return the file of every log of the study; those of the twin are simulated.
-
-        Raises
-        ------
-        ConfigError
-            If a log of the study is not a motion of the twin.
-        """
+        """Return the file of every log of the study; those of the twin are simulated."""
         tested = (name for logs in self.study.logs.test.values() for name in logs)
         names = dict.fromkeys((*self.trained_on, *tested))
         if self.study.twin is None:
             parts = self.study.logs.parts
             files = {name: parts[name].log if name in parts else name for name in names}
             return {name: self.path.parent / file for name, file in files.items()}
-        # MuJoCo is loaded for a twin only.
+        # Load MuJoCo for a twin only.
         from cosim.loop.excite import excite
         from cosim.loop.motions import Motions
         from cosim.loop.twin import export_twin, twin_plant
@@ -161,22 +148,16 @@ class Job:
         return {name: made[name] for name in names}
 
     def read(self, name: str, file: Path) -> RobotLog:
-        """Read a log of the study, or a named part of a log.
-
-        Raises
-        ------
-        LogError
-            If the log is refused, or the part has no rows.
-        """
+        """Read a log of the study, or a named part of a log."""
         log = RobotLog.read(file, self.robot)
         part = self.study.logs.parts.get(name)
         return log if part is None else self._part(log, name, part)
 
     def led_up_to(self, name: str, file: Path) -> RobotLog | None:
-        """Read a part of a log with all rows before it; None if there are none.
+        """Read a part of a log with all rows before it; None for a whole log.
 
-        A law that is tested on the part runs through these rows first, so that its states at the
-        start follow from the motion.
+        A law tested on the part runs through these rows first, so that its initial states follow
+        from the motion.
         """
         part = self.study.logs.parts.get(name)
         if part is None or part.start == 0.0:
@@ -263,7 +244,7 @@ class Job:
     def rigid_body(
         self, logs: Mapping[str, RobotLog], model: RobotModel
     ) -> tuple[RigidBody, dict[str, FrictionModel]]:
-        """Identify the rigid body, and refine it with fitted friction if the study asks for that.
+        """Identify the rigid body, and refine it with fitted friction if configured.
 
         Returns the body and the law that was refined together with it, if any.
         """
@@ -346,9 +327,8 @@ class Job:
         """Score the FMUs on every test set and its bands; for a twin also the true friction.
 
         With `per_log`, every test set has a second comparison with the offsets of its logs fitted.
-        FMUs replay all rows of `runs`; the last of them are the rows of `records`.
-
-        Returns the scores, and the torques on the test sets.
+        FMUs replay all rows of `runs`; the last of them are the rows of `records`. Returns the
+        scores, and the torques on the test sets.
         """
         comparisons, predictions = {}, {}
         inputs = input_classes(models)

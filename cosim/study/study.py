@@ -1,4 +1,4 @@
-"""A study: which logs identify, train and test, on which robot, with which laws."""
+"""A study: robot, laws, and the logs for identification, training and test."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -11,27 +11,17 @@ from hesr_model.fitting.day_offsets import Nuisance
 from hesr_model.robots.owner import Owner
 from hesr_model.support.config import Config, RelativePath
 
-_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
-"""Pattern of names that become file names."""
+_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"  # of names that become file names
 
 
 class Twin(Config):
-    """Digital twin that makes the logs of a study.
-
-    Attributes
-    ----------
-    plant : file of the arm.
-    signals : file of the arm FMU's signals; without it the arm in Python makes the logs.
-    motions : file of the motions; each becomes a log of its name.
-    truth : friction of the plant file, instead of that of its MJCF.
-    truths : further frictions on which the laws are compared.
-    """
+    """Digital twin that makes the logs of a study."""
 
     plant: RelativePath
-    signals: RelativePath | None = None
-    motions: RelativePath
-    truth: str | None = None
-    truths: tuple[str, ...] = ()
+    signals: RelativePath | None = None  # of the arm FMU; the arm in Python by default
+    motions: RelativePath  # each becomes a log of its name
+    truth: str | None = None  # alternative plant instead of the friction of the MJCF
+    truths: tuple[str, ...] = ()  # alternative plants for a comparison of the laws
 
     @model_validator(mode="after")
     def _a_truth_is_run_as_an_fmu(self) -> Self:
@@ -41,34 +31,19 @@ class Twin(Config):
 
 
 class Part(Config):
-    """Part of a log in time.
+    """Part of a log in time."""
 
-    Attributes
-    ----------
-    log : file, relative to the study.
-    start, stop : limits of the part [s], from the beginning of the log.
-    """
-
-    log: str
-    start: float = Field(default=0.0, ge=0.0)
-    stop: float = Field(default=1e9, gt=0.0)
+    log: str  # relative to the study
+    start: float = Field(default=0.0, ge=0.0)  # [s] from the beginning of the log
+    stop: float = Field(default=1e9, gt=0.0)  # [s]
 
 
 class StudyLogs(Config):
-    """Uses of the logs: files relative to the study, or names of the twin's motions.
-
-    Attributes
-    ----------
-    identification : logs that identify the rigid body.
-    reversed : their time-reversed counterparts, in the same order.
-    friction : logs that train the laws; by default those of the identification.
-    test : test sets by name.
-    parts : names of parts of logs, which are used like logs.
-    """
+    """Uses of the logs: files relative to the study, or names of the twin's motions."""
 
     identification: tuple[str, ...] = Field(min_length=1)
-    reversed: tuple[str, ...] = ()
-    friction: tuple[str, ...] = ()
+    reversed: tuple[str, ...] = ()  # time-reversed counterparts, in the same order
+    friction: tuple[str, ...] = ()  # training logs; those of the identification by default
     test: Mapping[str, tuple[str, ...]] = Field(min_length=1)
     parts: Mapping[Annotated[str, Field(pattern=_NAME)], Part] = {}
 
@@ -90,43 +65,26 @@ class StudyLogs(Config):
 
 
 class Variant(Config):
-    """Law with other options, as a further row of the tables.
-
-    Attributes
-    ----------
-    law : name in the registry.
-    options : hyper-parameters of its estimator.
-    """
+    """Law with other options, as a further row of the tables."""
 
     law: str
     options: Mapping[str, Any] = {}
 
 
 class TimeBand(Config):
-    """Part of a test set in time, scored separately.
-
-    Attributes
-    ----------
-    test : name of the test set.
-    name : name of the part.
-    start, stop : limits of the part [s], from the beginning of each log.
-    """
+    """Part of a test set in time, scored separately."""
 
     test: str
     name: str
-    start: float = Field(default=0.0, ge=0.0)
-    stop: float = Field(default=1e9, gt=0.0)
+    start: float = Field(default=0.0, ge=0.0)  # [s] from the beginning of each log
+    stop: float = Field(default=1e9, gt=0.0)  # [s]
 
 
 class RefinementStudy(Config):
     """Refinement of the rigid body with fitted friction.
 
-    Attributes
-    ----------
-    kind : "in_turn" identifies the body again without friction; "output_error" fits both to the
-        simulated position.
-    law : the friction law.
-    rounds : number of repetitions.
+    "in_turn" identifies the body again without friction; "output_error" fits both to the simulated
+    position.
     """
 
     kind: Literal["in_turn", "output_error"] = "in_turn"
@@ -135,41 +93,22 @@ class RefinementStudy(Config):
 
 
 class Study(Config):
-    """Input file of `hesr run`.
+    """Input file of `hesr run`."""
 
-    Attributes
-    ----------
-    name : name of the study and of its folder of results.
-    robot : robot file.
-    seed : seed of every fit.
-    laws : names in the registry; by default all everyday laws.
-    options : hyper-parameters of estimators, by law.
-    variants : further rows by name.
-    per_log : quantities that may differ by training log, as the torque offset or the level of
-        friction of different days.
-    physical : whether the masses of the rigid body must be physically possible.
-    refinement : refinement of the rigid body with fitted friction.
-    bands : parts of test sets that are scored separately.
-    twin : digital twin that makes the logs.
-    tracking : closed loop on the twin.
-    logs : uses of the logs.
-    owner : owner of the models; by default that of the robot file.
-    """
-
-    name: str = Field(pattern=_NAME)
+    name: str = Field(pattern=_NAME)  # also of its folder of results
     robot: RelativePath
     seed: int = Field(default=0, ge=0)
-    laws: tuple[str, ...] = ()
-    options: Mapping[str, Mapping[str, Any]] = {}
-    variants: Mapping[Annotated[str, Field(pattern=_NAME)], Variant] = {}
-    per_log: tuple[Nuisance, ...] = ()
-    physical: bool = False
+    laws: tuple[str, ...] = ()  # all everyday laws by default
+    options: Mapping[str, Mapping[str, Any]] = {}  # hyper-parameters of estimators, by law
+    variants: Mapping[Annotated[str, Field(pattern=_NAME)], Variant] = {}  # further rows by name
+    per_log: tuple[Nuisance, ...] = ()  # quantities that differ by training log
+    physical: bool = False  # whether the masses must be physically possible
     refinement: RefinementStudy | None = None
     bands: tuple[TimeBand, ...] = ()
     twin: Twin | None = None
     tracking: Tracking | None = None
     logs: StudyLogs
-    owner: Owner = Owner()
+    owner: Owner = Owner()  # that of the robot file by default
 
     @model_validator(mode="after")
     def _keys_fit(self) -> Self:

@@ -22,38 +22,22 @@ if TYPE_CHECKING:
 
 VERDICT, VERDICT_FORMAT = "verdict.json", "hesr-verdict-1"
 
-_MUCH = 25.0
-"""Unexplained friction [%] above which a joint is called poorly modelled."""
-_AT_REVERSALS = 1.5
-"""Error near reversals over that of all rows, above which reversals are called weak."""
-_BEYOND = 0.02
-"""Minimum share of test rows outside the trained speeds that is reported."""
-_RESTS = 0.02
-"""Minimum share of training rows at rest that shows stiction."""
-_LOADED = 0.5
-"""Minimum spread of the load over that of friction that shows the effect of load."""
+_MUCH = 25.0  # [%] unexplained friction of a poorly modelled joint
+_AT_REVERSALS = 1.5  # error near reversals over that of all rows, above which reversals are weak
+_BEYOND = 0.02  # share of test rows outside the trained speeds to report
+_RESTS = 0.02  # share of training rows at rest that shows stiction
+_LOADED = 0.5  # spread of the load over that of friction that shows the effect of load
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """Verdict of a run.
-
-    Attributes
-    ----------
-    law : the recommended law.
-    fmu : its file, relative to the folder of results.
-    test : test set that decided.
-    why : reason in one sentence.
-    unexplained : error over the size of friction by joint [%].
-    weak : weaknesses, one sentence each.
-    improve : improvements, one sentence each.
-    """
+    """Verdict of a run; reasons, weaknesses and improvements are one sentence each."""
 
     law: str
-    fmu: str
-    test: str
+    fmu: str  # relative to the folder of results
+    test: str  # test set that decided
     why: str
-    unexplained: Mapping[str, float]
+    unexplained: Mapping[str, float]  # error over the size of friction by joint [%]
     weak: tuple[str, ...]
     improve: tuple[str, ...]
 
@@ -82,15 +66,8 @@ def verdict(
     """Judge a run by its first test set.
 
     Candidates are the laws that lead on most joints, where no other law is significantly better.
-    Of these the law that passes most physics checks is taken, then the one with the lowest error.
-
-    Parameters
-    ----------
-    comparisons : scores by test set.
-    models : the laws.
-    trained, tested : records [joint][log] of the training logs and of the first test set.
-    properties : results of the physics checks; empty if they were not run.
-    gear_ratio : whether the robot file has gear ratios.
+    Among these, the law that passes most physics checks is taken, then the one with the lowest
+    error. Records of the training logs and of the first test set are [joint][log].
     """
     test, scores = next(iter(comparisons.items()))
     names = [law for law in scores.laws if law != ORACLE]
@@ -197,13 +174,7 @@ def write_verdict(folder: Path, found: Verdict) -> None:
 
 
 def read_verdict(folder: Path) -> Verdict | None:
-    """Read a verdict; None if the results are of an earlier version without one.
-
-    Raises
-    ------
-    ArtifactError
-        If the file is damaged.
-    """
+    """Read a verdict; None if the results are of an earlier version without one."""
     path = folder / VERDICT
     if not path.is_file():
         return None

@@ -1,7 +1,7 @@
 """Systems of FMUs inside one FMU of FMI 2.0, run by FMPy's container runtime.
 
 The runtime reads container.json, steps all components at the system's step, and then passes values
-along the connections in their order, in which values become known. Outputs with direct feedthrough
+along the connections in the order of known values. Outputs with direct feedthrough
 use the newest inputs; states use those at the beginning of the step. The runtime accepts only
 multiples of its step; our library in front of it accepts any step and holds the outputs.
 
@@ -45,21 +45,8 @@ _TYPES = {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int32"}
 def write_container(contents: SystemContents, path: Path) -> Path:
     """Write a system as one FMU and return the path; the bytes are reproducible.
 
-    If all FMUs are trusted, it contains reference results with inputs at their start values.
-
-    Parameters
-    ----------
-    contents : the system.
-    path : the file to write, ending in .fmu.
-
-    Raises
-    ------
-    ConfigError
-        If a component has its own step, or no platform has binaries of all components.
-    ExportError
-        If the suffix is wrong, FMPy has no runtime, or the FMU is invalid.
-    ArtifactError
-        If the file cannot be written.
+    If all FMUs are trusted, it contains reference results with inputs at their start values. Raises
+    ConfigError if a component has its own step or no platform has binaries of all components.
     """
     if path.suffix != ".fmu":
         raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
@@ -105,7 +92,7 @@ def _members(fmu: Path) -> dict[str, bytes]:
 def _runtimes(
     contents: SystemContents, nested: Mapping[str, Mapping[str, bytes]], identifier: str
 ) -> dict[str, bytes]:
-    """Return runtime and library for each platform on which all components run, with licence."""
+    """Return runtime, library and licence for each platform of all components."""
     found: dict[str, bytes] = {}
     for platform, (folder, suffix) in _RUNTIMES.items():
         if all(
@@ -128,13 +115,7 @@ def _runtimes(
 
 
 def holding_sources(step: float, runtime: str) -> dict[str, str]:
-    """Return the C sources of the library that holds outputs between steps of the runtime.
-
-    Parameters
-    ----------
-    step : step of the runtime [s].
-    runtime : file of the runtime next to the library.
-    """
+    """Return the C sources of the library that holds outputs between steps [s] of the runtime."""
     texts = {name: own_source(name) for name in ("beside.h", "fmi2.h", "hold.c")}
     texts["hold.h"] = (
         f'#define RUNTIME_FILE "{runtime}"\n#define RUNTIME_STEP {literal(step)} /* [s] */\n'

@@ -17,18 +17,10 @@ _STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*", re.ASCII)
 
 @dataclass(frozen=True, kw_only=True)
 class Exposed:
-    """A variable of a component, exposed as `component.variable`.
+    """A variable of a component, exposed as `component.variable`."""
 
-    Attributes
-    ----------
-    element : component and variable.
-    causality : causality in the container.
-    initial : kind of the initial value; None if undefined.
-    start : start value, if any.
-    """
-
-    element: Element
-    causality: str
+    element: Element  # component and variable
+    causality: str  # in the container
     initial: str | None
     start: float | str | None
 
@@ -37,7 +29,7 @@ def exposed_variables(contents: SystemContents) -> Iterator[Exposed]:
     """Yield the exposed variables.
 
     Outputs are the observed signals, or all outputs if none is observed; the others are local.
-    Unconnected inputs, parameters, and variables with a start value in the system are exposed too.
+    Unconnected inputs, parameters, and variables with a start value in the system are also exposed.
     Observed parameters and unconnected inputs keep their causality.
     """
     wiring = contents.wiring

@@ -14,32 +14,21 @@ from fmu_src.run.variables import Variables, model_description
 from hesr_model.errors import ConfigError, SimulationError
 
 _FIRST_DATE = datetime(1980, 1, 1, tzinfo=UTC)
-_LAST_DATE = datetime(2107, 12, 31, tzinfo=UTC)
-"""Range of dates in a zip archive."""
+_LAST_DATE = datetime(2107, 12, 31, tzinfo=UTC)  # range of zip archives
 
-UnitExponents = tuple[float, ...]
-"""A unit in terms of `fmu_src.run.variables.SI`."""
+UnitExponents = tuple[float, ...]  # in terms of `fmu_src.run.variables.SI`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SystemContents:
-    """A system and the descriptions of its FMUs.
-
-    Attributes
-    ----------
-    spec : the system.
-    path : file of the system, for messages.
-    descriptions, variables : descriptions and variables of the FMUs by component.
-    wiring : checked connections and start values.
-    created : date of the newest FMU, ISO 8601 in UTC with a final Z.
-    """
+    """A system and the descriptions of its FMUs."""
 
     spec: SystemSpec
-    path: Path
+    path: Path  # file of the system, for messages
     descriptions: Mapping[str, Any]
     variables: Mapping[str, Variables]
-    wiring: Wiring
-    created: str
+    wiring: Wiring  # checked connections and start values
+    created: str  # date of the newest FMU, ISO 8601 in UTC with a final Z
 
     @property
     def used(self) -> list[Element]:
@@ -69,10 +58,7 @@ class SystemContents:
         return {"unit": str(unit)} if known and self.type_of(element) == "Real" else {}
 
     def type_of(self, element: Element) -> str:
-        """Return the type of a variable; Integer for an Enumeration.
-
-        libcosim refuses parameter sets with Enumerations.
-        """
+        """Return the type of a variable; Integer for an Enumeration, which libcosim refuses."""
         kind = self.variables[element[0]][element[1]].type
         return "Integer" if kind == "Enumeration" else str(kind)
 
@@ -80,11 +66,8 @@ class SystemContents:
 def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
     """Read the descriptions of a system's FMUs and check the system against them.
 
-    Raises
-    ------
-    ConfigError
-        If an FMU is missing or not FMI 2.0 for co-simulation, or the system does not fit its FMUs;
-        see `Wiring`.
+    Raises ConfigError if an FMU is missing or not FMI 2.0 for co-simulation, or the system does not
+    fit its FMUs; see `Wiring`.
     """
     descriptions = {
         c.name: description_of(c.fmu, f"{path}: component '{c.name}'") for c in spec.components
@@ -103,12 +86,7 @@ def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
 def description_of(fmu: Path, where: str) -> Any:
     """Return FMPy's description of an FMU; `where` is for messages.
 
-    Raises
-    ------
-    ConfigError
-        If it is missing, or not FMI 2.0 for co-simulation.
-    SimulationError
-        If it cannot be read.
+    Raises ConfigError if it is missing, or not FMI 2.0 for co-simulation.
     """
     if not fmu.is_file():
         raise ConfigError(f"{where}: there is no FMU {fmu}.")

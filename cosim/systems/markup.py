@@ -1,4 +1,4 @@
-"""XML of systems: namespaces, values and units, written and read back."""
+"""XML of systems: namespaces, values and units."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -11,9 +11,7 @@ from fmu_src.run.variables import SI, Variables
 from hesr_model.errors import ConfigError
 
 SSD = "SystemStructure.ssd"
-"""Name of the description in an SSP."""
-Version = Literal["1.0", "2.0"]
-"""Version of the SSP standard; the parts used here are the same in both."""
+Version = Literal["1.0", "2.0"]  # of the SSP standard; the parts used here are the same in both
 
 _STANDARD = "http://ssp-standard.org/SSP1/SystemStructure"
 
@@ -25,24 +23,16 @@ NAMESPACES = {
 }
 
 _DEFAULTS = {key: 1.0 if key == "factor" else 0.0 for key in SI}
-_EXPONENTS = len(SI) - 2
-"""Number of exponents in a unit; factor and offset follow them."""
+_EXPONENTS = len(SI) - 2  # of a unit; factor and offset follow them
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValueWithUnit:
-    """A number with its unit.
-
-    Attributes
-    ----------
-    value : the number.
-    unit : name of the unit.
-    base : the unit in terms of `fmu_src.run.variables.SI`; None if undefined.
-    """
+    """A number with its unit."""
 
     value: float
     unit: str
-    base: UnitExponents | None
+    base: UnitExponents | None  # in terms of `fmu_src.run.variables.SI`; None if undefined
 
 
 def to_bytes(root: ET.Element) -> bytes:
@@ -79,13 +69,7 @@ def add_units(
 
 
 def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponents]:
-    """Return the units defined by `ssc:Unit` elements, by name; `where` is for messages.
-
-    Raises
-    ------
-    ConfigError
-        If an exponent, a factor or an offset is not a number.
-    """
+    """Return the units defined by `ssc:Unit` elements, by name; `where` is for messages."""
     found: dict[str, UnitExponents] = {}
     for node in nodes:
         name, base = node.get("name", ""), node.find("{*}BaseUnit")
@@ -111,18 +95,8 @@ def differ(one: str, other: str, defined: Mapping[str, UnitExponents]) -> bool:
 def in_unit_of(variables: Variables, name: str, given: ValueWithUnit, where: str) -> float:
     """Return a number in the unit of an FMU's variable; unchanged if that has none.
 
-    Parameters
-    ----------
-    variables, name : variables of the FMU, and the variable.
-    given : the number in its own unit.
-    where : file and parameter, for messages.
-
-    Raises
-    ------
-    ConfigError
-        If the units differ and cannot be converted.
-    SimulationError
-        If the FMU has no such variable.
+    `where` names file and parameter in messages. Raises ConfigError if the units cannot be
+    converted.
     """
     unit, base = variables.unit(name)
     if unit is None or given.base == base is not None:

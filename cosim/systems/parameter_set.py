@@ -25,27 +25,13 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole
 
 ANNOTATION = "hesr.covariance"
-"""Type of the annotation."""
 COVARIANCE = "urn:hesr:covariance:1"
-"""Namespace of its content."""
 
 
 def export_ssv(model: FrictionModel, path: Path) -> Path:
-    """Write the coefficients of a friction model and their covariance, and return the path.
+    """Write the coefficients of a friction model and their covariance as .ssv, and return the path.
 
     The names are those of its FMU. Laws without exposed coefficients have their scales instead.
-
-    Parameters
-    ----------
-    model : one law per joint.
-    path : the file to write, ending in .ssv.
-
-    Raises
-    ------
-    ExportError
-        If the suffix is wrong, or a number of the model is not finite.
-    ArtifactError
-        If the file cannot be written.
     """
     if path.suffix != ".ssv":
         raise ExportError(f"{path}: a parameter set of SSP must end in .ssv.")

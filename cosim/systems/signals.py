@@ -1,4 +1,4 @@
-"""Signals that a run of a system has recorded."""
+"""Signals recorded in a run of a system."""
 
 from dataclasses import dataclass
 from typing import Any

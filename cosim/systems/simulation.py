@@ -25,27 +25,16 @@ from fmu_src.run.native import native_stepper
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.progress import Progress, silent
 
-_REPORT_EVERY = 200
-"""Number of steps between reports of progress."""
+_REPORT_EVERY = 200  # between reports of progress
 
 
 class Master:
     """A loaded and checked system; a context manager that frees all FMUs.
 
-    Parameters
-    ----------
-    spec : the system.
-    path : file of the system, for messages.
-    native : whether to step in C if all FMUs are in this process; the results are equal.
-    loaded : pool of loaded FMUs; by default every FMU is loaded for this system alone.
-    scheme : exchange of values; by default the order of the system.
-
-    Raises
-    ------
-    ConfigError
-        On entering, if the system does not fit its FMUs; see `Wiring`.
-    SimulationError
-        On entering, if an FMU cannot be loaded.
+    If all FMUs are in this process, it steps in C unless `native` is false; the results are equal.
+    By default every FMU is loaded for this system alone, and values are exchanged in the order of
+    the system. Entering raises ConfigError if the system does not fit its FMUs (see `Wiring`), and
+    SimulationError if an FMU cannot be loaded.
     """
 
     def __init__(
@@ -129,7 +118,7 @@ class Master:
         self._stepper: SystemStepper = stepper or PythonStepper(self._layout)
 
     def _links(self, place: Mapping[Element, int]) -> Iterator[Link]:
-        """Yield connected inputs and their sources in the order in which values become known."""
+        """Yield connected inputs and their sources in the order of known values."""
         sources = self._wiring.sources
         feeding = set(sources.values())
         for element in self._wiring.order:
@@ -149,12 +138,7 @@ class Master:
     ) -> Signals:
         """Run the system from its start values; a failure ends the run and is part of the result.
 
-        A system can be run repeatedly; each run begins with a reset.
-
-        Parameters
-        ----------
-        progress : receives the state of the run.
-        start : start values of components for this run, in addition to those of the system.
+        A run begins with a reset. `start` adds start values of components to those of the system.
         """
         steps, step, stepper = self.spec.steps, self.spec.step, self._stepper
         kept = np.empty((steps + 1, len(self._layout.rows)))
@@ -178,13 +162,7 @@ class Master:
         return Signals(t=step * np.arange(done, dtype=float), signals=signals, failure=failure)
 
     def require_start(self, start: Mapping[str, Mapping[str, Value]], path: Path) -> None:
-        """Check that start values for a run fit the system.
-
-        Raises
-        ------
-        ConfigError
-            If they do not, naming the file `path` and the component or variable.
-        """
+        """Raise ConfigError, naming `path`, if start values do not fit the system."""
         try:
             self._wiring.started(start)
         except ConfigError as error:
@@ -198,13 +176,7 @@ class Master:
                     )
 
     def require_alike(self, one: str, other: str, path: Path) -> None:
-        """Check that two observed signals have the same number of elements.
-
-        Raises
-        ------
-        ConfigError
-            If not, naming the file `path`.
-        """
+        """Raise ConfigError, naming `path`, if two signals differ in their number of elements."""
         counts = [len(self._wiring.elements(signal)) for signal in (one, other)]
         if counts[0] != counts[1]:
             raise ConfigError(

@@ -28,27 +28,14 @@ _ENGINES = {
     "xmlns:oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
     "xmlns:osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
 }
-_TOLERANCE = "0.0001"
-"""Tolerance that OMSimulator requires; FMUs with a fixed step ignore it."""
+_TOLERANCE = "0.0001"  # required by OMSimulator; FMUs with a fixed step ignore it
 
 
 def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:
     """Write a system with its FMUs as an SSP and return the path; the bytes are reproducible.
 
-    If all FMUs are trusted, the SSP contains the system's signals as reference results.
-
-    Parameters
-    ----------
-    contents : the system.
-    path : the file to write, ending in .ssp.
-    version : version of the standard; libcosim and ecos read 1.0 only.
-
-    Raises
-    ------
-    ConfigError
-        If the suffix is wrong.
-    ArtifactError
-        If the file cannot be written.
+    If all FMUs are trusted, the SSP contains the system's signals as reference results. libcosim
+    and ecos read version 1.0 only.
     """
     if path.suffix != ".ssp":
         raise ConfigError(f"{path}: the name of a packaged system ends in .ssp.")
@@ -65,7 +52,7 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
 
 
 def left_out(contents: SystemContents) -> str | None:
-    """Return one sentence on the parts of a system that its SSP lacks; None if it lacks nothing.
+    """Return one sentence on the parts of a system that its SSP lacks; None if it is complete.
 
     Engines refuse connectors of unconnected inputs, parameters and local variables, so an SSP
     observes outputs only.

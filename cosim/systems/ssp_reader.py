@@ -26,27 +26,17 @@ _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
 _STEPS = ((".//{*}FixedStepAlgorithm", "baseStepSize"), (".//{*}FixedStepMaster", "stepSize"))
 
 _TRUE = ("true", "1")
-_LONGEST = 100
-"""Maximum length of a file name."""
+_LONGEST = 100  # of a file name
 _NAME: TypeAdapter[str] = TypeAdapter(Name)
 
 
 @contextmanager
 def opened_system(path: Path) -> Iterator[SystemSpec]:
-    """Yield the system of a file; the FMUs of an SSP are unpacked meanwhile.
+    """Yield the system of a file; the FMUs of an SSP are unpacked meanwhile. See `System.read`.
 
     An SSP is read as one level of components with connections, start values and steps, and all
     outputs with a connector are observed. Invalid names of components are replaced, and start
     values are converted to the units of the FMU.
-
-    Raises
-    ------
-    ArtifactError
-        If an SSP cannot be read, or is not safe to unpack.
-    ConfigError
-        If the system is invalid or not supported, naming the file and the element.
-    SimulationError
-        If an FMU cannot be read and its units are needed.
     """
     if path.suffix.lower() != ".ssp":
         yield SystemSpec.read(path)
@@ -265,8 +255,8 @@ def _all(node: ET.Element, path: str) -> list[ET.Element]:
 def safe_names(names: Iterable[str]) -> dict[str, str]:
     """Map names of components to unique names that a system allows.
 
-    Allowed names are kept. In others `_` replaces everything except ASCII letters and digits, and
-    a number is appended if two become equal.
+    Allowed names are kept. In others `_` replaces everything except ASCII letters and digits, and a
+    number is appended if two become equal.
     """
     names = list(dict.fromkeys(names))
     found = {name: name for name in names if _allowed(name)}

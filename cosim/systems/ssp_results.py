@@ -79,13 +79,7 @@ def result_files(contents: SystemContents) -> dict[str, bytes]:
 
 
 def verify_ssp(path: Path) -> Verified:
-    """Run the experiments in an SSP and compare with its reference results.
-
-    Raises
-    ------
-    HesrError
-        If it cannot be read as a system at all.
-    """
+    """Run the experiments in an SSP and compare with its reference results."""
     found = Verified()
     with Archive(path, "SSP") as archive:
         stored = experiments(archive, found)

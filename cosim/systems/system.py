@@ -18,10 +18,8 @@ Signal = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*\.\S+$")]
 """`component.variable`; without an index all elements of a vector."""
 Value = bool | int | float | str | tuple[float, ...]
 
-_MULTIPLE = 1e-9
-"""Relative tolerance of steps that must be multiples of each other."""
+_MULTIPLE = 1e-9  # relative tolerance of steps that must be multiples of each other
 _MOST_STEPS = 10**9
-"""Maximum number of steps of a run."""
 _MOST_COMPONENTS = 1000
 
 
@@ -37,44 +35,27 @@ Bounds = Annotated[tuple[float, float], AfterValidator(_ordered)]
 class ComponentSpec(Config):
     """One FMU of a system.
 
-    Attributes
-    ----------
-    name : name in the system.
-    fmu : the file.
-    start : start values of parameters, inputs and states: a number, a list for all elements of a
-        vector, or the name of a choice.
-    step : step of the component [s], a multiple of the system's; by default the system's.
+    `start` has values of parameters, inputs and states: a number, a list for all elements of a
+    vector, or the name of a choice.
     """
 
     name: Name
     fmu: RelativePath
     start: Mapping[str, Value] = {}
-    step: float | None = Field(default=None, gt=0.0)
+    step: float | None = Field(default=None, gt=0.0)  # [s] a multiple of the system's step
 
 
 class SystemSpec(Config):
-    """A system of FMUs.
-
-    Attributes
-    ----------
-    name : of the system.
-    step : communication step [s].
-    stop : end of the run, which starts at 0 [s].
-    order : "gauss_seidel" or "jacobi"; see `fmu_src.run.master.ExchangeScheme`.
-    components : components in stepping order.
-    connections : for each connected input the output that feeds it.
-    observe : signals whose values are kept.
-    limits : lowest and highest value of signals; the run stops where one is left.
-    """
+    """A system of FMUs."""
 
     name: str = "system"
-    step: float = Field(gt=0.0)
-    stop: float = Field(gt=0.0)
-    order: Order = "gauss_seidel"
+    step: float = Field(gt=0.0)  # communication step [s]
+    stop: float = Field(gt=0.0)  # end of the run, which starts at 0 [s]
+    order: Order = "gauss_seidel"  # see `fmu_src.run.master.ExchangeScheme`
     components: tuple[ComponentSpec, ...] = Field(min_length=1, max_length=_MOST_COMPONENTS)
-    connections: Mapping[Signal, Signal] = {}
+    connections: Mapping[Signal, Signal] = {}  # source of each connected input
     observe: tuple[Signal, ...] = ()
-    limits: Mapping[Signal, Bounds | tuple[Bounds, ...]] = {}
+    limits: Mapping[Signal, Bounds | tuple[Bounds, ...]] = {}  # the run ends outside these
 
     @model_validator(mode="after")
     def _names_and_steps_fit(self) -> Self:
@@ -112,13 +93,7 @@ def _multiple_of(time: float, step: float, what: str) -> None:
 
 
 def write_system(spec: SystemSpec, path: Path) -> Path:
-    """Write a system as TOML, with paths of FMUs relative to the file, and return the path.
-
-    Raises
-    ------
-    ArtifactError
-        If the file cannot be written.
-    """
+    """Write a system as TOML, with paths of FMUs relative to the file, and return the path."""
     with written_whole(path) as temporary:
         text = "\n".join(_lines(spec, path.parent.resolve()))
         temporary.write_text(f"{text}\n", encoding="utf-8")

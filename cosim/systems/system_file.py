@@ -29,8 +29,7 @@ class System:
     --------
     >>> import hesr
     >>> system = hesr.System.read("loop.toml")
-    >>> signals = system.run()
-    >>> float(signals.t[0])
+    >>> float(system.run().t[0])
     0.0
     """
 

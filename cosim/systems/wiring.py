@@ -12,27 +12,10 @@ from hesr_model.errors import ConfigError, SimulationError
 
 
 class Wiring:
-    """Signals of a system.
+    """Signals of a system; `slaves` holds the variables of its components.
 
-    Parameters
-    ----------
-    spec : the system.
-    slaves : variables of its components by name.
-    path : file of the system, for messages.
-
-    Attributes
-    ----------
-    sources : source of each connected input.
-    order : inputs and outputs, each after its direct dependencies.
-    start : start values by component and variable.
-    observed : elements of the observed signals.
-    limited : elements with their limits.
-
-    Raises
-    ------
-    ConfigError
-        If a signal does not exist or does not fit its source, an input has no value, or there is
-        an algebraic loop.
+    Raises ConfigError if a signal does not exist or does not fit its source, an input has no value,
+    or there is an algebraic loop.
     """
 
     def __init__(self, spec: SystemSpec, slaves: Mapping[str, Variables], path: Path) -> None:
