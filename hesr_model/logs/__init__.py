@@ -1,1 +1,1 @@
-"""Robot logs: read from many formats, converted, checked, smoothed."""
+"""Robot logs: formats, checks, smoothing."""

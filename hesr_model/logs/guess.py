@@ -22,14 +22,14 @@ _WORDS: Mapping[str, frozenset[str]] = {
     "tau": _words("tau torque torques trq effort efforts moment moments tq nm"),
     "current": _words("i im cur curr current currents amp amps ampere iq"),
 }
-"""Words in the column names of each quantity; the first quantity that matches wins."""
+"""Words in column names by quantity; the first match wins."""
 _PLACES = _words("joint axis")
-"""Words of positions if the name has no word of another quantity."""
+"""Words of positions, unless another quantity matches."""
 _OTHERS = _words(
     "target desired des ref reference cmd command setpoint goal acc acceleration ddq qdd error err "
     "tcp ext external voltage control window limit mode status dir"
 )
-"""Words of columns with other quantities."""
+"""Words of columns to ignore."""
 _MEASURED = _words("actual act meas measured msr")
 _TIME = _words("t time timestamp stamp timestamps clock unix secs seconds sec zeit")
 _UNITS: Mapping[str, Mapping[str, str]] = {
@@ -51,22 +51,14 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
 }
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
 _NUMBER = re.compile(r"(?<!\d)\d{1,9}(?!\d)")
-"""Joint numbers; longer digit strings are skipped, and slow to parse."""
+"""Joint numbers; longer digit strings are skipped because they are slow to parse."""
 _RATES = (5.0, 20_000.0)
 """Plausible sample rates of robot logs [Hz]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Guess:
-    """Guess of the columns of a table.
-
-    Attributes
-    ----------
-    columns : by quantity (t, q, dq, tau, current, temperature): a name for t, one name per joint
-        for the others.
-    units : by quantity, if a name or the values reveal one.
-    reasons : reasons by quantity.
-    """
+    """Columns and units by quantity, one column per joint except for t, with the reasons."""
 
     columns: Mapping[str, str | tuple[str, ...]]
     units: Mapping[str, str] = field(default_factory=dict)
@@ -74,7 +66,7 @@ class Guess:
 
 
 def vocabulary() -> dict[str, object]:
-    """Return the words and rates of the guesses as JSON data, for pages that read logs."""
+    """Return words and rates as JSON data, for pages that read logs."""
     return {
         "quantities": {quantity: sorted(words) for quantity, words in _WORDS.items()},
         "places": sorted(_PLACES),
@@ -87,18 +79,7 @@ def vocabulary() -> dict[str, object]:
 
 
 def guess(table: LogTable, joints: Sequence[str] = ()) -> Guess:
-    """Guess the columns of a table.
-
-    Parameters
-    ----------
-    joints : names of the robot's joints, which columns may contain; if empty, the joints are
-        counted.
-
-    Raises
-    ------
-    LogError
-        If no column looks like time or positions.
-    """
+    """Guess columns; `joints` are names that they may contain. Raises LogError without t or q."""
     groups = list(_groups(table.names, joints))
     count = len(joints) or max((len(g) for _, g in groups if _quantity(g[0]) == "q"), default=0)
     columns: dict[str, str | tuple[str, ...]] = {}

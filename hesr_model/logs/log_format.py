@@ -42,18 +42,17 @@ def _known_unit(units: _UnitNames, info: ValidationInfo) -> _UnitNames:
 
 
 Columns = Annotated[str | tuple[str, ...], AfterValidator(_one_place_for_the_joint)]
-"""A pattern such as ``q{}`` or ``actual_q_{0}``, or one name per joint; see `column_names`."""
+"""Pattern such as ``q{}`` or ``actual_q_{0}``, or one name per joint; see `column_names`."""
 
 KnownUnit = Annotated[UnitName, AfterValidator(_known_unit)]
 Units = Annotated[_UnitNames, AfterValidator(_known_unit)]
-"""One unit for all joints, or one per joint: a name, or the size of one logged unit in SI."""
+"""Unit of all joints, or one per joint: a name, or the size of one logged unit in SI."""
 
 
 def column_names(columns: str | tuple[str, ...], joints: Sequence[str]) -> list[str]:
     """Return one column per joint.
 
-    In a pattern, ``{}`` or ``{1}`` is the joint number from 1, ``{0}`` the number from 0, and
-    ``{name}`` the joint's name.
+    In a pattern, ``{}`` or ``{1}`` counts joints from 1, ``{0}`` from 0; ``{name}`` is the name.
     """
     if isinstance(columns, str):
         return [_filled(columns, k, name) for k, name in enumerate(joints)]
@@ -68,15 +67,11 @@ def _filled(pattern: str, index: int, name: str) -> str:
 
 
 TEMPERATURES = "temperature{}"
-"""Default columns of temperatures, which are optional."""
+"""Default columns of the optional temperatures."""
 
 
 class LogColumns(Config):
-    """Names of a log's columns.
-
-    With `dq = ""` the velocity is derived from the position. Temperatures are those of the joints;
-    they are optional unless their columns are named.
-    """
+    """Column names; `dq = ""` derives velocity from position, unnamed temperatures are optional."""
 
     t: str = "t"
     q: Columns = "q{}"
@@ -87,10 +82,9 @@ class LogColumns(Config):
 
 
 class LogUnits(Config):
-    """Units of a log, for all joints or one per joint; SI by default.
+    """Units of a log, SI by default (m, m/s and N for sliding joints).
 
-    A unit is a name, a name with a minus, as ``-deg``, if the log counts against the model's joint,
-    or a number of SI units, as for encoder counts. Sliding joints default to m, m/s and N.
+    A unit is a name, ``-name`` if the log counts against the model's joint, or a size in SI.
     """
 
     t: KnownUnit = "s"
@@ -101,7 +95,7 @@ class LogUnits(Config):
     temperature: Literal["degC", "K"] = "degC"
 
     def factors(self, quantity: str, joints: int) -> Array:
-        """Return the size of one logged unit of a quantity in SI at each joint, (joints,)."""
+        """Return the size in SI of one logged unit of a quantity, (joints,)."""
         return np.array([in_si(quantity, unit) for unit in self.each(quantity, joints)])
 
     def each(self, quantity: str, joints: int) -> tuple[UnitName, ...]:
@@ -127,15 +121,10 @@ class LogUnits(Config):
 
 
 class LogBag(Config):
-    """Place of the joint states in a ROS bag.
+    """Topic of ``sensor_msgs/msg/JointState`` messages in ROS bags.
 
-    Attributes
-    ----------
-    topic : topic of ``sensor_msgs/msg/JointState`` messages.
-    joints : names of the robot's joints in these messages, in the order of `joints` of the robot;
-        by default the same names.
-    effort : meaning of the messages' effort: torque ``"tau"``, or ``"current"`` as some drivers
-        publish it.
+    `joints` are the message names in the robot's order, by default its own; some drivers publish
+    currents as `effort`.
     """
 
     topic: str = "/joint_states"
@@ -146,18 +135,10 @@ class LogBag(Config):
 class LogFormat(Config):
     """Format of a robot's logs.
 
-    Attributes
-    ----------
-    sample_rate : nominal rate [Hz], if known; logs with another measured rate are refused.
-    missing : handling of rows with an empty cell or NaN, or with the time stamp of the row before:
-        ``"refuse"`` the log, or ``"drop"`` the rows.
-    filter_cutoff : cut-off [Hz] of the zero-phase low pass on q and dq.
-    columns : columns of CSV, Parquet and MATLAB files.
-    units : units of these columns, and of the messages of a bag.
-    bag : place of the joint states in ROS bags.
-    zero : position of each joint [rad; m] where the log reads 0, if that is not the model's 0.
-    torque_per_ampere : torque constant of each joint [N.m/A]; with it, torque is computed from the
-        current columns.
+    Logs that deviate from the nominal `sample_rate` [Hz] are refused. Rows are `missing` with an
+    empty cell, NaN or a repeated time stamp. `filter_cutoff` [Hz] is that of the low pass on q and
+    dq. `zero` [rad; m] is the joint position at a logged 0. With `torque_per_ampere` [N.m/A],
+    torque is computed from currents.
     """
 
     sample_rate: float | None = Field(default=None, gt=0)

@@ -1,10 +1,7 @@
 """Measurement noise as a pure function of seed, stream and counter.
 
-A co-simulation may repeat a step, restore a state or run several arms at once, and the C code of an
-FMU must draw the same numbers as Python. Therefore the noise has no hidden state: number `counter`
-of stream `stream` is always the same.
-
-Definition, all integers unsigned 64 bit and wrapping::
+Without hidden state, repeated steps, restored states and parallel arms draw the same numbers, in C
+as in Python. All integers are unsigned 64 bit and wrap::
 
     finish(z):  z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9
                 z = (z ^ (z >> 27)) * 0x94D049BB133111EB
@@ -13,15 +10,14 @@ Definition, all integers unsigned 64 bit and wrapping::
     base    = finish((finish(seed + gamma) ^ stream) + gamma)
     word(i) = finish(base + (i + 1) * gamma)
 
-which is the splitmix64 sequence (Steele, Lea, Flood 2014) that starts at `base`. Normal number c is
-the cosine branch of Box-Muller over two successive words::
+This is the splitmix64 sequence (Steele, Lea, Flood 2014) from `base`. Normal number c is the cosine
+branch of Box-Muller over two successive words::
 
     u = ((word(2c) >> 11) + 1) * 2^-53        in (0, 1]
     w = (word(2c + 1) >> 11) * 2^-53          in [0, 1)
     normal(c) = sqrt(-2 ln u) cos(2 pi w)
 
-Test vectors. Words are exact; normals agree to 1e-14, because the last bits of ln and cos depend on
-the library::
+Test vectors; normals agree to 1e-14, because ln and cos depend on the library::
 
     seed      stream  c        word(c)             normal(c)
     0         0       0        0x238275BC38FCBE91  1.9549744116420429
@@ -44,22 +40,11 @@ _TO_UNIT = 2.0**-53
 
 
 def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
-    """Return words number `index` of streams `stream`.
-
-    Parameters
-    ----------
-    seed : any integer; it counts modulo 2^64.
-    stream, index : integers from 0 to 2^64 - 1 that broadcast against each other.
-
-    Returns
-    -------
-    ndarray
-        64 random bits each, of the broadcast shape, without unit.
-    """
+    """Return random words (64 bit) number `index` of `stream`, which broadcast; seed mod 2^64."""
     streams, indices = np.broadcast_arrays(
         np.asarray(stream, dtype=np.uint64), np.asarray(index, dtype=np.uint64)
     )
-    # NumPy wraps silently in arrays, but warns of overflow in scalars and 0-d arrays.
+    # Scalars warn of overflow, arrays wrap silently.
     flat, places = streams.reshape(-1), indices.reshape(-1)
     seeds = np.full(flat.shape, seed & _MASK, dtype=np.uint64)
     base = _finish((_finish(seeds + _GAMMA) ^ flat) + _GAMMA)
@@ -67,18 +52,7 @@ def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
 
 
 def standard_normal(seed: int, stream: ArrayLike, counter: ArrayLike) -> Array:
-    """Return numbers `counter` of streams `stream`, normal with mean 0 and variance 1.
-
-    Parameters
-    ----------
-    seed : any integer; it counts modulo 2^64.
-    stream, counter : integers from 0 to 2^63 - 1 that broadcast against each other.
-
-    Returns
-    -------
-    ndarray
-        Numbers of the broadcast shape, without unit.
-    """
+    """Return standard normal numbers, `counter` (< 2^63) of `stream`, which broadcast."""
     first = np.asarray(counter, dtype=np.uint64) * np.uint64(2)
     u = (words(seed, stream, first) >> np.uint64(11)).astype(np.float64)
     w = (words(seed, stream, first + np.uint64(1)) >> np.uint64(11)).astype(np.float64)

@@ -17,10 +17,9 @@ def moving(dq: Array) -> Mask:
 
 
 def reversals(dq: Array) -> Integers:
-    """Return the rows of the reversals of one joint's velocity (N,) [rad/s].
+    """Return the rows of smallest |dq| at each change of sign of a velocity (N,) [rad/s].
 
-    A reversal is a change of sign between two consecutive moving rows, however long the joint rests
-    in between; it is placed at the smallest |dq| from one to the other.
+    Rests between two moving rows of opposite sign may have any length.
     """
     rows = np.flatnonzero(moving(dq))
     changes = np.flatnonzero(np.diff(np.sign(dq[rows])))

@@ -21,7 +21,7 @@ _LONGEST_GAP = 10.0
 """Length of a gap in usual steps; velocity and hysteresis states are unknown after it."""
 
 _USUAL = 0.95
-"""Share of the shortest steps whose mean is the usual step."""
+"""Share of the shortest steps, whose mean is the usual step."""
 
 _SHORTEST_PART = 1.0
 """Minimum duration of a part between two gaps [s]."""
@@ -87,7 +87,7 @@ class RobotLog:
 
     @property
     def where(self) -> str:
-        """Name of the log in messages: its file, or its name."""
+        """File or name of the log, for messages."""
         return str(self.path) if self.path else f"log '{self.name}'"
 
     @property
@@ -99,7 +99,7 @@ class RobotLog:
     def longest_step(self) -> float:
         """Step above which there is a gap: ten usual steps [s].
 
-        If rows are lost at random, or come in bursts, the mean is more representative than the
+        If rows are lost at random or come in bursts, the mean represents them better than the
         median.
         """
         steps = np.diff(self.t)
@@ -123,7 +123,7 @@ class RobotLog:
 
     @property
     def gaps(self) -> Integers:
-        """Rows (K,) after a gap, without unit."""
+        """Rows (K,) after a gap."""
         return np.flatnonzero(np.diff(self.t) > self.longest_step) + 1
 
     def rows(self, rows: slice | Integers) -> "RobotLog":
@@ -131,10 +131,7 @@ class RobotLog:
         return some_rows(self, ("t", "q", "dq", "tau", "temperature"), rows)
 
     def parts(self) -> "tuple[RobotLog, ...]":
-        """Return the parts between gaps that last at least 1 s.
-
-        Velocity and friction's memory are unknown after a gap, so each part is filtered and fitted
-        as a log of its own.
+        """Return the parts between gaps that last at least 1 s, each a log of its own.
 
         Raises
         ------
@@ -158,9 +155,8 @@ class RobotLog:
         """Read and check a log with the columns and units of the robot file.
 
         The suffix gives the format: CSV (with a header), Parquet (``.parquet``, ``.pq``), MATLAB
-        (``.mat``) or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``). Row numbers in messages
-        are those of an editor: the header of a CSV is row 1. Other files have no header: their
-        first row is row 1.
+        (``.mat``) or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``). Rows in messages count
+        from 1, including the header of a CSV.
 
         Parameters
         ----------
@@ -170,10 +166,11 @@ class RobotLog:
         Raises
         ------
         LogError
-            If the file is missing, empty or of another format, or the package that reads it is not
-            installed; if a column or topic is missing; if the number of joints differs from the
-            robot's; if a cell is empty, not a number, NaN or infinite; if time does not increase,
-            or has another rate than the robot file; if there are currents without torque constants.
+            If the file cannot be read, a column or topic is missing, the number of joints is wrong,
+            a cell
+            is not a finite number, time does not increase or has another rate than the robot file,
+            or
+            currents lack torque constants.
         RobotError
             If a list of the robot file has not one entry per joint.
         """
@@ -215,9 +212,7 @@ class RobotLog:
         return columns
 
     def to_pandas(self) -> Any:
-        """Return a `pandas.DataFrame` of the columns ``q1.., dq1.., tau1..`` over ``t`` [s].
-
-        Units are rad, rad/s and N.m (m, m/s and N for sliding joints).
+        """Return a `pandas.DataFrame` of ``q1.., dq1.., tau1..`` (SI) over ``t`` [s].
 
         Raises
         ------
@@ -242,7 +237,7 @@ class RobotLog:
         """Write the log as CSV or, with suffix ``.parquet``, as Parquet, with all digits.
 
         The columns are ``t, q1.., dq1.., tau1..``, the defaults of a robot file, and
-        ``temperature1..`` if temperatures are known.
+        ``temperature1..`` if known.
 
         Raises
         ------

@@ -1,11 +1,10 @@
 """A bounded sample of motions that keeps rare conditions.
 
 Motions are cut into windows of a second. Each window belongs to the strata of its rows: rest,
-reversals, octaves of speed and octaves of torque of either sign, for each joint. The windows of a
-stratum are ranked by weighted sampling without replacement (Efraimidis and Spirakis, Inf. Process.
-Lett. 97 (2006) 181-185), weighted by their rows in the stratum. The strata take turns at choosing
-their next best window, the smallest strata first. So a rest or a reversal under load that only few
-logs have is kept.
+reversals, octaves of speed and of torque of either sign, for each joint. A stratum ranks windows by
+weighted sampling without replacement (Efraimidis and Spirakis, Inf. Process. Lett. 97 (2006)
+181-185), weighted by its rows. Strata take turns at choosing their best window, the smallest first,
+so that rare rests and reversals are kept.
 """
 
 import hashlib
@@ -44,14 +43,7 @@ class _Window:
 
 
 class Sample:
-    """A sample of motions.
-
-    Parameters
-    ----------
-    most : maximum number of rows.
-    seed : seed of the draws. The same motions in the same order and the same seed give the same
-        sample.
-    """
+    """A sample of at most `most` rows, determined by `seed` and the order of the motions."""
 
     def __init__(self, most: int, seed: int) -> None:
         self._most, self._seed = most, seed
@@ -122,7 +114,7 @@ class Sample:
         """Drop windows until the size is within the limit."""
         if sum(len(window.motion.t) for window in self._windows) <= self._most:
             return
-        # Windows of each stratum in its order of choice: the smallest -log(u) / weight first.
+        # Windows by stratum in order of choice: the smallest -log(u) / weight first.
         queues = {
             stratum: iter(
                 sorted(

@@ -20,13 +20,9 @@ _PADDING_PERIODS = 3.0
 class Motion:
     """The smoothed motion of a log, at its own time stamps.
 
-    Attributes
-    ----------
-    t : (N,) [s], as logged.
-    q, dq, ddq : (N, n) [rad, rad/s, rad/s2], through the zero-phase low pass.
-    tau : (N, n) [N.m], raw: predictions are compared with the measured torque.
-    q_raw : (N, n) [rad], as logged; gear ripple must not be smoothed.
-    temperature : (N, n) [degC], as logged; None if not measured.
+    q, dq, ddq (N, n) [rad, rad/s, rad/s2] are low-passed. tau [N.m], q_raw [rad] and temperature
+    [degC] are raw: predictions are compared with measured torque, and gear ripple must not be
+    smoothed.
     """
 
     name: str
@@ -44,27 +40,17 @@ class Motion:
 
     @property
     def columns(self) -> dict[str, Array]:
-        """Columns by name, (N,) or (N, n) each in its unit."""
+        """Columns by name, (N,) or (N, n) each."""
         found = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
         return {name: column for name, column in found.items() if column is not None}
 
 
 def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
-    """Filter q and dq by a zero-phase low pass, and differentiate.
+    """Filter q and dq by a zero-phase Butterworth low pass on an even grid, and differentiate.
 
-    Samples are interpolated to an even grid with the log's median period, filtered forwards and
-    backwards by a Butterworth low pass, differentiated there, and interpolated back to the log's
-    time stamps.
-
-    Parameters
-    ----------
-    cutoff : cut-off frequency [Hz]; 15 Hz is best on the measured arm (8 Hz and less flatten
-        reversals, 25 Hz and more let the noise of ddq through).
-
-    Raises
-    ------
-    LogError
-        If the log has gaps, or is too slow or too short for the cut-off.
+    A `cutoff` of 15 Hz is best on the measured arm (8 Hz and less flatten reversals, 25 Hz and more
+    let the noise of ddq through). Raises LogError with gaps, or if the log is too slow or too
+    short.
     """
     from scipy.interpolate import make_interp_spline  # slow to import
     from scipy.signal import butter, sosfiltfilt

@@ -23,7 +23,7 @@ _DELIMITERS = ",;\t "
 _MARKS = "#%"
 """Marks of comments, and sometimes of a header."""
 _SEARCHED = 500
-"""Lines searched for the first row of data; lines above the header are a preamble."""
+"""Lines searched for the first row of data; those above the header are a preamble."""
 _UNIT_CELL = re.compile(r"[(\[].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad/s|deg/s|-|")
 _SINCE_1970 = 1e8
 """Stamps above [s] (three years) count from an epoch, not from the start of a log."""
@@ -35,13 +35,7 @@ _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogTable:
-    """An open table file.
-
-    Attributes
-    ----------
-    names : all columns of the file.
-    others : other content, mentioned if a column is missing.
-    """
+    """An open table file with all its columns; `others` is mentioned if a column is missing."""
 
     path: Path
     names: tuple[str, ...]
@@ -65,17 +59,9 @@ class LogTable:
             return index + 2
 
     def numbers(self, names: Sequence[str], *, missing: bool = False) -> Array:
-        """Return columns as floats, (N, len(names)), in the units of the file.
+        """Return columns (N, len(names)) in the units of the file; `missing` cells become NaN.
 
-        Parameters
-        ----------
-        missing : whether cells may be empty or NaN; they are NaN then.
-
-        Raises
-        ------
-        LogError
-            With a column that is missing or not numeric, or the row and column of a cell that is
-            empty, NaN or infinite.
+        Raises LogError with the column, or the row and column of a bad cell.
         """
         for name in names:
             self._require(name)
@@ -83,12 +69,7 @@ class LogTable:
         return np.column_stack(columns)
 
     def times(self, name: str, unit: float, *, missing: bool = False) -> Array:
-        """Return time stamps (N,) [s]; epoch stamps and dates count from the first one.
-
-        Parameters
-        ----------
-        unit : unit of the stamps [s]; a column of dates or durations has its own.
-        """
+        """Return time stamps (N,) [s], given in `unit` [s]; dates count from the first one."""
         import pyarrow
 
         self._require(name)
@@ -127,7 +108,7 @@ class LogTable:
         return values
 
     def _first_text(self, name: str) -> LogError:
-        """Return the error for a column that is not numeric, at its first other cell."""
+        """Return the error for a column that is not numeric, at its first bad cell."""
         column = self._arrow.column(name)
         try:
             cells = column.to_pylist()
@@ -156,17 +137,11 @@ def most_bytes(path: Path) -> int:
 
 
 def read_table(path: Path) -> LogTable:
-    """Open a CSV (with a header; blank lines are ignored) or a Parquet file.
+    """Open a CSV (with a header) or a Parquet file; raises LogError if that fails.
 
     Cells of a CSV are separated by commas, semicolons, tabs or single blanks, as in its header; all
-    but the first allow decimal commas. A header may begin with ``#``. A preamble above it, comments
-    that begin with ``#`` or ``%`` and a row of units are skipped.
-
-    Raises
-    ------
-    LogError
-        If the file is missing, empty, too large or not a table, if rows have different lengths, or
-        if two columns have the same name.
+    but the first allow decimal commas. A header may begin with ``#``. A preamble, blank lines,
+    comments (``#`` or ``%``) and a row of units are skipped.
     """
     if not path.is_file():
         raise LogError(f"{path}: no such log file.")
@@ -183,7 +158,7 @@ def read_table(path: Path) -> LogTable:
 
 
 def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = ()) -> LogTable:
-    """Make a table of columns (N,) in their units, read from a file of another format."""
+    """Make a table of columns (N,) read from a file of another format."""
     import pyarrow
 
     arrow = pyarrow.table({name: np.ascontiguousarray(values) for name, values in columns.items()})
@@ -241,8 +216,8 @@ def _dialect(path: Path) -> _Dialect:
 def _table_in(lines: Sequence[tuple[int, str]]) -> tuple[int, int, str]:
     """Return the lines of the header and of the first row of data, and the delimiter.
 
-    Data begin at the first line of numbers below a line with as many names. Without such lines the
-    first line is the header.
+    Data begin at the first line of numbers below a line with as many names; otherwise the first
+    line is the header.
     """
     for at, (number, line) in enumerate(lines):
         for delimiter in sorted(_DELIMITERS, key=lambda d: -line.count(d)):
@@ -359,7 +334,7 @@ def _read_csv(path: Path, dialect: _Dialect) -> Any:
     options = pyarrow.csv.ReadOptions(
         column_names=names,
         skip_rows=dialect.data - 1,
-        # One block: the type of a column is inferred from all of it, not from its first megabyte.
+        # One block: column types are inferred from all of it, not from the first megabyte.
         block_size=path.stat().st_size + 1,
     )
     try:

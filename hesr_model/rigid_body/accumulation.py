@@ -1,9 +1,8 @@
 """Identification motion by motion, with bounded memory.
 
 Least squares needs only the triangular factor of each friction coordinate's block (Golub and Van
-Loan, Matrix Computations, sec. 5.3 and 6.5), to which the rows of one motion are added at a time.
-The estimate equals that of `identification.identify` up to round-off. The exact covariance needs
-every row; here a sample of the rows gives a conservative one.
+Loan, Matrix Computations, sec. 5.3 and 6.5). The estimate equals that of `identification.identify`
+up to round-off; the covariance, from a sample of the rows, is conservative.
 """
 
 from collections.abc import Sequence
@@ -38,16 +37,8 @@ from hesr_model.support.arrays import Array
 class Streamed:
     """The growing stacked problem of a robot.
 
-    Parameters
-    ----------
-    model : the robot.
-    slow : (n,) [rad/s] speeds below which rows of a friction coordinate are dropped. They follow
-        from the peak speeds of all motions, which are known at the end; `fits` compares them with
-        `slow`.
-
-    Attributes
-    ----------
-    rows : number of samples so far.
+    Rows of a friction coordinate below its speed `slow` (n,) [rad/s] are dropped. The right speeds
+    follow from the peak speeds of all motions, known only at the end; then check `fits`.
     """
 
     def __init__(self, model: RobotModel, slow: Array | None = None) -> None:
@@ -62,12 +53,12 @@ class Streamed:
 
     @property
     def slow(self) -> Array:
-        """(n,) [rad/s] speeds below which rows should be dropped, by the motions so far."""
+        """Speeds (n,) [rad/s] below which rows should be dropped, by the motions so far."""
         return slow_of(self._peaks)
 
     @property
     def fits(self) -> bool:
-        """Whether those rows were dropped; if not, the motions must be added once more."""
+        """Whether those rows were dropped; if not, add the motions again with `wanted`."""
         return np.array_equal(self.slow, self._used)
 
     def add(self, motion: Motion) -> None:
@@ -84,17 +75,9 @@ class Streamed:
                 self._factors = [factor.with_rows(block) for factor, block in rows]
 
     def body(self, sample: Sequence[Motion], where: str) -> RigidBody:
-        """Return the rigid body.
+        """Return the rigid body; `sample` are motions for the covariance, `where` names the logs.
 
-        Parameters
-        ----------
-        sample : motions (N, n) for the covariance; they are parts of those added.
-        where : name of the logs in messages.
-
-        Raises
-        ------
-        FitError
-            If there are fewer samples than unknowns, or a joint hardly moves.
+        Raises FitError if there are fewer samples than unknowns, or a joint hardly moves.
         """
         model, base, friction = self._model, self._base, self._friction
         require_samples(where, self.rows, len(base) + int(np.sum(friction)))

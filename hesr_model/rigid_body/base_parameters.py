@@ -13,8 +13,8 @@ _RANDOM_STATES = 300
 def base_columns(model: RobotModel) -> tuple[int, ...]:
     """Return the indices of a largest set of independent columns of the regressor, in order.
 
-    Pivoted QR of the regressor at random states within the joints' limits, with columns of unit
-    length: the rank depends neither on a log nor on units.
+    Pivoted QR at random states within the joints' limits, with columns of unit length: the rank
+    depends neither on a log nor on units.
     """
     columns = at_random_states(model)
     lengths = np.linalg.norm(columns, axis=0)
@@ -28,20 +28,19 @@ def base_columns(model: RobotModel) -> tuple[int, ...]:
 
 
 def dependence(model: RobotModel, base: tuple[int, ...]) -> Array:
-    """Return the matrix K (len(base), P) that maps all parameters onto base parameters: Y = Y_b K.
+    """Return the matrix K (len(base), P) that maps all onto base parameters: Y = Y_b K.
 
-    Standard parameters pi and base parameters K pi give the same torque. K (without unit within a
-    kind of parameter) has the rows of `base`.
+    Standard parameters pi and base parameters K pi give the same torque.
     """
     columns = at_random_states(model)
     return np.asarray(np.linalg.lstsq(columns[:, list(base)], columns, rcond=None)[0], dtype=float)
 
 
 def offsets_apart(model: RobotModel, base: tuple[int, ...]) -> Mask:
-    """Return whether a constant torque of each joint is independent of the base columns, (n,).
+    """Return whether a constant torque of each friction coordinate is independent of `base`, (n,).
 
-    For coupled joints, of each friction coordinate. It is not if gravity is constant, as on a
-    vertical sliding joint: a weight and a friction offset are then one number.
+    It is not if gravity is constant, as on a vertical sliding joint: a weight and a friction offset
+    are then one number.
     """
     columns = at_random_states(model)[:, list(base)]
     coupling = model.description.coupling
@@ -52,10 +51,7 @@ def offsets_apart(model: RobotModel, base: tuple[int, ...]) -> Mask:
 
 
 def at_random_states(model: RobotModel) -> Array:
-    """Return the regressor at random states within the joints' limits, (samples * n, P).
-
-    The column of a parameter is in [N.m] per unit of that parameter.
-    """
+    """Return the regressor at random states within the joints' limits, (samples * n, P)."""
     rng = np.random.default_rng(0)
     lower, upper, speed = model.limits
     shape = (_RANDOM_STATES, model.n)

@@ -26,15 +26,10 @@ class Pair:
 
 
 def matched(forward: Motion, backward: Motion) -> Pair:
-    """Match a motion with its time-reversed counterpart.
+    """Match a motion with its time-reversed counterpart; raises FitError if no shift matches.
 
     The counterpart is evaluated at the mirrored time, with the shift that best matches the
     positions.
-
-    Raises
-    ------
-    FitError
-        If no shift matches the positions.
     """
     period = float(np.median(np.diff(forward.t)))
     count = int(_LONGEST_SHIFT / period)

@@ -61,17 +61,19 @@ class RigidBody:
     ----------
     robot, joints : name of the robot and of its joints.
     names, parameters : all standard parameters (P,) and rotor inertias. Parameters outside `base`
-        are zero, except in physically consistent bodies and bodies with a payload.
+        are
+        zero, except in physically consistent bodies and bodies with a payload.
     base : indices of the base parameters, to which all others reduce linearly (eq. 6).
-    standard_errors : standard errors of the base parameters, (len(base),), the contribution of the
-        others included.
+    standard_errors : of the base parameters (len(base),), the contribution of the others included.
     condition : condition number of the weighted observation matrix, each column relative to its
-        size over random states of the robot.
+        size
+        over random states of the robot.
     ridge : weight of the pull towards zero on that scale, relative to the largest singular value; 0
-        if not needed.
+        if
+        not needed.
     friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit at
-        friction coordinates (`robots.transmission`); not the friction model. Zero with the paper's
-        method.
+        friction
+        coordinates (`robots.transmission`), zero with the paper's method; not the friction model.
     rmse : (n,) [N.m] residual of the fit at friction coordinates, over the rows used.
     rows : number of samples offered to the fit.
     logs : names of the logs.
@@ -215,12 +217,7 @@ def identify(
 ) -> RigidBody:
     """Identify the rigid-body parameters from logs; see `identify_motions`.
 
-    Raises
-    ------
-    LogError
-        If a joint moves in none of the logs, or a log is too slow or short for the low pass.
-    FitError
-        As `identify_motions`.
+    Raises LogError if a joint does not move, or a log is too slow or short for the low pass.
     """
     require_moving([*logs, *reversed_logs], model.description.joints)
     return identify_motions(
@@ -242,30 +239,20 @@ def identify_motions(
     reversed_motions: Sequence[Motion] = (),
     physical: bool = False,
 ) -> RigidBody:
-    """Identify the rigid-body parameters from smooth motions.
+    """Identify the rigid-body parameters from smooth motions; raises FitError if impossible.
 
-    Parameters
-    ----------
-    method : ``"stacked"``: one least-squares problem over all motions, forward and reversed, in
-        which every joint also has a Coulomb, a viscous and an offset coefficient; no offset if it
-        is indistinguishable from a weight (`observations.friction_columns`). ``"paper"``: torque
-        and regressor of each motion are averaged with those of its time-reversed counterpart at the
-        same position, where odd friction cancels (eq. 7). Either drops a joint's slow rows
-        (`observations.SLOW`).
-    weighting : ``"wls"`` weighs each joint by its residual's standard deviation, ``"ols"`` does
-        not. By default ``"wls"`` for the stacked method and ``"ols"`` for the paper's.
-    reversed_motions : time-reversed counterparts of `motions`, in their order; needed by
-        ``"paper"``.
-    physical : whether every link must be a body of positive mass density and every rotor inertia
-        positive (`hesr_model.rigid_body.physical`). All standard parameters are then estimated,
-        weakly pulled towards the model file's: it pays on short logs and changes little on long
-        ones.
+    Method ``"stacked"`` solves one least-squares problem over all motions, forward and reversed, in
+    which every joint also has a Coulomb, a viscous and an offset coefficient; no offset if it is
+    indistinguishable from a weight (`observations.friction_columns`). ``"paper"`` averages torque
+    and regressor of each motion and of its `reversed_motions` counterpart at the same position,
+    where odd friction cancels (eq. 7). Either drops a joint's slow rows (`observations.SLOW`).
 
-    Raises
-    ------
-    FitError
-        If there are fewer samples than unknowns, if a joint hardly moves, or if the reversed
-        motions are not the counterparts of the forward ones.
+    Weighting ``"wls"`` (default of the stacked method) weighs each joint by its residual's standard
+    deviation, ``"ols"`` (default of the paper's) does not.
+
+    With `physical`, links have positive mass density and rotors positive inertia
+    (`rigid_body.physical`). All standard parameters are then estimated, weakly pulled towards the
+    model file's: it pays on short logs and changes little on long ones.
     """
     everything = [*motions, *reversed_motions]
     base = base_columns(model)
@@ -330,8 +317,7 @@ def _consistent(
 def scale_of(model: RobotModel, base: tuple[int, ...], friction: Mask) -> Array:
     """Return the size of each column [N.m] for `least_squares.solve`, base columns first.
 
-    Friction columns, of the coefficients selected by `friction` (n, 3), have size 1 N.m and 1
-    N.m.s/rad.
+    Friction columns, selected by `friction` (n, 3), have size 1 N.m and 1 N.m.s/rad.
     """
     rigid = np.sqrt(np.mean(at_random_states(model)[:, list(base)] ** 2, axis=0))
     return np.concatenate([rigid, np.ones(int(np.sum(friction)))])

@@ -19,13 +19,7 @@ _RIDGE = 3e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
-    """Rows of equal noise.
-
-    Attributes
-    ----------
-    matrix, target : (N, P) and (N,).
-    samples : (N,) number of each row's sample; blocks share samples.
-    """
+    """Rows of equal noise, with the sample number (N,) of each row; blocks share samples."""
 
     matrix: Array
     target: Array
@@ -36,11 +30,8 @@ class Block:
 class Factor:
     """The part of a block that a solution needs, of bounded size.
 
-    Attributes
-    ----------
-    triangle : (P + 1, P + 1) triangular factor of [matrix, target]; it has the same squared
-        residuals.
-    rows : number of rows of the block.
+    The triangular factor (P + 1, P + 1) of [matrix, target] has the squared residuals of the
+    `rows`.
     """
 
     triangle: Array
@@ -64,15 +55,10 @@ class Factor:
 class Solution:
     """Unknowns of a least-squares problem, and its conditioning.
 
-    Attributes
-    ----------
-    x : (P,) unknowns, in their units.
-    condition : condition number of the weighted matrix, columns divided by their scales.
-    ridge : weight of the pull of the scaled unknowns towards zero, relative to the largest singular
-        value; 0 if not needed.
-    pull : (P,) cost of one unit of each unknown due to the ridge.
-    weights : weight of each block.
-    rmse : residual of each block.
+    `condition` is that of the weighted matrix with columns divided by their scales. `ridge` is the
+    weight of the pull of the scaled unknowns towards zero, relative to the largest singular value,
+    and `pull` (P,) the resulting cost of one unit of each unknown. Each block has a weight and an
+    `rmse`.
     """
 
     x: Array
@@ -87,12 +73,8 @@ def solve(blocks: Sequence[Block], *, scale: Array, weighted: bool) -> Solution:
     """Solve least squares over all blocks, each divided by its residual's size if `weighted`.
 
     Weights start equal and follow from the residuals, twice. A ridge is added only if the condition
-    number exceeds 1e3.
-
-    Parameters
-    ----------
-    scale : (P,) usual size of each column, [N.m] per unit of its parameter. It must not come from
-        the data: a hardly excited column, scaled up to the others, would get a huge coefficient.
+    number exceeds 1e3. The usual size `scale` (P,) of each column must not come from the data: a
+    hardly excited column, scaled up to the others, would get a huge coefficient.
     """
     return solve_factors([Factor.of(block) for block in blocks], scale=scale, weighted=weighted)
 
@@ -116,12 +98,7 @@ def covariance_of(
 ) -> Covariance:
     """Return the covariance of a solution, residuals of all blocks at one sample summed.
 
-    Its unknowns have no names; `mapped` gives them.
-
-    Parameters
-    ----------
-    blocks, solution : the problem and its solution.
-    labels : (samples,) number of the log of each sample.
+    `labels` (samples,) is the number of the log of each sample.
     """
     labels = blocks_of_time(labels)
     size, logs = len(solution.x), int(np.max(labels)) + 1

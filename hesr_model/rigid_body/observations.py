@@ -53,13 +53,7 @@ def logs_of(motions: Sequence[Motion]) -> Integers:
 
 
 def per_joint(found: Array, friction: Mask) -> Array:
-    """Return friction coefficients by joint, (n, 3), zero without a column.
-
-    Parameters
-    ----------
-    found : (columns,) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the existing columns.
-    friction : (n, 3) existing columns.
-    """
+    """Return coefficients `found` of the columns `friction` (n, 3) by joint, (n, 3), else 0."""
     coefficients = np.zeros(friction.shape)
     coefficients[friction] = found
     return coefficients
@@ -72,13 +66,9 @@ def stacked(
     friction: Mask,
     slow: Array | None = None,
 ) -> list[Block]:
-    """Return one block per friction coordinate: base columns, then friction columns.
+    """Return one block per friction coordinate: base columns, then friction columns (n, 3).
 
-    Parameters
-    ----------
-    base : columns of the regressor.
-    friction : (n, 3) Coulomb, viscous and offset columns of each joint; see `friction_columns`.
-    slow : (n,) [rad/s] speed below which rows are dropped; by default `slow_speeds` of the motions.
+    Rows below `slow` (n,) [rad/s], by default `slow_speeds` of the motions, are dropped.
     """
     n = model.n
     q, dq, ddq, tau = (
@@ -109,12 +99,7 @@ def averaged(
 ) -> list[Block]:
     """Return one block per friction coordinate: means of forward and reversed rows.
 
-    Only rows of opposite velocity are used.
-
-    Raises
-    ------
-    FitError
-        If the logs are not counterparts of each other.
+    Only rows of opposite velocity are used. Raises FitError if the logs are not counterparts.
     """
     if not motions or len(motions) != len(counterparts):
         raise FitError(

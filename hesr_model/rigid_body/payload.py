@@ -5,8 +5,8 @@ the regressor's ten columns of the last link (eq. 5)::
 
     tau - Y pi_unloaded = Y_last pi_payload + friction
 
-They are independent if the last link turns freely enough, so mass, centre of mass and inertia are
-all determined. Friction has its own columns, because a load changes it.
+They are independent if the last link turns freely enough. Friction has its own columns, because a
+load changes it.
 """
 
 from collections.abc import Sequence
@@ -39,25 +39,17 @@ rows up to 5.
 _LEAST_SEGMENTS = 10
 
 _SIGNIFICANT = 4.0
-"""Significance threshold of the mass in standard errors; logs of the twin without payload had 3.4.
-"""
+"""Significance threshold of the mass in standard errors; twin logs without payload had 3.4."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Payload:
     """An identified payload.
 
-    Attributes
-    ----------
-    parameters : (10,) as in `robot.LINK_PARAMETERS`, in the frame of the last joint [kg, kg.m,
-        kg.m2].
-    covariance : (10, 10) from residuals, correlated within a second, and from the standard errors
-        of the unloaded rigid body.
-    condition : condition number of the weighted observation matrix, as in `RigidBody`.
-    friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] under load.
-    rmse : (n,) [N.m] residual over the rows used.
-    rows : number of samples offered to the fit.
-    logs : names of the logs.
+    `parameters` (10,) are those of `robot.LINK_PARAMETERS` in the frame of the last joint [kg,
+    kg.m, kg.m2], with a covariance from residuals, correlated within a second, and from the
+    standard errors of the unloaded body. `friction` (n, 3) is Coulomb [N.m], viscous [N.m.s/rad]
+    and offset [N.m] under load. Other fields are as in `RigidBody`.
     """
 
     parameters: Array
@@ -70,7 +62,7 @@ class Payload:
 
     @property
     def standard_errors(self) -> Array:
-        """Standard errors (10,) of the parameters, in their SI units."""
+        """Standard errors (10,) of the parameters."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
@@ -99,14 +91,8 @@ class Payload:
 def identify_payload(logs: Sequence[RobotLog], model: RobotModel, unloaded: RigidBody) -> Payload:
     """Identify the payload on the last link from logs.
 
-    Raises
-    ------
-    LogError
-        If a joint moves in none of the logs, or a log is too slow or short for the low pass.
-    RobotError
-        If `unloaded` belongs to another robot.
-    FitError
-        As `identify_payload_motions`.
+    Raises LogError for unusable logs, RobotError if `unloaded` belongs to another robot, and
+    FitError as `identify_payload_motions`.
     """
     require_moving(logs, model.description.joints)
     return identify_payload_motions(smoothed(logs, model), model, unloaded)
@@ -115,16 +101,10 @@ def identify_payload(logs: Sequence[RobotLog], model: RobotModel, unloaded: Rigi
 def identify_payload_motions(
     motions: Sequence[Motion], model: RobotModel, unloaded: RigidBody
 ) -> Payload:
-    """Identify the payload on the last link from smooth motions.
+    """Identify the payload on the last link from smooth motions, as `identify_motions`.
 
-    Weighted least squares without slow rows, as in `identification.identify_motions`.
-
-    Raises
-    ------
-    RobotError
-        If `unloaded` belongs to another robot.
-    FitError
-        If the motions are too short, do not determine the parameters, or show no payload.
+    Raises RobotError if `unloaded` belongs to another robot, and FitError if the motions are too
+    short, do not determine the parameters, or show no payload.
     """
     name = "log " + ", ".join(motion.name for motion in motions)
     segments = _segments(motions)
@@ -234,10 +214,7 @@ def _inherited(
 ) -> Array:
     """Return the covariance of the unknowns due to standard errors of the unloaded body.
 
-    Parameters
-    ----------
-    carried : the unloaded body's base columns in the same rows.
-    errors : standard errors of its base parameters, assumed independent.
+    Its parameters have independent `errors`, and the columns `carried` in the same rows.
     """
     products = [
         block.matrix.T @ columns / size**2

@@ -5,10 +5,10 @@ A link is such a body if and only if its pseudo-inertia is positive definite (We
 
     P = [[Sigma, h], [h', m]],    Sigma = tr(I)/2 1 - I = integral of r r' dm,    h = m c
 
-The search therefore uses P = B U U' B', with U upper triangular with a positive diagonal
-(log-Cholesky, Rucker and Wensing 2022) and B B' the pseudo-inertia of the model file. At U = 1,
-with all ten coordinates zero, the link is that of the file. A weak pull towards it makes the
-problem well posed. Rotor inertias are squares.
+The search uses P = B U U' B', with U upper triangular with a positive diagonal (log-Cholesky,
+Rucker and Wensing 2022) and B B' the pseudo-inertia of the model file, where U = 1 and all ten
+coordinates are zero. A weak pull towards it makes the problem well posed. Rotor inertias are
+squares.
 """
 
 from collections.abc import Sequence
@@ -47,14 +47,10 @@ _UPPER = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhysicalFit:
-    """Physically consistent parameters.
+    """Physically consistent parameters (P,), rotor inertias included.
 
-    Attributes
-    ----------
-    parameters : (P,) all standard parameters and rotor inertias.
-    friction : coefficients of the columns after the first P, as in the blocks.
-    covariance : covariance of the base parameters, with the pull towards the model file as prior.
-    rmse : residual of each block.
+    `friction` are the coefficients of the columns after the first P. The covariance of the base
+    parameters takes the pull towards the model file as prior. `rmse` is the residual of each block.
     """
 
     parameters: Array
@@ -75,10 +71,7 @@ def pseudo_inertia(parameters: Array) -> Array:
 
 
 def link_parameters(pseudo: Array) -> Array:
-    """Return the ten parameters (10,) of a link from its pseudo-inertia (4, 4), in SI units.
-
-    The inverse of `pseudo_inertia`.
-    """
+    """Return the ten parameters (10,) of a link from its pseudo-inertia (4, 4)."""
     sigma, (mx, my, mz), m = pseudo[:3, :3], pseudo[:3, 3], pseudo[3, 3]
     inertia = np.trace(sigma) * np.eye(3) - sigma
     (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia
@@ -96,14 +89,9 @@ def fit(
 ) -> PhysicalFit:
     """Fit physically consistent parameters by Levenberg-Marquardt, friction eliminated.
 
-    Parameters
-    ----------
-    blocks : rows of all P standard columns, followed by the friction columns.
-    base : indices of the base parameters.
-    labels : (samples,) number of the log of each sample.
-    rmse : (blocks,) residual of each block under the unconstrained fit [N.m], for the first
-        weights.
-    weighted : whether each block is divided by its own residual's size, or all by the same.
+    `blocks` have all P standard columns, then friction columns. `labels` (samples,) is the log
+    number of each sample, `rmse` (blocks,) [N.m] the residual of the unconstrained fit, for the
+    first weights. If `weighted`, each block is divided by its own residual's size.
     """
     chart = _Chart.of(model)
     count, size = sum(len(block.target) for block in blocks), len(model.parameter_names)
@@ -125,7 +113,7 @@ def fit(
     slopes[:size, : len(x)] = chart.slopes(x)
     slopes[size:, len(x) :] = np.eye(others)
     moved = [
-        # Linearise at the solution: columns of the coordinates.
+        # Linearise at the solution.
         Block(matrix=b.matrix @ slopes, target=b.target - b.matrix @ every, samples=b.samples)
         for b in blocks
     ]

@@ -1,7 +1,7 @@
 """Refinement of the rigid body with a fitted friction law.
 
-The friction columns of the identification (Coulomb, viscous, offset) are a coarse law. With a
-better one, its torque is subtracted from the logs and the rigid body is identified again.
+The friction torque of a fitted law is subtracted from the logs, and the rigid body is identified
+again: Coulomb, viscous and offset columns alone are a coarse law.
 """
 
 from collections.abc import Sequence
@@ -25,19 +25,8 @@ def identify_again(
 ) -> RigidBody:
     """Identify the rigid body from logs without the torque of a friction model.
 
-    Parameters
-    ----------
-    logs, reversed_logs : as for `identify`.
-    model : the robot.
-    rigid_body : the body used for fitting `friction`; it gives the load torque.
-    friction : law of every joint.
-
-    Raises
-    ------
-    ArtifactError
-        If `friction` has other joints.
-    HesrError
-        As `identify` and `friction_records`.
+    `rigid_body`, used for fitting `friction`, gives the load torque. Raises ArtifactError if
+    `friction` has other joints, else errors as `identify` and `friction_records`.
     """
     joints = tuple(model.description.joints)
     if friction.joints != joints:

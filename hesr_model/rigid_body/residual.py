@@ -19,22 +19,13 @@ from hesr_model.units import unit_of_joint
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrictionRecord:
-    """Friction of one joint in one log, on the log's own rows.
+    """Friction `tau` [N.m] of one joint in one log (eq. 8), unsmoothed, on the log's own rows.
 
-    Attributes
-    ----------
-    log, joint : names.
-    t : (N,) [s].
-    dq : (N,) [rad/s], smoothed.
-    q : (N,) [rad], raw.
-    tau_load : (N,) [N.m], rigid-body torque.
-    tau : (N,) [N.m], friction: measured torque minus rigid-body torque (eq. 8), not smoothed.
-    tau_load_spread : (N, r) [N.m], error of `tau_load` for one standard deviation of each
-        independent error of the rigid body; None if unknown.
-    gear_ratio : turns of the motor per turn of the joint; None if unknown.
-    sliding : whether the joint slides: positions are then in m, torques are forces in N.
-    temperature : (N,) temperature of the joint [degC]; None if not measured.
-    coupling : coupling of all joints; None if nothing is coupled, and after `at_friction`.
+    `t` [s], smoothed `dq` [rad/s], raw `q` [rad] and rigid-body torque `tau_load` [N.m] are (N,).
+    `tau_load_spread` (N, r) [N.m] is the error of `tau_load` for one standard deviation of each
+    independent error of the rigid body. `gear_ratio` is turns of the motor per turn of the joint.
+    Positions of a `sliding` joint are in m, torques are forces in N. `temperature` is in degC.
+    `coupling` is None if nothing is coupled, and after `at_friction`.
     """
 
     log: str
@@ -106,12 +97,7 @@ def friction_records(
 ) -> list[FrictionRecord]:
     """Separate friction from a log, joint by joint (eq. 8).
 
-    Raises
-    ------
-    LogError
-        If the log is too slow or too short for the low pass.
-    RobotError
-        If `rigid_body` belongs to another robot.
+    Raises LogError if the log is too slow or short, RobotError if `rigid_body` is of another robot.
     """
     return motion_records(smooth(log, model.description.log.filter_cutoff), model, rigid_body)
 

@@ -45,14 +45,9 @@ _ROUNDS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Constant:
-    """The torque constant of one joint.
+    """The torque constant of one joint [N.m/A] and its standard error, infinite if unknown.
 
-    Attributes
-    ----------
-    joint : name of the joint.
-    value, error : torque constant at the joint [N.m/A], as `torque_per_ampere`, and its standard
-        error; infinite if unknown.
-    determined : whether the data determine it; `value` is meaningless otherwise.
+    The value is meaningless unless `determined` by the data.
     """
 
     joint: str
@@ -80,23 +75,11 @@ def torque_constants(
     loaded: Sequence[Motion] = (),
     payload: Sequence[float] | Array | None = None,
 ) -> tuple[Constant, ...]:
-    """Estimate the torque constants of all joints from currents.
+    """Estimate the torque constants of all joints from currents; raises FitError.
 
-    Parameters
-    ----------
-    motions : motions without payload, with torques computed from currents by the assumed constants.
-    model : robot whose file gives masses and centres of mass.
-    assumed : (n,) assumed constants, as `torque_per_ampere`.
-    mass_error : declared relative error of the file's masses, one standard deviation.
-    loaded : motions under a known payload, with the same constants.
-    payload : (10,) its parameters [kg, kg.m, kg.m2] in the frame of the last joint, as
-        `robot.LINK_PARAMETERS`.
-
-    Raises
-    ------
-    FitError
-        If the declared error is not between 0 and 1, or loaded motions and payload do not come
-        together.
+    `motions`, without payload, and `loaded` ones have torques computed with the constants `assumed`
+    (n,). `mass_error` is the relative standard deviation of the file's masses. `payload` (10,) is
+    in the frame of the last joint [kg, kg.m, kg.m2], as `robot.LINK_PARAMETERS`.
     """
     if not 0.0 < mass_error < 1.0:
         raise FitError(
@@ -132,7 +115,7 @@ def torque_constants(
 
 
 def point_payload(mass: float, centre: Sequence[float]) -> Array:
-    """Return the parameters (10,) [SI] of a mass [kg] at a point [m] of the last joint's frame."""
+    """Return the parameters (10,) of a mass [kg] at a point [m] of the last joint's frame."""
     c = np.array(centre, dtype=float)
     inertia = mass * (c @ c * np.eye(3) - np.outer(c, c))
     (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia
@@ -144,7 +127,7 @@ class _Rows:
     """Compressed rows of a joint in logs of one kind: [Y, Y carried, friction, torque]."""
 
     factor: Array  # triangular factor of these columns
-    count: int  # number of rows
+    count: int
     length: float  # correlation length of the residuals [rows]
 
 
@@ -255,7 +238,7 @@ class _Problem:
 
 
 def _spread(model: RobotModel, mass_error: float) -> Array:
-    """Return the standard deviations (P,) of the parameters of the model file [SI]."""
+    """Return the standard deviations (P,) of the parameters of the model file."""
     nominal = model.nominal_parameters
     spread = np.full(len(nominal), _ROTOR)
     heaviest = max(float(np.max(nominal[: 10 * model.n : 10])), 1e-3)

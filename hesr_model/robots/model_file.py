@@ -15,16 +15,9 @@ _DEGREES = 180.0 / np.pi
 
 
 def load(path: Path, *, mimic: bool = False) -> Any:
-    """Parse a URDF, or an MJCF with suffix ``.xml``; meshes are ignored.
+    """Parse a URDF, or an MJCF (``.xml``), without meshes; raises RobotError if that fails.
 
-    Parameters
-    ----------
-    mimic : whether to distinguish mimic joints of a URDF from driven ones.
-
-    Raises
-    ------
-    RobotError
-        If the file is missing, cannot be parsed, or includes other files.
+    With `mimic`, mimic joints of a URDF are distinguished from driven ones.
     """
     import pinocchio  # slow: not needed to read a description
 
@@ -54,10 +47,7 @@ def _mjcf(path: Path) -> ElementTree.Element:
 
 
 def _with_lengths(model: Any, mjcf: ElementTree.Element) -> Any:
-    """Give sliding joints the range of their MJCF in metres.
-
-    Pinocchio interprets it as degrees, the default for turning joints.
-    """
+    """Give sliding joints the range of their MJCF in metres; Pinocchio interprets it as degrees."""
     angles = [compiler.get("angle") for compiler in mjcf.iter("compiler")]
     if "radian" not in angles:
         for joint in list(model.joints)[1:]:
@@ -69,13 +59,7 @@ def _with_lengths(model: Any, mjcf: ElementTree.Element) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelJoint:
-    """A joint of a model file.
-
-    Attributes
-    ----------
-    freedom : degrees of freedom; 0 for a `mimic` joint of a URDF.
-    slides : whether it slides instead of turning.
-    """
+    """A joint of a model file; `freedom` is 0 for a `mimic` joint of a URDF."""
 
     name: str
     freedom: int
@@ -101,14 +85,7 @@ def _slides(joint: Any) -> bool:
 
 
 def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
-    """Return the joints of a model file that a robot can have, or the wanted ones.
-
-    Raises
-    ------
-    RobotError
-        If a wanted joint is missing, follows another or has several degrees of freedom; if there is
-        no usable joint.
-    """
+    """Return the wanted or all usable joints; raises RobotError if one is missing or unusable."""
     joints = {joint.name: joint for joint in joints_of(path)}
     for name in wanted:
         if name not in joints:
@@ -147,10 +124,7 @@ def set_joint(joint: Any, states: Array, position: Array) -> None:
 
 
 def motion_subspace(joint: Any, state: Array) -> Array:
-    """Return the motion subspace (6,) of a joint of a parsed model at a state (nq,).
-
-    Linear part, then angular part.
-    """
+    """Return the motion subspace (6,) of a joint at a state (nq,): linear, then angular part."""
     data = joint.createData()
     joint.calc(data, state)
     return np.asarray(data.S, dtype=float).ravel()

@@ -10,14 +10,7 @@ from hesr_model.support.config import Config, PrintableName
 
 
 class Owner(Config):
-    """Author, copyright and licence of models, as far as known.
-
-    Attributes
-    ----------
-    author : person or organisation.
-    copyright : as "Copyright (c) 2026 A Company".
-    license : name or text of the licence, as "Apache-2.0" or "All rights reserved".
-    """
+    """Author, copyright ("Copyright (c) 2026 A Company") and licence ("Apache-2.0"), if known."""
 
     author: PrintableName = ""
     copyright: PrintableName = ""
@@ -35,7 +28,7 @@ class Owner(Config):
 
     @classmethod
     def of(cls, provenance: Mapping[str, Any]) -> Self:
-        """Return the owner of a provenance ("owner"), or raise ArtifactError if it is invalid."""
+        """Return the owner of a provenance, or raise ArtifactError if it is invalid."""
         found = provenance.get("owner", {})
         try:
             return cls.model_validate(found)

@@ -34,19 +34,12 @@ _ROWS_AT_ONCE = 4096
 class RobotDescription(Config):
     """A robot: its model file, its joints, and the format of its logs.
 
-    Attributes
-    ----------
-    model : URDF, or MJCF with suffix ``.xml``.
-    joints : identified joints, from base to tip, in the order of the log's columns.
-    locked : positions [rad or m] of fixed joints; other unlisted joints are at neutral.
-    gravity : gravity in the base frame [m/s2].
-    rotor_inertia : whether each joint has a rotor inertia, reflected through its gear, as a
-        parameter.
-    gear_ratio : turns of the motor per turn of each joint, if known; needed by laws with motor
-        ripple. With a transmission, the absolute diagonal of its matrix.
-    transmission : coupling of motors and joints; needed if a motor turns several joints or if logs
-        are of motors.
-    owner : author, copyright and licence of models made from its logs.
+    Joints run from base to tip, in the order of the log's columns. `locked` gives positions [rad or
+    m] of fixed joints; other unlisted joints are at neutral. `gravity` [m/s2] is in the base frame.
+    `rotor_inertia` adds a rotor inertia per joint, reflected through its gear, to the parameters.
+    `gear_ratio` (turns of the motor per turn of the joint) is needed by laws with motor ripple, and
+    `transmission` if a motor turns several joints or if logs are of motors; it then sets the gear
+    ratios.
     """
 
     name: PrintableName
@@ -90,15 +83,7 @@ class RobotDescription(Config):
 
     @classmethod
     def read(cls, path: PathArg) -> Self:
-        """Read a robot file.
-
-        Raises
-        ------
-        ConfigError
-            If a key is unknown, missing or out of range.
-        RobotError
-            If a list has not one entry per joint.
-        """
+        """Read a robot file; raises ConfigError, or RobotError for a list of wrong length."""
         path = path_of(path, "a robot")
         description = read_toml(path, cls)
         try:
@@ -130,13 +115,9 @@ class RobotDescription(Config):
 class JointFrame:
     """Place of a joint in the kinematic tree.
 
-    Attributes
-    ----------
-    parent : index of the parent joint, -1 for the base.
-    rotation, translation : pose (3, 3), (3,) [m] of the joint's frame at zero position in the
-        parent's frame.
-    axis : unit vector (3,) in the joint's own frame.
-    prismatic : whether the joint slides along `axis` instead of turning about it.
+    The pose (`rotation`, `translation` [m]) at zero position is relative to the `parent` joint, -1
+    for the base. `axis` is the unit vector of turning or, if `prismatic`, of sliding in the joint's
+    frame.
     """
 
     name: str
@@ -151,7 +132,7 @@ class RobotModel:
     """A robot: its joints, the format of its logs, and its rigid-body dynamics (eq. 5).
 
     tau = Y(q, dq, ddq) pi, with ten standard parameters per link (`LINK_PARAMETERS`) and, if the
-    description asks for them, one rotor inertia per joint. The column of a rotor in Y is ddq of the
+    description asks for them, one rotor inertia per joint. A rotor's column in Y is ddq of the
     joint, or of its motor if motors turn with several joints.
 
     Parameters
@@ -163,8 +144,8 @@ class RobotModel:
     ConfigError
         If a robot file cannot be used, or `source` is neither a robot nor a path.
     RobotError
-        If the model file is missing or cannot be parsed, if a joint is not in it, has more than one
-        degree of freedom, is listed out of order, or has log units of the wrong kind.
+        If the model file cannot be used, a joint is missing, out of order or has several degrees of
+        freedom, or log units are of the wrong kind.
     """
 
     def __init__(self, source: "RobotLike") -> None:
@@ -317,10 +298,7 @@ class RobotModel:
         return out
 
     def torque(self, parameters: Array, q: Array, dq: Array, ddq: Array) -> Array:
-        """Return the rigid-body torque Y pi for any parameters.
-
-        The recursive algorithms of Pinocchio would divide by the masses, which may be zero in
-        identified parameters.
+        """Return the rigid-body torque Y pi for any parameters, also with zero masses.
 
         Parameters
         ----------
@@ -341,9 +319,7 @@ class RobotModel:
         return np.concatenate(parts)
 
     def dynamics(self, parameters: Array, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Return the mass matrix and the torque without acceleration, for any parameters.
-
-        Both follow from the regressor, which is linear in ddq; see `torque`.
+        """Return the mass matrix and the torque without acceleration; Y is linear in ddq.
 
         Parameters
         ----------
@@ -391,17 +367,10 @@ RobotLike = RobotDescription | RobotModel | str | PathLike[str]
 
 
 def description_of(robot: RobotLike) -> RobotDescription:
-    """Return the description of a robot.
+    """Return the description of a robot; raises ConfigError or RobotError.
 
-    A URDF or MJCF alone describes a robot with all its joints, whose logs have the default
-    columns ``t, q1.., dq1.., tau1..``.
-
-    Raises
-    ------
-    ConfigError
-        If a robot file cannot be used, or `robot` is neither a robot nor a path.
-    RobotError
-        If a model file cannot be used.
+    A URDF or MJCF alone describes all its joints, with the default columns ``t, q1.., dq1..,
+    tau1..``.
     """
     if isinstance(robot, RobotModel):
         return robot.description

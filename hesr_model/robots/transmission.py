@@ -1,12 +1,12 @@
 """Transmissions: gears, and motors that turn several joints.
 
-A transmission gives the angles of the motors, theta = R q (Siciliano et al., Robotics, section
-7.2); by virtual work tau_q = R' tau_motor. Friction and rotor inertia belong to *friction
-coordinates* u: motors, divided by their own gear ratios, or joints::
+Motor angles are theta = R q (Siciliano et al., Robotics, section 7.2); by virtual work tau_q = R'
+tau_motor. Friction and rotor inertia belong to *friction coordinates* u: motors, divided by their
+own gear ratios, or joints::
 
     u = C q,   C[i, j] = R[i, j] / R[i, i],   tau_q = C' tau_u
 
-So coefficients keep the scale of a joint, and C is the identity if nothing is coupled.
+Coefficients thus keep the scale of a joint, and C is the identity if nothing is coupled.
 """
 
 from collections.abc import Sequence
@@ -30,13 +30,10 @@ _MOST_CONDITION = 1e8
 class Transmission(Config):
     """The table ``[transmission]`` of a robot file.
 
-    Attributes
-    ----------
-    matrix : (n, n) turns of each motor (row) per turn of each joint (column): gear ratios on the
-        diagonal, negative if a motor turns against its joint, couplings off the diagonal.
-    logs : whether positions, velocities and torques in the logs are those of motors or of joints.
-        At motor position 0, the joints are at `LogFormat.zero`.
-    friction : place of friction, for all or one per joint: at the motors, or at the joint itself.
+    `matrix` (n, n) gives turns of each motor (row) per turn of each joint (column): gear ratios on
+    the diagonal, negative if a motor turns against its joint, couplings off the diagonal. `logs`
+    are of motors or joints; at motor position 0, the joints are at `LogFormat.zero`. `friction`
+    acts at the motors or at the joint itself, for all or one per joint.
     """
 
     matrix: tuple[tuple[float, ...], ...] = Field(min_length=1)
@@ -88,12 +85,7 @@ class Transmission(Config):
 
 @dataclass(frozen=True)
 class Coupling:
-    """Coordinates u = C q of a robot with coupled joints.
-
-    Attributes
-    ----------
-    matrix : C, (n, n) [rad/rad; m/m].
-    """
+    """Coordinates u = C q of a robot with coupled joints; `matrix` is C, (n, n) [rad/rad; m/m]."""
 
     matrix: tuple[tuple[float, ...], ...]
 

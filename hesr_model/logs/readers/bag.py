@@ -1,6 +1,6 @@
 """Samples from ROS bags: messages sensor_msgs/msg/JointState, read without ROS.
 
-ROS 2 bags are folders (or single files) of SQLite or MCAP, ROS 1 bags are ``.bag`` files.
+ROS 2 bags are folders or files of SQLite or MCAP, ROS 1 bags are ``.bag`` files.
 """
 
 import logging
@@ -23,22 +23,15 @@ _log = logging.getLogger(__name__)
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a log is a ROS bag, by its path."""
+    """Return whether a path is a ROS bag."""
     return path.is_dir() or path.suffix.lower() in _SUFFIXES
 
 
 def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
-    """Read the states of the robot's joints from one topic of a bag.
+    """Read the joint states from one topic of a bag; raises LogError if that fails.
 
-    Messages may list joints in any order, and other joints; messages without all joints of the
-    robot are skipped. Time is that of the message stamps, from the first message used.
-
-    Raises
-    ------
-    LogError
-        If the bag is missing or broken, or rosbags is not installed; if the topic is missing or has
-        another type; if no message lists all joints; if messages lack stamps, positions or efforts,
-        or contain NaN.
+    Messages may list joints in any order; those without all joints of the robot are skipped. Time
+    is that of the message stamps, from the first message used.
     """
     bag = robot.log.bag
     joints = bag.joints or robot.joints
@@ -104,7 +97,7 @@ def _messages(path: Path, topic: str) -> Iterator[_Message]:
             f"{path}: reading a ROS bag needs the package rosbags: pip install 'hesr[ros]'."
         ) from error
     try:
-        # Bags older than ROS 2 Iron do not contain the definitions of their messages.
+        # Bags older than ROS 2 Iron lack message definitions.
         reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
         with reader:
             connections = _connections(path, reader, topic)

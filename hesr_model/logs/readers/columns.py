@@ -34,7 +34,7 @@ def read_columns(path: Path, robot: RobotDescription) -> LogSamples:
 
 
 def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array:
-    """Return one quantity of all joints, (N, n); there must be as many columns as joints."""
+    """Return one quantity of all joints, (N, n)."""
     if isinstance(columns, str) and "{name}" not in columns:
         _require_joint_count(table, columns, len(robot.joints))
     missing = robot.log.missing == "drop"
@@ -49,7 +49,7 @@ def _temperature(table: LogTable, robot: RobotDescription) -> Array | None:
 
 
 def _require_joint_count(table: LogTable, pattern: str, n: int) -> None:
-    # One joint more than the file can have; numbers replace the joint names.
+    # Ask for one joint more than the file can have; numbers replace the joint names.
     names = column_names(pattern, [""] * (len(table.names) + n + 1))
     there = set(table.names)
     found = next(k for k, name in enumerate(names) if name not in there)
@@ -66,7 +66,7 @@ def _require_joint_count(table: LogTable, pattern: str, n: int) -> None:
 
 
 def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:
-    """Return the logged torques, or currents if there are torque constants, and which it is."""
+    """Return the torques, or currents if there are torque constants, and whether currents."""
     columns, gains = robot.log.columns, robot.log.torque_per_ampere
     torque = column_names(columns.tau, robot.joints)[0]
     current = column_names(columns.current, robot.joints)[0]

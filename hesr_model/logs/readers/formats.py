@@ -1,7 +1,7 @@
 """Formats of log files: those of other packages, then HESR's own.
 
-A package brings a format by an entry point of the group `hesr.logs`, whose value is a `FileFormat`
-(see `docs/add-a-log-format.md`).
+A package adds a `FileFormat` as entry point of the group `hesr.logs`
+(`docs/add-a-log-format.md`).
 """
 
 from collections.abc import Callable
@@ -17,7 +17,6 @@ from hesr_model.robots.robot import RobotDescription
 from hesr_model.support import plugins
 
 GROUP = "hesr.logs"
-"""Group of the entry points of formats."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,12 +37,12 @@ class FileFormat:
 
 BAG = FileFormat(name="ROS bag", recognises=is_bag, read=read_bag)
 COLUMNS = FileFormat(name="table", recognises=lambda _: True, read=read_columns)
-"""CSV, Parquet and MATLAB; accepts every file, so it is the last format."""
+"""Fallback that accepts every file: CSV, Parquet and MATLAB."""
 
 
 @cache
 def formats() -> tuple[FileFormat, ...]:
-    """Return all formats in the order of their trial."""
+    """Return all formats in order of precedence."""
     found = {plugin: plugin.load() for plugin in plugins.load(GROUP).values()}
     for plugin, value in found.items():
         if not isinstance(value, FileFormat):

@@ -19,21 +19,11 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def read_matlab(path: Path, *, time: str) -> LogTable:
-    """Open a MATLAB file as a table.
+    """Open a MATLAB file as a table as long as the vector `time`; raises LogError if that fails.
 
     A matrix ``q`` of N rows (or N columns, or 1 x n x N as Simulink writes) gives the columns
-    ``q1``, ``q2``, .., a vector ``t`` the column ``t``; a field of a struct is named as in MATLAB,
+    ``q1``, ``q2``, .., a vector ``t`` the column ``t``; struct fields are named as in MATLAB,
     ``log.t``, ``out.signals(2).values1``.
-
-    Parameters
-    ----------
-    time : name of the vector with length N.
-
-    Raises
-    ------
-    LogError
-        If the file is missing or not a MATLAB file, if it has no such vector, or if it is of
-        version 7.3 and h5py is not installed.
     """
     if not path.is_file():
         raise LogError(f"{path}: no such log file.")

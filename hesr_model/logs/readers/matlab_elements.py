@@ -1,7 +1,7 @@
-"""The elements of MATLAB files of versions 5 to 7, checked before SciPy reads them.
+"""Elements of MATLAB files of versions 5 to 7, checked before SciPy reads them.
 
-SciPy trusts their declarations: an unknown type or deep nesting crashes the process, and packed
-data may be a bomb. Format: MathWorks, "MAT-File Format", chapter on level 5.
+An unknown type or deep nesting crashes SciPy, and packed data may be a bomb. Format: MathWorks,
+"MAT-File Format", chapter on level 5.
 """
 
 import struct
@@ -22,19 +22,9 @@ _DEEPEST = 50  # nesting of matrices in structs and cells
 
 
 def require_sound(path: Path, most: int) -> None:
-    """Check all elements of a file, or all matrices of a file of version 4.
+    """Check all elements of a file that is not HDF5, or all matrices of a file of version 4.
 
-    Parameters
-    ----------
-    path : a file that is not HDF5.
-    most : maximum length of all packed data [B].
-
-    Raises
-    ------
-    ValueError
-        If an element has an unknown type, ends after its container, or is nested too deeply.
-    OverflowError
-        If the packed data are longer.
+    Raises ValueError for an invalid element, OverflowError if packed data exceed `most` [B].
     """
     if path.stat().st_size < _HEADER:
         return

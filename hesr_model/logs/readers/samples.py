@@ -10,17 +10,9 @@ from hesr_model.support.arrays import Array, some_rows
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogSamples:
-    """Samples of all joints, in the units of the file.
+    """Samples of all joints, (N,) and (N, n), in the units of the file; None if missing.
 
-    Attributes
-    ----------
-    t : (N,) [s].
-    q, dq : (N, n); dq is None if the file has no velocity.
-    effort : (N, n), torque or current.
-    temperature : (N, n), None if the file has none.
-    is_current : whether the effort is current.
-    time : place of the time in messages: a column, a topic.
-    place : place of sample k in messages: a row, a message.
+    `time` is the column or topic of the time, `place` the row or message of a sample, for messages.
     """
 
     t: Array
