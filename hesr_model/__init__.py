@@ -16,7 +16,7 @@ Names for notebooks; `docs/tutorial.ipynb` is the long form of::
     tau_f = model.predict(friction_records(test, robot, body))  # (N, n) [N.m]
     export_fmu(model, Path("Friction.fmu"))
 
-Every name is imported on first use, so `import hesr_model` takes no time.
+Names are imported on first use, so `import hesr_model` takes no time.
 """
 
 from typing import TYPE_CHECKING
@@ -61,5 +61,5 @@ _HOMES = {
     "registry": "hesr_model.friction.registry",
 }
 
-if not TYPE_CHECKING:  # a checker knows the names above, and shall find others missing
+if not TYPE_CHECKING:  # a type checker knows the names above and must find others missing
     __getattr__, __dir__ = lazy(__name__, _HOMES)

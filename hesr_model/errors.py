@@ -1,7 +1,7 @@
 """Errors that a user can cause.
 
-Each has one sentence with the file, the column or key, the row if there is one, the value found and
-the value needed. The command line prints it and exits with code 2.
+Each has one sentence with file, column or key, row, value found and value needed. The command line
+prints it and exits with code 2.
 """
 
 import re
@@ -15,7 +15,7 @@ _LONGEST = 2000  # characters of a sentence; a file may contain millions
 class HesrError(Exception):
     """Base of every error that a user can cause and fix.
 
-    The sentence may quote from a file: it is shortened, and unprintable characters are escaped.
+    The sentence may quote a file: it is shortened, and unprintable characters are escaped.
     """
 
     def __init__(self, sentence: str) -> None:
@@ -35,7 +35,7 @@ class ArgumentError(ConfigError):
     """
 
     def on_command_line(self, options: Mapping[str, str]) -> str:
-        """Return the sentence with the parameters as options, which are given by parameter."""
+        """Return the sentence with options in place of parameters."""
         return re.sub(r"'([a-z_]+)'", lambda found: options.get(found[1], found[0]), str(self))
 
 

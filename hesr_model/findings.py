@@ -1,4 +1,4 @@
-"""Findings: what checks of logs, laws and FMUs report, each with place and remedy."""
+"""Findings of checks of logs, laws and FMUs, each with place and remedy."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -18,17 +18,12 @@ def _severity(text: object) -> object:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that a check found.
+    """A finding of a check.
 
-    Attributes
-    ----------
-    check : name of the check; `--accept` takes it.
-    severity : ``"error"`` (cannot be right), ``"warning"`` (unusual) or ``"advice"``.
-    where : file, or member of an FMU; empty if the logs or the sentence name the place.
-    joints, logs : names of the joints and logs concerned.
-    found : observation.
-    remedy : likeliest cause and what to do; empty if the observation says it.
-    changes : values to set in the robot file by key, as ``log.units.q``; not part of the JSON.
+    `--accept` takes the name of the `check`. `where` is a file or a member of an FMU, empty if the
+    logs or the sentence name the place; `remedy` is empty if the observation `found` says it.
+    `changes` has values to set in the robot file by key, as ``log.units.q``, and is not part of the
+    JSON.
     """
 
     check: str

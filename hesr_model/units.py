@@ -47,8 +47,7 @@ def backwards(unit: str | float) -> str | float:
 def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
     """Return whether a joint of this kind can be logged in a unit; numbers fit any joint.
 
-    The SI unit of a turning joint (rad, rad/s, N.m) is the default of every robot file and also
-    accepted for the SI unit of a sliding joint.
+    The default of robot files (rad, rad/s, N.m) is also accepted as the SI unit of a sliding joint.
     """
     if quantity in OTHERS or not isinstance(unit, str):
         return True
@@ -62,8 +61,8 @@ def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
 class Unit:
     """A unit at a joint, spelt as in FMI, for a turning and for a sliding joint.
 
-    Everything about friction is written for turning joints. The equations of a sliding joint are
-    the same in m and N: `N.m.s/rad` becomes `N.s/m`, `1/(N.m)` becomes `1/N`.
+    Friction is described for turning joints. The equations of a sliding joint are the same in m and
+    N: `N.m.s/rad` becomes `N.s/m`, `1/(N.m)` becomes `1/N`.
     """
 
     turning: str
@@ -71,14 +70,10 @@ class Unit:
 
     @classmethod
     def read(cls, symbol: str) -> "Unit":
-        """Return the unit with the given symbol at a turning joint, as `mrad/s` or `rad/(s.N.m)`.
+        """Return the unit with a symbol at a turning joint, as `mrad/s` or `rad/(s.N.m)`.
 
-        A unit without angle and torque is the same at both.
-
-        Raises
-        ------
-        ValueError
-            If it is a text instead of a unit.
+        A unit without angle and torque is the same at both. Raises ValueError for a text with
+        blanks.
         """
         if " " in symbol:
             raise ValueError(f"'{symbol}' is no unit")
@@ -106,15 +101,7 @@ def unit_of_joint(unit: str, *, slides: bool) -> str:
 
 
 def unit_of_joints(unit: str, sliding: Sequence[bool]) -> str:
-    """Return a unit for several joints, as the heading of a table.
-
-    For mixed joints it names both, as `N.m (N where it slides)`.
-
-    Parameters
-    ----------
-    unit : unit at a turning joint.
-    sliding : whether each joint slides; empty if all turn.
-    """
+    """Return a unit for several joints, both for mixed ones, as `N.m (N where it slides)`."""
     slid = unit_of_joint(unit, slides=True)
     if not any(sliding) or slid == unit:
         return unit

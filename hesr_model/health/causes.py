@@ -1,8 +1,8 @@
 """Causes: mistakes in a robot file that explain the torques better than the file as it is.
 
-A mistake is a hypothesis. The logs are corrected for it, then the rigid body of the model file and
-friction are fitted to the torques. Gravity, inertia and friction have non-negative weights, so
-wrong signs and swapped columns fit badly.
+The logs are corrected for a mistake, then the rigid body of the model file and friction are fitted
+to the torques. Gravity, inertia and friction have non-negative weights, so wrong signs and swapped
+columns fit badly.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ _EXPLAINED = 0.6
 _CLEARLY = 1.05
 """Minimum advantage factor over a simpler mistake."""
 _MOST = 8
-"""Largest number of mistakes searched for one after another."""
+"""Largest number of mistakes searched one after another."""
 
 
 def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> CandidateRows:

@@ -21,20 +21,15 @@ _ROWS = 4000
 """Maximum number of rows examined per log."""
 
 _KNEE = 0.1
-"""Smoothing speed of the sign of the velocity [rad/s, m/s]; at most a quarter of the peak speed."""
+"""Smoothing speed of the velocity's sign [rad/s, m/s]; at most a quarter of the peak speed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motionwise:
     """One part of a log, smoothed, (N, n) each.
 
-    Attributes
-    ----------
-    log : the part as read.
-    t : (N,) [s].
-    q, v, a : position, and its first and second derivative [rad, rad/s, rad/s2].
-    dq : logged velocity with the same smoothing; None if the log has none.
-    tau : logged torque [N.m].
+    Velocity `v` and acceleration `a` are derivatives of the position q; `dq` is the logged velocity
+    with the same smoothing, None if the log has none. `log` is the part as read.
     """
 
     log: RobotLog
@@ -84,12 +79,9 @@ def motionwise(log: RobotLog, cutoff: float) -> list[Motionwise]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Torques:
-    """Torques of the model along a motion, by joint, (N, n) [N.m; N].
+    """Torques of the model along a motion, (N, n) [N.m; N].
 
-    Attributes
-    ----------
-    gravity : without its mean, which a sensor offset would absorb.
-    inertial : torque due to the motion.
+    `gravity` lacks its mean, which a sensor offset would absorb; `inertial` is due to the motion.
     """
 
     gravity: Array
@@ -146,14 +138,9 @@ class Estimate:
 class JointTorque:
     """Regression of one joint's torque on the model and friction.
 
-    Attributes
-    ----------
-    gravity : torque over the model's gravity torque, without unit.
-    inertia : torque over the model's inertial torque, without unit; a URDF has no rotor inertias.
-    friction : torque in phase with the velocity [N.m].
-    gravity_size, friction_size : standard deviations of the model's gravity torque and of friction
-        [N.m].
-    residual, deviation : standard deviations of the residual and of the torque [N.m].
+    `gravity` and `inertia` are measured over modelled torque; a URDF has no rotor inertias.
+    `friction` [N.m] is in phase with the velocity. The sizes, `residual` and `deviation` (of the
+    torque) are standard deviations [N.m].
     """
 
     gravity: Estimate

@@ -37,11 +37,8 @@ CHECKS = (
 class Examination:
     """Results of the checks.
 
-    Attributes
-    ----------
-    findings : errors first; findings shared by several logs are merged.
-    parts : every part of every log, smoothed.
-    torques, explained : model torques and regression of each part; empty without a model.
+    `findings` shared by several logs are merged, errors first. `torques` of the model and
+    `explained` are by part of a log, empty without a model.
     """
 
     findings: tuple[Finding, ...]
@@ -55,14 +52,8 @@ def examine(
 ) -> Examination:
     """Check logs one by one, against the model of the robot, and together for common causes.
 
-    Parameters
-    ----------
-    model : None without a model file; torques and limits are not checked then.
-
-    Raises
-    ------
-    LogError
-        If a log is too slow or too short for the low pass, and its time stamps do not explain it.
+    Without `model`, torques and limits are not checked. Raises LogError if a log is too slow or too
+    short for the low pass, and its time stamps do not explain it.
     """
     findings: list[Finding] = []
     parts: list[Motionwise] = []
@@ -155,16 +146,7 @@ def checked(
 ) -> list[Finding]:
     """Check logs before use; return warnings and accepted errors.
 
-    Parameters
-    ----------
-    accepted : names of checks whose errors do not raise.
-
-    Raises
-    ------
-    HealthError
-        If there are errors, naming all of them.
-    ConfigError
-        If `accepted` contains an unknown check.
+    Raises HealthError with all errors that are not `accepted`, ConfigError if that names no check.
     """
     require_known(accepted, CHECKS)
     return require_sound(examine(logs, model.description, model).findings, accepted)

@@ -8,7 +8,7 @@ from hesr_model.findings import Finding, errors_first
 
 
 class HealthError(LogError):
-    """Data that cannot be right; one line per finding."""
+    """Impossible data; one line per finding."""
 
     def __init__(self, said: str, findings: Sequence[Finding]) -> None:
         super().__init__(said)

@@ -1,4 +1,4 @@
-"""Lost rows: the uncertainty of the sliding torque that they cause."""
+"""Uncertainty of the sliding torque due to lost rows."""
 
 from collections.abc import Iterator
 
@@ -13,12 +13,11 @@ from hesr_model.support.arrays import Array, Integers
 _SKIPPED = 0.05
 """Allowed share of steps between gaps that are longer than 1.8 periods."""
 _UNCERTAIN = 0.03
-"""Allowed uncertainty of the sliding torque due to lost rows (two standard deviations, relative).
-"""
+"""Allowed uncertainty of the sliding torque (two standard deviations, relative)."""
 _SPEEDS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0])
 """Shares of a joint's peak speed between which friction is interpolated linearly."""
 _JUDGED = (0.1, 0.7)
-"""Range of these shares that is judged: the joint slides, and not for an instant only."""
+"""Range of these shares that is judged: the joint slides for more than an instant."""
 _SPLITS = 16
 _HALF_WAY = 0.2
 """Share of the slowest interval within which friction changes its sign."""
@@ -38,9 +37,9 @@ def loses_rows(log: RobotLog) -> bool:
 def check_loss(motion: Motionwise, torques: Torques, model: RobotModel) -> Iterator[Finding]:
     """Check that the remaining rows determine the sliding torque of each joint.
 
-    The standard deviation due to lost rows follows from estimates with random halves of the
-    remaining rows. The variance of the difference of two halves is four times that of the estimate
-    from all rows; lost rows account for their share of it.
+    The standard deviation follows from estimates with random halves of the remaining rows: the
+    variance of their difference is four times that of the estimate from all rows, and lost rows
+    account for their share of it.
     """
     if not loses_rows(motion.log):
         return
@@ -63,7 +62,7 @@ def check_loss(motion: Motionwise, torques: Torques, model: RobotModel) -> Itera
 
 
 def _sliding(motion: Motionwise, torques: Torques, j: int) -> tuple[Array, Array, Array]:
-    """Return speeds (K,) [rad/s; m/s], the sliding torques and their deviation due to lost rows."""
+    """Return speeds (K,) [rad/s; m/s], sliding torques and their deviation due to lost rows."""
     v, tau = motion.v[:, j], motion.tau[:, j]
     speeds = float(np.max(np.abs(v))) * _SPEEDS
     hats = np.stack([np.interp(np.abs(v), speeds, one) for one in np.eye(len(speeds))], axis=1)

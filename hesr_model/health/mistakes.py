@@ -24,13 +24,9 @@ _TILTED = np.radians(20.0)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CandidateRows:
-    """Rows of several logs: q, v, a, tau, (N, n) each [rad, rad/s, rad/s2, N.m].
+    """Rows of several logs, (N, n) each [rad, rad/s, rad/s2, N.m], and their gravity (3,) [m/s2].
 
     Torques are as logged; those of motors are divided by the gear ratios.
-
-    Attributes
-    ----------
-    gravity : (3,) [m/s2].
     """
 
     q: Array

@@ -29,15 +29,11 @@ _CUTOFF_SHARE = 0.3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """A robot description with the reasons for its changes.
+    """A robot description, and the logs read with it.
 
-    Attributes
-    ----------
-    robot : the proposed description.
-    reasons : by key, as ``log.units.q``: certainty and reason.
-    logs, examination : the logs read with it, and the results of their checks.
-    first : findings with the description as given or guessed.
-    sliding : indices of the sliding joints; empty without a model.
+    `reasons` has certainty and reason by key, as ``log.units.q``; `first` the findings with the
+    description as given or guessed; `sliding` the indices of the sliding joints, empty without a
+    model.
     """
 
     robot: RobotDescription
@@ -60,17 +56,10 @@ def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal
 
 
 def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> Proposal:
-    """Find a robot description that reads the logs and passes the checks.
+    """Find a robot description that reads the logs and passes the checks, or raise LogError.
 
-    Parameters
-    ----------
-    robot : known part: model, joints and log format.
-    known : whether there is a model file; without one, logs are checked against themselves.
-
-    Raises
-    ------
-    LogError
-        If a log cannot be read with any description.
+    `robot` is the known part: model, joints and log format. Unless `known`, there is no model file,
+    and logs are checked against themselves.
     """
     reasons: dict[str, str] = {}
     stated = robot.log.torque_per_ampere is not None

@@ -50,11 +50,8 @@ _SHORTEST = 8.0
 class LagRows:
     """Rows of one part of a log with the regressors of its torques, in logged coordinates.
 
-    Attributes
-    ----------
-    t : (N,) [s].
-    still, moving : (N, n, P) regressor of the body at rest, and the part due to motion.
-    rubs : (N, K) of each joint: friction with memory, and an offset.
+    `still` and `moving` (N, n, P) are the regressor of the body at rest and the part due to motion.
+    `rubs` (N, K) of each joint is friction with memory, and an offset.
     """
 
     t: Array
@@ -106,10 +103,8 @@ def check_clocks(
 ) -> Iterator[Finding]:
     """Check the time-stamp rate of a part of a log, and the lag of its torques.
 
-    Parameters
-    ----------
-    part, logged : the part at the joints, and in logged coordinates.
-    joints : indices of joints whose torque contains a signal.
+    The `part` is at the joints, and `logged` in logged coordinates; only the torques of `joints`
+    contain a signal.
     """
     if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
         return
@@ -150,17 +145,7 @@ def _wrong_rate(rate: float, robot: RobotDescription, logs: tuple[str, ...]) -> 
 
 
 def delay(rows: LagRows, j: int, t: Array, tau: Array) -> tuple[float, float]:
-    """Return the lag of a joint's torque [s], and its certainty.
-
-    Parameters
-    ----------
-    t, tau : (N,) [s], (N,) [N.m], all rows.
-
-    Returns
-    -------
-    tuple
-        The lag, and twice its log-likelihood ratio against no lag.
-    """
+    """Return the lag of a joint's torque [s], and twice its log-likelihood ratio against no lag."""
     from scipy.ndimage import uniform_filter1d  # slow to import
 
     inner = (rows.t >= t[0] + _LATEST) & (rows.t <= t[-1] - _LATEST)
@@ -181,7 +166,7 @@ def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> t
     """Return the ratio of a motion's duration to that of its stamps, and its certainty.
 
     A motion that lasted r times as long has 1 / r^2 times the inertial torques. The result is (1,
-    0) if the best scale is at an end of the search range. See `delay` for the arguments.
+    0) if the best scale is at an end of the search range.
     """
     parts = []
     count = rows.still.shape[2]

@@ -28,9 +28,7 @@ _SEEN = 0.5
 _WEIGHTLESS = 0.1
 """Share of the model's gravity below which a torque contains none."""
 _ABOVE_LIMIT, _BELOW_OTHERS = 10.0, 30.0
-"""Reporting thresholds: multiple of a model's torque limit, and ratio to the other joints' use of
-it.
-"""
+"""Reporting thresholds: multiple of a model's torque limit, and of the other joints' use of it."""
 
 Explained = Mapping[int, JointTorque]
 """Regression of the torque of each moving joint, by its index."""
@@ -108,12 +106,7 @@ def _sign(fit: JointTorque, j: int, model: RobotModel, logs: tuple[str, ...]) ->
 def sign_change(
     robot: RobotDescription, j: int | None, *, position: bool
 ) -> tuple[str, dict[str, object]]:
-    """Return the change that reverses a torque or a position: in words, and by key.
-
-    Parameters
-    ----------
-    j : index of the joint; None for all.
-    """
+    """Return the change that reverses a torque or a position, of all joints if `j` is None."""
     n = len(robot.joints)
 
     def turned(key: str) -> tuple[str | float, ...]:

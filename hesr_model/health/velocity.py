@@ -31,14 +31,7 @@ _TURNS = 4.0 * np.pi
 
 @dataclass(frozen=True, kw_only=True)
 class Match:
-    """Comparison of a joint's logged velocity with the derivative of its position.
-
-    Attributes
-    ----------
-    slope, error : derivative over logged velocity, without unit, and its standard error.
-    correlation : between both.
-    lag : delay of the logged velocity [s].
-    """
+    """Regression of a joint's differentiated position on its logged velocity; lag in [s]."""
 
     slope: float
     error: float

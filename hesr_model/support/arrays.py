@@ -18,14 +18,7 @@ Record = TypeVar("Record")
 
 
 def some_rows(record: Record, columns: Iterable[str], rows: slice | Mask | Integers) -> Record:
-    """Return a data class of arrays (N, ..) with some of their rows.
-
-    Parameters
-    ----------
-    record : the data class.
-    columns : names of its arrays; None stays None.
-    rows : a slice, a mask (N,), or indices (K,).
-    """
+    """Return a data class with a selection of the rows of its arrays `columns`; None stays None."""
     whole: Any = record
     found = {name: getattr(record, name) for name in columns}
     some: Record = replace(whole, **{n: v[rows] for n, v in found.items() if v is not None})

@@ -24,14 +24,9 @@ _DIGEST = hashlib.sha256().digest_size
 def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
     """Return the result of `make`, computed once for all processes of a user.
 
+    `inputs` are everything that determines the result, in a fixed order; `kind` is a folder.
     Concurrent calls wait for the first one. A damaged entry is made again; if the cache cannot be
     written (e.g. on a full disk), the result is not stored.
-
-    Parameters
-    ----------
-    kind : folder of such entries.
-    inputs : everything that determines the result, in a fixed order.
-    make : computes the result; its exceptions propagate, and nothing is stored.
     """
     key = hashlib.sha256()
     for part in inputs:

@@ -18,12 +18,8 @@ from hesr_model.support.files import scratch_folder
 def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> None:
     """Compile one source file, or reuse the result for the same texts and flags.
 
-    In the flags `last`, `{compiler}` is replaced by the folder of the compiler.
-
-    Raises
-    ------
-    ExportError
-        If the compiler fails, with the first line of its message.
+    In the flags `last`, `{compiler}` is replaced by the folder of the compiler. Raises ExportError
+    with the first line of the compiler's message.
     """
     inputs = (
         f"ziglang {version('ziglang')}",
@@ -40,10 +36,7 @@ _INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*[\"<]([^\">]+)", re.MULTILIN
 
 
 def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
-    """Yield a hash of each file of a compilation, except those of the compiler.
-
-    These are the source, files in the flags, and all files included from them.
-    """
+    """Yield a hash of the source, files in the flags, and all included files but the compiler's."""
     home = source.parent
     folders = [home / found[1] for flag in flags if (found := re.match("-(?:I|isystem)(.+)", flag))]
     todo = [source, *(home / flag for flag in flags if (home / flag).is_file())]
@@ -63,8 +56,8 @@ def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
 
 
 def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
-    # A linker interprets percent signs in the path of its output, and folder names may have one. So
-    # it writes into a folder next to the source, with a relative path.
+    # A linker interprets percent signs in the path of its output, which a folder may have. So it
+    # writes into a folder next to the source, with a relative path.
     with scratch_folder() as cache, scratch_folder(source.parent) as folder:
         written = folder / output.name
         relative = f"{written.parent.name}/{output.name}"

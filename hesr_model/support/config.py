@@ -39,13 +39,7 @@ Schema = TypeVar("Schema", bound=Config)
 
 
 def read_toml(path: Path, schema: type[Schema]) -> Schema:
-    """Read and validate a TOML file.
-
-    Raises
-    ------
-    ConfigError
-        With the file, the key, the value found and the allowed values.
-    """
+    """Read and validate a TOML file; raises ConfigError with key, value and allowed values."""
     try:
         text = read_text(path)
     except FileNotFoundError as error:

@@ -59,13 +59,9 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files move into `path` when the block succeeds.
 
     Files of the same name are replaced, others in `path` are kept. On any exception nothing at
-    `path` changes. Leftovers of killed runs are removed.
-
-    Raises
-    ------
-    ArtifactError
-        If the folder cannot be created or written, or another run is writing into it, both checked
-        before the block runs; if the disk is full.
+    `path` changes. Leftovers of killed runs are removed. Raises ArtifactError, before the block
+    runs, if the folder cannot be written or another run is writing into it; also if the disk is
+    full.
     """
     with _room_for(path), ExitStack() as cleanup:
         try:
@@ -73,7 +69,7 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
         except OSError as error:
             raise _unwritable(path, error) from error
         _take(path, cleanup)
-        with interrupts.deferred():  # else an interrupt could leave the folder behind
+        with interrupts.deferred():  # an interrupt must not leave the folder behind
             temporary = Path(tempfile.mkdtemp(dir=path, prefix=_TEMPORARY))
             cleanup.callback(_remove, temporary)
         yield temporary
@@ -152,13 +148,9 @@ def _move(temporary: Path, path: Path) -> None:
 
 @contextmanager
 def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
-    """Yield a temporary folder for any files of any program.
-
-    It is in the folder `parent`, by default among the temporary files. An interrupt leaves none
-    behind.
-    """
+    """Yield a temporary folder in `parent` or among the temporary files; interrupts leave none."""
     with ExitStack() as cleanup:
-        with interrupts.deferred():  # else an interrupt could leave the folder behind
+        with interrupts.deferred():  # an interrupt must not leave the folder behind
             folder = Path(tempfile.mkdtemp(prefix="hesr-", dir=parent))
             cleanup.callback(_removed, folder)
         yield folder
@@ -191,13 +183,8 @@ def written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder that becomes `path` when the block succeeds.
 
     On any exception, also an interrupt, the temporary file is removed and an existing file at
-    `path` stays unchanged.
-
-    Raises
-    ------
-    ArtifactError
-        If the folder cannot be created or written, if `path` is a pipe or a device, or if the disk
-        is full.
+    `path` stays unchanged. Raises ArtifactError if `path` cannot be written, or is a pipe or a
+    device.
     """
     with _room_for(path), ExitStack() as cleanup:
         try:
@@ -206,7 +193,7 @@ def written_whole(path: Path) -> Iterator[Path]:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
             if path.exists() and not path.is_file():  # a file would replace it
                 raise ArtifactError(f"{path}: is a pipe or a device; give the name of a file.")
-            with interrupts.deferred():  # else an interrupt could leave the file behind
+            with interrupts.deferred():  # an interrupt must not leave the file behind
                 handle, name = tempfile.mkstemp(
                     dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
                 )

@@ -17,15 +17,7 @@ def pandas_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
 def xarray_dataset(
     t: Array, signals: Mapping[str, tuple[Array, str]], joints: Sequence[str], **about: Any
 ) -> Any:
-    """Return signals over time and joints as an `xarray.Dataset`.
-
-    Parameters
-    ----------
-    t : (N,) [s].
-    signals : (N, n) values by name, and their unit.
-    joints : n names.
-    about : attributes of the data set.
-    """
+    """Return signals (N, n), each with its unit, as an `xarray.Dataset` over t [s] and joints."""
     return _library("xarray").Dataset(
         {name: (("t", "joint"), values, {"units": u}) for name, (values, u) in signals.items()},
         coords={"t": ("t", t, {"units": "s"}), "joint": list(joints)},

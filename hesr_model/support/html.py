@@ -6,14 +6,7 @@ from markupsafe import Markup
 
 
 def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table; everything but markup is escaped.
-
-    Parameters
-    ----------
-    caption : title.
-    head : column headings.
-    rows : cells; numbers get four digits.
-    """
+    """Return an HTML table with escaped cells; numbers get four digits."""
     lines = [Markup("<table><caption>{}</caption>").format(caption)]
     lines.append(_row("th", head))
     lines += [_row("td", row) for row in rows]

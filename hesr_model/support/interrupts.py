@@ -8,10 +8,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Defer signals that would end the program until the block is done.
+    """Defer signals that would end the program until the short block is done.
 
-    The block must be short. Processes started in it begin with Ctrl-C blocked, until they have set
-    their handlers. In other threads than the main one, which get no such signals, nothing changes.
+    Processes started in it begin with Ctrl-C blocked, until they have set their handlers. Other
+    threads than the main one get no such signals, so nothing changes there.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -49,10 +49,7 @@ def _held_back_here() -> Iterator[None]:
 class Interrupted(KeyboardInterrupt):
     """Interrupt of work that can be continued.
 
-    Parameters
-    ----------
-    kept : what is kept and how to continue; the end of a sentence.
-    interrupt : the original interrupt.
+    `kept`, the end of a sentence, says what is kept and how to continue.
     """
 
     def __init__(self, kept: str, interrupt: KeyboardInterrupt) -> None:

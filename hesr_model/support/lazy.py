@@ -10,10 +10,7 @@ def lazy(
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """Return ``__getattr__`` and ``__dir__`` of a module that imports its names on use.
 
-    Parameters
-    ----------
-    module : its ``__name__``.
-    homes : module of each public name, followed by a colon and the name there if it differs.
+    `homes` gives the module of each public name, with a colon and the name there if it differs.
     """
 
     def find(name: str) -> object:

@@ -50,21 +50,11 @@ def results_of(
 ) -> Iterator[Iterator[Returned]]:
     """Run jobs in processes; yield the iterator of their results, in the order of the jobs.
 
-    The processes are new, or those of `one_pool`. They do not import the calling script. At the end
-    of the block they end or wait for the next block; if the block fails, also by Ctrl-C, they are
-    killed at once.
-
-    Parameters
-    ----------
-    jobs : functions without arguments; functions and classes of the calling script are pickled.
-    workers : number of processes, by default one per core. With one, the jobs run in this process
-        when their results are requested.
-    costs : relative costs of the jobs; the most expensive start first.
-
-    Raises
-    ------
-    WorkerError
-        If a process ended before its job was done; the iterator raises it.
+    Jobs are functions without arguments; those with large `costs` start first. Processes are new,
+    one per core by default, or those of `one_pool`; they do not import the calling script, whose
+    functions and classes are pickled. With one worker, jobs run in this process when their results
+    are requested. If the block fails, also by Ctrl-C, the processes are killed at once. The
+    iterator raises WorkerError if a process ended before its job was done.
     """
     count = min(workers or os.cpu_count() or 1, len(jobs))
     if count <= 1:
@@ -84,12 +74,9 @@ def results_of(
 def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Iterator[None]:
     """Share processes among all blocks of `results_of` within that do not give `workers`.
 
-    After a block has failed the next one starts new processes.
-
-    Parameters
-    ----------
-    modules : imported by the processes right away, while this process prepares its first jobs.
-    first : jobs that some process does then; their results and errors are dropped.
+    The processes import `modules` right away, while this process prepares its first jobs; some then
+    do the jobs `first`, whose results and errors are dropped. After a block has failed the next one
+    starts new processes.
     """
     global _sharing
     if _sharing is not None:

@@ -1,7 +1,6 @@
 """Plug-ins: entry points of HESR and of other packages. No other module reads entry points.
 
-HESR registers its own laws, log formats and extras in its `pyproject.toml`, in the groups that
-other packages use.
+HESR registers its own laws, log formats and extras in the groups that other packages use.
 """
 
 from collections.abc import Mapping
@@ -29,14 +28,7 @@ _OWN = "hesr"
 
 @dataclass(frozen=True, kw_only=True)
 class Plugin:
-    """An entry point that is not imported yet.
-
-    Attributes
-    ----------
-    name : key within the group.
-    package : distribution that registers it.
-    entry : the entry point.
-    """
+    """An entry point, not imported yet, with its key in the group and its distribution."""
 
     name: str
     package: str
@@ -53,13 +45,7 @@ class Plugin:
         return f"{GROUPS[self.entry.group]} '{self.name}' of the package '{self.package}'"
 
     def load(self) -> Any:
-        """Import the module and return the object.
-
-        Raises
-        ------
-        ConfigError
-            If the plug-in of another package cannot be imported.
-        """
+        """Import the module and return the object; raises ConfigError if another package fails."""
         try:
             return self.entry.load()
         except Exception as error:
@@ -74,13 +60,9 @@ class Plugin:
 def load(group: str) -> Mapping[str, Plugin]:
     """Return the plug-ins of a group by name, without importing them.
 
-    HESR's own come first, then those of other packages, both sorted by name. HESR's own are
-    omitted where their module is absent, as in an installation without `hesr.extras`.
-
-    Raises
-    ------
-    ConfigError
-        If two packages use the same name.
+    HESR's own come first, then those of other packages, both sorted. HESR's own are omitted if
+    their module is absent (`hesr.extras` not installed). Raises ConfigError if two packages use the
+    same name.
     """
     every = [
         Plugin(name=entry.name, package=entry.dist.name if entry.dist else "?", entry=entry)
@@ -104,13 +86,7 @@ def names(group: str) -> tuple[str, ...]:
 
 
 def find(group: str, name: str) -> Any:
-    """Import and return the object of a plug-in.
-
-    Raises
-    ------
-    ConfigError
-        If there is none of this name, or it cannot be imported.
-    """
+    """Import and return the object of a plug-in, or raise ConfigError."""
     known = load(group)
     if name not in known:
         raise ConfigError(f"{GROUPS[group]} '{name}' is unknown; known are {', '.join(known)}.")

@@ -28,25 +28,10 @@ class Ended:
 
 
 class ChildProcess:
-    """A program that runs in its own session, unless `start_new_session` is false.
+    """A program that runs in its own session; raises FailedError if it cannot be started.
 
-    Parameters
-    ----------
-    command : program and arguments.
-    folder : working directory; None for that of this process.
-    mark : name of an environment variable that identifies all descendants of the program, even
-        those that have left its session and lost their parent.
-    environment : further environment variables.
-    more : further arguments of `subprocess.Popen`.
-
-    Attributes
-    ----------
-    process : the program.
-
-    Raises
-    ------
-    FailedError
-        If it cannot be started.
+    `mark` names an environment variable that identifies all descendants of the program, even those
+    that have left its session and lost their parent. `more` are arguments of `subprocess.Popen`.
     """
 
     def __init__(

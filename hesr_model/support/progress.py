@@ -37,7 +37,7 @@ _LOOKED = 0.3  # [s] between two polls of workers
 
 
 def step(done: int, total: int) -> None:
-    """Report the number of finished starts or candidates of a search to `steps_told`, if active."""
+    """Report finished starts or candidates of a search to `steps_told`, if active."""
     _steps.get()(done, total)
 
 

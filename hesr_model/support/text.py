@@ -6,10 +6,7 @@ _LONGEST = 160  # characters of one name or message; hostile ones have millions
 
 
 def plain(text: str, longest: int = _LONGEST) -> str:
-    """Return text on one line that is safe to print.
-
-    Control characters and characters that change the text direction are escaped.
-    """
+    """Return text on one line, with control and text-direction characters escaped."""
     return escaped(text if len(text) <= longest else f"{text[:longest]}...")
 
 

@@ -47,13 +47,7 @@ def write_json(path: Path, data: Mapping[str, Any], *, indent: int | None = 2) -
 
 
 def read_json(path: Path, expected_format: str | None = None) -> Any:
-    """Read a JSON object and return its entries without 'format'.
-
-    Raises
-    ------
-    ArtifactError
-        If the file is missing, is not a JSON object, or its format is not the expected one.
-    """
+    """Read a JSON object without its 'format'; raises ArtifactError, also for another format."""
     try:
         data = parse_json(read_text(path))
     except FileNotFoundError as error:
@@ -82,35 +76,17 @@ def to_text(value: Any, *, sparse: bool = False) -> str:
 
 
 def to_json(value: Any, *, sparse: bool = False) -> Any:
-    """Return a data class as JSON data, numbers with all digits.
+    """Return a data class as JSON data, numbers with all digits; if `sparse`, without None.
 
-    Parameters
-    ----------
-    value : the data class.
-    sparse : leave out fields that are None.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite.
+    Raises ValueError if a number is not finite.
     """
     return json.loads(to_text(value, sparse=sparse))
 
 
 def from_json(kind: type[Kind], data: Any, path: Path, what: str) -> Kind:
-    """Return the data class for JSON data of a file.
+    """Return the data class `kind` for JSON data; `path` and the content `what` are for messages.
 
-    Parameters
-    ----------
-    kind : the data class.
-    data : the JSON data.
-    path : the file, for messages.
-    what : expected content, for messages.
-
-    Raises
-    ------
-    ArtifactError
-        With the file, the key and the problem.
+    Raises ArtifactError with the file, the key and the problem.
     """
     schema: Any = kind
     try:

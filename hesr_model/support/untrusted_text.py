@@ -21,15 +21,7 @@ _LONGEST_NAME = 1000
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file in UTF-8.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
-    ValueError
-        If it is not UTF-8, too long, or a pipe or a device.
-    """
+    """Return the text of a file in UTF-8; raises OSError or, with a wrong content, ValueError."""
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ValueError("it is a pipe or a device")  # opening it may block, and it may have no end
     with path.open("rb") as file:

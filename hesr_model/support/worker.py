@@ -38,10 +38,7 @@ _ORPHANED = 1.0
 def work(folder: Path, parent: int) -> None:
     """Answer requests until stdin closes.
 
-    Parameters
-    ----------
-    folder : holds the jobs and all temporary files of the worker; the parent removes it.
-    parent : process ID of the parent.
+    The parent process removes the `folder` of the jobs and all temporary files of the worker.
     """
     import psutil  # slow to import
 
