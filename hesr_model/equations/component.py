@@ -1,11 +1,8 @@
-"""Components: named equations over signals, parameters, previous values and memory.
+"""Components: named equations of one joint, lowered to every target.
 
-    name = expression            function of inputs, parameters, states, names and `dt`
-    previous(name)               value at the last sample, with its own start expression
-    Relaxation, Stop             memory with a sampled and a continuous form
-
-A component describes one joint. C, programs over logs, a Python step, derivatives, Modelica, LaTeX
-and pages are lowered from it.
+name = expression            function of inputs, parameters, states, names and `dt`
+previous(name)               value at the last sample, with its own start expression
+Relaxation, Stop             memory with a sampled and a continuous form
 """
 
 from collections import Counter
@@ -32,13 +29,13 @@ class Quantity:
 
     @property
     def symbol(self) -> sympy.Symbol:
-        """SymPy symbol for expressions."""
+        """Symbol for expressions."""
         return sympy.Symbol(self.name, real=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(Quantity):
-    """Number set by the user; it may change during a run if `tunable`."""
+    """Number set by the user, changeable during a run if `tunable`."""
 
     start: float = 0.0
     tunable: bool = True
@@ -65,11 +62,8 @@ class Choice(Parameter):
 class Equation(Quantity):
     """name = expression.
 
-    Attributes
-    ----------
-    expression : function of inputs, parameters, states, derivatives, names and previous values.
-    output : True if visible outside the component.
-    start : previous(name) at the first sample, with the same symbols; None if unused.
+    `output` makes it visible outside the component; `start` is previous(name) at the first sample,
+    with the same symbols, or None if unused.
     """
 
     unit: str = "1"
@@ -89,7 +83,7 @@ class Requirement:
 
 
 def previous(name: str) -> sympy.Symbol:
-    """Return the symbol of an equation's value at the last sample."""
+    """Return the symbol of the last sample's value."""
     return sympy.Symbol(f"previous({name})", real=True)
 
 
@@ -101,12 +95,10 @@ class Component:
     ----------
     shared : parameters of all joints.
     memory : states, in the order of their moves; they may also read previous values.
-    equations : equations in any order, without a circle.
     sample_time : name of the parameter with the sample period [s]; all values hold in between.
         Empty if every step is a sample.
     reversing : inputs whose sign changes are solver events because a magnitude bends there.
-    settling : share (0 to 1) of the steady state of the first inputs in the initial state, a
-        function of inputs and parameters; the rest is the states' start.
+    settling : share of the steady state in the initial state, 0 to 1; the rest is `start`.
 
     Raises
     ------
@@ -163,12 +155,12 @@ class Component:
 
     @property
     def outputs(self) -> tuple[Equation, ...]:
-        """Visible equations, in the order given."""
+        """Visible equations."""
         return tuple(e for e in self.equations if e.output)
 
     @property
     def remembered(self) -> tuple[Equation, ...]:
-        """Equations whose previous value is used."""
+        """Equations with a previous value."""
         return tuple(e for e in self.equations if e.start is not None)
 
     @property
@@ -178,7 +170,7 @@ class Component:
 
     @cached_property
     def starting(self) -> Mapping[sympy.Symbol, sympy.Expr]:
-        """Equations before the first step, in order: previous values are starts, dt is 0."""
+        """Ordered equations before the first step: previous values are starts, dt is 0."""
         found = {
             e.symbol: e.expression.xreplace(self.starts).xreplace({DT: sympy.Integer(0)})
             for e in self.equations
@@ -187,21 +179,20 @@ class Component:
 
     @cached_property
     def sampled_memory(self) -> bool:
-        """True if memory reads previous values; it then moves exactly and by whole steps only."""
+        """True if memory reads previous values and so moves exactly and by whole steps only."""
         read = sympy.Tuple(*(part for m in self.memory for part in m.parts)).free_symbols
         return any(previous(e.name) in read for e in self.remembered)
 
     @cached_property
     def holds(self) -> bool:
-        """True if outputs change by steps only: they depend on `dt` and previous values."""
+        """True if outputs depend on `dt` and previous values and so change by steps only."""
         timed = any(DT in e.expression.free_symbols for e in self.equations)
         return timed and bool(self.remembered)
 
     def sources(self, expression: sympy.Expr, *, starting: bool = False) -> frozenset[sympy.Symbol]:
         """Return the inputs, parameters and states that an expression depends on.
 
-        A derivative depends on its element's symbols; before the first step (`starting`) a previous
-        value depends on those of its start.
+        Previous values depend on their starts before the first step (`starting`).
         """
         into = {e.symbol: e.expression for e in self.equations}
         into |= self.starts if starting else {}
@@ -216,7 +207,7 @@ class Component:
 
 
 def in_order(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> Iterator[sympy.Symbol]:
-    """Yield symbols, each after those its expression uses; raise ArtifactError for a circle."""
+    """Yield symbols, each after those it uses; raise ArtifactError for a circle."""
     done: set[sympy.Symbol] = set()
 
     def visit(symbol: sympy.Symbol, path: tuple[sympy.Symbol, ...]) -> Iterator[sympy.Symbol]:
@@ -238,7 +229,7 @@ def in_order(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> Iterator[sympy.S
 
 
 def elements_of(memory: Iterable[Element], kind: type[K]) -> tuple[K, ...]:
-    """Return the elements of one kind, in order."""
+    """Return the elements of one kind."""
     return tuple(m for m in memory if isinstance(m, kind))
 
 

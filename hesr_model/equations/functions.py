@@ -1,7 +1,6 @@
 """Functions of real arguments with derivatives almost everywhere, and their NumPy counterparts.
 
-SymPy differentiates `sign` to a Dirac impulse, `Abs` to a complex expression and `Max` to a step
-with a value in between.
+SymPy differentiates `sign` to a Dirac impulse and `Abs` to a complex expression.
 """
 
 import math
@@ -35,7 +34,7 @@ class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
 
 
 class sgn(_Real):  # noqa: N801 - printed under this name, as all below
-    """Sign of a real argument, 0 at 0, with derivative 0 everywhere."""
+    """Sign, 0 at 0."""
 
     nargs = 1
     latex_form = r"\operatorname{{sgn}}{power}\left({}\right)"
@@ -52,7 +51,7 @@ class sgn(_Real):  # noqa: N801 - printed under this name, as all below
 
 
 class absolute(_Real):  # noqa: N801
-    """Absolute value of a real argument, with derivative `sgn`."""
+    """Absolute value."""
 
     nargs = 1
     latex_form = r"\left|{}\right|"
@@ -69,7 +68,7 @@ class absolute(_Real):  # noqa: N801
 
 
 class positive(_Real):  # noqa: N801
-    """Positive part max(x, 0), 0 for NaN: the guard of rates and bounds."""
+    """max(x, 0), 0 for NaN: guard of rates and bounds."""
 
     nargs = 1
     latex_form = r"\max\left({}, 0\right)"
@@ -106,7 +105,7 @@ class clip(_Real):  # noqa: N801
 
 
 class exceeds(_Real):  # noqa: N801
-    """1 if a > b, else 0; with derivative 0."""
+    """1 if a > b, else 0."""
 
     nargs = 2
     latex_form = r"\left[{} > {}\right]"
@@ -146,7 +145,7 @@ class decay(_Real):  # noqa: N801
 class share(_Real):  # noqa: N801
     """(1 - exp(-z)) / z, continued by 1 at 0; arguments are z, `decay` and 1 for Euler.
 
-    The derivative by z is the total one, since `decay` is a function of z.
+    The derivative is the total one by z, since `decay` is a function of z.
     """
 
     nargs = 3
@@ -262,7 +261,7 @@ SCALAR: Mapping[str, Callable[..., float]] = {
 
 
 def lowered(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]) -> Any:
-    """Return a NumPy function of `arguments` for the list of `expressions`."""
+    """Return a NumPy function of `arguments` for `expressions`."""
     return sympy.lambdify(
         list(arguments), list(expressions), modules=[dict(NUMPY), "numpy"], cse=True
     )

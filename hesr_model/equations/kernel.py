@@ -16,10 +16,9 @@ from hesr_model.support.arrays import Array
 class Kernel:
     """Programs for `rows.c`: `wanted` as functions of `numbers`, equal for all rows, and `inputs`.
 
-    States and derivatives in `wanted` are those at the end of a step; `inputs` exclude `dt`. See
-    `Component.settling` for `settling`. Expressions of `names` use earlier names only. With `once`,
-    subexpressions of inputs alone are not cached between runs. Raises ArtifactError for a function
-    that `rows.c` lacks.
+    States and derivatives in `wanted` are those at the end of a step. Expressions of `names` use
+    earlier names only. With `once`, subexpressions of inputs alone are not cached between runs.
+    Raises ArtifactError for a function that `rows.c` lacks.
     """
 
     def __init__(
@@ -63,7 +62,7 @@ class Kernel:
         )
 
     def at(self, numbers: Iterable[float], *inputs: float) -> tuple[float, ...]:
-        """Return the results of a kernel without memory for one row of inputs."""
+        """Return the results for one row of inputs, without memory."""
         row = self.over([np.array([u]) for u in inputs], np.zeros(1))
         return tuple(row.at(np.array(list(numbers)))[0].tolist())
 
@@ -73,7 +72,7 @@ def _whole(values: Array, rows: int) -> Array:
 
 
 def _in_doubles(values: Array) -> Array:
-    """Return an array of doubles; columns of a table are not copied."""
+    """Return doubles without copying the columns of a table."""
     found = np.asarray(values, dtype=np.float64)
     return found if found.strides[0] % 8 == 0 else np.ascontiguousarray(found)
 
@@ -81,9 +80,8 @@ def _in_doubles(values: Array) -> Array:
 class KernelRun:
     """Kernel bound to rows of logs: `inputs` (N,) each, and steps `dt` (N,) [s] ending at each row.
 
-    `firsts` are the first rows of records, increasing from 0. `start` is each state's value at
-    rest, 0 by default. Results fit `target` (N,) and are written into `found` (N, K). Raises
-    ExportError if `rows.c` cannot be compiled.
+    `firsts` are the first rows of records; `start` is each state's value at rest, 0 by default.
+    Results (N, K) are written into `found` and fitted to `target` (N,).
     """
 
     def __init__(
@@ -123,8 +121,8 @@ class KernelRun:
     def begin(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
         """Set the initial states (m, records) of all records and return them.
 
-        `start` is each state's value at rest, (m,) or (m, records), by default the run's; with
-        `settled` it is the initial state itself, whatever the first inputs are.
+        `start` is each state's value at rest, (m,) or (m, records), or with `settled` the initial
+        state whatever the inputs are.
         """
         if settled and start is not None:
             self._run.starts[:] = start if start.ndim > 1 else start[:, None]
@@ -144,7 +142,7 @@ class KernelRun:
         return self._run.found
 
     def on(self, numbers: Array, first: int, stop: int) -> None:
-        """Write results of rows `first` to `stop` into `found`, after `begin` and earlier rows."""
+        """Write rows `first` to `stop` of the results, after `begin` and earlier rows."""
         self._run.on(numbers, first, stop)
 
     def solved(
@@ -152,8 +150,8 @@ class KernelRun:
     ) -> tuple[Array, float] | None:
         """Return the factors (K,) of the results that fit the target best, and the squared error.
 
-        The leading `non_negative` factors are at least 0; `weights` (N,) weight the rows; `keep`
-        writes the results into `found`. Returns None if the factors are ill-conditioned.
+        The leading `non_negative` factors are at least 0; `weights` (N,) weight the rows. Returns
+        None if the factors are ill-conditioned.
         """
         self.begin(numbers)
         by = None if weights is None else _whole(weights, len(self._run.found))

@@ -1,7 +1,6 @@
-/* Functions of the generated equations, shared by FMUs, pages, single headers and log evaluation.
- * They are branch-free, so compilers vectorise loops over them, and give identical bits on every
- * IEEE 754 machine for any compiler, C library and vector width. Elementary functions are within a
- * relative error of 1e-15, sin and cos within 1e-15 absolutely. */
+/* Functions of the generated equations, branch-free for vectorised loops, with identical bits on
+ * every IEEE 754 machine for any compiler, C library and vector width. Elementary functions are
+ * within a relative error of 1e-15, sin and cos within 1e-15 absolutely. */
 #ifndef LAW_MATH_H
 #define LAW_MATH_H
 
@@ -82,7 +81,7 @@ static inline double even_exp(double x) {
     const double above = vanishes ? -700.0 : x, inside = above > 710.0 ? 710.0 : above;
     const double shifted = inside * 0x1.71547652b82fep+0 + TO_INTEGER;
     const double e = twice_short(reduced(inside, shifted - TO_INTEGER), 2.0);
-    /* 2^k is the product of two powers, because one may overflow or underflow. */
+    /* 2^k as the product of two powers, because one may overflow or underflow. */
     const uint64_t n = (bits_of(shifted) + 2047) & 4095, part = n / 2;
     const double half = power_of_two(part - 1024) * power_of_two(n - part - 1024);
     return vanishes ? 0.0 : e * half;
@@ -148,8 +147,8 @@ static inline double even_cos(double x) {
     return turned_sin(x, 1.0);
 }
 
-/* Below this value series are exact to double precision and quotients are not; the same constant as
- * in hesr_model.equations.functions. */
+/* Below this value series are exact to double precision and quotients are not; as in
+ * hesr_model.equations.functions. */
 #define SERIES_BELOW 1e-3
 
 /* Added to a non-negative divisor to avoid division by zero. */
@@ -192,8 +191,7 @@ static inline double over(double a, double b, double otherwise) {
     return b > 0.0 ? a / b : otherwise;
 }
 
-/* exp(-z) - 1, the relative decay of a state over a step; -z for Euler's method. The choice is the
- * same for all rows and instances. */
+/* exp(-z) - 1, the relative decay of a state over a step; -z for Euler's method. */
 static inline double decay(double z, double euler) {
     return euler > 0.0 ? -z : even_expm1(-z);
 }

@@ -25,13 +25,13 @@ DT = sympy.Symbol("dt", real=True)
 """Length of the current step [s]."""
 
 Discretisation: TypeAlias = Literal["exact", "euler"]
-"""How relaxations move over a step: exactly for held inputs, or by explicit Euler (eq. 10)."""
+"""Exact step for held inputs, or explicit Euler (eq. 10)."""
 
 EULER = sympy.Symbol("euler", real=True)
 """1 if relaxations move by Euler's step (eq. 10), 0 if exactly."""
 
 FIRST_STEP = sympy.Rational(1, 1000)
-"""Step [s] of the search for the settled state from a point where the rate is 0."""
+"""Step [s] of the search for the settled state."""
 
 RELEASE = sympy.Float(0.005)
 """T [s], time constant of a continuous stop following a shrinking bound."""
@@ -56,7 +56,7 @@ class _Element:
 
     @property
     def state(self) -> sympy.Symbol:
-        """Symbol of the state x."""
+        """Symbol of x."""
         return sympy.Symbol(self.name, real=True)
 
     @property
@@ -67,9 +67,9 @@ class _Element:
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation(_Element):
-    """State with x' = drive - rate x; a negative rate counts as 0.
+    """x' = drive - rate x; a negative rate counts as 0.
 
-    Drive and rate may use earlier states; the rate may also use x, which is frozen over a step.
+    Both may use earlier states; the rate may also use x, which is frozen over a step.
     """
 
     drive: sympy.Expr
@@ -81,7 +81,7 @@ class Relaxation(_Element):
         return self.drive, self.rate
 
     def sampled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
-        """Return x at the end of a step, from drive and guarded rate; exact if both are held.
+        """Return x at the end of a step, exact for held drive and guarded rate.
 
         x+ = x exp(-z) + drive dt (1 - exp(-z)) / z with z = rate dt.
         """
@@ -95,7 +95,7 @@ class Relaxation(_Element):
 
     @property
     def seeks(self) -> bool:
-        """True if `settled` is one step of an iteration because the rate depends on the state."""
+        """True if `settled` is one step of an iteration: the rate depends on x."""
         return self.state in self.rate.free_symbols
 
     def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
@@ -124,13 +124,10 @@ class Slow(Relaxation):
 
 @dataclass(frozen=True, kw_only=True)
 class Stop(_Element):
-    """State with x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii.
+    """x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii.
 
-    Attributes
-    ----------
-    velocity : v, velocity that moves the stop.
-    deflection : w > 0, displacement that moves x from 0 to 1.
-    bound : s, an expression of inputs, parameters and earlier states; negative values count as 0.
+    `velocity` v moves the stop, `deflection` w > 0 moves x from 0 to 1, `bound` s is an expression
+    of inputs, parameters and earlier states; negative values count as 0.
     """
 
     velocity: sympy.Expr
@@ -143,7 +140,7 @@ class Stop(_Element):
         return self.velocity / self.deflection, self.bound
 
     def sampled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
-        """Return x at the end of a step; `first` is v / w and `second` the guarded bound."""
+        """Return x at the end of a step, from v / w and the guarded bound."""
         return clip(self.state + first * DT, second)
 
     @property
@@ -160,7 +157,7 @@ class Stop(_Element):
 
         With e = w x, d = max(.01 w s, 1e-3 w), b = max(w s - d, 0) and m = max(w s, d),
         e' = v - abs(v)/d (e - clip(e, -b, b)) - (e - clip(e, -m, m))/T: the second term bounds the
-        deflection, the last one follows a bound that shrinks at rest. All is divided by w here.
+        deflection, the last one follows a bound that shrinks at rest.
         """
         s = positive(self.bound)
         d = larger(s / 100, sympy.Rational(1, 1000))

@@ -1,7 +1,6 @@
 """Equations as operations on registers, run by `rows.c` over blocks of rows.
 
-Equal subexpressions are one node. Values equal for all rows are computed once per run, values that
-depend on inputs alone once per log.
+Values equal for all rows are computed once per run, values of inputs alone once per log.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -24,9 +23,9 @@ NAMES = (
     *("CLIP", "EXCEEDS", "OVER", "CARRIED", "RELAX", "STOP", "STOP_BESIDE", "ADD_SAME"),
     "MULTIPLY_SAME",
 )
-"""Operations of `rows.c`, in the order of their numbers there."""
+"""Operations of `rows.c` by number."""
 STOPS = 4
-"""Number of stops moved together, as in `rows.c`."""
+"""Stops moved together, as in `rows.c`."""
 
 _FUNCTIONS: Mapping[Any, str] = {sympy.exp: "EXP"} | {
     name.lower(): name for name in NAMES[NAMES.index("LOG") : NAMES.index("CARRIED")]
@@ -58,7 +57,7 @@ class Node:
 class Graph:
     """Nodes of several expressions, each after its operands.
 
-    `numbers` are symbols of values equal for all rows, `inputs` of all others except `dt`.
+    `numbers` are symbols equal for all rows, `inputs` those that differ, without `dt`.
     """
 
     def __init__(self, numbers: Sequence[sympy.Symbol], inputs: Sequence[sympy.Symbol]) -> None:
@@ -74,12 +73,12 @@ class Graph:
                 self._of[symbol] = self._node("", (), i, dependence)
 
     def assign(self, assignments: Mapping[sympy.Symbol, sympy.Expr]) -> None:
-        """Define symbols by expressions, which may use earlier symbols."""
+        """Define symbols by expressions of earlier ones."""
         for symbol, expression in assignments.items():
             self._of[symbol] = self.of(expression)
 
     def move(self, memory: Sequence[Element]) -> None:
-        """Define states and derivatives of elements by their values after a step."""
+        """Define states and derivatives by their values after a step."""
         for i, end in _groups(memory):
             group = memory[i:end]
             for k in range(0, len(group), STOPS):
@@ -151,7 +150,7 @@ class Graph:
             else:
                 above.append(self.of(factor))
         one = self._literal(1.0)
-        # Divide once by values that are the same for all rows: products are five times as fast.
+        # Divide once by values equal for all rows: products are five times as fast.
         same = [node for node in below if self.nodes[node].dependence <= Dependence.NUMBERS]
         differs = [node for node in below if node not in same]
         if same:
@@ -177,7 +176,6 @@ class Graph:
         return found
 
     def _by_dependence(self, nodes: Iterable[int]) -> list[int]:
-        """Sort nodes so that values equal for all rows are combined first."""
         return sorted(nodes, key=lambda node: self.nodes[node].dependence)
 
     def _folded(self, name: str, nodes: Iterable[int]) -> int:
@@ -210,16 +208,15 @@ class Graph:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Program for `rows.c`; registers hold inputs first, then uniform values, then the others.
+    """Program for `rows.c`; registers hold inputs, then uniform values, then the others.
 
     Attributes
     ----------
-    inputs : index of the input of each first register, `dt` first; higher ones are known nodes.
+    inputs : input of each first register, `dt` first; higher ones are known nodes.
     given : (G,) literals of the next registers, 0 in place of numbers.
-    numbers : (2, M) positions in `given` and the index of the number for each.
+    numbers : (2, M) positions in `given` and index of the number for each.
     operations : (K, 5) operation, result and three operands, uniform operations first.
-    uniform : number of operations that are equal for all rows.
-    uniform_count : number of registers that are equal for all rows.
+    uniform, uniform_count : operations and registers equal for all rows.
     results : (R,) register of each result.
     """
 
@@ -254,7 +251,7 @@ def _groups(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
 
 
 def fixed_nodes(graph: Graph, results: Sequence[int]) -> list[int]:
-    """Return nodes that depend on inputs alone and are results or operands of other nodes."""
+    """Return nodes that depend on inputs alone and are results or operands of others."""
     nodes = graph.nodes
     fixed = [node.dependence is Dependence.INPUTS and bool(node.operation) for node in nodes]
     seen, waiting, found = set[int](), list(results), set[int]()
@@ -271,7 +268,7 @@ def fixed_nodes(graph: Graph, results: Sequence[int]) -> list[int]:
 
 
 def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) -> Program:
-    """Return the program of result nodes; `known` nodes are inputs, computed earlier."""
+    """Return the program of results; `known` nodes are inputs."""
     nodes = graph.nodes
     order = _in_order(nodes, results, set(known))
     numbered = {k: len(graph.inputs) + i for i, k in enumerate(known)}
@@ -309,10 +306,7 @@ def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) 
 
 
 def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) -> list[int]:
-    """Return the nodes needed for results, each after its operands, grouped by result.
-
-    States move in the order of their numbers.
-    """
+    """Return the nodes needed for results, each after its operands; states move in order."""
     done: dict[int, None] = {}
 
     def visit(k: int) -> None:
@@ -332,7 +326,7 @@ def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) ->
             waiting += () if k in known else nodes[k].operands
     moves = sorted(k for k in needed if nodes[k].operation in _MOVES)
     for k in moves:
-        # Stops of one group move together, so the operands of all of them come first.
+        # Stops of one group move together, after the operands of all of them.
         for other in moves:
             if nodes[other].operation == "STOP_BESIDE" and nodes[other].operands[2] == k:
                 for operand in nodes[other].operands[:2]:
@@ -346,7 +340,7 @@ def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) ->
 def _allocate(
     nodes: Sequence[Node], rest: Sequence[int], kept: set[int], places: dict[int, int], first: int
 ) -> int:
-    """Assign registers, reusing each one after the last use of its node."""
+    """Assign registers, reusing each one after its last use."""
     last = {operand: i for i, k in enumerate(rest) for operand in nodes[k].operands}
     own, free, count = set(rest), list[int](), first
     for i, k in enumerate(rest):

@@ -1,4 +1,4 @@
-"""Straight-line programs of a component, ordered assignments: steps, readings, derivatives."""
+"""Straight-line programs of a component: ordered assignments."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -14,12 +14,12 @@ Assignments = Mapping[sympy.Symbol, sympy.Expr]
 
 
 def moved(element: Element) -> sympy.Symbol:
-    """Return the symbol of a state at the end of a step."""
+    """Return the symbol of a moved state."""
     return sympy.Symbol(f"{element.name}_moved", real=True)
 
 
 def step(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return the states after a step by `moved` symbol; each uses the moved earlier ones."""
+    """Return the moved states; each uses the moved earlier ones."""
     after: dict[sympy.Symbol, sympy.Expr] = {}
     seen: dict[sympy.Symbol, sympy.Expr] = {}
     for element in memory:
@@ -34,17 +34,17 @@ _SEARCH = 60
 
 
 def initial_symbol(element: Element) -> sympy.Symbol:
-    """Return the symbol of an initial state; the state's own symbol is its start value."""
+    """Return the symbol of an initial state; the state's own symbol is its start."""
     return sympy.Symbol(f"{element.name}_begun", real=True)
 
 
 def initial_state(
     memory: Iterable[Element], settling: sympy.Expr
 ) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return the initial states for the first inputs by `initial_symbol`, and intermediate values.
+    """Return initial states for the first inputs, and intermediate values.
 
-    Each is the start value moved by the share `Component.settling` towards the steady state that
-    follows from the earlier initial states.
+    Each moves from its start by the share `Component.settling` towards the steady state for earlier
+    initial states.
     """
     found: dict[sympy.Symbol, sympy.Expr] = {}
     seen: dict[sympy.Symbol, sympy.Expr] = {}
@@ -63,12 +63,12 @@ def initial_state(
 
 
 def derivatives(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return the continuous derivative of each state by its symbol."""
+    """Return each state's continuous derivative."""
     return {m.derivative: m.continuous() for m in memory}
 
 
 def readings(component: Component, *, starting: bool = False) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return derivatives of the states and all equations, in order, by their symbols."""
+    """Return derivatives of the states and all ordered equations."""
     equations = (
         component.starting if starting else {e.symbol: e.expression for e in component.ordered}
     )
@@ -82,13 +82,13 @@ class Tangent:
     seeds: Mapping[sympy.Symbol, sympy.Expr] = field(default_factory=dict)
 
     def of(self, assignments: Assignments) -> dict[sympy.Symbol, sympy.Expr]:
-        """Return the change of each assigned symbol by its symbol `d_...`."""
+        """Return the change `d_...` of each assigned symbol."""
         known = dict(self.seeds)
         changes: dict[sympy.Symbol, sympy.Expr] = {}
         for symbol, expression in assignments.items():
             used = sorted(expression.free_symbols & known.keys(), key=sympy.default_sort_key)
             change = sympy.Add(*(expression.diff(s) * known[s] for s in used))
-            # Constant symbols get no name, so later derivatives skip them.
+            # Later derivatives skip constant symbols, which get no name.
             if change == 0:
                 continue
             name = change_of(symbol)
@@ -98,7 +98,7 @@ class Tangent:
 
 
 def change_of(symbol: sympy.Symbol) -> sympy.Symbol:
-    """Return the symbol of the change of a symbol along a direction."""
+    """Return the symbol of a directional change."""
     return sympy.Symbol(f"d_{symbol.name}", real=True)
 
 
@@ -116,7 +116,7 @@ class Jumps:
 
     @cached_property
     def expressions(self) -> tuple[sympy.Expr, ...]:
-        """Arguments of signs and magnitudes that depend on inputs and parameters alone."""
+        """Arguments of signs and magnitudes, functions of inputs and parameters alone."""
         own = self.component
         given, inputs = {q.symbol for q in own.given}, {q.symbol for q in own.inputs}
         parts = [e.expression for e in own.equations]
@@ -136,13 +136,13 @@ class Jumps:
         )
 
     def held(self, assignments: Assignments) -> dict[sympy.Symbol, sympy.Expr]:
-        """Return assignments with signs replaced by held ones."""
+        """Replace signs in assignments by held ones."""
         swap = {sgn(e): s for e, s in zip(self.expressions, self.signs, strict=True)}
         return {symbol: e.xreplace(swap) for symbol, e in assignments.items()}
 
 
 def sources(assignments: Assignments, wanted: sympy.Symbol) -> frozenset[sympy.Symbol]:
-    """Return the unassigned symbols that a wanted one depends on."""
+    """Return the unassigned symbols that a symbol depends on."""
     own = needed(assignments, [wanted])
     used = set[sympy.Symbol]().union(*(e.free_symbols for e in own.values()))
     return frozenset(used - assignments.keys())
@@ -151,7 +151,7 @@ def sources(assignments: Assignments, wanted: sympy.Symbol) -> frozenset[sympy.S
 def needed(
     assignments: Assignments, wanted: Iterable[sympy.Symbol]
 ) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return the assignments that the wanted symbols depend on, in order."""
+    """Return the ordered assignments for the wanted symbols."""
     keep: set[sympy.Symbol] = set()
     waiting = set(wanted) & assignments.keys()
     while waiting:
@@ -165,7 +165,7 @@ def needed(
 def straight_line(
     assignments: Assignments, wanted: Iterable[sympy.Symbol]
 ) -> tuple[dict[sympy.Symbol, sympy.Expr], dict[sympy.Symbol, str]]:
-    """Return the ordered assignments needed, subexpressions shared, and their short names.
+    """Return ordered assignments with shared subexpressions, and their short names.
 
     Assigned symbols are named `a_0`, `a_1`, .., shared subexpressions `t0`, `t1`, ..
     """
@@ -187,14 +187,9 @@ def sampled(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
 
 @dataclass(frozen=True, kw_only=True)
 class Invariants:
-    """Straight-line program split by dependence on fixed symbols.
+    """Program split into `once`, assignments of fixed symbols alone, and `moving`, the rest.
 
-    Attributes
-    ----------
-    once : assignments that depend on fixed symbols alone, in order.
-    kept : their symbols used by the rest.
-    moving : the rest.
-    names : short names of assigned symbols.
+    `kept` are the fixed symbols used by the rest, `names` short names of assigned symbols.
     """
 
     once: Assignments
@@ -221,7 +216,6 @@ class Invariants:
             return parts[part]
 
         def separated(expression: sympy.Expr) -> sympy.Expr:
-            """Replace the fixed parts of an expression by symbols."""
             if expression.is_Atom:
                 return expression
             if expression.free_symbols and expression.free_symbols <= known:

@@ -1,9 +1,6 @@
-/* Equations over rows of a log: operations on blocks of rows, and the memory of a component.
- *
- * A program is a list of operations on registers. A register holds one number per row of a block,
- * and blocks are small enough for the first-level cache. One binary serves all equations, so a
- * search over forms compiles nothing. `operations.py` makes the programs; the compiler's flags
- * define the operations' numbers. */
+/* Programs of `operations.py`: operations on registers with one number per row of a block that fits
+ * the first-level cache. One binary serves all equations, so a search over forms compiles nothing.
+ * The compiler's flags define the operations' numbers. */
 #include "law_math.h"
 
 enum { BLOCK = 128, LANES = 8, STOPS = 4 };
@@ -16,15 +13,15 @@ typedef struct {
 
 typedef struct {
     const operation *operations;
-    int64_t uniform;             /* number of operations that are the same for all rows */
-    int64_t count;               /* number of all operations */
+    int64_t uniform; /* number of operations equal for all rows */
+    int64_t count;
     const double *const *inputs; /* (rows) each: the first registers, dt first */
     const int64_t *strides;      /* of each input, in doubles */
     int64_t input_count;
-    const double *given; /* values that are the same for all rows: the next registers */
+    const double *given; /* values equal for all rows: the next registers */
     int64_t given_count;
     int64_t uniform_count; /* number of given values and results of uniform operations */
-    int64_t registers;     /* number of all registers */
+    int64_t registers;
     double euler;
     double unstable;             /* rate dt of the refused Euler step */
     const int64_t *firsts;       /* (first_count) first rows of records, increasing */
@@ -90,8 +87,7 @@ INLINE int relax(program *p, int64_t state, int64_t at, int64_t n, double *restr
         a[i] = 0.0;
         c[i] = p->start[state * p->first_count + f];
     }
-    /* Two steps combine to one with its own factor and increment, which halves the dependency
-     * chain. */
+    /* Combining two steps to one halves the dependency chain. */
     double *restrict factor = c + BLOCK, *restrict increment = factor + BLOCK / 2;
     for (int64_t i = 0; i < n / 2; i++) {
         factor[i] = a[2 * i + 1] * a[2 * i];
@@ -329,7 +325,7 @@ INLINE void finish_normal(program *p) {
     }
 }
 
-/* Compute the values that are the same for all rows. */
+/* Compute the values equal for all rows. */
 INLINE int prepare(program *p) {
     p->coming = 0;
     for (int64_t i = 0; i < p->registers; i++) {

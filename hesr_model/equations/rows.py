@@ -1,4 +1,4 @@
-"""The compiled `rows.c`, and one run of a program of `operations.py` on arrays."""
+"""The compiled `rows.c`, and runs of programs on arrays."""
 
 import ctypes
 import platform
@@ -34,7 +34,7 @@ _FLAGS = (
 _LIBRARIES: Mapping[str, tuple[str, ...]] = {
     ".so": ("-lm",),
     ".dylib": ("-lc",),
-    # Building the C library of Windows takes minutes; its headers and the system's own suffice.
+    # Building the C library of Windows takes minutes; headers and system library suffice.
     ".dll": (
         "-Wl,--no-entry",
         "-D_UCRT=",
@@ -51,7 +51,7 @@ _ROOM = (
     *("inputs", "strides", "given", "start", "carried"),
     *("places", "work", "lanes", "columns"),
 )
-"""Arrays of a program that are allocated for each run."""
+"""Arrays of a run."""
 
 
 class _Program(ctypes.Structure):
@@ -118,10 +118,9 @@ def vectors() -> int:
 
 
 class ProgramRun:
-    """Program bound to arrays (N,), its inputs by number; see `KernelRun`.
+    """Program bound to arrays (N,); see `KernelRun`.
 
-    `found` (N, K) holds the results of the last call that kept them, `starts` (states, records) the
-    initial states.
+    `found` (N, K) are the last kept results, `starts` (states, records) the initial states.
     """
 
     def __init__(
@@ -196,7 +195,7 @@ class ProgramRun:
         self._reference = ctypes.byref(self._program)
 
     def __call__(self, numbers: Array) -> None:
-        """Write the results into `found`; see `KernelRun.at` for errors."""
+        """Write the results; see `KernelRun.at`."""
         self.on(numbers, 0, self._rows)
 
     def on(self, numbers: Array, first: int, stop: int) -> None:

@@ -1,7 +1,7 @@
-"""Components with previous values, run one step at a time in Python.
+"""Components with previous values, run step by step in Python in the order of `c/equations.c`.
 
-As in `c/equations.c`, previous values are their starts before the first step; a step moves the
-memory, then evaluates the equations, whose values are the previous ones of the next step.
+Before the first step previous values are their starts; a step moves the memory, then evaluates the
+equations, whose values are the previous ones of the next step.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,9 +26,9 @@ from hesr_model.support.arrays import Array
 
 
 class Steps:
-    """Component lowered to functions of numbers, or of arrays of parallel runs (`lanes`).
+    """Functions of numbers, or of arrays of parallel runs (`lanes`), that step a component.
 
-    Relaxations move exactly. Each step returns the equations `observed`, by default the outputs.
+    Relaxations move exactly. Steps return the equations `observed`, by default the outputs.
     """
 
     def __init__(
@@ -67,10 +67,9 @@ class Steps:
     def run(
         self, values: Mapping[str, float], start: Sequence[float], inputs: Sequence[str]
     ) -> "ComponentRun":
-        """Return a run before its first step.
+        """Return a run with values of parameters and constant inputs, and each state's start.
 
-        `values` are those of parameters and constant inputs, `start` is each state's start value,
-        and `inputs` names the inputs passed to each step.
+        `inputs` names the inputs passed to each step.
         """
         return ComponentRun(
             self._settle, self._start, self._step, self.component, values, start, inputs
@@ -88,7 +87,7 @@ class Steps:
         """Return the observed equations (observed, N) over a log at times `t` (N,) [s].
 
         `columns` has (N,) values by input; other names are ignored. With `settled`, the first row
-        settles the initial states; see `run` for `values` and `start`.
+        settles the initial states.
         """
         used = {q.name: columns[q.name] for q in self.component.inputs if q.name in columns}
         run = self.run(values, start, list(used))
@@ -102,7 +101,7 @@ class Steps:
 
 
 class ComponentRun:
-    """Running component; its memory is in `states` and `remembered`."""
+    """Running component with memory `states` and `remembered`."""
 
     def __init__(
         self,
@@ -153,7 +152,6 @@ def _function(
     *,
     lanes: bool,
 ) -> Any:
-    """Return a Python function of grouped numbers or arrays that runs a program."""
     lines, names = straight_line(program, [symbol for group in targets for symbol in group])
     short = {symbol: sympy.Symbol(name) for symbol, name in names.items()}
     lines = {short.get(symbol, symbol): e.xreplace(short) for symbol, e in lines.items()}

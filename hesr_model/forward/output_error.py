@@ -1,10 +1,9 @@
 """Joint refinement of body and friction by output error.
 
-Fits of torque weigh errors of the torque; a simulator integrates them twice. Here base parameters
-and coefficients are refined by the position error over short windows. The torque error is part of
-the cost and keeps directions that the windows do not show (DIDIM: Gautier, Janot and Vandanjon
-2013, "A new closed-loop output error method for parameter identification of robot dynamics", IEEE
-Trans. Control Syst. Technol. 21(2); here with friction that has a state).
+Base parameters and coefficients are refined by the position error over short windows. The torque
+error is part of the cost and keeps directions that the windows do not show (DIDIM: Gautier, Janot
+and Vandanjon 2013, "A new closed-loop output error method for parameter identification of robot
+dynamics", IEEE Trans. Control Syst. Technol. 21(2); here with friction that has a state).
 
 Derivatives are finite differences: all parameters are varied at once, each in a copy of all
 windows.
@@ -27,7 +26,7 @@ from hesr_model.support.arrays import Array
 WINDOW = 0.5
 """Length of the windows [s]."""
 MOST_TORQUE = 1.02
-"""Largest allowed ratio of any joint's torque error to that before."""
+"""Largest allowed ratio of a joint's torque error to that before."""
 
 _STEP = 1e-3  # finite-difference step, relative to the parameter
 _TORQUE = 0.5  # weight of the mean square torque error against that of the position
@@ -38,12 +37,12 @@ _LEAST = 1e-3  # smallest relative gain of a round
 
 
 _SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
-"""Shares of the way to the optimum that are tried at the end."""
+"""Shares of the way to the optimum tried at the end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """Body and friction after the refinement, or the original ones if nothing better was found.
+    """Refined body and friction, or the original ones with ratio 1 if nothing is better.
 
     `ratio` is the RMS ratio of the position errors to those before.
     """
@@ -63,16 +62,15 @@ def refine(
     starts: int = 3,
     seed: int = 0,
 ) -> Refined:
-    """Refine body and friction jointly by output error, from several starts.
+    """Refine body and friction jointly by output error.
 
-    The starts are the given parameters and random variations of the friction; the best one
-    continues for `rounds` damped Gauss-Newton steps. Raises SimulationError if a log is too short
-    or the body cannot be simulated.
+    Of several starts, the given parameters and random variations of the friction, the best one
+    continues for `rounds` damped Gauss-Newton steps. Raises SimulationError if a log is too short.
     """
     problem = _Problem(robot, body, friction, motions)
     rng = np.random.default_rng(seed)
     moved = rng.normal(scale=_SPREAD, size=(starts - 1, problem.size))
-    # Only friction varies: least squares determine the body far better than by 15 %.
+    # Least squares determine the body far better than by 15 %, so only friction varies.
     moved[:, : len(problem.columns)] = 0.0
     theta = np.vstack([np.zeros((1, problem.size)), moved])
     found = problem.costs(theta)
@@ -123,13 +121,13 @@ class _Problem:
         self._torque_sizes = _sizes(self._torque(still))
 
     def costs(self, theta: Array) -> Array:
-        """Return the cost of changes (S, size); infinite if the simulation diverges."""
+        """Return the cost of changes (S, size); infinite if diverging."""
         with np.errstate(all="ignore"):
             found = [np.sum(np.square(row)) for row in self._rows(theta)]
         return np.where(np.isfinite(found), found, np.inf)
 
     def linearised(self, theta: Array) -> tuple[Array, Array]:
-        """Return residuals (M,) and their derivatives (M, size), without unit."""
+        """Return residuals (M,) and derivatives (M, size)."""
         moved = np.vstack([theta, theta + _STEP * np.eye(self.size)])
         rows = np.array(self._rows(moved))
         return rows[0], (rows[1:] - rows[0]).T / _STEP
@@ -152,14 +150,12 @@ class _Problem:
         return [self._residuals(position, change) for position, change in positions]
 
     def _residuals(self, position: Array, theta: Array) -> Array:
-        """Return the errors of position and torque, each scaled to a mean square of 1 before."""
         scaled = (position / self._position_sizes).ravel()
         torque = (self._torque(theta) / self._torque_sizes).ravel()
         weight = np.sqrt(_TORQUE / torque.size)
         return np.concatenate([scaled / np.sqrt(scaled.size), weight * torque])
 
     def _position(self, theta: Array) -> Array:
-        """Return the position errors, (S, W, K + 1, n) [rad; m], for changes (S, size)."""
         many, windows = len(theta), self._windows
         friction = [self._moved(change) for change in theta]
         count = len(windows.t)
@@ -182,7 +178,6 @@ class _Problem:
         return found.reshape(many, *windows.q.shape) - windows.q
 
     def _torque(self, theta: Array) -> Array:
-        """Return the torque errors over all rows of all logs, (N, n) [N.m; N]."""
         friction, found = self._moved(theta), []
         for log, loads in zip(self._logs, self._loads, strict=True):
             more = loads @ theta[: len(self.columns)]
@@ -212,6 +207,5 @@ class _Problem:
 
 
 def _sizes(errors: Array) -> Array:
-    """Return the RMS of each joint, (n,), of errors (N, n)."""
     with np.errstate(all="ignore"):
         return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))

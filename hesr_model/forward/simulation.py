@@ -2,12 +2,12 @@
 
     M(q) ddq + c(q, dq) + g(q) + tau_f = tau
 
-Presliding friction is far stiffer than the sample rate of a log, so friction is implicit in each
-inner step, as in a drive: with A = M^-1 the velocity v+ after a step h solves
+Presliding friction is far stiffer than a log's sample rate, so friction is implicit in each inner
+step, as in a drive: with A = M^-1 the velocity v+ after a step h solves
 
     v+ + h A tau_f(v+) = v + h A (tau - c - g),  q+ = q + h v+.
 
-M, c and g are constant over a row of the log, evaluated in its middle.
+M, c and g are constant over a row, evaluated in its middle.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ _PRECISION = 1e-10  # precision of a velocity [rad/s]
 
 
 def inner_steps(dt: Array) -> int:
-    """Return the number of inner steps for steps of these lengths [s]."""
+    """Return the number of inner steps for steps `dt` [s]."""
     return int(np.ceil(dt.max() / SUBSTEP - _ROUNDING))
 
 
@@ -40,8 +40,7 @@ def inner_steps(dt: Array) -> int:
 class Simulator:
     """Body with (P,) standard parameters, or (W, P) for each window, and its friction.
 
-    `as_plant` steps explicitly and without inner steps, as MuJoCo steps an arm; for logs of the
-    twin at its own step.
+    `as_plant` steps explicitly and without inner steps, as MuJoCo does, for logs of the twin.
     """
 
     robot: RobotModel
@@ -89,7 +88,7 @@ class Simulator:
         return found
 
     def _body(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return the inverse mass matrix, (W, n, n), and the torque without acceleration."""
+        """Return the inverse mass matrix (W, n, n), and the torque without acceleration."""
         mass, bias = self.robot.dynamics(self.parameters, q, v)
         try:
             np.linalg.cholesky(mass)
@@ -102,7 +101,7 @@ class Simulator:
         return np.asarray(np.linalg.inv(mass), dtype=np.float64), bias
 
     def _at_friction(self, load: Array) -> tuple[Array, Array]:
-        """Return the map from joint motion to friction coordinates, and the load there."""
+        """Return the map from joints to friction coordinates, and the load there."""
         coupling = self.friction.coupling
         if coupling is None:
             return np.eye(load.shape[1]), load
@@ -119,7 +118,6 @@ class Simulator:
         inverse: Array,
         load: Array,
     ) -> tuple[Array, Array]:
-        """Do one implicit inner step; update the states `x` in place."""
         forward, loads = self._at_friction(load)
         own = forward @ inverse @ forward.T
         free = v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau)
@@ -163,7 +161,7 @@ class Simulator:
 
 
 def position_errors(found: Array, windows: Windows) -> tuple[float | None, ...]:
-    """Return the RMS error of positions (W, K + 1, n) per joint [rad; m]; None if it diverges."""
+    """Return each joint's RMS position error (W, K + 1, n) [rad; m]; None if diverging."""
     with np.errstate(all="ignore"):
         error = np.sqrt(np.mean(np.square(found - windows.q), axis=(0, 1)))
     return tuple(float(e) if np.isfinite(e) else None for e in error)

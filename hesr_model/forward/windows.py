@@ -14,7 +14,7 @@ from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.support.arrays import Array
 
 RUN_IN = 1.0
-"""Run-in of each log before its first window [s], for the friction states."""
+"""Run-in of friction states before a log's first window [s]."""
 
 _SIGNALS = ("t", "q", "dq", "tau")
 
@@ -37,10 +37,9 @@ class Windows:
     logs: Logs = field(repr=False)
 
     def states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
-        """Return the states (m, W) of each law at the starts of the windows.
+        """Return the states (m, W) of each law at the windows' starts, `delay` rows earlier.
 
-        They are run in along the measured motion from the start of each log, and taken `delay` rows
-        earlier.
+        They are run in along the measured motion from the start of each log.
         """
         found: list[list[Array]] = [[] for _ in model.laws]
         for number, log in enumerate(self.logs):
@@ -50,16 +49,13 @@ class Windows:
         return [np.concatenate(parts, axis=1) for parts in found]
 
     def times(self, count: int) -> "Windows":
-        """Return the windows repeated `count` times."""
+        """Repeat the windows `count` times."""
         signals: dict[str, Any] = {s: np.concatenate([getattr(self, s)] * count) for s in _SIGNALS}
         return replace(self, **signals, places=self.places * count)
 
 
 def windows_of(logs: Logs, length: float) -> Windows:
-    """Cut logs into consecutive windows of a length [s] after their run-in.
-
-    Raises SimulationError if no log is long enough.
-    """
+    """Cut logs into windows of a length [s] after the run-in; SimulationError if too short."""
     times = [log[0].t for log in logs]
     steps = max(1, round(length / float(np.median(np.concatenate([np.diff(t) for t in times])))))
     places = [
@@ -76,7 +72,7 @@ def windows_of(logs: Logs, length: float) -> Windows:
 
 
 def joined(sets: Sequence[Windows]) -> Windows:
-    """Join sets of windows with the same number of steps."""
+    """Join sets of windows with equal numbers of steps."""
     firsts = accumulate((len(w.logs) for w in sets), initial=0)
     return Windows(
         **{name: np.concatenate([getattr(w, name) for w in sets]) for name in _SIGNALS},

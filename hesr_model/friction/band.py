@@ -28,19 +28,19 @@ from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, MOVING, TAU_LOAD, TORQUE
 
 LEVEL = 0.95
-"""Probability of the band with the stored numbers."""
+"""Probability of the stored half-widths."""
 
 REST = 0.005
 """v_rest, the speed [rad/s, m/s] that ends the width of rest."""
 
 LEAST, GREATEST = 0.5, 0.999
-"""Limits of the probability; other values are clipped to them."""
+"""Limits of the probability."""
 
 LOWER, UPPER = "tau_lower", "tau_upper"
 """Names of the outputs."""
 
 _TINY = sympy.Float(1e-24)
-"""Added under the root [(N.m)^2], so that its derivative stays finite if all numbers are 0."""
+"""[(N.m)^2], keeps the root differentiable if all numbers are 0."""
 
 COVERAGE = Parameter(
     name="coverage",
@@ -64,7 +64,7 @@ NUMBERS = (
     _number("tail", "1", "exponent of the error's tail, 0.65 for a normal distribution"),
     _number("envelope", "1", "1 where the band at rest reaches to both break-away torques, else 0"),
 )
-"""Numbers of the band of each joint, in the order of the fields of `Band`."""
+"""Numbers of a joint's band, in the order of the fields of `Band`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,15 +111,12 @@ def shapes(
 
 
 def start_values(band: Band) -> Mapping[str, float]:
-    """Return the numbers of a band by the names of `NUMBERS`."""
+    """Return a band's numbers by the names of `NUMBERS`."""
     return dict(zip((q.name for q in NUMBERS), band.values, strict=True))
 
 
 def band_equations(memory: Sequence[Element], output: sympy.Expr) -> tuple[Equation, ...]:
-    """Return a band's two outputs after their intermediate values, from a law's memory and torque.
-
-    They read the torque by its name, `NUMBERS` and `COVERAGE`.
-    """
+    """Return a band's outputs after their intermediate values, from a law's memory and torque."""
     floor, slow, slow_speed, rest, fast, load, tail, envelope = (q.symbol for q in NUMBERS)
     parts = shapes(DQ, TAU_LOAD, slow_speed, most=lambda a, b: clip(a, b))
     sizes = (floor, slow, rest, fast, load)

@@ -9,7 +9,7 @@ _DIGITS = 4
 
 
 def equations(law: FrictionLaw) -> list[str]:
-    """Return the torque and the states of a law as lines of text, numbers to four digits.
+    """Return torque and states of a law as lines of text, numbers to four digits.
 
     A relaxation's derivative dx is written x', a stop after a step x+.
     """
@@ -19,7 +19,7 @@ def equations(law: FrictionLaw) -> list[str]:
 
 
 def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = None) -> list[str]:
-    """Return the lines of a form; coefficients without numbers appear by name."""
+    """Return the lines of a form, coefficients without numbers by name."""
     names = {m.derivative: sympy.Symbol(f"{m.name}'") for m in form.memory}
 
     def written(expression: sympy.Expr) -> str:
@@ -36,13 +36,13 @@ def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = N
 
 
 def text_of(expression: sympy.Expr) -> str:
-    """Return an expression as text, its numbers to four digits."""
+    """Return an expression as text, numbers to four digits."""
     shown = expression.xreplace({n: sympy.Float(n, _DIGITS) for n in expression.atoms(sympy.Float)})
     return str(sympy.sstr(shown)).replace("absolute(", "abs(")
 
 
 def coefficient_lines(law: FrictionLaw) -> list[str]:
-    """Return each coefficient with its unit and, if known, its 95 % interval."""
+    """Return each coefficient with unit and, if known, 95 % interval."""
     lines = []
     for c in law.form.coefficients:
         error = law.standard_errors.get(c.name)

@@ -24,24 +24,19 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.scales import scaled_bound
 
 CHANGE = 0.1
-"""Smallest change of friction to detect, as a share."""
+"""Smallest relative change of friction to detect."""
 CHANGE_OF_OFFSET = 0.5
 """Smallest change of the offset to detect, in standard deviations of the unexplained torque."""
 _CLIPPED = 1.0 - 1e-9
-"""Share of its bound from where a stop is clipped; the rest is round-off."""
+"""Share of its bound above which a stop is clipped, up to round-off."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """Law with factors: terms of its torque [N.m].
+    """Terms of a law's torque [N.m], with memory scaled by the level.
 
-    Attributes
-    ----------
-    memory : memory of the law, its bounds scaled by the level.
-    viscous : viscous torque at factor 1.
-    rest : ripple and offset, without a factor.
-    along : derivative of the hysteresis by the level, a function of `sensitivities`.
-    sensitivities : equations of the stops' derivatives by the level, warmth included.
+    `viscous` has the factor 1, `rest` are ripple and offset, `along` is the derivative of the
+    hysteresis by the level, a function of `sensitivities`: the stops' derivatives, warmth included.
     """
 
     memory: tuple[Element, ...]
@@ -53,9 +48,9 @@ class Parts:
 
 
 def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -> Parts:
-    """Return a law with a positive level in its memory and a factor `warm` of temperature.
+    """Return a law with a positive level and a factor `warm` of temperature on its bounds.
 
-    Raises ExportError if the law has no bound to scale.
+    Raises ExportError if the law has no bound.
     """
     form = law.form
     scaled = tuple(scaled_bound(m, level * warm) for m in form.memory)

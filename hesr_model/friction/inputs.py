@@ -18,15 +18,15 @@ TAU_LOAD = _LOAD.symbol
 """Load on the joint [N.m]: rigid-body torque of the motion."""
 
 QUANTITIES = (_VELOCITY, _POSITION, _LOAD)
-"""Inputs available to laws, in the order used everywhere."""
+"""Inputs of laws, in the order used everywhere."""
 
 INPUTS = tuple(quantity.symbol for quantity in QUANTITIES)
 
 INPUT_UNITS = {quantity.name: quantity.unit for quantity in QUANTITIES}
-"""Units for a revolute joint; see `units.unit_of_joint` for a prismatic one."""
+"""Units for revolute joints."""
 
 TORQUE = "tau"
 """Name of a law's output."""
 
 MOVING = 0.02
-"""Smallest initial speed [rad/s, m/s] of a start in the steady state."""
+"""Smallest initial speed [rad/s, m/s] of a steady start."""

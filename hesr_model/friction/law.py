@@ -38,7 +38,7 @@ _LARGEST = 1e100
 
 @dataclass(frozen=True, kw_only=True)
 class Coefficient(Quantity):
-    """Named constant of a law."""
+    """Constant of a law."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,19 +107,17 @@ class LawForm:
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionLaw:
-    """Frozen law of one joint: a form, its numbers and its discretisation.
+    """Frozen law of one joint.
 
     Attributes
     ----------
-    name : name in the registry; rebuilds `form` together with `structure`.
-    structure : JSON data that select one form of a family; empty if there is only one.
+    name, structure : law in the registry, and JSON data that select one form of its family.
     values : value of every coefficient of `form`, in its order and unit.
     discretisation : "exact" integrates each relaxation exactly for inputs held over a step;
         "euler" is eq. 10 and requires 0 <= rate * dt < 1.
     start : initial states at rest, zero by default; in motion they are steady (`SETTLING`).
-    start_samples : number of first torques of a log that can replace the start
-        (`records.record_start`); 0 for none.
-    standard_errors : standard errors of coefficients, in their units, if known.
+    start_samples : first torques of a log that can replace the start (`records.record_start`).
+    standard_errors : standard errors of coefficients, if known.
 
     Raises
     ------

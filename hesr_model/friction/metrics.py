@@ -25,7 +25,7 @@ class Score:
 
 
 def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Score:
-    """Score predictions (N,) [N.m] of one joint's friction on the rows of each record."""
+    """Score predictions (N,) [N.m] of one joint's friction on each record's rows."""
     error = np.concatenate(
         [record.tau - predicted for record, predicted in zip(records, predictions, strict=True)]
     )
@@ -46,13 +46,8 @@ def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Sc
 class BandScore:
     """Coverage of one joint's band; None without rows of the kind.
 
-    Attributes
-    ----------
-    held, held_moving, held_reversal : share of rows within the band: of all, in motion, near
-        reversals.
-    least_log : lowest share of a log.
-    width : mean width relative to the constant band with the same coverage; None if the prediction
-        has no error.
+    `held` are shares of rows within the band, `least_log` the lowest share of a log. `width` is the
+    mean width relative to the constant band of the same coverage; None without errors.
     """
 
     held: float
@@ -67,7 +62,7 @@ def score_band(
     predictions: Sequence[Array],
     bands: Sequence[tuple[Array, Array]],
 ) -> BandScore:
-    """Score the band of one joint's friction, (N,) [N.m] for each end on each record's rows."""
+    """Score the ends (N,) [N.m] of one joint's band on each record's rows."""
     inside = [
         (r.tau >= lower) & (r.tau <= upper)
         for r, (lower, upper) in zip(records, bands, strict=True)
@@ -88,12 +83,12 @@ def score_band(
 
 
 def rmse(error: Array) -> float:
-    """Return the root mean square of errors of any shape, in their unit."""
+    """Return the root mean square of errors."""
     return float(np.sqrt(np.mean(np.square(error))))
 
 
 def time_band(t: Array, start: float, stop: float) -> Mask:
-    """Return the (N,) mask of start <= t < stop [s], such as a frequency band of a chirp."""
+    """Return the (N,) mask of start <= t < stop [s]."""
     return np.asarray((t >= start) & (t < stop))
 
 
@@ -116,7 +111,7 @@ def rmse_ratio_interval(
     for error, other in zip(errors, reference, strict=True):
         rows, length = len(error), min(block, len(error))
         draws = rng.integers(rows, size=(resamples, -(-rows // length)))
-        # The blocks have a few rows more than the log: scale to its length.
+        # The blocks have a few rows more than the log.
         share = rows / (draws.shape[1] * length)
         above += share * _block_sums(error, length)[draws].sum(axis=1)
         below += share * _block_sums(other, length)[draws].sum(axis=1)
@@ -125,7 +120,6 @@ def rmse_ratio_interval(
 
 
 def _block_sums(error: Array, length: int) -> Array:
-    """Return the sum of squares over `length` rows starting at each row, wrapping around."""
     around = np.concatenate([error, error[: length - 1]]) ** 2
     total = np.concatenate([[0.0], np.cumsum(around)])
     return np.asarray(total[length:] - total[:-length])

@@ -29,7 +29,7 @@ from hesr_model.support.untrusted_text import require_printable
 from hesr_model.units import unit_of_joints
 
 _MOST_SHOWN = 40
-"""Maximum number of coefficients of a law shown with equations in notebooks."""
+"""Coefficients of a law up to which notebooks show its equations."""
 
 
 @dataclass(frozen=True, kw_only=True)

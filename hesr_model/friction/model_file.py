@@ -68,7 +68,7 @@ class JointEntry:
         )
 
     def friction_law(self) -> FrictionLaw:
-        """Rebuild the law; raise ArtifactError if the law, a coefficient or its unit is unknown."""
+        """Rebuild the law; raise ArtifactError if law, coefficient or unit is unknown."""
         form = estimator(self.law).form(self.structure)
         entries = self.coefficients
         for coefficient in form.coefficients:

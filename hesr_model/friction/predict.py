@@ -23,7 +23,7 @@ from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.support.arrays import Array
 
 _PIECE = 2048
-"""Rows run for all joints before the next ones."""
+"""Rows run for all joints before the next ones, to stay in the processor's cache."""
 
 
 @lru_cache(maxsize=256)
@@ -69,7 +69,7 @@ def _symbols(form: LawForm) -> tuple[sympy.Symbol, ...]:
 
 
 def numbers(law: FrictionLaw) -> Array:
-    """Return the (C,) coefficients of a law, in their order and units."""
+    """Return the (C,) coefficients of a law in their units."""
     return np.array(list(law.values.values()))
 
 
@@ -94,12 +94,11 @@ def predict(
     start: tuple[float, ...] | None = None,
     shown: Sequence[Array] | None = None,
 ) -> Array:
-    """Return the friction torque (N,) [N.m] of a law over a log.
+    """Return the friction torque (N,) [N.m] of a law over a log of (N,) [s, rad/s, rad, N.m].
 
-    Inputs are (N,) in [s, rad/s, rad, N.m], `q` and `tau_load` zero by default. `start` has the
-    states at t[0], by default `first_states`. `shown` has `dq`, `q` and `tau_load` for reading the
-    torque, if other than those that move the states. Raises SimulationError if the discretisation
-    is unstable at the log's steps.
+    `start` has the states at t[0], by default `first_states`. `shown` has `dq`, `q` and `tau_load`
+    for reading the torque, if other than those that move the states. Raises SimulationError if the
+    discretisation is unstable.
     """
     dt, inputs = _arrays(t, (dq, q, tau_load))
     if shown is None:
@@ -112,7 +111,7 @@ def predict(
 def predict_joints(
     laws: Sequence[FrictionLaw], *, t: Array, dq: Array, q: Array, tau_load: Array
 ) -> Array:
-    """Return the (N, n) torques of n joints over a log with (N, n) inputs; see `predict`."""
+    """Return the torques (N, n) of n joints over a log; see `predict`."""
     dt, inputs = _arrays(t, (dq, q, tau_load))
     found = np.empty(dq.shape)
     runs = [
@@ -120,7 +119,6 @@ def predict_joints(
         for k, law in enumerate(laws)
     ]
     values = [numbers(law) for law in laws]
-    # All joints piece by piece, while a piece is in the processor's cache.
     for first in range(0, len(dt), _PIECE):
         for run, own in zip(runs, values, strict=True):
             run.on(own, first, min(first + _PIECE, len(dt)))
@@ -128,7 +126,7 @@ def predict_joints(
 
 
 def states_over(law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
-    """Return the (m, N) states of a law over a log; arguments and errors as for `predict`."""
+    """Return the (m, N) states of a law over a log; see `predict`."""
     dt, inputs = _arrays(t, (dq, q, tau_load))
     return _run(_states(law.form), law, dt, inputs, None).T
 
@@ -145,8 +143,7 @@ def predict_band(
 ) -> tuple[Array, Array]:
     """Return lower and upper end (N,) [N.m] of a joint's band around the predicted `torque` (N,).
 
-    `coverage` is the share of rows within, 0.5 to 0.999; for the other arguments see `predict`.
-    Raises ArtifactError if the law has no band.
+    `coverage` is the share of rows within, 0.5 to 0.999. Raises ArtifactError without a band.
     """
     if law.band is None:
         raise ArtifactError(
@@ -159,7 +156,6 @@ def predict_band(
 
 
 def _arrays(t: ArrayLike, given: tuple[ArrayLike | None, ...]) -> tuple[Array, list[Array]]:
-    """Return steps and inputs."""
     time = np.asarray(t, dtype=float)
     zero = np.broadcast_to(0.0, time.shape)
     inputs = [zero if u is None else np.asarray(u, dtype=float) for u in given]
@@ -198,9 +194,9 @@ def estimated_start(
     """Return the start of the states that best explains the first `law.start_samples` torques.
 
     A relaxation is searched within its reachable limits in the log; stops share one number, their
-    deflection as a share of their bounds. The result is the law's own start if it has no such
-    samples, or if its memory is neither stops nor one relaxation with parts independent of its
-    state. Rows are (N,) in [s, rad/s, rad, N.m, N.m]; `tau` is friction.
+    deflection as a share of their bounds. The law's own start is returned without such samples, or
+    if its memory is neither stops nor one relaxation with parts independent of its state. Rows are
+    (N,) in [s, rad/s, rad, N.m, N.m]; `tau` is friction.
     """
     first = slice(0, law.start_samples)
 
@@ -240,7 +236,6 @@ def estimated_start(
 
 
 def _bounds(law: FrictionLaw, *inputs: float) -> list[float | None]:
-    """Return the bound of each stop at the start of a log, None for other elements."""
     parts = _parts(law.form).at(law.values.values(), *inputs, *law.start)
     return [
         bound if isinstance(m, Stop) else None

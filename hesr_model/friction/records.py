@@ -26,12 +26,11 @@ def predict_record(
 ) -> Array:
     """Return the (N,) torque [N.m] of a law for a record, at its temperature if `thermal` is given.
 
-    With `measured_start` the initial states are estimated from the first torques, which a
-    simulation does not have.
+    `measured_start` estimates the initial states from the first torques.
     """
     start = record_start(law, record) if measured_start and law.start_samples else None
     if thermal:
-        # Imports SciPy's optimisers, which other predictions do not need.
+        # It imports SciPy's optimisers.
         from hesr_model.friction.thermal_law import predict_thermal
 
         return predict_thermal(law, thermal, record, start)
@@ -39,5 +38,5 @@ def predict_record(
 
 
 def training_error(law: FrictionLaw, records: Sequence[FrictionRecord]) -> float:
-    """Return the RMSE [N.m] of a law over all rows of the records of its joint."""
+    """Return the RMSE [N.m] of a law over all records of its joint."""
     return rmse(np.concatenate([predict_record(law, r) - r.tau for r in records]))

@@ -1,8 +1,4 @@
-"""Registry of laws, in the order of tables: HESR's laws, then those of other packages.
-
-An entry point of the group `hesr.laws` has the name of a law and the module that registers it (see
-`docs/add-a-law.md`).
-"""
+"""Registry of laws: those of HESR, then those of other packages (see `docs/add-a-law.md`)."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -12,7 +8,7 @@ from hesr_model.fitting.estimator import Estimator, registered
 from hesr_model.support import plugins
 
 GROUP = "hesr.laws"
-"""Group of the entry points of laws."""
+"""Entry points with a law's name and the module that registers it."""
 
 
 @cache
@@ -28,29 +24,29 @@ def load_laws() -> None:
 
 
 def registry() -> Mapping[str, type[Estimator]]:
-    """Return all estimators by name, sorted by their `order`, then as they were registered."""
+    """Return all estimators by name, sorted by their `order`, then as registered."""
     load_laws()
     return dict(sorted(registered().items(), key=lambda item: item[1].order))
 
 
 def laws_of_paper() -> tuple[str, ...]:
-    """Return the names of the laws of the paper, its own first."""
+    """Return the laws of the paper, its own first."""
     laws = [(law.paper, name) for name, law in registry().items() if law.paper]
     return tuple(name for _, name in sorted(laws))
 
 
 def papers_law() -> str:
-    """Return the name of the paper's own law."""
+    """Return the paper's own law."""
     return laws_of_paper()[0]
 
 
 def laws_with(fact: str) -> tuple[str, ...]:
-    """Return the names of the laws with a true fact, such as `quick` or `classic`."""
+    """Return the laws with a true fact, such as `quick` or `classic`."""
     return tuple(name for name, law in registry().items() if getattr(law, fact))
 
 
 def estimator(name: str) -> type[Estimator]:
-    """Return the estimator of a name; raise ArtifactError if it is unknown."""
+    """Return the estimator of a law; raise ArtifactError if it is unknown."""
     known = registry()
     if name not in known:
         raise ArtifactError(f"law '{name}' is unknown; known are {', '.join(known)}.")

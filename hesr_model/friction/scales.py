@@ -57,7 +57,7 @@ def scaled(form: LawForm) -> LawForm:
 
 
 def scaled_bound(element: Element, level: sympy.Expr) -> Element:
-    """Return an element with its bound multiplied by `level`; itself if it has none."""
+    """Multiply an element's bound, if any, by `level`."""
     if isinstance(element, Stop):
         return replace(element, bound=element.bound * level)
     return replace(element, rate=element.rate / level) if is_bristle(element) else element
@@ -80,7 +80,7 @@ def _states(form: LawForm) -> set[sympy.Symbol]:
 
 
 def _terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
-    """Return the common factor of all terms of a torque, such as a denominator, and the terms."""
+    """Return the common factor of all terms, such as a denominator, and the terms."""
     factors = sympy.Mul.make_args(output)
     sums = [f for f in factors if f.is_Add]
     if len(sums) != 1:

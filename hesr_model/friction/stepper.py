@@ -13,7 +13,6 @@ from hesr_model.support.arrays import Array
 
 @lru_cache(maxsize=256)
 def _kernel(form: LawForm, *, own: bool) -> Kernel:
-    """Return torque and states; coefficients are numbers if the law's `own`, else inputs."""
     symbols = tuple(c.symbol for c in form.coefficients)
     given, columns = (symbols, INPUTS) if own else ((), (*symbols, *INPUTS))
     states = tuple(m.state for m in form.memory)
@@ -32,7 +31,7 @@ class LawStepper:
         self._run: KernelRun | None = None
 
     def _bind(self, motions: int) -> KernelRun:
-        """Allocate a record of two rows for each motion: its state and the step from there."""
+        """Allocate two rows for each motion: its state and the step from there."""
         coefficients = len(self._values)
         self._table = np.zeros((1 + coefficients + len(INPUTS), 2 * motions))
         if coefficients:
@@ -45,8 +44,7 @@ class LawStepper:
     ) -> tuple[Array, Array]:
         """Hold inputs (W,) in [s, rad/s, rad, N.m] and return torque (W,) [N.m] and states (m, W).
 
-        `x` (m, W) are the states before; dt = 0 reads the torque there. Raises SimulationError if
-        Euler's step is unstable.
+        `x` (m, W) are the states before; dt = 0 reads the torque there.
         """
         if self._run is None or self._table.shape[1] != 2 * len(dt):
             self._run = self._bind(len(dt))

@@ -49,10 +49,7 @@ class MotionTable:
 
 
 def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
-    """Return a table as numbers (N, P) and the names of its columns, if any.
-
-    Raises TableError if it is empty or not a table of finite real numbers.
-    """
+    """Return the finite numbers (N, P) and column names of a table; raise TableError otherwise."""
     if hasattr(table, "tocsr"):
         raise TableError(f"{name} is a sparse matrix; needed is a dense table.")
     names: tuple[str, ...] = ()
@@ -99,11 +96,10 @@ def torques(y: Any, rows: int) -> Array:
 
 
 def motion(values: Array, names: Sequence[str] = ()) -> MotionTable:
-    """Return the motion in the columns of a table (N, P) [s, rad, rad/s, N.m].
+    """Return the motion in the columns (N, P) of a table [s, rad, rad/s, N.m].
 
     Names are t, dq and optionally q and load, numbered from 1 for several joints. Without names the
-    columns are t, then q, dq and load, each of all joints. Raises TableError if a column is missing
-    or unknown, or time does not increase.
+    columns are t, then q, dq and load, each of all joints.
     """
     columns = _by_name(values, names) if names else _in_order(values)
     t, dq = columns["t"][:, 0], columns["dq"]

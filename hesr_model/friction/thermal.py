@@ -36,20 +36,10 @@ _LEAST_SCALE = 1e-3  # bounds stay positive
 
 @dataclass(frozen=True, kw_only=True)
 class Thermal:
-    """Thermal model of one joint, with units as in `_UNITS`.
+    """Thermal model of one joint: the module's symbols, in the units of `_UNITS`.
 
-    Attributes
-    ----------
-    coulomb, viscous : b_c and b_v, temperature coefficients [1/K].
-    coulomb_scale, viscous_scale : c_0 and n_0, factors at the reference T_0 [degC].
-    resistance, time_constant : R [K/W] (K.s/J) and T_th [s] of the lumped mass; the resistance is 1
-        if no temperature was measured.
-    ambient : T_a [degC].
-
-    Raises
-    ------
-    ArtifactError
-        If a number is not finite, or not positive where it must be.
+    The resistance is 1 if no temperature was `measured`. Raises ArtifactError if a number is not
+    finite, or not positive where needed.
     """
 
     coulomb: float
@@ -71,7 +61,7 @@ class Thermal:
                 raise ArtifactError(f"thermal model: '{name}' is {value}; needed is {needed}.")
 
     def factors(self, temperature: Array) -> tuple[Array, Array]:
-        """Return the factors on Coulomb and viscous friction at temperatures (N,) [degC]."""
+        """Return the Coulomb and viscous factors at temperatures (N,) [degC]."""
         over = temperature - self.reference
         coulomb = 1.0 - np.clip(self.coulomb * over, -COULOMB_RANGE, COULOMB_RANGE)
         viscous = np.exp(-np.clip(self.viscous * over, -VISCOUS_RANGE, VISCOUS_RANGE))
@@ -80,8 +70,7 @@ class Thermal:
     def rise(self, power: Array, dt: Array, start: float = 0.0) -> Array:
         """Return the rise (N,) [K] of a joint over the ambient for friction power (N,) [W].
 
-        The power is held over the step `dt` (N,) [s] that ends at each row; `start` [K] is the rise
-        at the first row.
+        The power is held over the step `dt` (N,) [s] that ends at each row.
         """
         a = np.exp(-dt / self.time_constant)
         return self.resistance * recurrence(a, (1.0 - a) * power, start / self.resistance)
@@ -99,14 +88,13 @@ _UNITS = {
 }
 
 RISE = "rise"
-"""Name of the state."""
 
 THERMOMETER = "thermometer"
-"""Name of the parameter that selects the temperature input."""
+"""Parameter that selects the temperature input."""
 
 
 def thermal_parameters(thermal: Thermal) -> tuple[Parameter, ...]:
-    """Return the parameters of a joint's thermal model, including the thermometer switch."""
+    """Return the parameters of a joint's thermal model."""
     own = (
         Parameter(
             name=f"thermal_{name}", unit=unit, description=text, start=float(getattr(thermal, name))
@@ -132,7 +120,7 @@ class Warmth:
 
 
 def warmth(torque: sympy.Expr) -> Warmth:
-    """Return the expressions of a thermal model heated by a friction torque [N.m]."""
+    """Return the expressions of a thermal model heated by a torque [N.m]."""
     k = {name: sympy.Symbol(f"thermal_{name}", real=True) for name in _UNITS}
     read = clip(sympy.Symbol(THERMOMETER, real=True), 1)
     rate = 1 / larger(k["time_constant"], _LEAST_TIME)

@@ -52,7 +52,7 @@ def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
 
 
 def inputs_over(record: FrictionRecord) -> tuple[dict[str, Array], dict[str, float]]:
-    """Return the inputs of a thermal law over a record, and the parameters that depend on them.
+    """Return a thermal law's inputs over a record, and the parameters that depend on them.
 
     Without measured temperature the heat of friction is used.
     """
@@ -65,10 +65,7 @@ def inputs_over(record: FrictionRecord) -> tuple[dict[str, Array], dict[str, flo
 def predict_thermal(
     law: FrictionLaw, thermal: Thermal, record: FrictionRecord, start: tuple[float, ...] | None
 ) -> Array:
-    """Return the (N,) torque [N.m] of a thermal law for a record.
-
-    The initial states are `start`, or steady for the first row if it is None.
-    """
+    """Return the (N,) torque [N.m] of a thermal law; steady at the first row without a `start`."""
     component = thermal_component(law, thermal)
     columns, more = inputs_over(record)
     values: Mapping[str, float] = {

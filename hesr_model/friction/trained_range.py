@@ -1,4 +1,4 @@
-"""Trained ranges: ranges of the records that a law was fitted to."""
+"""Ranges of the records that a law was fitted to."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ Range = tuple[float, float]
 """Least and greatest value."""
 
 INPUTS = ("dq", "q", "tau_load")
-"""Names of inputs in records and ranges."""
+"""Inputs in records and ranges."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainedRange:
-    """Ranges of one joint in its training records [rad/s, rad, N.m]; median `sample_time` [s].
+    """Ranges of one joint's training records [rad/s, rad, N.m]; median `sample_time` [s].
 
     Raises ArtifactError if ranges are not finite or not ordered, or the joint does not move.
     """
@@ -43,7 +43,7 @@ class TrainedRange:
 
     @classmethod
     def of(cls, records: Sequence[FrictionRecord]) -> Self:
-        """Return the ranges of at least one record of a joint."""
+        """Return the ranges of a joint's records."""
         ranges = {
             name: (
                 min(float(np.min(getattr(r, name))) for r in records),
@@ -67,11 +67,7 @@ class TrainedRange:
 
 @dataclass(frozen=True, kw_only=True)
 class Excess:
-    """Excess of an input over the trained range.
-
-    `rows` is the share of rows outside; `below` and `above` are the largest distances, in the unit
-    of the input.
-    """
+    """Share of rows outside a trained range, and largest distances below and above it."""
 
     rows: float
     below: float
@@ -79,7 +75,7 @@ class Excess:
 
 
 def outside(trained: TrainedRange, records: Sequence[FrictionRecord]) -> dict[str, Excess]:
-    """Return the excess of each input of a joint that leaves the trained range."""
+    """Return the excess of each input of a joint that leaves its range."""
     found = {}
     for name in INPUTS:
         low, high = getattr(trained, name)

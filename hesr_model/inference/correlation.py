@@ -1,4 +1,4 @@
-"""Autocorrelation of residuals: correlation length and corrected standard errors."""
+"""Autocorrelation of residuals."""
 
 import numpy as np
 
@@ -6,10 +6,7 @@ from hesr_model.support.arrays import Array
 
 
 def standard_errors(jacobian: Array, residual: Array) -> Array:
-    """Return the (P,) standard errors of a least-squares solution, in the unknowns' units.
-
-    `jacobian` (N, P) and `residual` (N,) are those at the solution.
-    """
+    """Return the (P,) standard errors of a least-squares solution, in the unknowns' units."""
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-150)
     _, s, vt = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"))
     spread = np.sqrt(np.sum((vt.T / np.maximum(s, 1e-13 * s[0])) ** 2, axis=1)) / scale
@@ -19,10 +16,7 @@ def standard_errors(jacobian: Array, residual: Array) -> Array:
 
 
 def correlation_length(residual: Array) -> float:
-    """Return the integrated autocorrelation [rows] of a residual (N,), at least 1.
-
-    The sum ends at the first zero crossing.
-    """
+    """Return the integrated autocorrelation [rows] of a residual (N,) up to its first zero."""
     centred = residual - residual.mean()
     size = 2 ** int(np.ceil(np.log2(2 * len(centred))))
     spectrum = np.abs(np.fft.rfft(centred, size)) ** 2

@@ -27,16 +27,16 @@ ENOUGH = 20
 """Minimum number of logs for a covariance from their scatter."""
 
 BLOCKS = 4
-"""Number of blocks of time that replace logs if there is only one log."""
+"""Blocks of time that replace the logs of a single log."""
 
 _MOST_MEMORY = 0.995
-"""Largest autoregression coefficient between rows; above is a drift."""
+"""Largest autoregression coefficient; above is a drift."""
 
 _MOST_LEVERAGE = 0.9
 """Largest leverage: a row that determines an unknown alone has no residual."""
 
 _UPPER = 0.975
-"""Probability at the upper end of a 95 % interval."""
+"""Upper end of a 95 % interval."""
 
 _BY_CHANCE = 0.05
 """Significance level of the difference between logs."""
@@ -49,17 +49,9 @@ _RANK = 1e-13
 class Covariance:
     """Covariance of the P unknowns of one least-squares problem.
 
-    Attributes
-    ----------
-    within : (P, P) from the rows of each log, in the unknowns' units.
-    between : mean square difference between logs, relative to `within`.
-    degrees : number of independent comparisons behind `between`, possibly 0.
-    carried : (P, P) from uncertain earlier estimates.
-
-    Raises
-    ------
-    ArtifactError
-        If a matrix has not the shape of the unknowns.
+    `within` (P, P) is from the rows of each log, `between` the mean square difference between logs
+    relative to it with `degrees` independent comparisons, `carried` (P, P) from uncertain earlier
+    estimates. Raises ArtifactError if a matrix has another shape.
     """
 
     names: tuple[str, ...]
@@ -84,7 +76,7 @@ class Covariance:
 
     @property
     def factor(self) -> float:
-        """Ratio of the scatter between logs to that of their rows; 1 if it is not significant."""
+        """Ratio of the scatter between logs to that of their rows; 1 if not significant."""
         if not self.degrees:
             return 1.0
         by_chance = chdtri(self.degrees, _BY_CHANCE) / self.degrees
@@ -101,7 +93,7 @@ class Covariance:
         return np.sqrt(np.diag(self.matrix))
 
     def mapped(self, names: Sequence[str], slopes: Array) -> "Covariance":
-        """Return the covariance of (Q,) functions with (Q, P) derivatives `slopes`."""
+        """Return the covariance of (Q,) functions with derivatives `slopes` (Q, P)."""
         return replace(
             self,
             names=tuple(names),
@@ -111,7 +103,7 @@ class Covariance:
 
 
 def pooled(group: Sequence[Covariance]) -> list[Covariance]:
-    """Return covariances of one group with a common between-log factor."""
+    """Return covariances with a common between-log factor."""
     degrees = sum(c.degrees for c in group)
     if not degrees:
         return list(group)
@@ -130,7 +122,7 @@ def left_out(jacobian: Array, residual: Array, hessian: Array) -> Array:
 
 
 def blocks_of_time(logs: Integers) -> Integers:
-    """Return the labels of logs (N,), or of blocks of time if there is only one log."""
+    """Return the labels of logs (N,), or of blocks of time for a single log."""
     if np.any(logs != logs[0]):
         return logs
     return np.arange(len(logs)) * BLOCKS // len(logs)
@@ -147,15 +139,10 @@ def covariance(
 ) -> Covariance:
     """Return the covariance of a least-squares estimate of P unknowns.
 
-    Parameters
-    ----------
-    gradients : (N, P) of half the squared residual of each row at the estimate, in the order of
-        time, with leave-one-out residuals (`left_out`).
-    hessians : (P, P) share of each label in the Hessian.
-    labels : (N,) number of each row's log, or block of time.
-    known : (P, P) Hessian of prior knowledge, as a pull towards it.
-    carried : (P, r) gradients, summed over rows, for one standard deviation of each of the r
-        independent errors of earlier estimates.
+    `gradients` (N, P) are those of half the squared leave-one-out residual (`left_out`) of each row
+    in the order of time, `hessians` (P, P) the share of each label, `labels` (N,) each row's log or
+    block. `known` (P, P) is the Hessian of prior knowledge, `carried` (P, r) the summed gradients
+    for one standard deviation of each of r independent errors of earlier estimates.
     """
     own = np.sum(hessians, axis=0)
     whole = own if known is None else own + known
@@ -205,7 +192,7 @@ def _between(
     hessians: Sequence[Array] | Array,
     whole: Array,
 ) -> tuple[float, float]:
-    """Compare the estimate of each log with that of the others by one Gauss-Newton step each.
+    """Compare each log's estimate with that of the others by one Gauss-Newton step each.
 
     Returns the mean square of the differences over their variance by `parts`, and the number of
     independent differences.

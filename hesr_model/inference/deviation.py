@@ -1,10 +1,9 @@
-"""Outliers among values of one kind, and trends over days.
+"""Outliers and trends over days.
 
-The score of a value is z = (x - median) / s, with s the median absolute deviation scaled to a
-normal distribution; positive values are compared by their logarithms. The MAD estimates s as well
-as the standard deviation of 0.37 times as many values (Rousseeuw and Croux 1993), so z has
-Student's t distribution with 0.37 (n - 1) degrees of freedom: conservative in simulations with at
-least 5 values.
+The score of a value is z = (x - median) / s, with s the MAD scaled to a normal distribution;
+positive values are compared by their logarithms. The MAD estimates s as well as the standard
+deviation of 0.37 times as many values (Rousseeuw and Croux 1993), so z has Student's t distribution
+with 0.37 (n - 1) degrees of freedom: conservative in simulations with at least 5 values.
 """
 
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ import numpy as np
 from scipy.special import stdtr
 
 ENOUGH = 5
-"""Minimum sample size for outlier and trend tests."""
+"""Minimum sample size."""
 
 _NORMAL = 1.4826
 """Standard deviation of a normal distribution over its MAD."""
@@ -28,7 +27,7 @@ _ALIKE = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
-    """Distance of a value from the median: `z` robust standard deviations, two-sided p-value."""
+    """Distance of a value from the median in robust standard deviations, two-sided p-value."""
 
     value: float
     median: float
@@ -37,9 +36,9 @@ class Deviation:
 
 
 def deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[Deviation]:
-    """Return the distance of each value from the median of all, at least `ENOUGH`.
+    """Return each value's distance from the median of all, at least `ENOUGH`.
 
-    `errors` are standard errors in the same unit, None if unknown; they limit z.
+    Standard `errors`, None if unknown, limit the distance.
     """
     x = np.array(values, dtype=float)
     own = np.array([0.0 if error is None else error for error in errors])
@@ -61,10 +60,9 @@ def deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[
 
 @dataclass(frozen=True, kw_only=True)
 class Trend:
-    """Straight line over days, by least squares.
+    """Straight line by least squares, with a two-sided p-value by Student's t.
 
-    `slope` is per day, or per log if logs have no days; `change` is from the first to the last day,
-    and `p` is two-sided, by Student's t.
+    `slope` is per day, or per log without days; `change` is from the first to the last day.
     """
 
     slope: float
@@ -73,7 +71,7 @@ class Trend:
 
 
 def trend(days: Sequence[float], values: Sequence[float]) -> Trend | None:
-    """Return the trend of values over days; None if there are too few."""
+    """Return the trend of values over days; None if too few."""
     x, y = np.array(days, dtype=float), np.array(values, dtype=float)
     if len(x) < ENOUGH or not np.ptp(x) > 0.0:
         return None

@@ -36,7 +36,7 @@ LEVEL = 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class Paired:
-    """Ratio of two RMSEs over all rows, with its 95 % interval; None if there is only one unit.
+    """Ratio of two RMSEs, with its 95 % interval; None if there is only one unit.
 
     `p` is the two-sided probability of a ratio as far from 1 if both were equally good.
     """
@@ -50,10 +50,7 @@ class Paired:
 def units(
     above: Sequence[Array], below: Sequence[Array], periods: Sequence[float]
 ) -> tuple[Array, Array]:
-    """Return the sums of squares (units,) of two errors (N,) for each log, in one unit.
-
-    `periods` are the sample periods of the logs [s].
-    """
+    """Return the sums of squares (units,) of two errors (N,) for logs with sample `periods` [s]."""
     if len(above) >= ENOUGH:
         whole = [np.array([float(e @ e) for e in of]) for of in (above, below)]
         return whole[0], whole[1]
@@ -80,7 +77,7 @@ def units(
 def compare_errors(
     above: Sequence[Array], below: Sequence[Array], periods: Sequence[float]
 ) -> Paired:
-    """Compare two predictions by their errors; see `units` for the arguments.
+    """Compare two predictions by their errors; see `units`.
 
     The interval is a bootstrap over units, widened by Student's t for few units. The probability is
     that of the sign-flip test: if both are equally good, the errors of each unit can be exchanged.
@@ -105,10 +102,7 @@ def compare_errors(
 
 @lru_cache(maxsize=8)
 def _resamples(count: int) -> tuple[Array, int, Array]:
-    """Return exchanges (F, count) of units, the number equal to the observation, and draws.
-
-    They are cached by the number of units because they take longer than a comparison.
-    """
+    """Return exchanges (F, count) of units, the number equal to the observation, and draws."""
     rng = np.random.default_rng(0)
     if 2**count <= DRAWS:
         flips, seen = (np.arange(2**count)[:, None] >> np.arange(count)) % 2, 0

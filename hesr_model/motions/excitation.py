@@ -21,26 +21,21 @@ _SAMPLES = 400
 """Samples per period; with 100 or more the condition number of W_b changes by a per cent."""
 
 _COARSE, _FINE = 1e2, 1e4
-"""Weights of exceeded limits, in the descents from all starts and in the last one."""
+"""Weights of exceeded limits, in the first descents and the last one."""
 
 _COARSE_STEPS, _FINE_STEPS = 100, 300
 
 _USUAL_RATE = 200.0
 
 _LARGE = 100.0
-"""Size of a random motion before it is shrunk into the limits, relative to the joint's speed."""
+"""Size of a random motion before it is shrunk, relative to the joint's speed."""
 
 
 class ExcitationSettings(Config):
     """Settings of the designed motion.
 
-    Attributes
-    ----------
-    harmonics : at least 2: rest at the start takes one coefficient of each kind.
-    period : shortest and longest period [s]; optimised in between.
-    starts : number of random starts of the search.
-    sample_rate : rate of the setpoints [Hz]; a period is a whole number of them. By default the
-        logs' rate, or 200.
+    A motion needs two `harmonics`: rest at the start takes one coefficient of each kind. `period`
+    is the range [s]. The `sample_rate` [Hz] of setpoints is by default that of the logs, or 200.
     """
 
     harmonics: int = Field(default=10, ge=2)
@@ -63,12 +58,8 @@ class ExcitationSettings(Config):
 class Excitation:
     """Designed motion, at rest at both ends; `motion.time_reversed()` is its counterpart.
 
-    Attributes
-    ----------
-    condition : condition number of W_b, see `condition`.
-    sample_rate : rate of the setpoints [Hz].
-    peak_torque : (n,) largest absolute torque [N.m] of the model file's rigid body, without
-        friction.
+    `condition` is that of W_b, `sample_rate` [Hz] that of the setpoints, and `peak_torque` (n,)
+    [N.m] the largest of the model file's rigid body, without friction.
     """
 
     motion: Fourier
@@ -78,7 +69,7 @@ class Excitation:
     peak_torque: Array
 
     def setpoints(self) -> tuple[Array, Array, Array, Array]:
-        """Return times (N,) [s] from rest to rest and q, dq, ddq (N, n) [rad, rad/s, rad/s2]."""
+        """Return times (N,) [s] and q, dq, ddq (N, n) [rad, rad/s, rad/s2]."""
         t = np.arange(round(self.motion.duration * self.sample_rate) + 1) / self.sample_rate
         return t, *self.motion.sample(t)
 
@@ -103,8 +94,8 @@ def design(
 
     From random admissible motions L-BFGS-B descends a smooth bound of the condition number with
     penalties for exceeded limits. The best of these motions is refined, and shrunk until every
-    limit holds at every instant. Raises RobotError if the limits do not fit the robot, FitError if
-    they admit no motion.
+    limit holds. Raises RobotError if the limits do not fit the robot, FitError if they admit no
+    motion.
     """
     settings = settings or ExcitationSettings()
     rate = settings.sample_rate or model.description.log.sample_rate or _USUAL_RATE
@@ -134,7 +125,6 @@ def design(
 
 
 def _descend(search: Search, motion: Fourier, rest: Array, weight: float, steps: int) -> Fourier:
-    """Descend from a motion and shrink the result into the limits."""
     found = minimize(
         search.value_and_gradient,
         search.pack(motion),
@@ -150,10 +140,9 @@ def _descend(search: Search, motion: Fourier, rest: Array, weight: float, steps:
 def random_motions(
     model: RobotModel, settings: ExcitationSettings, count: int, seed: int
 ) -> list[Fourier]:
-    """Draw random motions within the same limits, as large as these allow.
+    """Draw random motions within the same limits, as large as these allow: references for `design`.
 
-    They are the reference for `design`. Coefficients are normal numbers, projected onto motions
-    that start at rest; mean positions and periods are uniform.
+    Coefficients are normal numbers, projected onto motions that start at rest.
     """
     limits = Limits.of(model, settings.limits)
     rest = limits.rest(model)
@@ -173,7 +162,6 @@ def random_motions(
 
 
 def _require_speed(motion: Fourier, model: RobotModel) -> None:
-    """Check that every joint is fast enough for identification."""
     _, dq, _ = one_period(motion)
     for joint, peak in zip(model.description.joints, np.abs(dq).max(axis=0), strict=True):
         if not peak > LEAST_PEAK:

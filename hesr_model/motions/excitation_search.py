@@ -1,9 +1,8 @@
 """Search space of the excitation design: coordinates, objective and gradient.
 
-Position, velocity and acceleration of a Fourier motion are linear in its coefficients, and the
-regressor depends on these three at one instant only. Its derivatives therefore need one finite
-difference per joint and quantity, for all instants at once. A gradient costs 3 n + 1 regressors,
-whatever the number of coefficients.
+A Fourier motion is linear in its coefficients, and the regressor depends on position, velocity and
+acceleration at one instant only. Its derivatives need one finite difference per joint and quantity,
+for all instants at once: 3 n + 1 regressors, whatever the number of coefficients.
 """
 
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ _STEP = 1e-6
 """Step of finite differences; the regressor is linear in ddq and quadratic in dq."""
 
 _ORDER = 8.0
-"""Order of the eigenvalue norms, which are smooth bounds of the extreme eigenvalues."""
+"""Order of the eigenvalue norms, smooth bounds of the extreme eigenvalues."""
 
 _SINGULAR = 1e-14
 
@@ -49,7 +48,7 @@ class Search:
 
     @property
     def bounds(self) -> list[tuple[float | None, float | None]]:
-        """Lowest and highest value of every coordinate."""
+        """Lowest and highest coordinates."""
         n = self.model.n
         shortest, longest = np.log(self.period)
         free: list[tuple[float | None, float | None]] = [(None, None)]
@@ -76,14 +75,14 @@ class Search:
         )
 
     def pack(self, motion: Fourier) -> Array:
-        """Return the coordinates of a motion, (coordinates,) without unit."""
+        """Return the coordinates of a motion."""
         of_a, of_b = self._at_rest
         shape = np.hstack([motion.a @ of_a, motion.b @ of_b]) / self.limits.velocity[:, None]
         place = (motion.offset - self._middle) / self._reach
         return np.concatenate([shape.ravel(), place, [np.log(motion.period)]])
 
     def unpack(self, x: Array) -> Fourier:
-        """Return the motion of coordinates x, (coordinates,) without unit."""
+        """Return the motion of coordinates."""
         shape, offset, period = self._split(x)
         of_a, of_b = self._at_rest
         free = self.harmonics - 1
@@ -94,8 +93,7 @@ class Search:
     def value_and_gradient(self, x: Array, weight: float) -> tuple[float, Array]:
         """Return the log of a bound of cond(W_b) plus `weight` times the mean squared excess.
 
-        The excess is the part of |q - middle|, |dq|, |ddq| and |tau| above their limits, relative
-        to them. The gradient is with respect to the coordinates x.
+        The excess is the relative part of |q - middle|, |dq|, |ddq| and |tau| above their limits.
         """
         shape, offset, period = self._split(x)
         rate = 2 * np.pi / period
@@ -123,7 +121,6 @@ class Search:
     def _of_regressor(
         self, state: tuple[Array, Array, Array], weight: float
     ) -> tuple[float, list[Array]]:
-        """Return the bound of cond(W_b) plus the torque excess, and derivatives by q, dq, ddq."""
         base = list(self.base)
         regressor = self.model.regressor(*state)
         value, of_columns = _log_condition(regressor[:, :, base])

@@ -1,4 +1,4 @@
-"""Limits of a motion, from the user or the model, and motions shrunk into them."""
+"""Limits of a motion, and motions shrunk into them."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Self
@@ -16,10 +16,10 @@ from hesr_model.support.config import Config
 Positive = Annotated[float, Field(gt=0)]
 
 _KEPT_FREE = 0.05
-"""Default margin at either end of a joint's range, as a share; no arm follows exactly."""
+"""Default margin at either end of a joint's range: no arm follows exactly."""
 
 _SECONDS_TO_FULL_SPEED = 1.0
-"""Default time of a joint to reach its speed [s]; model files have no acceleration."""
+"""Default time to reach a joint's speed [s]; model files have no acceleration."""
 
 _MARGIN = 1e-3
 """Margin of every limit for peaks between the evaluated points."""
@@ -33,13 +33,11 @@ class MotionLimits(Config):
 
     Attributes
     ----------
-    position : lowest and highest [rad or m]; by default the model's range without 5 % at either
-        end.
+    position : lowest and highest [rad or m]; by default the model's range less 5 % at either end.
     velocity : largest speed [rad/s or m/s]; by default the model's, or 2.
-    acceleration : largest acceleration [rad/s2 or m/s2]; by default it reaches the velocity in one
-        second.
-    torque : largest torque of the rigid body without friction [N.m or N]; by default the model's
-        effort limit, if any. It holds only as far as the model file's inertias are right.
+    acceleration : [rad/s2 or m/s2]; by default it reaches the velocity in one second.
+    torque : rigid-body torque without friction [N.m or N]; by default the model's effort limit. It
+        holds only as far as the model file's inertias are right.
     """
 
     position: tuple[tuple[float, float], ...] | None = None
@@ -60,10 +58,7 @@ class MotionLimits(Config):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Limits:
-    """Limits (n,) of one robot's joints [rad or m]; speed, acceleration and torque are absolute.
-
-    `torque` is infinite without limit.
-    """
+    """Absolute limits (n,) of one robot's joints; `torque` is infinite without limit."""
 
     lower: Array
     upper: Array
@@ -73,10 +68,9 @@ class Limits:
 
     @classmethod
     def of(cls, model: RobotModel, given: MotionLimits) -> Self:
-        """Return the limits, with the model's values for those that are None.
+        """Return the limits, by default the model's.
 
-        Raises RobotError if a list has not one entry per joint, or a position is outside the
-        joint's range.
+        Raises RobotError if a list has not one entry per joint, or a position is out of range.
         """
         _require_one_per_joint(model, given)
         lowest, highest, speed = model.limits
@@ -94,10 +88,10 @@ class Limits:
         )
 
     def shrink(self, motion: Fourier, model: RobotModel, rest: Array) -> Fourier:
-        """Shrink a motion until it keeps all limits; a motion within them is unchanged.
+        """Shrink a motion until it keeps all limits.
 
         Each joint's path is shrunk to its limits of position, velocity and acceleration and moved
-        into its range; then, for torque, all paths are shrunk towards the position `rest`, (n,)
+        into its range; then, for torque, all paths are shrunk towards the position `rest` (n,)
         [rad].
         """
         inner = 1.0 - _MARGIN

@@ -1,7 +1,4 @@
-"""Motions in closed form: Fourier series, sine, chirp and sweep.
-
-Every motion starts at rest; position, velocity and acceleration are exact, without differencing.
-"""
+"""Motions in closed form that start at rest, with exact derivatives."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -18,7 +15,7 @@ _AT_REST = 1e-9
 """Start values [rad/s, rad/s2] that count as rest, relative to the largest coefficient."""
 
 _ROUNDING = 1e-9
-"""Allowed round-off of the end of a motion [s]."""
+"""Round-off of the end of a motion [s]."""
 
 _POINTS_PER_CYCLE = 256
 """Points per cycle of the highest harmonic; peaks on this grid are low by at most 8e-5."""
@@ -57,7 +54,7 @@ class Reversed(Trajectory):
         return self.forward.duration
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return position, velocity and acceleration; see `Trajectory.sample`."""
+        """See `Trajectory.sample`."""
         q, dq, ddq = self.forward.sample(self.duration - np.asarray(t))
         return q, -dq, ddq
 
@@ -70,13 +67,13 @@ class Reversed(Trajectory):
 class Fourier(Trajectory):
     """Finite Fourier series, periodic (paper, section III-B), from coefficients (n, H) [rad/s].
 
-    With w = 2 pi / period [1/s] and k = 1..H::
+    With w = 2 pi / period and k = 1..H::
 
         dq = sum_k a_k cos(k w t) + b_k sin(k w t)
         q  = offset + sum_k (a_k sin(k w t) - b_k cos(k w t)) / (k w)
 
     It starts and ends at rest and without acceleration: sum_k a_k = 0 and sum_k k b_k = 0. Raises
-    ConfigError if a joint does not start at rest.
+    ConfigError if a joint does not.
     """
 
     offset: Array
@@ -103,7 +100,7 @@ class Fourier(Trajectory):
         return self.periods * self.period
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return position, velocity and acceleration; see `Trajectory.sample`."""
+        """See `Trajectory.sample`."""
         rates = 2 * np.pi / self.period * np.arange(1, self.a.shape[1] + 1)
         phase = np.outer(t, rates)
         cos, sin = np.cos(phase), np.sin(phase)
@@ -118,14 +115,14 @@ class Fourier(Trajectory):
 
 
 def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
-    """Return position, velocity and acceleration on a grid that resolves peaks, (N, n) in SI."""
+    """Return q, dq and ddq (N, n) on a grid that resolves peaks."""
     points = _POINTS_PER_CYCLE * motion.a.shape[1]
     return motion.sample(np.linspace(0.0, motion.period, points, endpoint=False))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sine(Trajectory):
-    """Sine of one frequency [Hz] and peak velocity `amplitude` (n,) [rad/s], 0 for a resting joint.
+    """Sine of one frequency [Hz] around `offset` (n,) [rad].
 
     dq = amplitude sin(w t) and q = offset - amplitude / w cos(w t), w = 2 pi frequency.
     """
@@ -141,7 +138,7 @@ class Sine(Trajectory):
         return self.periods / self.frequency
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return position, velocity and acceleration; see `Trajectory.sample`."""
+        """See `Trajectory.sample`."""
         rate = 2 * np.pi * self.frequency
         cos, sin = np.cos(rate * np.asarray(t)), np.sin(rate * np.asarray(t))
         q = self.offset - np.outer(cos, self.amplitude / rate)
@@ -150,7 +147,7 @@ class Sine(Trajectory):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sweep(Trajectory):
-    """Rising frequency [Hz] with a varying peak velocity (n,) [rad/s].
+    """Rising frequency [Hz] with a varying peak velocity (n,) [rad/s], from `start` (n,) [rad].
 
     In formulas::
 
@@ -158,8 +155,7 @@ class Sweep(Trajectory):
         phi   = 2 pi (first t + (last - first) t^2 / (2 length))
 
     The position is the exact integral, by Fresnel's functions. The joint rests before t = 0 and
-    after the length [s]; amplitude and swing are 0 for a resting joint. Raises ConfigError if the
-    frequency does not rise.
+    after the length [s]. Raises ConfigError if the frequency does not rise.
     """
 
     start: Array
@@ -183,7 +179,7 @@ class Sweep(Trajectory):
         return self.length
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return position, velocity and acceleration; see `Trajectory.sample`."""
+        """See `Trajectory.sample`."""
         asked = np.asarray(t, dtype=float)[:, None]
         time = np.clip(asked, 0.0, self.length)
         moves = np.abs(asked - time) <= _ROUNDING
@@ -230,8 +226,7 @@ def random_fourier(
 
     The coefficients are normal numbers of `hesr_model.logs.noise`, so a seed gives the same motion
     on every machine. They are projected onto motions that start at rest, and scaled. Raises
-    ConfigError for fewer than 2 harmonics: rest at the start takes one degree of freedom each from
-    `a` and `b`.
+    ConfigError for fewer than 2 harmonics.
     """
     if harmonics < 2:
         raise ConfigError(f"random Fourier motion: {harmonics} harmonics; at least 2 are needed.")
