@@ -16,7 +16,7 @@ from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
 from hesr_model.friction.table import MotionTable, motion, numbers, torques
-from hesr_model.logs.robot_log import RobotLog, parts_of
+from hesr_model.logs.robot_log import Log, parts_of
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotLike, model_of
@@ -270,14 +270,14 @@ class FrictionRegressor:
             )
         return moved
 
-    def _logs(self, X: Any) -> list[RobotLog] | None:
+    def _logs(self, X: Any) -> list[Log] | None:
         """Return X as logs, None for a table."""
         several = list(X) if isinstance(X, list | tuple) else [X]
-        if not several or not all(isinstance(x, RobotLog | str | PathLike) for x in several):
+        if not several or not all(isinstance(x, Log | str | PathLike) for x in several):
             return None
         return logs_of(several, getattr(self, "robot_", None) if self.robot is None else self.robot)
 
-    def _records(self, logs: Sequence[RobotLog]) -> list[Record]:
+    def _records(self, logs: Sequence[Log]) -> list[Record]:
         if not hasattr(self, "robot_"):
             raise TableError("a law that was fitted to a table has no rigid body; give a table.")
         robot = model_of(self.robot_)

@@ -25,14 +25,9 @@ from pathlib import Path
 from hesr_model.support.lazy import lazy
 
 _STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-_IMPORTED = {
+_HOMES = {
     name: f"{module}:{name}"
     for module, name in re.findall(r"^from (\S+) import (\w+)", _STUB, re.MULTILINE)
-}
-_RENAMED = dict(re.findall(r"^(\w+) = (\w+)$", _STUB, re.MULTILINE))
-_HOMES = {
-    **{name: home for name, home in _IMPORTED.items() if name not in _RENAMED.values()},
-    **{name: _IMPORTED[own] for name, own in _RENAMED.items()},
 }
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -17,9 +17,6 @@ from fmu_src.run.fmu_file import Fmu as Fmu
 from hesr.extras.adaptive.workflow import monitor as monitor
 from hesr_model.errors import HesrError as HesrError
 from hesr_model.friction.model import FrictionModel as FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log as Log
 from hesr_model.rigid_body.identification import RigidBody as RigidBody
-from hesr_model.robots.robot import RobotModel
-
-Log = RobotLog
-Robot = RobotModel
+from hesr_model.robots.robot import Robot as Robot

@@ -5,11 +5,11 @@ Names for notebooks; `docs/tutorial.ipynb` is the long form of::
     from pathlib import Path
 
     from fmu_src import export_fmu
-    from hesr_model import RobotLog, RobotModel, fit, friction_records, identify
+    from hesr_model import Log, Robot, fit, friction_records, identify
 
-    robot = RobotModel("robot.toml")
+    robot = Robot("robot.toml")
     excitation, sweep, test = (
-        RobotLog.read(f"{name}.csv", robot) for name in ("excitation", "sweep", "test")
+        Log.read(f"{name}.csv", robot) for name in ("excitation", "sweep", "test")
     )
     body = identify([excitation], robot)
     model = fit("lugre", friction_records(sweep, robot, body))
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
     from hesr_model.fitting.fit import fit
     from hesr_model.friction.model import FrictionModel
     from hesr_model.friction.registry import registry
-    from hesr_model.logs.robot_log import RobotLog
+    from hesr_model.logs.robot_log import Log
     from hesr_model.rigid_body.identification import RigidBody, identify
     from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-    from hesr_model.robots.robot import RobotDescription, RobotModel
+    from hesr_model.robots.robot import Robot, RobotDescription
 
 __all__ = [
     "FrictionModel",
     "FrictionRecord",
     "HesrError",
+    "Log",
     "RigidBody",
+    "Robot",
     "RobotDescription",
-    "RobotLog",
-    "RobotModel",
     "fit",
     "friction_records",
     "identify",
@@ -53,8 +53,8 @@ _HOMES = {
     "HesrError": "hesr_model.errors",
     "RigidBody": "hesr_model.rigid_body.identification",
     "RobotDescription": "hesr_model.robots.robot",
-    "RobotLog": "hesr_model.logs.robot_log",
-    "RobotModel": "hesr_model.robots.robot",
+    "Log": "hesr_model.logs.robot_log",
+    "Robot": "hesr_model.robots.robot",
     "fit": "hesr_model.fitting.fit",
     "friction_records": "hesr_model.rigid_body.residual",
     "identify": "hesr_model.rigid_body.identification",

@@ -21,7 +21,7 @@ from fmu_src.blocks.velocity import velocity
 from fmu_src.export.package import write_fmu
 from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import random_fourier
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 UF850 = models_folder() / "uf850"
@@ -51,7 +51,7 @@ class Bench:
     """The FMUs of a loop and what they are made of."""
 
     fmus: Fmus
-    robot: RobotModel
+    robot: Robot
     plant: Plant
     friction: FrictionModel
 
@@ -124,5 +124,5 @@ def write_fmus(
     export_fmu(friction, folder / "Friction.fmu", platforms=platforms)
 
 
-def _robot() -> RobotModel:
-    return RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+def _robot() -> Robot:
+    return Robot(RobotDescription.read(UF850 / "robot.toml"))

@@ -19,9 +19,9 @@ from registry_models import everyday, models_of_registry
 from fmu_src import export_fmu, model_file
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import cache
 
 # How long an example takes says how busy the machine is.
@@ -182,12 +182,12 @@ def arm(tmp_path: Path) -> RobotDescription:
 
 
 @pytest.fixture
-def arm_model(arm: RobotDescription) -> RobotModel:
-    return RobotModel(arm)
+def arm_model(arm: RobotDescription) -> Robot:
+    return Robot(arm)
 
 
 @pytest.fixture
-def make_motion(arm_model: RobotModel) -> MakeMotion:
+def make_motion(arm_model: Robot) -> MakeMotion:
     """Motions of the arm in closed form: a few harmonics, starting at rest or reversed in time."""
 
     def make(
@@ -213,7 +213,7 @@ def make_motion(arm_model: RobotModel) -> MakeMotion:
 
 
 @pytest.fixture
-def arm_log(make_motion: MakeMotion) -> RobotLog:
+def arm_log(make_motion: MakeMotion) -> Log:
     """A log of the arm, with friction."""
     motion = make_motion(name="run", friction=3.0)
-    return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
+    return Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)

@@ -11,7 +11,7 @@ from cosim.study.sample_logs import RATE, plausible_friction, sample_settings, s
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.laws.lugre import LuGre
 from hesr_model.motions.excitation import random_motions
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 INERTIA = '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/>'
 LINK = f'<inertial><origin xyz="0.2 0 0"/><mass value="2"/>{INERTIA}</inertial>'
@@ -59,7 +59,7 @@ def write_fleet(
         f'name = "chain"\nmodel = "chain.urdf"\njoints = {names}\n[log]\nsample_rate = {RATE}\n',
         encoding="utf-8",
     )
-    robot = RobotModel(RobotDescription.read(folder / "robot.toml"))
+    robot = Robot(RobotDescription.read(folder / "robot.toml"))
     motions = random_motions(robot, sample_settings(robot, seconds), 3, 0)
     laws = plausible_friction(robot, motions[0])
     for r in range(robots):

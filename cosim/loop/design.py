@@ -16,7 +16,7 @@ from hesr_model.motions.excitation import (
 )
 from hesr_model.motions.excitation import design as design_excitation
 from hesr_model.rigid_body.base_parameters import base_columns
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
 from hesr_model.support.config import read_toml
 from hesr_model.support.files import written_whole
@@ -58,7 +58,7 @@ def design(
             f"{output}: the motion is written as a table; the suffix must be one of "
             f"{', '.join(sorted(_TABLES))}."
         )
-    model = RobotModel(RobotDescription.read(robot))
+    model = Robot(RobotDescription.read(robot))
     chosen = read_toml(settings, ExcitationSettings) if settings else ExcitationSettings()
     try:
         found = design_excitation(model, chosen, progress=progress)

@@ -13,7 +13,7 @@ from cosim.loop.twin import ArmRun, TwinArm, loaded_arm
 from fmu_src.arm.plant import Plant
 from hesr_model.errors import ConfigError
 from hesr_model.logs.noise import words
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import write_table
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.support.arrays import Array
@@ -28,7 +28,7 @@ _MOST_SAMPLES = 10**8  # per log
 class Recording:
     """Log and truth of one motion of the twin."""
 
-    log: RobotLog  # noisy; the velocity is a central difference over two samples
+    log: Log  # noisy; the velocity is a central difference over two samples
     truth: ArmRun  # true motion and torques at the times of the log
     desired: Array  # commanded position (N, n) [rad]
 
@@ -102,7 +102,7 @@ def record(
     _require_reachable(arm, desired, name)
     commands = np.diff(desired, axis=0) * rate
     truth = arm.run(desired[0], commands, seed=_seed_of_log(seed, name), unlogged=first)
-    log = RobotLog(
+    log = Log(
         name=name,
         t=np.arange(count - first) / rate,
         q=truth.q_noisy,

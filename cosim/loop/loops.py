@@ -32,7 +32,7 @@ from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import Fourier, random_fourier
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.progress import Stages
 
@@ -57,7 +57,7 @@ def _fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
     )
 
 
-def require_reachable(tracking: Tracking, robot: RobotModel) -> None:
+def require_reachable(tracking: Tracking, robot: Robot) -> None:
     """Raise ConfigError with motion and joint if a motion leaves the limits of the robot."""
     for key, entries in (("peak_velocity", tracking.peak_velocity), ("offset", tracking.offset)):
         if len(entries) != robot.n:
@@ -131,7 +131,7 @@ _OWN = ("Trajectory", "Controller", "Velocity", "InverseDynamics", "TrueInverseD
 
 
 def build(
-    folder: Path, robot: RobotModel, body: RigidBody, plant: Plant, *, oracle: FrictionModel
+    folder: Path, robot: Robot, body: RigidBody, plant: Plant, *, oracle: FrictionModel
 ) -> None:
     """Write the FMUs of a loop to `folder`, except those of the arm and the laws.
 
@@ -185,7 +185,7 @@ def assemble(
 
 def example(
     loop: StudyLoop,
-    robot: RobotModel,
+    robot: Robot,
     *,
     compensation: Compensation = "servo_inversion",
     duration: float | None = None,
@@ -203,14 +203,14 @@ def example(
     )
 
 
-def limits_of(robot: RobotModel) -> np.ndarray:
+def limits_of(robot: Robot) -> np.ndarray:
     """Return the positions (n, 2) [rad] that limit a run."""
     lower, upper, _ = robot.limits
     return np.column_stack([lower - _MARGIN, upper + _MARGIN])
 
 
 def run_tracking(
-    loop: StudyLoop, robot: RobotModel, *, kept: Path | None, progress: Stages
+    loop: StudyLoop, robot: Robot, *, kept: Path | None, progress: Stages
 ) -> tuple[list[Tracked], list[Tracked]]:
     """Run the rows of the tables on all motions, and selected ones on a long motion."""
     tracking, limits = loop.tracking, limits_of(robot)

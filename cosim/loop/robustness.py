@@ -15,7 +15,7 @@ from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.export.package import write_fmu
 from hesr_model.motions.trajectories import Sine
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.progress import Stages
 
 PAYLOADS = (1.0, 2.5, 5.0)  # [kg] unknown to the loop, or identified
@@ -35,7 +35,7 @@ _MOTIONS = 3
 
 def run_sweeps(
     loop: StudyLoop,
-    robot: RobotModel,
+    robot: Robot,
     body: RigidBody,
     folder: Path,
     *,
@@ -75,7 +75,7 @@ def run_sweeps(
 
 
 def run_overcompensation(
-    loop: StudyLoop, robot: RobotModel, *, kept: Path | None, progress: Stages
+    loop: StudyLoop, robot: Robot, *, kept: Path | None, progress: Stages
 ) -> list[Overcompensation]:
     """Find the lowest factor on friction compensation that makes each loop cycle."""
     sources: tuple[VelocitySource, ...] = ("desired", "measured", "filtered")
@@ -146,9 +146,7 @@ def _changed(setting: Setting, payloads: Mapping[float, Path]) -> Iterator[tuple
     yield f"torque noise x {NOISE:g}", replace(setting, arm={"tau_meas_noise": noise})
 
 
-def _payload_bodies(
-    robot: RobotModel, body: RigidBody, folder: Path, step: float
-) -> dict[float, Path]:
+def _payload_bodies(robot: Robot, body: RigidBody, folder: Path, step: float) -> dict[float, Path]:
     """Write rigid bodies with exactly known payloads as FMUs."""
     source = robot.description.model
     paths = {}
@@ -157,7 +155,7 @@ def _payload_bodies(
         text = source.read_text(encoding="utf-8")
         loaded.write_text(text.replace('pos="0 0 0" mass="0"', f'pos="0 0 0" mass="{mass}"'))
         description = robot.description.model_copy(update={"model": loaded})
-        change = RobotModel(description).nominal_parameters - robot.nominal_parameters
+        change = Robot(description).nominal_parameters - robot.nominal_parameters
         content = inverse_dynamics(robot, body.parameters + change, step=step)
         paths[mass] = write_fmu(content, folder / f"InverseDynamics_{mass:g}kg.fmu")
         loaded.unlink()

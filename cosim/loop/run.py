@@ -19,7 +19,7 @@ from hesr_model.errors import ConfigError
 from hesr_model.findings import Finding
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Stages
 
@@ -32,7 +32,7 @@ def run_loop(
     tracking: Tracking,
     plant: Plant,
     signals: SignalTable,
-    robot: RobotModel,
+    robot: Robot,
     body: RigidBody,
     folder: Path,
     *,
@@ -66,7 +66,7 @@ def run_loop(
 
 
 def check_masters(
-    loop: StudyLoop, robot: RobotModel, plant: Plant, signals: SignalTable
+    loop: StudyLoop, robot: Robot, plant: Plant, signals: SignalTable
 ) -> list[Finding]:
     """Step one loop in the Python and the native master; return a finding if they disagree.
 

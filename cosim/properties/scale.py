@@ -9,7 +9,7 @@ from cosim.properties.bench import FrictionBench
 from hesr_model.audit.cycles import ENCODER
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 CREEP = 0.01  # slow sliding, as a share of the largest trained speed
@@ -89,7 +89,7 @@ def _deflections(before: Array, tau: Array, way: Array) -> Array:
 
 
 def standing_inertia(
-    robot: RobotModel, body: RigidBody, model: FrictionModel
+    robot: Robot, body: RigidBody, model: FrictionModel
 ) -> tuple[float, ...] | None:
     """Return the inertia of each joint about its axis at the middle of the trained range [kg.m2].
 

@@ -14,7 +14,7 @@ from hesr_model.forward.simulation import Simulator, inner_steps, position_error
 from hesr_model.forward.windows import Logs, Windows, joined, whole, windows_of
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 
 SIMULATION = "simulation.json"
@@ -37,7 +37,7 @@ class PositionErrors:
 
 
 def simulate_laws(
-    models: Mapping[str, FrictionModel], records: Records, robot: RobotModel, body: RigidBody
+    models: Mapping[str, FrictionModel], records: Records, robot: Robot, body: RigidBody
 ) -> PositionErrors | None:
     """Score laws as simulators on records [joint][log]; warn and return None if impossible."""
     return simulate_tests(models, {"": records}, robot, body).get("")
@@ -46,7 +46,7 @@ def simulate_laws(
 def simulate_tests(
     models: Mapping[str, FrictionModel],
     tests: Mapping[str, Records],
-    robot: RobotModel,
+    robot: Robot,
     body: RigidBody,
 ) -> dict[str, PositionErrors]:
     """Score laws as simulators on test sets; those that cannot be simulated are left out.
@@ -95,7 +95,7 @@ def _warn(reason: SimulationError) -> None:
 
 
 def _errors(
-    model: FrictionModel, cut: Sequence[Windows], robot: RobotModel, body: RigidBody
+    model: FrictionModel, cut: Sequence[Windows], robot: Robot, body: RigidBody
 ) -> list[_Errors] | SimulationError:
     """Return the errors over each set of windows, or the error.
 
@@ -117,7 +117,7 @@ def _errors(
     return [found[i] for i in range(len(cut))]
 
 
-def _weightless(logs: Logs, robot: RobotModel, body: RigidBody) -> bool:
+def _weightless(logs: Logs, robot: Robot, body: RigidBody) -> bool:
     """Whether gravity does no work on the joints."""
     q = np.concatenate([np.column_stack([r.q for r in log]) for log in logs])
     weight = robot.torque(body.parameters, q, np.zeros_like(q), np.zeros_like(q))

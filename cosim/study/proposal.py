@@ -10,7 +10,7 @@ import numpy as np
 from hesr_model.friction.registry import laws_with
 from hesr_model.health.proposal import Proposal
 from hesr_model.logs.phases import reversals
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 
 _TRAINED, _MOST_TRAINED = 0.6, 0.8
 """Share of a single log used for training, and its maximum if a joint reverses late."""
@@ -53,7 +53,7 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     )
 
 
-def _share(log: RobotLog) -> float:
+def _share(log: Log) -> float:
     """Return the share of a log to train on, at least until every joint has reversed."""
     dq = np.gradient(log.q, log.t, axis=0) if log.dq is None else log.dq
     found = [reversals(np.asarray(v)) for v in dq.T]

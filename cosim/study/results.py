@@ -16,11 +16,11 @@ from cosim.study.scores import Comparison, LogRecords, Predictions, inputs_of
 from cosim.study.study import Study, TimeBand
 from hesr_model.findings import Finding
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import read_table, write_table
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
@@ -82,10 +82,10 @@ class Scored:
     """Results of a run up to the scores on the test logs."""
 
     study: Study
-    robot: RobotModel
+    robot: Robot
     rigid_body: RigidBody
     files: Mapping[str, Path]
-    logs: Mapping[str, RobotLog]
+    logs: Mapping[str, Log]
     records: LogRecords  # [part][joint] of every log
     models: Mapping[str, FrictionModel]
     left_out: Mapping[str, str]  # reasons by law

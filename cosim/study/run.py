@@ -25,10 +25,10 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import laws_with
 from hesr_model.health.examine import checked
 from hesr_model.health.fit_checks import check_body, check_laws
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.cache import USED, since
 from hesr_model.support.files import folder_written_whole, models_folder
@@ -148,7 +148,7 @@ def score_study(
     job: Job, folder: Path, *, platforms: Sequence[str] = ("linux64",), accepted: Sequence[str] = ()
 ) -> Scored:
     """Identify, fit, write the FMUs into an existing folder and score them; see `run_study`."""
-    study, model = job.study, RobotModel(job.robot)
+    study, model = job.study, Robot(job.robot)
     files = job.log_files(folder)
     logs = {name: job.read(name, file) for name, file in files.items()}
     findings = log_findings(checked(list(logs.values()), model, accepted))
@@ -200,8 +200,8 @@ def score_study(
 def _runs(
     job: Job,
     files: Mapping[str, Path],
-    logs: Mapping[str, RobotLog],
-    decouple: Callable[[RobotLog], list[FrictionRecord]],
+    logs: Mapping[str, Log],
+    decouple: Callable[[Log], list[FrictionRecord]],
 ) -> LogRecords:
     """Return records of all logs; a tested part of a log includes all rows before it."""
     tested = {name for names in job.study.logs.test.values() for name in names}

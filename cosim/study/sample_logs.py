@@ -10,13 +10,13 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.laws.lugre import LuGre
 from hesr_model.logs.noise import standard_normal
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.motions.excitation import ExcitationSettings, condition, random_motions
 from hesr_model.motions.limits import MotionLimits
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.identification import LEAST_PEAK
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 
@@ -39,7 +39,7 @@ _DEFLECTION = 1e-3  # of the travel
 _POSITION_NOISE, _VELOCITY_NOISE = 5e-6, 5e-4  # of travel and of peak velocity
 
 
-def sample_logs(model: RobotModel) -> tuple[RobotLog, RobotLog]:
+def sample_logs(model: Robot) -> tuple[Log, Log]:
     """Simulate two random Fourier motions of 20 s, for training and test.
 
     The torque is that of the model file's rigid body, LuGre friction (eq. 1-3) and noise. Raises
@@ -57,7 +57,7 @@ def sample_logs(model: RobotModel) -> tuple[RobotLog, RobotLog]:
     )
 
 
-def sample_settings(model: RobotModel, period: float = _PERIOD) -> ExcitationSettings:
+def sample_settings(model: Robot, period: float = _PERIOD) -> ExcitationSettings:
     """Return the settings of sample motions with a period [s]."""
     return ExcitationSettings(
         harmonics=_HARMONICS,
@@ -79,7 +79,7 @@ def is_sample(file: Path) -> bool:
     return mark.is_file() and sha256(file) in mark.read_text(encoding="utf-8")
 
 
-def plausible_friction(model: RobotModel, motion: Fourier) -> list[FrictionLaw]:
+def plausible_friction(model: Robot, motion: Fourier) -> list[FrictionLaw]:
     """Return LuGre laws scaled by the torques of a motion; raise RobotError for a slow joint."""
     q, dq, ddq = motion.sample(np.arange(round(_PERIOD * RATE)) / RATE)
     speed, travel = np.abs(dq).max(axis=0), np.ptp(q, axis=0)
@@ -108,7 +108,7 @@ def plausible_friction(model: RobotModel, motion: Fourier) -> list[FrictionLaw]:
     ]
 
 
-def _levels(model: RobotModel, q: Array, dq: Array, ddq: Array) -> Array:
+def _levels(model: Robot, q: Array, dq: Array, ddq: Array) -> Array:
     """Return the size of the torques of each joint (n,) [N.m]; 1 for a model without masses."""
     peaks = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
     levels: Array = np.maximum(peaks, peaks.max() / 20.0)
@@ -116,14 +116,14 @@ def _levels(model: RobotModel, q: Array, dq: Array, ddq: Array) -> Array:
 
 
 def simulated(
-    model: RobotModel,
+    model: Robot,
     motion: Fourier,
     laws: Sequence[FrictionLaw],
     *,
     name: str,
     seed: int,
     seconds: float = _PERIOD,
-) -> RobotLog:
+) -> Log:
     """Simulate the log of a motion with friction and noise."""
     fine = np.arange(round(seconds * RATE) * _FINER + 1) / (RATE * _FINER)
     velocity = motion.sample(fine)[1]
@@ -136,7 +136,7 @@ def simulated(
     size = np.array([law.values["F_c"] for law in laws]) / _COULOMB
     streams, rows = np.arange(3 * model.n), np.arange(len(t))
     noise = standard_normal(seed, streams[None, :], rows[:, None]).reshape(len(t), 3, model.n)
-    return RobotLog(
+    return Log(
         name=name,
         t=t,
         q=q + _POSITION_NOISE * np.ptp(q, axis=0) * noise[:, 0],

@@ -23,10 +23,10 @@ from hesr_model.errors import ConfigError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.metrics import score
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, counted, silent
@@ -117,7 +117,7 @@ def one_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
 
 def errors_on(
     study: Study,
-    logs: Mapping[str, RobotLog],
+    logs: Mapping[str, Log],
     truths: Mapping[str, Array],
     laws: Sequence[str],
     fit: Callable[..., dict[str, FrictionModel]],
@@ -127,7 +127,7 @@ def errors_on(
     `truths` holds the true friction (N, n) [N.m] of the logs, `fit` is `fit_models` with the
     settings of the run.
     """
-    robot = RobotModel(RobotDescription.read(study.robot))
+    robot = Robot(RobotDescription.read(study.robot))
     body = identify(
         [logs[name] for name in study.logs.identification],
         robot,

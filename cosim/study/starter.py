@@ -13,7 +13,7 @@ from cosim.study.sample_logs import RATE, mark_samples, sample_logs
 from cosim.study.study import Study
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.robots.model_file import driven_joints, joints_of
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import folder_written_whole, is_empty, models_folder
 
 _FILES = ("robot.toml", "study.toml", "README.txt")
@@ -70,7 +70,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
         description = RobotDescription.read(temporary / "robot.toml")
         Study.read(temporary / "study.toml")
         written = []
-        for log in sample_logs(RobotModel(description)):
+        for log in sample_logs(Robot(description)):
             written.append(temporary / "logs" / f"{log.name}.csv")
             log.write(written[-1])
         mark_samples(written)

@@ -32,13 +32,13 @@ from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import refine
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator, registry
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smoothed
 from hesr_model.logs.tables import read_table
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Stages, counted
@@ -147,13 +147,13 @@ class Job:
                 )
         return {name: made[name] for name in names}
 
-    def read(self, name: str, file: Path) -> RobotLog:
+    def read(self, name: str, file: Path) -> Log:
         """Read a log of the study, or a named part of a log."""
-        log = RobotLog.read(file, self.robot)
+        log = Log.read(file, self.robot)
         part = self.study.logs.parts.get(name)
         return log if part is None else self._part(log, name, part)
 
-    def led_up_to(self, name: str, file: Path) -> RobotLog | None:
+    def led_up_to(self, name: str, file: Path) -> Log | None:
         """Read a part of a log with all rows before it; None for a whole log.
 
         A law tested on the part runs through these rows first, so that its initial states follow
@@ -163,9 +163,9 @@ class Job:
         if part is None or part.start == 0.0:
             return None
         whole = part.model_copy(update={"start": 0.0})
-        return self._part(RobotLog.read(file, self.robot), name, whole)
+        return self._part(Log.read(file, self.robot), name, whole)
 
-    def _part(self, log: RobotLog, name: str, part: Part) -> RobotLog:
+    def _part(self, log: Log, name: str, part: Part) -> Log:
         since = log.t - log.t[0]
         rows = np.flatnonzero((since >= part.start) & (since < part.stop))
         if len(rows) < 2:
@@ -176,7 +176,7 @@ class Job:
         return replace(log.rows(rows), name=name)
 
     def properties(
-        self, robot: RobotModel, body: RigidBody, models: Mapping[str, FrictionModel], folder: Path
+        self, robot: Robot, body: RigidBody, models: Mapping[str, FrictionModel], folder: Path
     ) -> "dict[str, Properties]":
         """Run the physics checks on all laws and write the results."""
         from cosim.properties.battery import Subject, run_battery
@@ -197,7 +197,7 @@ class Job:
         return found
 
     def closed_loop(
-        self, robot: RobotModel, body: RigidBody, folder: Path, models: Mapping[str, FrictionModel]
+        self, robot: Robot, body: RigidBody, folder: Path, models: Mapping[str, FrictionModel]
     ) -> LoopOutcome | None:
         """Run the closed loop of the study; None if it has none."""
         if self.study.tracking is None or self.study.twin is None:
@@ -242,7 +242,7 @@ class Job:
         return under_truths(self.study, self.path, laws, progress=progress)
 
     def rigid_body(
-        self, logs: Mapping[str, RobotLog], model: RobotModel
+        self, logs: Mapping[str, Log], model: Robot
     ) -> tuple[RigidBody, dict[str, FrictionModel]]:
         """Identify the rigid body, and refine it with fitted friction if configured.
 

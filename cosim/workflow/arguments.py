@@ -14,10 +14,10 @@ from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.findings import Finding
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import checked
-from hesr_model.logs.robot_log import RobotLog, parts_of, require_different
+from hesr_model.logs.robot_log import Log, parts_of, require_different
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotLike, RobotModel, model_of
+from hesr_model.robots.robot import Robot, RobotLike, model_of
 from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Progress, Stages, counted, silent
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from fmu_src.pages.live.body import PageBody
 
 RobotArg = RobotLike
-LogArg = RobotLog | PathArg
+LogArg = Log | PathArg
 Logs = LogArg | Sequence[LogArg]
 BodyArg = RigidBody | PathArg
 LawArg = FrictionModel | PathArg
@@ -45,8 +45,8 @@ class CheckedLogs:
     `findings` has the warnings of the checks and the accepted errors.
     """
 
-    logs: list[RobotLog]
-    robot: RobotModel
+    logs: list[Log]
+    robot: Robot
     findings: list[Finding]
     files: list[Path]
 
@@ -55,27 +55,25 @@ class CheckedLogs:
         return [friction_records(part, self.robot, body) for part in parts_of(self.logs)]
 
 
-def logs_of(
-    logs: Logs, robot: RobotArg | None = None, progress: Progress = silent
-) -> list[RobotLog]:
+def logs_of(logs: Logs, robot: RobotArg | None = None, progress: Progress = silent) -> list[Log]:
     """Return logs, reading those that are paths, which needs a robot."""
     several = listed(logs)
     known = robot
     if known is None:
-        known = next((g.robot for g in several if isinstance(g, RobotLog) and g.robot), None)
+        known = next((g.robot for g in several if isinstance(g, Log) and g.robot), None)
     read = []
     for log in counted(several, progress):
-        if isinstance(log, RobotLog):
+        if isinstance(log, Log):
             read.append(log)
             continue
         path = path_of(log, "a log")
         if known is None:
             raise ArgumentError(f"{path}: to read this log its robot must be known; give 'robot'.")
-        read.append(RobotLog.read(path, known))
+        read.append(Log.read(path, known))
     return read
 
 
-def robot_of(robot: RobotArg | None, logs: Sequence[RobotLog]) -> RobotModel:
+def robot_of(robot: RobotArg | None, logs: Sequence[Log]) -> Robot:
     """Return the given robot, by default that of the logs."""
     found = robot if robot is not None else next((log.robot for log in logs if log.robot), None)
     if found is None:
@@ -98,13 +96,13 @@ def checked_logs(
     return CheckedLogs(logs=read, robot=model, findings=findings, files=list(paths))
 
 
-def examined(logs: Sequence[RobotLog], model: RobotModel, accept: Sequence[str]) -> list[Finding]:
+def examined(logs: Sequence[Log], model: Robot, accept: Sequence[str]) -> list[Finding]:
     """Check logs on their robot: refuse errors, log and return warnings."""
     require_different(logs)
     return log_findings(checked(logs, model, accept))
 
 
-def body_of(body: BodyArg | None, logs: Sequence[RobotLog], robot: RobotModel) -> RigidBody:
+def body_of(body: BodyArg | None, logs: Sequence[Log], robot: Robot) -> RigidBody:
     """Return the given rigid body, by default one identified from the logs."""
     if body is None:
         return identify(logs, robot)

@@ -149,7 +149,7 @@ def inspect(
     """
     from cosim.workflow.arguments import listed
     from hesr_model.health.proposal import inspected
-    from hesr_model.logs.robot_log import RobotLog
+    from hesr_model.logs.robot_log import Log
     from hesr_model.support.files import path_of
 
     if write and not robot:
@@ -162,7 +162,7 @@ def inspect(
         raise ArgumentError(
             "'mass_error', 'loaded' and 'payload' are for 'torque_constants'; give that, too."
         )
-    files = [g.path if isinstance(g, RobotLog) else path_of(g, "a log") for g in listed(logs)]
+    files = [g.path if isinstance(g, Log) else path_of(g, "a log") for g in listed(logs)]
     if None in files or not files:
         raise ArgumentError("logs are inspected in their files; needed is the path of each.")
     progress("inspecting logs", 0, 1)

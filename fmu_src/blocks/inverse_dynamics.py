@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from fmu_src.blocks.table import content, places, scalar, vector
 from fmu_src.export.interface import Interface, literal
 from fmu_src.export.package import Content, own_source
-from hesr_model.robots.robot import LINK_PARAMETERS, RobotModel
+from hesr_model.robots.robot import LINK_PARAMETERS, Robot
 
 _UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
 
 
 def inverse_dynamics(
-    robot: RobotModel, parameters: NDArray[np.float64], *, step: float = 0.005
+    robot: Robot, parameters: NDArray[np.float64], *, step: float = 0.005
 ) -> Content:
     """Return the InverseDynamics FMU of a robot, with a preferred step [s].
 
@@ -64,7 +64,7 @@ def inverse_dynamics(
     )
 
 
-def _tree(robot: RobotModel) -> str:
+def _tree(robot: Robot) -> str:
     """Return tree.h: joint placements, rotors and gravity."""
     rows = []
     motors, gravity = robot.description.motors, robot.description.gravity

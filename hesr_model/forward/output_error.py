@@ -20,7 +20,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import motion_records
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 WINDOW = 0.5
@@ -53,7 +53,7 @@ class Refined:
 
 
 def refine(
-    robot: RobotModel,
+    robot: Robot,
     body: RigidBody,
     friction: FrictionModel,
     motions: Sequence[Motion],
@@ -96,7 +96,7 @@ class _Problem:
 
     def __init__(
         self,
-        robot: RobotModel,
+        robot: Robot,
         body: RigidBody,
         friction: FrictionModel,
         motions: Sequence[Motion],

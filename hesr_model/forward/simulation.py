@@ -19,7 +19,7 @@ from hesr_model.errors import SimulationError
 from hesr_model.forward.windows import Windows
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.stepper import LawStepper
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 SUBSTEP = 2.5e-3
@@ -43,7 +43,7 @@ class Simulator:
     `as_plant` steps explicitly and without inner steps, as MuJoCo does, for logs of the twin.
     """
 
-    robot: RobotModel
+    robot: Robot
     parameters: Array
     friction: FrictionModel
     as_plant: bool = False

@@ -15,7 +15,7 @@ from hesr_model.fitting.joint_rows import non_negative_least_squares
 from hesr_model.fitting.ties import ROUND_OFF
 from hesr_model.health.evidence import Motionwise, Torques, rubbing
 from hesr_model.health.mistakes import CandidateRows, Mistake, mistakes, torques_of
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Mask
 
@@ -43,7 +43,7 @@ def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> Candidate
     return CandidateRows(q=q, v=v, a=a, tau=tau, gravity=np.array(gravity, dtype=float))
 
 
-def check_causes(motions: Sequence[Motionwise], model: RobotModel) -> list[Finding]:
+def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
     """Find the mistakes that best explain all logs together, the best one first."""
     if not motions:
         return []
@@ -78,7 +78,7 @@ def check_causes(motions: Sequence[Motionwise], model: RobotModel) -> list[Findi
 
 
 def _best(
-    rows: CandidateRows, now: Array, model: RobotModel, moves: Mask
+    rows: CandidateRows, now: Array, model: Robot, moves: Mask
 ) -> tuple[Mistake | None, Array]:
     """Return the mistake whose correction explains most, if any, and the remaining deviation."""
     best, left, most = None, now, 0.0
@@ -106,7 +106,7 @@ def _either(best: Mistake) -> str:
     )
 
 
-def _unexplained(rows: CandidateRows, model: RobotModel, moves: Mask) -> Array:
+def _unexplained(rows: CandidateRows, model: Robot, moves: Mask) -> Array:
     """Return the unexplained share (n,) of the torques' deviation; 1 for joints at rest."""
     torques, logged = torques_of(rows, model), model.description.logged
     torques, v = torques.at(logged) if logged else torques, onto(logged, rows.v)

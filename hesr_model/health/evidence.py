@@ -7,10 +7,10 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.inference.correlation import standard_errors
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import LEAST_PEAK
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array, Mask, some_rows
 
@@ -32,7 +32,7 @@ class Motionwise:
     with the same smoothing, None if the log has none. `log` is the part as read.
     """
 
-    log: RobotLog
+    log: Log
     t: Array
     q: Array
     v: Array
@@ -52,7 +52,7 @@ class Motionwise:
         return some_rows(self, ("t", "q", "v", "a", "dq", "tau"), every)
 
 
-def motionwise(log: RobotLog, cutoff: float) -> list[Motionwise]:
+def motionwise(log: Log, cutoff: float) -> list[Motionwise]:
     """Smooth the parts of a log; skip parts that are too short for the low pass."""
     made = []
     for part in log.parts():
@@ -88,7 +88,7 @@ class Torques:
     inertial: Array
 
     @classmethod
-    def of(cls, model: RobotModel, q: Array, v: Array, a: Array) -> "Torques":
+    def of(cls, model: Robot, q: Array, v: Array, a: Array) -> "Torques":
         """Evaluate the model file along q, v, a, (N, n) each [rad, rad/s, rad/s2]."""
         nothing = np.zeros_like(q)
         gravity = model.torque(model.nominal_parameters, q, nothing, nothing)

@@ -19,8 +19,8 @@ from hesr_model.health.sample_hold import check_held, check_speed
 from hesr_model.health.timing import check_clocks
 from hesr_model.health.torque import NO_SIGNAL, Explained, check_torque, explained
 from hesr_model.health.velocity import check_velocity
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
 
 CHECKS = (
     *("time-unit", "gaps", "missing-rows", "dropped-rows", "wrap", "spikes", "coarse", "limits"),
@@ -47,9 +47,7 @@ class Examination:
     explained: tuple[Explained, ...]
 
 
-def examine(
-    logs: Sequence[RobotLog], robot: RobotDescription, model: RobotModel | None
-) -> Examination:
+def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -> Examination:
     """Check logs one by one, against the model of the robot, and together for common causes.
 
     Without `model`, torques and limits are not checked. Raises LogError if a log is too slow or too
@@ -141,9 +139,7 @@ def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
     ]
 
 
-def checked(
-    logs: Sequence[RobotLog], model: RobotModel, accepted: Sequence[str] = ()
-) -> list[Finding]:
+def checked(logs: Sequence[Log], model: Robot, accepted: Sequence[str] = ()) -> list[Finding]:
     """Check logs before use; return warnings and accepted errors.
 
     Raises HealthError with all errors that are not `accepted`, ConfigError if that names no check.

@@ -9,7 +9,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 CHECKS = ("mass-matrix", "negative-friction", "no-better-than-nothing", "bound", "other-robot")
@@ -23,7 +23,7 @@ _NEGATIVE = 0.5
 """Negative Coulomb friction below this share of the residual may be zero."""
 
 
-def check_body(body: RigidBody, model: RobotModel) -> Iterator[Finding]:
+def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
     """Check that a body's mass matrix is positive definite and that its friction brakes."""
     joints = model.description.joints
     lowest, q, joint = _least_inertia(body, model)
@@ -49,7 +49,7 @@ def check_body(body: RigidBody, model: RobotModel) -> Iterator[Finding]:
             )
 
 
-def _least_inertia(body: RigidBody, model: RobotModel) -> tuple[float, Array, int]:
+def _least_inertia(body: RigidBody, model: Robot) -> tuple[float, Array, int]:
     """Return the smallest eigenvalue of the mass matrix, its position and its joint.
 
     The matrix is scaled by its mean diagonal, so that a wrist counts as much as a shoulder.
@@ -96,7 +96,7 @@ def check_laws(
                         )
 
 
-def check_owner(model: FrictionModel, robot: RobotModel) -> Iterator[Finding]:
+def check_owner(model: FrictionModel, robot: Robot) -> Iterator[Finding]:
     """Check that a law is evaluated on the robot it was fitted to."""
     own = robot.description
     if model.robot != own.name and model.joints == own.joints:  # other joints are refused elsewhere

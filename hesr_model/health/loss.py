@@ -6,8 +6,8 @@ import numpy as np
 
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise, Torques
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers
 
 _SKIPPED = 0.05
@@ -23,18 +23,18 @@ _HALF_WAY = 0.2
 """Share of the slowest interval within which friction changes its sign."""
 
 
-def share_of_long_steps(log: RobotLog) -> float:
+def share_of_long_steps(log: Log) -> float:
     """Return the share of steps between gaps that are longer than 1.8 median periods."""
     steps = np.diff(log.t)
     return float(np.mean(steps[steps <= log.longest_step] > 1.8 * log.period))
 
 
-def loses_rows(log: RobotLog) -> bool:
+def loses_rows(log: Log) -> bool:
     """Return whether rows are missing throughout a log, not only in a few gaps."""
     return share_of_long_steps(log) > _SKIPPED
 
 
-def check_loss(motion: Motionwise, torques: Torques, model: RobotModel) -> Iterator[Finding]:
+def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[Finding]:
     """Check that the remaining rows determine the sliding torque of each joint.
 
     The standard deviation follows from estimates with random halves of the remaining rows: the

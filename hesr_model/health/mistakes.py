@@ -10,7 +10,7 @@ import numpy as np
 from hesr_model.health.evidence import Torques, rubbing
 from hesr_model.health.torque import sign_change
 from hesr_model.logs.log_format import column_names
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask
 
 _SIGNAL = 0.8
@@ -47,7 +47,7 @@ class Mistake:
     mended: CandidateRows
 
 
-def torques_of(rows: CandidateRows, model: RobotModel) -> Torques:
+def torques_of(rows: CandidateRows, model: Robot) -> Torques:
     """Evaluate the model under the gravity of the rows."""
     torques = Torques.of(model, rows.q, rows.v, rows.a)
     declared = np.array(model.description.gravity)
@@ -57,7 +57,7 @@ def torques_of(rows: CandidateRows, model: RobotModel) -> Torques:
     return replace(torques, gravity=gravity - gravity.mean(axis=0))
 
 
-def _by_axis(q: Array, model: RobotModel) -> Array:
+def _by_axis(q: Array, model: Robot) -> Array:
     """Return the gravity torques (3, N, n) of unit gravity along each base axis."""
     nothing = np.zeros_like(q)
     with model.under_gravity() as set_gravity:
@@ -68,7 +68,7 @@ def _by_axis(q: Array, model: RobotModel) -> Array:
     return np.array(parts)
 
 
-def mistakes(rows: CandidateRows, model: RobotModel, moves: Mask) -> Iterator[Mistake]:
+def mistakes(rows: CandidateRows, model: Robot, moves: Mask) -> Iterator[Mistake]:
     """Yield possible mistakes, the simplest first."""
     robot, joints = model.description, [int(j) for j in np.flatnonzero(moves)]
     if len(joints) > 1:
@@ -111,9 +111,7 @@ def mistakes(rows: CandidateRows, model: RobotModel, moves: Mask) -> Iterator[Mi
         yield from mend(rows, model, joints)
 
 
-def _swapped_torques(
-    rows: CandidateRows, model: RobotModel, joints: list[int]
-) -> Iterator[Mistake]:
+def _swapped_torques(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
     robot = model.description
     which = "tau" if robot.log.torque_per_ampere is None else "current"
     columns = column_names(getattr(robot.log.columns, which), robot.joints)
@@ -131,7 +129,7 @@ def _swapped_torques(
         )
 
 
-def _swapped_joints(rows: CandidateRows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
+def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
     robot = model.description
     orders = {(a, b): _exchanged(model.n, a, b) for a, b in combinations(joints, 2)}
     if len(joints) == model.n > 2:
@@ -159,7 +157,7 @@ def _swapped_joints(rows: CandidateRows, model: RobotModel, joints: list[int]) -
         )
 
 
-def _moved_zeros(rows: CandidateRows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
+def _moved_zeros(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
     robot = model.description
     for j in joints:
         if model.tree[j].prismatic:
@@ -179,7 +177,7 @@ def _moved_zeros(rows: CandidateRows, model: RobotModel, joints: list[int]) -> I
             )
 
 
-def _gravity(rows: CandidateRows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
+def _gravity(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
     """Yield the gravity that the torques show if it differs from that of the robot file."""
     by_axis, inertial, v = _by_axis(rows.q, model), torques_of(rows, model).inertial, rows.v
     if (logged := model.description.logged) is not None:

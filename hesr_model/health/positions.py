@@ -7,8 +7,8 @@ import numpy as np
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.loss import loses_rows, share_of_long_steps
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
 from hesr_model.units import OTHERS
 
@@ -30,7 +30,7 @@ _LEVELS = 200
 _LONG_RUN = 5
 
 
-def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
+def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
     """Check the time stamps of a log."""
     period, steps = log.period, np.diff(log.t)
     low, high = _PERIODS
@@ -86,7 +86,7 @@ def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
         )
 
 
-def check_jumps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
+def check_jumps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
     """Check raw positions of each joint for lost turns and single outliers."""
     steps = np.diff(log.t)
     near = steps <= 3.0 * log.period
@@ -118,7 +118,7 @@ def check_jumps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
             )
 
 
-def check_steps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
+def check_steps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
     """Check that positions are not quantised so coarsely that velocities blur."""
     for j, joint in enumerate(robot.joints):
         values = np.unique(log.q[:, j])
@@ -139,7 +139,7 @@ def check_steps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
             )
 
 
-def check_limits(motion: Motionwise, model: RobotModel) -> Iterator[Finding]:
+def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
     """Check positions against the limits of the model file."""
     robot = model.description
     lower, upper, _ = model.limits

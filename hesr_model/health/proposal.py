@@ -18,9 +18,9 @@ from hesr_model.logs.log_format import column_names
 from hesr_model.logs.phases import moving, reversals
 from hesr_model.logs.readers.formats import COLUMNS, format_of
 from hesr_model.logs.readers.matlab import read_matlab
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import LogTable, read_table
-from hesr_model.robots.robot import RobotDescription, RobotLike, RobotModel, description_of
+from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, description_of
 
 _ROUNDS = 4
 _CUTOFF_SHARE = 0.3
@@ -38,7 +38,7 @@ class Proposal:
 
     robot: RobotDescription
     reasons: Mapping[str, str]
-    logs: Sequence[RobotLog]
+    logs: Sequence[Log]
     examination: Examination
     first: Sequence[Finding]
     sliding: frozenset[int] = frozenset()
@@ -64,10 +64,10 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
     reasons: dict[str, str] = {}
     stated = robot.log.torque_per_ampere is not None
 
-    def looked(robot: RobotDescription) -> tuple[RobotDescription, list[RobotLog], Examination]:
+    def looked(robot: RobotDescription) -> tuple[RobotDescription, list[Log], Examination]:
         robot, logs = _read(paths, robot, reasons)
         robot = _with_cutoff(robot, logs, reasons)
-        return robot, logs, examine(logs, robot, RobotModel(robot) if known else None)
+        return robot, logs, examine(logs, robot, Robot(robot) if known else None)
 
     robot, logs, examination = looked(_with_columns(paths[0], robot, reasons))
     first = examination.findings
@@ -78,7 +78,7 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
         if not changes:
             break
         robot, logs, examination = looked(changed(robot, changes))
-    slides = enumerate(joint.prismatic for joint in RobotModel(robot).tree) if known else ()
+    slides = enumerate(joint.prismatic for joint in Robot(robot).tree) if known else ()
     return Proposal(
         robot=robot,
         reasons=reasons,
@@ -129,10 +129,10 @@ def _has_columns(table: LogTable, robot: RobotDescription) -> bool:
 
 def _read(
     paths: Sequence[Path], robot: RobotDescription, reasons: dict[str, str]
-) -> tuple[RobotDescription, list[RobotLog]]:
+) -> tuple[RobotDescription, list[Log]]:
     """Read logs; leave out rows with missing cells or repeated time stamps if needed."""
     try:
-        return robot, [RobotLog.read(path, robot) for path in paths]
+        return robot, [Log.read(path, robot) for path in paths]
     except LogError as error:
         if "sample_rate" in str(error):
             robot = changed(robot, {"log.sample_rate": None})
@@ -150,7 +150,7 @@ def _tail(sentence: str) -> str:
 
 
 def _with_cutoff(
-    robot: RobotDescription, logs: Sequence[RobotLog], reasons: dict[str, str]
+    robot: RobotDescription, logs: Sequence[Log], reasons: dict[str, str]
 ) -> RobotDescription:
     slowest = 1.0 / max(log.period for log in logs)
     if robot.log.filter_cutoff <= 0.4 * slowest or slowest < 1.0:

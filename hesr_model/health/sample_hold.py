@@ -6,8 +6,8 @@ import numpy as np
 
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array, Mask
 
 _WINDOW = 0.1
@@ -28,7 +28,7 @@ _TOO_FAST = 1.3
 """Allowed speed relative to the model's limit; drives exceed it slightly."""
 
 
-def check_held(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
+def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:
     """Check raw signals of a log for held samples, stuck values and single outliers."""
     if len(log.t) < 2 * _STUCK_ROWS:
         return
@@ -63,7 +63,7 @@ def check_held(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
             )
 
 
-def _speeds(log: RobotLog) -> Array:
+def _speeds(log: Log) -> Array:
     """Return speeds (N, n) [rad/s; m/s] over a window of raw positions."""
     around = max(1, round(0.5 * _WINDOW / log.period))
     rows = np.arange(len(log.t))
@@ -71,7 +71,7 @@ def _speeds(log: RobotLog) -> Array:
     return np.asarray((log.q[after] - log.q[before]) / (log.t[after] - log.t[before])[:, None])
 
 
-def _repeated(log: RobotLog, moves: Mask, fine: Mask) -> Iterator[Finding]:
+def _repeated(log: Log, moves: Mask, fine: Mask) -> Iterator[Finding]:
     if not np.any(fine):
         return
     rows = np.any(moves[1:], axis=1)
@@ -89,7 +89,7 @@ def _repeated(log: RobotLog, moves: Mask, fine: Mask) -> Iterator[Finding]:
         )
 
 
-def _stands_still(log: RobotLog, values: Array, moves: Mask) -> int | None:
+def _stands_still(log: Log, values: Array, moves: Mask) -> int | None:
     """Return the first row of the longest run of equal values (N,) if it is long and in motion."""
     edges = np.flatnonzero(np.diff(np.r_[False, np.diff(values) == 0.0, False].astype(int)))
     starts, lengths = edges[::2], edges[1::2] - edges[::2]
@@ -103,7 +103,7 @@ def _stands_still(log: RobotLog, values: Array, moves: Mask) -> int | None:
     return first if long and lasts and np.mean(moves[first:last]) > _MOVING else None
 
 
-def _stuck(log: RobotLog, joint: str, what: str, row: int, while_: str) -> Finding:
+def _stuck(log: Log, joint: str, what: str, row: int, while_: str) -> Finding:
     return Finding(
         check="stuck",
         severity="error",
@@ -114,7 +114,7 @@ def _stuck(log: RobotLog, joint: str, what: str, row: int, while_: str) -> Findi
     )
 
 
-def check_speed(motion: Motionwise, model: RobotModel) -> Iterator[Finding]:
+def check_speed(motion: Motionwise, model: Robot) -> Iterator[Finding]:
     """Check speeds against the limits of the model file."""
     limits = np.where(np.isfinite(model.limits[2]), model.limits[2], 0.0)
     peaks = np.quantile(np.abs(motion.v), 0.998, axis=0)

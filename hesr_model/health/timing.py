@@ -19,7 +19,7 @@ from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise, rubbing
 from hesr_model.inference.correlation import correlation_length
 from hesr_model.rigid_body.base_parameters import base_columns
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array
 
@@ -60,7 +60,7 @@ class LagRows:
     rubs: tuple[Array, ...]
 
     @classmethod
-    def of(cls, part: Motionwise, model: RobotModel, base: Sequence[int]) -> "LagRows":
+    def of(cls, part: Motionwise, model: Robot, base: Sequence[int]) -> "LagRows":
         """Evaluate the columns `base` of the regressor, and friction, along a part of a log."""
         logged = model.description.logged
         u, v = onto(logged, part.q), onto(logged, part.v)
@@ -99,7 +99,7 @@ def _stops() -> Kernel:
 
 
 def check_clocks(
-    part: Motionwise, logged: Motionwise, joints: Sequence[int], model: RobotModel
+    part: Motionwise, logged: Motionwise, joints: Sequence[int], model: Robot
 ) -> Iterator[Finding]:
     """Check the time-stamp rate of a part of a log, and the lag of its torques.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import JointTorque, Motionwise, Torques, explain
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.units import backwards, unit_of_joint
 
 _SURE = 5.0
@@ -45,7 +45,7 @@ def explained(motion: Motionwise, torques: Torques) -> Explained:
 
 
 def check_torque(
-    motion: Motionwise, found: Explained, model: RobotModel, late: Collection[int] = ()
+    motion: Motionwise, found: Explained, model: Robot, late: Collection[int] = ()
 ) -> Iterator[Finding]:
     """Check the torques of one part of a log; skip the scale of `late` joints."""
     logs = (motion.log.name,)
@@ -80,7 +80,7 @@ def check_torque(
     yield from _against_limits(motion, found, model, logs)
 
 
-def _sign(fit: JointTorque, j: int, model: RobotModel, logs: tuple[str, ...]) -> Iterator[Finding]:
+def _sign(fit: JointTorque, j: int, model: Robot, logs: tuple[str, ...]) -> Iterator[Finding]:
     """Check that the joint's torque takes energy out of its motion."""
     if fit.friction.t > -_SURE or fit.friction_size < 0.3 * fit.residual:
         return
@@ -129,7 +129,7 @@ def sign_change(
 
 
 def _scale(
-    fit: JointTorque, j: int, found: Explained, model: RobotModel, logs: tuple[str, ...]
+    fit: JointTorque, j: int, found: Explained, model: Robot, logs: tuple[str, ...]
 ) -> Iterator[Finding]:
     """Check the size of the torque against the model's gravity, or inertia on a joint without."""
     if fit.r2 < _EXPLAINED:
@@ -189,7 +189,7 @@ def _why_scaled(robot: RobotDescription, scale: float, *, everywhere: bool) -> s
     return "the unit of the torque is wrong, or the column holds a current; see [log.units] tau"
 
 
-def _no_friction(found: Explained, model: RobotModel, logs: tuple[str, ...]) -> Iterator[Finding]:
+def _no_friction(found: Explained, model: Robot, logs: tuple[str, ...]) -> Iterator[Finding]:
     """Check that torques that the rigid body explains completely were really measured."""
     clear = {j: fit for j, fit in found.items() if fit.r2 > _EXPLAINED}
     if not clear or any(
@@ -210,7 +210,7 @@ def _no_friction(found: Explained, model: RobotModel, logs: tuple[str, ...]) -> 
 
 
 def _against_limits(
-    motion: Motionwise, found: Explained, model: RobotModel, logs: tuple[str, ...]
+    motion: Motionwise, found: Explained, model: Robot, logs: tuple[str, ...]
 ) -> Iterator[Finding]:
     """Check peak torques against the limits of the model file, and relative to each other."""
     limits = np.where(np.isfinite(model.torque_limits), model.torque_limits, 0.0)

@@ -36,7 +36,7 @@ _LEAST_TRAVEL = 5e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RobotLog:
+class Log:
     """The record of one motion of a robot.
 
     Attributes
@@ -126,11 +126,11 @@ class RobotLog:
         """Rows (K,) after a gap."""
         return np.flatnonzero(np.diff(self.t) > self.longest_step) + 1
 
-    def rows(self, rows: slice | Integers) -> "RobotLog":
+    def rows(self, rows: slice | Integers) -> "Log":
         """Return the log of some rows, a slice or (K,) indices."""
         return some_rows(self, ("t", "q", "dq", "tau", "temperature"), rows)
 
-    def parts(self) -> "tuple[RobotLog, ...]":
+    def parts(self) -> "tuple[Log, ...]":
         """Return the parts between gaps that last at least 1 s, each a log of its own.
 
         Raises
@@ -151,7 +151,7 @@ class RobotLog:
         return kept
 
     @classmethod
-    def read(cls, path: PathArg, robot: RobotLike) -> "RobotLog":
+    def read(cls, path: PathArg, robot: RobotLike) -> "Log":
         """Read and check a log with the columns and units of the robot file.
 
         The suffix gives the format: CSV (with a header), Parquet (``.parquet``, ``.pq``), MATLAB
@@ -248,14 +248,14 @@ class RobotLog:
             write_table(temporary, self._columns)
 
 
-def parts_of(logs: Iterable[RobotLog]) -> list[RobotLog]:
-    """Return the parts of all logs; see `RobotLog.parts`."""
+def parts_of(logs: Iterable[Log]) -> list[Log]:
+    """Return the parts of all logs; see `Log.parts`."""
     return [part for log in logs for part in log.parts()]
 
 
-def require_different(logs: Sequence[RobotLog]) -> None:
+def require_different(logs: Sequence[Log]) -> None:
     """Raise LogError if a log is given twice: its rows would be weighted double."""
-    seen: dict[tuple[str, float, float], RobotLog] = {}
+    seen: dict[tuple[str, float, float], Log] = {}
     for log in logs:
         rows = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file differ in time
         if log.sha256 and rows in seen:
@@ -265,7 +265,7 @@ def require_different(logs: Sequence[RobotLog]) -> None:
         seen[rows] = log
 
 
-def require_moving(logs: Sequence[RobotLog], joints: Sequence[str]) -> None:
+def require_moving(logs: Sequence[Log], joints: Sequence[str]) -> None:
     """Raise LogError if a joint moves in none of the logs."""
     travel = np.max([np.ptp(log.q, axis=0) for log in logs], axis=0)
     for joint, moved in zip(joints, travel, strict=True):
@@ -322,7 +322,7 @@ def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) 
         )
 
 
-def _require_steady_time(log: RobotLog, samples: LogSamples, robot: RobotDescription) -> None:
+def _require_steady_time(log: Log, samples: LogSamples, robot: RobotDescription) -> None:
     if len(log.t) < 2:
         raise LogError(f"{log.where}: has {len(log.t)} rows of data; at least 2 are needed.")
     steps = np.diff(log.t)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.robot_log import RobotLog, parts_of
-from hesr_model.robots.robot import RobotModel
+from hesr_model.logs.robot_log import Log, parts_of
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask, some_rows
 
 _ORDER = 2
@@ -45,7 +45,7 @@ class Motion:
         return {name: column for name, column in found.items() if column is not None}
 
 
-def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
+def smooth(log: Log, cutoff: float = 15.0) -> Motion:
     """Filter q and dq by a zero-phase Butterworth low pass on an even grid, and differentiate.
 
     A `cutoff` of 15 Hz is best on the measured arm (8 Hz and less flatten reversals, 25 Hz and more
@@ -96,7 +96,7 @@ def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
     )
 
 
-def smoothed(logs: Iterable[RobotLog], model: RobotModel) -> list[Motion]:
+def smoothed(logs: Iterable[Log], model: Robot) -> list[Motion]:
     """Return the smooth motions of all parts of a robot's logs; errors as `smooth`."""
     cutoff = model.description.log.filter_cutoff
     return [smooth(part, cutoff) for part in parts_of(logs)]
@@ -116,7 +116,7 @@ def _before(values: Array, rows: int) -> Array:
     return np.asarray(2.0 * first - values[rows:0:-1])
 
 
-def _require_rate(log: RobotLog, period: float, cutoff: float) -> None:
+def _require_rate(log: Log, period: float, cutoff: float) -> None:
     highest = _HIGHEST_SHARE_OF_NYQUIST * 0.5 / period
     if cutoff > highest:
         raise LogError(

@@ -12,7 +12,7 @@ from hesr_model.motions.excitation_search import Search
 from hesr_model.motions.limits import Limits, MotionLimits, Positive, peak_torque
 from hesr_model.motions.trajectories import Fourier, one_period
 from hesr_model.rigid_body.identification import LEAST_PEAK
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
 from hesr_model.support.progress import Progress, counted, silent
@@ -74,7 +74,7 @@ class Excitation:
         return t, *self.motion.sample(t)
 
 
-def condition(model: RobotModel, base: tuple[int, ...], motion: Fourier) -> float:
+def condition(model: Robot, base: tuple[int, ...], motion: Fourier) -> float:
     """Return the condition number of W_b: `base` columns over one period, in SI, unscaled.
 
     Time reversal leaves W_b unchanged, because rigid-body torque is even in velocity.
@@ -85,7 +85,7 @@ def condition(model: RobotModel, base: tuple[int, ...], motion: Fourier) -> floa
 
 
 def design(
-    model: RobotModel,
+    model: Robot,
     settings: ExcitationSettings | None = None,
     *,
     progress: Progress = silent,
@@ -138,7 +138,7 @@ def _descend(search: Search, motion: Fourier, rest: Array, weight: float, steps:
 
 
 def random_motions(
-    model: RobotModel, settings: ExcitationSettings, count: int, seed: int
+    model: Robot, settings: ExcitationSettings, count: int, seed: int
 ) -> list[Fourier]:
     """Draw random motions within the same limits, as large as these allow: references for `design`.
 
@@ -161,7 +161,7 @@ def random_motions(
     return motions
 
 
-def _require_speed(motion: Fourier, model: RobotModel) -> None:
+def _require_speed(motion: Fourier, model: Robot) -> None:
     _, dq, _ = one_period(motion)
     for joint, peak in zip(model.description.joints, np.abs(dq).max(axis=0), strict=True):
         if not peak > LEAST_PEAK:

@@ -13,7 +13,7 @@ import numpy as np
 from hesr_model.motions.limits import Limits
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.base_parameters import base_columns
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 _INSTANTS = 12
@@ -36,7 +36,7 @@ class Search:
     joint's speed, then the mean positions from -1 to 1 within their limits, then ln(period).
     """
 
-    model: RobotModel
+    model: Robot
     limits: Limits
     harmonics: int
     period: tuple[float, float]

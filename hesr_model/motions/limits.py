@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 from hesr_model.errors import FitError, RobotError
 from hesr_model.motions.trajectories import Fourier, one_period
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
 
@@ -67,7 +67,7 @@ class Limits:
     torque: Array
 
     @classmethod
-    def of(cls, model: RobotModel, given: MotionLimits) -> Self:
+    def of(cls, model: Robot, given: MotionLimits) -> Self:
         """Return the limits, by default the model's.
 
         Raises RobotError if a list has not one entry per joint, or a position is out of range.
@@ -87,7 +87,7 @@ class Limits:
             torque=np.array(given.torque or effort),
         )
 
-    def shrink(self, motion: Fourier, model: RobotModel, rest: Array) -> Fourier:
+    def shrink(self, motion: Fourier, model: Robot, rest: Array) -> Fourier:
         """Shrink a motion until it keeps all limits.
 
         Each joint's path is shrunk to its limits of position, velocity and acceleration and moved
@@ -117,7 +117,7 @@ class Limits:
         )
         return self._shrunk_for_torque(fitting, model, rest)
 
-    def _shrunk_for_torque(self, motion: Fourier, model: RobotModel, rest: Array) -> Fourier:
+    def _shrunk_for_torque(self, motion: Fourier, model: Robot, rest: Array) -> Fourier:
         def towards_rest(share: float) -> Fourier:
             offset = rest + share * (motion.offset - rest)
             return replace(motion, offset=offset, a=share * motion.a, b=share * motion.b)
@@ -139,7 +139,7 @@ class Limits:
             )
         return towards_rest(low)
 
-    def rest(self, model: RobotModel) -> Array:
+    def rest(self, model: Robot) -> Array:
         """Return the position (n,) [rad] with the smallest gravity relative to the torque limits.
 
         Raises FitError if gravity alone exceeds a limit everywhere.
@@ -170,14 +170,14 @@ class Limits:
         return rest
 
 
-def peak_torque(model: RobotModel, motion: Fourier) -> Array:
+def peak_torque(model: Robot, motion: Fourier) -> Array:
     """Return the largest torque (n,) [N.m] of the model file's rigid body, without friction."""
     q, dq, ddq = one_period(motion)
     peaks: Array = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
     return peaks
 
 
-def _require_one_per_joint(model: RobotModel, given: MotionLimits) -> None:
+def _require_one_per_joint(model: Robot, given: MotionLimits) -> None:
     for key, entries in given:
         if entries is not None and len(entries) != model.n:
             raise RobotError(
@@ -186,7 +186,7 @@ def _require_one_per_joint(model: RobotModel, given: MotionLimits) -> None:
             )
 
 
-def _require_in_range(model: RobotModel, position: Array) -> None:
+def _require_in_range(model: Robot, position: Array) -> None:
     lowest, highest, _ = model.limits
     for k, joint in enumerate(model.description.joints):
         if position[k, 0] < lowest[k] or position[k, 1] > highest[k]:

@@ -30,7 +30,7 @@ from hesr_model.rigid_body.observations import (
     slow_of,
     stacked,
 )
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 
@@ -41,7 +41,7 @@ class Streamed:
     follow from the peak speeds of all motions, known only at the end; then check `fits`.
     """
 
-    def __init__(self, model: RobotModel, slow: Array | None = None) -> None:
+    def __init__(self, model: Robot, slow: Array | None = None) -> None:
         self._model, self._base = model, base_columns(model)
         self._friction = friction_columns(model, self._base)
         self._used = np.full(model.n, SLOW) if slow is None else slow

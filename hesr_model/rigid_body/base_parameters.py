@@ -3,14 +3,14 @@
 import numpy as np
 from scipy.linalg import qr
 
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask
 
 _RANK_TOLERANCE = 1e-8
 _RANDOM_STATES = 300
 
 
-def base_columns(model: RobotModel) -> tuple[int, ...]:
+def base_columns(model: Robot) -> tuple[int, ...]:
     """Return the indices of a largest set of independent columns of the regressor, in order.
 
     Pivoted QR at random states within the joints' limits, with columns of unit length: the rank
@@ -27,7 +27,7 @@ def base_columns(model: RobotModel) -> tuple[int, ...]:
     return tuple(sorted(int(k) for k in order[:rank]))
 
 
-def dependence(model: RobotModel, base: tuple[int, ...]) -> Array:
+def dependence(model: Robot, base: tuple[int, ...]) -> Array:
     """Return the matrix K (len(base), P) that maps all onto base parameters: Y = Y_b K.
 
     Standard parameters pi and base parameters K pi give the same torque.
@@ -36,7 +36,7 @@ def dependence(model: RobotModel, base: tuple[int, ...]) -> Array:
     return np.asarray(np.linalg.lstsq(columns[:, list(base)], columns, rcond=None)[0], dtype=float)
 
 
-def offsets_apart(model: RobotModel, base: tuple[int, ...]) -> Mask:
+def offsets_apart(model: Robot, base: tuple[int, ...]) -> Mask:
     """Return whether a constant torque of each friction coordinate is independent of `base`, (n,).
 
     It is not if gravity is constant, as on a vertical sliding joint: a weight and a friction offset
@@ -50,7 +50,7 @@ def offsets_apart(model: RobotModel, base: tuple[int, ...]) -> Mask:
     return np.asarray(np.linalg.norm(left, axis=0) > np.sqrt(_RANK_TOLERANCE))
 
 
-def at_random_states(model: RobotModel) -> Array:
+def at_random_states(model: Robot) -> Array:
     """Return the regressor at random states within the joints' limits, (samples * n, P)."""
     rng = np.random.default_rng(0)
     lower, upper, speed = model.limits

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import FitError, RobotError
 from hesr_model.inference.covariance import Covariance
-from hesr_model.logs.robot_log import RobotLog, require_moving
+from hesr_model.logs.robot_log import Log, require_moving
 from hesr_model.logs.signals import Motion, smoothed
 from hesr_model.rigid_body import physical as consistent
 from hesr_model.rigid_body.base_parameters import at_random_states, base_columns
@@ -30,7 +30,7 @@ from hesr_model.rigid_body.observations import (
     rubbing_speeds,
     stacked,
 )
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support import html
 from hesr_model.support.arrays import Array, Integers, Mask
 from hesr_model.support.files import PathArg, path_of
@@ -137,7 +137,7 @@ class RigidBody:
         head = ("base parameter [SI]", "value", "standard error")
         return html.table(f"Rigid body of '{self.robot}', {self.method}", head, rows)
 
-    def torque(self, model: RobotModel, motion: Motion) -> Array:
+    def torque(self, model: Robot, motion: Motion) -> Array:
         """Return the rigid-body torque Y_b pi_b (eq. 6) over a motion, (N, n) [N.m].
 
         Raises
@@ -147,7 +147,7 @@ class RigidBody:
         """
         return model.torque(self.parameters_for(model), motion.q, motion.dq, motion.ddq)
 
-    def parameters_for(self, model: RobotModel) -> Array:
+    def parameters_for(self, model: Robot) -> Array:
         """Return the parameters (P,), or raise RobotError if they belong to another robot."""
         if self.names != model.parameter_names:
             raise RobotError(
@@ -157,7 +157,7 @@ class RigidBody:
             )
         return self.parameters
 
-    def torque_spread(self, model: RobotModel, motion: Motion) -> Array | None:
+    def torque_spread(self, model: Robot, motion: Motion) -> Array | None:
         """Return the uncertainty of the torque over a motion, (N, n, r) [N.m].
 
         The columns are the torque errors for one standard deviation of each of the r independent
@@ -207,12 +207,12 @@ class RigidBody:
 
 
 def identify(
-    logs: Sequence[RobotLog],
-    model: RobotModel,
+    logs: Sequence[Log],
+    model: Robot,
     *,
     method: Method = "stacked",
     weighting: Weighting | None = None,
-    reversed_logs: Sequence[RobotLog] = (),
+    reversed_logs: Sequence[Log] = (),
     physical: bool = False,
 ) -> RigidBody:
     """Identify the rigid-body parameters from logs; see `identify_motions`.
@@ -232,7 +232,7 @@ def identify(
 
 def identify_motions(
     motions: Sequence[Motion],
-    model: RobotModel,
+    model: Robot,
     *,
     method: Method = "stacked",
     weighting: Weighting | None = None,
@@ -293,7 +293,7 @@ def identify_motions(
 def _consistent(
     body: RigidBody,
     blocks: Sequence[Block],
-    model: RobotModel,
+    model: Robot,
     friction: Mask,
     labels: Integers,
 ) -> RigidBody:
@@ -314,7 +314,7 @@ def _consistent(
     )
 
 
-def scale_of(model: RobotModel, base: tuple[int, ...], friction: Mask) -> Array:
+def scale_of(model: Robot, base: tuple[int, ...], friction: Mask) -> Array:
     """Return the size of each column [N.m] for `least_squares.solve`, base columns first.
 
     Friction columns, selected by `friction` (n, 3), have size 1 N.m and 1 N.m.s/rad.
@@ -326,7 +326,7 @@ def scale_of(model: RobotModel, base: tuple[int, ...], friction: Mask) -> Array:
 def body_of(
     solution: Solution,
     covariance: Covariance,
-    model: RobotModel,
+    model: Robot,
     base: tuple[int, ...],
     friction: Mask,
     *,
@@ -382,7 +382,7 @@ def require_samples(where: str, rows: int, unknowns: int) -> None:
         )
 
 
-def require_speed(where: str, peaks: Array, model: RobotModel) -> None:
+def require_speed(where: str, peaks: Array, model: Robot) -> None:
     """Raise FitError if the peak speed (n,) [rad/s] of a joint is too small."""
     for joint, peak in zip(model.description.joints, peaks, strict=True):
         if not peak > LEAST_PEAK:

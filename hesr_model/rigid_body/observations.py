@@ -9,7 +9,7 @@ from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.base_parameters import offsets_apart
 from hesr_model.rigid_body.forward_reverse import matched
 from hesr_model.rigid_body.least_squares import Block
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Integers, Mask
 
@@ -20,12 +20,12 @@ SLOW_SHARE = 0.25
 """Upper bound of `SLOW` as a share of a joint's peak speed, for slow joints such as lifts."""
 
 
-def rubbing_speeds(motions: Sequence[Motion], model: RobotModel) -> Array:
+def rubbing_speeds(motions: Sequence[Motion], model: Robot) -> Array:
     """Return the velocities of the friction coordinates over all motions, (N, n) [rad/s; m/s]."""
     return onto(model.description.coupling, np.concatenate([motion.dq for motion in motions]))
 
 
-def slow_speeds(motions: Sequence[Motion], model: RobotModel) -> Array:
+def slow_speeds(motions: Sequence[Motion], model: Robot) -> Array:
     """Return the speeds (n,) [rad/s] below which rows of a friction coordinate are dropped."""
     return slow_of(np.max(np.abs(rubbing_speeds(motions, model)), axis=0))
 
@@ -35,7 +35,7 @@ def slow_of(fastest: Array) -> Array:
     return np.minimum(SLOW, SLOW_SHARE * fastest)
 
 
-def friction_columns(model: RobotModel, base: tuple[int, ...]) -> Mask:
+def friction_columns(model: Robot, base: tuple[int, ...]) -> Mask:
     """Return the Coulomb, viscous and offset columns that each joint has, (n, 3).
 
     An offset [N.m] is left out if a weight is the same number (`base_parameters.offsets_apart`).
@@ -61,7 +61,7 @@ def per_joint(found: Array, friction: Mask) -> Array:
 
 def stacked(
     motions: Sequence[Motion],
-    model: RobotModel,
+    model: Robot,
     base: tuple[int, ...],
     friction: Mask,
     slow: Array | None = None,
@@ -94,7 +94,7 @@ def stacked(
 def averaged(
     motions: Sequence[Motion],
     counterparts: Sequence[Motion],
-    model: RobotModel,
+    model: Robot,
     base: tuple[int, ...],
 ) -> list[Block]:
     """Return one block per friction coordinate: means of forward and reversed rows.
@@ -140,5 +140,5 @@ def averaged(
     ]
 
 
-def _regressor(model: RobotModel, motion: Motion) -> Array:
+def _regressor(model: Robot, motion: Motion) -> Array:
     return model.regressor(motion.q, motion.dq, motion.ddq)

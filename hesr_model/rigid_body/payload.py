@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import FitError
-from hesr_model.logs.robot_log import RobotLog, require_moving
+from hesr_model.logs.robot_log import Log, require_moving
 from hesr_model.logs.signals import Motion, smoothed
 from hesr_model.rigid_body.base_parameters import dependence
 from hesr_model.rigid_body.identification import RigidBody, scale_of
@@ -26,7 +26,7 @@ from hesr_model.rigid_body.observations import (
     per_joint,
     stacked,
 )
-from hesr_model.robots.robot import LINK_PARAMETERS, RobotModel
+from hesr_model.robots.robot import LINK_PARAMETERS, Robot
 from hesr_model.support.arrays import Array, Integers
 
 _SEGMENT = 1.0
@@ -88,7 +88,7 @@ class Payload:
         }
 
 
-def identify_payload(logs: Sequence[RobotLog], model: RobotModel, unloaded: RigidBody) -> Payload:
+def identify_payload(logs: Sequence[Log], model: Robot, unloaded: RigidBody) -> Payload:
     """Identify the payload on the last link from logs.
 
     Raises LogError for unusable logs, RobotError if `unloaded` belongs to another robot, and
@@ -99,7 +99,7 @@ def identify_payload(logs: Sequence[RobotLog], model: RobotModel, unloaded: Rigi
 
 
 def identify_payload_motions(
-    motions: Sequence[Motion], model: RobotModel, unloaded: RigidBody
+    motions: Sequence[Motion], model: Robot, unloaded: RigidBody
 ) -> Payload:
     """Identify the payload on the last link from smooth motions, as `identify_motions`.
 
@@ -138,7 +138,7 @@ def identify_payload_motions(
     return payload
 
 
-def loaded(unloaded: RigidBody, payload: Payload, model: RobotModel) -> RigidBody:
+def loaded(unloaded: RigidBody, payload: Payload, model: Robot) -> RigidBody:
     """Return the rigid body with the payload added to its last link.
 
     All ten parameters are added, also dependent ones that are zero in the unloaded body: torque is
@@ -181,7 +181,7 @@ def _require_mass(name: str, payload: Payload) -> None:
         )
 
 
-def _last_link(model: RobotModel) -> tuple[int, ...]:
+def _last_link(model: Robot) -> tuple[int, ...]:
     return tuple(range(10 * (model.n - 1), 10 * model.n))
 
 

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.base_parameters import dependence
 from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers
 
 _PULL = 0.2
@@ -80,7 +80,7 @@ def link_parameters(pseudo: Array) -> Array:
 
 def fit(
     blocks: Sequence[Block],
-    model: RobotModel,
+    model: Robot,
     base: tuple[int, ...],
     labels: Integers,
     *,
@@ -148,7 +148,7 @@ class _Chart:
     pull: Array  # (10 n + r,) residual per unit off the start and square root of rows
 
     @classmethod
-    def of(cls, model: RobotModel) -> Self:
+    def of(cls, model: Robot) -> Self:
         nominal, links = model.nominal_parameters, 10 * model.n
         factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]

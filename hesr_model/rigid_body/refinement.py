@@ -9,19 +9,19 @@ from dataclasses import replace
 
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog, parts_of
+from hesr_model.logs.robot_log import Log, parts_of
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 
 def identify_again(
-    logs: Sequence[RobotLog],
-    model: RobotModel,
+    logs: Sequence[Log],
+    model: Robot,
     rigid_body: RigidBody,
     friction: FrictionModel,
     *,
-    reversed_logs: Sequence[RobotLog] = (),
+    reversed_logs: Sequence[Log] = (),
 ) -> RigidBody:
     """Identify the rigid body from logs without the torque of a friction model.
 
@@ -35,7 +35,7 @@ def identify_again(
             f"robot has {', '.join(joints)}."
         )
 
-    def without_friction(log: RobotLog) -> RobotLog:
+    def without_friction(log: Log) -> Log:
         records = friction_records(log, model, rigid_body)
         return replace(log, tau=log.tau - friction.predict(records))
 

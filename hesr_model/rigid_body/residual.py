@@ -8,10 +8,10 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.phases import MOVING, reversals
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array, Mask, some_rows
 from hesr_model.units import unit_of_joint
@@ -92,9 +92,7 @@ def all_at_friction(records: Sequence[Sequence[FrictionRecord]]) -> list[list[Fr
     return [list(of_joint) for of_joint in zip(*moved, strict=True)]
 
 
-def friction_records(
-    log: RobotLog, model: RobotModel, rigid_body: RigidBody
-) -> list[FrictionRecord]:
+def friction_records(log: Log, model: Robot, rigid_body: RigidBody) -> list[FrictionRecord]:
     """Separate friction from a log, joint by joint (eq. 8).
 
     Raises LogError if the log is too slow or short, RobotError if `rigid_body` is of another robot.
@@ -102,9 +100,7 @@ def friction_records(
     return motion_records(smooth(log, model.description.log.filter_cutoff), model, rigid_body)
 
 
-def motion_records(
-    motion: Motion, model: RobotModel, rigid_body: RigidBody
-) -> list[FrictionRecord]:
+def motion_records(motion: Motion, model: Robot, rigid_body: RigidBody) -> list[FrictionRecord]:
     """Return the friction records of a smoothed log; see `friction_records`."""
     load = rigid_body.torque(model, motion)
     spread = rigid_body.torque_spread(model, motion)

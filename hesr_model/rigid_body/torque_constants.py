@@ -25,7 +25,7 @@ from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.least_squares import Block
 from hesr_model.rigid_body.observations import friction_columns, stacked
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 _DETERMINED = 0.2
@@ -68,7 +68,7 @@ class Constant:
 
 def torque_constants(
     motions: Sequence[Motion],
-    model: RobotModel,
+    model: Robot,
     assumed: Sequence[float],
     *,
     mass_error: float,
@@ -145,7 +145,7 @@ class _Problem:
     def of(
         cls,
         kinds: Sequence[tuple[Block, Array]],
-        model: RobotModel,
+        model: Robot,
         weight: Array,
         spread: Array,
     ) -> "_Problem":
@@ -237,7 +237,7 @@ class _Problem:
         return np.vstack([*parts, prior])
 
 
-def _spread(model: RobotModel, mass_error: float) -> Array:
+def _spread(model: Robot, mass_error: float) -> Array:
     """Return the standard deviations (P,) of the parameters of the model file."""
     nominal = model.nominal_parameters
     spread = np.full(len(nominal), _ROTOR)

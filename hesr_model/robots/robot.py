@@ -128,7 +128,7 @@ class JointFrame:
     prismatic: bool
 
 
-class RobotModel:
+class Robot:
     """A robot: its joints, the format of its logs, and its rigid-body dynamics (eq. 5).
 
     tau = Y(q, dq, ddq) pi, with ten standard parameters per link (`LINK_PARAMETERS`) and, if the
@@ -362,7 +362,7 @@ class RobotModel:
         return states
 
 
-RobotLike = RobotDescription | RobotModel | str | PathLike[str]
+RobotLike = RobotDescription | Robot | str | PathLike[str]
 """A robot, its description, or the path of a robot file (TOML), URDF or MJCF."""
 
 
@@ -372,7 +372,7 @@ def description_of(robot: RobotLike) -> RobotDescription:
     A URDF or MJCF alone describes all its joints, with the default columns ``t, q1.., dq1..,
     tau1..``.
     """
-    if isinstance(robot, RobotModel):
+    if isinstance(robot, Robot):
         return robot.description
     if isinstance(robot, RobotDescription):
         return robot
@@ -383,6 +383,6 @@ def description_of(robot: RobotLike) -> RobotDescription:
     return RobotDescription(name=path.stem, model=path.resolve(), joints=joints)
 
 
-def model_of(robot: RobotLike) -> RobotModel:
-    """Return the dynamics of a robot; a `RobotModel` is returned unchanged."""
-    return robot if isinstance(robot, RobotModel) else RobotModel(robot)
+def model_of(robot: RobotLike) -> Robot:
+    """Return the dynamics of a robot; a `Robot` is returned unchanged."""
+    return robot if isinstance(robot, Robot) else Robot(robot)

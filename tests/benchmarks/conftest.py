@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from cosim.study.run import run_study
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 STUDY = """
@@ -36,11 +36,11 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Friction
     study.write_text(STUDY.format(models=models_folder()), encoding="utf-8")
     body = run_study(study, folder / "twin").rigid_body
     description = RobotDescription.read(models_folder() / "uf850" / "robot.toml")
-    model = RobotModel(description)
+    model = Robot(description)
 
     def read(log: str) -> list[FrictionRecord]:
         file: Path = folder / "twin" / "logs" / f"{log}.csv"
-        return friction_records(RobotLog.read(file, description), model, body)
+        return friction_records(Log.read(file, description), model, body)
 
     return {log: read(log) for log in ("sweep", "fourier_test")}
 

@@ -16,11 +16,11 @@ from fmu_src import export_fmu
 from fmu_src.run.replay import replay
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
@@ -93,7 +93,7 @@ def saved(page: "Page") -> dict[str, np.ndarray]:
     return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
 
-def columns(records: Sequence[FrictionRecord], log: RobotLog) -> dict[str, np.ndarray]:
+def columns(records: Sequence[FrictionRecord], log: Log) -> dict[str, np.ndarray]:
     found = {"t": log.t}
     for k, record in enumerate(records):
         found[f"q{k + 1}"] = log.q[:, k]
@@ -112,17 +112,17 @@ def table(named: dict[str, np.ndarray], delimiter: str = ",", point: str = ".") 
 
 
 @pytest.fixture
-def measured(arm_log: RobotLog, arm: RobotDescription) -> RobotLog:
+def measured(arm_log: Log, arm: RobotDescription) -> Log:
     """With noise, and stamps that are not even."""
     rng = np.random.default_rng(3)
     t = arm_log.t + 2e-4 * rng.uniform(-1.0, 1.0, len(arm_log.t))
     assert arm_log.dq is not None
     dq = arm_log.dq + 1e-3 * rng.normal(size=arm_log.dq.shape)
     tau = arm_log.tau + 0.1 * rng.normal(size=arm_log.tau.shape)
-    return RobotLog(name="day", t=t, q=arm_log.q, dq=dq, tau=tau, robot=arm)
+    return Log(name="day", t=t, q=arm_log.q, dq=dq, tau=tau, robot=arm)
 
 
-def scores_of(fmu: Path, log: RobotLog, body: RigidBody, arm: RobotDescription) -> Comparison:
+def scores_of(fmu: Path, log: Log, body: RigidBody, arm: RobotDescription) -> Comparison:
     """Scores of an FMU on a log."""
     report = hesr.test(fmu, on=[log], kind=["prediction"], robot=arm, rigid_body=body)
     assert report.scores is not None
@@ -131,11 +131,11 @@ def scores_of(fmu: Path, log: RobotLog, body: RigidBody, arm: RobotDescription) 
 
 @pytest.mark.parametrize("logged", [True, False], ids=["velocity logged", "velocity derived"])
 def test_numbers_are_those_of_replay(
-    page: "Page", fmu: Path, measured: RobotLog, arm: RobotDescription, logged: bool
+    page: "Page", fmu: Path, measured: Log, arm: RobotDescription, logged: bool
 ) -> None:
     body = hesr.identify(measured, robot=arm)
     log = measured if logged else replace(measured, dq=None)
-    records = friction_records(log, RobotModel(arm), body)
+    records = friction_records(log, Robot(arm), body)
     scores = scores_of(fmu, log, body, arm)
     drop(page, table(columns(records, log)))
     assert wrong(page) == ""
@@ -162,7 +162,7 @@ def test_numbers_are_those_of_replay(
 def test_with_its_body_the_page_finds_the_friction_itself(
     open_page: OpenPage,
     model: FrictionModel,
-    measured: RobotLog,
+    measured: Log,
     arm: RobotDescription,
     tmp_path: Path,
     logged: bool,
@@ -171,7 +171,7 @@ def test_with_its_body_the_page_finds_the_friction_itself(
     fmu = hesr.export(model, tmp_path / "law.fmu", robot=arm, rigid_body=body)
     page = opened(open_page, fmu)
     log = measured if logged else replace(measured, dq=None)
-    records = friction_records(log, RobotModel(arm), body)
+    records = friction_records(log, Robot(arm), body)
     scores = scores_of(fmu, log, body, arm)
     named = columns(records, log)
     drop(page, table({name: c for name, c in named.items() if not name.startswith("tau_load")}))
@@ -196,7 +196,7 @@ def test_with_its_body_the_page_finds_the_friction_itself(
         assert "no position or velocity columns were recognised" in wrong(page)
 
 
-def test_a_log_of_a_stranger(page: "Page", fmu: Path, measured: RobotLog) -> None:
+def test_a_log_of_a_stranger(page: "Page", fmu: Path, measured: Log) -> None:
     """Semicolons, decimal commas, units, rows without numbers, a gap."""
     gap = np.r_[0:900, 960 : len(measured.t)]
     assert measured.dq is not None
@@ -224,7 +224,7 @@ def test_a_log_of_a_stranger(page: "Page", fmu: Path, measured: RobotLog) -> Non
     assert page.get_by_role("radio", name="residual").is_disabled()
 
 
-def predict_of(fmu: Path, log: RobotLog, rows: np.ndarray) -> np.ndarray:
+def predict_of(fmu: Path, log: Log, rows: np.ndarray) -> np.ndarray:
     """Torque of the second joint by the tool, part by part."""
     kept = log.rows(np.delete(rows, 199))
     parts = [smooth(part) for part in kept.parts()]
@@ -232,7 +232,7 @@ def predict_of(fmu: Path, log: RobotLog, rows: np.ndarray) -> np.ndarray:
     return np.concatenate([replay(fmu, part.t, part.dq, part.q_raw)[:, 1] for part in parts])
 
 
-def test_uncertain_columns_are_mapped_by_hand(page: "Page", measured: RobotLog) -> None:
+def test_uncertain_columns_are_mapped_by_hand(page: "Page", measured: Log) -> None:
     named = {"stamp": measured.t}
     for k in range(3):
         named[f"a{k + 1}"] = measured.q[:, k]

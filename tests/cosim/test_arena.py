@@ -30,10 +30,10 @@ from hesr.extras.leaderboard.score import Judge
 from hesr_model.errors import ConfigError, HesrError, SimulationError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder, sha256
 
 Shared = Callable[[str, Callable[[Path], object]], Path]
@@ -66,8 +66,8 @@ def lay(folder: Path) -> None:
     kept = tuple(m for m in motions.motions if m.name in ("excitation", "trial"))
     logs = excite(motions.model_copy(update={"motions": kept}), Plant.read(TWIN / "plant.toml"),
                   folder)  # fmt: skip
-    model = RobotModel(RobotDescription.read(TWIN / "robot.toml"))
-    training = RobotLog.read(logs["excitation"], model.description)
+    model = Robot(RobotDescription.read(TWIN / "robot.toml"))
+    training = Log.read(logs["excitation"], model.description)
     body = identify([training], model)
     body.write(folder / "body.json")
     law = fit("stribeck", friction_records(training, model, body), robot="uf850")

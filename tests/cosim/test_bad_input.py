@@ -24,10 +24,10 @@ from fmu_src import export_fmu, model_file
 from fmu_src.arm.plant import Plant
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 JOINTS = ("joint1", "joint2", "joint3")
@@ -82,8 +82,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     text = uf850("robot.toml").read_text(encoding="utf-8")
     robot.write_text(text.replace('"uf850.xml"', f'"{uf850("uf850.xml")}"'), encoding="utf-8")
     description = RobotDescription.read(robot)
-    model = RobotModel(description)
-    read = {name: RobotLog.read(path, description) for name, path in logs.items()}
+    model = Robot(description)
+    read = {name: Log.read(path, description) for name, path in logs.items()}
     body = identify([read["excitation"]], model, reversed_logs=[read["excitation_reversed"]])
     body.write(folder / "body.json")
     records = [[r] for r in friction_records(read["sweep"], model, body)]
@@ -316,15 +316,15 @@ def test_a_parquet_file_that_is_none(
     )
 
 
-def rewritten(bench: Bench, folder: Path, change: Callable[[RobotLog], RobotLog]) -> Path:
+def rewritten(bench: Bench, folder: Path, change: Callable[[Log], Log]) -> Path:
     """A log that is well formed, but of a motion that does not serve."""
-    log = RobotLog.read(bench.log, RobotDescription.read(bench.robot))
+    log = Log.read(bench.log, RobotDescription.read(bench.robot))
     path = folder / "log.csv"
     change(log).write(path)
     return path
 
 
-def one_way(log: RobotLog) -> RobotLog:
+def one_way(log: Log) -> Log:
     """Joint 2 moves forwards all the time."""
     q, dq = log.q.copy(), log.dq.copy()
     q[:, 1] = np.linspace(-0.5, 1.0, len(log.t)) + 0.02 * np.sin(log.t)
@@ -332,7 +332,7 @@ def one_way(log: RobotLog) -> RobotLog:
     return replace(log, q=q, dq=dq)
 
 
-def constant(log: RobotLog) -> RobotLog:
+def constant(log: Log) -> Log:
     """Joint 3 stands still."""
     q, dq = log.q.copy(), log.dq.copy()
     q[:, 2], dq[:, 2] = -1.9, 0.0

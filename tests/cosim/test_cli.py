@@ -13,7 +13,7 @@ from small_study import Hesr, Run, contents, hesr_here, uf850
 
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.files import sha256
@@ -245,7 +245,7 @@ def test_prediction_names_models_of_one_law_by_their_files(
 
 
 def test_prediction_reads_parquet(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
-    log = RobotLog.read(ran.log("trial"), RobotDescription.read(ROBOT))
+    log = Log.read(ran.log("trial"), RobotDescription.read(ROBOT))
     log.write(tmp_path / "trial.parquet")
     results = []
     for path in (ran.log("trial"), tmp_path / "trial.parquet"):

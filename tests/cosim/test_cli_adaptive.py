@@ -15,10 +15,10 @@ from hesr.extras.thermal.thermal_fit import fit_thermal
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.lugre import LuGre
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 
 def test_an_adaptive_fmu(tmp_path: Path, capsys, monkeypatch) -> None:
@@ -46,7 +46,7 @@ def test_temperature_is_found_in_logs(study_run: Run, tmp_path: Path, capsys, mo
     robot, body, law = uf850("robot.toml"), study_run.rigid_body, tmp_path / "law.json"
     fit(study_run.log("sweep"), law="lugre", robot=robot, rigid_body=body).write(law)
     log, out = tmp_path / "warm.csv", tmp_path / "warm.json"
-    cold = RobotLog.read(study_run.log("sweep"), robot)
+    cold = Log.read(study_run.log("sweep"), robot)
     options = ("--law", law, "--add", "temperature", "--robot", robot, "--rigid-body", body)
     options += ("-o", out)
     answer = hesr("fit", study_run.log("sweep"), *options)
@@ -58,8 +58,8 @@ def test_temperature_is_found_in_logs(study_run: Run, tmp_path: Path, capsys, mo
     answer = hesr("fit", log, *options)
     assert answer.code == 0, answer.err
     # The twin does not depend on temperature.
-    model = RobotModel(RobotDescription.read(robot))
-    records = friction_records(RobotLog.read(log, robot), model, RigidBody.read(body))
+    model = Robot(RobotDescription.read(robot))
+    records = friction_records(Log.read(log, robot), model, RigidBody.read(body))
     for joint in fit_thermal(FrictionModel.read(law), [records])[1]:
         assert abs(joint.thermal.viscous) < 0.005 + 4.0 * joint.viscous_error
     assert len(FrictionModel.read(out).thermal) == 3

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from small_study import Hesr, hesr_here
 
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 
 ROBOT = """
 name = "arm"
@@ -22,7 +22,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
     return hesr_here(capsys, monkeypatch)
 
 
-def write(folder: Path, log: RobotLog) -> tuple[Path, Path]:
+def write(folder: Path, log: Log) -> tuple[Path, Path]:
     robot, file = folder / "robot.toml", folder / "run.csv"
     robot.write_text(ROBOT, encoding="utf-8")
     log.write(file)
@@ -30,7 +30,7 @@ def write(folder: Path, log: RobotLog) -> tuple[Path, Path]:
     return robot, file
 
 
-def test_constants_are_said_and_written(hesr: Hesr, tmp_path: Path, arm_log: RobotLog) -> None:
+def test_constants_are_said_and_written(hesr: Hesr, tmp_path: Path, arm_log: Log) -> None:
     robot, log = write(tmp_path, arm_log)
     out = tmp_path / "constants.json"
     answer = hesr("inspect", log, "--robot", robot, "--torque-constants", "--json", out)
@@ -43,7 +43,7 @@ def test_constants_are_said_and_written(hesr: Hesr, tmp_path: Path, arm_log: Rob
     assert len(found) == len(told)
 
 
-def test_a_payload_is_four_numbers(hesr: Hesr, tmp_path: Path, arm_log: RobotLog) -> None:
+def test_a_payload_is_four_numbers(hesr: Hesr, tmp_path: Path, arm_log: Log) -> None:
     robot, log = write(tmp_path, arm_log)
     answer = hesr("inspect", log, "--robot", robot, "--torque-constants", "--payload", "2.0,0.1")
     assert answer.code == 2

@@ -10,13 +10,13 @@ from small_study import hesr_here
 import hesr
 from hesr_model.errors import HesrError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.robots.owner import Owner
 from hesr_model.robots.robot import RobotDescription
 
 
 @pytest.fixture
-def file(arm: RobotDescription, arm_log: RobotLog) -> Path:
+def file(arm: RobotDescription, arm_log: Log) -> Path:
     path = arm.model.with_name("run.csv")
     arm_log.write(path)
     return path
@@ -102,7 +102,7 @@ def test_the_laws_are_listed() -> None:
 
 
 def test_what_cannot_be_used_is_refused(
-    arm_log: RobotLog, table1: FrictionModel, tmp_path: Path
+    arm_log: Log, table1: FrictionModel, tmp_path: Path
 ) -> None:
     fleet, board = tmp_path / "fleet.toml", tmp_path / "board.toml"
     fleet.write_text("[types]\n", encoding="utf-8")

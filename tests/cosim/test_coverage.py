@@ -22,12 +22,12 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.laws.lugre import LuGre
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.base_parameters import dependence
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 pytestmark = pytest.mark.ci
@@ -42,12 +42,12 @@ SEARCHED = {"deflection": 2e-3, "ratio": 1.3, "v_s": 0.04}
 class Case:
     """What is true, without noise."""
 
-    model: RobotModel
+    model: Robot
     plant: Plant
     laws: tuple[FrictionLaw, ...]
-    logs: tuple[RobotLog, ...]
+    logs: tuple[Log, ...]
 
-    def noisy(self, seed: int) -> Iterator[RobotLog]:
+    def noisy(self, seed: int) -> Iterator[Log]:
         for k, log in enumerate(self.logs):
             noise = self.plant.noise.model_copy(update={"seed": 100 * seed + k})
             rows = np.arange(len(log.t))
@@ -58,7 +58,7 @@ class Case:
 
 @pytest.fixture(scope="module")
 def case() -> Case:
-    model = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    model = Robot(RobotDescription.read(UF850 / "robot.toml"))
     plant = Plant.read(UF850 / "plant.toml")
     laws = tuple(
         FrictionLaw(
@@ -79,11 +79,11 @@ def case() -> Case:
             q, dq, ddq = trajectory.sample(motion.unlogged + t)
             friction = [predict(law, t=t, dq=dq[:, k], q=q[:, k]) for k, law in enumerate(laws)]
             tau = model.torque(model.nominal_parameters, q, dq, ddq) + np.column_stack(friction)
-            logs.append(RobotLog(name=name, t=t, q=q, dq=dq, tau=tau))
+            logs.append(Log(name=name, t=t, q=q, dq=dq, tau=tau))
     return Case(model=model, plant=plant, laws=laws, logs=tuple(logs))
 
 
-def fitted(case: Case, log: RobotLog, body: RigidBody) -> list[FrictionLaw]:
+def fitted(case: Case, log: Log, body: RigidBody) -> list[FrictionLaw]:
     """Laws of the true form from the sweep, searched from the truth on."""
     laws, space = [], LuGre().space()
     for record, true in zip(friction_records(log, case.model, body), case.laws, strict=True):

@@ -16,7 +16,7 @@ from hesr_model.motions.excitation import ExcitationSettings, condition, random_
 from hesr_model.motions.trajectories import random_fourier
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.identification import identify
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 FOLDER = models_folder() / "uf850"
@@ -31,7 +31,7 @@ QUICK = "harmonics = 2\nstarts = 1\nperiod = [6.0, 8.0]\n"
 
 @pytest.fixture(scope="module")
 def model():
-    return RobotModel(RobotDescription.read(ROBOT))
+    return Robot(RobotDescription.read(ROBOT))
 
 
 @pytest.fixture(scope="module")

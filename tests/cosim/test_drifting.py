@@ -32,11 +32,11 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.lugre import LuGre
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.motions.trajectories import Fourier, random_fourier
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.typed_json import to_json
 
 PLANT = Plant.read(UF850 / "plant.toml")
@@ -53,7 +53,7 @@ def truth() -> FrictionModel:
 def loop_of(
     folder: Path, model: FrictionModel, parameters: np.ndarray | None = None
 ) -> DriftingLoop:
-    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    robot = Robot(RobotDescription.read(UF850 / "robot.toml"))
     made = DriftingLoop(
         plant=PLANT, robot=robot, model=model, motion=MOTION, gains=GAINS, folder=folder,
         parameters=robot.nominal_parameters if parameters is None else parameters,
@@ -154,14 +154,14 @@ def long_motion(seed: int) -> Fourier:
     )  # fmt: skip
 
 
-def log_of(run: Drifted, rows: slice = slice(None), *, name: str = "loop") -> RobotLog:
+def log_of(run: Drifted, rows: slice = slice(None), *, name: str = "loop") -> Log:
     """What the twin's encoders and torque sensors have recorded."""
     q = run.q + encoder_error(PLANT.noise, np.arange(len(run.t)))
-    return RobotLog(name=name, t=run.t[rows], q=q[rows], dq=None, tau=run.tau_meas[rows])
+    return Log(name=name, t=run.t[rows], q=q[rows], dq=None, tau=run.tau_meas[rows])
 
 
 @pytest.fixture(scope="module")
-def cold(simple: DriftingLoop) -> RobotLog:
+def cold(simple: DriftingLoop) -> Log:
     return log_of(run_drifting(replace(simple, motion=long_motion(3)), Drift(), 120.0))
 
 
@@ -179,9 +179,9 @@ def test_the_drift_of_a_warm_up_is_cut_within_a_minute(fitted: DriftingLoop) -> 
 @pytest.mark.soak
 @pytest.mark.parametrize("law", ["parfam_s_load", "lugre_load"])
 def test_a_law_that_is_followed_tracks_like_one_fitted_anew_every_minute(
-    law: str, cold: RobotLog, tmp_path: Path
+    law: str, cold: Log, tmp_path: Path
 ) -> None:
-    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    robot = Robot(RobotDescription.read(UF850 / "robot.toml"))
     body = identify([cold], robot)
     model = fit(law, friction_records(cold, robot, body))
     loop = replace(loop_of(tmp_path, model, np.array(body.parameters)), motion=long_motion(11))
@@ -204,7 +204,7 @@ def test_a_law_that_is_followed_tracks_like_one_fitted_anew_every_minute(
 
 
 @pytest.mark.soak
-def test_what_temperature_does_to_the_twin_is_found(simple: DriftingLoop, cold: RobotLog) -> None:
+def test_what_temperature_does_to_the_twin_is_found(simple: DriftingLoop, cold: Log) -> None:
     known = Thermal(coulomb=0.006, viscous=0.02, reference=30.0)
 
     def course(t: Any) -> Any:

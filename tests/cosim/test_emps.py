@@ -16,11 +16,11 @@ from hesr_model.forward.output_error import MOST_TORQUE, Refined, refine
 from hesr_model.forward.simulation import Simulator, position_errors
 from hesr_model.forward.windows import whole, windows_of
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smoothed
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 MOST = 5e-3
 """Open loop [m]."""
@@ -35,7 +35,7 @@ identification = ["DATA_EMPS.mat"]
 test = { pulses = ["DATA_EMPS_PULSES.mat"] }
 """
 
-Identified = tuple[RobotModel, RigidBody, FrictionModel]
+Identified = tuple[Robot, RigidBody, FrictionModel]
 
 
 @pytest.fixture(scope="module")
@@ -50,25 +50,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def logs(folder: Path) -> tuple[RobotLog, RobotLog]:
+def logs(folder: Path) -> tuple[Log, Log]:
     robot = RobotDescription.read(folder / "robot.toml")
     training, pulses = (
-        RobotLog.read(folder / f"{n}.mat", robot) for n in ("DATA_EMPS", "DATA_EMPS_PULSES")
+        Log.read(folder / f"{n}.mat", robot) for n in ("DATA_EMPS", "DATA_EMPS_PULSES")
     )
     return training, pulses
 
 
 @pytest.fixture(scope="module", params=["stribeck", "lugre"])
-def identified(
-    request: pytest.FixtureRequest, folder: Path, logs: tuple[RobotLog, RobotLog]
-) -> Identified:
-    robot = RobotModel(RobotDescription.read(folder / "robot.toml"))
+def identified(request: pytest.FixtureRequest, folder: Path, logs: tuple[Log, Log]) -> Identified:
+    robot = Robot(RobotDescription.read(folder / "robot.toml"))
     body = identify([logs[0]], robot)
     return robot, body, fit(request.param, friction_records(logs[0], robot, body), robot="EMPS")
 
 
 @pytest.fixture(scope="module")
-def refined(identified: Identified, logs: tuple[RobotLog, RobotLog]) -> Refined:
+def refined(identified: Identified, logs: tuple[Log, Log]) -> Refined:
     robot, body, law = identified
     return refine(robot, body, law, smoothed([logs[0]], robot))
 
@@ -83,15 +81,13 @@ def test_mass_and_friction_are_found(identified: Identified) -> None:
     assert {c.unit for c in law.laws[0].form.coefficients} >= {"N", "N.s/m", "m/s"}
 
 
-def torque_error(robot: RobotModel, body: RigidBody, law: FrictionModel, log: RobotLog) -> float:
+def torque_error(robot: Robot, body: RigidBody, law: FrictionModel, log: Log) -> float:
     """RMS over all rows [N]."""
     records = friction_records(log, robot, body)
     return float(np.sqrt(np.mean((law.predict(records)[:, 0] - records[0].tau) ** 2)))
 
 
-def position(
-    robot: RobotModel, body: RigidBody, law: FrictionModel, log: RobotLog, length: float
-) -> float:
+def position(robot: Robot, body: RigidBody, law: FrictionModel, log: Log, length: float) -> float:
     """RMS over windows of a length [s], or open loop where it is 0 [m]."""
     records = friction_records(log, robot, body)
     one = Simulator(robot=robot, parameters=body.parameters, friction=law)
@@ -101,7 +97,7 @@ def position(
 
 
 def test_output_error_pays_on_a_log_that_it_has_not_seen(
-    identified: Identified, refined: Refined, logs: tuple[RobotLog, RobotLog]
+    identified: Identified, refined: Refined, logs: tuple[Log, Log]
 ) -> None:
     robot, body, law = identified
     given, better = (robot, body, law), (robot, refined.body, refined.friction)
@@ -115,7 +111,7 @@ def test_output_error_pays_on_a_log_that_it_has_not_seen(
 
 
 def test_torque_is_kept_on_the_training_log(
-    identified: Identified, refined: Refined, logs: tuple[RobotLog, RobotLog]
+    identified: Identified, refined: Refined, logs: tuple[Log, Log]
 ) -> None:
     robot, body, law = identified
     after = torque_error(robot, refined.body, refined.friction, logs[0])
@@ -124,10 +120,10 @@ def test_torque_is_kept_on_the_training_log(
     assert not refined.friction.laws[0].standard_errors  # those of another estimate
 
 
-def test_a_study_refines_by_output_error(folder: Path, logs: tuple[RobotLog, RobotLog]) -> None:
+def test_a_study_refines_by_output_error(folder: Path, logs: tuple[Log, Log]) -> None:
     path = folder / "study.toml"
     job = Job(study=Study.read(path), path=path, progress=lambda *_: None)
-    robot = RobotModel(job.robot)
+    robot = Robot(job.robot)
     body, together = job.rigid_body({"DATA_EMPS.mat": logs[0]}, robot)
     once = identify([logs[0]], robot)
     assert list(together) == ["stribeck"]
@@ -162,8 +158,8 @@ def test_the_command_line_goes_the_whole_way(
     data = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     (free,) = data["result"]["simulation"]["open_loop"]["stribeck"]
     assert free <= MOST
-    log = RobotLog.read(pulses, RobotDescription.read(folder / "robot.toml"))
-    model = RobotModel(RobotDescription.read(folder / "robot.toml"))
+    log = Log.read(pulses, RobotDescription.read(folder / "robot.toml"))
+    model = Robot(RobotDescription.read(folder / "robot.toml"))
     (record,) = friction_records(log, model, RigidBody.read(body))
     torque = replay(fmu, record.t, record.dq[:, None])
     expected = FrictionModel.read(law).predict(t=record.t, dq=record.dq[:, None])

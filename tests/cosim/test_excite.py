@@ -10,9 +10,9 @@ from cosim.loop.twin import loaded_arm
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant, joint_limits
 from hesr_model.errors import ConfigError
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.motions.trajectories import Sine, random_fourier
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 FOLDER = models_folder()
@@ -173,7 +173,7 @@ def test_friction_truth_shows_hysteresis(everything):
 
 
 def test_rigid_body_and_friction_explain_the_log(everything, robot):
-    model, truth = RobotModel(robot), everything["fourier_test"].truth
+    model, truth = Robot(robot), everything["fourier_test"].truth
     ddq = np.gradient(truth.dq, 5e-3, axis=0)
     rigid = model.torque(model.nominal_parameters, truth.q, truth.dq, ddq)
     residual = truth.tau_meas - rigid - truth.tau_f_true
@@ -183,7 +183,7 @@ def test_rigid_body_and_friction_explain_the_log(everything, robot):
 
 
 def test_excitation_is_well_conditioned(everything, robot):
-    model, desired = RobotModel(robot), everything["excitation"].desired
+    model, desired = Robot(robot), everything["excitation"].desired
     dq = np.gradient(desired, 5e-3, axis=0)
     ddq = np.gradient(dq, 5e-3, axis=0)
     columns = model.regressor(desired[::10], dq[::10], ddq[::10]).reshape(-1, 33)[:, :30]
@@ -204,7 +204,7 @@ def test_logs_are_written_and_can_be_read(motions, plant, robot, everything, tmp
     assert list(paths) == ["sine_joint2", "chirp"]
     for name, path in paths.items():
         assert path == tmp_path / "new" / f"{name}.csv"
-        read, recorded = RobotLog.read(path, robot), everything[name].log
+        read, recorded = Log.read(path, robot), everything[name].log
         assert read.name == name
         for column in ("t", "q", "dq", "tau"):
             np.testing.assert_array_equal(getattr(read, column), getattr(recorded, column))

@@ -30,12 +30,12 @@ from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.inference.deviation import Trend
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.sample import Sample
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import motion_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 Shared = Callable[[str, Callable[[Path], object]], Path]
 Command = Callable[..., int]
@@ -74,12 +74,12 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
 
 
-def logs_of(cell: Path, robot: str) -> tuple[RobotModel, list[RobotLog]]:
+def logs_of(cell: Path, robot: str) -> tuple[Robot, list[Log]]:
     description = RobotDescription.read(cell / "robot.toml")
     found = members(FleetStudy.read(cell / "fleet.toml"), cell / "fleet.toml")
     logs = next(one.logs for one in found if one.name == robot)
-    read = [replace(RobotLog.read(path, description), name=name) for name, path in logs]
-    return RobotModel(description), read
+    read = [replace(Log.read(path, description), name=name) for name, path in logs]
+    return Robot(description), read
 
 
 # --- each robot ---------------------------------------------------------------------------------
@@ -183,7 +183,7 @@ def test_a_new_day_is_added(copied: Path, command: Command, capsys) -> None:
 def test_broken_logs_stop_nobody(copied: Path, command: Command, capsys) -> None:
     logs = copied / "logs"
     (logs / "robot=R0/day=2026-01-02/part-0.parquet").write_bytes(b"PAR1 cut short")
-    turned = RobotLog.read(
+    turned = Log.read(
         logs / "robot=R0/day=2026-01-04/part-0.parquet",
         RobotDescription.read(copied / "robot.toml"),
     )

@@ -15,7 +15,7 @@ from small_fmus import LAGS
 from small_study import Hesr, Run, contents, hesr_here, uf850, write_study
 
 from hesr_model.errors import ArtifactError
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.support.files import written_whole
 
 pytestmark = pytest.mark.ci
@@ -130,7 +130,7 @@ def test_a_full_disk_for_what_comes_of_logs(
     known = (*robot, "--rigid-body", study_run.rigid_body)
     law, log = study_run.law("parfam_h"), study_run.log("trial")
     lugre, warm = tmp_path / "lugre.json", tmp_path / "warm.csv"
-    cold = RobotLog.read(log, uf850("robot.toml"))
+    cold = Log.read(log, uf850("robot.toml"))
     temperature = np.linspace(20.0, 40.0, len(cold.t))[:, None] * np.ones(cold.q.shape[1])
     replace(cold, temperature=temperature).write(warm)
     fitted = hesr("fit", study_run.log("sweep"), *known, "--law", "lugre", "-o", lugre)

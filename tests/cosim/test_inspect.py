@@ -19,7 +19,7 @@ from hesr_model.friction.records import predict_record
 from hesr_model.health.examine import examine
 from hesr_model.health.proposal import Proposal, propose, robot_file
 from hesr_model.logs.guess import guess
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.logs.tables import table_of
 from hesr_model.rigid_body.residual import friction_records
@@ -70,7 +70,7 @@ def test_a_messy_log_gets_a_robot_file_that_reads_it(
     assert data["log"]["missing"] == "drop"
     assert data["log"]["units"] == {"q": "deg", "dq": "deg/s"}
     robot = RobotDescription.read(written)
-    log = RobotLog.read(messy, robot)
+    log = Log.read(messy, robot)
     assert len(log.parts()) == 2
     assert log.dropped == 2
     # Constants from the model's gravity alone are rough, but never another unit.
@@ -103,7 +103,7 @@ def test_the_proposed_study_reads_what_was_inspected(
     assert read.name == "cell_7"
     job = Job(study=read, path=study, progress=silent)
     first, rest = (job.read(name, messy) for name in ("first", "rest"))
-    whole = RobotLog.read(messy, RobotDescription.read(written))
+    whole = Log.read(messy, RobotDescription.read(written))
     assert len(first.t) + len(rest.t) == len(whole.t)
     assert first.t[-1] < rest.t[0]
     assert np.ptp(first.t) == pytest.approx(0.6 * np.ptp(whole.t), rel=0.01)
@@ -130,7 +130,7 @@ def test_training_goes_on_until_each_joint_has_reversed(
         motion = make_motion(friction=0.8)
         dq = np.abs(motion.dq) + 0.1
         dq[motion.t > reversed_at, 1] *= -1.0
-        log = RobotLog(name="late", path=messy, t=motion.t, q=motion.q, dq=dq, tau=motion.tau)
+        log = Log(name="late", path=messy, t=motion.t, q=motion.q, dq=dq, tau=motion.tau)
         looked_at = Proposal(
             robot=arm, reasons={}, logs=[log], examination=examine([log], arm, None), first=()
         )
@@ -149,7 +149,7 @@ def test_a_clean_log_is_called_clean(
     motion = make_motion(name="clean", friction=0.8)
     noise = np.random.default_rng(1).normal(0.0, 0.05, motion.tau.shape)
     path = tmp_path / "clean.csv"
-    RobotLog(name="clean", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise).write(path)
+    Log(name="clean", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise).write(path)
     answer = tmp_path / "answer.json"
     said = hesr("inspect", path, "--robot", arm.model, "--json", answer)
     assert said.code == 0
@@ -177,7 +177,7 @@ def test_mistakes_are_mended_in_the_proposal(
     tau = (motion.tau + noise) * [-1.0, 1.0, -1.0]
     path = tmp_path / "wrong.csv"
     dq = motion.dq[:, [0, 2, 1]]
-    RobotLog(name="wrong", t=motion.t, q=motion.q, dq=dq, tau=tau).write(path)
+    Log(name="wrong", t=motion.t, q=motion.q, dq=dq, tau=tau).write(path)
     proposal = propose([path], arm, known=True)
     assert proposal.robot.log.units.tau == ("-N.m", "N.m", "-N.m")
     assert proposal.robot.log.columns.dq == ("dq1", "dq3", "dq2")
@@ -238,7 +238,7 @@ def test_a_part_is_tested_behind_what_is_before_it(messy: Path, arm: RobotDescri
     """The log has a gap at 4 s, which divides the part in two."""
     robot = messy.with_name("robot.toml")
     robot.write_text(robot_file(propose([messy], arm, known=True), robot), encoding="utf-8")
-    log = RobotLog.read(messy, RobotDescription.read(robot))
+    log = Log.read(messy, RobotDescription.read(robot))
     assert log.dq is not None
     since, dq = log.t - log.t[0], log.dq[:, 0]
     begin = float(since[1:][(since[1:] > 1.0) & (dq[1:] * dq[:-1] < 0.0)][0])  # it reverses

@@ -12,9 +12,9 @@ from cosim.study.starter import start
 from cosim.study.study import Study
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import sha256
 
 ROBOTS = Path(__file__).parents[2] / ".." / "shared"
@@ -116,9 +116,9 @@ def test_what_is_laid_runs_at_once_and_again_with_own_logs(
     assert before.laws[0].values["F_c"] < 2.0
 
 
-def own_log(description: RobotDescription, name: str, phase: float) -> RobotLog:
+def own_log(description: RobotDescription, name: str, phase: float) -> Log:
     """A log with Coulomb friction of 3 N.m and viscous friction, at 250 Hz."""
-    model = RobotModel(description)
+    model = Robot(description)
     t = np.arange(5000) / 250.0
     rates = 2 * np.pi * np.array([0.1, 0.23, 0.41])
     angle = np.outer(t, rates) + phase * np.arange(1, 4)
@@ -129,7 +129,7 @@ def own_log(description: RobotDescription, name: str, phase: float) -> RobotLog:
     )
     tau = model.torque(model.nominal_parameters, q, dq, ddq) + 3.0 * np.tanh(dq / 0.01) + 0.5 * dq
     noise = np.random.default_rng(1).normal(scale=0.02, size=tau.shape)
-    return RobotLog(name=name, t=t, q=q, dq=dq, tau=tau + noise)
+    return Log(name=name, t=t, q=q, dq=dq, tau=tau + noise)
 
 
 def test_everything_is_there_and_says_that_its_logs_are_samples(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_everything_that_is_commented_out_can_be_used(
         path.write_text(rest + used + text[block.end() :], encoding="utf-8")
         read = schema.read(path)
         if isinstance(read, RobotDescription):
-            RobotModel(read)
+            Robot(read)
 
 
 def test_joints_of_all_kinds_and_those_that_stand_still(tmp_path: Path, hesr: Hesr) -> None:
@@ -193,8 +193,8 @@ def test_joints_of_all_kinds_and_those_that_stand_still(tmp_path: Path, hesr: He
     assert "a study of the joints turn, slide, left.\n" in answer.out
     assert "Not used, they stand still: right.\n" in answer.out
     description = RobotDescription.read(tmp_path / "all" / "robot.toml")
-    log = RobotLog.read(tmp_path / "all" / "logs" / "sample_training.csv", description)
-    robot = RobotModel(description)
+    log = Log.read(tmp_path / "all" / "logs" / "sample_training.csv", description)
+    robot = Robot(description)
     lower, upper, speed = robot.limits
     assert log.dq is not None
     assert np.all(log.q > lower)
@@ -238,7 +238,7 @@ def test_arms_of_the_world(tmp_path: Path, path: Path, joints: tuple[str, str]) 
     assert (made.joints[0], made.joints[-1], len(made.joints)) == (*joints, 6)
     description = RobotDescription.read(tmp_path / "new" / "robot.toml")
     for log in Study.read(tmp_path / "new" / "study.toml").logs.identification:
-        assert RobotLog.read(tmp_path / "new" / log, description).q.shape == (4001, 6)
+        assert Log.read(tmp_path / "new" / log, description).q.shape == (4001, 6)
 
 
 ERRORS = [

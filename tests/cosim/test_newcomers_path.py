@@ -21,10 +21,10 @@ from cosim.study.sample_logs import plausible_friction, sample_settings, simulat
 from fmu_src.run.replay import replay
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.motions.excitation import random_motions
 from hesr_model.motions.trajectories import Fourier
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 pytestmark = pytest.mark.ci
 
@@ -69,7 +69,7 @@ def urdf(names: Sequence[str]) -> str:
 class Truth:
     """What a log was made of."""
 
-    log: RobotLog
+    log: Log
     laws: Sequence[FrictionLaw]
     unseen: Fourier
 
@@ -87,14 +87,14 @@ class Truth:
 
 def measured(model: Path, joints: Sequence[str], seconds: float) -> Truth:
     """Drive the model, whose masses the newcomer knows no better, with friction that he seeks."""
-    robot = RobotModel(RobotDescription(name="arm", model=model, joints=tuple(joints)))
+    robot = Robot(RobotDescription(name="arm", model=model, joints=tuple(joints)))
     motion, unseen = random_motions(robot, sample_settings(robot), 2, 3)
     laws = plausible_friction(robot, motion)
     log = simulated(robot, motion, laws, name="log", seed=4, seconds=seconds)
     return Truth(log=log, laws=laws, unseen=unseen)
 
 
-Write = Callable[[Path, RobotLog], str]
+Write = Callable[[Path, Log], str]
 """Writes a log into a folder; returns its name there."""
 
 
@@ -106,7 +106,7 @@ def table(names: Sequence[str], columns: np.ndarray, *, separator: str) -> list[
     ]
 
 
-def rtde(folder: Path, log: RobotLog) -> str:
+def rtde(folder: Path, log: Log) -> str:
     """As the recorder of Universal Robots writes: joints from 0, currents, targets beside them."""
     n = log.q.shape[1]
     parts = {"target_q": log.q, "target_qd": log.dq, "target_moment": log.tau, "actual_q": log.q,
@@ -125,7 +125,7 @@ def constants(joints: int) -> np.ndarray:
     return np.array([13.1, 13.1, 12.4, 9.8, 9.5, 9.2])[:joints]
 
 
-def bag(folder: Path, log: RobotLog) -> str:
+def bag(folder: Path, log: Log) -> str:
     """As `ros2 bag record` writes: joints by the alphabet, a gripper among them, stamps of 1970."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -152,7 +152,7 @@ def bag(folder: Path, log: RobotLog) -> str:
     return "log"
 
 
-def messy(folder: Path, log: RobotLog) -> str:
+def messy(folder: Path, log: Log) -> str:
     """A spreadsheet's: degrees, decimal commas, jitter, a gap, empty cells, words between rows."""
     rng = np.random.default_rng(0)
     n = log.q.shape[1]

@@ -18,7 +18,7 @@ from hesr_model.equations.component import Equation
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ExportError, LogError
 from hesr_model.logs.readers import formats
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
 
 
@@ -80,7 +80,7 @@ def own_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None
     formats.formats.cache_clear()
 
 
-def recording(path: Path, log: RobotLog, *, joints: int = 3) -> Path:
+def recording(path: Path, log: Log, *, joints: int = 3) -> Path:
     rows = np.hstack([1e6 * log.t[:, None], log.q, log.dq, log.tau])
     path.write_bytes(b"ARMREC" + bytes([joints]) + rows.astype("<f8").tobytes())
     return path
@@ -88,30 +88,30 @@ def recording(path: Path, log: RobotLog, *, joints: int = 3) -> Path:
 
 @pytest.mark.usefixtures("own_format")
 def test_the_format_of_the_page_is_read_and_inspected(
-    tmp_path: Path, arm: RobotDescription, arm_log: RobotLog, hesr: Hesr
+    tmp_path: Path, arm: RobotDescription, arm_log: Log, hesr: Hesr
 ) -> None:
     path = recording(tmp_path / "run.rec", arm_log)
-    log = RobotLog.read(path, arm)
+    log = Log.read(path, arm)
     np.testing.assert_allclose(log.t, arm_log.t, rtol=1e-14, atol=0)
     for name in ("q", "dq", "tau"):
         np.testing.assert_array_equal(getattr(log, name), getattr(arm_log, name))
     robot, study = tmp_path / "robot.toml", tmp_path / "study.toml"
     said = hesr("inspect", path, "--robot", arm.model, "--write", robot, "--study", study)
     assert said.code == 0, said.err
-    assert RobotLog.read(path, RobotDescription.read(robot)).rate == pytest.approx(arm_log.rate)
+    assert Log.read(path, RobotDescription.read(robot)).rate == pytest.approx(arm_log.rate)
 
 
 @pytest.mark.usefixtures("own_format")
 def test_what_is_wrong_in_a_file_of_the_format_is_one_sentence(
-    tmp_path: Path, arm: RobotDescription, arm_log: RobotLog, hesr: Hesr
+    tmp_path: Path, arm: RobotDescription, arm_log: Log, hesr: Hesr
 ) -> None:
     six = recording(tmp_path / "six.rec", arm_log, joints=6)
     said = hesr("inspect", six, "--robot", arm.model)
     assert (said.code, said.err) == (2, f"hesr: {six}: is no recording of 3 joints.\n")
     holed = arm_log.q.copy()
     holed[7, 1] = np.nan
-    path = recording(tmp_path / "holed.rec", RobotLog(**(vars(arm_log) | {"q": holed})))
+    path = recording(tmp_path / "holed.rec", Log(**(vars(arm_log) | {"q": holed})))
     with pytest.raises(LogError, match=r"record 8: q of joint 'j2' is nan; numbers up to"):
-        RobotLog.read(path, arm)
+        Log.read(path, arm)
     dropping = arm.model_copy(update={"log": arm.log.model_copy(update={"missing": "drop"})})
-    assert RobotLog.read(path, dropping).dropped == 1
+    assert Log.read(path, dropping).dropped == 1

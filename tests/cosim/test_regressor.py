@@ -11,7 +11,7 @@ import pytest
 import hesr
 from hesr_model.errors import FitError, HesrError, TableError
 from hesr_model.friction.table import MotionTable, motion, numbers, torques
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
 
 T = 0.005 * np.arange(1500)
@@ -102,7 +102,7 @@ def test_what_is_not_fitted_says_so() -> None:
 
 
 def test_logs_are_fitted_predicted_drawn_and_exported(
-    arm: RobotDescription, arm_log: RobotLog, tmp_path: Path
+    arm: RobotDescription, arm_log: Log, tmp_path: Path
 ) -> None:
     file = tmp_path / "run.csv"
     arm_log.write(file)
@@ -173,6 +173,6 @@ def test_other_tables_than_the_fitted_one_are_refused(fitted: hesr.FrictionRegre
     ]:
         with pytest.raises(TableError, match=sentence):
             fitted.predict(table)
-    log = RobotLog(name="a", t=T, q=T[:, None], dq=None, tau=T[:, None])
+    log = Log(name="a", t=T, q=T[:, None], dq=None, tau=T[:, None])
     with pytest.raises(TableError, match="a law that was fitted to a table has no rigid body"):
         fitted.predict(log)

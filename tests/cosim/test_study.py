@@ -15,9 +15,9 @@ from cosim.study.steps import Job
 from cosim.study.study import Study
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.files import models_folder
 from hesr_model.support.typed_json import to_json
 
@@ -294,10 +294,8 @@ def test_the_rigid_body_is_the_refined_one(outcome: Outcome, tmp_path: Path) -> 
     path = tiny(tmp_path)
     study = Study.read(path).model_copy(update={"refinement": None})
     job = Job(study=study, path=path, progress=lambda *_: None)
-    logs = {
-        name: RobotLog.read(folder / "logs" / f"{name}.csv", job.robot) for name in job.trained_on
-    }
-    once, _ = job.rigid_body(logs, RobotModel(job.robot))
+    logs = {name: Log.read(folder / "logs" / f"{name}.csv", job.robot) for name in job.trained_on}
+    once, _ = job.rigid_body(logs, Robot(job.robot))
     assert np.all(outcome.rigid_body.rmse < once.rmse)
     assert np.any(outcome.rigid_body.parameters != once.parameters)
 

@@ -10,7 +10,7 @@ from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.torque_constants import point_payload, torque_constants
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 MOTIONS = """
 [[motions]]
@@ -44,7 +44,7 @@ def motion(folder: Path, mass: float) -> Motion:
 
 
 def test_all_that_a_known_payload_moves_is_known_within_3_percent(tmp_path: Path) -> None:
-    robot = RobotModel(RobotDescription.read(uf850("robot.toml")))
+    robot = Robot(RobotDescription.read(uf850("robot.toml")))
     # The payload hangs at the flange; the welded wrist is one body with the last joint's link.
     import mujoco
 

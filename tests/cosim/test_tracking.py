@@ -35,7 +35,7 @@ from fmu_src.arm.truth import true_friction
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody, identify
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 from hesr_model.support.typed_json import from_json, to_json
 
@@ -44,12 +44,12 @@ WIDE = np.tile([-10.0, 10.0], (3, 1))
 
 
 @pytest.fixture(scope="module")
-def robot() -> RobotModel:
-    return RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+def robot() -> Robot:
+    return Robot(RobotDescription.read(UF850 / "robot.toml"))
 
 
 @pytest.fixture(scope="module")
-def body(robot: RobotModel) -> RigidBody:
+def body(robot: Robot) -> RigidBody:
     """What the excitation of the default study gives."""
     plant = Plant.read(UF850 / "plant.toml")
     found = Motions.read(models_folder() / "studies" / "uf850_motions.toml")
@@ -59,7 +59,7 @@ def body(robot: RobotModel) -> RigidBody:
 
 
 @pytest.fixture(scope="module")
-def loop(tmp_path_factory: pytest.TempPathFactory, robot: RobotModel, body: RigidBody) -> StudyLoop:
+def loop(tmp_path_factory: pytest.TempPathFactory, robot: Robot, body: RigidBody) -> StudyLoop:
     """The default study's loop with Table I as its only law, on two short motions."""
     folder = tmp_path_factory.mktemp("loop")
     plant = Plant.read(UF850 / "plant.toml")
@@ -92,7 +92,7 @@ def by_name(rows: list[Tracked]) -> dict[tuple[str, str], Tracked]:
     ],
 )
 def test_motions_that_the_arm_cannot_make_are_refused(
-    change: dict[str, tuple[float, ...]], sentence: str, loop: StudyLoop, robot: RobotModel
+    change: dict[str, tuple[float, ...]], sentence: str, loop: StudyLoop, robot: Robot
 ) -> None:
     with pytest.raises(ConfigError, match=sentence):
         require_reachable(loop.tracking.model_copy(update=change), robot)
@@ -175,7 +175,7 @@ def test_a_loop_that_runs_away_is_a_result(loop: StudyLoop) -> None:
 
 
 def test_sweeps_change_what_they_say(
-    loop: StudyLoop, robot: RobotModel, body: RigidBody, tmp_path: Path
+    loop: StudyLoop, robot: Robot, body: RigidBody, tmp_path: Path
 ) -> None:
     short = replace(loop, tracking=loop.tracking.model_copy(update={"seeds": (11,)}))
     scheme = "servo_inversion, Kx = 5"
@@ -201,7 +201,7 @@ def test_sweeps_change_what_they_say(
 
 
 def test_feed_forward_never_cycles_and_feedback_of_friction_does(
-    loop: StudyLoop, robot: RobotModel
+    loop: StudyLoop, robot: Robot
 ) -> None:
     found = {
         one.scheme.name: one.factor
@@ -214,7 +214,7 @@ def test_feed_forward_never_cycles_and_feedback_of_friction_does(
 
 
 def test_one_loop_stands_in_a_file_of_its_own(
-    loop: StudyLoop, robot: RobotModel, tmp_path: Path
+    loop: StudyLoop, robot: Robot, tmp_path: Path
 ) -> None:
     """The file gives what the study gives for the same law, scheme and motion."""
     path = write_system(example(loop, robot), tmp_path / "closed_loop.toml")
@@ -229,7 +229,7 @@ def test_one_loop_stands_in_a_file_of_its_own(
     np.testing.assert_array_equal(np.sqrt(np.mean(error**2, axis=0)), tracked.rmse[0])
 
 
-def test_the_python_and_the_native_master_agree(loop: StudyLoop, robot: RobotModel) -> None:
+def test_the_python_and_the_native_master_agree(loop: StudyLoop, robot: Robot) -> None:
     """With the arm as a PythonFMU and, in the native master, as a native FMU."""
     plant, signals = Plant.read(UF850 / "plant.toml"), SignalTable.read(UF850 / "arm.toml")
     assert check_masters(loop, robot, plant, signals) == []
@@ -243,7 +243,7 @@ def test_the_python_and_the_native_master_agree(loop: StudyLoop, robot: RobotMod
 
 
 def test_masters_are_not_compared_for_an_arm_with_other_files(
-    loop: StudyLoop, robot: RobotModel, tmp_path: Path
+    loop: StudyLoop, robot: Robot, tmp_path: Path
 ) -> None:
     mjcf = tmp_path / "arm.xml"
     (tmp_path / "uf850.xml").write_bytes((UF850 / "uf850.xml").read_bytes())

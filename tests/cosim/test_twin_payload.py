@@ -12,7 +12,7 @@ from hesr_model.errors import FitError
 from hesr_model.motions.trajectories import random_fourier
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.payload import identify_payload, loaded
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 FOLDER = models_folder() / "uf850"
@@ -49,7 +49,7 @@ def folders(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def models(folders):
-    return [RobotModel(RobotDescription.read(folder / "robot.toml")) for folder in folders]
+    return [Robot(RobotDescription.read(folder / "robot.toml")) for folder in folders]
 
 
 @pytest.fixture(scope="module")

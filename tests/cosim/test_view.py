@@ -34,9 +34,9 @@ from hesr.extras.view.stage import HEIGHT, WIDTH, Stage
 from hesr.extras.view.video import RATE, drawing, write_video
 from hesr_model.errors import ArtifactError, RobotError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 from hesr_model.support.typed_json import to_json
 
@@ -64,7 +64,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a run of a closed loop leaves: the arm, the paper's law, one second of its motion."""
     folder = tmp_path_factory.mktemp("result")
     plant = Plant.read(UF850 / "plant.toml")
-    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    robot = Robot(RobotDescription.read(UF850 / "robot.toml"))
     settings = Study.read(models_folder() / "studies" / "default.toml").tracking
     assert settings
     settings = settings.model_copy(
@@ -103,7 +103,7 @@ def assert_same(one: Tracked, other: Tracked) -> None:
     assert to_json(one) == to_json(other)
 
 
-def _excitation(robot: RobotModel) -> RobotLog:
+def _excitation(robot: Robot) -> Log:
     from cosim.loop.excite import recordings
     from cosim.loop.motions import Motions
 

@@ -16,11 +16,11 @@ from documents import PAGES, ROOT, Block, blocks
 import hesr_model
 from fmu_src import export_fmu, model_file
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 
 
 @pytest.fixture
-def folder(tmp_path: Path, arm_log: RobotLog, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path: Path, arm_log: Log, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where the blocks run: a robot file, logs of it and a friction FMU, under the pages' names."""
     (tmp_path / "robot.toml").write_text(
         'name = "arm"\nmodel = "arm.xml"\njoints = ["j1", "j2", "j3"]\n', encoding="utf-8"

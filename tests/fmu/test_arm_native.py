@@ -30,7 +30,7 @@ from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import SimulationError
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"
 HOST = Path(__file__).with_name("mjcf_host.c")
@@ -104,7 +104,7 @@ def test_what_it_simulates_has_the_torques_of_the_rigid_body_library(unpacked):
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
     model.dof_damping[:] = model.dof_frictionloss[:] = model.actuator_damping[:] = 0
     model.body_gravcomp[:] = 0
-    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    robot = Robot(RobotDescription.read(UF850 / "robot.toml"))
     rng = np.random.default_rng(4)
     q, dq, ddq = (rng.uniform(-a, a, (200, 3)) for a in (2.0, 3.0, 10.0))
     data, found = mujoco.MjData(model), []
@@ -121,7 +121,7 @@ def test_what_it_simulates_has_the_torques_of_the_rigid_body_library(unpacked):
 
 def test_a_payload_is_what_the_servo_comes_to_hold(fmu):
     """Gravity compensation does not know of it: the integral settles on its weight."""
-    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    robot = Robot(RobotDescription.read(UF850 / "robot.toml"))
     with FmuInstance(fmu) as arm:
         arm.initialise(start=HOME | QUIET | {"payload": 2.0, "friction_scale": 0.05})
         for k in range(2000):

@@ -17,7 +17,7 @@ from fmu_src.export.package import write_fmu
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.motions.trajectories import Fourier, Reversed, Sine, Sweep, chirp, random_fourier
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 UR10E = Path(__file__).parents[1] / "real" / "ur10e.toml"
@@ -27,12 +27,12 @@ Values = Mapping[str, Any]
 
 
 @pytest.fixture(scope="module")
-def uf850() -> RobotModel:
-    return RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
+def uf850() -> Robot:
+    return Robot(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
 
 
 @pytest.fixture(scope="module")
-def fmus(uf850: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
+def fmus(uf850: Robot, tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     folder = tmp_path_factory.mktemp("blocks")
     contents = {
         "Trajectory": trajectory(N),
@@ -223,7 +223,7 @@ def poses(n: int, count: int = 200) -> dict[str, np.ndarray]:
     return {name: rng.uniform(-s, s, size=(count, n)) for name, s in scales.items()}
 
 
-def off_by(fmu: Path, robot: RobotModel, parameters: np.ndarray, start: Values) -> float:
+def off_by(fmu: Path, robot: Robot, parameters: np.ndarray, start: Values) -> float:
     """Largest error of the FMU's torque, relative to the largest torque of the joint."""
     inputs = poses(robot.n)
     found = run(fmu, ["tau"], inputs=inputs, start=start)["tau"]
@@ -231,18 +231,18 @@ def off_by(fmu: Path, robot: RobotModel, parameters: np.ndarray, start: Values) 
     return float((np.abs(found - expected).max(axis=0) / np.abs(expected).max(axis=0)).max())
 
 
-def names_of(robot: RobotModel) -> list[str]:
+def names_of(robot: Robot) -> list[str]:
     """The FMU's names of the parameters of a robot."""
     links = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
     joints = range(1, robot.n + 1)
     return [f"link[{i}].{p}" for i in joints for p in links] + [f"link[{i}].Ir" for i in joints]
 
 
-def test_torque_of_the_uf850(fmus: Mapping[str, Path], uf850: RobotModel) -> None:
+def test_torque_of_the_uf850(fmus: Mapping[str, Path], uf850: Robot) -> None:
     assert off_by(fmus["InverseDynamics"], uf850, uf850.nominal_parameters, {}) <= 1e-12
 
 
-def test_torque_of_other_parameters(fmus: Mapping[str, Path], uf850: RobotModel) -> None:
+def test_torque_of_other_parameters(fmus: Mapping[str, Path], uf850: Robot) -> None:
     """Any numbers, as identification leaves them: masses of zero and below."""
     values = np.random.default_rng(8).normal(size=len(uf850.parameter_names))
     values[::10] = 0.0
@@ -250,14 +250,14 @@ def test_torque_of_other_parameters(fmus: Mapping[str, Path], uf850: RobotModel)
     assert off_by(fmus["InverseDynamics"], uf850, values, start) <= 1e-12
 
 
-def test_gravity_alone(fmus: Mapping[str, Path], uf850: RobotModel) -> None:
+def test_gravity_alone(fmus: Mapping[str, Path], uf850: Robot) -> None:
     q = poses(N)["q"]
     found = run(fmus["InverseDynamics"], ["tau"], inputs={"q": q})["tau"]
     expected = uf850.torque(uf850.nominal_parameters, q, 0.0 * q, 0.0 * q)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-def check_robot(robot: RobotModel, folder: Path) -> None:
+def check_robot(robot: Robot, folder: Path) -> None:
     fmu = write_fmu(inverse_dynamics(robot, robot.nominal_parameters), folder / "Body.fmu")
     assert off_by(fmu, robot, robot.nominal_parameters, {}) <= 1e-12
 
@@ -266,7 +266,7 @@ def test_torque_of_the_ur10e(tmp_path: Path) -> None:
     description = RobotDescription.read(UR10E)
     if not description.model.is_file():
         pytest.skip(f"the UR10e's URDF is not beside the repository, at {description.model}")
-    check_robot(RobotModel(description), tmp_path)
+    check_robot(Robot(description), tmp_path)
 
 
 TREE = """
@@ -304,7 +304,7 @@ TREE = """
 def test_torque_of_a_tree_with_sliding_joints(tmp_path: Path, rotors: bool) -> None:
     urdf = tmp_path / "tree.urdf"
     urdf.write_text(TREE, encoding="utf-8")
-    robot = RobotModel(
+    robot = Robot(
         RobotDescription(
             name="tree", model=urdf, joints=("j1", "j2", "j3", "j4", "j5"),
             gravity=(1.0, -2.0, -9.0), rotor_inertia=rotors,

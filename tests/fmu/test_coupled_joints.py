@@ -19,7 +19,7 @@ from hesr.extras.modelica.modelica_package import export_modelica
 from hesr.extras.one_file.c_header import export_c
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import Coupling, Transmission
 
 C = np.array([[1.0, 0.0, 0.0], [0.25, 1.0, 0.0], [0.0, -0.8, 1.0]])
@@ -120,9 +120,7 @@ def test_rotors_of_the_rigid_body_turn_with_the_motors(
     arm: RobotDescription, tmp_path: Path
 ) -> None:
     matrix = tuple(map(tuple, (50.0 * C).tolist()))
-    robot = RobotModel(
-        RobotDescription(**{**dict(arm), "transmission": Transmission(matrix=matrix)})
-    )
+    robot = Robot(RobotDescription(**{**dict(arm), "transmission": Transmission(matrix=matrix)}))
     fmu = write_fmu(inverse_dynamics(robot, robot.nominal_parameters), tmp_path / "Body.fmu")
     q, dq, ddq = np.random.default_rng(3).uniform(-1, 1, (3, 1, 3))
     names = [f"{name}[{i}]" for name in ("q", "dq", "ddq") for i in range(1, 4)]

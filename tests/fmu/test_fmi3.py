@@ -25,7 +25,7 @@ from fmu_src.export.package import Content, write_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.reference_results import Verified, verify
 from hesr_model.friction.model import FrictionModel
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 FMI_SIM = Path(__file__).parents[2] / ".tools/interop/bin/fmi-sim"
@@ -52,7 +52,7 @@ def pair(request, table1, make_model, make_law, tmp_path_factory) -> tuple[Path,
     if laws:
         return tuple(export_bare(laws, file, fmi=version) for version, file in files.items())
     if request.param == "body":
-        robot = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
+        robot = Robot(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
         own = inverse_dynamics(robot, robot.nominal_parameters)
     else:
         own = BLOCKS[request.param](table1)

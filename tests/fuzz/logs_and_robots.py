@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from reader import UF850, Reader, copy_of, text
 
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
 
 TWO = RobotDescription(name="two", model=Path("two.urdf"), joints=("a", "b"))
 
@@ -32,14 +32,14 @@ URDF = """<?xml version="1.0" encoding="utf-8"?>
 
 
 def _log(path: Path) -> object:
-    return RobotLog.read(path, TWO)
+    return Log.read(path, TWO)
 
 
 def _table(path: Path, *, separator: str = ",") -> None:
     rng = np.random.default_rng(5)
     t = 0.01 * np.arange(60)
     kinds = ("q", "dq", "tau", "temperature")
-    log = RobotLog(name="run", t=t, **{k: rng.normal(size=(60, 2)) for k in kinds})
+    log = Log(name="run", t=t, **{k: rng.normal(size=(60, 2)) for k in kinds})
     log.write(path)
     if separator != ",":
         text = path.read_text(encoding="utf-8").replace(",", separator).replace(".", ",")
@@ -108,7 +108,7 @@ def _robot(path: Path) -> object:
     from hesr_model.robots.model_file import driven_joints
 
     joints = tuple(joint.name for joint in driven_joints(path))
-    return RobotModel(RobotDescription(name="robot", model=path, joints=joints))
+    return Robot(RobotDescription(name="robot", model=path, joints=joints))
 
 
 LOGS_AND_ROBOTS = {

@@ -13,8 +13,8 @@ from reader import TESTS, UF850, Reader, copy_of
 from damage import damaged_archive  # isort: skip
 
 from hesr_model.errors import ArtifactError
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
 
 
 def _model(path: Path) -> object:
@@ -32,13 +32,13 @@ def _body(path: Path) -> object:
 def _write_body(path: Path) -> None:
     from hesr_model.rigid_body.identification import identify
 
-    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    robot = Robot(RobotDescription.read(UF850 / "robot.toml"))
     rng = np.random.default_rng(1)
     t = np.arange(2000) * 0.005
     phase = 2.0 * np.pi * np.outer(t, [0.31, 0.43, 0.71]) + rng.uniform(0.0, 6.0, 3)
     q, dq = 0.4 * np.sin(phase), 0.4 * 2.0 * np.pi * np.array([0.31, 0.43, 0.71]) * np.cos(phase)
     tau = robot.torque(robot.nominal_parameters, q, dq, np.gradient(dq, t, axis=0))
-    log = RobotLog(name="run", t=t, q=q, dq=dq, tau=tau + np.sign(dq))
+    log = Log(name="run", t=t, q=q, dq=dq, tau=tau + np.sign(dq))
     identify([log], robot).write(path)
 
 

@@ -22,7 +22,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
 from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 NAMES = (
@@ -74,7 +74,7 @@ def alone(folder: Path, closed: Together) -> list[Alone]:
 def of_both_versions(folder: Path) -> dict[str, tuple[Alone, Alone]]:
     """Return each FMU in FMI 2.0 and in FMI 3.0, with the same inputs."""
     table1 = FrictionModel.read(model_file("uf850-table1"))
-    robot = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
+    robot = Robot(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
     joints = len(table1.joints)
     contents = {
         "adaptive": adaptive_content(followed()),

@@ -10,7 +10,7 @@ from unchanged import Unchanged, leaves
 
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -49,8 +49,8 @@ def exact(records: list[FrictionRecord]) -> HysteresisFeatures:
 
 
 @pytest.fixture
-def log(make_motion: Callable[..., Motion]) -> RobotLog:
+def log(make_motion: Callable[..., Motion]) -> Log:
     """A log of three joints with friction and noisy torques."""
     motion = make_motion(name="run", friction=0.8)
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
-    return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
+    return Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)

@@ -8,7 +8,7 @@ import numpy as np
 
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
 
 TWO = RobotDescription(name="two", model=Path("two.urdf"), joints=("a", "b"))
@@ -43,13 +43,13 @@ def _short(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else repr(value)
 
 
-def two_joints(rows: int = 1000, period: float = 0.01) -> RobotLog:
+def two_joints(rows: int = 1000, period: float = 0.01) -> Log:
     """Two joints on sines, with torques of which no two are equal."""
     t = period * np.arange(rows)
     q = np.column_stack([np.sin(t), 0.5 * np.cos(0.7 * t)])
     dq = np.column_stack([np.cos(t), -0.35 * np.sin(0.7 * t)])
     tau = np.random.default_rng(0).normal(size=q.shape)
-    return RobotLog(name="run", t=t, q=q, dq=dq, tau=tau)
+    return Log(name="run", t=t, q=q, dq=dq, tau=tau)
 
 
 def at(values: np.ndarray | None, rows: object, joint: int, value: object) -> np.ndarray:
@@ -60,7 +60,7 @@ def at(values: np.ndarray | None, rows: object, joint: int, value: object) -> np
     return changed
 
 
-def as_part(log: RobotLog, **more: np.ndarray | None) -> Motionwise:
+def as_part(log: Log, **more: np.ndarray | None) -> Motionwise:
     """A log as a part that is ready for its checks, without a low pass."""
     assert log.dq is not None
     own = Motionwise(log=log, t=log.t, q=log.q, v=log.dq, a=0.0 * log.q, dq=log.dq, tau=log.tau)

@@ -14,7 +14,7 @@ from hesr_model.health.excitation_gaps import unseen
 from hesr_model.health.fit_checks import _least_inertia, check_body, check_laws, check_owner
 from hesr_model.health.proposal import _constants, _toml, _with_cutoff, changed
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 ROWS = 1000
 
@@ -83,7 +83,7 @@ def test_what_motions_lack(unchanged: Unchanged, data_regression: DataRegression
 
 
 def test_odd_results(
-    arm_model: RobotModel, unchanged: Unchanged, data_regression: DataRegressionFixture
+    arm_model: Robot, unchanged: Unchanged, data_regression: DataRegressionFixture
 ) -> None:
     nominal = arm_model.nominal_parameters
 

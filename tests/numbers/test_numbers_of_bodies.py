@@ -10,7 +10,7 @@ from unchanged import Unchanged
 
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.predict import predict
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.motions.excitation import ExcitationSettings, design
 from hesr_model.rigid_body.accumulation import Streamed
@@ -20,7 +20,7 @@ from hesr_model.rigid_body.payload import identify_payload_motions, loaded
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import all_at_friction, friction_records
 from hesr_model.rigid_body.torque_constants import point_payload, torque_constants
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 MakeMotion = Callable[..., Motion]
 
@@ -41,18 +41,18 @@ def motions(make_motion: MakeMotion) -> list[Motion]:
     ]  # fmt: skip
 
 
-def as_log(motion: Motion) -> RobotLog:
+def as_log(motion: Motion) -> Log:
     friction = [
         predict(LUGRE, t=motion.t, dq=motion.dq[:, k], tau_load=motion.tau[:, k]) for k in range(3)
     ]
     tau = motion.tau + np.column_stack(friction)
-    return RobotLog(name=motion.name, t=motion.t, q=motion.q, dq=motion.dq, tau=tau)
+    return Log(name=motion.name, t=motion.t, q=motion.q, dq=motion.dq, tau=tau)
 
 
 @pytest.mark.parametrize("weighting", ["wls", "ols"])
 @pytest.mark.parametrize("physical", [False, True])
 def test_stacked(
-    motions: list[Motion], arm_model: RobotModel, weighting: Weighting, physical: bool,
+    motions: list[Motion], arm_model: Robot, weighting: Weighting, physical: bool,
     unchanged: Unchanged,
 ) -> None:  # fmt: skip
     unchanged(
@@ -63,7 +63,7 @@ def test_stacked(
 
 @pytest.mark.parametrize("method", ["stacked", "paper"])
 def test_with_reversed_logs(
-    make_motion: MakeMotion, arm_model: RobotModel, method: Method, unchanged: Unchanged
+    make_motion: MakeMotion, arm_model: Robot, method: Method, unchanged: Unchanged
 ) -> None:
     forward = noisy(make_motion(name="run", seconds=5.0, friction=2.0), 1)
     backward = noisy(make_motion(name="back", seconds=5.0, friction=2.0, reverse=True), 2)
@@ -71,16 +71,14 @@ def test_with_reversed_logs(
     unchanged({"body": body, "pair": matched(forward, backward)})
 
 
-def test_in_a_stream(motions: list[Motion], arm_model: RobotModel, unchanged: Unchanged) -> None:
+def test_in_a_stream(motions: list[Motion], arm_model: Robot, unchanged: Unchanged) -> None:
     stream = Streamed(arm_model)
     for motion in motions:
         stream.add(motion)
     unchanged({"slow": stream.slow, "body": stream.body(motions, "the logs")})
 
 
-def test_refined_by_a_law(
-    make_motion: MakeMotion, arm_model: RobotModel, unchanged: Unchanged
-) -> None:
+def test_refined_by_a_law(make_motion: MakeMotion, arm_model: Robot, unchanged: Unchanged) -> None:
     logs = [as_log(noisy(make_motion(name=f"log{k}", seconds=6.0), k)) for k in range(2)]
     body = identify(logs, arm_model)
     records = [friction_records(log, arm_model, body) for log in logs]
@@ -93,7 +91,7 @@ def test_refined_by_a_law(
     )
 
 
-def test_a_payload(motions: list[Motion], arm_model: RobotModel, unchanged: Unchanged) -> None:
+def test_a_payload(motions: list[Motion], arm_model: Robot, unchanged: Unchanged) -> None:
     unloaded = identify_motions(motions, arm_model)
     columns = [arm_model.regressor(m.q, m.dq, m.ddq)[:, :, 20:30] for m in motions]
     carried = point_payload(4.0, (0.08, -0.04, 0.06))
@@ -104,9 +102,7 @@ def test_a_payload(motions: list[Motion], arm_model: RobotModel, unchanged: Unch
     unchanged({"payload": payload, "loaded": loaded(unloaded, payload, arm_model)}, rtol=1e-5)
 
 
-def test_constants_of_torque(
-    motions: list[Motion], arm_model: RobotModel, unchanged: Unchanged
-) -> None:
+def test_constants_of_torque(motions: list[Motion], arm_model: Robot, unchanged: Unchanged) -> None:
     assumed = [10.0, 20.0, 5.0]
     alone = torque_constants(motions, arm_model, assumed, mass_error=0.05)
     payload = point_payload(2.0, (0.05, 0.0, 0.1))
@@ -120,7 +116,7 @@ def test_constants_of_torque(
     unchanged({"alone": alone, "known": known}, rtol=1e-5)
 
 
-def test_a_motion_that_excites(arm_model: RobotModel, unchanged: Unchanged) -> None:
+def test_a_motion_that_excites(arm_model: Robot, unchanged: Unchanged) -> None:
     settings = ExcitationSettings(starts=2, harmonics=3)
     found = design(arm_model, settings)
     unchanged(

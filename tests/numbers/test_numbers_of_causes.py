@@ -16,9 +16,9 @@ from hesr_model.health.examine import _caused, _hopeless, _without_followers
 from hesr_model.health.findings import HealthError, merged, require_sound
 from hesr_model.health.mistakes import _by_axis, _gravity, mistakes, torques_of
 from hesr_model.health.proposal import _changes, _combined, changed
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import Transmission
 
 MakeMotion = Callable[..., Motion]
@@ -29,21 +29,21 @@ ALL = np.ones(3, dtype=bool)
 def part(make_motion: MakeMotion) -> Motionwise:
     motion = make_motion(name="run", friction=0.8)
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
-    log = RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
+    log = Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
     (made,) = motionwise(log, 15.0)
     return made
 
 
-def described(arm: RobotDescription, **more: object) -> RobotModel:
+def described(arm: RobotDescription, **more: object) -> Robot:
     data = arm.model_dump()
     data["log"] |= more.pop("log", {})
-    return RobotModel(RobotDescription.model_validate(data | more))
+    return Robot(RobotDescription.model_validate(data | more))
 
 
-def variants(arm: RobotDescription) -> dict[str, RobotModel]:
+def variants(arm: RobotDescription) -> dict[str, Robot]:
     coupled = Transmission(matrix=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.5, 1.0)), logs="motor")
     return {
-        "plain": RobotModel(arm),
+        "plain": Robot(arm),
         "amperes": described(arm, log={"torque_per_ampere": (1.0, 2.0, -3.0)}),
         "zeros": described(arm, log={"zero": (0.1, 0.2, -0.3)}),
         "sideways": described(arm, gravity=(9.81, 0.0, 0.0)),
@@ -70,7 +70,7 @@ def test_mistakes(
         ]
         numbers[f"{name}, left"] = _unexplained(rows, model, ALL)
         numbers[f"{name}, gravity"] = [m.mended.gravity for m in _gravity(rows, model, [0, 1, 2])]
-    plain = RobotModel(arm)
+    plain = Robot(arm)
     rows = pooled([part], (1.0, -2.0, 3.0))
     numbers["torques"] = torques_of(rows, plain)
     numbers["by axis"] = _by_axis(rows.q, plain)
@@ -84,9 +84,7 @@ def test_mistakes(
     data_regression.check(told)
 
 
-def test_gravity_that_is_tilted(
-    part: Motionwise, arm_model: RobotModel, unchanged: Unchanged
-) -> None:
+def test_gravity_that_is_tilted(part: Motionwise, arm_model: Robot, unchanged: Unchanged) -> None:
     rows = pooled([part], arm_model.description.gravity)
     axes = _by_axis(rows.q, arm_model)
     own = torques_of(rows, arm_model).gravity
@@ -118,7 +116,7 @@ def test_gravity_that_is_tilted(
 
 
 def test_causes(
-    part: Motionwise, arm_model: RobotModel, unchanged: Unchanged,
+    part: Motionwise, arm_model: Robot, unchanged: Unchanged,
     data_regression: DataRegressionFixture,
 ) -> None:  # fmt: skip
     def told(*parts: Motionwise) -> list[str]:

@@ -21,10 +21,10 @@ from hesr_model.health.timing import (
     delay,
     stamps_rate,
 )
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.base_parameters import base_columns
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import Transmission
 
 MakeMotion = Callable[..., Motion]
@@ -36,19 +36,19 @@ def late(values: np.ndarray, rows: int) -> np.ndarray:
     return values[np.clip(np.arange(len(values)) - rows, 0, len(values) - 1)]
 
 
-def part_of(log: RobotLog) -> Motionwise:
+def part_of(log: Log) -> Motionwise:
     (part,) = motionwise(log, 15.0)
     return part
 
 
 def test_clocks(
-    log: RobotLog, arm: RobotDescription, arm_model: RobotModel, unchanged: Unchanged,
+    log: Log, arm: RobotDescription, arm_model: Robot, unchanged: Unchanged,
     data_regression: DataRegressionFixture,
 ) -> None:  # fmt: skip
     base = base_columns(arm_model)
     part = part_of(log)
     rows = LagRows.of(part, arm_model, base)
-    coupled = RobotModel(RobotDescription(**{**dict(arm), "transmission": Transmission(
+    coupled = Robot(RobotDescription(**{**dict(arm), "transmission": Transmission(
         matrix=COUPLED, logs="motor")}))  # fmt: skip
     every = [0, 1, 2]
 

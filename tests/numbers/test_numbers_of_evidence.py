@@ -19,16 +19,16 @@ from hesr_model.health.evidence import (
 )
 from hesr_model.health.loss import _sliding, check_loss
 from hesr_model.health.torque import explained
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling
 
 MakeMotion = Callable[..., Motion]
 COUPLED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.5, 1.0))
 
 
-def part_of(log: RobotLog) -> Motionwise:
+def part_of(log: Log) -> Motionwise:
     (part,) = motionwise(log, 15.0)
     return part
 
@@ -80,7 +80,7 @@ def test_what_explains_a_torque(unchanged: Unchanged) -> None:
     )
 
 
-def test_parts_made_ready(log: RobotLog, arm_model: RobotModel, unchanged: Unchanged) -> None:
+def test_parts_made_ready(log: Log, arm_model: Robot, unchanged: Unchanged) -> None:
     part = part_of(log)
     long = two_joints(9000)
     coupling = Coupling(COUPLED)
@@ -108,15 +108,15 @@ def test_parts_made_ready(log: RobotLog, arm_model: RobotModel, unchanged: Uncha
 
 
 def test_what_lost_rows_cost(
-    log: RobotLog, arm_model: RobotModel, unchanged: Unchanged,
+    log: Log, arm_model: Robot, unchanged: Unchanged,
     data_regression: DataRegressionFixture,
 ) -> None:  # fmt: skip
-    def lost(share: float, noise: float = 0.0) -> RobotLog:
+    def lost(share: float, noise: float = 0.0) -> Log:
         rng = np.random.default_rng(2)
         kept = log.rows(np.flatnonzero(rng.random(len(log.t)) >= share))
         return replace(kept, tau=kept.tau + noise * rng.normal(size=kept.tau.shape))
 
-    def told(own: RobotLog) -> list[str]:
+    def told(own: Log) -> list[str]:
         part = part_of(own)
         return said(check_loss(part, Torques.of(arm_model, part.q, part.v, part.a), arm_model))
 

@@ -25,7 +25,7 @@ from hesr_model.motions.trajectories import (
     one_period,
     random_fourier,
 )
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 START, AMPLITUDE = np.array([0.1, -0.2]), np.array([0.5, 0.4])
 SWEEP = Sweep(
@@ -74,9 +74,7 @@ def test_motions_to_the_last_digit(unchanged: Unchanged) -> None:
     )
 
 
-def test_how_motions_are_refused(
-    arm_model: RobotModel, data_regression: DataRegressionFixture
-) -> None:
+def test_how_motions_are_refused(arm_model: Robot, data_regression: DataRegressionFixture) -> None:
     def fourier(*a: float, b: tuple[float, ...] = (0.0, 0.0)) -> Callable[[], object]:
         own = np.array([[1.0, -1.0], a])
         return lambda: Fourier(offset=START, a=own, b=np.array([[0.0, 0.0], b]), period=1.0)
@@ -125,7 +123,7 @@ def test_how_motions_are_refused(
     )  # fmt: skip
 
 
-def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: RobotModel) -> None:
+def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: Robot) -> None:
     path = tmp_path / "odd.urdf"
     joint = '<joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{n}"/>'
     joint += (
@@ -136,7 +134,7 @@ def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: Robo
     for k, (u, e, v) in enumerate(odd):
         parts += [joint.format(k=k, n=k + 1, u=u, e=e, v=v), f'<link name="l{k + 1}"/>']
     path.write_text(f'<robot name="odd">{"".join(parts)}</robot>', encoding="utf-8")
-    model = RobotModel(RobotDescription(name="odd", model=path, joints=("j0", "j1", "j2")))
+    model = Robot(RobotDescription(name="odd", model=path, joints=("j0", "j1", "j2")))
     given = MotionLimits(position=((-0.4, 0.6), (-1.0, 0.3), (-0.2, 1.0)), velocity=(9.0, 0.5, 1.0))
     narrow = replace(Limits.of(arm_model, given), torque=np.array([1.0, 40.0, 9.0]))
     rest, still = narrow.rest(arm_model)[None, :], np.zeros((1, 3))
@@ -153,7 +151,7 @@ def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: Robo
 
 
 def test_what_a_search_is_given(
-    arm_model: RobotModel, unchanged: Unchanged, monkeypatch: pytest.MonkeyPatch
+    arm_model: Robot, unchanged: Unchanged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limits = replace(Limits.of(arm_model, MotionLimits()), torque=np.array([3.0, 8.0, 1.0]))
     search = Search(model=arm_model, limits=limits, harmonics=3, period=(3.0, 9.0))

@@ -10,9 +10,9 @@ from unchanged import Unchanged
 
 from hesr_model.health.examine import examine
 from hesr_model.health.proposal import propose, robot_file, summary_rows
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, smooth
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 MakeMotion = Callable[..., Motion]
 
@@ -21,12 +21,12 @@ def late(values: np.ndarray, rows: int) -> np.ndarray:
     return np.concatenate([np.repeat(values[:1], rows, axis=0), values[:-rows]])
 
 
-def rates(log: RobotLog) -> np.ndarray:
+def rates(log: Log) -> np.ndarray:
     assert log.dq is not None
     return log.dq
 
 
-MISTAKES: dict[str, Callable[[RobotLog], RobotLog]] = {
+MISTAKES: dict[str, Callable[[Log], Log]] = {
     "none": lambda log: log,
     "degrees": lambda log: replace(log, q=log.q * 57.3),
     "motor": lambda log: replace(log, q=log.q * [1.0, 100.0, 1.0]),
@@ -61,11 +61,9 @@ MISTAKES: dict[str, Callable[[RobotLog], RobotLog]] = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_what_is_found(
-    mistake: str, log: RobotLog, arm_model: RobotModel, unchanged: Unchanged
-) -> None:
+def test_what_is_found(mistake: str, log: Log, arm_model: Robot, unchanged: Unchanged) -> None:
     robot = arm_model.description.model_copy(update={"gear_ratio": (100.0, 100.0, 50.0)})
-    found = examine([MISTAKES[mistake](log)], robot, RobotModel(robot))
+    found = examine([MISTAKES[mistake](log)], robot, Robot(robot))
     about = sum(map(ord, "".join(f.check + "".join(f.joints) for f in found.findings)))
     unchanged(
         {
@@ -79,13 +77,11 @@ def test_what_is_found(
     )
 
 
-def test_a_log_made_smooth(log: RobotLog, unchanged: Unchanged) -> None:
+def test_a_log_made_smooth(log: Log, unchanged: Unchanged) -> None:
     unchanged({str(cutoff): smooth(log, cutoff) for cutoff in (5.0, 15.0)})
 
 
-def test_what_is_proposed(
-    log: RobotLog, arm_model: RobotModel, tmp_path: Path, unchanged: Unchanged
-) -> None:
+def test_what_is_proposed(log: Log, arm_model: Robot, tmp_path: Path, unchanged: Unchanged) -> None:
     path = tmp_path / "run.csv"
     names = ["time", *(f"{x}_{k}" for x in ("angle_deg", "speed_degs", "amps") for k in (1, 2, 3))]
     columns = [log.t[:, None], np.rad2deg(log.q), np.rad2deg(rates(log)), log.tau / [9.0, 8.0, 7.0]]

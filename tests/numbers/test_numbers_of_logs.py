@@ -14,7 +14,7 @@ from hesr_model.logs.guess import guess
 from hesr_model.logs.phases import moving, near_reversals, reversals
 from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.logs.robot_log import (
-    RobotLog,
+    Log,
     _require_reasonable,
     parts_of,
     require_different,
@@ -34,7 +34,7 @@ def refusal(make: Callable[[], object], path: Path = Path("nowhere")) -> str:
     return "none"
 
 
-def with_gaps(*rows: int, by: float = 1.0) -> RobotLog:
+def with_gaps(*rows: int, by: float = 1.0) -> Log:
     log = two_joints(1000)
     later = sum((np.arange(1000) >= row for row in rows), np.zeros(1000))
     return replace(log, t=log.t + by * later)
@@ -71,7 +71,7 @@ def test_stamps_and_parts(unchanged: Unchanged) -> None:
 
 
 def test_logs_are_shown_and_refused(
-    arm_log: RobotLog, arm: RobotDescription, data_regression: DataRegressionFixture
+    arm_log: Log, arm: RobotDescription, data_regression: DataRegressionFixture
 ) -> None:
     warm = replace(two_joints(), temperature=25.0 + np.zeros((1000, 2)), robot=TWO)
     hashed = [replace(with_gaps(300), sha256=x) for x in ("a", "a", "b")]

@@ -9,19 +9,19 @@ from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import refine
 from hesr_model.forward.simulation import Simulator, position_errors
 from hesr_model.forward.windows import windows_of
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.motions.excitation import ExcitationSettings, random_motions
 from hesr_model.motions.limits import Limits, peak_torque
 from hesr_model.motions.trajectories import Reversed, Sine, chirp
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 MakeMotion = Callable[..., Motion]
 
 
-def test_trajectories(arm_model: RobotModel, unchanged: Unchanged) -> None:
+def test_trajectories(arm_model: Robot, unchanged: Unchanged) -> None:
     start, amplitude = np.array([0.1, -0.2, 0.3]), np.array([0.5, 0.4, 0.3])
     sweep = chirp(start=start, amplitude=amplitude, first=0.2, last=1.5, length=6.0)
     sine = Sine(offset=start, amplitude=amplitude, frequency=0.7, periods=3)
@@ -44,12 +44,10 @@ def test_trajectories(arm_model: RobotModel, unchanged: Unchanged) -> None:
     )
 
 
-def test_a_simulated_arm(
-    make_motion: MakeMotion, arm_model: RobotModel, unchanged: Unchanged
-) -> None:
+def test_a_simulated_arm(make_motion: MakeMotion, arm_model: Robot, unchanged: Unchanged) -> None:
     motion = make_motion(name="run", seconds=4.0, friction=2.0)
     tau = motion.tau + 0.1 * np.random.default_rng(2).normal(size=motion.tau.shape)
-    log = RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=tau)
+    log = Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=tau)
     body = identify([log], arm_model)
     records = friction_records(log, arm_model, body)
     model = fit_models(["stribeck"], [[r] for r in records], robot="a", seed=0, workers=1)[

@@ -22,7 +22,7 @@ from hesr_model.rigid_body.forward_reverse import matched
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
 from hesr_model.rigid_body.least_squares import Block, covariance_of, solve
 from hesr_model.rigid_body.residual import motion_records
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 MakeMotion = Callable[..., Motion]
 
@@ -70,7 +70,7 @@ def test_where_the_search_of_a_link_starts(name: str, unchanged: Unchanged) -> N
     assert np.linalg.eigvalsh(start).min() > 0.0
 
 
-def test_coordinates_of_bodies(arm_model: RobotModel, unchanged: Unchanged) -> None:
+def test_coordinates_of_bodies(arm_model: Robot, unchanged: Unchanged) -> None:
     chart = physical._Chart.of(arm_model)
     x = chart.start + 0.3 * np.random.default_rng(0).normal(size=len(chart.start))
     slopes = chart.slopes(x)
@@ -120,7 +120,7 @@ def test_how_far_a_model_file_is_in_doubt() -> None:
 
 
 @pytest.mark.parametrize("error", [0.0, 1.0, -0.1])
-def test_a_declared_error_is_a_share(error: float, arm_model: RobotModel) -> None:
+def test_a_declared_error_is_a_share(error: float, arm_model: Robot) -> None:
     with pytest.raises(FitError, match="needed is a share"):
         torque_constants.torque_constants([], arm_model, [1.0] * 3, mass_error=error)
 
@@ -138,7 +138,7 @@ def test_a_point_has_the_inertia_of_its_place() -> None:
 
 
 def test_steps_of_a_constant(
-    arm_model: RobotModel, make_motion: MakeMotion, unchanged: Unchanged
+    arm_model: Robot, make_motion: MakeMotion, unchanged: Unchanged
 ) -> None:
     """Of a joint with two kinds of logs, whose starts, residuals and slopes are kept."""
     motion = make_motion(seconds=4.0, friction=0.5)
@@ -188,7 +188,7 @@ def test_a_motion_is_matched_with_its_reverse(
 
 
 @pytest.fixture
-def friction(arm_model: RobotModel) -> FrictionModel:
+def friction(arm_model: Robot) -> FrictionModel:
     seen = TrainedRange(
         sample_time=0.005, dq=(-2, 2), q=(-2, 2), tau_load=(-30, 30), tau=(-5, 5)
     )  # fmt: skip
@@ -210,13 +210,13 @@ def motion(make_motion: MakeMotion) -> Motion:
 
 
 @pytest.fixture
-def body(motion: Motion, arm_model: RobotModel) -> RigidBody:
+def body(motion: Motion, arm_model: Robot) -> RigidBody:
     return identify_motions([motion], arm_model)
 
 
 @pytest.mark.parametrize("as_plant", [False, True])
 def test_a_simulation(
-    as_plant: bool, motion: Motion, arm_model: RobotModel, friction: FrictionModel,
+    as_plant: bool, motion: Motion, arm_model: Robot, friction: FrictionModel,
     body: RigidBody, unchanged: Unchanged,
 ) -> None:  # fmt: skip
     records = motion_records(motion, arm_model, body)
@@ -236,7 +236,7 @@ def test_a_simulation(
 
 
 def test_costs_of_an_output_error(
-    motion: Motion, arm_model: RobotModel, friction: FrictionModel, body: RigidBody,
+    motion: Motion, arm_model: Robot, friction: FrictionModel, body: RigidBody,
     unchanged: Unchanged,
 ) -> None:  # fmt: skip
     problem = output_error._Problem(arm_model, body, friction, [motion])

@@ -17,8 +17,8 @@ from hesr_model.health.positions import (
     check_steps,
     check_time,
 )
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
 
 MJCF = """
 <mujoco model="lift"><compiler angle="radian"/><worldbody><body name="arm">
@@ -31,11 +31,11 @@ MJCF = """
 
 
 @pytest.fixture
-def lift(tmp_path: Path) -> RobotModel:
+def lift(tmp_path: Path) -> Robot:
     """One joint that turns and one that slides."""
     path = tmp_path / "lift.xml"
     path.write_text(MJCF, encoding="utf-8")
-    return RobotModel(RobotDescription(name="lift", model=path, joints=("turn", "lift")))
+    return Robot(RobotDescription(name="lift", model=path, joints=("turn", "lift")))
 
 
 def in_unit(robot: RobotDescription, **units: object) -> RobotDescription:
@@ -43,14 +43,14 @@ def in_unit(robot: RobotDescription, **units: object) -> RobotDescription:
     return robot.model_copy(update={"log": robot.log.model_copy(update={"units": own})})
 
 
-def cut(*, breaks: tuple[int, ...], by: float = 0.5, rows: int = 1000) -> RobotLog:
+def cut(*, breaks: tuple[int, ...], by: float = 0.5, rows: int = 1000) -> Log:
     """A log with gaps before some rows."""
     log = two_joints(rows)
     later = sum((np.arange(rows) >= row for row in breaks), np.zeros(rows))
     return replace(log, t=log.t + by * later)
 
 
-def lossy(long: int, *, by: float = 2.0) -> RobotLog:
+def lossy(long: int, *, by: float = 2.0) -> Log:
     """Of 1000 steps some are longer."""
     log = two_joints(1001)
     steps = np.full(1000, 0.01)
@@ -59,10 +59,10 @@ def lossy(long: int, *, by: float = 2.0) -> RobotLog:
 
 
 def test_stamps(unchanged: Unchanged, data_regression: DataRegressionFixture) -> None:
-    def told(log: RobotLog, check: str = "", unit: str | float = "s") -> list[str]:
+    def told(log: Log, check: str = "", unit: str | float = "s") -> list[str]:
         return said(check_time(log, in_unit(TWO, t=unit)), check)
 
-    def every(period: float) -> RobotLog:
+    def every(period: float) -> Log:
         return two_joints(50, period)
 
     unchanged(
@@ -98,10 +98,10 @@ def test_stamps(unchanged: Unchanged, data_regression: DataRegressionFixture) ->
 
 
 def test_leaps(unchanged: Unchanged, data_regression: DataRegressionFixture) -> None:
-    def told(log: RobotLog, check: str = "") -> list[str]:
+    def told(log: Log, check: str = "") -> list[str]:
         return said(check_jumps(log, TWO), check)
 
-    def leaping(by: float, *, step: float = 0.01, row: int = 500) -> RobotLog:
+    def leaping(by: float, *, step: float = 0.01, row: int = 500) -> Log:
         """All positions from a row on are further, behind a step of some length."""
         log = two_joints()
         later = np.arange(len(log.t)) >= row
@@ -111,11 +111,11 @@ def test_leaps(unchanged: Unchanged, data_regression: DataRegressionFixture) -> 
             t=log.t + (step - 0.01) * later,
         )
 
-    def off(by: float, row: int = 500, scale: float = 1.0) -> RobotLog:
+    def off(by: float, row: int = 500, scale: float = 1.0) -> Log:
         log = two_joints()
         return replace(log, q=at(scale * log.q, row, 0, scale * log.q[row, 0] + by))
 
-    def fast(speed: float) -> RobotLog:
+    def fast(speed: float) -> Log:
         """A joint that often goes so far in one step, and sometimes by a turn."""
         log = two_joints()
         q = at(log.q, slice(None), 0, speed * (np.arange(1000) % 2))
@@ -192,11 +192,11 @@ def test_coarse_positions(unchanged: Unchanged, data_regression: DataRegressionF
 
 
 def test_positions_beyond_the_limits(
-    lift: RobotModel, unchanged: Unchanged, data_regression: DataRegressionFixture
+    lift: Robot, unchanged: Unchanged, data_regression: DataRegressionFixture
 ) -> None:
     def told(turn: tuple[float, float], slide: tuple[float, float], *, unit: object = "rad",
              words: str = "") -> list[str]:  # fmt: skip
-        model = RobotModel(in_unit(lift.description, q=unit))
+        model = Robot(in_unit(lift.description, q=unit))
         q = np.linspace([turn[0], slide[0]], [turn[1], slide[1]], 100)
         return [x for x in said(check_limits(as_part(replace(two_joints(100), q=q)), model))
                 if words in x]  # fmt: skip

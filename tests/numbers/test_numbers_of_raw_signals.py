@@ -10,22 +10,22 @@ from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
 from hesr_model.health.sample_hold import _speeds, check_held, check_speed
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
 
 
-def told(log: RobotLog, check: str = "") -> list[str]:
+def told(log: Log, check: str = "") -> list[str]:
     return said(check_held(log, TWO), check)
 
 
-def spiked(height: float, *, beside: float = 0.0, rows: int = 1000, row: int = 500) -> RobotLog:
+def spiked(height: float, *, beside: float = 0.0, rows: int = 1000, row: int = 500) -> Log:
     log = two_joints(rows)
     return replace(log, tau=at(log.tau, [row - 1, row, row + 1], 0, [0.0, height, beside]))
 
 
 def still(
     rows: int, *, of: int = 1000, period: float = 0.01, quantity: str = "q", begin: int = 300
-) -> RobotLog:
+) -> Log:
     """A log in which a signal of the first joint repeats its value so many times."""
     log = two_joints(of, period)
     values = at(getattr(log, quantity), slice(begin, begin + rows + 1), 0, 0.123456)
@@ -59,21 +59,21 @@ def test_signals_that_are_stuck(
 ) -> None:
     moving = two_joints()
 
-    def slow(speed: float) -> RobotLog:
+    def slow(speed: float) -> Log:
         """The position stands while its velocity has a size."""
         log = still(60)
         return replace(log, dq=np.full_like(log.q, speed))
 
-    def creeping(speed: float) -> RobotLog:
+    def creeping(speed: float) -> Log:
         """The torque stands while the position has a speed."""
         log = still(60, quantity="tau")
         return replace(log, q=speed * log.t[:, None] * [1.0, 1.0])
 
-    def partly(rows: int) -> RobotLog:
+    def partly(rows: int) -> Log:
         log = still(40)
         return replace(log, dq=at(0.0 * log.q, slice(300, 300 + rows), 0, 1.0))
 
-    def among(rows: int, others: int) -> RobotLog:
+    def among(rows: int, others: int) -> Log:
         """Runs of 1, 2, .. repeats stand beside it."""
         log = still(rows)
         q, row = log.q.copy(), 500
@@ -121,19 +121,19 @@ def test_torques_that_are_held(
 ) -> None:
     log = two_joints(1001)
 
-    def repeated(rows: int) -> RobotLog:
+    def repeated(rows: int) -> Log:
         """Every third row repeats the one before, up to a row."""
         places = 3 * np.arange(rows) + 1
         tau = log.tau.copy()
         tau[places] = tau[places - 1]
         return replace(log, tau=tau)
 
-    def levels(count: int) -> RobotLog:
+    def levels(count: int) -> Log:
         """Pairs of equal rows, of so many values in the second joint."""
         tau = np.repeat(np.arange(501) % count, 2)[: len(log.t)]
         return replace(log, tau=np.column_stack([0.0 * tau, tau.astype(float)]))
 
-    def briefly(rows: int) -> RobotLog:
+    def briefly(rows: int) -> Log:
         """It moves in so many rows, in both of which torques repeat."""
         q = np.minimum(log.t, 0.01 * rows)[:, None] * [0.0, 1.0]
         return replace(repeated(333), q=q, dq=None, tau=np.repeat(log.tau[::2], 2, axis=0)[:1001])
@@ -195,7 +195,7 @@ def test_speeds_beyond_the_limits(
 ) -> None:
     path = tmp_path / "lift.urdf"
     path.write_text(URDF, encoding="utf-8")
-    model = RobotModel(RobotDescription(name="lift", model=path, joints=("lift", "arm")))
+    model = Robot(RobotDescription(name="lift", model=path, joints=("lift", "arm")))
     rising = np.linspace(-1.0, 0.7, 1001)[:, None]
 
     def told(*peaks: float, travel: float = 1.0) -> list[str]:

@@ -12,7 +12,7 @@ from unchanged import Unchanged
 from hesr_model.errors import ArtifactError, ConfigError, RobotError
 from hesr_model.logs.log_format import LogFormat, LogUnits, column_names
 from hesr_model.robots.model_file import driven_joints, joints_of
-from hesr_model.robots.robot import RobotDescription, RobotModel, description_of
+from hesr_model.robots.robot import Robot, RobotDescription, description_of
 from hesr_model.robots.transmission import Coupling, Transmission, onto
 
 LINK = '<link name="l{k}"><inertial><origin xyz="0.1 0.02 {k}"/><mass value="{k}"/>'
@@ -72,8 +72,8 @@ def test_a_robot_of_all_kinds_of_joints(model_file: Path, unchanged: Unchanged) 
     path = model_file
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace('type="planar"', 'type="fixed"'), encoding="utf-8")
-    model = RobotModel(four(path))
-    locked = RobotModel(
+    model = Robot(four(path))
+    locked = Robot(
         four(path, joints=("turn", "last"), locked={"free": 0.7, "slide": 0.2}, rotor_inertia=False)
     )
     rng = np.random.default_rng(0)
@@ -112,14 +112,14 @@ def test_a_robot_of_all_kinds_of_joints(model_file: Path, unchanged: Unchanged) 
 def test_ranges_of_an_mjcf(tmp_path: Path, angle: str, unchanged: Unchanged) -> None:
     path = tmp_path / "lift.xml"
     path.write_text(MJCF.format(angle=angle), encoding="utf-8")
-    model = RobotModel(path)
+    model = Robot(path)
     unchanged({"limits": model.limits, "rotors": model.rotor_nominal, "sides": [
         joint.slides for joint in joints_of(path)]}, rtol=1e-9)  # fmt: skip
 
 
 def test_motors_that_are_coupled(arm: RobotDescription, unchanged: Unchanged) -> None:
     transmission = Transmission(matrix=MATRIX, logs="motor", friction=("motor", "motor", "joint"))
-    model = RobotModel(RobotDescription(**{**dict(arm), "transmission": transmission}))
+    model = Robot(RobotDescription(**{**dict(arm), "transmission": transmission}))
     coupling = Coupling.of(transmission.motors)
     assert coupling
     assert Coupling.of(transmission.coordinates) is None
@@ -147,7 +147,7 @@ def test_how_robots_are_refused(
     path = model_file
 
     def robot(**more: object) -> str:
-        return refusal(lambda: RobotModel(four(path, **more)), path)
+        return refusal(lambda: Robot(four(path, **more)), path)
 
     def toml(matrix: str) -> str:
         (file := path.with_name("robot.toml")).write_text(

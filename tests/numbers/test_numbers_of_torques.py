@@ -12,7 +12,7 @@ from unchanged import Unchanged
 
 from hesr_model.health.evidence import Estimate, JointTorque
 from hesr_model.health.torque import check_torque, sign_change
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 LINK = '<link name="l{k}"><inertial><mass value="1"/>'
 LINK += '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
@@ -62,7 +62,7 @@ def told(
     late: tuple[int, ...] = (),
 ) -> list[str]:
     part = as_part(two_joints(1001), tau=np.linspace(0.0, 1.0, 1001)[:, None] * peaks)
-    return said(check_torque(part, found, RobotModel(robot), late), check)
+    return said(check_torque(part, found, Robot(robot), late), check)
 
 
 def of(value: float, error: float = 0.01) -> Estimate:

@@ -28,7 +28,7 @@ from hesr_model.friction.predict import predict
 from hesr_model.friction.thermal import Thermal
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 SCHEME = Scheme(compensation="servo_inversion")
@@ -115,7 +115,7 @@ class DriftingLoop:
     """
 
     plant: Plant
-    robot: RobotModel
+    robot: Robot
     parameters: Array
     model: FrictionModel
     motion: Fourier

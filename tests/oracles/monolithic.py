@@ -15,7 +15,7 @@ from fmu_src.arm.plant import Plant
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.motions.trajectories import Trajectory
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 _ROUNDING = 1e-9  # [s] by which a time may miss the instant at which the motion begins
@@ -40,7 +40,7 @@ class MonolithicLoop:
     """
 
     plant: Plant
-    robot: RobotModel
+    robot: Robot
     parameters: Array
     friction: FrictionModel
     motion: Trajectory

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "ur10e"
 
@@ -31,15 +31,15 @@ def ur10e(ur10e_data: Path) -> RobotDescription:
 
 
 @pytest.fixture(scope="session")
-def ur10e_model(ur10e: RobotDescription) -> RobotModel:
-    return RobotModel(ur10e)
+def ur10e_model(ur10e: RobotDescription) -> Robot:
+    return Robot(ur10e)
 
 
 @pytest.fixture(scope="session")
-def id_logs(ur10e_data: Path, ur10e: RobotDescription) -> list[RobotLog]:
-    return [RobotLog.read(ur10e_data / f"{name}.csv", ur10e) for name in IDENTIFICATION]
+def id_logs(ur10e_data: Path, ur10e: RobotDescription) -> list[Log]:
+    return [Log.read(ur10e_data / f"{name}.csv", ur10e) for name in IDENTIFICATION]
 
 
 @pytest.fixture(scope="session")
-def unseen_logs(ur10e_data: Path, ur10e: RobotDescription) -> list[RobotLog]:
-    return [RobotLog.read(ur10e_data / f"{name}.csv", ur10e) for name in TEST]
+def unseen_logs(ur10e_data: Path, ur10e: RobotDescription) -> list[Log]:
+    return [Log.read(ur10e_data / f"{name}.csv", ur10e) for name in TEST]

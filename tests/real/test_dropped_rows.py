@@ -9,16 +9,16 @@ from hesr_model.fitting.fit import fit
 from hesr_model.friction.predict import predict
 from hesr_model.health.examine import checked, examine
 from hesr_model.health.findings import HealthError
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 SPEEDS = np.array([-0.6, -0.3, 0.3, 0.6])
 
 
-def sliding_torques(log: RobotLog, model: RobotModel) -> np.ndarray:
+def sliding_torques(log: Log, model: Robot) -> np.ndarray:
     """Steady torque (n, speeds) of a LuGre law [N.m]."""
     body = identify([log], model)
     law = fit("lugre", *(friction_records(part, model, body) for part in log.parts()))
@@ -28,14 +28,14 @@ def sliding_torques(log: RobotLog, model: RobotModel) -> np.ndarray:
     )
 
 
-def halved(log: RobotLog, seed: int) -> RobotLog:
+def halved(log: Log, seed: int) -> Log:
     rows = np.random.default_rng(seed).choice(len(log.t), len(log.t) // 2, replace=False)
     return log.rows(np.sort(rows))
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_half_the_rows_give_the_same_sliding_torque_or_are_refused(
-    seed: int, id_logs: list[RobotLog], ur10e_model: RobotModel
+    seed: int, id_logs: list[Log], ur10e_model: Robot
 ) -> None:
     whole = id_logs[0]
     half = halved(whole, seed)
@@ -54,8 +54,8 @@ def test_five_seconds_determine_too_little_to_lose_half_of_them(seed: int) -> No
     if not log.is_file():
         pytest.skip("the measured TX40 log is not beside the repository")
     robot = RobotDescription.read(Path(__file__).with_name("tx40.toml"))
-    whole = RobotLog.read(log, robot)
+    whole = Log.read(log, robot)
     with pytest.raises(HealthError, match=r"its sliding torque at .* is uncertain by \d") as no:
-        checked([halved(whole, seed)], RobotModel(robot))
+        checked([halved(whole, seed)], Robot(robot))
     assert {finding.check for finding in no.value.findings} == {"missing-rows"}
     assert "joint_3" in no.value.findings[0].joints

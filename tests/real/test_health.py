@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hesr_model.health.examine import examine
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "data"
 
@@ -19,8 +19,8 @@ def findings(robot: str, logs: list[Path]) -> list[tuple[str, tuple[str, ...]]]:
     if not all(log.is_file() for log in logs) or not logs:
         pytest.skip(f"measured logs are not beside the repository, in {SHARED}")
     description = RobotDescription.read(Path(__file__).with_name(robot))
-    read = [RobotLog.read(log, description) for log in logs]
-    examination = examine(read, description, RobotModel(description))
+    read = [Log.read(log, description) for log in logs]
+    examination = examine(read, description, Robot(description))
     return [(finding.check, finding.joints) for finding in examination.findings]
 
 
@@ -46,19 +46,19 @@ def test_of_a_tiago_only_the_wrist_is_odd_which_has_no_signal() -> None:
     ]  # fmt: skip
 
 
-def one_torque_backwards(log: RobotLog) -> RobotLog:
+def one_torque_backwards(log: Log) -> Log:
     return replace(log, tau=log.tau * np.array([1, 1, -1, 1, 1, 1]))
 
 
-def two_torques_swapped(log: RobotLog) -> RobotLog:
+def two_torques_swapped(log: Log) -> Log:
     return replace(log, tau=log.tau[:, [0, 2, 1, 3, 4, 5]])
 
 
-def a_hundredth(log: RobotLog) -> RobotLog:
+def a_hundredth(log: Log) -> Log:
     return replace(log, tau=log.tau * np.array([1, 1, 0.01, 1, 1, 1]))
 
 
-def amperes(log: RobotLog) -> RobotLog:
+def amperes(log: Log) -> Log:
     return replace(log, tau=log.tau / np.array([11.976, 11.976, 9.839, 10.763, 10.763, 10.763]))
 
 
@@ -72,11 +72,11 @@ def amperes(log: RobotLog) -> RobotLog:
     ],
 )
 def test_mistakes_on_measured_logs_are_told(
-    mistake: Callable[[RobotLog], RobotLog],
+    mistake: Callable[[Log], Log],
     check: str,
     joint: str,
-    id_logs: list[RobotLog],
-    ur10e_model: RobotModel,
+    id_logs: list[Log],
+    ur10e_model: Robot,
 ) -> None:
     found = examine([mistake(id_logs[1])], ur10e_model.description, ur10e_model).findings
     assert any(f.check == check and joint in f.joints for f in found), found

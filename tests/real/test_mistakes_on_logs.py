@@ -13,21 +13,21 @@ from cosim.loop.excite import recordings
 from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from hesr_model.health.examine import examine
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[1] / ".." / "shared" / "data"
 Array = NDArray[np.float64]
 Shared = Callable[[str, Callable[[Path], object]], Path]
-Spoilt = tuple[RobotLog, RobotModel]
-Mistake = Callable[[RobotLog, RobotModel], Spoilt]
+Spoilt = tuple[Log, Robot]
+Mistake = Callable[[Log, Robot], Spoilt]
 
 
 @cache
-def model_of(robot: Path) -> RobotModel:
-    return RobotModel(RobotDescription.read(robot))
+def model_of(robot: Path) -> Robot:
+    return Robot(RobotDescription.read(robot))
 
 
 def measured(robot: str, log: str) -> Spoilt:
@@ -35,10 +35,10 @@ def measured(robot: str, log: str) -> Spoilt:
     if not path.is_file():
         pytest.skip(f"the measured log is not beside the repository, at {path}")
     model = model_of(HERE / robot)
-    return RobotLog.read(path, model.description), model
+    return Log.read(path, model.description), model
 
 
-def in_log(spoil: Callable[[RobotLog], RobotLog]) -> Mistake:
+def in_log(spoil: Callable[[Log], Log]) -> Mistake:
     return lambda log, model: (spoil(log), model)
 
 
@@ -61,27 +61,27 @@ def scaled(values: Array | None, factor: float) -> Array | None:
     return None if values is None else values * factor
 
 
-def late(log: RobotLog, by: float) -> Array:
+def late(log: Log, by: float) -> Array:
     return np.column_stack([np.interp(log.t - by, log.t, column) for column in log.tau.T])
 
 
-def mounted(log: RobotLog, model: RobotModel, gravity: tuple[float, float, float]) -> Spoilt:
-    return log, RobotModel(model.description.model_copy(update={"gravity": gravity}))
+def mounted(log: Log, model: Robot, gravity: tuple[float, float, float]) -> Spoilt:
+    return log, Robot(model.description.model_copy(update={"gravity": gravity}))
 
 
-def weightless(log: RobotLog, model: RobotModel) -> Spoilt:
+def weightless(log: Log, model: Robot) -> Spoilt:
     nothing = np.zeros_like(log.q)
     gravity = model.torque(model.nominal_parameters, log.q, nothing, nothing)
     return replace(log, tau=log.tau - gravity), model
 
 
-def stuck(log: RobotLog) -> RobotLog:
+def stuck(log: Log) -> Log:
     q, rows = log.q.copy(), slice(len(log.t) // 2, len(log.t) * 7 // 10)
     q[rows, 1] = q[rows.start, 1]
     return replace(log, q=q)
 
 
-def held(log: RobotLog) -> RobotLog:
+def held(log: Log) -> Log:
     rows = np.repeat(np.arange(0, len(log.t), 5), 5)[: len(log.t)]
     return replace(log, q=log.q[rows], dq=None, tau=log.tau[rows])
 
@@ -146,7 +146,7 @@ AT_ONCE = ("upside down", "torques swapped", "late torques", "milliamperes", "fr
            "another sample rate, without velocity", "gravity taken out")  # fmt: skip
 
 
-def assert_told(what: str, log: RobotLog, model: RobotModel) -> None:
+def assert_told(what: str, log: Log, model: Robot) -> None:
     spoil, check, joints = MISTAKES[what]
     log, model = spoil(log, model)
     found = examine([log], model.description, model).findings
@@ -199,12 +199,12 @@ def twin(shared: Shared) -> Path:
 @pytest.mark.parametrize("what", MISTAKES)
 def test_on_a_log_of_the_twin(what: str, twin: Path) -> None:
     model = model_of(uf850("robot.toml"))
-    assert_told(what, RobotLog.read(twin / "excitation.csv", model.description), model)
+    assert_told(what, Log.read(twin / "excitation.csv", model.description), model)
 
 
 def test_logs_of_the_twin_are_sound(twin: Path) -> None:
     model = model_of(uf850("robot.toml"))
-    logs = [RobotLog.read(log, model.description) for log in sorted(twin.glob("*.csv"))]
+    logs = [Log.read(log, model.description) for log in sorted(twin.glob("*.csv"))]
     assert len(logs) == 9
     for log in logs:
         assert examine([log], model.description, model).findings == ()

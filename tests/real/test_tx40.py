@@ -8,10 +8,10 @@ import pytest
 from cosim.study.scores import predict_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.fitting.fit import fit
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 LOG = Path(__file__).parents[2].parent / "shared" / "data" / "tx40" / "tx40_first.csv"
 TRAINED = 0.6
@@ -25,17 +25,17 @@ def coupled() -> RobotDescription:
 
 
 @pytest.fixture(scope="module")
-def log(coupled: RobotDescription) -> RobotLog:
+def log(coupled: RobotDescription) -> Log:
     if not LOG.is_file():
         pytest.skip(f"the measured TX40 log is not beside the repository, at {LOG}")
-    return RobotLog.read(LOG, coupled)
+    return Log.read(LOG, coupled)
 
 
 def trained(
-    log: RobotLog, robot: RobotDescription, *, last: bool = False, physical: bool = False
+    log: Log, robot: RobotDescription, *, last: bool = False, physical: bool = False
 ) -> tuple[Records, Records]:
     """Records of the first 60 % and of the rest, or the last and what is before, and a body."""
-    model = RobotModel(robot)
+    model = Robot(robot)
     rows = round((1.0 - TRAINED if last else TRAINED) * len(log.t))
     parts = log.rows(slice(rows)), log.rows(slice(rows, None))
     train, test = parts[::-1] if last else parts
@@ -49,7 +49,7 @@ def errors(predicted: np.ndarray, records: Records) -> np.ndarray:
 
 
 def test_one_friction_of_motor_6_holds_both_joints_that_turn_it(
-    coupled: RobotDescription, log: RobotLog, tmp_path: Path
+    coupled: RobotDescription, log: Log, tmp_path: Path
 ) -> None:
     first, rest = trained(log, coupled)
     model = fit("lugre", first, robot=coupled.name)
@@ -69,7 +69,7 @@ def test_one_friction_of_motor_6_holds_both_joints_that_turn_it(
 
 @pytest.mark.parametrize("last", [False, True])
 def test_a_body_that_can_exist_holds_for_either_end_of_the_motion(
-    last: bool, coupled: RobotDescription, log: RobotLog
+    last: bool, coupled: RobotDescription, log: Log
 ) -> None:
     """Three seconds determine the plain body badly: J5 would be 2.1 N.m off at the beginning."""
     found = {}

@@ -10,10 +10,10 @@ from conftest import IDENTIFICATION
 from hesr.extras.adaptive.follow import Follower
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.metrics import rmse
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 DAYS = (
     "test_ptp_10_points",
@@ -32,14 +32,12 @@ Days = Callable[[Sequence[str]], list[list[FrictionRecord]]]
 
 
 @pytest.fixture(scope="module")
-def read(
-    ur10e_data: Path, ur10e: RobotDescription, ur10e_model: RobotModel, id_logs: list[RobotLog]
-) -> Days:
+def read(ur10e_data: Path, ur10e: RobotDescription, ur10e_model: Robot, id_logs: list[Log]) -> Days:
     """Records [log][joint] of logs by name."""
     body = identify(id_logs, ur10e_model)
 
     def records(names: Sequence[str]) -> list[list[FrictionRecord]]:
-        logs = (RobotLog.read(ur10e_data / f"{name}.csv", ur10e) for name in names)
+        logs = (Log.read(ur10e_data / f"{name}.csv", ur10e) for name in names)
         return [friction_records(log, ur10e_model, body) for log in logs]
 
     return records

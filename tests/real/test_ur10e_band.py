@@ -10,25 +10,25 @@ import pytest
 from cosim.study.scores import by_joint
 from hesr_model.fitting.fit import fit_models
 from hesr_model.logs.phases import moving, near_reversals
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 pytestmark = pytest.mark.soak
 
 
 @pytest.fixture(scope="module")
-def body(id_logs: list[RobotLog], ur10e_model: RobotModel) -> RigidBody:
+def body(id_logs: list[Log], ur10e_model: Robot) -> RigidBody:
     return identify(id_logs, ur10e_model)
 
 
 @pytest.mark.parametrize("law", ["lugre", "stribeck", "lugre_load_ripple"])
 def test_a_band_holds_what_it_says(
     body: RigidBody,
-    id_logs: list[RobotLog],
-    unseen_logs: list[RobotLog],
-    ur10e_model: RobotModel,
+    id_logs: list[Log],
+    unseen_logs: list[Log],
+    ur10e_model: Robot,
     law: str,
 ) -> None:
     trained = by_joint([friction_records(log, ur10e_model, body) for log in id_logs])
@@ -84,9 +84,9 @@ def shares(pairs: Sequence[tuple[RigidBody, RigidBody]], what: str) -> float:
 
 def test_base_parameters_err_as_they_say(
     body: RigidBody,
-    id_logs: list[RobotLog],
-    unseen_logs: list[RobotLog],
-    ur10e_model: RobotModel,
+    id_logs: list[Log],
+    unseen_logs: list[Log],
+    ur10e_model: Robot,
 ) -> None:
     left_out = [
         (

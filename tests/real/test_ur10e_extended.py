@@ -21,9 +21,9 @@ from cosim.study.study import Study
 from fmu_src.run.replay import replay
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.progress import silent
 
@@ -77,7 +77,7 @@ def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Score
 
 @pytest.mark.soak
 def test_the_whole_study_runs_and_names_a_law(
-    unseen_logs: list[RobotLog], ur10e_model: RobotModel, tmp_path: Path
+    unseen_logs: list[Log], ur10e_model: Robot, tmp_path: Path
 ) -> None:
     whole = run_study(STUDY, tmp_path / "ur10e")
     assert whole.verdict.law in whole.fmus
@@ -94,7 +94,7 @@ def scores(outcome: Scored) -> Comparison:
 
 @pytest.fixture(scope="session")
 def records(
-    outcome: Scored, unseen_logs: list[RobotLog], ur10e_model: RobotModel
+    outcome: Scored, unseen_logs: list[Log], ur10e_model: Robot
 ) -> list[list[FrictionRecord]]:
     """Friction of every joint in every test log."""
     return [friction_records(log, ur10e_model, outcome.rigid_body) for log in unseen_logs]

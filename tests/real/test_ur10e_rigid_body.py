@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from hesr_model.friction.metrics import rmse
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody, base_columns, identify
 from hesr_model.rigid_body.residual import friction_records, require_reversals
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 
 def friction_of(
-    logs: Sequence[RobotLog], model: RobotModel, rigid_body: RigidBody
+    logs: Sequence[Log], model: Robot, rigid_body: RigidBody
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Velocity and friction of each joint, pooled over the logs."""
     records = [friction_records(log, model, rigid_body) for log in logs]
@@ -32,7 +32,7 @@ def static_features(dq: np.ndarray) -> np.ndarray:
 
 
 def static_errors(
-    train: Sequence[RobotLog], test: Sequence[RobotLog], model: RobotModel, rigid_body: RigidBody
+    train: Sequence[Log], test: Sequence[Log], model: Robot, rigid_body: RigidBody
 ) -> np.ndarray:
     """RMSE of the static law on `test` after a fit on `train`, (n,) [N.m]."""
     errors = []
@@ -45,18 +45,18 @@ def static_errors(
 
 
 @pytest.fixture(scope="module")
-def rigid_body(id_logs: list[RobotLog], ur10e_model: RobotModel) -> RigidBody:
+def rigid_body(id_logs: list[Log], ur10e_model: Robot) -> RigidBody:
     return identify(id_logs, ur10e_model)
 
 
 def test_base_parameters_are_36_and_40_with_rotors(
-    ur10e: RobotDescription, ur10e_model: RobotModel
+    ur10e: RobotDescription, ur10e_model: Robot
 ) -> None:
-    bare = RobotModel(ur10e.model_copy(update={"rotor_inertia": False}))
+    bare = Robot(ur10e.model_copy(update={"rotor_inertia": False}))
     assert (len(base_columns(bare)), len(base_columns(ur10e_model))) == (36, 40)
 
 
-def test_identification_takes_seconds(id_logs: list[RobotLog], ur10e_model: RobotModel) -> None:
+def test_identification_takes_seconds(id_logs: list[Log], ur10e_model: Robot) -> None:
     start = process_time()  # of all threads, whatever else runs on the machine
     identify(id_logs, ur10e_model)
     assert process_time() - start < 5.0
@@ -74,7 +74,7 @@ def test_the_three_logs_determine_all_parameters(rigid_body: RigidBody) -> None:
 
 
 def test_friction_on_unseen_motions_is_of_the_known_size(
-    unseen_logs: list[RobotLog], ur10e_model: RobotModel, rigid_body: RigidBody
+    unseen_logs: list[Log], ur10e_model: Robot, rigid_body: RigidBody
 ) -> None:
     friction = friction_of(unseen_logs, ur10e_model, rigid_body)
     spread = [np.std(tau) for _, tau in friction]
@@ -82,9 +82,9 @@ def test_friction_on_unseen_motions_is_of_the_known_size(
 
 
 def test_a_static_law_leaves_what_is_known_for_unseen_motions(
-    id_logs: list[RobotLog],
-    unseen_logs: list[RobotLog],
-    ur10e_model: RobotModel,
+    id_logs: list[Log],
+    unseen_logs: list[Log],
+    ur10e_model: Robot,
     rigid_body: RigidBody,
 ) -> None:
     errors = static_errors(id_logs, unseen_logs, ur10e_model, rigid_body)
@@ -92,9 +92,9 @@ def test_a_static_law_leaves_what_is_known_for_unseen_motions(
 
 
 def test_weights_and_rotors_pay_on_logs_left_out(
-    id_logs: list[RobotLog], ur10e: RobotDescription, ur10e_model: RobotModel
+    id_logs: list[Log], ur10e: RobotDescription, ur10e_model: Robot
 ) -> None:
-    def left_out(model: RobotModel, weighting: str) -> np.ndarray:
+    def left_out(model: Robot, weighting: str) -> np.ndarray:
         squares = []
         for log in id_logs:
             others = [other for other in id_logs if other is not log]
@@ -104,14 +104,14 @@ def test_weights_and_rotors_pay_on_logs_left_out(
 
     best = left_out(ur10e_model, "wls")
     unweighted = left_out(ur10e_model, "ols")
-    bare = left_out(RobotModel(ur10e.model_copy(update={"rotor_inertia": False})), "wls")
+    bare = left_out(Robot(ur10e.model_copy(update={"rotor_inertia": False})), "wls")
     assert np.all(best[3:] < 0.97 * unweighted[3:])
     assert np.all(best[:3] < 1.01 * unweighted[:3])
     assert best[5] < 0.97 * bare[5]
 
 
 def test_a_short_log_still_gives_a_usable_model(
-    id_logs: list[RobotLog], unseen_logs: list[RobotLog], ur10e_model: RobotModel
+    id_logs: list[Log], unseen_logs: list[Log], ur10e_model: Robot
 ) -> None:
     log = id_logs[2]
     assert log.dq is not None
@@ -123,7 +123,7 @@ def test_a_short_log_still_gives_a_usable_model(
 
 
 def test_every_joint_reverses(
-    id_logs: list[RobotLog], ur10e_model: RobotModel, rigid_body: RigidBody
+    id_logs: list[Log], ur10e_model: Robot, rigid_body: RigidBody
 ) -> None:
     for joint in zip(
         *(friction_records(log, ur10e_model, rigid_body) for log in id_logs), strict=True

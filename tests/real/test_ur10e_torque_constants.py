@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.torque_constants import torque_constants
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 
 @pytest.mark.parametrize("mass_error", [0.1, 0.2])
 def test_the_models_masses_give_two_of_six(
-    mass_error: float, id_logs: list[RobotLog], ur10e_model: RobotModel
+    mass_error: float, id_logs: list[Log], ur10e_model: Robot
 ) -> None:
     stated = ur10e_model.description.log.torque_per_ampere
     assert stated

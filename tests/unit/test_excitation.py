@@ -19,7 +19,7 @@ from hesr_model.motions.excitation_search import Search
 from hesr_model.motions.limits import Limits, MotionLimits, peak_torque
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.base_parameters import base_columns
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.config import read_toml
 from hesr_model.support.files import models_folder
 
@@ -31,12 +31,12 @@ def with_limits(**limits: object) -> ExcitationSettings:
 
 
 @pytest.fixture(scope="module")
-def uf850() -> RobotModel:
-    return RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
+def uf850() -> Robot:
+    return Robot(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
 
 
 @pytest.fixture(scope="module")
-def uf850_excitation(uf850: RobotModel) -> Excitation:
+def uf850_excitation(uf850: Robot) -> Excitation:
     return design(uf850)
 
 
@@ -54,7 +54,7 @@ def assert_kept(found: Excitation) -> None:
 
 
 def test_condition_is_a_third_of_the_median_random_motion(
-    uf850: RobotModel, uf850_excitation: Excitation
+    uf850: Robot, uf850_excitation: Excitation
 ) -> None:
     base = base_columns(uf850)
     with threadpool_limits(1):
@@ -87,15 +87,13 @@ def test_setpoints_run_from_rest_to_rest(uf850_excitation: Excitation) -> None:
         np.testing.assert_allclose(rate[[0, -1]], 0.0, atol=1e-12)
 
 
-def test_counterpart_is_as_well_conditioned(
-    uf850: RobotModel, uf850_excitation: Excitation
-) -> None:
+def test_counterpart_is_as_well_conditioned(uf850: Robot, uf850_excitation: Excitation) -> None:
     backward = uf850_excitation.motion.time_reversed()
     found = condition(uf850, base_columns(uf850), backward)
     assert found == pytest.approx(uf850_excitation.condition, rel=1e-3)
 
 
-def test_torque_limit_is_kept_and_costs_condition(arm_model: RobotModel) -> None:
+def test_torque_limit_is_kept_and_costs_condition(arm_model: Robot) -> None:
     free = design(arm_model, QUICK)
     torque = 0.5 * free.peak_torque
     bound = design(arm_model, with_limits(torque=tuple(torque)))
@@ -105,7 +103,7 @@ def test_torque_limit_is_kept_and_costs_condition(arm_model: RobotModel) -> None
     assert bound.condition > free.condition
 
 
-def test_periods_rate_and_seed_are_the_users(arm_model: RobotModel) -> None:
+def test_periods_rate_and_seed_are_the_users(arm_model: Robot) -> None:
     settings = QUICK.model_copy(update={"periods": 3, "sample_rate": 125.0})
     found, again = design(arm_model, settings), design(arm_model, settings)
     np.testing.assert_array_equal(found.motion.a, again.motion.a)
@@ -115,7 +113,7 @@ def test_periods_rate_and_seed_are_the_users(arm_model: RobotModel) -> None:
     assert len(q) == len(t)
 
 
-def test_random_motions_differ_and_keep_the_limits(arm_model: RobotModel) -> None:
+def test_random_motions_differ_and_keep_the_limits(arm_model: Robot) -> None:
     limits = Limits.of(arm_model, QUICK.limits)
     motions = random_motions(arm_model, QUICK, 20, seed=4)
     assert len({motion.period for motion in motions}) == 20
@@ -141,7 +139,7 @@ def test_random_motions_differ_and_keep_the_limits(arm_model: RobotModel) -> Non
 # --- the search -------------------------------------------------------------------------------
 
 
-def test_gradient_is_that_of_the_value(arm_model: RobotModel) -> None:
+def test_gradient_is_that_of_the_value(arm_model: Robot) -> None:
     # Tight limits: every punishment takes part.
     limits = Limits.of(
         arm_model,
@@ -166,7 +164,7 @@ def test_gradient_is_that_of_the_value(arm_model: RobotModel) -> None:
     np.testing.assert_allclose(gradient, expected, atol=1e-5 * np.abs(expected).max())
 
 
-def test_coordinates_stand_for_motions(arm_model: RobotModel) -> None:
+def test_coordinates_stand_for_motions(arm_model: Robot) -> None:
     limits = Limits.of(arm_model, MotionLimits())
     search = Search(model=arm_model, limits=limits, harmonics=3, period=(5.0, 12.0))
     motion = random_motions(arm_model, QUICK, 1, seed=0)[0]
@@ -200,7 +198,7 @@ URDF = """
 def test_limits_come_from_the_model(tmp_path: Path, effort: float, expected: float) -> None:
     path = tmp_path / "one.urdf"
     path.write_text(URDF.format(effort=effort), encoding="utf-8")
-    model = RobotModel(RobotDescription(name="one", model=path, joints=("hinge",)))
+    model = Robot(RobotDescription(name="one", model=path, joints=("hinge",)))
     limits = Limits.of(model, MotionLimits())
     assert (limits.lower[0], limits.upper[0]) == (-0.9, 0.9)
     assert (limits.velocity[0], limits.acceleration[0], limits.torque[0]) == (3.0, 3.0, expected)
@@ -212,7 +210,7 @@ def test_limits_come_from_the_model(tmp_path: Path, effort: float, expected: flo
     assert values == [-1.0, 0.5, 1.0, 4.0, 7.0]
 
 
-def test_a_motion_within_the_limits_is_left_alone(arm_model: RobotModel) -> None:
+def test_a_motion_within_the_limits_is_left_alone(arm_model: Robot) -> None:
     limits = Limits.of(arm_model, MotionLimits(torque=(1e3, 1e3, 1e3)))
     motion = random_motions(arm_model, QUICK, 1, seed=0)[0]
     small = replace(motion, a=0.5 * motion.a, b=0.5 * motion.b, offset=np.zeros(3))
@@ -221,7 +219,7 @@ def test_a_motion_within_the_limits_is_left_alone(arm_model: RobotModel) -> None
         np.testing.assert_array_equal(getattr(kept, name), getattr(small, name))
 
 
-def test_rest_is_where_gravity_takes_least(arm_model: RobotModel) -> None:
+def test_rest_is_where_gravity_takes_least(arm_model: Robot) -> None:
     limits = Limits.of(arm_model, MotionLimits(torque=(50.0, 12.0, 3.0)))
     rest = limits.rest(arm_model)
     still = Fourier(offset=rest, a=np.zeros((3, 2)), b=np.zeros((3, 2)), period=1.0)
@@ -231,13 +229,13 @@ def test_rest_is_where_gravity_takes_least(arm_model: RobotModel) -> None:
 # --- what is refused --------------------------------------------------------------------------
 
 
-def test_limits_that_are_not_one_per_joint_are_refused(arm_model: RobotModel) -> None:
+def test_limits_that_are_not_one_per_joint_are_refused(arm_model: Robot) -> None:
     message = r"^key 'limits\.velocity' has 2 entries; the 3 joints of robot 'arm' need one each\.$"
     with pytest.raises(RobotError, match=message):
         design(arm_model, with_limits(velocity=(1.0, 1.0)))
 
 
-def test_positions_out_of_the_joints_range_are_refused(arm_model: RobotModel) -> None:
+def test_positions_out_of_the_joints_range_are_refused(arm_model: Robot) -> None:
     message = r"^key 'limits\.position' of joint 'j2' is -1 to 2\.5; the model allows -2 to 2\.$"
     with pytest.raises(RobotError, match=message):
         design(arm_model, with_limits(position=((-1, 1), (-1, 2.5), (-1, 1))))
@@ -264,7 +262,7 @@ def test_settings_that_admit_no_motion_are_refused(
     assert sentence in str(caught.value)
 
 
-def test_torque_below_gravity_admits_no_motion(arm_model: RobotModel) -> None:
+def test_torque_below_gravity_admits_no_motion(arm_model: Robot) -> None:
     position = ((-1.0, 1.0), (0.0, 0.2), (0.0, 0.2))
     message = (
         r"^robot 'arm': the limits admit no motion, because joint 'j2' needs \d+(\.\d+)? N\.m "
@@ -274,13 +272,13 @@ def test_torque_below_gravity_admits_no_motion(arm_model: RobotModel) -> None:
         design(arm_model, with_limits(position=position, torque=(50.0, 5.0, 5.0)))
 
 
-def test_torque_that_gravity_uses_up_admits_no_motion(arm_model: RobotModel) -> None:
+def test_torque_that_gravity_uses_up_admits_no_motion(arm_model: Robot) -> None:
     message = r"^robot 'arm': the limits admit no motion: gravity alone uses up limits\.torque"
     with pytest.raises(FitError, match=message):
         design(arm_model, with_limits(torque=(1e-4, 1e-4, 1e-4)))
 
 
-def test_limits_too_narrow_to_identify_anything_are_refused(arm_model: RobotModel) -> None:
+def test_limits_too_narrow_to_identify_anything_are_refused(arm_model: Robot) -> None:
     message = (
         r"^robot 'arm': the limits admit no motion of joint 'j3' that is faster than 0\.0\d+ "
         r"rad/s; identification needs more than 0\.02 rad/s, so wider limits are needed\.$"

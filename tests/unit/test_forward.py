@@ -23,7 +23,7 @@ from hesr_model.friction.stepper import LawStepper
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 TWIN = models_folder() / "uf850"
@@ -41,13 +41,13 @@ SLIDE = """
 
 
 @pytest.fixture
-def carriage(tmp_path: Path) -> RobotModel:
+def carriage(tmp_path: Path) -> Robot:
     (tmp_path / "slide.xml").write_text(SLIDE, encoding="utf-8")
     description = RobotDescription(
         name="axis", model=tmp_path / "slide.xml", joints=("axis",), rotor_inertia=False,
         log=LogFormat(),
     )  # fmt: skip
-    return RobotModel(description)
+    return Robot(description)
 
 
 def stribeck(**values: float) -> FrictionModel:
@@ -66,13 +66,13 @@ def axis_record(t: np.ndarray, force: np.ndarray, dq: np.ndarray, q: np.ndarray)
                           sliding=True)  # fmt: skip
 
 
-def test_mass_and_weight_are_those_of_the_body(carriage: RobotModel) -> None:
+def test_mass_and_weight_are_those_of_the_body(carriage: Robot) -> None:
     mass, bias = carriage.dynamics(carriage.nominal_parameters, np.ones((3, 1)), np.ones((3, 1)))
     np.testing.assert_allclose(mass, np.full((3, 1, 1), 5.0))
     np.testing.assert_allclose(bias, 0.0, atol=1e-12)
 
 
-def test_a_mass_with_viscous_friction_moves_as_it_must(carriage: RobotModel) -> None:
+def test_a_mass_with_viscous_friction_moves_as_it_must(carriage: Robot) -> None:
     """m q'' + d q' = F from rest, in closed form."""
     t, m, d, force = np.arange(0, 1.0, 0.002), 5.0, 20.0, 3.0
     lag = m / d
@@ -91,7 +91,7 @@ def test_a_mass_with_viscous_friction_moves_as_it_must(carriage: RobotModel) -> 
 
 
 @pytest.mark.parametrize("force", [1.9, -1.9])
-def test_a_force_below_coulombs_moves_nothing(carriage: RobotModel, force: float) -> None:
+def test_a_force_below_coulombs_moves_nothing(carriage: Robot, force: float) -> None:
     t = np.arange(0, 0.5, 0.01)
     still = np.zeros_like(t)
     dahl = FrictionModel(
@@ -133,7 +133,7 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     path = tmp_path_factory.mktemp("twin") / "motions.toml"
     path.write_text(MOTIONS, encoding="utf-8")
     motions, plant = Motions.read(path), Plant.read(TWIN / "plant.toml")
-    robot = RobotModel(RobotDescription.read(TWIN / "robot.toml"))
+    robot = Robot(RobotDescription.read(TWIN / "robot.toml"))
     logs = {r.log.name: r.log for r in recordings(motions, plant)}
     body = identify([logs["excitation"]], robot)
     law = fit("lugre", friction_records(logs["sweep"], robot, body), robot="uf850")

@@ -11,7 +11,7 @@ import pytest
 
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import LogBag, LogColumns, LogFormat, LogUnits
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.files import sha256
 
@@ -93,7 +93,7 @@ def robot(
     return RobotDescription(name="two", model=Path("two.urdf"), joints=joints, log=log)
 
 
-def require_content(log: RobotLog) -> None:
+def require_content(log: Log) -> None:
     assert log.dq is not None
     np.testing.assert_allclose(log.t, 0.01 * np.arange(N), rtol=1e-15, atol=0)
     np.testing.assert_array_equal(log.q, content()["position"])
@@ -104,11 +104,11 @@ def require_content(log: RobotLog) -> None:
 @pytest.mark.parametrize(("storage", "suffix"), [("SQLITE3", ".db3"), ("MCAP", ".mcap")])
 def test_a_bag_is_read_as_a_folder_and_as_a_file(tmp_path: Path, storage: str, suffix: str) -> None:
     folder = write(tmp_path / "run", messages(), storage=storage)
-    log = RobotLog.read(folder, robot())
+    log = Log.read(folder, robot())
     require_content(log)
     assert (log.name, log.sha256) == ("run", sha256(folder))
     (file,) = folder.glob(f"*{suffix}")
-    require_content(RobotLog.read(file, robot()))
+    require_content(Log.read(file, robot()))
 
 
 def test_a_bag_of_an_older_ros_2_without_definitions_of_its_messages_is_read(
@@ -121,7 +121,7 @@ def test_a_bag_of_an_older_ros_2_without_definitions_of_its_messages_is_read(
     with sqlite3.connect(file) as database:
         database.execute("DELETE FROM message_definitions")
     database.close()
-    require_content(RobotLog.read(folder, robot()))
+    require_content(Log.read(folder, robot()))
 
 
 def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
         for k, item in enumerate(messages()):
             raw = store.serialize_ros1(joint_state(store, item, seq=k), kind)
             writer.write(states, item["stamp"], raw)
-    require_content(RobotLog.read(tmp_path / "run.bag", robot()))
+    require_content(Log.read(tmp_path / "run.bag", robot()))
 
 
 def test_joints_may_come_in_any_order_with_others_and_not_in_every_message(
@@ -145,19 +145,19 @@ def test_joints_may_come_in_any_order_with_others_and_not_in_every_message(
     for k in range(N):
         mixed.append(message(k, orders[k % 3]))
         mixed.append(message(k, ("gripper",)))  # of another driver, at the same instant
-    require_content(RobotLog.read(write(tmp_path / "run", mixed), robot()))
+    require_content(Log.read(write(tmp_path / "run", mixed), robot()))
 
 
 def test_joints_of_messages_may_have_other_names(tmp_path: Path) -> None:
     bag = LogBag(topic="/arm/states", joints=("b", "a"))
     folder = write(tmp_path / "run", messages(), topic="/arm/states")
-    log = RobotLog.read(folder, robot(bag=bag, joints=("first", "second")))
+    log = Log.read(folder, robot(bag=bag, joints=("first", "second")))
     np.testing.assert_array_equal(log.q, content()["position"][:, ::-1])
 
 
 def test_units_of_messages_become_si(tmp_path: Path) -> None:
     units = LogUnits(t="ms", q="deg", dq="deg/s", tau="mN.m")  # t is of tables: stamps are in ns
-    log = RobotLog.read(write(tmp_path / "run", messages()), robot(units=units))
+    log = Log.read(write(tmp_path / "run", messages()), robot(units=units))
     assert log.dq is not None
     np.testing.assert_allclose(log.t, 0.01 * np.arange(N), rtol=1e-15)
     np.testing.assert_allclose(log.q, np.deg2rad(content()["position"]), rtol=1e-15)
@@ -169,15 +169,15 @@ def test_effort_may_be_current(tmp_path: Path) -> None:
     folder = write(tmp_path / "run", messages())
     bag = LogBag(effort="current")
     gains = (10.0, -4.0)
-    log = RobotLog.read(folder, robot(bag=bag, torque_per_ampere=gains))
+    log = Log.read(folder, robot(bag=bag, torque_per_ampere=gains))
     np.testing.assert_array_equal(log.tau, content()["effort"] * gains)
     # Gains alone do not make currents of torques.
-    require_content(RobotLog.read(folder, robot(torque_per_ampere=gains)))
+    require_content(Log.read(folder, robot(torque_per_ampere=gains)))
     message = (
         r"run: its efforts are currents by 'log\.bag\.effort' .* 'log\.torque_per_ampere' for them"
     )
     with pytest.raises(LogError, match=message):
-        RobotLog.read(folder, robot(bag=bag))
+        Log.read(folder, robot(bag=bag))
 
 
 def test_velocity_that_is_missing_is_derived_and_that_is_said(
@@ -185,12 +185,12 @@ def test_velocity_that_is_missing_is_derived_and_that_is_said(
 ) -> None:
     folder = write(tmp_path / "run", [message(k, velocity=[]) for k in range(N)])
     with caplog.at_level(logging.WARNING):
-        assert RobotLog.read(folder, robot()).dq is None
+        assert Log.read(folder, robot()).dq is None
     assert "topic '/joint_states': has no velocity; it is derived from the position" in (
         caplog.text
     )
     caplog.clear()
-    assert RobotLog.read(folder, robot(columns=LogColumns(dq=""))).dq is None
+    assert Log.read(folder, robot(columns=LogColumns(dq=""))).dq is None
     assert not caplog.text
 
 
@@ -248,7 +248,7 @@ def test_an_error_names_the_topic_and_the_message(
 ) -> None:
     folder = write(tmp_path / "run", written)
     with pytest.raises(LogError, match=text):
-        RobotLog.read(folder, robot())
+        Log.read(folder, robot())
 
 
 @pytest.mark.parametrize(
@@ -269,22 +269,22 @@ def test_an_error_names_the_topic_and_the_message(
 def test_a_wrong_topic_is_named(tmp_path: Path, topic: str, message: str) -> None:
     folder = write(tmp_path / "run", messages())
     with pytest.raises(LogError, match=message):
-        RobotLog.read(folder, robot(bag=LogBag(topic=topic)))
+        Log.read(folder, robot(bag=LogBag(topic=topic)))
 
 
 @pytest.mark.parametrize("name", ["run.db3", "run.mcap", "run.bag"])
 def test_what_is_not_a_bag_is_refused(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     with pytest.raises(LogError, match=rf"{name}: no such log file\.$"):
-        RobotLog.read(path, robot())
+        Log.read(path, robot())
     path.write_bytes(bytes(range(256)) * 8)
     with pytest.raises(LogError, match=rf"{name}: cannot be read as a ROS bag \(.+\)\.$"):
-        RobotLog.read(path, robot())
+        Log.read(path, robot())
     with pytest.raises(LogError, match=r"is a folder without 'metadata\.yaml', so it is no ROS"):
-        RobotLog.read(tmp_path, robot())
+        Log.read(tmp_path, robot())
     (tmp_path / "metadata.yaml").write_text("nothing: here\n", encoding="utf-8")
     with pytest.raises(LogError, match=r"cannot be read as a ROS bag \(.*rosbag2_bagfile_info"):
-        RobotLog.read(tmp_path, robot())
+        Log.read(tmp_path, robot())
 
 
 def test_without_rosbags_it_is_said_what_to_do(
@@ -296,4 +296,4 @@ def test_without_rosbags_it_is_said_what_to_do(
         r"run\.mcap: reading a ROS bag needs the package rosbags: pip install 'hesr\[ros\]'\.$"
     )
     with pytest.raises(LogError, match=message):
-        RobotLog.read(tmp_path / "run.mcap", robot())
+        Log.read(tmp_path / "run.mcap", robot())

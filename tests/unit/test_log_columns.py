@@ -9,13 +9,13 @@ import pytest
 from hesr_model.errors import LogError
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import LogColumns, LogFormat, LogUnits
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import read_table
 from hesr_model.robots.robot import RobotDescription
 
 HEADER = ["t", "q1", "q2", "dq1", "dq2", "tau1", "tau2"]
 
-Read = Callable[..., RobotLog]
+Read = Callable[..., Log]
 
 
 def rows(count: int = 20) -> np.ndarray:
@@ -27,9 +27,7 @@ def rows(count: int = 20) -> np.ndarray:
 
 @pytest.fixture
 def read(tmp_path: Path) -> Read:
-    def read_text(
-        text: str, log: LogFormat | None = None, joints: Sequence[str] = "ab"
-    ) -> RobotLog:
+    def read_text(text: str, log: LogFormat | None = None, joints: Sequence[str] = "ab") -> Log:
         path = tmp_path / "run.csv"
         path.write_bytes(text.encode())
         # No test here opens the model.
@@ -37,7 +35,7 @@ def read(tmp_path: Path) -> Read:
         robot = RobotDescription(
             name="two", model=model, joints=tuple(joints), log=log or LogFormat()
         )
-        return RobotLog.read(path, robot)
+        return Log.read(path, robot)
 
     return read_text
 
@@ -49,7 +47,7 @@ def written(
     return "".join(delimiter.join(line) + end for line in lines)
 
 
-def require_equal(log: RobotLog, values: np.ndarray) -> None:
+def require_equal(log: Log, values: np.ndarray) -> None:
     assert log.dq is not None
     np.testing.assert_array_equal(np.column_stack([log.t, log.q, log.dq, log.tau]), values)
 

@@ -11,7 +11,7 @@ from plugin_packages import InstallPlugin
 from hesr_model.errors import ConfigError, LogError
 from hesr_model.logs.readers import formats
 from hesr_model.logs.readers.formats import COLUMNS, FileFormat, format_of
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 
 OWN = FileFormat(name="own", recognises=lambda path: path.suffix == ".own", read=COLUMNS.read)
@@ -44,7 +44,7 @@ def test_an_object_that_is_no_format_is_refused(install_plugin: InstallPlugin) -
         format_of(Path("run.csv"))
 
 
-def test_a_log_with_a_gap_is_filtered_part_by_part_only(arm_log: RobotLog) -> None:
+def test_a_log_with_a_gap_is_filtered_part_by_part_only(arm_log: Log) -> None:
     gap = replace(arm_log, t=arm_log.t + np.where(arm_log.t > 5.0, 1.0, 0.0))
     with pytest.raises(LogError, match=r"rows are missing for 1\.005 s before row 1002 of"):
         smooth(gap)

@@ -13,7 +13,7 @@ from scipy.io import savemat
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import LogColumns, LogFormat
 from hesr_model.logs.readers.matlab import read_matlab
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
 
 N = 40
@@ -72,7 +72,7 @@ def save_hdf5(path: Path, data: Mapping[str, Any]) -> None:
 SAVES = pytest.mark.parametrize("save", [save_classic, save_compressed, save_hdf5])
 
 
-def require_content(log: RobotLog) -> None:
+def require_content(log: Log) -> None:
     assert log.dq is not None
     np.testing.assert_array_equal(log.t, content()["t"].ravel())
     for name in ("q", "dq", "tau"):
@@ -82,7 +82,7 @@ def require_content(log: RobotLog) -> None:
 @SAVES
 def test_matrices_are_read_by_the_default_names(tmp_path: Path, save: Save) -> None:
     save(tmp_path / "run.mat", {**content(), "rate": 100.0, "note": "sample"})
-    log = RobotLog.read(tmp_path / "run.mat", robot())
+    log = Log.read(tmp_path / "run.mat", robot())
     require_content(log)
     assert log.name == "run"
     assert len(log.sha256) == 64
@@ -91,7 +91,7 @@ def test_matrices_are_read_by_the_default_names(tmp_path: Path, save: Save) -> N
 @SAVES
 def test_it_does_not_matter_which_way_matrices_lie(tmp_path: Path, save: Save) -> None:
     save(tmp_path / "run.mat", {name: value.T for name, value in content().items()})
-    require_content(RobotLog.read(tmp_path / "run.mat", robot()))
+    require_content(Log.read(tmp_path / "run.mat", robot()))
 
 
 @SAVES
@@ -104,7 +104,7 @@ def test_fields_of_structs_are_named_as_in_matlab(tmp_path: Path, save: Save) ->
     columns = LogColumns(
         t="log.time", q="log.arm.q{}", dq="log.arm.dq{}", tau=["log.tau.values1", "log.tau.values2"]
     )
-    require_content(RobotLog.read(tmp_path / "run.mat", robot(columns)))
+    require_content(Log.read(tmp_path / "run.mat", robot(columns)))
 
 
 def test_elements_of_a_struct_array_are_counted(tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_elements_of_a_struct_array_are_counted(tmp_path: Path) -> None:
     names = {
         name: f"out.signals({k}).values{{}}" for k, name in enumerate(("q", "dq", "tau"), start=1)
     }
-    require_content(RobotLog.read(tmp_path / "run.mat", robot(LogColumns(t="out.time", **names))))
+    require_content(Log.read(tmp_path / "run.mat", robot(LogColumns(t="out.time", **names))))
 
 
 @SAVES
@@ -124,7 +124,7 @@ def test_vectors_of_one_joint_are_named_one_by_one(tmp_path: Path, save: Save) -
     data = {name: value[:, :1] for name, value in content().items()}
     save(tmp_path / "run.mat", data)
     columns = LogColumns(q=("q",), dq=("dq",), tau=("tau",))
-    log = RobotLog.read(tmp_path / "run.mat", robot(columns, ("a",)))
+    log = Log.read(tmp_path / "run.mat", robot(columns, ("a",)))
     np.testing.assert_array_equal(log.tau, content()["tau"][:, :1])
 
 
@@ -160,19 +160,19 @@ def test_an_error_names_what_is_wrong(
 ) -> None:
     save(tmp_path / "run.mat", change(content()))
     with pytest.raises(LogError, match=message):
-        RobotLog.read(tmp_path / "run.mat", robot())
+        Log.read(tmp_path / "run.mat", robot())
 
 
 @pytest.mark.parametrize("start", [b"", b"MATLAB 5.0", HEADER_7_3 + b"\x89HDF\r\n\x1a\n"])
 def test_what_is_not_a_matlab_file_is_refused(tmp_path: Path, start: bytes) -> None:
     path = tmp_path / "run.mat"
     with pytest.raises(LogError, match=r"run\.mat: no such log file\.$"):
-        RobotLog.read(path, robot())
+        Log.read(path, robot())
     if b"HDF" in start:
         pytest.importorskip("h5py", reason="h5py is not installed: pip install 'hesr[matlab]'")
     path.write_bytes(start + bytes(range(256)) * 4)
     with pytest.raises(LogError, match=r"run\.mat: cannot be read as a MATLAB file\.$"):
-        RobotLog.read(path, robot())
+        Log.read(path, robot())
 
 
 def test_a_file_of_version_4_that_is_cut_is_refused_at_every_byte(tmp_path: Path) -> None:
@@ -219,4 +219,4 @@ def test_without_h5py_it_is_said_what_to_do(
         r"pip install 'hesr\[matlab\]', or save it in MATLAB with the option '-v7'\.$"
     )
     with pytest.raises(LogError, match=message):
-        RobotLog.read(tmp_path / "run.mat", robot())
+        Log.read(tmp_path / "run.mat", robot())

@@ -8,7 +8,7 @@ import pytest
 from hesr_model.motions.excitation_search import Search, _excess, _log_condition
 from hesr_model.motions.limits import Limits, MotionLimits, peak_torque
 from hesr_model.motions.trajectories import Fourier, one_period
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 NARROW = MotionLimits(
     position=((-0.4, 0.6), (-1.0, 1.0), (-1.0, 1.0)),
@@ -19,7 +19,7 @@ NARROW = MotionLimits(
 
 
 @pytest.fixture
-def limits(arm_model: RobotModel) -> Limits:
+def limits(arm_model: Robot) -> Limits:
     return Limits.of(arm_model, NARROW)
 
 
@@ -38,7 +38,7 @@ def test_a_period_is_seen_at_256_points_per_cycle_of_its_highest_harmonic(motion
 
 
 def test_each_joint_is_shrunk_to_the_limit_that_it_passes_most(
-    motion: Fourier, limits: Limits, arm_model: RobotModel
+    motion: Fourier, limits: Limits, arm_model: Robot
 ) -> None:
     """A thousandth inside; the first by its position, the second by speed, the third by the rest.
 
@@ -57,7 +57,7 @@ def test_each_joint_is_shrunk_to_the_limit_that_it_passes_most(
 
 
 def test_for_torque_all_paths_shrink_together_towards_rest(
-    motion: Fourier, limits: Limits, arm_model: RobotModel
+    motion: Fourier, limits: Limits, arm_model: Robot
 ) -> None:
     small = replace(motion, a=0.1 * motion.a, b=0.1 * motion.b)
     rest = np.array([0.0, -1.2, 0.3])
@@ -79,7 +79,7 @@ def test_for_torque_all_paths_shrink_together_towards_rest(
     assert peak_torque(arm_model, larger)[1] > 0.999 * between[1]
 
 
-def test_peak_torque_is_that_of_the_model_file(motion: Fourier, arm_model: RobotModel) -> None:
+def test_peak_torque_is_that_of_the_model_file(motion: Fourier, arm_model: Robot) -> None:
     tau = arm_model.torque(arm_model.nominal_parameters, *motion.sample(np.linspace(0, 4, 4001)))
     np.testing.assert_allclose(peak_torque(arm_model, motion), np.abs(tau).max(axis=0), rtol=1e-4)
 
@@ -109,7 +109,7 @@ def test_the_condition_is_bounded_by_norms_of_order_eight() -> None:
 
 
 def test_the_objective_weighs_every_excess_over_a_cycle(
-    motion: Fourier, limits: Limits, arm_model: RobotModel
+    motion: Fourier, limits: Limits, arm_model: Robot
 ) -> None:
     tight = replace(limits, torque=np.array([3.0, 8.0, 1.0]))
     search = Search(model=arm_model, limits=tight, harmonics=3, period=(3.0, 9.0))

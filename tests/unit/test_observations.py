@@ -17,7 +17,7 @@ from hesr_model.rigid_body.observations import (
     slow_speeds,
     stacked,
 )
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 MakeMotion = Callable[..., Motion]
 
@@ -30,17 +30,13 @@ def lift(make_motion: MakeMotion) -> Motion:
     return replace(motion, dq=dq)
 
 
-def test_what_is_slow_is_a_tenth_or_a_quarter_of_the_peak(
-    lift: Motion, arm_model: RobotModel
-) -> None:
+def test_what_is_slow_is_a_tenth_or_a_quarter_of_the_peak(lift: Motion, arm_model: Robot) -> None:
     twice = replace(lift, dq=2.0 * lift.dq)
     np.testing.assert_allclose(slow_speeds([lift], arm_model), [0.1, 0.1, 0.075], rtol=1e-12)
     np.testing.assert_allclose(slow_speeds([lift, twice], arm_model), [0.1, 0.1, 0.1], rtol=1e-12)
 
 
-def test_rows_of_a_joint_are_those_at_which_it_is_not_slow(
-    lift: Motion, arm_model: RobotModel
-) -> None:
+def test_rows_of_a_joint_are_those_at_which_it_is_not_slow(lift: Motion, arm_model: Robot) -> None:
     base = base_columns(arm_model)
     friction = friction_columns(arm_model, base)
     found = stacked([lift, lift], arm_model, base, friction)
@@ -65,7 +61,7 @@ def test_coefficients_of_friction_stand_where_their_columns_are() -> None:
 
 
 def test_averaged_rows_are_those_at_which_both_move_against_each_other(
-    arm_model: RobotModel, make_motion: MakeMotion
+    arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     """A mirror in time, so that row k belongs to the last row but k of the other log."""
     forward, backward = (make_motion(friction=3.0, reverse=way, seconds=4.0) for way in (0, 1))

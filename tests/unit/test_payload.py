@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import FitError, LogError, RobotError
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
 from hesr_model.rigid_body.payload import identify_payload, identify_payload_motions, loaded
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.typed_json import from_json, to_json
 
 MakeMotion = Callable[..., Motion]
@@ -22,16 +22,16 @@ NOISE = np.array([0.5, 0.5, 0.2])
 
 
 @pytest.fixture
-def unloaded(arm_model: RobotModel, make_motion: MakeMotion) -> RigidBody:
+def unloaded(arm_model: Robot, make_motion: MakeMotion) -> RigidBody:
     return identify_motions([make_motion(name="free", friction=3.0)], arm_model)
 
 
 @pytest.fixture
-def carried(arm_model: RobotModel, make_motion: MakeMotion) -> Motion:
+def carried(arm_model: Robot, make_motion: MakeMotion) -> Motion:
     return under_load(make_motion(name="run", friction=3.5, seconds=12.0), arm_model, PAYLOAD)
 
 
-def under_load(motion: Motion, model: RobotModel, payload: np.ndarray) -> Motion:
+def under_load(motion: Motion, model: Robot, payload: np.ndarray) -> Motion:
     columns = model.regressor(motion.q, motion.dq, motion.ddq)[:, :, 20:30]
     return replace(motion, tau=motion.tau + columns @ payload)
 
@@ -42,7 +42,7 @@ def noisy(motion: Motion, seed: int) -> Motion:
 
 
 def test_without_noise_all_ten_parameters_are_found(
-    arm_model: RobotModel, unloaded: RigidBody, carried: Motion
+    arm_model: Robot, unloaded: RigidBody, carried: Motion
 ) -> None:
     payload = identify_payload_motions([carried], arm_model, unloaded)
     np.testing.assert_allclose(payload.parameters, PAYLOAD, atol=1e-8)
@@ -55,7 +55,7 @@ def test_without_noise_all_ten_parameters_are_found(
 
 
 def test_a_joint_that_is_loud_counts_little(
-    arm_model: RobotModel, unloaded: RigidBody, carried: Motion
+    arm_model: Robot, unloaded: RigidBody, carried: Motion
 ) -> None:
     """Rows of 10 N.m of noise would leave no payload that can be told from none."""
     noise = np.random.default_rng(0).standard_normal(carried.tau.shape)
@@ -65,7 +65,7 @@ def test_a_joint_that_is_loud_counts_little(
 
 
 def test_the_loaded_body_predicts_torque_under_load(
-    arm_model: RobotModel, unloaded: RigidBody, carried: Motion, make_motion: MakeMotion
+    arm_model: Robot, unloaded: RigidBody, carried: Motion, make_motion: MakeMotion
 ) -> None:
     payload = identify_payload_motions([carried], arm_model, unloaded)
     body = loaded(unloaded, payload, arm_model)
@@ -82,7 +82,7 @@ def test_the_loaded_body_predicts_torque_under_load(
 
 
 def test_standard_errors_are_what_repetition_shows(
-    arm_model: RobotModel, carried: Motion, make_motion: MakeMotion
+    arm_model: Robot, carried: Motion, make_motion: MakeMotion
 ) -> None:
     found, stated = [], []
     for seed in range(20):
@@ -99,7 +99,7 @@ def test_standard_errors_are_what_repetition_shows(
 
 
 def test_residuals_that_hang_together_widen_the_errors(
-    arm_model: RobotModel, unloaded: RigidBody, carried: Motion
+    arm_model: Robot, unloaded: RigidBody, carried: Motion
 ) -> None:
     noise = np.random.default_rng(0).standard_normal(carried.tau.shape)
     window = np.ones(60) / np.sqrt(60)
@@ -115,15 +115,15 @@ def test_residuals_that_hang_together_widen_the_errors(
 
 
 def test_from_logs_the_filter_is_all_that_is_lost(
-    arm_model: RobotModel, unloaded: RigidBody, carried: Motion
+    arm_model: Robot, unloaded: RigidBody, carried: Motion
 ) -> None:
-    log = RobotLog(name="run", t=carried.t, q=carried.q, dq=carried.dq, tau=carried.tau)
+    log = Log(name="run", t=carried.t, q=carried.q, dq=carried.dq, tau=carried.tau)
     payload = identify_payload([log], arm_model, unloaded)
     assert payload.mass == pytest.approx(1.5, abs=0.01)
 
 
 def test_a_log_without_payload_is_refused(
-    arm_model: RobotModel, unloaded: RigidBody, make_motion: MakeMotion
+    arm_model: Robot, unloaded: RigidBody, make_motion: MakeMotion
 ) -> None:
     message = (
         r"^log run: no significant payload; its mass is "
@@ -137,7 +137,7 @@ def test_a_log_without_payload_is_refused(
 
 
 def test_a_short_log_is_refused(
-    arm_model: RobotModel, unloaded: RigidBody, make_motion: MakeMotion
+    arm_model: Robot, unloaded: RigidBody, make_motion: MakeMotion
 ) -> None:
     message = r"^log run: lasts 4 s; a payload needs at least 10 s\.$"
     with pytest.raises(FitError, match=message):
@@ -145,7 +145,7 @@ def test_a_short_log_is_refused(
 
 
 def test_a_motion_that_leaves_the_payload_open_is_refused(
-    arm_model: RobotModel, unloaded: RigidBody, carried: Motion
+    arm_model: Robot, unloaded: RigidBody, carried: Motion
 ) -> None:
     poor = replace(carried, q=0 * carried.q, ddq=0 * carried.ddq)
     message = (
@@ -157,7 +157,7 @@ def test_a_motion_that_leaves_the_payload_open_is_refused(
 
 
 def test_a_joint_that_never_moves_is_named(
-    arm_model: RobotModel, unloaded: RigidBody, arm_log: RobotLog
+    arm_model: Robot, unloaded: RigidBody, arm_log: Log
 ) -> None:
     still = replace(arm_log, q=arm_log.q * [1.0, 1.0, 0.0])
     with pytest.raises(LogError, match=r"^log 'run': the position of joint 'j3' is constant"):
@@ -167,6 +167,6 @@ def test_a_joint_that_never_moves_is_named(
 def test_the_body_of_another_robot_is_refused(
     arm: RobotDescription, unloaded: RigidBody, carried: Motion
 ) -> None:
-    other = RobotModel(arm.model_copy(update={"name": "bare", "rotor_inertia": False}))
+    other = Robot(arm.model_copy(update={"name": "bare", "rotor_inertia": False}))
     with pytest.raises(RobotError, match=r"^the rigid body of 'arm' with 33 parameters does not"):
         identify_payload_motions([carried], other, unloaded)

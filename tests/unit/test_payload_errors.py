@@ -7,7 +7,7 @@ from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.least_squares import Block, Solution
 from hesr_model.rigid_body.observations import stacked
 from hesr_model.rigid_body.payload import _covariance, _inherited, _segments
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 
@@ -42,7 +42,7 @@ def test_segments_go_on_from_log_to_log() -> None:
 
 def test_rows_at_which_a_joint_is_slow_do_not_count() -> None:
     dq = np.array([[1.0, 0.05, 0.0], [0.09, 1.0, 1.0], [-0.11, 0.5, 0.0], [0.1, -0.2, 0.0]])
-    robot = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
+    robot = Robot(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
     motion = moving(np.arange(4.0), dq)
     found = [block.samples for block in stacked([motion], robot, (0,), np.ones((3, 3), dtype=bool))]
     np.testing.assert_array_equal(found[0], [0, 2])

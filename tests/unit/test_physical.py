@@ -13,14 +13,14 @@ from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.base_parameters import dependence
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
 from hesr_model.rigid_body.physical import _Chart, link_parameters, pseudo_inertia
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.typed_json import from_json, to_json
 
 MakeMotion = Callable[..., Motion]
 
 
 @pytest.fixture
-def guessed(arm: RobotDescription, tmp_path: Path) -> RobotModel:
+def guessed(arm: RobotDescription, tmp_path: Path) -> Robot:
     """The arm, but the model file's masses are off by a third and its inertias by more."""
     text = arm.model.read_text(encoding="utf-8")
     for old, new in (
@@ -35,7 +35,7 @@ def guessed(arm: RobotDescription, tmp_path: Path) -> RobotModel:
         text = text.replace(old, new)
     path = tmp_path / "guessed.xml"
     path.write_text(text, encoding="utf-8")
-    return RobotModel(arm.model_copy(update={"model": path}))
+    return Robot(arm.model_copy(update={"model": path}))
 
 
 def noisy(motion: Motion, sigma: float, seed: int) -> Motion:
@@ -60,12 +60,12 @@ def test_pseudo_inertia_is_the_librarys_and_can_be_inverted() -> None:
     np.testing.assert_allclose(link_parameters(expected), parameters, atol=1e-12)
 
 
-def test_coordinates_start_at_the_model_file(arm_model: RobotModel) -> None:
+def test_coordinates_start_at_the_model_file(arm_model: Robot) -> None:
     chart = _Chart.of(arm_model)
     np.testing.assert_allclose(chart.parameters(chart.start), arm_model.nominal_parameters)
 
 
-def test_slopes_are_those_of_the_parameters(arm_model: RobotModel) -> None:
+def test_slopes_are_those_of_the_parameters(arm_model: Robot) -> None:
     chart = _Chart.of(arm_model)
     x = chart.start + 0.3 * np.random.default_rng(1).standard_normal(len(chart.start))
     slopes = chart.slopes(x)
@@ -83,7 +83,7 @@ def test_links_without_mass_or_with_impossible_inertia_still_start(
     point = text.replace("0.01 0.02 0.015 0 0.001 0", "1e-9 1e-9 1e-9 0 0 0")
     path = tmp_path / "point.xml"
     path.write_text(point, encoding="utf-8")
-    model = RobotModel(arm.model_copy(update={"model": path}))
+    model = Robot(arm.model_copy(update={"model": path}))
     model.nominal_parameters[:10] = 0.0
     chart = _Chart.of(model)
     started = chart.parameters(chart.start)
@@ -98,7 +98,7 @@ def test_links_without_mass_or_with_impossible_inertia_still_start(
 
 @pytest.mark.parametrize("method", ["stacked", "paper"])
 def test_without_noise_the_torque_is_recovered(
-    method: str, guessed: RobotModel, arm_model: RobotModel, make_motion: MakeMotion
+    method: str, guessed: Robot, arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     forward, backward = make_motion(friction=3.0), make_motion(friction=3.0, reverse=True)
     body = identify_motions(
@@ -113,9 +113,7 @@ def test_without_noise_the_torque_is_recovered(
         np.testing.assert_allclose(body.friction, [[3.0, 1.5, 0.0]] * 3, atol=2e-3)
 
 
-def test_where_data_suffice_it_is_the_free_fit(
-    guessed: RobotModel, make_motion: MakeMotion
-) -> None:
+def test_where_data_suffice_it_is_the_free_fit(guessed: Robot, make_motion: MakeMotion) -> None:
     motions = [noisy(make_motion(friction=3.0, seconds=s), 0.3, k) for k, s in enumerate((20, 30))]
     free = identify_motions(motions, guessed)
     body = identify_motions(motions, guessed, physical=True)
@@ -128,7 +126,7 @@ def test_where_data_suffice_it_is_the_free_fit(
 
 
 def test_short_and_noisy_logs_give_bodies_that_exist_and_predict_better(
-    guessed: RobotModel, arm_model: RobotModel, make_motion: MakeMotion
+    guessed: Robot, arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     other = make_motion(seconds=10.0)
     errors: dict[bool, list[np.ndarray]] = {False: [], True: []}
@@ -144,7 +142,7 @@ def test_short_and_noisy_logs_give_bodies_that_exist_and_predict_better(
 
 
 def test_what_the_motion_leaves_open_stays_as_in_the_model_file(
-    guessed: RobotModel, make_motion: MakeMotion, caplog: pytest.LogCaptureFixture
+    guessed: Robot, make_motion: MakeMotion, caplog: pytest.LogCaptureFixture
 ) -> None:
     motion = make_motion(friction=3.0)
     still = replace(motion, q=0 * motion.q, ddq=0 * motion.ddq)
@@ -157,7 +155,7 @@ def test_what_the_motion_leaves_open_stays_as_in_the_model_file(
 
 
 def test_errors_shrink_with_more_data_and_cover_the_truth(
-    arm_model: RobotModel, make_motion: MakeMotion
+    arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     short, long = (
         identify_motions([noisy(make_motion(friction=3.0, seconds=s), 0.5, 0)], arm_model,
@@ -170,7 +168,7 @@ def test_errors_shrink_with_more_data_and_cover_the_truth(
     assert np.all(np.abs(error) < 5 * long.standard_errors)
 
 
-def test_it_survives_json_and_repeats(arm_model: RobotModel, make_motion: MakeMotion) -> None:
+def test_it_survives_json_and_repeats(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = noisy(make_motion(friction=3.0), 0.3, 0)
     body, again = (identify_motions([motion], arm_model, physical=True) for _ in range(2))
     np.testing.assert_array_equal(body.parameters, again.parameters)

@@ -8,12 +8,12 @@ from hesr_model.inference.covariance import covariance, left_out
 from hesr_model.rigid_body.base_parameters import base_columns, dependence
 from hesr_model.rigid_body.least_squares import Block
 from hesr_model.rigid_body.physical import _Chart, _weights, fit, link_parameters
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 FRICTION = np.array([3.0, -1.0])
 
 
-def blocks(model: RobotModel) -> list[Block]:
+def blocks(model: Robot) -> list[Block]:
     """Three joints at random, of unlike noise and number of rows, with two columns of friction."""
     rng = np.random.default_rng(4)
     q, dq, ddq = rng.uniform(-2.0, 2.0, (3, 30, 3))
@@ -30,9 +30,7 @@ def blocks(model: RobotModel) -> list[Block]:
 
 
 @pytest.mark.parametrize("weighted", [True, False])
-def test_the_fit_is_the_least_sum_of_residuals_and_pull(
-    weighted: bool, arm_model: RobotModel
-) -> None:
+def test_the_fit_is_the_least_sum_of_residuals_and_pull(weighted: bool, arm_model: Robot) -> None:
     """Twice: the second time with the residuals of the first for weights.
 
     A coordinate of a link costs 0.2 standard deviations per square root of rows, the relative
@@ -89,7 +87,7 @@ def test_weights_are_one_over_residuals_and_bounded() -> None:
 
 
 def test_an_unknown_link_weighs_a_kilogram_and_rotors_may_be_unknown(
-    arm_model: RobotModel,
+    arm_model: Robot,
 ) -> None:
     """Radii of gyration of 0.1 m; thin bodies get 5 mm, and keep their centre and mass."""
     arm_model.nominal_parameters[:10] = 0.0

@@ -11,12 +11,12 @@ from hesr_model.errors import ArtifactError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 MakeMotion = Callable[..., Motion]
 
@@ -29,10 +29,10 @@ NOISE = 0.2
 
 
 @pytest.fixture
-def rough(make_motion: MakeMotion) -> Callable[..., RobotLog]:
+def rough(make_motion: MakeMotion) -> Callable[..., Log]:
     """Logs of the arm with this friction in every joint, and noise."""
 
-    def make(*, seed: int = 0, **options: object) -> RobotLog:
+    def make(*, seed: int = 0, **options: object) -> Log:
         motion = make_motion(**options)
         friction = [
             predict(BRISTLE, t=motion.t, dq=motion.dq[:, k], tau_load=motion.tau[:, k])
@@ -40,20 +40,20 @@ def rough(make_motion: MakeMotion) -> Callable[..., RobotLog]:
         ]
         noise = NOISE * np.random.default_rng(seed).normal(size=motion.tau.shape)
         tau = motion.tau + np.column_stack(friction) + noise
-        return RobotLog(name=motion.name, t=motion.t, q=motion.q, dq=motion.dq, tau=tau)
+        return Log(name=motion.name, t=motion.t, q=motion.q, dq=motion.dq, tau=tau)
 
     return make
 
 
 def fitted(
-    logs: Sequence[RobotLog], model: RobotModel, body: RigidBody, law: str = "lugre_load"
+    logs: Sequence[Log], model: Robot, body: RigidBody, law: str = "lugre_load"
 ) -> FrictionModel:
     records = [friction_records(log, model, body) for log in logs]
     by_joint = [list(of_joint) for of_joint in zip(*records, strict=True)]
     return fit_models([law], by_joint, robot="arm", seed=0, workers=1)[law]
 
 
-def rigid_errors(body: RigidBody, model: RobotModel, make_motion: MakeMotion) -> np.ndarray:
+def rigid_errors(body: RigidBody, model: Robot, make_motion: MakeMotion) -> np.ndarray:
     """RMSE of the rigid-body torque on another motion, (n,) [N.m]."""
     motion = make_motion()
     w = np.array([1.3, 1.7, 2.3])
@@ -66,7 +66,7 @@ def rigid_errors(body: RigidBody, model: RobotModel, make_motion: MakeMotion) ->
 
 
 def test_the_rigid_body_gains_from_a_better_friction_law(
-    rough: Callable[..., RobotLog], arm_model: RobotModel, make_motion: MakeMotion
+    rough: Callable[..., Log], arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     logs = [rough(name="one"), rough(name="two", reverse=True, seed=1)]
     first = body = identify(logs, arm_model)
@@ -80,7 +80,7 @@ def test_the_rigid_body_gains_from_a_better_friction_law(
 
 
 def test_reversed_logs_are_cleared_of_friction_too(
-    rough: Callable[..., RobotLog], arm_model: RobotModel, make_motion: MakeMotion
+    rough: Callable[..., Log], arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     forward, backward = rough(name="run"), rough(name="back", reverse=True, seed=1)
     body = identify([forward], arm_model, reversed_logs=[backward])
@@ -94,11 +94,11 @@ def test_reversed_logs_are_cleared_of_friction_too(
 
 
 def test_friction_that_the_columns_describe_already_changes_nothing(
-    make_motion: MakeMotion, arm_model: RobotModel
+    make_motion: MakeMotion, arm_model: Robot
 ) -> None:
     """A Stribeck law that is Coulomb and viscous friction: the same rigid body comes back."""
     motion = make_motion(name="run", friction=3.0)
-    log = RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
+    log = Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
     body = identify([log], arm_model)
     friction = fitted([log], arm_model, body, "stribeck")
     again = identify_again([log], arm_model, body, friction)
@@ -109,9 +109,7 @@ def test_friction_that_the_columns_describe_already_changes_nothing(
     )
 
 
-def test_the_logs_themselves_are_left_alone(
-    rough: Callable[..., RobotLog], arm_model: RobotModel
-) -> None:
+def test_the_logs_themselves_are_left_alone(rough: Callable[..., Log], arm_model: Robot) -> None:
     log = rough(name="run")
     body = identify([log], arm_model)
     before = log.tau.copy()
@@ -119,9 +117,7 @@ def test_the_logs_themselves_are_left_alone(
     np.testing.assert_array_equal(log.tau, before)
 
 
-def test_a_model_of_another_robot_is_refused(
-    rough: Callable[..., RobotLog], arm_model: RobotModel
-) -> None:
+def test_a_model_of_another_robot_is_refused(rough: Callable[..., Log], arm_model: Robot) -> None:
     log = rough(name="run")
     body = identify([log], arm_model)
     friction = fitted([log], arm_model, body, "stribeck")

@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import LogError
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records, require_reversals
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 
-def test_a_record_holds_what_the_rigid_body_leaves(
-    arm_log: RobotLog, arm_model: RobotModel
-) -> None:
+def test_a_record_holds_what_the_rigid_body_leaves(arm_log: Log, arm_model: Robot) -> None:
     rigid_body = identify([arm_log], arm_model)
     records = friction_records(arm_log, arm_model, rigid_body)
     assert [(r.log, r.joint) for r in records] == [("run", "j1"), ("run", "j2"), ("run", "j3")]
@@ -28,7 +26,7 @@ def test_a_record_holds_what_the_rigid_body_leaves(
         np.testing.assert_allclose(record.tau, expected, atol=0.05)
 
 
-def test_a_joint_that_never_reverses_is_named(arm_log: RobotLog, arm_model: RobotModel) -> None:
+def test_a_joint_that_never_reverses_is_named(arm_log: Log, arm_model: Robot) -> None:
     rigid_body = identify([arm_log], arm_model)
     (record, *_) = friction_records(arm_log, arm_model, rigid_body)
     one_way = replace(record, log="one_way", dq=np.abs(record.dq))

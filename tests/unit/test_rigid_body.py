@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import FitError, LogError, RobotError
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import RigidBody, base_columns, identify, identify_motions
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.typed_json import from_json, to_json
 
 MakeMotion = Callable[..., Motion]
@@ -21,13 +21,13 @@ def rows(motion: Motion, kept: slice) -> Motion:
     return replace(motion, **{name: getattr(motion, name)[kept] for name in names})
 
 
-def worst(rigid_body: RigidBody, model: RobotModel, motion: Motion, truth: np.ndarray) -> float:
+def worst(rigid_body: RigidBody, model: Robot, motion: Motion, truth: np.ndarray) -> float:
     """Largest error relative to the largest torque, over all joints."""
     error = np.abs(rigid_body.torque(model, motion) - truth).max(axis=0)
     return float(np.max(error / np.abs(truth).max(axis=0)))
 
 
-def test_base_parameters_carry_every_torque(arm_model: RobotModel) -> None:
+def test_base_parameters_carry_every_torque(arm_model: Robot) -> None:
     base = base_columns(arm_model)
     q, dq, ddq = np.random.default_rng(5).uniform(-2, 2, (3, 40, 3))
     columns = arm_model.regressor(q, dq, ddq).reshape(-1, 33)
@@ -36,8 +36,8 @@ def test_base_parameters_carry_every_torque(arm_model: RobotModel) -> None:
     assert np.linalg.matrix_rank(columns[:, base]) == len(base)
 
 
-def test_rotors_add_what_links_do_not_hold(arm: RobotDescription, arm_model: RobotModel) -> None:
-    bare = RobotModel(arm.model_copy(update={"rotor_inertia": False}))
+def test_rotors_add_what_links_do_not_hold(arm: RobotDescription, arm_model: Robot) -> None:
+    bare = Robot(arm.model_copy(update={"rotor_inertia": False}))
     assert len(base_columns(bare)) == 15
     # The rotors of the first two joints act as inertia of their links; the third's does not.
     assert len(base_columns(arm_model)) == 16
@@ -46,7 +46,7 @@ def test_rotors_add_what_links_do_not_hold(arm: RobotDescription, arm_model: Rob
 @pytest.mark.parametrize("method", ["stacked", "paper"])
 @pytest.mark.parametrize("weighting", ["wls", "ols", None])
 def test_without_noise_the_torque_is_recovered(
-    method: str, weighting: str | None, arm_model: RobotModel, make_motion: MakeMotion
+    method: str, weighting: str | None, arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     forward = make_motion(friction=3.0)
     backward = make_motion(friction=3.0, reverse=True)
@@ -63,9 +63,7 @@ def test_without_noise_the_torque_is_recovered(
     assert rigid_body.rows == 4000
 
 
-def test_the_stacked_fit_also_finds_friction(
-    arm_model: RobotModel, make_motion: MakeMotion
-) -> None:
+def test_the_stacked_fit_also_finds_friction(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = make_motion(friction=3.0)
     motion = replace(motion, tau=motion.tau + np.array([0.5, 0.0, -0.2]))
     rigid_body = identify_motions([motion], arm_model)
@@ -76,7 +74,7 @@ def test_the_stacked_fit_also_finds_friction(
 
 
 def test_from_a_log_the_filter_is_all_that_is_lost(
-    arm_log: RobotLog, arm_model: RobotModel, make_motion: MakeMotion
+    arm_log: Log, arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     rigid_body = identify([arm_log], arm_model)
     motion = make_motion()
@@ -85,7 +83,7 @@ def test_from_a_log_the_filter_is_all_that_is_lost(
 
 
 def test_averaging_bears_latency_and_tracking_errors(
-    arm_model: RobotModel, make_motion: MakeMotion
+    arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     forward = make_motion(friction=3.0)
     # Both runs lag: the counterpart is not where the plain mirror of time looks for it.
@@ -97,7 +95,7 @@ def test_averaging_bears_latency_and_tracking_errors(
 
 
 def test_averaging_cancels_odd_friction_of_any_shape(
-    arm_model: RobotModel, make_motion: MakeMotion
+    arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     def rubbed(motion: Motion) -> Motion:
         odd = 4.0 * np.tanh(3 * motion.dq) * (1 + motion.q**2)
@@ -112,7 +110,7 @@ def test_averaging_cancels_odd_friction_of_any_shape(
     assert worst(alone, arm_model, truth, truth.tau) > 1e-3
 
 
-def test_weights_help_the_quiet_joint(arm_model: RobotModel, make_motion: MakeMotion) -> None:
+def test_weights_help_the_quiet_joint(arm_model: Robot, make_motion: MakeMotion) -> None:
     truth = make_motion(seconds=20.0)
     errors: dict[str, list[np.ndarray]] = {"wls": [], "ols": []}
     for seed in range(5):
@@ -125,7 +123,7 @@ def test_weights_help_the_quiet_joint(arm_model: RobotModel, make_motion: MakeMo
 
 
 def test_a_poor_motion_is_regularised_and_said(
-    arm_model: RobotModel, make_motion: MakeMotion, caplog: pytest.LogCaptureFixture
+    arm_model: Robot, make_motion: MakeMotion, caplog: pytest.LogCaptureFixture
 ) -> None:
     motion = make_motion()
     poor = replace(motion, q=0 * motion.q, ddq=0 * motion.ddq)
@@ -136,7 +134,7 @@ def test_a_poor_motion_is_regularised_and_said(
     assert np.all(np.isfinite(rigid_body.parameters))
 
 
-def test_it_survives_json(arm_log: RobotLog, arm_model: RobotModel) -> None:
+def test_it_survives_json(arm_log: Log, arm_model: Robot) -> None:
     rigid_body = identify([arm_log], arm_model)
     back = from_json(RigidBody, to_json(rigid_body), Path("x.json"), "a rigid body")
     for name in RigidBody.__dataclass_fields__:
@@ -144,19 +142,19 @@ def test_it_survives_json(arm_log: RobotLog, arm_model: RobotModel) -> None:
         assert type(getattr(back, name)) is type(getattr(rigid_body, name))
 
 
-def test_the_same_log_gives_the_same_bits(arm_log: RobotLog, arm_model: RobotModel) -> None:
+def test_the_same_log_gives_the_same_bits(arm_log: Log, arm_model: Robot) -> None:
     first, again = (identify([arm_log], arm_model) for _ in range(2))
     np.testing.assert_array_equal(first.parameters, again.parameters)
 
 
-def test_too_few_samples_are_refused(arm_model: RobotModel, make_motion: MakeMotion) -> None:
+def test_too_few_samples_are_refused(arm_model: Robot, make_motion: MakeMotion) -> None:
     short = make_motion(name="short", seconds=0.1)
     message = r"^log short: 20 samples cannot determine 2\d parameters; longer logs are needed\.$"
     with pytest.raises(FitError, match=message):
         identify_motions([short], arm_model)
 
 
-def test_a_joint_that_hardly_moves_is_named(arm_model: RobotModel, make_motion: MakeMotion) -> None:
+def test_a_joint_that_hardly_moves_is_named(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = make_motion(name="run")
     slow = replace(motion, dq=motion.dq * [1.0, 0.01, 1.0])
     message = r"^log run: joint 'j2' is never faster than 0\.\d+ rad/s; a peak of more than 0\.02"
@@ -164,13 +162,13 @@ def test_a_joint_that_hardly_moves_is_named(arm_model: RobotModel, make_motion: 
         identify_motions([slow], arm_model)
 
 
-def test_a_joint_that_never_moves_is_named(arm_log: RobotLog, arm_model: RobotModel) -> None:
+def test_a_joint_that_never_moves_is_named(arm_log: Log, arm_model: Robot) -> None:
     still = replace(arm_log, q=arm_log.q * [0.0, 1.0, 1.0])
     with pytest.raises(LogError, match=r"^log 'run': the position of joint 'j1' is constant"):
         identify([still], arm_model)
 
 
-def test_averaging_needs_counterparts(arm_model: RobotModel, make_motion: MakeMotion) -> None:
+def test_averaging_needs_counterparts(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = make_motion(name="run")
     with pytest.raises(FitError, match=r"^1 logs come with 0 time-reversed ones; the paper's"):
         identify_motions([motion], arm_model, method="paper")
@@ -185,10 +183,10 @@ def test_averaging_needs_counterparts(arm_model: RobotModel, make_motion: MakeMo
 
 
 def test_the_torque_of_another_robot_is_refused(
-    arm: RobotDescription, arm_log: RobotLog, arm_model: RobotModel, make_motion: MakeMotion
+    arm: RobotDescription, arm_log: Log, arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     rigid_body = identify([arm_log], arm_model)
-    other = RobotModel(arm.model_copy(update={"name": "bare", "rotor_inertia": False}))
+    other = Robot(arm.model_copy(update={"name": "bare", "rotor_inertia": False}))
     message = r"^the rigid body of 'arm' with 33 parameters does not fit robot 'bare', which has 30"
     with pytest.raises(RobotError, match=message):
         rigid_body.torque(other, make_motion())
@@ -209,7 +207,7 @@ def test_a_weight_is_not_shared_with_the_offset_of_friction(
     """On a vertical sliding joint both are constant, so that no motion could tell them apart."""
     path = tmp_path / "lift.xml"
     path.write_text(LIFT, encoding="utf-8")
-    model = RobotModel(RobotDescription(name="lift", model=path, joints=("z", "a")))
+    model = Robot(RobotDescription(name="lift", model=path, joints=("z", "a")))
     t = np.arange(0.0, 20.0, 0.01)
     phase = np.outer(t, [1.3, 2.1])
     rate = np.array([1.3, 2.1])

@@ -6,7 +6,7 @@ import pytest
 
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.logs.log_format import LogFormat, LogUnits
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 
 ARM_TOML = """
 name = "arm"
@@ -61,7 +61,7 @@ def describe(folder: Path, text: str, more: str = "") -> Path:
 
 
 def test_the_regressor_times_the_parameters_is_the_torque_of_the_library(
-    arm: RobotDescription, arm_model: RobotModel, states: tuple[np.ndarray, ...]
+    arm: RobotDescription, arm_model: Robot, states: tuple[np.ndarray, ...]
 ) -> None:
     # The library's rnea counts the armature of the MJCF, here it is a column of the regressor.
     reference = pin.buildModelFromMJCF(str(arm.model))
@@ -74,7 +74,7 @@ def test_the_regressor_times_the_parameters_is_the_torque_of_the_library(
     np.testing.assert_array_equal(regressor @ arm_model.nominal_parameters, torque)
 
 
-def test_parameters_are_named_link_by_link_then_rotor_by_rotor(arm_model: RobotModel) -> None:
+def test_parameters_are_named_link_by_link_then_rotor_by_rotor(arm_model: Robot) -> None:
     names = dict(zip(arm_model.parameter_names, arm_model.nominal_parameters, strict=True))
     assert list(names)[:4] == ["j1.m", "j1.mx", "j1.my", "j1.mz"]
     assert list(names)[-3:] == ["j1.Ir", "j2.Ir", "j3.Ir"]
@@ -87,7 +87,7 @@ def test_parameters_are_named_link_by_link_then_rotor_by_rotor(arm_model: RobotM
 def test_without_rotors_the_model_has_ten_parameters_per_link(
     arm: RobotDescription, states: tuple[np.ndarray, ...]
 ) -> None:
-    model = RobotModel(arm.model_copy(update={"rotor_inertia": False}))
+    model = Robot(arm.model_copy(update={"rotor_inertia": False}))
     assert model.nominal_parameters.shape == (30,)
     assert model.regressor(*states).shape == (20, 3, 30)
 
@@ -95,17 +95,17 @@ def test_without_rotors_the_model_has_ten_parameters_per_link(
 def test_gravity_is_that_of_the_description(arm: RobotDescription) -> None:
     still = np.zeros((1, 3))
     q = np.array([[0.1, 0.4, -0.2]])
-    down = RobotModel(arm)
-    away = RobotModel(arm.model_copy(update={"gravity": (0.0, 0.0, 0.0)}))
+    down = Robot(arm)
+    away = Robot(arm.model_copy(update={"gravity": (0.0, 0.0, 0.0)}))
     assert np.abs(down.torque(down.nominal_parameters, q, still, still)).max() > 1.0
     np.testing.assert_array_equal(away.torque(away.nominal_parameters, q, still, still), still)
 
 
 def test_joints_that_are_not_listed_are_locked_where_the_description_says(
-    arm: RobotDescription, arm_model: RobotModel
+    arm: RobotDescription, arm_model: Robot
 ) -> None:
     locked = arm.model_copy(update={"joints": ("j1", "j3"), "locked": {"j2": 0.7}})
-    model = RobotModel(locked)
+    model = Robot(locked)
     q = np.array([[0.3, 0.7, -0.5]])
     zero = np.zeros((1, 3))
     whole = arm_model.torque(arm_model.nominal_parameters, q, zero, zero)
@@ -116,7 +116,7 @@ def test_joints_that_are_not_listed_are_locked_where_the_description_says(
 def test_a_sliding_and_an_unlimited_joint(tmp_path: Path) -> None:
     path = tmp_path / "lift.urdf"
     path.write_text(LIFT_URDF, encoding="utf-8")
-    model = RobotModel(RobotDescription(name="lift", model=path, joints=("lift", "arm")))
+    model = Robot(RobotDescription(name="lift", model=path, joints=("lift", "arm")))
     q, dq, ddq = np.array([[0.2, 2.0]]), np.array([[0.0, 0.0]]), np.array([[1.0, 0.0]])
     torque = model.torque(model.nominal_parameters, q, dq, ddq)
     assert torque[0, 0] == pytest.approx(12.0 * (9.81 + 1.0))
@@ -147,12 +147,12 @@ def test_units_of_the_other_kind_of_joint_are_refused(
     path = tmp_path / "lift.urdf"
     path.write_text(LIFT_URDF, encoding="utf-8")
     lift = RobotDescription(name="lift", model=path, joints=("lift", "arm"))
-    RobotModel(lift.model_copy(update={"log": LogFormat(units=LogUnits(q=("mm", "deg")))}))
+    Robot(lift.model_copy(update={"log": LogFormat(units=LogUnits(q=("mm", "deg")))}))
     with pytest.raises(RobotError, match=message):
-        RobotModel(lift.model_copy(update={"log": LogFormat(units=units)}))
+        Robot(lift.model_copy(update={"log": LogFormat(units=units)}))
 
 
-def test_the_tree_places_the_joints(arm_model: RobotModel) -> None:
+def test_the_tree_places_the_joints(arm_model: Robot) -> None:
     j1, j2, j3 = arm_model.tree
     assert [j1.parent, j2.parent, j3.parent] == [-1, 0, 1]
     np.testing.assert_allclose(j3.translation, [0.3, 0, 0.05])
@@ -164,7 +164,7 @@ def test_a_description_is_read_and_finds_its_model(tmp_path: Path, arm: RobotDes
     description = RobotDescription.read(path)
     assert description.model == arm.model.resolve()
     assert description.log.torque_per_ampere == (1.0, 2.0, 3.0)
-    assert RobotModel(description).n == 3
+    assert Robot(description).n == 3
 
 
 @pytest.mark.parametrize(
@@ -240,25 +240,25 @@ def test_joints_that_do_not_fit_the_model_are_named(
     arm: RobotDescription, change: dict[str, object], message: str
 ) -> None:
     with pytest.raises(RobotError, match=message):
-        RobotModel(arm.model_copy(update=change))
+        Robot(arm.model_copy(update=change))
 
 
 def test_gains_are_counted_for_a_description_made_in_code(arm: RobotDescription) -> None:
     log = arm.log.model_copy(update={"torque_per_ampere": (1.0,)})
     with pytest.raises(RobotError, match=r"^key 'log\.torque_per_ampere' of robot 'arm' has 1"):
-        RobotModel(arm.model_copy(update={"log": log}))
+        Robot(arm.model_copy(update={"log": log}))
 
 
 def test_a_model_file_that_is_missing_or_broken_is_named(
     arm: RobotDescription, tmp_path: Path
 ) -> None:
     with pytest.raises(RobotError, match=r"none\.urdf: no such model file\.$"):
-        RobotModel(arm.model_copy(update={"model": tmp_path / "none.urdf"}))
+        Robot(arm.model_copy(update={"model": tmp_path / "none.urdf"}))
     for name, kind in (("broken.urdf", "a URDF"), ("broken.xml", "an MJCF")):
         path = tmp_path / name
         path.write_text("<robot><link", encoding="utf-8")
         with pytest.raises(RobotError, match=rf"{name}: cannot be parsed as {kind} \(.+\)\.$"):
-            RobotModel(arm.model_copy(update={"model": path}))
+            Robot(arm.model_copy(update={"model": path}))
 
 
 LIFT = """<mujoco model="lift">{compiler}<worldbody><body name="carriage">
@@ -279,7 +279,7 @@ def test_the_range_of_a_sliding_joint_is_a_length(
     """Pinocchio takes it for an angle in degrees."""
     path = tmp_path / "lift.xml"
     path.write_text(LIFT.format(compiler=compiler, range=range_), encoding="utf-8")
-    robot = RobotModel(RobotDescription(name="lift", model=path, joints=("z", "a")))
+    robot = Robot(RobotDescription(name="lift", model=path, joints=("z", "a")))
     lower, upper, _ = robot.limits
     np.testing.assert_allclose(lower, [-0.5, -np.pi / 2])
     np.testing.assert_allclose(upper, [1.5, np.pi / 2])
@@ -290,7 +290,7 @@ def test_an_mjcf_that_includes_others_is_refused(tmp_path: Path) -> None:
     text = LIFT.format(compiler="", range="-90 90").replace("</worldbody>", "{}</worldbody>")
     path.write_text(text.format('<include file="tip.xml"/>'), encoding="utf-8")
     with pytest.raises(RobotError) as caught:
-        RobotModel(RobotDescription(name="lift", model=path, joints=("z", "a")))
+        Robot(RobotDescription(name="lift", model=path, joints=("z", "a")))
     assert str(caught.value) == (
         f"{path}: includes 'tip.xml', and included files are not read; write the model as one "
         "file, as MuJoCo's mj_saveLastXML does."
@@ -302,8 +302,8 @@ def test_a_joint_of_many_degrees_of_freedom_is_refused(tmp_path: Path) -> None:
     path.write_text(FREE_MJCF, encoding="utf-8")
     description = RobotDescription(name="ball", model=path, joints=("free",))
     with pytest.raises(RobotError, match=r"joint 'free' has 6 degrees of freedom; only revolute"):
-        RobotModel(description)
+        Robot(description)
     path.write_text(FREE_MJCF.replace("</body>", FREE_MJCF_ARM + "</body>"), encoding="utf-8")
     description = RobotDescription(name="ball", model=path, joints=("hinge",), locked={"free": 1})
     with pytest.raises(RobotError, match=r"joint 'free' has 6 degrees of freedom; only revolute"):
-        RobotModel(description)
+        Robot(description)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import ConfigError, RobotError
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel, description_of, model_of
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription, description_of, model_of
 
 
 def test_a_model_file_alone_describes_all_its_joints(arm: RobotDescription) -> None:
@@ -16,15 +16,15 @@ def test_a_model_file_alone_describes_all_its_joints(arm: RobotDescription) -> N
         assert (found.name, found.joints, found.model) == ("arm", arm.joints, arm.model)
 
 
-def test_a_robot_stands_for_itself(arm: RobotDescription, arm_model: RobotModel) -> None:
+def test_a_robot_stands_for_itself(arm: RobotDescription, arm_model: Robot) -> None:
     assert description_of(arm) is arm
     assert description_of(arm_model) is arm
     assert model_of(arm_model) is arm_model
-    assert isinstance(model_of(arm), RobotModel)
+    assert isinstance(model_of(arm), Robot)
 
 
 def test_a_robot_shows_itself_in_one_line(arm: RobotDescription) -> None:
-    robot = RobotModel(arm)
+    robot = Robot(arm)
     assert repr(robot) == "Robot('arm', 3 joints, arm.xml)"
     assert (robot.name, robot.joints) == (arm.name, arm.joints)
 
@@ -32,26 +32,24 @@ def test_a_robot_shows_itself_in_one_line(arm: RobotDescription) -> None:
 def test_a_robot_file_is_read(arm: RobotDescription) -> None:
     file = arm.model.with_name("robot.toml")
     file.write_text('name = "toml"\nmodel = "arm.xml"\njoints = ["j1", "j2"]\n', encoding="utf-8")
-    assert RobotModel(str(file)).description.joints == ("j1", "j2")
+    assert Robot(str(file)).description.joints == ("j1", "j2")
 
 
 def test_what_is_no_robot_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
-        RobotModel(3)  # type: ignore[arg-type]  # the mistake
+        Robot(3)  # type: ignore[arg-type]  # the mistake
     assert str(caught.value) == ("a robot is given as int; needed is a path, as text or as a Path.")
     with pytest.raises(RobotError, match="no such model file"):
-        RobotModel(tmp_path / "none.urdf")
+        Robot(tmp_path / "none.urdf")
 
 
-def test_a_log_is_read_by_text_and_knows_its_robot(
-    arm: RobotDescription, arm_log: RobotLog
-) -> None:
+def test_a_log_is_read_by_text_and_knows_its_robot(arm: RobotDescription, arm_log: Log) -> None:
     file = arm.model.with_name("log.csv")
     arm_log.write(str(file))
-    log = RobotLog.read(str(file), str(arm.model))
+    log = Log.read(str(file), str(arm.model))
     assert log.robot is not None
     assert log.joints == log.robot.joints == arm.joints
     assert log.rows(slice(0, 9)).robot is log.robot
     np.testing.assert_array_equal(log.q, arm_log.q)
     with pytest.raises(ConfigError, match=r"a log is given as list; needed is a path"):
-        RobotLog.read([file], arm)  # type: ignore[arg-type]  # the mistake
+        Log.read([file], arm)  # type: ignore[arg-type]  # the mistake

@@ -9,7 +9,7 @@ import pytest
 
 from hesr_model.errors import ArtifactError, LogError
 from hesr_model.logs.log_format import LogColumns, LogFormat, LogUnits
-from hesr_model.logs.robot_log import RobotLog, require_different, require_moving
+from hesr_model.logs.robot_log import Log, require_different, require_moving
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.files import sha256
 
@@ -33,22 +33,22 @@ def robot() -> RobotDescription:
 
 
 @pytest.fixture
-def read(tmp_path: Path, robot: RobotDescription) -> Callable[..., RobotLog]:
-    def read_lines(text: list[str], log: LogFormat | None = None) -> RobotLog:
+def read(tmp_path: Path, robot: RobotDescription) -> Callable[..., Log]:
+    def read_lines(text: list[str], log: LogFormat | None = None) -> Log:
         path = tmp_path / "run.csv"
         path.write_text("\n".join(text) + "\n", encoding="utf-8")
-        return RobotLog.read(path, robot.model_copy(update={"log": log or LogFormat()}))
+        return Log.read(path, robot.model_copy(update={"log": log or LogFormat()}))
 
     return read_lines
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_a_written_log_is_read_back_bit_for_bit(
-    suffix: str, tmp_path: Path, arm_log: RobotLog, arm: RobotDescription
+    suffix: str, tmp_path: Path, arm_log: Log, arm: RobotDescription
 ) -> None:
     path = tmp_path / f"out{suffix}"
     arm_log.write(path)
-    back = RobotLog.read(path, arm)
+    back = Log.read(path, arm)
     assert back.dq is not None
     for name in ("t", "q", "dq", "tau"):
         np.testing.assert_array_equal(getattr(back, name), getattr(arm_log, name))
@@ -56,45 +56,45 @@ def test_a_written_log_is_read_back_bit_for_bit(
 
 
 def test_a_log_without_velocity_is_written_and_read_back(
-    tmp_path: Path, arm_log: RobotLog, arm: RobotDescription
+    tmp_path: Path, arm_log: Log, arm: RobotDescription
 ) -> None:
     path = tmp_path / "out.csv"
     replace(arm_log, dq=None).write(path)
     log = LogFormat(columns=LogColumns(dq=""))
-    assert RobotLog.read(path, arm.model_copy(update={"log": log})).dq is None
+    assert Log.read(path, arm.model_copy(update={"log": log})).dq is None
 
 
-def test_a_log_that_cannot_be_written_says_where(tmp_path: Path, arm_log: RobotLog) -> None:
+def test_a_log_that_cannot_be_written_says_where(tmp_path: Path, arm_log: Log) -> None:
     (tmp_path / "taken").write_text("", encoding="utf-8")
     with pytest.raises(ArtifactError, match=r"taken/out\.csv: cannot be written there"):
         arm_log.write(tmp_path / "taken" / "out.csv")
 
 
-def test_currents_become_torques_by_the_gains(read: Callable[..., RobotLog]) -> None:
+def test_currents_become_torques_by_the_gains(read: Callable[..., Log]) -> None:
     text = [line.replace("tau", "i") for line in lines()]
     log = read(text, LogFormat(torque_per_ampere=(10.0, -4.0)))
     np.testing.assert_array_equal(log.tau[0], [5.0, -2.0])
 
 
-def test_with_gains_a_log_of_torques_is_taken_as_it_is(read: Callable[..., RobotLog]) -> None:
+def test_with_gains_a_log_of_torques_is_taken_as_it_is(read: Callable[..., Log]) -> None:
     log = read(lines(), LogFormat(torque_per_ampere=(10.0, -4.0)))
     np.testing.assert_array_equal(log.tau[0], [0.5, 0.5])
 
 
-def test_columns_can_be_named_one_by_one(read: Callable[..., RobotLog]) -> None:
+def test_columns_can_be_named_one_by_one(read: Callable[..., Log]) -> None:
     text = [HEADER.replace("q1", "q_lift") + ",mode", *(row(k) + ",run" for k in range(20))]
     log = read(text, LogFormat(columns=LogColumns(q=("q_lift", "q2"), dq=("dq_lift", "dq2"))))
     assert log.q.shape == (20, 2)
 
 
-def test_a_number_deep_in_a_column_of_integers_is_read(read: Callable[..., RobotLog]) -> None:
+def test_a_number_deep_in_a_column_of_integers_is_read(read: Callable[..., Log]) -> None:
     # Types must not be inferred from the first block of a large file alone.
     count = 40_000
     text = [HEADER, *(row(k, q1="1") for k in range(count)), row(count, q1="0.25")]
     assert read(text).q[-1, 0] == 0.25
 
 
-def test_blanks_and_byte_order_marks_do_not_matter(read: Callable[..., RobotLog]) -> None:
+def test_blanks_and_byte_order_marks_do_not_matter(read: Callable[..., Log]) -> None:
     text = ["\ufeff" + HEADER.replace(",", ", "), "", *(row(k) for k in range(5)), "", ""]
     assert len(read(text).t) == 5
 
@@ -102,23 +102,23 @@ def test_blanks_and_byte_order_marks_do_not_matter(read: Callable[..., RobotLog]
 def test_what_is_not_a_table_is_refused(tmp_path: Path, robot: RobotDescription) -> None:
     path = tmp_path / "run.csv"
     with pytest.raises(LogError, match=r"run\.csv: no such log file\.$"):
-        RobotLog.read(path, robot)
+        Log.read(path, robot)
     path.write_bytes(b"")
     with pytest.raises(LogError, match=r"run\.csv: is empty; a log needs a header and rows"):
-        RobotLog.read(path, robot)
+        Log.read(path, robot)
     path.write_bytes(b"\n\n")
     with pytest.raises(LogError, match=r"run\.csv: is empty; a log needs a header and rows"):
-        RobotLog.read(path, robot)
+        Log.read(path, robot)
     path.write_bytes(b"t")
     with pytest.raises(LogError, match=r"run\.csv: cannot be read as CSV text\.$"):
-        RobotLog.read(path, robot)
+        Log.read(path, robot)
     path.write_bytes(bytes(range(256)) * 4)
     with pytest.raises(LogError, match=r"run\.csv: cannot be read as CSV text\.$"):
-        RobotLog.read(path, robot)
+        Log.read(path, robot)
     parquet = tmp_path / "run.parquet"
     parquet.write_bytes(b"not parquet")
     with pytest.raises(LogError, match=r"run\.parquet: cannot be read as Parquet\.$"):
-        RobotLog.read(parquet, robot)
+        Log.read(parquet, robot)
 
 
 MESSAGES = [
@@ -182,32 +182,32 @@ MESSAGES = [
 
 @pytest.mark.parametrize(("spoil", "message"), MESSAGES)
 def test_an_error_names_the_file_the_column_and_the_row(
-    spoil: Callable[[list[str]], list[str]], message: str, read: Callable[..., RobotLog]
+    spoil: Callable[[list[str]], list[str]], message: str, read: Callable[..., Log]
 ) -> None:
     with pytest.raises(LogError, match=r"run\.csv: " + message):
         read(spoil(lines()))
 
 
-def test_two_logs_in_one_file_are_told(read: Callable[..., RobotLog]) -> None:
+def test_two_logs_in_one_file_are_told(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k) for k in [*range(50), *range(50)])]
     with pytest.raises(LogError, match=r"0 s follows 0\.49 s; the file contains two logs"):
         read(text)
 
 
-def test_a_log_is_cut_where_rows_are_missing(read: Callable[..., RobotLog]) -> None:
+def test_a_log_is_cut_where_rows_are_missing(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k) for k in [*range(150), *range(200, 220), *range(240, 350)])]
     first, last = read(text).parts()
     assert (first.t[-1], last.t[0]) == pytest.approx((1.49, 2.40))
     assert len(last.t) == 110  # the 20 rows between the gaps are too few
 
 
-def test_a_log_of_gaps_is_refused(read: Callable[..., RobotLog]) -> None:
+def test_a_log_of_gaps_is_refused(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k) for k in [*range(20), *range(40, 60)])]
     with pytest.raises(LogError, match=r"its 1 gaps of more than 0\.1 s, 10 usual steps, leave no"):
         read(text).parts()
 
 
-def test_rows_lost_at_random_are_no_gaps(read: Callable[..., RobotLog]) -> None:
+def test_rows_lost_at_random_are_no_gaps(read: Callable[..., Log]) -> None:
     """Half the steps are of one period then, and some longer than ten."""
     kept = np.flatnonzero(np.random.default_rng(1).random(9000) < 0.5)
     log = read([HEADER, *(row(int(k)) for k in kept)])
@@ -216,7 +216,7 @@ def test_rows_lost_at_random_are_no_gaps(read: Callable[..., RobotLog]) -> None:
     assert log.rate == pytest.approx(50.0, rel=0.03)
 
 
-def test_rows_that_lack_a_number_or_a_new_stamp_are_dropped(read: Callable[..., RobotLog]) -> None:
+def test_rows_that_lack_a_number_or_a_new_stamp_are_dropped(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k) for k in range(20))]
     text[4], text[7], text[9] = row(3, q2="nan"), row(6, tau1=""), row(7)
     log = read(text, LogFormat(missing="drop"))
@@ -226,7 +226,7 @@ def test_rows_that_lack_a_number_or_a_new_stamp_are_dropped(read: Callable[..., 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1e9, "ns"), (1.0, "s")])
 def test_stamps_since_1970_are_counted_from_the_first_row(
-    scale: float, unit: str, read: Callable[..., RobotLog]
+    scale: float, unit: str, read: Callable[..., Log]
 ) -> None:
     stamps = [
         str(round((1_600_000_000 + 0.01 * k) * scale))
@@ -239,12 +239,12 @@ def test_stamps_since_1970_are_counted_from_the_first_row(
     assert log.t == pytest.approx(0.01 * np.arange(20), abs=1e-6)
 
 
-def test_dates_are_stamps(read: Callable[..., RobotLog]) -> None:
+def test_dates_are_stamps(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k, t=f"2026-01-01 10:00:0{0.01 * k:.3f}") for k in range(20))]
     assert read(text).t == pytest.approx(0.01 * np.arange(20), abs=1e-9)
 
 
-def test_comments_and_units_around_a_header_are_left_out(read: Callable[..., RobotLog]) -> None:
+def test_comments_and_units_around_a_header_are_left_out(read: Callable[..., Log]) -> None:
     data = [row(k) for k in range(20)]
     text = ["# recorder 3, cell 5", "% robot: arm", HEADER, "[s],rad,rad,rad/s,rad/s,N.m,N.m"]
     log = read([*text, *data[:5], "# the operator came in", *data[5:]])
@@ -253,13 +253,13 @@ def test_comments_and_units_around_a_header_are_left_out(read: Callable[..., Rob
         read([*text, *data[:5], "# the operator", data[5], row(6, q2="x"), *data[7:]])
 
 
-def test_joints_that_count_backwards_or_from_elsewhere(read: Callable[..., RobotLog]) -> None:
+def test_joints_that_count_backwards_or_from_elsewhere(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k, q1="2", q2="90") for k in range(20))]
     log = read(text, LogFormat(units=LogUnits(q=(0.5, "-deg")), zero=(1.0, 0.0)))
     assert log.q[0] == pytest.approx([2.0, -np.pi / 2])
 
 
-def test_time_in_milliseconds_is_noticed(read: Callable[..., RobotLog]) -> None:
+def test_time_in_milliseconds_is_noticed(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k, t=str(10 * k)) for k in range(20))]
     message = r"rows are 10 s apart, but the robot file's sample_rate of 94 Hz means 0\.01064 s"
     with pytest.raises(LogError, match=message):
@@ -273,7 +273,7 @@ def test_rows_of_parquet_are_counted_from_one(tmp_path: Path, robot: RobotDescri
     path = tmp_path / "run.parquet"
     pyarrow.parquet.write_table(pyarrow.table(columns), path)
     with pytest.raises(LogError, match=r"run\.parquet: column 'q2', row 4: an empty cell or NaN"):
-        RobotLog.read(path, robot)
+        Log.read(path, robot)
 
 
 def test_a_parquet_column_of_another_type_is_refused(
@@ -283,10 +283,10 @@ def test_a_parquet_column_of_another_type_is_refused(
     path = tmp_path / "run.parquet"
     pyarrow.parquet.write_table(pyarrow.table(columns), path)
     with pytest.raises(LogError, match=r"run\.parquet: column 't', row 1: '\[0\.5\]' where a"):
-        RobotLog.read(path, robot)
+        Log.read(path, robot)
 
 
-def test_a_joint_that_no_log_moves_is_named(arm_log: RobotLog) -> None:
+def test_a_joint_that_no_log_moves_is_named(arm_log: Log) -> None:
     still = replace(arm_log, q=arm_log.q * [1.0, 0.0, 1.0], path=Path("still.csv"))
     require_moving([still, arm_log], ("j1", "j2", "j3"))
     with pytest.raises(LogError, match=r"^still\.csv: the position of joint 'j2' is constant"):
@@ -294,7 +294,7 @@ def test_a_joint_that_no_log_moves_is_named(arm_log: RobotLog) -> None:
 
 
 def test_a_file_counts_once_and_its_parts_are_several_logs(
-    read: Callable[..., RobotLog],
+    read: Callable[..., Log],
 ) -> None:
     log = read(lines())
     parts = [log.rows(slice(8)), log.rows(slice(8, None))]

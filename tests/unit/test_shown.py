@@ -10,15 +10,15 @@ import pytest
 from cosim.study.scores import by_joint, compare, predict_model
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import _MOST_SHOWN, FrictionModel
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.html import table
 
 
 @pytest.fixture
-def body(arm_log: RobotLog, arm_model: RobotModel) -> RigidBody:
+def body(arm_log: Log, arm_model: Robot) -> RigidBody:
     return identify([arm_log], arm_model)
 
 
@@ -34,7 +34,7 @@ def test_a_table_escapes_what_it_shows() -> None:
     assert ElementTree.fromstring(page).findtext("caption") == "a<b"
 
 
-def test_a_log_shows_what_each_joint_did(arm_log: RobotLog) -> None:
+def test_a_log_shows_what_each_joint_did(arm_log: Log) -> None:
     head, *rows = cells(arm_log._repr_html_())
     assert head == ["joint", "travel of q", "largest |tau|", "largest |dq|"]
     travel = np.ptp(arm_log.q, axis=0)
@@ -81,7 +81,7 @@ def test_a_comparison_shows_errors_by_law(registry_models: dict[str, FrictionMod
         assert frame.loc[("lugre", joint), "rmse"] == scores.laws["lugre"].rmse[k]
 
 
-def test_a_log_as_a_data_frame(arm_log: RobotLog, tmp_path: Path) -> None:
+def test_a_log_as_a_data_frame(arm_log: Log, tmp_path: Path) -> None:
     pytest.importorskip("pandas", reason="needs hesr[tables]")
     frame = arm_log.to_pandas()
     names = [f"{signal}{k}" for signal in ("q", "dq", "tau") for k in (1, 2, 3)]
@@ -90,7 +90,7 @@ def test_a_log_as_a_data_frame(arm_log: RobotLog, tmp_path: Path) -> None:
     np.testing.assert_array_equal(frame["tau2"], arm_log.tau[:, 1])
 
 
-def test_a_log_as_a_data_set(arm_log: RobotLog) -> None:
+def test_a_log_as_a_data_set(arm_log: Log) -> None:
     pytest.importorskip("xarray", reason="needs hesr[tables]")
     found = arm_log.to_xarray()
     np.testing.assert_array_equal(found.dq.sel(joint="joint3"), arm_log.dq[:, 2])
@@ -100,7 +100,7 @@ def test_a_log_as_a_data_set(arm_log: RobotLog) -> None:
 
 @pytest.mark.parametrize(("library", "call"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
 def test_a_library_that_is_missing_is_named(
-    arm_log: RobotLog, monkeypatch: pytest.MonkeyPatch, library: str, call: str
+    arm_log: Log, monkeypatch: pytest.MonkeyPatch, library: str, call: str
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ConfigError) as caught:

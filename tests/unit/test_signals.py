@@ -7,16 +7,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hesr_model.errors import LogError
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 
 
-def sine_log(t: np.ndarray, frequency: float, noise: float = 0.0) -> RobotLog:
+def sine_log(t: np.ndarray, frequency: float, noise: float = 0.0) -> Log:
     """Two joints on a sine of 1 rad/s, a quarter of a period apart."""
     w = 2 * np.pi * frequency
     angle = w * t[:, None] + np.array([0.4, 0.4 + np.pi / 2])
     rng = np.random.default_rng(0)
-    return RobotLog(
+    return Log(
         name="sine",
         t=t,
         q=np.sin(angle) / w + noise * rng.standard_normal(angle.shape) / w,
@@ -89,7 +89,7 @@ def test_raw_signals_stay_raw() -> None:
 def test_velocity_that_is_not_logged_comes_from_the_position() -> None:
     t = uneven()
     log = sine_log(t, 0.3)
-    motion = smooth(RobotLog(name="sine", t=t, q=log.q, dq=None, tau=log.tau))
+    motion = smooth(Log(name="sine", t=t, q=log.q, dq=None, tau=log.tau))
     assert log.dq is not None
     inner = slice(50, -50)
     np.testing.assert_allclose(motion.dq[inner], log.dq[inner], atol=1e-4)
@@ -101,7 +101,7 @@ def test_velocity_that_is_not_logged_comes_from_the_position() -> None:
 def test_a_straight_line_is_kept_to_its_ends(start: float, slope: float) -> None:
     t = uneven(3.0)
     line = np.column_stack([start + slope * t])
-    log = RobotLog(name="line", t=t, q=line, dq=np.full_like(line, slope), tau=line)
+    log = Log(name="line", t=t, q=line, dq=np.full_like(line, slope), tau=line)
     motion = smooth(log)
     np.testing.assert_allclose(motion.q, line, atol=1e-7)
     np.testing.assert_allclose(motion.dq, slope, atol=1e-7)
@@ -122,7 +122,7 @@ def test_a_log_too_slow_for_the_cut_off_is_refused() -> None:
 def test_a_log_too_short_for_the_cut_off_is_refused() -> None:
     t = np.arange(20) * 0.01
     log = sine_log(t, 0.3)
-    short = RobotLog(name="s", t=t, q=log.q, dq=log.dq, tau=log.tau, path=Path("short.csv"))
+    short = Log(name="s", t=t, q=log.q, dq=log.dq, tau=log.tau, path=Path("short.csv"))
     message = r"^short\.csv: has 20 rows; a low pass at 15 Hz needs more than 21 at this rate\.$"
     with pytest.raises(LogError, match=message):
         smooth(short)

@@ -11,7 +11,7 @@ from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body import accumulation as streamed
 from hesr_model.rigid_body.accumulation import Streamed
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 MakeMotion = Callable[..., Motion]
 
@@ -24,7 +24,7 @@ def motions(make_motion: MakeMotion) -> list[Motion]:
     return [replace(m, tau=m.tau + 0.1 * rng.standard_normal(m.tau.shape)) for m in made]
 
 
-def of(model: RobotModel, motions: list[Motion]) -> RigidBody:
+def of(model: Robot, motions: list[Motion]) -> RigidBody:
     stream = Streamed(model)
     for motion in motions:
         stream.add(motion)
@@ -48,14 +48,14 @@ def assert_alike(one: RigidBody, other: RigidBody) -> None:
 
 
 def test_the_batch_s_body(
-    arm_model: RobotModel, motions: list[Motion], monkeypatch: pytest.MonkeyPatch
+    arm_model: Robot, motions: list[Motion], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(streamed, "AT_ONCE", 300)
     assert_alike(of(arm_model, motions), identify_motions(motions, arm_model))
 
 
 def test_the_batch_s_body_where_a_joint_is_always_slow(
-    arm_model: RobotModel, motions: list[Motion]
+    arm_model: Robot, motions: list[Motion]
 ) -> None:
     """Which of its rows are too slow is known at the end only."""
     slow = np.array([1.0, 0.1, 1.0])
@@ -68,7 +68,7 @@ def test_the_batch_s_body_where_a_joint_is_always_slow(
 
 
 def test_the_covariance_of_a_sample_is_on_the_safe_side(
-    arm_model: RobotModel, motions: list[Motion]
+    arm_model: Robot, motions: list[Motion]
 ) -> None:
     stream = Streamed(arm_model)
     for motion in motions:
@@ -79,7 +79,7 @@ def test_the_covariance_of_a_sample_is_on_the_safe_side(
     assert np.median(part.standard_errors / whole.standard_errors) > 1.0
 
 
-def test_too_little(arm_model: RobotModel, motions: list[Motion]) -> None:
+def test_too_little(arm_model: Robot, motions: list[Motion]) -> None:
     stream = Streamed(arm_model)
     stream.add(motions[0].rows(slice(0, 20)))
     with pytest.raises(FitError, match="robot 'R7': 20 samples cannot determine"):

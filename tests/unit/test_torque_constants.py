@@ -9,7 +9,7 @@ import pytest
 from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.torque_constants import point_payload, torque_constants
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 MakeMotion = Callable[..., Motion]
 
@@ -24,7 +24,7 @@ def logged(motion: Motion, seed: int) -> Motion:
     return replace(motion, tau=(motion.tau + noise) / TRUE * ASSUMED)
 
 
-def with_load(motion: Motion, model: RobotModel, payload: np.ndarray) -> Motion:
+def with_load(motion: Motion, model: Robot, payload: np.ndarray) -> Motion:
     return replace(
         motion,
         tau=motion.tau + model.regressor(motion.q, motion.dq, motion.ddq)[:, :, 20:30] @ payload,
@@ -32,7 +32,7 @@ def with_load(motion: Motion, model: RobotModel, payload: np.ndarray) -> Motion:
 
 
 def test_weights_of_the_model_give_constants_of_the_joints_that_bear_them(
-    arm_model: RobotModel, make_motion: MakeMotion
+    arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     motion = logged(make_motion(seconds=20.0, friction=0.2), 1)
     found = torque_constants([motion], arm_model, ASSUMED, mass_error=0.1)
@@ -46,7 +46,7 @@ def test_weights_of_the_model_give_constants_of_the_joints_that_bear_them(
 
 
 def test_a_weight_that_is_lost_in_friction_tells_nothing(
-    arm_model: RobotModel, make_motion: MakeMotion
+    arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     motion = logged(make_motion(seconds=20.0, friction=3.0), 1)
     found = torque_constants([motion], arm_model, ASSUMED, mass_error=0.1)
@@ -54,7 +54,7 @@ def test_a_weight_that_is_lost_in_friction_tells_nothing(
 
 
 def test_no_interval_is_narrow_where_masses_are_wrong_by_what_is_declared(
-    arm_model: RobotModel, make_motion: MakeMotion
+    arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     motion = make_motion(seconds=20.0, friction=0.2)
     rng = np.random.default_rng(4)
@@ -75,7 +75,7 @@ def test_no_interval_is_narrow_where_masses_are_wrong_by_what_is_declared(
     assert seen >= 6  # the second joint every time
 
 
-def test_a_known_payload_needs_no_masses(arm_model: RobotModel, make_motion: MakeMotion) -> None:
+def test_a_known_payload_needs_no_masses(arm_model: Robot, make_motion: MakeMotion) -> None:
     payload = point_payload(5.0, [0.15, -0.05, 0.1])
     free = make_motion(seconds=20.0, friction=2.0)
     heavy = np.repeat([1.4, 0.7, 1.3], 10)  # against the model file
@@ -95,7 +95,7 @@ def test_a_known_payload_needs_no_masses(arm_model: RobotModel, make_motion: Mak
     np.testing.assert_allclose([c.value for c in found], TRUE, rtol=0.03)
 
 
-def test_what_cannot_be_asked_is_refused(arm_model: RobotModel, make_motion: MakeMotion) -> None:
+def test_what_cannot_be_asked_is_refused(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = make_motion()
     with pytest.raises(FitError, match="the declared error of the masses is 0"):
         torque_constants([motion], arm_model, ASSUMED, mass_error=0.0)

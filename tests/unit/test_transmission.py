@@ -11,11 +11,11 @@ from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import outside
 from hesr_model.health.evidence import Torques, as_logged, motionwise
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import identify_motions
 from hesr_model.rigid_body.residual import at_friction, friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import Coupling, Transmission
 
 MATRIX = ((50.0, 0.0, 0.0), (0.0, -80.0, 0.0), (0.0, 40.0, 40.0))
@@ -36,11 +36,11 @@ def coupled(arm: RobotDescription) -> RobotDescription:
 
 
 @pytest.fixture
-def coupled_model(coupled: RobotDescription) -> RobotModel:
-    return RobotModel(coupled)
+def coupled_model(coupled: RobotDescription) -> Robot:
+    return Robot(coupled)
 
 
-def rubbed(motion: Motion, model: RobotModel) -> Motion:
+def rubbed(motion: Motion, model: Robot) -> Motion:
     """The motion with rotors and friction of the motors, by virtual work."""
     tau = model.torque(model.nominal_parameters, motion.q, motion.dq, motion.ddq)
     du = motion.dq @ C.T
@@ -66,7 +66,7 @@ def test_power_is_the_same_on_both_sides() -> None:
     np.testing.assert_allclose(coupling.at_joints(coupling.torque(tau)), tau, rtol=1e-12)
 
 
-def test_rotors_turn_with_the_motors(coupled_model: RobotModel) -> None:
+def test_rotors_turn_with_the_motors(coupled_model: Robot) -> None:
     rng = np.random.default_rng(1)
     q, dq, ddq = rng.uniform(-1, 1, (3, 4, 3))
     nothing = np.zeros(len(coupled_model.parameter_names))
@@ -78,7 +78,7 @@ def test_rotors_turn_with_the_motors(coupled_model: RobotModel) -> None:
 
 
 def test_logs_of_motors_are_those_of_the_joints(
-    coupled: RobotDescription, arm_log: RobotLog, tmp_path: Path
+    coupled: RobotDescription, arm_log: Log, tmp_path: Path
 ) -> None:
     r, zero = np.array(MATRIX), np.array([0.1, -0.2, 0.3])
     assert arm_log.dq is not None
@@ -93,24 +93,24 @@ def test_logs_of_motors_are_those_of_the_joints(
             "log": coupled.log.model_copy(update={"zero": tuple(zero.tolist())}),
         }
     )
-    read = RobotLog.read(tmp_path / "motors.csv", robot)
+    read = Log.read(tmp_path / "motors.csv", robot)
     assert read.dq is not None
     for found, expected in ((read.q, arm_log.q), (read.dq, arm_log.dq), (read.tau, arm_log.tau)):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
     [part] = motionwise(read, 15.0)
-    torques = Torques.of(RobotModel(robot), part.q, part.v, part.a)
+    torques = Torques.of(Robot(robot), part.q, part.v, part.a)
     logged, _ = as_logged(part, torques, robot.logged)
     np.testing.assert_allclose(logged.v, part.v @ C.T, atol=1e-12)
     assert coupled.logged is None
 
 
 def test_friction_of_motors_is_identified_and_fitted_where_it_sits(
-    coupled_model: RobotModel, make_motion
+    coupled_model: Robot, make_motion
 ) -> None:
     motion = rubbed(make_motion(seconds=20.0), coupled_model)
     body = identify_motions([motion], coupled_model)
     np.testing.assert_allclose(body.friction[:, :2], [[3.0, 1.5]] * 3, atol=1e-6)
-    log = RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
+    log = Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
     records = friction_records(log, coupled_model, body)
     for record in at_friction(records):
         moving = np.abs(record.dq) > 0.2
@@ -136,7 +136,7 @@ def test_friction_of_motors_is_identified_and_fitted_where_it_sits(
     assert not any(outside(seen, [r]) for seen, r in zip(model.trained, moved, strict=True))
 
 
-def test_the_papers_method_averages_at_the_motors(coupled_model: RobotModel, make_motion) -> None:
+def test_the_papers_method_averages_at_the_motors(coupled_model: Robot, make_motion) -> None:
     forward = rubbed(make_motion(), coupled_model)
     backward = rubbed(make_motion(reverse=True), coupled_model)
     body = identify_motions([forward], coupled_model, method="paper", reversed_motions=[backward])
@@ -150,7 +150,7 @@ def test_the_papers_method_averages_at_the_motors(coupled_model: RobotModel, mak
 def test_a_model_keeps_its_coupling_in_a_file(coupled_model, make_motion, tmp_path: Path) -> None:
     motion = rubbed(make_motion(), coupled_model)
     body = identify_motions([motion], coupled_model)
-    log = RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
+    log = Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
     model = fit("stribeck", friction_records(log, coupled_model, body))
     path = tmp_path / "law.json"
     model.write(path)

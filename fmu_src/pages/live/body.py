@@ -9,7 +9,7 @@ from fmu_src.export.package import Content, translation_unit
 from fmu_src.pages.live.wasm import packed, wasm
 from hesr_model.errors import ExportError
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class PageBody:
     cutoff: float
 
     @classmethod
-    def of(cls, robot: RobotModel, body: RigidBody) -> "PageBody":
+    def of(cls, robot: Robot, body: RigidBody) -> "PageBody":
         """Return the body of a robot; RobotError if `body` belongs to another robot."""
         return cls(
             joints=robot.description.joints,

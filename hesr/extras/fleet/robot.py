@@ -27,13 +27,13 @@ from hesr_model.health.examine import examine
 from hesr_model.health.findings import merged
 from hesr_model.health.fit_checks import check_body, check_laws
 from hesr_model.inference.deviation import trend
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.sample import Sample
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.accumulation import Streamed
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import at_friction, motion_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
@@ -113,7 +113,7 @@ class _Robot:
     def __init__(self, member: Member, study: FleetStudy, key: str) -> None:
         self._member, self._study, self._key = member, study, key
         self._description = RobotDescription.read(member.kind.robot)
-        self._model = RobotModel(self._description)
+        self._model = Robot(self._description)
         self._where = f"robot '{member.name}'"
         self._refused: dict[str, str] = {}
         self._findings: list[Finding] = []
@@ -181,7 +181,7 @@ class _Robot:
             if name in self._refused:
                 continue
             try:
-                log = replace(RobotLog.read(path, self._description), name=name)
+                log = replace(Log.read(path, self._description), name=name)
                 if check:
                     self._check(log)
                 parts = [smooth(part, cutoff) for part in log.parts()]
@@ -192,7 +192,7 @@ class _Robot:
                 continue
             yield parts
 
-    def _check(self, log: RobotLog) -> None:
+    def _check(self, log: Log) -> None:
         accept = self._member.kind.accept
         found = examine([log], self._description, self._model).findings
         wrong = [f for f in found if f.severity == "error" and f.check not in accept]

@@ -13,7 +13,7 @@ from hesr.extras.sweep.store import taken
 from hesr_model.friction.registry import estimator
 from hesr_model.health.examine import CHECKS
 from hesr_model.health.findings import require_known
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, counted, silent
 
@@ -32,7 +32,7 @@ def run_fleet(
     for law in study.laws:
         estimator(law)
     for robot in dict.fromkeys(kind.robot for kind in study.types.values()):
-        RobotModel(RobotDescription.read(robot))
+        Robot(RobotDescription.read(robot))
     for kind in study.types.values():
         require_known(kind.accept, CHECKS)
     robots = members(study, path)

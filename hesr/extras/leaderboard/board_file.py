@@ -10,10 +10,10 @@ from pydantic import Field, model_validator
 
 from cosim.workflow.arguments import examined
 from hesr_model.errors import ConfigError
-from hesr_model.logs.robot_log import RobotLog, parts_of
+from hesr_model.logs.robot_log import Log, parts_of
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.config import Config, PrintableName, RelativePath
 from hesr_model.support.files import sha256
 
@@ -89,7 +89,7 @@ class Arena(Config):
 class Ground:
     """Data for the entries of one robot; records are [part][joint]."""
 
-    model: RobotModel
+    model: Robot
     body: RigidBody
     records: Sequence[Sequence[FrictionRecord]] = field(repr=False)
 
@@ -99,14 +99,14 @@ def read_grounds(arena: Arena) -> dict[str, Ground]:
     grounds = {}
     for robot in arena.robots:
         _require_same(robot.rigid_body, robot.rigid_body_sha256, "")
-        model = RobotModel(RobotDescription.read(robot.file))
+        model = Robot(RobotDescription.read(robot.file))
         body = RigidBody.read(robot.rigid_body)
         logs = []
         for log in arena.logs:
             if log.robot in ("", robot.name):
                 whence = f" It can be had from {log.source} ({log.licence})."
                 _require_same(log.file, log.sha256, whence)
-                logs.append(RobotLog.read(log.file, model.description))
+                logs.append(Log.read(log.file, model.description))
         examined(logs, model, arena.accept)
         records = [friction_records(part, model, body) for part in parts_of(logs)]
         for part in records:

@@ -15,7 +15,7 @@ from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import read_properties, write_properties
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 pytestmark = pytest.mark.ci
@@ -49,7 +49,7 @@ def test_a_run_writes_what_it_finds_into_its_folder_and_into_the_fmus(
         assert 'id="property-hold"' in archive.read("documentation/index.html").decode()
 
 
-def body_of(model: RobotModel, robot: str) -> RigidBody:
+def body_of(model: Robot, robot: str) -> RigidBody:
     """What identification would return of the model's own parameters."""
     n = model.n
     return RigidBody(
@@ -73,7 +73,7 @@ def body_of(model: RobotModel, robot: str) -> RigidBody:
 def test_the_inertia_of_another_robot_is_that_of_its_identified_mass_matrix(
     registry_models: dict[str, FrictionModel],
 ) -> None:
-    model = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
+    model = Robot(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
     law = registry_models["stribeck"]
     places = (0.2, -0.6, -1.4)
     trained = tuple(replace(law.trained[0], q=(q - 0.1, q + 0.1)) for q in places)

@@ -7,37 +7,35 @@ import pytest
 
 from hesr_model.health.examine import checked
 from hesr_model.health.findings import HealthError
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 
-def lossy(log: RobotLog, share: float) -> RobotLog:
+def lossy(log: Log, share: float) -> Log:
     kept = np.random.default_rng(3).random(len(log.t)) >= share
     return log.rows(np.flatnonzero(kept))
 
 
 @pytest.fixture
-def noisy(make_motion: Callable[..., Motion]) -> Callable[[float], RobotLog]:
+def noisy(make_motion: Callable[..., Motion]) -> Callable[[float], Log]:
     """Logs of 20 s with noise of the torque [N.m] on friction of 3 N.m."""
 
-    def make(deviation: float) -> RobotLog:
+    def make(deviation: float) -> Log:
         motion = make_motion(name="run", seconds=20.0, friction=3.0)
         noise = np.random.default_rng(0).normal(0.0, deviation, motion.tau.shape)
-        return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
+        return Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
 
     return make
 
 
-def test_rows_that_cost_nothing_are_told(
-    noisy: Callable[[float], RobotLog], arm_model: RobotModel
-) -> None:
+def test_rows_that_cost_nothing_are_told(noisy: Callable[[float], Log], arm_model: Robot) -> None:
     (told,) = checked([lossy(noisy(0.2), 0.5)], arm_model)
     assert (told.check, told.severity) == ("missing-rows", "warning")
 
 
 def test_rows_whose_want_makes_friction_uncertain_are_refused(
-    noisy: Callable[[float], RobotLog], arm_model: RobotModel
+    noisy: Callable[[float], Log], arm_model: Robot
 ) -> None:
     log = noisy(3.0)
     assert checked([log], arm_model) == []
@@ -49,9 +47,7 @@ def test_rows_whose_want_makes_friction_uncertain_are_refused(
     assert {finding.check for finding in told} == {"missing-rows"}
 
 
-def test_the_uncertainty_is_what_losses_do(
-    noisy: Callable[[float], RobotLog], arm_model: RobotModel
-) -> None:
+def test_the_uncertainty_is_what_losses_do(noisy: Callable[[float], Log], arm_model: Robot) -> None:
     """Estimates without other halves of the rows scatter as one log's own halves say."""
     from hesr_model.health.evidence import Torques, motionwise
     from hesr_model.health.loss import _sliding

@@ -15,22 +15,22 @@ from hesr_model.errors import ConfigError
 from hesr_model.findings import Finding
 from hesr_model.health.examine import CHECKS, checked, examine
 from hesr_model.health.findings import HealthError
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support.typed_json import from_json, to_json
 
 Array = NDArray[np.float64]
 DEGREE = np.pi / 180.0
-Mistake = Callable[[RobotLog], RobotLog]
+Mistake = Callable[[Log], Log]
 
 
 @pytest.fixture
-def log(make_motion: Callable[..., Motion]) -> RobotLog:
+def log(make_motion: Callable[..., Motion]) -> Log:
     """The arm with noise of torque, and with friction that lets its little gravity be seen."""
     motion = make_motion(name="run", friction=0.8)
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
-    return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
+    return Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
 
 
 def column(values: Array | None, joint: int, scale: float, shift: float = 0.0) -> Array:
@@ -45,7 +45,7 @@ def swapped(values: Array | None, *order: int) -> Array:
     return values[:, list(order)]
 
 
-def spiked(log: RobotLog) -> RobotLog:
+def spiked(log: Log) -> Log:
     q = log.q.copy()
     q[700, 1] += 0.5
     return replace(log, q=q)
@@ -56,7 +56,7 @@ def late(values: Array | None, rows: int) -> Array:
     return np.concatenate([np.repeat(values[:1], rows, axis=0), values[:-rows]])
 
 
-def rate(log: RobotLog, factor: float) -> Array:
+def rate(log: Log, factor: float) -> Array:
     assert log.dq is not None
     return log.dq * factor
 
@@ -68,7 +68,7 @@ def stuck(values: Array | None, joint: int) -> Array:
     return changed
 
 
-def held(log: RobotLog, rows: int) -> RobotLog:
+def held(log: Log, rows: int) -> Log:
     return replace(log, tau=np.repeat(log.tau[::rows], rows, axis=0)[: len(log.t)])
 
 
@@ -215,9 +215,9 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
 }  # fmt: skip
 
 
-def test_speeds_beyond_the_models_are_told(log: RobotLog, arm_model: RobotModel) -> None:
+def test_speeds_beyond_the_models_are_told(log: Log, arm_model: Robot) -> None:
     lower, upper, _ = arm_model.limits
-    limited = RobotModel(arm_model.description)
+    limited = Robot(arm_model.description)
     limited.__dict__["limits"] = (lower, upper, np.array([0.5, 5.0, 0.0]))
     (finding,) = examine([log], limited.description, limited).findings
     assert (finding.check, finding.joints) == ("speed-limit", ("j1",))
@@ -225,12 +225,12 @@ def test_speeds_beyond_the_models_are_told(log: RobotLog, arm_model: RobotModel)
 
 
 def test_inertia_beside_gravity_tells_the_rate_of_the_stamps(
-    make_motion: Callable[..., Motion], arm_model: RobotModel
+    make_motion: Callable[..., Motion], arm_model: Robot
 ) -> None:
     motion = make_motion(name="run", seconds=30.0, friction=0.8)
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
     tau = motion.tau + noise
-    log = RobotLog(name="run", t=motion.t, q=motion.q, dq=None, tau=tau)
+    log = Log(name="run", t=motion.t, q=motion.q, dq=None, tau=tau)
     assert examine([log], arm_model.description, arm_model).findings == ()
     fast = examine([replace(log, t=0.5 * log.t)], arm_model.description, arm_model).findings
     (told,) = (finding for finding in fast if finding.check == "time-scale")
@@ -238,17 +238,17 @@ def test_inertia_beside_gravity_tells_the_rate_of_the_stamps(
 
 
 def test_torques_that_were_computed_are_told(
-    make_motion: Callable[..., Motion], arm_model: RobotModel
+    make_motion: Callable[..., Motion], arm_model: Robot
 ) -> None:
     m = make_motion()
     (finding,) = examine(
-        [RobotLog(name="run", t=m.t, q=m.q, dq=m.dq, tau=m.tau)], arm_model.description, arm_model
+        [Log(name="run", t=m.t, q=m.q, dq=m.dq, tau=m.tau)], arm_model.description, arm_model
     ).findings
     assert (finding.check, finding.joints) == ("no-friction", ("j1", "j2", "j3"))
     assert "they were computed or commanded instead of measured" in finding.remedy
 
 
-def test_torques_without_their_gravity_are_refused(log: RobotLog, arm_model: RobotModel) -> None:
+def test_torques_without_their_gravity_are_refused(log: Log, arm_model: Robot) -> None:
     nothing = np.zeros_like(log.q)
     gravity = arm_model.torque(arm_model.nominal_parameters, log.q, nothing, nothing)
     found = examine(
@@ -258,15 +258,13 @@ def test_torques_without_their_gravity_are_refused(log: RobotLog, arm_model: Rob
     assert "gravity was removed from it" in found[0].remedy
 
 
-def test_a_clean_log_has_no_finding(log: RobotLog, arm_model: RobotModel) -> None:
+def test_a_clean_log_has_no_finding(log: Log, arm_model: Robot) -> None:
     assert checked([log], arm_model) == []
     assert checked([replace(log, dq=None)], arm_model) == []
 
 
 @pytest.mark.parametrize("what", MISTAKES)
-def test_a_mistake_is_told_with_joint_and_cause(
-    what: str, log: RobotLog, arm_model: RobotModel
-) -> None:
+def test_a_mistake_is_told_with_joint_and_cause(what: str, log: Log, arm_model: Robot) -> None:
     spoil, check, joints, sentence = MISTAKES[what]
     findings = examine([spoil(log)], arm_model.description, arm_model).findings
     named = [f for f in findings if f.check == check and set(joints) <= set(f.joints)]
@@ -274,17 +272,15 @@ def test_a_mistake_is_told_with_joint_and_cause(
     assert re.search(sentence, named[0].sentence), named[0].sentence
 
 
-def test_gravity_is_told_where_it_points_elsewhere(log: RobotLog, arm_model: RobotModel) -> None:
+def test_gravity_is_told_where_it_points_elsewhere(log: Log, arm_model: Robot) -> None:
     for gravity, words in (((0.0, 0.0, 9.81), "upside down"), ((9.81, 0.0, 0.0), "another side")):
-        other = RobotModel(arm_model.description.model_copy(update={"gravity": gravity}))
+        other = Robot(arm_model.description.model_copy(update={"gravity": gravity}))
         (finding,) = examine([log], other.description, other).findings
         assert (finding.check, finding.changes["gravity"]) == ("gravity", (0.0, 0.0, -9.81))
         assert words in finding.remedy
 
 
-def test_all_problems_are_told_at_once_and_can_be_accepted(
-    log: RobotLog, arm_model: RobotModel
-) -> None:
+def test_all_problems_are_told_at_once_and_can_be_accepted(log: Log, arm_model: Robot) -> None:
     wrong = replace(log, dq=column(log.dq, 2, -1.0), tau=column(log.tau, 1, -1.0))
     with pytest.raises(HealthError, match=r"^2 things in the data cannot be right\.") as refused:
         checked([wrong], arm_model)
@@ -298,7 +294,7 @@ def test_all_problems_are_told_at_once_and_can_be_accepted(
     assert {f.check for f in told} == {"velocity-sign", "torque-sign"}
 
 
-def test_only_checks_can_be_accepted(log: RobotLog, arm_model: RobotModel) -> None:
+def test_only_checks_can_be_accepted(log: Log, arm_model: Robot) -> None:
     with pytest.raises(ConfigError, match=r"--accept is 'everything'; the checks are time-unit, "):
         checked([log], arm_model, ["everything"])
 

@@ -7,25 +7,23 @@ import numpy as np
 
 from hesr_model.health.examine import examine
 from hesr_model.health.excitation_gaps import unseen
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import Robot
 
 
-def words(log: RobotLog, model: RobotModel) -> dict[str, set[str]]:
+def words(log: Log, model: Robot) -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     for joint, what in unseen(examine([log], model.description, model), log.joints):
         found.setdefault(joint, set()).add(what.split(":")[0])
     return found
 
 
-def test_what_a_motion_lacks_is_told(
-    make_motion: Callable[..., Motion], arm_model: RobotModel
-) -> None:
+def test_what_a_motion_lacks_is_told(make_motion: Callable[..., Motion], arm_model: Robot) -> None:
     motion = make_motion(name="run", friction=0.8)
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
     tau = motion.tau + noise
-    log = RobotLog(
+    log = Log(
         name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=tau, robot=arm_model.description
     )
     whole = words(log, arm_model)
