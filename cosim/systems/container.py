@@ -28,7 +28,7 @@ from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.run.archive import Archive
 from fmu_src.run.fmu import is_ours, remember
 from fmu_src.run.master import Element
-from fmu_src.run.reference_files import Stimuli, result_files
+from fmu_src.run.reference_results import Stimuli, result_files
 from hesr_model.errors import ConfigError, ExportError
 
 _RUNTIMES = {

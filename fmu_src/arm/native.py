@@ -19,7 +19,7 @@ from fmu_src.arm.variables import variables
 from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Interface
 from fmu_src.export.package import Content, check_request, own_source, write_fmu
-from fmu_src.run.reference_files import Stimuli, waves
+from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.errors import ExportError
 from hesr_model.support.progress import Progress, silent
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Interface, Role, Variable
 from fmu_src.export.package import Content
-from fmu_src.run.reference_files import Stimuli, waves
+from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.robots.owner import OURS, Owner
 
 

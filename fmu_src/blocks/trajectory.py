@@ -5,7 +5,7 @@ import numpy as np
 from fmu_src.blocks.table import content, places, scalar, vector
 from fmu_src.export.interface import Enumeration, Interface, Variable
 from fmu_src.export.package import Content, own_source
-from fmu_src.run.reference_files import ROWS
+from fmu_src.run.reference_results import ROWS
 from hesr_model.errors import ExportError
 from hesr_model.motions.trajectories import Fourier, Sine, Sweep, Trajectory
 

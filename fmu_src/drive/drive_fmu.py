@@ -12,7 +12,7 @@ from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.drive_page import to_html
-from fmu_src.run.reference_files import ROWS, Stimuli, waves
+from fmu_src.run.reference_results import ROWS, Stimuli, waves
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.progress import Progress, silent
 

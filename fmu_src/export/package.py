@@ -18,7 +18,7 @@ from fmu_src.export.interface import Interface, to_c
 from fmu_src.export.terminals import ICON, TERMINALS, Terminal, to_terminals
 from fmu_src.export.toolchain import Target, build, targets
 from fmu_src.run.fmu import remember
-from fmu_src.run.reference_files import Stimuli, result_files
+from fmu_src.run.reference_results import Stimuli, result_files
 from hesr_model.errors import ExportError
 from hesr_model.support.cache import kept
 from hesr_model.support.files import scratch_folder, written_whole

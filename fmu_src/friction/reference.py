@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from fmu_src.friction.settings import CONTINUOUS, SHOWN, ReferenceMotion, torques
-from fmu_src.run.reference_files import WAYS, ExperimentFiles, manifest_files, options, table
+from fmu_src.run.reference_results import ORDERS, ExperimentFiles, manifest_files, options, table
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
@@ -140,8 +140,8 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
         **_members(solved, smooth, fine, 8, 0.0, _CLOSE),
     }
     experiments = [
-        _experiment(name, text, motion, step, _SAME, stepped, references)
-        for (name, text), references in zip(WAYS.items(), ("ref", "shown"), strict=True)
+        _experiment(order, ORDERS[order], motion, step, _SAME, stepped, references)
+        for order, references in (("hold", "ref"), ("shown", "shown"))
     ]
     continuous = "model exchange: inputs linear between the rows"
     experiments.append(_experiment("continuous", continuous, smooth, 0.0, _CLOSE, solved, "ref"))

@@ -1,35 +1,260 @@
-"""Reference results in an FMU or SSP, named by FMI-LS-REF: read, played and compared.
+"""Reference results of FMI-LS-REF in the folder `extra/` of an FMU or SSP: written and verified.
 
-The standard does not fix the order of setting inputs, stepping and reading outputs. All known
-orders are tried until one gives the results, unless the experiment is named after one.
+A friction FMU carries results of its law in Python (`friction.reference`), others those of their
+binary on the exporting machine. The files follow the FMI cross-check, the manifest FMI-LS-REF
+1.0.0-alpha.1. That standard does not fix the order of setting inputs, stepping and reading outputs:
+all known orders are tried until one gives the results, unless the experiment is named after one.
 """
 
 import csv
 import hashlib
 import posixpath
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from fmu_src.export.description import to_bytes
 from fmu_src.run.archive import MOST_TEXT, Archive
 from fmu_src.run.fmu import FmuInstance
-from hesr_model.errors import HesrError
+from fmu_src.run.instance import PLATFORM, SUFFIX, VERSIONS
+from hesr_model.errors import HesrError, SimulationError
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.text import plain
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
+EXPERIMENTS = f"{FOLDER}/experiments.xml"
 
-WAYS = ("hold", "shown", "direct")
-"""Orders of calls: inputs of the start of a step are set, outputs are read after it; the same with
-outputs read once the inputs of the next step are set; inputs of its end are set before a step.
+ROWS = 100
+"""Number of steps of the stimuli."""
+
+ORDERS: Mapping[str, str] = {
+    "hold": "co-simulation: inputs hold over each step, outputs are read after it",
+    "shown": "the same, outputs read once the inputs of the next step are set",
+    "direct": "inputs of its end are set before a step",
+}
+"""Orders of setting inputs, stepping and reading outputs; our files have the first two."""
+
+TOLERANCE = 1e-9
+"""Tolerance of our results relative to the largest value: differences between platforms."""
+
+_TOLERANCE = 1e-3  # of results that name none
+_MOST_ROWS = 100_000
+_DECIMALS = 6  # of stimuli, so that files hold the exact inputs
+_PHASE = 0.35  # [rad] lead of each input over the one before it
+
+_README = """\
+Reference results, in the file style of the FMI cross-check; the manifest of FMI-LS-REF in
+org.fmi-standard.fmi-ls-ref/ names them by their roles. They are the outputs of this FMU's binary
+for {platform} at the export. Units are those of the variables.
+
+co_simulation/{name}_in.csv, _ref.csv, _ref.opt
+    Start with the parameters of {name}_parameters.csv, if present, set before the initialisation
+    and the inputs of row 0 set before its end; row 0 of the reference is read after it. Then for
+    each row k: set its inputs, step by {step:.9g} s, and compare with row k + 1 of the reference.
+    Nothing is interpolated: inputs hold over the step. RelTol {tolerance:g} is relative to the
+    largest value of an output.
+
+co_simulation/{name}_shown.csv
+    The same run for tools that read or refresh outputs once the inputs of the next step are set:
+    row k holds the outputs after step k with the inputs of row k.
 """
 
-_TOLERANCE = 1e-3  # relative to the largest value, by default
-_MOST_ROWS = 100_000
+_LAYER = "http://fmi-standard.org/fmi-ls-manifest"
+_ABOUT = {
+    "fmi-ls-name": "org.fmi-standard.fmi-ls-ref",
+    "fmi-ls-version": "1.0.0-alpha.1",
+    "fmi-ls-description": (
+        "Layered Standard providing information on related files included in an FMU."
+    ),
+}
+
+
+# --- written ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stimuli:
+    """Inputs (ROWS + 1,) and parameters of an FMU; others keep their start values."""
+
+    step: float  # communication step [s]
+    inputs: Mapping[str, Array] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def t(self) -> Array:
+        """Times (ROWS + 1,) [s]."""
+        return np.round(self.step * np.arange(ROWS + 1), 12)
+
+
+def waves(amplitudes: Mapping[str, float], middle: float = 0.0) -> dict[str, Array]:
+    """Return a sinusoid (ROWS + 1,) with 1 to 3 periods around `middle` for each name."""
+    angle = 2.0 * np.pi * np.arange(ROWS + 1) / ROWS
+    return {
+        name: np.round(middle + size * np.sin((1 + j % 3) * angle + _PHASE * j), _DECIMALS)
+        for j, (name, size) in enumerate(amplitudes.items())
+    }
+
+
+def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, bytes]:
+    """Return the members of the folder `extra/` of an FMU for co-simulation, which is run here.
+
+    The result is empty without a binary for this machine, or if a run fails.
+    """
+    root = ET.fromstring(members["modelDescription.xml"])
+    kind = root.find("CoSimulation")
+    assert kind is not None, "no FMU for co-simulation"
+    name = kind.get("modelIdentifier", "")
+    own = VERSIONS[3 if root.get("fmiVersion") == "3.0" else 2].folder
+    if f"{own}{name}{SUFFIX}" not in members:
+        return {}
+    found: dict[str, dict[str, Array]] = {}
+    with scratch_folder() as home:
+        for member, content in members.items():
+            if member.startswith((own, "resources/", "modelDescription.xml")):
+                file = home / member
+                file.parent.mkdir(parents=True, exist_ok=True)
+                file.write_bytes(content)
+        for order in ("hold", "shown"):
+            try:
+                with FmuInstance(Path(name), unpacked=home) as instance:
+                    # Those of FMI 2.0 must be continuous.
+                    outputs = [
+                        v.name
+                        for v in instance.description.modelVariables
+                        if v.causality == "output"
+                        and v.type == "Real"
+                        and (instance.declared or v.variability != "discrete")
+                    ]
+                    rows = _play(instance, order, outputs, stimuli.t, **vars(stimuli))
+            except SimulationError:
+                return {}
+            if not np.all(np.isfinite(rows)):
+                return {}
+            found[order] = dict(zip(outputs, rows.T, strict=True))
+    return _files(name, stimuli, found)
+
+
+def _files(
+    name: str, stimuli: Stimuli, results: Mapping[str, Mapping[str, Array]]
+) -> dict[str, bytes]:
+    stem, t = f"extra/co_simulation/{name}", stimuli.t
+    text = _README.format(name=name, platform=PLATFORM, step=stimuli.step, tolerance=TOLERANCE)
+    files = {
+        "extra/README.txt": text.encode(),
+        f"{stem}_in.csv": table({"time": t, **stimuli.inputs}, 12),
+        f"{stem}_ref.csv": table({"time": t, **results["hold"]}, 14),
+        f"{stem}_ref.opt": options(t, stimuli.step, TOLERANCE),
+        f"{stem}_shown.csv": table({"time": t, **results["shown"]}, 14),
+    }
+    if stimuli.parameters:
+        row = {own: np.array([value]) for own, value in stimuli.parameters.items()}
+        files[f"{stem}_parameters.csv"] = table(row, 17)
+    experiments = [
+        ExperimentFiles(
+            name=order,
+            description=ORDERS[order],
+            start=0.0,
+            stop=float(t[-1]),
+            step=stimuli.step,
+            tolerance=TOLERANCE,
+            stimuli=f"{stem}_in.csv",
+            references=f"{stem}_{file}.csv",
+            parameters=f"{stem}_parameters.csv" if stimuli.parameters else "",
+        )
+        for order, file in (("hold", "ref"), ("shown", "shown"))
+    ]
+    return files | manifest_files(experiments, files)
+
+
+def table(columns: Mapping[str, Array], digits: int) -> bytes:
+    """Return a CSV file with a quoted header and values of `digits` significant digits."""
+    header = ",".join(f'"{name}"' for name in columns)
+    rows = zip(*(c.tolist() for c in columns.values()), strict=True)
+    # Adding zero turns -0 into 0.
+    lines = (",".join(f"{value + 0.0:.{digits}g}" for value in row) for row in rows)
+    return "".join(f"{line}\n" for line in (header, *lines)).encode()
+
+
+def options(t: Array, step: float, tolerance: float) -> bytes:
+    """Return an .opt file of the FMI cross-check; a step [s] of 0 means a solver's."""
+    values = {"StartTime": t[0], "StopTime": t[-1], "StepSize": step}
+    if not step:
+        values["OutputIntervalLength"] = t[1]
+    lines = [f"{name}, {value:.12g}\n" for name, value in (values | {"RelTol": tolerance}).items()]
+    return "".join(lines).encode()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentFiles:
+    """CSV files of an experiment, by their paths in the archive."""
+
+    name: str
+    description: str  # order of calls
+    start: float  # [s]
+    stop: float  # [s]
+    step: float  # communication step [s]; 0 if a solver chooses it
+    tolerance: float  # relative to the largest value of each output
+    stimuli: str
+    references: str
+    parameters: str = ""  # a single row; empty if all have their start values
+
+
+def manifest_files(
+    experiments: Sequence[ExperimentFiles], members: Mapping[str, bytes]
+) -> dict[str, bytes]:
+    """Return the manifest and the experiments file by path.
+
+    `members` are the files of the experiments and related ones, such as a README.
+    """
+    root = ET.Element("Experiments")
+    for own in experiments:
+        numbers = {"startTime": own.start, "stopTime": own.stop, "tolerance": own.tolerance}
+        numbers |= {"stepSize": own.step} if own.step else {}
+        about = {"name": own.name, "description": own.description}
+        about |= {name: f"{value:.12g}" for name, value in numbers.items()}
+        element = ET.SubElement(root, "Experiment", about)
+        files = (own.stimuli, own.parameters, own.references)
+        for kind, file in zip(("Stimuli", "Parameters", "References"), files, strict=True):
+            if file:
+                source = posixpath.relpath(file, FOLDER)
+                ET.SubElement(element, kind, source=source, type="text/csv")
+    played = {e.stimuli: "stimuli" for e in experiments}
+    played |= {e.parameters: "parameters of the experiments" for e in experiments if e.parameters}
+    own_files = {EXPERIMENTS: to_bytes(root)}
+    related = [("experiment/smoke-test", EXPERIMENTS, "application/xml", "how the stimuli are run")]
+    for name in members:
+        if not name.endswith(".csv"):
+            related.append(("document", name, "text/plain", "how to use these files"))
+        elif name in played:
+            related.append(("testcase", name, "text/csv", played[name]))
+        else:
+            related.append(("result", name, "text/csv", "reference results"))
+    return {MANIFEST: _manifest(related, {**members, **own_files}), **own_files}
+
+
+def _manifest(related: Iterable[tuple[str, ...]], members: Mapping[str, bytes]) -> bytes:
+    ET.register_namespace("fmi-ls", _LAYER)
+    root = ET.Element("fmiReferences", {f"{{{_LAYER}}}{k}": text for k, text in _ABOUT.items()})
+    for role, name, kind, text in related:
+        ET.SubElement(
+            root,
+            "Related",
+            type=kind,
+            source=posixpath.relpath(name, FOLDER),
+            role=role,
+            description=text,
+            checksum=hashlib.sha3_256(members[name]).hexdigest(),
+            checksumType="SHA3-256",
+        )
+    return to_bytes(root)
+
+
+# --- verified -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -39,26 +264,6 @@ class Verified:
     problems: list[str] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
     passed: dict[str, str] = field(default_factory=dict)
-
-
-def verify(fmu: Path) -> Verified:
-    """Run the experiments in an FMU and compare with its reference results.
-
-    Raises ArtifactError if the file cannot be read at all.
-    """
-    found = Verified()
-    with Archive(fmu) as archive:
-        stored = experiments(archive, found)
-    for experiment in stored:
-        own = experiment.name
-        ways = [own] if own in WAYS else WAYS
-
-        def played(way: str, experiment: ReferenceExperiment = experiment) -> Array:
-            with FmuInstance(fmu) as instance:
-                return play(instance, experiment, way)
-
-        judged(experiment, ways, played, found)
-    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,153 +276,84 @@ class ReferenceExperiment:
     inputs: dict[str, Array]
     outputs: dict[str, Array]
     parameters: dict[str, float]
-    step: float = 0.0  # [s]; by default the difference of two times
 
 
-def experiments(archive: Archive, found: Verified) -> list[ReferenceExperiment]:
-    """Return the experiments for co-simulation in an archive; note problems."""
-    if MANIFEST not in archive.names:
-        found.skipped.append(f"Reference results: there is no {MANIFEST}.")
-        return []
-    try:
-        return list(_Members(archive).experiments(found))
-    except (ValueError, LookupError, csv.Error, ET.ParseError, HesrError) as error:
-        found.problems.append(f"its reference results cannot be read: {_one_line(error)}.")
-        return []
+def verify(fmu: Path) -> Verified:
+    """Run the experiments in an FMU and compare with its reference results.
+
+    Raises ArtifactError if the file cannot be read at all.
+    """
+    found = Verified()
+    with Archive(fmu) as archive:
+        stored = experiments(archive, found)
+    for own in stored:
+
+        def played(order: str, own: ReferenceExperiment = own) -> Array:
+            with FmuInstance(fmu) as instance:
+                return _play(instance, order, own.outputs, own.t, own.inputs, own.parameters)
+
+        judged(own, ORDERS, played, found)
+    return found
 
 
-class _Members:
-    """Files that a manifest names."""
+def _play(
+    instance: FmuInstance,
+    order: str,
+    outputs: Iterable[str],
+    t: Array,
+    inputs: Mapping[str, Array],
+    parameters: Mapping[str, float],
+    step: float | None = None,
+) -> Array:
+    """Initialise an FMU, run an experiment, and return its outputs (N, outputs)."""
+    rows = np.column_stack([*inputs.values(), t])[:, :-1]
+    into, out = instance.buffer(list(inputs)), instance.buffer(list(outputs))
+    found = np.empty((len(t), out.values.size))
 
-    def __init__(self, archive: Archive) -> None:
-        self._archive = archive
+    def set_row(k: int) -> None:
+        into.values[:] = rows[k]
+        into.write()
 
-    def experiments(self, found: Verified) -> Iterator[ReferenceExperiment]:
-        """Yield the experiments for co-simulation; note wrong files and skipped experiments."""
-        for related in self._xml(MANIFEST).iter("Related"):
-            place = _resolved(FOLDER, related.get("source", ""))
-            if place not in self._archive.names:
-                found.problems.append(f"{MANIFEST} names '{plain(place)}', which is missing.")
-                continue
-            if not self._sound(place, related):
-                found.problems.append(f"'{plain(place)}' does not match its checksum.")
-            if related.get("role", "").partition("/")[0] == "experiment":
-                for element in self._xml(place).iter("Experiment"):
-                    yield from self._experiment(element, posixpath.dirname(place), found)
-
-    def _experiment(
-        self, element: ET.Element, folder: str, found: Verified
-    ) -> Iterator[ReferenceExperiment]:
-        name = plain(element.get("name", ""))
-        parts = {part.tag: part.get("source", "") for part in element}
-        why = None
-        if not {"Stimuli", "References"} <= parts.keys():
-            why = "it has no stimuli with references"
-        elif element.get("stepSize") is None:
-            why = "it has no step size, so that it is for a solver"
-        if why:
-            found.skipped.append(f"Experiment '{name}': {why}; co-simulation is run here.")
-            return
-        stimuli, references = (
-            self._table(_resolved(folder, parts[kind])) for kind in ("Stimuli", "References")
-        )
-        t, same = stimuli.pop("time"), references.pop("time")
-        if t.shape != same.shape or np.any(np.abs(t - same) > 1e-9 * max(1.0, abs(t[-1]))):
-            found.skipped.append(f"Experiment '{name}': its results are at other times.")
-            return
-        yield ReferenceExperiment(
-            name=name,
-            tolerance=float(element.get("tolerance", _TOLERANCE)),
-            t=t,
-            inputs=stimuli,
-            outputs=references,
-            parameters=self._parameters(folder, parts.get("Parameters")),
-        )
-
-    def _parameters(self, folder: str, source: str | None) -> dict[str, float]:
-        if source is None:
-            return {}
-        columns = self._columns(_resolved(folder, source))
-        return {name: float(value[0]) for name, value in columns.items()}
-
-    def _xml(self, name: str) -> ET.Element:
-        return ET.fromstring(self._archive.read(name, MOST_TEXT))
-
-    def _table(self, name: str) -> dict[str, Array]:
-        found = self._columns(name)
-        if "time" not in found:
-            raise ValueError(f"'{name}' is not a table over 'time'")
-        return found
-
-    def _columns(self, name: str) -> dict[str, Array]:
-        lines = self._archive.read(name, MOST_TEXT).decode("utf-8").splitlines()
-        head, *rows = csv.reader(lines[: _MOST_ROWS + 1], skipinitialspace=True)
-        columns = np.array([[float(cell) for cell in row] for row in rows]).T
-        if columns.shape[:1] != (len(head),):
-            raise ValueError(f"'{name}' is not a table over 'time'")
-        return dict(zip(head, columns, strict=True))
-
-    def _sound(self, place: str, related: ET.Element) -> bool:
-        digest, kind = related.get("checksum"), related.get("checksumType", "SHA3-256")
-        algorithm = kind.lower().replace("sha-", "sha").replace("sha3-", "sha3_")
-        unknown = algorithm not in hashlib.algorithms_available or algorithm.startswith("shake")
-        if digest is None or unknown:  # SHAKE has no fixed length
-            return True
-        content = self._archive.read(place)
-        return hashlib.new(algorithm, content).hexdigest() == digest.lower()
+    into.values[:] = rows[0]
+    instance.initialise(time=float(t[0]), start=parameters, inputs=into)
+    found[0] = out.read()
+    for k in range(1, len(t)):
+        set_row(k if order == "direct" else k - 1)
+        instance.step(float(t[k - 1]), step or float(t[k] - t[k - 1]))
+        if order == "shown":
+            set_row(k)
+        found[k] = out.read()
+    return found
 
 
 def judged(
     experiment: ReferenceExperiment,
-    ways: Sequence[str],
+    orders: Iterable[str],
     played: Callable[[str], Array],
     found: Verified,
 ) -> None:
     """Note whether one of several orders of calls gives the results of an experiment.
 
-    `played` returns the values (N, outputs) of an order.
+    An experiment named after an order is played in it alone; `played` returns the values
+    (N, outputs) of an order.
     """
     own = experiment.name
     worst: list[tuple[float, str]] = []
-    for way in ways:
+    for order in [own] if own in orders else orders:
         try:
-            rows = played(way)
+            rows = played(order)
         except HesrError as error:
             found.problems.append(f"experiment '{own}': {_one_line(error)}.")
             return
         off, text = _difference(experiment, rows)
         if off <= experiment.tolerance:
-            found.passed[own] = way
+            found.passed[own] = order
             return
         worst.append((off, text))
     found.problems.append(
         f"experiment '{own}': {min(worst)[1]}, more than its tolerance of "
         f"{experiment.tolerance:g} of the largest value."
     )
-
-
-def play(instance: FmuInstance, experiment: ReferenceExperiment, way: str) -> Array:
-    """Initialise an FMU, run an experiment, and return its outputs (N, outputs)."""
-    t = experiment.t
-    rows = np.column_stack([*experiment.inputs.values(), t])[:, :-1]
-    inputs = instance.buffer(list(experiment.inputs))
-    outputs = instance.buffer(list(experiment.outputs))
-    found = np.empty((len(t), len(experiment.outputs)))
-
-    def set_row(k: int) -> None:
-        inputs.values[:] = rows[k]
-        inputs.write()
-
-    inputs.values[:] = rows[0]
-    instance.initialise(time=float(t[0]), start=experiment.parameters, inputs=inputs)
-    found[0] = outputs.read()
-    for k in range(1, len(t)):
-        set_row(k if way == "direct" else k - 1)
-        instance.step(float(t[k - 1]), experiment.step or float(t[k] - t[k - 1]))
-        if way == "shown":
-            set_row(k)
-        found[k] = outputs.read()
-    return found
 
 
 def _difference(experiment: ReferenceExperiment, rows: Array) -> tuple[float, str]:
@@ -229,6 +365,82 @@ def _difference(experiment: ReferenceExperiment, rows: Array) -> tuple[float, st
     name = plain(list(experiment.outputs)[j])
     text = f"{name} is {rows[k, j]:g} in place of {expected[k, j]:g} at {experiment.t[k]:g} s"
     return float(off[k, j]), text
+
+
+def experiments(archive: Archive, found: Verified) -> list[ReferenceExperiment]:
+    """Return the experiments for co-simulation in an archive; note problems."""
+    if MANIFEST not in archive.names:
+        found.skipped.append(f"Reference results: {MANIFEST} is missing.")
+        return []
+    try:
+        return list(_experiments(archive, found))
+    except (ValueError, LookupError, csv.Error, ET.ParseError, HesrError) as error:
+        found.problems.append(f"its reference results cannot be read: {_one_line(error)}.")
+        return []
+
+
+def _experiments(archive: Archive, found: Verified) -> Iterator[ReferenceExperiment]:
+    for related in _xml(archive, MANIFEST).iter("Related"):
+        place = _resolved(FOLDER, related.get("source", ""))
+        if place not in archive.names:
+            found.problems.append(f"{MANIFEST} names '{plain(place)}', which is missing.")
+            continue
+        if not _sound(archive, place, related):
+            found.problems.append(f"'{plain(place)}' does not match its checksum.")
+        if related.get("role", "").partition("/")[0] == "experiment":
+            for element in _xml(archive, place).iter("Experiment"):
+                yield from _experiment(archive, element, posixpath.dirname(place), found)
+
+
+def _experiment(
+    archive: Archive, element: ET.Element, folder: str, found: Verified
+) -> Iterator[ReferenceExperiment]:
+    name = plain(element.get("name", ""))
+    parts = {part.tag: _resolved(folder, part.get("source", "")) for part in element}
+    if not {"Stimuli", "References"} <= parts.keys():
+        found.skipped.append(f"Experiment '{name}': it has no stimuli with references.")
+        return
+    if element.get("stepSize") is None:
+        found.skipped.append(f"Experiment '{name}': it has no step size, so it is for a solver.")
+        return
+    stimuli, references = (
+        _table(archive, parts[kind], needed="time") for kind in ("Stimuli", "References")
+    )
+    t, same = stimuli.pop("time"), references.pop("time")
+    if t.shape != same.shape or np.any(np.abs(t - same) > 1e-9 * max(1.0, abs(t[-1]))):
+        found.skipped.append(f"Experiment '{name}': its results are at other times.")
+        return
+    row = _table(archive, parts["Parameters"]) if "Parameters" in parts else {}
+    yield ReferenceExperiment(
+        name=name,
+        tolerance=float(element.get("tolerance", _TOLERANCE)),
+        t=t,
+        inputs=stimuli,
+        outputs=references,
+        parameters={name: float(value[0]) for name, value in row.items()},
+    )
+
+
+def _xml(archive: Archive, name: str) -> ET.Element:
+    return ET.fromstring(archive.read(name, MOST_TEXT))
+
+
+def _table(archive: Archive, name: str, needed: str | None = None) -> dict[str, Array]:
+    lines = archive.read(name, MOST_TEXT).decode("utf-8").splitlines()
+    head, *rows = csv.reader(lines[: _MOST_ROWS + 1], skipinitialspace=True)
+    columns = np.array([[float(cell) for cell in row] for row in rows]).T
+    if columns.shape[:1] != (len(head),) or needed not in (None, *head):
+        raise ValueError(f"'{name}' is not a table over 'time'")
+    return dict(zip(head, columns, strict=True))
+
+
+def _sound(archive: Archive, place: str, related: ET.Element) -> bool:
+    digest, kind = related.get("checksum"), related.get("checksumType", "SHA3-256")
+    algorithm = kind.lower().replace("sha-", "sha").replace("sha3-", "sha3_")
+    unknown = algorithm not in hashlib.algorithms_available or algorithm.startswith("shake")
+    if digest is None or unknown:  # SHAKE has no fixed length
+        return True
+    return hashlib.new(algorithm, archive.read(place)).hexdigest() == digest.lower()
 
 
 def _resolved(folder: str, source: str) -> str:

@@ -19,8 +19,7 @@ from cosim.systems.ssp_results import verify_ssp
 from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.export.package import zip_members
-from fmu_src.run.reference_files import ROWS, TOLERANCE, Stimuli, result_files
-from fmu_src.run.reference_results import verify
+from fmu_src.run.reference_results import ROWS, TOLERANCE, Stimuli, result_files, verify
 from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import Fourier
 

@@ -7,8 +7,14 @@ from pathlib import Path
 import pytest
 
 from fmu_src import export_fmu
-from fmu_src.run.reference_files import EXPERIMENTS, ExperimentFiles, manifest_files
-from fmu_src.run.reference_results import FOLDER, MANIFEST, verify
+from fmu_src.run.reference_results import (
+    EXPERIMENTS,
+    FOLDER,
+    MANIFEST,
+    ExperimentFiles,
+    manifest_files,
+    verify,
+)
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD
@@ -60,10 +66,7 @@ def test_friction_fmus_give_their_own(friction_fmu: Path) -> None:
     found = verify(friction_fmu)
     assert found.problems == []
     assert found.passed == {"hold": "hold", "shown": "shown"}
-    assert found.skipped == [
-        "Experiment 'continuous': it has no step size, so that it is for a solver; co-simulation "
-        "is run here."
-    ]
+    assert found.skipped == ["Experiment 'continuous': it has no step size, so it is for a solver."]
 
 
 @pytest.mark.parametrize(("way", "inputs"), [("hold", (1.0, 2.0)), ("direct", (2.0, 2.0))])
@@ -124,7 +127,7 @@ def test_changed_and_missing_files_are_told(
 
 
 def test_what_is_not_run_is_said(with_results: Callable[..., Path], lag_fmu: Path) -> None:
-    assert verify(lag_fmu).skipped == [f"Reference results: there is no {MANIFEST}."]
+    assert verify(lag_fmu).skipped == [f"Reference results: {MANIFEST} is missing."]
     later = results(1.0, 2.0).replace("0.2,", "0.3,")
     found = verify(with_results(STIMULI, later))
     assert found.skipped == ["Experiment 'own': its results are at other times."]
