@@ -22,29 +22,6 @@ FLOATS = ("Float32", "Float64")
 _INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?INF|NaN")
 
-_EXACT, _COMPUTED = ("exact",), ("calculated", "approx")
-_ANY = (*_COMPUTED, *_EXACT)
-INITIAL: Mapping[tuple[str, str], tuple[str, ...]] = {
-    ("parameter", "fixed"): _EXACT,
-    ("parameter", "tunable"): _EXACT,
-    ("calculatedParameter", "fixed"): _COMPUTED,
-    ("calculatedParameter", "tunable"): _COMPUTED,
-    ("input", "discrete"): (),
-    ("input", "continuous"): (),
-    ("structuralParameter", "fixed"): _EXACT,
-    ("structuralParameter", "tunable"): _EXACT,
-    ("output", "constant"): _EXACT,
-    ("output", "discrete"): _ANY,
-    ("output", "continuous"): _ANY,
-    ("local", "constant"): _EXACT,
-    ("local", "fixed"): _COMPUTED,
-    ("local", "tunable"): _COMPUTED,
-    ("local", "discrete"): _ANY,
-    ("local", "continuous"): _ANY,
-    ("independent", "continuous"): (),
-}
-"""Allowed values of initial for each causality and variability, the default first."""
-
 
 def integer(text: str | None) -> int | None:
     """Return an integer, or None if the text is invalid."""
@@ -114,12 +91,6 @@ class ParsedVariable:
     size: int | None = 1  # number of elements in FMI 3.0; None if unknown
     others: tuple[str, ...] = ()  # names of aliases in FMI 3.0
 
-    @property
-    def initial(self) -> str | None:
-        """Declared value of initial, or the default for causality and variability."""
-        allowed = INITIAL.get((self.causality, self.variability), ())
-        return self.declared_initial or next(iter(allowed), None)
-
     def get(self, attribute: str) -> str | None:
         """Return an attribute, by default that of the declared type."""
         inherited = self.type.attributes.get(attribute) if self.type else None
@@ -132,7 +103,6 @@ class Unknown:
 
     index: int
     dependencies: tuple[int, ...] | None
-    kinds: tuple[str, ...] | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,12 +249,11 @@ class Reader:
             index = self.number(element.get(self.reference))
             if index is None:
                 continue
-            known, kinds = element.get("dependencies"), element.get("dependenciesKind")
+            known = element.get("dependencies")
             numbers = map(self.number, (known or "").split())
             yield Unknown(
                 index=index,
                 dependencies=None if known is None else tuple(n for n in numbers if n is not None),
-                kinds=None if kinds is None else tuple(kinds.split()),
             )
 
 

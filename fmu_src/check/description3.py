@@ -85,11 +85,9 @@ class _Reader3(Reader):
         ]
         known = [size for size in parts if size is not None]
         usual = "continuous" if found.kind in FLOATS else "discrete"
-        fixed = found.causality == "input" and found.declared_initial == "exact"
         return replace(
             found,
             variability=element.get("variability", usual),
-            declared_initial=None if fixed else found.declared_initial,  # the only value for inputs
             own=own,
             size=prod(known) if len(known) == len(parts) else None,
             others=names_of(element.findall("Alias")),

@@ -13,7 +13,7 @@ from fmu_src.check.archive import Contents
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
 from hesr_model.support.process import FailedError, run
-from hesr_model.support.text import plain
+from hesr_model.support.text import listed, plain
 
 FMPY_SECONDS = 120.0
 VDMCHECK_SECONDS = 300.0
@@ -25,6 +25,7 @@ JAR = "vdmcheck2.jar"
 
 _LONGEST = 1000  # characters of a message: FMPy lists all unknowns in one
 _RULE = re.compile(r"(\w+): (.+)")
+_SETS = re.compile(r"Expected \{(.*)\} but was \{(.*)\}")
 _LINE = re.compile(r" at \w+\.xml:(\d+)$")
 
 
@@ -45,7 +46,19 @@ def fmpy(copy: Path, folder: Path) -> tuple[list[str], list[str]]:
         found = run_in_sandbox(reader, str(copy), folder=folder, seconds=FMPY_SECONDS)
     except DiedError as error:
         return [], [f"FMPy {error}."]
-    return [_sentence(text) for text in found], []
+    return [_with_difference(text) for text in found], []
+
+
+def _with_difference(text: str) -> str:
+    """Return a sentence of FMPy; if it compares two sets of names, with their difference."""
+    sentence, sets = _sentence(text), _SETS.search(text)
+    if not sets:
+        return sentence
+    expected, found = (dict.fromkeys(names.split(", ")) for names in sets.groups())
+    for verb, one, other in (("lacks", expected, found), ("must not list", found, expected)):
+        if names := [name for name in one if name and name not in other]:
+            sentence += f" It {verb} {listed(names)}."
+    return sentence
 
 
 def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[str], list[str]]:

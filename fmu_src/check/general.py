@@ -3,13 +3,12 @@
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from datetime import datetime
 
 from fmu_src.check.description import KINDS, ParsedDescription, real
 from hesr_model.support.text import quoted
 
 _C_NAME = re.compile("[A-Za-z_][A-Za-z0-9_]*")
-_DATE = "%Y-%m-%dT%H:%M:%SZ"
+_DATE = re.compile(r"[0-9]{4}(-[0-9]{2}){2}T[0-9]{2}(:[0-9]{2}){2}Z")
 
 
 def kinds(about: ParsedDescription) -> Iterator[str]:
@@ -41,16 +40,8 @@ def identity(about: ParsedDescription) -> Iterator[str]:
     if not about.attributes.get(token, "").strip():
         yield (f"the attribute {token} is empty; it must identify the binaries of the FMU.")
     date = about.attributes.get("generationDateAndTime") if about.fmi == 2 else None
-    if date is not None and not _is_date(date):
-        yield (f"generationDateAndTime is {quoted(date)}; the format is YYYY-MM-DDThh:mm:ssZ.")
-
-
-def _is_date(text: str) -> bool:
-    try:
-        # Unlike the standard, strptime accepts missing digits.
-        return len(text) == 20 and bool(datetime.strptime(text, _DATE))
-    except ValueError:
-        return False
+    if date is not None and not _DATE.fullmatch(date):
+        yield f"generationDateAndTime is {quoted(date)}; the format is YYYY-MM-DDThh:mm:ssZ."
 
 
 def experiment(about: ParsedDescription) -> Iterator[str]:

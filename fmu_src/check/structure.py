@@ -4,58 +4,37 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
 
-from fmu_src.check.description import STRUCTURE, ParsedDescription, ParsedVariable, Unknown, integer
+from fmu_src.check.description import STRUCTURE, ParsedDescription, Unknown
 from hesr_model.support.text import listed, quoted
 
 
-def outputs(about: ParsedDescription) -> Iterator[str]:
-    """Check that Outputs lists exactly the outputs."""
-    needed = [v for v in about.variables if v.causality == "output"]
-    yield from _compared(
-        about, "Outputs", needed, "every variable with causality 'output' and no other"
-    )
-
-
 def derivatives(about: ParsedDescription) -> Iterator[str]:
-    """Check that Derivatives lists only derivatives, and all of them for model exchange."""
-    declared = [v for v in about.variables if "derivative" in v.own]
-    if about.exchanges:
-        needed = [v for v in declared if v.variability == "continuous"]
-        why = "every derivative of a state and no other variable"
-        yield from _compared(about, "Derivatives", needed, why)
+    """Check that Derivatives of model exchange lists the derivatives of states, and no other."""
+    if not about.exchanges:
         return
-    extra = [v for v in _listed_variables(about, "Derivatives") if "derivative" not in v.own]
-    if extra:
-        yield (
-            f"{about.lists['Derivatives']} lists {listed(v.name for v in extra)}, "
-            "which have no attribute 'derivative'."
-        )
-
-
-def initial_unknowns(about: ParsedDescription) -> Iterator[str]:
-    """Check that InitialUnknowns lists the results of initialisation, in the variables' order."""
-    needed = {
-        v.index: v
-        for v in about.variables
-        if (v.causality == "output" and v.initial in ("approx", "calculated"))
-        or v.causality == "calculatedParameter"
+    place, found = about.lists["Derivatives"], {u.index for u in about.structure["Derivatives"]}
+    declared = [v for v in about.variables if "derivative" in v.own]
+    wrong = {
+        "lacks": [v for v in declared if v.variability == "continuous" and v.index not in found],
+        "lists": [v for v in declared if v.variability != "continuous" and v.index in found],
     }
-    for derivative in _listed_variables(about, "Derivatives"):
-        state = about.variable(integer(derivative.own.get("derivative")))
-        for v in (derivative, state):
-            if v is not None and v.initial in ("approx", "calculated"):
-                needed[v.index] = v
-    why = (
-        "outputs, states and derivatives with initial 'approx' or 'calculated', calculated "
-        "parameters, and no other variable"
-    )
-    yield from _compared(about, "InitialUnknowns", [needed[i] for i in sorted(needed)], why)
-    found = _listed_variables(about, "InitialUnknowns")
+    for verb, variables in wrong.items():
+        if variables:
+            yield (
+                f"{place} {verb} {listed(v.name for v in variables)}; it must list every "
+                "derivative of a state and no other variable."
+            )
+
+
+def order(about: ParsedDescription) -> Iterator[str]:
+    """Check that InitialUnknowns of FMI 2.0 follows the order of the variables."""
+    place = "InitialUnknowns"
+    found = [v for u in about.structure[place] if (v := about.variable(u.index))]
     for before, after in pairwise(found if about.fmi == 2 else ()):
         if after.index < before.index:
             yield (
-                f"{about.lists['InitialUnknowns']} lists {quoted(after.name)} after "
-                f"{quoted(before.name)}; it must follow the order of the variables."
+                f"{about.lists[place]} lists {quoted(after.name)} after {quoted(before.name)}; it "
+                "must follow the order of the variables."
             )
 
 
@@ -71,7 +50,7 @@ def indices(about: ParsedDescription) -> Iterator[str]:
 
 
 def dependencies(about: ParsedDescription) -> Iterator[str]:
-    """Check that all unknowns have existing dependencies, in order and with their kinds."""
+    """Check that all unknowns have dependencies that exist and are in order."""
     for name in STRUCTURE:
         unknowns = about.structure[name]
         silent = [_named(about, u) for u in unknowns if u.dependencies is None]
@@ -81,42 +60,13 @@ def dependencies(about: ParsedDescription) -> Iterator[str]:
                 "so importers assume all inputs and find false algebraic loops."
             )
         for unknown in unknowns:
-            yield from _of_unknown(about, name, unknown)
-
-
-def _of_unknown(about: ParsedDescription, name: str, unknown: Unknown) -> Iterator[str]:
-    who = f"{about.lists[name]} gives {quoted(_named(about, unknown))}"
-    known = unknown.dependencies
-    if unknown.kinds is not None and known is None:
-        yield f"{who} dependenciesKind without dependencies."
-    if known is None:
-        return
-    missing = [i for i in known if about.variable(i) is None]
-    if missing:
-        yield f"{who} a dependency on {about.shown(missing[0])}, which does not exist."
-    elif about.fmi == 2 and any(a >= b for a, b in pairwise(known)):
-        yield f"{who} dependencies that are not in ascending order."
-    if unknown.kinds is not None and len(unknown.kinds) != len(known):
-        yield f"{who} {len(known)} dependencies and {len(unknown.kinds)} kinds of them."
-
-
-def _compared(
-    about: ParsedDescription, name: str, needed: list[ParsedVariable], why: str
-) -> Iterator[str]:
-    """Yield missing and surplus entries of a list."""
-    found = {v.index for v in _listed_variables(about, name)}
-    lacking = [v.name for v in needed if v.index not in found]
-    extra = found - {v.index for v in needed}
-    if lacking:
-        yield f"{about.lists[name]} lacks {listed(lacking)}; it must list {why}."
-    if extra:
-        names = [about.variables[i - 1].name for i in sorted(extra)]
-        yield f"{about.lists[name]} lists {listed(names)}; it must list {why}."
-
-
-def _listed_variables(about: ParsedDescription, name: str) -> list[ParsedVariable]:
-    found = (about.variable(u.index) for u in about.structure[name])
-    return [v for v in found if v is not None]
+            who = f"{about.lists[name]} gives {quoted(_named(about, unknown))}"
+            known = unknown.dependencies or ()
+            missing = [i for i in known if about.variable(i) is None]
+            if missing:
+                yield f"{who} a dependency on {about.shown(missing[0])}, which does not exist."
+            elif about.fmi == 2 and any(a >= b for a, b in pairwise(known)):
+                yield f"{who} dependencies that are not in ascending order."
 
 
 def _named(about: ParsedDescription, unknown: Unknown) -> str:
@@ -124,4 +74,4 @@ def _named(about: ParsedDescription, unknown: Unknown) -> str:
     return variable.name if variable else about.shown(unknown.index)
 
 
-RULES = (outputs, derivatives, initial_unknowns, indices, dependencies)
+RULES = (derivatives, order, indices, dependencies)

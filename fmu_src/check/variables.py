@@ -1,11 +1,11 @@
 """Rules on variables; each yields one sentence for each variable that breaks it."""
 
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from functools import wraps
 
-from fmu_src.check.description import INITIAL, ParsedDescription, ParsedVariable, integer, real
+from fmu_src.check.description import ParsedDescription, ParsedVariable, integer, real
 from hesr_model.support.text import listed, plain, quoted
 
 _PART = r"(?:[A-Za-z_][A-Za-z0-9_]*|'(?:[^'\\]|\\.)+')(?:\[[0-9]+(?:,[0-9]+)*\])?"
@@ -29,14 +29,6 @@ def _of_each(
     return of_all
 
 
-def names(about: ParsedDescription) -> Iterator[str]:
-    """Check that names are unique."""
-    every = (name for v in about.variables for name in (v.name, *v.others))
-    for name, times in Counter(every).items():
-        if times > 1:
-            yield f"the variable {quoted(name)} is declared {times} times; names are unique."
-
-
 @_of_each
 def structured_names(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     """Check that names are structured if declared so."""
@@ -45,52 +37,11 @@ def structured_names(about: ParsedDescription, v: ParsedVariable) -> Iterator[st
         yield "is not a structured name, as variableNamingConvention requires."
 
 
-@_of_each
-def combinations(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check the combination of causality, variability, initial and type."""
-    allowed = INITIAL.get((v.causality, v.variability))
-    if allowed is None:
-        yield (
-            f"has causality '{plain(v.causality)}' and variability '{plain(v.variability)}', "
-            "an invalid combination."
-        )
-    elif v.declared_initial and v.declared_initial not in allowed:
-        yield (
-            f"has initial '{plain(v.declared_initial)}', which is invalid with causality "
-            f"'{v.causality}' and variability '{v.variability}'."
-        )
-    if v.variability == "continuous" and v.kind not in (*about.continuous, ""):
-        have = "(the default), which only Real has"
-        if about.fmi == 3:
-            have = "which only Float32 and Float64 have"
-        yield f"is of type {v.kind} and has variability 'continuous' {have}."
-
-
 def independent(about: ParsedDescription) -> Iterator[str]:
     """Check that at most one variable is independent."""
     found = [v.name for v in about.variables if v.causality == "independent"]
     if len(found) > 1:
         yield f"the variables {listed(found)} are all independent; only one may be."
-
-
-@_of_each
-def start_values(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that start values are present if required and absent if forbidden."""
-    if "start" not in v.own:
-        if demand := _demand(v):
-            yield f"has no start value, which its {demand} requires."
-    elif v.causality == "independent":
-        yield "has a start value, which its causality 'independent' forbids."
-    elif v.initial == "calculated":
-        yield "has a start value, which its initial 'calculated' forbids."
-
-
-def _demand(v: ParsedVariable) -> str | None:
-    if v.causality in ("input", "parameter"):
-        return f"causality '{v.causality}'"
-    if v.variability == "constant":
-        return "variability 'constant'"
-    return f"initial '{v.initial}'" if v.initial in ("exact", "approx") else None
 
 
 @_of_each
@@ -123,16 +74,18 @@ def ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
 
 
 @_of_each
+def inputs(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
+    """Check that inputs of FMI 2.0 do not declare `initial`."""
+    if v.causality == "input" and v.declared_initial is not None:
+        yield f"has initial '{plain(v.declared_initial)}', which is invalid with causality 'input'."
+
+
+@_of_each
 def types(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that declared types exist and have the type of the variable."""
-    name = v.own.get("declaredType")
-    if name is None:
-        return
-    if v.type is None:
-        yield f"has the declared type {quoted(name)}, which is not defined."
-    elif v.type.kind != v.kind:
+    """Check that declared types have the type of the variable."""
+    if v.type is not None and v.type.kind != v.kind:
         yield (
-            f"is of type {plain(v.kind)}, but its declared type {quoted(name)} is of type "
+            f"is of type {plain(v.kind)}, but its declared type {quoted(v.type.name)} is of type "
             f"{plain(v.type.kind)}."
         )
 
@@ -160,14 +113,9 @@ def units(about: ParsedDescription) -> Iterator[str]:
 
 @_of_each
 def derivatives(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that the state of a derivative exists and is continuous."""
-    index = integer(v.own.get("derivative"))
-    if index is None:
-        return
-    state = about.variable(index)
-    if state is None:
-        yield f"is the derivative of {about.shown(index)}, which does not exist."
-    elif (
+    """Check that the state of a derivative is continuous."""
+    state = about.variable(integer(v.own.get("derivative")))
+    if state is not None and (
         state is v
         or state.kind not in about.continuous
         or state.variability != "continuous"
@@ -202,19 +150,6 @@ def aliases(about: ParsedDescription) -> Iterator[str]:
             yield f"{who}, but have different units."
 
 
-def references(about: ParsedDescription) -> Iterator[str]:
-    """Check that each variable of FMI 3.0 has a value reference of its own."""
-    sets: dict[int | None, list[str]] = defaultdict(list)
-    for v in about.variables:
-        sets[v.reference].append(v.name)
-    for reference, names in sets.items():
-        if reference is not None and len(names) > 1:
-            yield (
-                f"the variables {listed(names)} share value reference {reference}; in FMI 3.0 "
-                "aliases are elements of one variable."
-            )
-
-
 @_of_each
 def sizes(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     """Check that an array has one start value, or one for each element."""
@@ -226,22 +161,13 @@ def sizes(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
 
 
 def _settable(v: ParsedVariable) -> bool:
-    started = v.variability != "constant" and v.initial in ("exact", "approx")
+    initial = v.declared_initial or ("exact" if v.causality == "parameter" else "")
+    started = v.variability != "constant" and initial in ("exact", "approx")
     return started or v.causality == "input"
 
 
-RULES = (
-    names,
-    structured_names,
-    combinations,
-    independent,
-    start_values,
-    ranges,
-    types,
-    units,
-    derivatives,
-)
+RULES = (structured_names, ranges, types, units, derivatives)
 """Rules of every version."""
 
-RULES_2 = (aliases,)
-RULES_3 = (references, sizes)
+RULES_2 = (independent, inputs, aliases)
+RULES_3 = (sizes,)

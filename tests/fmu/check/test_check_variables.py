@@ -1,66 +1,22 @@
 """Rules on variables: one change of Table I, one sentence that names the variable."""
 
 import pytest
-from rule_changes import NUMBER, PARAMETER, both, enumeration, new, of_type, own, sentences, var
+from rule_changes import PARAMETER, enumeration, new, of_type, own, sentences, var
 
 VARIABLES = {
-    "name twice": (
-        lambda xml: xml.variable("joint[1].alpha").set("name", "joint[2].alpha"),
-        "the variable 'joint[2].alpha' is declared 2 times; names are unique.",
-    ),
     "name": (
         var("joint[1].alpha", name="1 alpha"),
         "the variable '1 alpha' is not a structured name, as variableNamingConvention requires.",
     ),
-    "combination": (
-        var("joint[1].alpha", variability="continuous"),
-        "the variable 'joint[1].alpha' has causality 'parameter' and variability 'continuous', "
-        "an invalid combination.",
-    ),
     "initial of an input": (
         var("dq[1]", initial="exact"),
-        "the variable 'dq[1]' has initial 'exact', which is invalid with causality 'input' and "
-        "variability 'continuous'.",
-    ),
-    "initial of a parameter": (
-        both(var("joint[1].alpha", initial="calculated"), own("joint[1].alpha", start=None),
-             new("Real", {}, name="other", causality="local", variability="fixed")),
-        ["the variable 'joint[1].alpha' has initial 'calculated', which is invalid with causality "
-         "'parameter' and variability 'tunable'.",
-         "the variable 'joint[1].alpha' has no start value, which its causality 'parameter' "
-         "requires."],
-    ),
-    "continuous integer": (
-        new("Integer", {}, name="n"),
-        "the variable 'n' is of type Integer and has variability 'continuous' (the default), which "
-        "only Real has.",
+        "the variable 'dq[1]' has initial 'exact', which is invalid with causality 'input'.",
     ),
     "independent twice": (
         lambda xml: [xml.add_variable("Real", {}, name=n, causality="independent",
                                       valueReference=r) for n, r in (("t1", "901"), ("t2", "902"))]
         + [xml.drop(v) for v in xml.variables() if v.get("name") == "time"],
         "the variables 't1', 't2' are all independent; only one may be.",
-    ),
-    "input without start": (
-        own("dq[1]", start=None),
-        "the variable 'dq[1]' has no start value, which its causality 'input' requires.",
-    ),
-    "state without start": (
-        both(var("h[1]", initial="exact"),
-             lambda xml: xml.drop(xml.unknown("InitialUnknowns", "h[1]"))),
-        "the variable 'h[1]' has no start value, which its initial 'exact' requires.",
-    ),
-    "constant without start": (
-        new("Real", {}, name="c", variability="constant"),
-        "the variable 'c' has no start value, which its variability 'constant' requires.",
-    ),
-    "calculated with start": (
-        own("tau[1]", start="0"),
-        "the variable 'tau[1]' has a start value, which its initial 'calculated' forbids.",
-    ),
-    "independent with start": (
-        new("Real", {"start": "0"}, name="t", causality="independent"),
-        "the variable 't' has a start value, which its causality 'independent' forbids.",
     ),
     "below": (
         new("Real", {"start": "1", "min": "2"}, name="x", **PARAMETER),
@@ -87,10 +43,6 @@ VARIABLES = {
         "the variable 'choice' has the start value 7, which is not an item of the enumeration "
         "'Choice'.",
     ),
-    "type": (
-        new("Real", {"start": "1", "declaredType": "T"}, name="x", **PARAMETER),
-        "the variable 'x' has the declared type 'T', which is not defined.",
-    ),
     "other type": (
         new("Real", {"start": "1", "declaredType": "Discretisation"}, name="x", **PARAMETER),
         "the variable 'x' is of type Real, but its declared type 'Discretisation' is of type "
@@ -112,10 +64,6 @@ VARIABLES = {
     "display unit alone": (
         own("tau[1]", displayUnit="furlong", unit=None),
         "the variable 'tau[1]' has the display unit 'furlong' but no unit.",
-    ),
-    "derivative of nothing": (
-        new("Real", {"derivative": str(NUMBER)}, name="x", variability="discrete"),
-        f"the variable 'x' is the derivative of variable number {NUMBER}, which does not exist.",
     ),
     "derivative of a parameter": (
         lambda xml: xml.add_variable("Real", {"derivative": str(xml.index("joint[1].alpha"))},
