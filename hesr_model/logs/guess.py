@@ -1,4 +1,4 @@
-"""Guesses of the columns of an unknown table, by name and, for time, by value."""
+"""Guesses of the columns of an unknown table."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,14 +22,12 @@ _WORDS: Mapping[str, frozenset[str]] = {
     "tau": _words("tau torque torques trq effort efforts moment moments tq nm"),
     "current": _words("i im cur curr current currents amp amps ampere iq"),
 }
-"""Words in column names by quantity; the first match wins."""
-_PLACES = _words("joint axis")
-"""Words of positions, unless another quantity matches."""
+"""Words in column names; the first match wins."""
+_PLACES = _words("joint axis")  # positions, unless another quantity matches
 _OTHERS = _words(
     "target desired des ref reference cmd command setpoint goal acc acceleration ddq qdd error err "
     "tcp ext external voltage control window limit mode status dir"
-)
-"""Words of columns to ignore."""
+)  # ignored columns
 _MEASURED = _words("actual act meas measured msr")
 _TIME = _words("t time timestamp stamp timestamps clock unix secs seconds sec zeit")
 _UNITS: Mapping[str, Mapping[str, str]] = {
@@ -50,15 +48,13 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
     },
 }
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
-_NUMBER = re.compile(r"(?<!\d)\d{1,9}(?!\d)")
-"""Joint numbers; longer digit strings are skipped because they are slow to parse."""
-_RATES = (5.0, 20_000.0)
-"""Plausible sample rates of robot logs [Hz]."""
+_NUMBER = re.compile(r"(?<!\d)\d{1,9}(?!\d)")  # a joint number; longer ones are slow to parse
+_RATES = (5.0, 20_000.0)  # plausible sample rates [Hz]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Guess:
-    """Columns and units by quantity, one column per joint except for t, with the reasons."""
+    """Columns (a name for t, else one per joint) and units by quantity, with reasons."""
 
     columns: Mapping[str, str | tuple[str, ...]]
     units: Mapping[str, str] = field(default_factory=dict)
@@ -79,7 +75,7 @@ def vocabulary() -> dict[str, object]:
 
 
 def guess(table: LogTable, joints: Sequence[str] = ()) -> Guess:
-    """Guess columns; `joints` are names that they may contain. Raises LogError without t or q."""
+    """Guess columns, possibly with names of `joints`; raises LogError without t or q."""
     groups = list(_groups(table.names, joints))
     count = len(joints) or max((len(g) for _, g in groups if _quantity(g[0]) == "q"), default=0)
     columns: dict[str, str | tuple[str, ...]] = {}
@@ -105,7 +101,7 @@ def guess(table: LogTable, joints: Sequence[str] = ()) -> Guess:
 
 
 def _groups(names: Sequence[str], joints: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield groups of columns that differ only in a number or a joint name, in joint order."""
+    """Yield columns that differ only in a number or joint name, in joint order."""
     numbered: dict[str, dict[int, str]] = {}
     named: dict[str, dict[int, str]] = {}
     for name in names:

@@ -1,4 +1,4 @@
-"""The log format of a robot, declared in its TOML file."""
+"""The log format of a robot file."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -42,18 +42,15 @@ def _known_unit(units: _UnitNames, info: ValidationInfo) -> _UnitNames:
 
 
 Columns = Annotated[str | tuple[str, ...], AfterValidator(_one_place_for_the_joint)]
-"""Pattern such as ``q{}`` or ``actual_q_{0}``, or one name per joint; see `column_names`."""
+"""Pattern such as ``q{}`` or ``actual_q_{0}``, or one name per joint."""
 
 KnownUnit = Annotated[UnitName, AfterValidator(_known_unit)]
 Units = Annotated[_UnitNames, AfterValidator(_known_unit)]
-"""Unit of all joints, or one per joint: a name, or the size of one logged unit in SI."""
+"""Unit of all joints or one per joint: a name, or its size in SI."""
 
 
 def column_names(columns: str | tuple[str, ...], joints: Sequence[str]) -> list[str]:
-    """Return one column per joint.
-
-    In a pattern, ``{}`` or ``{1}`` counts joints from 1, ``{0}`` from 0; ``{name}`` is the name.
-    """
+    """Fill a pattern with joint numbers (``{}`` from 1, ``{0}`` from 0) or names (``{name}``)."""
     if isinstance(columns, str):
         return [_filled(columns, k, name) for k, name in enumerate(joints)]
     return list(columns)
@@ -67,11 +64,10 @@ def _filled(pattern: str, index: int, name: str) -> str:
 
 
 TEMPERATURES = "temperature{}"
-"""Default columns of the optional temperatures."""
 
 
 class LogColumns(Config):
-    """Column names; `dq = ""` derives velocity from position, unnamed temperatures are optional."""
+    """Column names; `dq = ""` derives velocity from position, default temperatures are optional."""
 
     t: str = "t"
     q: Columns = "q{}"
@@ -82,10 +78,7 @@ class LogColumns(Config):
 
 
 class LogUnits(Config):
-    """Units of a log, SI by default (m, m/s and N for sliding joints).
-
-    A unit is a name, ``-name`` if the log counts against the model's joint, or a size in SI.
-    """
+    """Units by name, ``-name`` (reversed), or size in SI; sliding joints default to m, m/s, N."""
 
     t: KnownUnit = "s"
     q: Units = "rad"
@@ -95,7 +88,7 @@ class LogUnits(Config):
     temperature: Literal["degC", "K"] = "degC"
 
     def factors(self, quantity: str, joints: int) -> Array:
-        """Return the size in SI of one logged unit of a quantity, (joints,)."""
+        """Return the size in SI of the logged unit at each joint."""
         return np.array([in_si(quantity, unit) for unit in self.each(quantity, joints)])
 
     def each(self, quantity: str, joints: int) -> tuple[UnitName, ...]:
@@ -121,10 +114,9 @@ class LogUnits(Config):
 
 
 class LogBag(Config):
-    """Topic of ``sensor_msgs/msg/JointState`` messages in ROS bags.
+    """Joint states in ROS bags.
 
-    `joints` are the message names in the robot's order, by default its own; some drivers publish
-    currents as `effort`.
+    `joints` are their names in the messages; some drivers publish currents as `effort`.
     """
 
     topic: str = "/joint_states"
@@ -135,10 +127,9 @@ class LogBag(Config):
 class LogFormat(Config):
     """Format of a robot's logs.
 
-    Logs that deviate from the nominal `sample_rate` [Hz] are refused. Rows are `missing` with an
-    empty cell, NaN or a repeated time stamp. `filter_cutoff` [Hz] is that of the low pass on q and
-    dq. `zero` [rad; m] is the joint position at a logged 0. With `torque_per_ampere` [N.m/A],
-    torque is computed from currents.
+    `sample_rate` [Hz] is checked. Rows are `missing` with an empty cell, NaN or a repeated time
+    stamp. `filter_cutoff` [Hz] applies to q and dq. `zero` [rad; m] is the joint position at a
+    logged 0. `torque_per_ampere` [N.m/A] turns currents into torques.
     """
 
     sample_rate: float | None = Field(default=None, gt=0)

@@ -40,7 +40,7 @@ _TO_UNIT = 2.0**-53
 
 
 def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
-    """Return random words (64 bit) number `index` of `stream`, which broadcast; seed mod 2^64."""
+    """Return random 64-bit words number `index` of `stream`, which broadcast."""
     streams, indices = np.broadcast_arrays(
         np.asarray(stream, dtype=np.uint64), np.asarray(index, dtype=np.uint64)
     )

@@ -1,4 +1,4 @@
-"""Robot logs: read from files of many formats, converted to SI, checked, written."""
+"""Robot logs, converted to SI and checked."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -17,22 +17,17 @@ from hesr_model.support import frames, html
 from hesr_model.support.arrays import Array, Integers, some_rows
 from hesr_model.support.files import PathArg, path_of, sha256, written_whole
 
-_LONGEST_GAP = 10.0
-"""Length of a gap in usual steps; velocity and hysteresis states are unknown after it."""
+_LONGEST_GAP = 10.0  # length of a gap in usual steps; friction states are unknown after it
 
-_USUAL = 0.95
-"""Share of the shortest steps, whose mean is the usual step."""
+_USUAL = 0.95  # share of the shortest steps, whose mean is usual
 
-_SHORTEST_PART = 1.0
-"""Minimum duration of a part between two gaps [s]."""
+_SHORTEST_PART = 1.0  # minimum duration of a part [s]
 
 _RATE_MARGIN = 1.25
 
-_LARGEST = 1e20
-"""Largest number in any unit; nanoseconds since 1970 are 2e18."""
+_LARGEST = 1e20  # in any unit; nanoseconds since 1970 are 2e18
 
-_LEAST_TRAVEL = 5e-3
-"""Minimum travel of a joint in use [rad or m]; encoder noise is smaller."""
+_LEAST_TRAVEL = 5e-3  # minimum travel of a joint in use [rad or m]; encoder noise is smaller
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,15 +36,15 @@ class Log:
 
     Attributes
     ----------
-    name : name of the motion, by default that of the file without suffix.
+    name : by default that of the file without suffix.
     t : (N,) [s], increasing.
     q : (N, n) [rad; m for prismatic joints].
-    dq : (N, n) [rad/s; m/s], or None if the log has no velocity.
-    tau : (N, n) [N.m; N], converted from currents if necessary.
-    temperature : (N, n) of the joints [degC], or None if the log has none.
+    dq : (N, n) [rad/s; m/s]; None if not logged.
+    tau : (N, n) [N.m; N].
+    temperature : (N, n) [degC]; None if not logged.
     path, sha256 : file of the log, and its hash.
     dropped : number of rows left out, by `LogFormat.missing`.
-    robot : robot of the log; None if the log was not read from a file.
+    robot : None if the log was not read from a file.
     """
 
     name: str
@@ -99,8 +94,7 @@ class Log:
     def longest_step(self) -> float:
         """Step above which there is a gap: ten usual steps [s].
 
-        If rows are lost at random or come in bursts, the mean represents them better than the
-        median.
+        If rows are missing at random, the mean is more usual than the median.
         """
         steps = np.diff(self.t)
         usual = steps[steps <= np.quantile(steps, _USUAL, method="lower")]
@@ -113,7 +107,7 @@ class Log:
 
     @property
     def jitter(self) -> float:
-        """Standard deviation of the steps between gaps, relative to their mean."""
+        """Relative standard deviation of the steps between gaps."""
         return float(np.std(self._steps) / np.mean(self._steps))
 
     @property
@@ -131,7 +125,7 @@ class Log:
         return some_rows(self, ("t", "q", "dq", "tau", "temperature"), rows)
 
     def parts(self) -> "tuple[Log, ...]":
-        """Return the parts between gaps that last at least 1 s, each a log of its own.
+        """Return the parts between gaps that last at least 1 s.
 
         Raises
         ------
@@ -152,11 +146,11 @@ class Log:
 
     @classmethod
     def read(cls, path: PathArg, robot: RobotLike) -> "Log":
-        """Read and check a log with the columns and units of the robot file.
+        """Read and check a log as the robot file describes it.
 
         The suffix gives the format: CSV (with a header), Parquet (``.parquet``, ``.pq``), MATLAB
-        (``.mat``) or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``). Rows in messages count
-        from 1, including the header of a CSV.
+        (``.mat``) or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``). Messages count rows from
+        1, with the header of a CSV.
 
         Parameters
         ----------
@@ -200,7 +194,6 @@ class Log:
 
     @property
     def _signals(self) -> dict[str, Array]:
-        """Logged signals (N, n), by name."""
         found = {"q": self.q, "dq": self.dq, "tau": self.tau, "temperature": self.temperature}
         return {name: values for name, values in found.items() if values is not None}
 
@@ -222,7 +215,7 @@ class Log:
         return frames.pandas_frame(self._columns, index="t")
 
     def to_xarray(self) -> Any:
-        """Return an `xarray.Dataset` of the signals over time [s] and joint, with units.
+        """Return an `xarray.Dataset` of the signals over time [s] and joint.
 
         Raises
         ------
@@ -236,8 +229,7 @@ class Log:
     def write(self, path: PathArg) -> None:
         """Write the log as CSV or, with suffix ``.parquet``, as Parquet, with all digits.
 
-        The columns are ``t, q1.., dq1.., tau1..``, the defaults of a robot file, and
-        ``temperature1..`` if known.
+        The columns ``t, q1.., dq1.., tau1.., temperature1..`` are the defaults of a robot file.
 
         Raises
         ------
@@ -254,7 +246,7 @@ def parts_of(logs: Iterable[Log]) -> list[Log]:
 
 
 def require_different(logs: Sequence[Log]) -> None:
-    """Raise LogError if a log is given twice: its rows would be weighted double."""
+    """Raise LogError if a log is given twice: its rows would count double."""
     seen: dict[tuple[str, float, float], Log] = {}
     for log in logs:
         rows = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file differ in time
@@ -277,14 +269,14 @@ def require_moving(logs: Sequence[Log], joints: Sequence[str]) -> None:
 
 
 def _of_joints(motion: Array, robot: RobotDescription) -> Array:
-    """Return the motion (N, n) [rad, s; m] of the joints, also if that of motors was logged."""
+    """Return the motion (N, n) of the joints, also from that of motors."""
     if robot.transmission is None or robot.transmission.logs == "joint":
         return motion
     return np.asarray(np.linalg.solve(np.array(robot.transmission.matrix), motion.T).T)
 
 
 def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
-    """Return the torque of the joints (N, n) [N.m; N], also if that of motors was logged."""
+    """Return the torque (N, n) of the joints, also from that of motors."""
     torque = _effort(path, samples, robot)
     if robot.transmission is None or robot.transmission.logs == "joint":
         return torque
@@ -292,7 +284,7 @@ def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
 
 
 def _effort(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
-    """Return the logged torque (N, n) [N.m], from currents if necessary."""
+    """Return the logged torque (N, n), also from currents."""
     units, gains, n = robot.log.units, robot.log.torque_per_ampere, len(robot.joints)
     if not samples.is_current:
         return np.asarray(samples.effort * units.factors("tau", n))
@@ -305,7 +297,7 @@ def _effort(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
 
 
 def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
-    """Check that products of a few numbers, in any unit, stay finite; NaN also fails."""
+    """Check that products of a few numbers stay finite; NaN also fails."""
     for what in ("q", "dq", "effort", "temperature"):
         values = getattr(samples, what)
         if values is not None and not np.all(usable := np.abs(values) <= _LARGEST):

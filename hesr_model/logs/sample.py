@@ -1,10 +1,9 @@
 """A bounded sample of motions that keeps rare conditions.
 
-Motions are cut into windows of a second. Each window belongs to the strata of its rows: rest,
-reversals, octaves of speed and of torque of either sign, for each joint. A stratum ranks windows by
-weighted sampling without replacement (Efraimidis and Spirakis, Inf. Process. Lett. 97 (2006)
-181-185), weighted by its rows. Strata take turns at choosing their best window, the smallest first,
-so that rare rests and reversals are kept.
+Windows of a second belong to the strata of their rows: rest, reversals, octaves of speed and of
+torque of either sign, for each joint. A stratum ranks them by weighted sampling without replacement
+(Efraimidis and Spirakis, Inf. Process. Lett. 97 (2006) 181-185), weighted by its rows. Strata take
+turns at choosing their best window, the smallest first.
 """
 
 import hashlib
@@ -24,13 +23,11 @@ Stratum = tuple[int, str, int]
 """Joint, kind of condition, and octave."""
 
 WINDOW = 1.0
-"""Length of a window [s], long enough for friction to forget its initial state."""
+"""Length of a window [s]; friction forgets its initial state."""
 
-_FASTEST = 8
-"""Octaves of speed above `MOVING`; the last one is open."""
+_FASTEST = 8  # octaves of speed above `MOVING`; the last one is open
 
-_LEAST, _MOST = -3, 5
-"""Octaves of torque around the root mean square of the first motion."""
+_LEAST, _MOST = -3, 5  # octaves of torque around the root mean square of the first motion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +40,7 @@ class _Window:
 
 
 class Sample:
-    """A sample of at most `most` rows, determined by `seed` and the order of the motions."""
+    """A sample of at most `most` rows, determined by `seed` and the order of motions."""
 
     def __init__(self, most: int, seed: int) -> None:
         self._most, self._seed = most, seed
@@ -53,7 +50,7 @@ class Sample:
         self._size: Array | None = None
 
     def add(self, motion: Motion) -> None:
-        """Offer a motion (N, n): a log, or a part of it between gaps."""
+        """Offer a motion, a log or a part between gaps."""
         if self._size is None:
             self._size = np.maximum(np.sqrt(np.mean(motion.tau**2, axis=0)), 1e-12)
         part = next(self._parts)
@@ -72,7 +69,7 @@ class Sample:
         self._shrink()
 
     def motions(self) -> list[Motion]:
-        """Return the kept motions, (N, n) each, in order; adjacent windows are joined."""
+        """Return the kept motions in order; adjacent windows are joined."""
         groups: list[list[_Window]] = []
         for window in self._windows:
             last = groups[-1][-1] if groups else None
@@ -83,10 +80,10 @@ class Sample:
         return [_joined([window.motion for window in group]) for group in groups]
 
     def _cut(self, motion: Motion) -> Iterator[tuple[Motion, dict[Stratum, int]]]:
-        """Yield windows with the number of their rows in each stratum."""
+        """Yield windows with their number of rows by stratum."""
         t, n = motion.t, motion.q.shape[1]
         places = np.floor((t - t[0]) / WINDOW).astype(int)
-        # The remainder at the end belongs to the last window.
+        # The remainder belongs to the last window.
         places = np.minimum(places, max(int((t[-1] - t[0]) / WINDOW) - 1, 0))
         near = np.column_stack([near_reversals(t, dq) for dq in motion.dq.T])
         speed = np.floor(np.log2(np.maximum(np.abs(motion.dq), 1e-12) / MOVING))
@@ -111,7 +108,6 @@ class Sample:
             yield _joined([motion.rows(slice(first, last))]), dict(rows)
 
     def _shrink(self) -> None:
-        """Drop windows until the size is within the limit."""
         if sum(len(window.motion.t) for window in self._windows) <= self._most:
             return
         # Windows by stratum in order of choice: the smallest -log(u) / weight first.

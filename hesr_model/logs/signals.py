@@ -1,4 +1,4 @@
-"""The smooth motion of a log, for evaluating the dynamics."""
+"""The smooth motion of a log."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -12,8 +12,7 @@ from hesr_model.support.arrays import Array, Mask, some_rows
 
 _ORDER = 2
 _HIGHEST_SHARE_OF_NYQUIST = 0.8
-_PADDING_PERIODS = 3.0
-"""Length of the mirrored ends in periods of the cut-off frequency."""
+_PADDING_PERIODS = 3.0  # mirrored ends in periods of the cut-off
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,19 +39,19 @@ class Motion:
 
     @property
     def columns(self) -> dict[str, Array]:
-        """Columns by name, (N,) or (N, n) each."""
+        """Columns by name."""
         found = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
         return {name: column for name, column in found.items() if column is not None}
 
 
 def smooth(log: Log, cutoff: float = 15.0) -> Motion:
-    """Filter q and dq by a zero-phase Butterworth low pass on an even grid, and differentiate.
+    """Filter q and dq by a zero-phase Butterworth low pass, and differentiate.
 
     A `cutoff` of 15 Hz is best on the measured arm (8 Hz and less flatten reversals, 25 Hz and more
     let the noise of ddq through). Raises LogError with gaps, or if the log is too slow or too
     short.
     """
-    from scipy.interpolate import make_interp_spline  # slow to import
+    from scipy.interpolate import make_interp_spline
     from scipy.signal import butter, sosfiltfilt
 
     if len(log.gaps):
@@ -97,7 +96,7 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
 
 
 def smoothed(logs: Iterable[Log], model: Robot) -> list[Motion]:
-    """Return the smooth motions of all parts of a robot's logs; errors as `smooth`."""
+    """Return the smooth motions of all parts of logs."""
     cutoff = model.description.log.filter_cutoff
     return [smooth(part, cutoff) for part in parts_of(logs)]
 
@@ -105,8 +104,8 @@ def smoothed(logs: Iterable[Log], model: Robot) -> list[Motion]:
 def _before(values: Array, rows: int) -> Array:
     """Return the rows (rows, n) before the first, mirrored at the start of a fitted parabola.
 
-    Mirrored at the first value, the low pass would keep its noise, and laws would start there:
-    intervals of a static friction then cover the truth in only 60 of 100 logs.
+    Mirrored at the first value, the low pass keeps its noise, and laws start there: intervals of a
+    static friction then cover the truth in only 60 of 100 logs.
     """
     n = round(2.0 * rows / _PADDING_PERIODS) + 1
     k = np.arange(n)

@@ -20,22 +20,17 @@ _LONGEST_NAME = 60  # characters of a name
 _MOST_CSV = 2**31 - 2  # bytes of a single block
 _LONGEST_LINE = 2**24  # characters
 _DELIMITERS = ",;\t "
-_MARKS = "#%"
-"""Marks of comments, and sometimes of a header."""
-_SEARCHED = 500
-"""Lines searched for the first row of data; those above the header are a preamble."""
+_MARKS = "#%"  # of comments, sometimes of a header
+_SEARCHED = 500  # lines searched for data; those above the header are a preamble
 _UNIT_CELL = re.compile(r"[(\[].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad/s|deg/s|-|")
-_SINCE_1970 = 1e8
-"""Stamps above [s] (three years) count from an epoch, not from the start of a log."""
-_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-"""A number with a decimal comma."""
+_SINCE_1970 = 1e8  # stamps above [s] (three years) count from an epoch
+_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # with a decimal comma
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d[T ][\d:.]+Z?")
-"""A number, or a date."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogTable:
-    """An open table file with all its columns; `others` is mentioned if a column is missing."""
+    """An open table file; `others` are mentioned if a column is missing."""
 
     path: Path
     names: tuple[str, ...]
@@ -45,11 +40,11 @@ class LogTable:
 
     @property
     def listing(self) -> str:
-        """Content of the file, for messages."""
+        """Columns of the file, for messages."""
         return listed((*self.names, *self.others))
 
     def row(self, index: int) -> int:
-        """Return the row of sample `index` as in an editor: a CSV's header is row 1."""
+        """Return the row of sample `index`; a CSV's header is row 1."""
         if self._dialect is None:
             return index + 1
         try:
@@ -59,9 +54,9 @@ class LogTable:
             return index + 2
 
     def numbers(self, names: Sequence[str], *, missing: bool = False) -> Array:
-        """Return columns (N, len(names)) in the units of the file; `missing` cells become NaN.
+        """Return columns (N, len(names)); `missing` cells become NaN.
 
-        Raises LogError with the column, or the row and column of a bad cell.
+        Raises LogError with the row and column of a bad cell.
         """
         for name in names:
             self._require(name)
@@ -125,23 +120,23 @@ class LogTable:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return a list of names for a sentence, shortened if there are many."""
+    """Return names for a sentence, shortened if there are many."""
     more = len(names) - _MOST_LISTED
     shown = [name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..." for name in names]
     return ", ".join((*shown[:_MOST_LISTED], *([f"and {more} more"] if more > 0 else [])))
 
 
 def most_bytes(path: Path) -> int:
-    """Return the allowed memory of a file's data [B]: it may be packed, but not a bomb."""
+    """Return the allowed memory [B] of a packed file's data, to refuse bombs."""
     return 10 * path.stat().st_size + 300 * 2**20
 
 
 def read_table(path: Path) -> LogTable:
-    """Open a CSV (with a header) or a Parquet file; raises LogError if that fails.
+    """Open a CSV (with a header) or a Parquet file; raises LogError.
 
-    Cells of a CSV are separated by commas, semicolons, tabs or single blanks, as in its header; all
-    but the first allow decimal commas. A header may begin with ``#``. A preamble, blank lines,
-    comments (``#`` or ``%``) and a row of units are skipped.
+    A CSV has commas, semicolons, tabs or single blanks between cells; all but the first allow
+    decimal commas. A header may begin with ``#``. A preamble, blank lines, comments (``#`` or
+    ``%``) and a row of units are skipped.
     """
     if not path.is_file():
         raise LogError(f"{path}: no such log file.")
@@ -158,7 +153,7 @@ def read_table(path: Path) -> LogTable:
 
 
 def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = ()) -> LogTable:
-    """Make a table of columns (N,) read from a file of another format."""
+    """Make a table of columns (N,) from a file of another format."""
     import pyarrow
 
     arrow = pyarrow.table({name: np.ascontiguousarray(values) for name, values in columns.items()})
@@ -182,12 +177,10 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Dialect:
-    """Separators of a CSV, and the place of its table."""
-
     delimiter: str
     decimal: str
-    header: int  # line of the header, from 1
-    data: int  # line of the first row of data
+    header: int  # line, from 1
+    data: int  # line of the first row
 
 
 def _dialect(path: Path) -> _Dialect:
@@ -214,7 +207,7 @@ def _dialect(path: Path) -> _Dialect:
 
 
 def _table_in(lines: Sequence[tuple[int, str]]) -> tuple[int, int, str]:
-    """Return the lines of the header and of the first row of data, and the delimiter.
+    """Return the lines of the header and the first row, and the delimiter.
 
     Data begin at the first line of numbers below a line with as many names; otherwise the first
     line is the header.
@@ -239,7 +232,7 @@ def _table_in(lines: Sequence[tuple[int, str]]) -> tuple[int, int, str]:
 
 
 def _is_data(line: str, delimiter: str) -> bool:
-    """Return whether a line is a row of numbers, some of which may be missing."""
+    """Return whether a line is a row of numbers, some of them missing."""
     if line[0] in _MARKS or delimiter not in line:
         return False
     cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
@@ -252,7 +245,6 @@ def _are_units(line: str, delimiter: str) -> bool:
 
 
 def _count(line: str, delimiter: str) -> int:
-    """Return the number of cells of a line."""
     return len(next(csv.reader([line], delimiter=delimiter), []))
 
 
@@ -264,7 +256,7 @@ def _lines(file: TextIO) -> Iterator[str]:
 
 
 def _csv_rows(path: Path, dialect: _Dialect) -> Iterator[tuple[int, list[str]]]:
-    """Yield header and rows of data of a CSV, without comments, each with its line from 1."""
+    """Yield header and rows of a CSV, without comments, each with its line from 1."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(_lines(file), delimiter=dialect.delimiter)
         for cells in reader:
@@ -308,7 +300,7 @@ def _read_parquet(path: Path) -> Any:
             return file.read()
     except LogError:
         raise
-    except Exception as error:  # Arrow raises many kinds for a broken file
+    except Exception as error:  # of many kinds
         raise LogError(f"{path}: cannot be read as Parquet.") from error
 
 
@@ -334,7 +326,7 @@ def _read_csv(path: Path, dialect: _Dialect) -> Any:
     options = pyarrow.csv.ReadOptions(
         column_names=names,
         skip_rows=dialect.data - 1,
-        # One block: column types are inferred from all of it, not from the first megabyte.
+        # One block: types of columns follow from all rows, not the first megabyte.
         block_size=path.stat().st_size + 1,
     )
     try:
@@ -354,7 +346,7 @@ def _read_csv(path: Path, dialect: _Dialect) -> Any:
 
 
 def _names(header: Sequence[str]) -> list[str]:
-    """Return the names in a header, without the leading ``#`` of some programs."""
+    """Return the names in a header, without a leading ``#``."""
     names = [name.strip() for name in header]
     if names[0] == "#":
         return names[1:]

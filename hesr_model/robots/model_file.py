@@ -1,4 +1,4 @@
-"""Model files of robots (URDF, MJCF) and their joints, parsed by Pinocchio."""
+"""Model files of robots (URDF, MJCF), parsed by Pinocchio."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,11 +15,11 @@ _DEGREES = 180.0 / np.pi
 
 
 def load(path: Path, *, mimic: bool = False) -> Any:
-    """Parse a URDF, or an MJCF (``.xml``), without meshes; raises RobotError if that fails.
+    """Parse a URDF, or an MJCF (``.xml``), without meshes; raises RobotError.
 
     With `mimic`, mimic joints of a URDF are distinguished from driven ones.
     """
-    import pinocchio  # slow: not needed to read a description
+    import pinocchio  # slow to import
 
     if not path.is_file():
         raise RobotError(f"{path}: no such model file.")
@@ -30,7 +30,7 @@ def load(path: Path, *, mimic: bool = False) -> Any:
         return pinocchio.buildModelFromUrdf(str(path), mimic=mimic)
     except RobotError:
         raise
-    except Exception as error:  # Pinocchio raises many kinds for a broken file
+    except Exception as error:  # of many kinds
         kind = "an MJCF" if is_mjcf else "a URDF"
         reason = " ".join(str(error).split()).rstrip(".")
         raise RobotError(f"{path}: cannot be parsed as {kind} ({reason}).") from error
@@ -47,7 +47,7 @@ def _mjcf(path: Path) -> ElementTree.Element:
 
 
 def _with_lengths(model: Any, mjcf: ElementTree.Element) -> Any:
-    """Give sliding joints the range of their MJCF in metres; Pinocchio interprets it as degrees."""
+    """Give sliding joints their range in metres; Pinocchio interprets it as degrees."""
     angles = [compiler.get("angle") for compiler in mjcf.iter("compiler")]
     if "radian" not in angles:
         for joint in list(model.joints)[1:]:
@@ -59,7 +59,7 @@ def _with_lengths(model: Any, mjcf: ElementTree.Element) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelJoint:
-    """A joint of a model file; `freedom` is 0 for a `mimic` joint of a URDF."""
+    """A joint of a model file; mimic joints have no degree of freedom."""
 
     name: str
     freedom: int
@@ -67,7 +67,7 @@ class ModelJoint:
 
 
 def joints_of(path: Path) -> tuple[ModelJoint, ...]:
-    """Return the moving joints of a model file, from base to tip; errors as `load`."""
+    """Return the moving joints of a model file, from base to tip."""
     model = load(path, mimic=True)
     try:
         names = list(model.names)[1:]
@@ -85,7 +85,7 @@ def _slides(joint: Any) -> bool:
 
 
 def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
-    """Return the wanted or all usable joints; raises RobotError if one is missing or unusable."""
+    """Return the wanted or all usable joints; raises RobotError if one is unusable."""
     joints = {joint.name: joint for joint in joints_of(path)}
     for name in wanted:
         if name not in joints:
@@ -103,7 +103,7 @@ def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, .
 
 
 def require_one_axis(joint: Any, name: str, path: Path) -> None:
-    """Check that a joint of a parsed model has one degree of freedom."""
+    """Raise RobotError unless a joint has one degree of freedom."""
     if joint.nv != 1:
         raise _many_axes(name, joint.nv, path)
 
@@ -116,7 +116,7 @@ def _many_axes(name: str, freedom: int, path: Path) -> RobotError:
 
 
 def set_joint(joint: Any, states: Array, position: Array) -> None:
-    """Write a position [rad or m] of a joint of a parsed model into `states`, (nq,) or (nq, N)."""
+    """Write a position [rad or m] of a joint into `states`, (nq,) or (nq, N)."""
     if joint.nq == 1:
         states[joint.idx_q] = position
     else:
@@ -124,7 +124,7 @@ def set_joint(joint: Any, states: Array, position: Array) -> None:
 
 
 def motion_subspace(joint: Any, state: Array) -> Array:
-    """Return the motion subspace (6,) of a joint at a state (nq,): linear, then angular part."""
+    """Return the motion subspace (6,) of a joint at a state (nq,): linear, angular."""
     data = joint.createData()
     joint.calc(data, state)
     return np.asarray(data.S, dtype=float).ravel()

@@ -1,4 +1,4 @@
-"""Author, copyright and licence of FMUs made from a robot's models."""
+"""Author, copyright and licence of FMUs."""
 
 from collections.abc import Mapping
 from typing import Any, Self
@@ -10,7 +10,7 @@ from hesr_model.support.config import Config, PrintableName
 
 
 class Owner(Config):
-    """Author, copyright ("Copyright (c) 2026 A Company") and licence ("Apache-2.0"), if known."""
+    """Author, copyright ("Copyright (c) 2026 A Company") and licence ("Apache-2.0")."""
 
     author: PrintableName = ""
     copyright: PrintableName = ""
@@ -28,7 +28,7 @@ class Owner(Config):
 
     @classmethod
     def of(cls, provenance: Mapping[str, Any]) -> Self:
-        """Return the owner of a provenance, or raise ArtifactError if it is invalid."""
+        """Return the owner of a provenance; raises ArtifactError."""
         found = provenance.get("owner", {})
         try:
             return cls.model_validate(found)
@@ -42,4 +42,4 @@ class Owner(Config):
 OURS = Owner(
     author="The HESR authors", copyright="Copyright (c) 2026 The HESR authors", license="MIT"
 )
-"""Owner of FMUs that contain only code of HESR."""
+"""Owner of FMUs with code of HESR only."""

@@ -26,7 +26,7 @@ from hesr_model.support.config import Config, PrintableName, RelativePath, read_
 from hesr_model.support.files import PathArg, path_of
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-"""Parameters of a link: mass, first moments, and inertia about the origin of its joint frame."""
+"""Mass, first moments, and inertia about the origin of the link's joint frame."""
 
 _ROWS_AT_ONCE = 4096
 
@@ -34,11 +34,11 @@ _ROWS_AT_ONCE = 4096
 class RobotDescription(Config):
     """A robot: its model file, its joints, and the format of its logs.
 
-    Joints run from base to tip, in the order of the log's columns. `locked` gives positions [rad or
-    m] of fixed joints; other unlisted joints are at neutral. `gravity` [m/s2] is in the base frame.
+    Joints run from base to tip, as the columns of logs. `locked` gives positions [rad or m] of
+    fixed joints; other unlisted joints are at neutral. `gravity` [m/s2] is in the base frame.
     `rotor_inertia` adds a rotor inertia per joint, reflected through its gear, to the parameters.
-    `gear_ratio` (turns of the motor per turn of the joint) is needed by laws with motor ripple, and
-    `transmission` if a motor turns several joints or if logs are of motors; it then sets the gear
+    `gear_ratio` (turns of the motor per turn of the joint) is needed by laws with motor ripple;
+    `transmission` if a motor turns several joints or logs are of motors, it then sets the gear
     ratios.
     """
 
@@ -115,9 +115,8 @@ class RobotDescription(Config):
 class JointFrame:
     """Place of a joint in the kinematic tree.
 
-    The pose (`rotation`, `translation` [m]) at zero position is relative to the `parent` joint, -1
-    for the base. `axis` is the unit vector of turning or, if `prismatic`, of sliding in the joint's
-    frame.
+    The pose (`rotation`, `translation` [m]) at zero is relative to the `parent`, -1 for the base. A
+    joint turns about or, if `prismatic`, slides along the unit vector `axis` in its frame.
     """
 
     name: str
@@ -131,9 +130,9 @@ class JointFrame:
 class Robot:
     """A robot: its joints, the format of its logs, and its rigid-body dynamics (eq. 5).
 
-    tau = Y(q, dq, ddq) pi, with ten standard parameters per link (`LINK_PARAMETERS`) and, if the
-    description asks for them, one rotor inertia per joint. A rotor's column in Y is ddq of the
-    joint, or of its motor if motors turn with several joints.
+    tau = Y(q, dq, ddq) pi, with ten parameters per link (`LINK_PARAMETERS`) and, if described, one
+    rotor inertia per joint, whose column is ddq of the joint or of a motor that turns several
+    joints.
 
     Parameters
     ----------
@@ -149,7 +148,7 @@ class Robot:
     """
 
     def __init__(self, source: "RobotLike") -> None:
-        import pinocchio  # slow: not needed to read a description
+        import pinocchio  # slow to import
 
         description = description_of(source)
         description.require_one_per_joint()
@@ -159,7 +158,7 @@ class Robot:
         self._data: Any = self._model.createData()
         self.rotor_nominal: Array = np.array(self._model.armature, dtype=float)
         """Rotor inertias (n,) [kg.m2] of the model file (`armature` of an MJCF)."""
-        # Rotor inertias are columns of the regressor instead.
+        # In the dynamics they are columns of the regressor.
         self._model.armature = np.zeros(self.n)
         self._model.gravity.linear = np.array(description.gravity)
         slides = [joint.prismatic for joint in self.tree]
@@ -168,7 +167,6 @@ class Robot:
             description.transmission.require_turning(description.joints, slides)
 
     def _reduced(self, model: Any) -> Any:
-        """Lock every joint that the description does not list."""
         wanted, path = self.description.joints, self.description.model
         known = list(model.names)[1:]
         for name in (*wanted, *self.description.locked):
@@ -214,7 +212,7 @@ class Robot:
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of all columns of the regressor: link by link, then the rotors."""
+        """Names of the regressor's columns: link by link, then the rotors."""
         joints = self.description.joints
         links = tuple(f"{joint}.{name}" for joint in joints for name in LINK_PARAMETERS)
         rotors = tuple(f"{joint}.Ir" for joint in joints)
@@ -222,7 +220,7 @@ class Robot:
 
     @cached_property
     def nominal_parameters(self) -> Array:
-        """Parameters (10n [+n],) of the model file, in the order of the names."""
+        """Parameters (10n [+n],) of the model file."""
         links = [np.asarray(body.toDynamicParameters()) for body in list(self._model.inertias)[1:]]
         rotors = [self.rotor_nominal] if self.description.rotor_inertia else []
         return np.concatenate([*links, *rotors])
@@ -231,7 +229,7 @@ class Robot:
     def limits(self) -> tuple[Array, Array, Array]:
         """Lowest and highest position [rad or m] and highest speed, (n,) each.
 
-        A joint without limits gets one turn (or one metre) either way, and 2 rad/s (or m/s).
+        A joint without limits gets one turn (or metre) either way, and 2 rad/s (or m/s).
         """
         lower, upper, speed = np.full(self.n, -np.pi), np.full(self.n, np.pi), np.full(self.n, 2.0)
         for k, joint in enumerate(list(self._model.joints)[1:]):
@@ -246,7 +244,7 @@ class Robot:
 
     @property
     def torque_limits(self) -> Array:
-        """Largest torques (n,) [N.m or N] of the model file; 0 if it gives none."""
+        """Largest torques (n,) [N.m or N] of the model file; 0 if unknown."""
         return np.array(self._model.effortLimit, dtype=float)
 
     @cached_property
@@ -344,7 +342,7 @@ class Robot:
 
     @contextmanager
     def under_gravity(self) -> Iterator[Callable[[Sequence[float]], None]]:
-        """Yield a function that sets the gravity [m/s2]; restore the robot file's at the end."""
+        """Yield a function that sets the gravity [m/s2], restored at the end."""
 
         def set_gravity(gravity: Sequence[float]) -> None:
             self._model.gravity.linear = np.array(gravity, dtype=float)
@@ -355,7 +353,7 @@ class Robot:
             set_gravity(self.description.gravity)
 
     def _configurations(self, q: Array) -> Array:
-        """Return joint positions in Pinocchio's coordinates: an unlimited joint has two."""
+        """Return Pinocchio's configurations: an unlimited joint has two coordinates."""
         states = np.zeros((len(q), self._model.nq))
         for k, joint in enumerate(list(self._model.joints)[1:]):
             set_joint(joint, states.T, q[:, k])
@@ -369,8 +367,7 @@ RobotLike = RobotDescription | Robot | str | PathLike[str]
 def description_of(robot: RobotLike) -> RobotDescription:
     """Return the description of a robot; raises ConfigError or RobotError.
 
-    A URDF or MJCF alone describes all its joints, with the default columns ``t, q1.., dq1..,
-    tau1..``.
+    A URDF or MJCF alone describes all its joints, with the default columns of logs.
     """
     if isinstance(robot, Robot):
         return robot.description

@@ -6,7 +6,7 @@ own gear ratios, or joints::
 
     u = C q,   C[i, j] = R[i, j] / R[i, i],   tau_q = C' tau_u
 
-Coefficients thus keep the scale of a joint, and C is the identity if nothing is coupled.
+Coefficients thus keep the scale of a joint.
 """
 
 from collections.abc import Sequence
@@ -23,17 +23,15 @@ from hesr_model.support.config import Config
 
 Side = Literal["motor", "joint"]
 
-_MOST_CONDITION = 1e8
-"""Largest condition number of the matrix with rows divided by the gear ratios."""
+_MOST_CONDITION = 1e8  # of the matrix with rows divided by the gear ratios
 
 
 class Transmission(Config):
     """The table ``[transmission]`` of a robot file.
 
-    `matrix` (n, n) gives turns of each motor (row) per turn of each joint (column): gear ratios on
-    the diagonal, negative if a motor turns against its joint, couplings off the diagonal. `logs`
-    are of motors or joints; at motor position 0, the joints are at `LogFormat.zero`. `friction`
-    acts at the motors or at the joint itself, for all or one per joint.
+    `matrix` (n, n) gives turns of each motor (row) per turn of each joint (column), negative if
+    reversed, gear ratios on the diagonal. `logs` are of motors or joints; at motor position 0,
+    joints are at `LogFormat.zero`. `friction` acts at motors or joints, for all or one per joint.
     """
 
     matrix: tuple[tuple[float, ...], ...] = Field(min_length=1)
@@ -62,12 +60,12 @@ class Transmission(Config):
 
     @property
     def motors(self) -> Array:
-        """Motor angles over joint angles (n, n) [rad/rad], divided by the gear ratios."""
+        """Motor over joint angles (n, n), divided by the gear ratios."""
         return np.array(self.matrix) / self.ratios[:, None]
 
     @property
     def coordinates(self) -> Array:
-        """Friction coordinates over joint angles, (n, n) [rad/rad]."""
+        """Friction coordinates over joint angles (n, n)."""
         n = len(self.matrix)
         sides = (self.friction,) * n if isinstance(self.friction, str) else self.friction
         at_motor = np.array([side == "motor" for side in sides])
@@ -85,7 +83,7 @@ class Transmission(Config):
 
 @dataclass(frozen=True)
 class Coupling:
-    """Coordinates u = C q of a robot with coupled joints; `matrix` is C, (n, n) [rad/rad; m/m]."""
+    """Coordinates u = C q of a robot with coupled joints; `matrix` is C."""
 
     matrix: tuple[tuple[float, ...], ...]
 
@@ -106,27 +104,27 @@ class Coupling:
 
     @cached_property
     def forward(self) -> Array:
-        """C, (n, n): motion of the coordinates from that of the joints."""
+        """C (n, n), which maps motions of joints to u."""
         return np.array(self.matrix)
 
     @cached_property
     def backward(self) -> Array:
-        """C'^-1, (n, n): torques at the coordinates from those at the joints."""
+        """C'^-1 (n, n), which maps torques at joints to u."""
         return np.asarray(np.linalg.inv(self.forward.T))
 
     def motion(self, joints: Array) -> Array:
-        """Return positions, velocities or accelerations (N, n) of u from those of q [rad, s; m]."""
+        """Return positions, velocities or accelerations (N, n) of u from q."""
         return np.asarray(joints @ self.forward.T)
 
     def torque(self, joints: Array) -> Array:
-        """Return torques (N, n) [N.m; N] at u, or regressor rows (N, n, P), from those at q."""
+        """Return torques (N, n), or regressor rows (N, n, P), at u from those at q."""
         return np.asarray(np.einsum("ij,kj...->ki...", self.backward, joints))
 
     def at_joints(self, torque: Array) -> Array:
-        """Return torques (N, n) [N.m; N] at the joints from those at u."""
+        """Return torques (N, n) at the joints from those at u."""
         return np.asarray(torque @ self.forward)
 
 
 def onto(coupling: Coupling | None, motion: Array) -> Array:
-    """Return the motion (N, n) of friction coordinates; that of the joints without a coupling."""
+    """Return the motion (N, n) of friction coordinates, of the joints if uncoupled."""
     return motion if coupling is None else coupling.motion(motion)

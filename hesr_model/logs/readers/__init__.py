@@ -1,1 +1,1 @@
-"""Readers of log files: tables with named columns, MATLAB files and ROS bags."""
+"""Readers of log files."""

@@ -1,4 +1,4 @@
-"""Samples from ROS bags: messages sensor_msgs/msg/JointState, read without ROS.
+"""ROS bags of sensor_msgs/msg/JointState, read without ROS.
 
 ROS 2 bags are folders or files of SQLite or MCAP, ROS 1 bags are ``.bag`` files.
 """
@@ -28,10 +28,10 @@ def is_bag(path: Path) -> bool:
 
 
 def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
-    """Read the joint states from one topic of a bag; raises LogError if that fails.
+    """Read the joint states from one topic of a bag; raises LogError.
 
     Messages may list joints in any order; those without all joints of the robot are skipped. Time
-    is that of the message stamps, from the first message used.
+    counts from the stamp of the first message used.
     """
     bag = robot.log.bag
     joints = bag.joints or robot.joints
@@ -71,7 +71,7 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Message:
-    """A message with its number on the topic, from 1, and its stamp [ns]."""
+    """A message, its number on the topic from 1, and its stamp [ns]."""
 
     number: int
     stamp: int
@@ -82,7 +82,7 @@ class _Message:
 
 
 def _messages(path: Path, topic: str) -> Iterator[_Message]:
-    if not (path.is_file() or path.is_dir()):  # a pipe or a device may have no end
+    if not (path.is_file() or path.is_dir()):  # a pipe may have no end
         raise LogError(f"{path}: no such log file.")
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise LogError(
@@ -114,7 +114,7 @@ def _messages(path: Path, topic: str) -> Iterator[_Message]:
                 )
     except LogError:
         raise
-    except Exception as error:  # the reader and its dependencies raise many kinds
+    except Exception as error:  # of many kinds
         reason = " ".join(str(error).split()).rstrip(".")
         raise LogError(f"{path}: cannot be read as a ROS bag ({reason}).") from error
 
@@ -154,7 +154,7 @@ def _missing_joints(where: str, joints: Sequence[str], messages: Sequence[_Messa
 def _values(
     where: str, messages: Sequence[_Message], joints: Sequence[str], field: str, *, missing: bool
 ) -> Array | None:
-    """Return one field of all joints, (N, n), or None if no message has it."""
+    """Return one field of all joints (N, n); None if no message has it."""
     if not any(len(getattr(message, field)) for message in messages):
         return None
     values = np.empty((len(messages), len(joints)))

@@ -1,4 +1,4 @@
-"""Samples from a table with named columns: CSV, Parquet, MATLAB."""
+"""Tables with named columns: CSV, Parquet, MATLAB."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from hesr_model.support.arrays import Array
 
 
 def read_columns(path: Path, robot: RobotDescription) -> LogSamples:
-    """Read the columns named by the robot file; errors as `Log.read`."""
+    """Read the columns that the robot file names; errors as `Log.read`."""
     columns = robot.log.columns
     is_matlab = path.suffix.lower() == ".mat"
     table = read_matlab(path, time=columns.t) if is_matlab else read_table(path)
@@ -34,7 +34,6 @@ def read_columns(path: Path, robot: RobotDescription) -> LogSamples:
 
 
 def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array:
-    """Return one quantity of all joints, (N, n)."""
     if isinstance(columns, str) and "{name}" not in columns:
         _require_joint_count(table, columns, len(robot.joints))
     missing = robot.log.missing == "drop"
@@ -42,7 +41,6 @@ def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array
 
 
 def _temperature(table: LogTable, robot: RobotDescription) -> Array | None:
-    """Return the temperatures (N, n) in the unit of the file; None without default columns."""
     columns = robot.log.columns.temperature
     there = set(column_names(columns, robot.joints)) & set(table.names)
     return None if columns == TEMPERATURES and not there else _joints(table, columns, robot)
@@ -66,7 +64,6 @@ def _require_joint_count(table: LogTable, pattern: str, n: int) -> None:
 
 
 def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:
-    """Return the torques, or currents if there are torque constants, and whether currents."""
     columns, gains = robot.log.columns, robot.log.torque_per_ampere
     torque = column_names(columns.tau, robot.joints)[0]
     current = column_names(columns.current, robot.joints)[0]

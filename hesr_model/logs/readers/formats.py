@@ -1,6 +1,6 @@
-"""Formats of log files: those of other packages, then HESR's own.
+"""Formats of log files.
 
-A package adds a `FileFormat` as entry point of the group `hesr.logs`
+Other packages add a `FileFormat` as entry point of the group `hesr.logs`
 (`docs/add-a-log-format.md`).
 """
 
@@ -37,12 +37,12 @@ class FileFormat:
 
 BAG = FileFormat(name="ROS bag", recognises=is_bag, read=read_bag)
 COLUMNS = FileFormat(name="table", recognises=lambda _: True, read=read_columns)
-"""Fallback that accepts every file: CSV, Parquet and MATLAB."""
+"""Fallback for every file: CSV, Parquet and MATLAB."""
 
 
 @cache
 def formats() -> tuple[FileFormat, ...]:
-    """Return all formats in order of precedence."""
+    """Return all formats in order of precedence, those of other packages first."""
     found = {plugin: plugin.load() for plugin in plugins.load(GROUP).values()}
     for plugin, value in found.items():
         if not isinstance(value, FileFormat):

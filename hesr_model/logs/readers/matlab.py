@@ -1,7 +1,4 @@
-"""MATLAB files: every vector, and every column of a matrix, that is as long as the time.
-
-SciPy reads versions 5 to 7. Version 7.3 is HDF5 with transposed matrices and needs h5py.
-"""
+"""MATLAB files; version 7.3 is HDF5 with transposed matrices and needs h5py."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,16 +11,14 @@ from hesr_model.logs.readers.matlab_elements import require_sound
 from hesr_model.logs.tables import LogTable, listed, most_bytes, table_of
 from hesr_model.support.arrays import Array
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-"""Signature after MATLAB's header of 512 bytes."""
+_HDF5 = b"\x89HDF\r\n\x1a\n"  # after a header of 512 bytes
 
 
 def read_matlab(path: Path, *, time: str) -> LogTable:
-    """Open a MATLAB file as a table as long as the vector `time`; raises LogError if that fails.
+    """Open a MATLAB file as a table as long as the vector `time`; raises LogError.
 
-    A matrix ``q`` of N rows (or N columns, or 1 x n x N as Simulink writes) gives the columns
-    ``q1``, ``q2``, .., a vector ``t`` the column ``t``; struct fields are named as in MATLAB,
-    ``log.t``, ``out.signals(2).values1``.
+    A matrix ``q`` of N rows or columns (also 1 x n x N as of Simulink) gives ``q1``, ``q2``, ..;
+    fields are named as in MATLAB, ``log.t``, ``out.signals(2).values1``.
     """
     if not path.is_file():
         raise LogError(f"{path}: no such log file.")
@@ -55,7 +50,7 @@ def _described(name: str, array: Array) -> str:
 
 
 def _classic(path: Path) -> Iterator[tuple[str, Array]]:
-    """Return the numeric arrays of versions 5 to 7, without axes of length 1."""
+    """Return the numeric arrays of versions 5 to 7."""
     from scipy.io import loadmat
 
     try:
@@ -63,7 +58,7 @@ def _classic(path: Path) -> Iterator[tuple[str, Array]]:
         content = loadmat(path, simplify_cells=True)
     except OverflowError as error:
         raise _too_large(path) from error
-    except Exception as error:  # SciPy raises many kinds for a broken file
+    except Exception as error:  # of many kinds
         raise LogError(f"{path}: cannot be read as a MATLAB file.") from error
     return _numeric({k: v for k, v in content.items() if not k.startswith("__")}, "")
 
@@ -89,7 +84,7 @@ def _numeric(value: Any, name: str) -> Iterator[tuple[str, Array]]:
 
 
 def _hdf5(path: Path) -> Iterator[tuple[str, Array]]:
-    """Return the numeric arrays of version 7.3, without axes of length 1."""
+    """Return the numeric arrays of version 7.3."""
     try:
         import h5py
     except ModuleNotFoundError as error:
@@ -102,7 +97,7 @@ def _hdf5(path: Path) -> Iterator[tuple[str, Array]]:
     left = most_bytes(path)
 
     def visit(name: str, item: Any) -> None:
-        # Characters are numbers in HDF5; '#refs#' holds the targets of references in struct arrays.
+        # Characters are numbers; '#refs#' holds targets of references in struct arrays.
         if isinstance(item, h5py.Dataset) and not name.startswith("#"):
             is_number = item.attrs.get("MATLAB_class", b"") not in (b"char", b"cell")
             if is_number and item.dtype.kind in "fiu" and "MATLAB_empty" not in item.attrs:
@@ -118,6 +113,6 @@ def _hdf5(path: Path) -> Iterator[tuple[str, Array]]:
             file.visititems(visit)
     except LogError:
         raise
-    except Exception as error:  # h5py raises many kinds for a broken file
+    except Exception as error:  # of many kinds
         raise LogError(f"{path}: cannot be read as a MATLAB file.") from error
     return iter(found)

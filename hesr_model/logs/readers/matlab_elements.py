@@ -1,7 +1,6 @@
-"""Elements of MATLAB files of versions 5 to 7, checked before SciPy reads them.
+"""Elements of MATLAB files up to version 7, checked because SciPy may crash or unpack a bomb.
 
-An unknown type or deep nesting crashes SciPy, and packed data may be a bomb. Format: MathWorks,
-"MAT-File Format", chapter on level 5.
+Format: MathWorks, "MAT-File Format", chapter on level 5.
 """
 
 import struct
@@ -22,10 +21,7 @@ _DEEPEST = 50  # nesting of matrices in structs and cells
 
 
 def require_sound(path: Path, most: int) -> None:
-    """Check all elements of a file that is not HDF5, or all matrices of a file of version 4.
-
-    Raises ValueError for an invalid element, OverflowError if packed data exceed `most` [B].
-    """
+    """Check a file; raises ValueError, or OverflowError for more than `most` [B] of packed data."""
     if path.stat().st_size < _HEADER:
         return
     content = np.memmap(path, dtype=np.uint8, mode="r").data
@@ -47,14 +43,11 @@ def require_sound(path: Path, most: int) -> None:
 
 
 def _require_version_4(content: memoryview) -> None:
-    """Check the matrices of a file of version 4: a header, a name and numbers each."""
     place = 0
     while place < len(content):
         if place + 20 > len(content):
             raise ValueError("a matrix is cut off")
-        little = (
-            struct.unpack_from("<I", content, place)[0] < 5000
-        )  # the first number encodes the byte order
+        little = struct.unpack_from("<I", content, place)[0] < 5000  # the byte order
         header = struct.unpack_from(f"{'<' if little else '>'}IiiII", content, place)
         digits, rows, columns, imaginary, name = header
         size = _SIZES.get(digits // 10 % 10)
@@ -81,7 +74,7 @@ def _require_element(content: memoryview, place: int, order: Order, depth: int) 
     if place + 8 > len(content):
         raise ValueError("an element is cut off")
     kind, length = struct.unpack_from(f"{order}II", content, place)
-    if kind >> 16:  # short element: length in the upper half, data in the tag
+    if kind >> 16:  # short: length in the upper half, data in the tag
         kind, length, start, after = kind & 0xFFFF, kind >> 16, place + 4, place + 8
         if length > 4:
             raise ValueError("a short element is long")
