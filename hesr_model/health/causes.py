@@ -1,7 +1,7 @@
-"""Causes: mistakes in a robot file that explain the torques better than the file as it is.
+"""Mistakes in a robot file that explain the torques better than the file as it is.
 
-The logs are corrected for a mistake, then the rigid body of the model file and friction are fitted
-to the torques. Gravity, inertia and friction have non-negative weights, so wrong signs and swapped
+With the logs corrected for a mistake, the rigid body of the model file and friction are fitted to
+the torques. Gravity, inertia and friction have non-negative weights, so wrong signs and swapped
 columns fit badly.
 """
 
@@ -19,22 +19,16 @@ from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Mask
 
-_ROWS = 450
-"""Number of rows, of all logs together, for testing hypotheses."""
-_BETTER = 2.0
-"""Minimum reduction factor of the unexplained torque on the joint that a correction helps most."""
-_NO_WORSE = 1.25
-"""Largest allowed growth of the unexplained torque of any other joint."""
-_EXPLAINED = 0.6
-"""Minimum R^2 after the correction where it helps."""
-_CLEARLY = 1.05
-"""Minimum advantage factor over a simpler mistake."""
-_MOST = 8
-"""Largest number of mistakes searched one after another."""
+_ROWS = 450  # of all logs together
+_BETTER = 2.0  # minimum reduction factor of the unexplained torque on a corrected joint
+_NO_WORSE = 1.25  # largest growth of the unexplained torque of other joints
+_EXPLAINED = 0.6  # minimum R^2 after the correction
+_CLEARLY = 1.05  # minimum advantage factor over a simpler mistake
+_MOST = 8  # mistakes searched one after another
 
 
 def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> CandidateRows:
-    """Take the same number of rows (N, n) from each log; `gravity` is (3,) [m/s2]."""
+    """Take the same number of rows from each log; `gravity` is (3,) [m/s2]."""
     each = [motion.thinned(max(_ROWS // len(motions), 60)) for motion in motions]
     q, v, a, tau = (
         np.concatenate([getattr(motion, name) for motion in each])
@@ -96,7 +90,7 @@ def _best(
 
 
 def _either(best: Mistake) -> str:
-    """Return a remedy that names both possible signs, which the logs cannot distinguish."""
+    """Return a remedy with both possible signs, which the logs cannot distinguish."""
     if best.check != "torque-sign":
         return best.remedy
     return best.remedy.replace(
@@ -107,7 +101,7 @@ def _either(best: Mistake) -> str:
 
 
 def _unexplained(rows: CandidateRows, model: Robot, moves: Mask) -> Array:
-    """Return the unexplained share (n,) of the torques' deviation; 1 for joints at rest."""
+    """Return the unexplained share (n,) of the torques' deviation; 1 at rest."""
     torques, logged = torques_of(rows, model), model.description.logged
     torques, v = torques.at(logged) if logged else torques, onto(logged, rows.v)
     left = np.ones(rows.q.shape[1])

@@ -1,4 +1,4 @@
-"""Evidence for the checks: velocities derived from positions, torques of the model."""
+"""Velocities derived from positions, and torques of the model."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,22 +14,19 @@ from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array, Mask, some_rows
 
-_LEAST_TRAVEL = 5e-3
-"""Travel below which a joint counts as resting [rad or m]."""
+_LEAST_TRAVEL = 5e-3  # of a joint that moves [rad or m]
 
-_ROWS = 4000
-"""Maximum number of rows examined per log."""
+_ROWS = 4000  # per log
 
-_KNEE = 0.1
-"""Smoothing speed of the velocity's sign [rad/s, m/s]; at most a quarter of the peak speed."""
+_KNEE = 0.1  # smoothing speed of the velocity's sign [rad/s, m/s]; at most a quarter of the peak
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motionwise:
     """One part of a log, smoothed, (N, n) each.
 
-    Velocity `v` and acceleration `a` are derivatives of the position q; `dq` is the logged velocity
-    with the same smoothing, None if the log has none. `log` is the part as read.
+    `v` and `a` are derivatives of the position q; `dq` is the logged velocity, also smoothed, if
+    any.
     """
 
     log: Log
@@ -42,7 +39,7 @@ class Motionwise:
 
     @cached_property
     def moves(self) -> Mask:
-        """Joints (n,) that move, by travel [rad; m] and speed [rad/s; m/s]."""
+        """Joints (n,) that move."""
         speed = np.max(np.abs(self.v), axis=0)
         return np.asarray((np.ptp(self.q, axis=0) > _LEAST_TRAVEL) & (speed > LEAST_PEAK))
 
@@ -53,7 +50,7 @@ class Motionwise:
 
 
 def motionwise(log: Log, cutoff: float) -> list[Motionwise]:
-    """Smooth the parts of a log; skip parts that are too short for the low pass."""
+    """Smooth the parts of a log, but for those too short for the low pass."""
     made = []
     for part in log.parts():
         try:
@@ -79,24 +76,21 @@ def motionwise(log: Log, cutoff: float) -> list[Motionwise]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Torques:
-    """Torques of the model along a motion, (N, n) [N.m; N].
-
-    `gravity` lacks its mean, which a sensor offset would absorb; `inertial` is due to the motion.
-    """
+    """Torques of the model along a motion (N, n); the mean of `gravity` may be an offset."""
 
     gravity: Array
     inertial: Array
 
     @classmethod
     def of(cls, model: Robot, q: Array, v: Array, a: Array) -> "Torques":
-        """Evaluate the model file along q, v, a, (N, n) each [rad, rad/s, rad/s2]."""
+        """Evaluate the model file along q, v, a (N, n)."""
         nothing = np.zeros_like(q)
         gravity = model.torque(model.nominal_parameters, q, nothing, nothing)
         whole = model.torque(model.nominal_parameters, q, v, a)
         return cls(gravity=gravity - gravity.mean(axis=0), inertial=whole - gravity)
 
     def at(self, coupling: Coupling) -> "Torques":
-        """Transform the torques from joint coordinates to coupled coordinates."""
+        """Transform torques of joints to coupled coordinates."""
         return Torques(
             gravity=coupling.torque(self.gravity), inertial=coupling.torque(self.inertial)
         )
@@ -105,7 +99,7 @@ class Torques:
 def as_logged(
     motion: Motionwise, torques: Torques, coupling: Coupling | None
 ) -> tuple[Motionwise, Torques]:
-    """Transform velocities and torques to the logged coordinates if motors were logged.
+    """Transform velocities and torques to motors if these were logged.
 
     If a motor turns several joints, a mistake in its column shows at the motor only.
     """
@@ -116,7 +110,7 @@ def as_logged(
 
 
 def rubbing(v: Array) -> Array:
-    """Return the shape of Coulomb and viscous friction over `v` (N,) [rad/s], equally weighted."""
+    """Return Coulomb and viscous friction over `v` (N,) [rad/s], equally weighted."""
     peak = float(np.max(np.abs(v))) or 1.0
     return np.asarray(np.tanh(v / min(_KNEE, 0.25 * peak)) + v / peak)
 
@@ -139,7 +133,7 @@ class JointTorque:
     """Regression of one joint's torque on the model and friction.
 
     `gravity` and `inertia` are measured over modelled torque; a URDF has no rotor inertias.
-    `friction` [N.m] is in phase with the velocity. The sizes, `residual` and `deviation` (of the
+    `friction` [N.m] is in phase with the velocity. Sizes, `residual` and `deviation` (of the
     torque) are standard deviations [N.m].
     """
 
@@ -158,7 +152,7 @@ class JointTorque:
 
     @property
     def bears_gravity(self) -> bool:
-        """Whether gravity, of the model or as estimated, is well above the residual."""
+        """Whether gravity, modelled or estimated, is well above the residual."""
         size = self.gravity_size * max(1.0, abs(self.gravity.value))
         return self.gravity_size > 1e-6 and size > 2.0 * self.residual
 

@@ -30,16 +30,11 @@ CHECKS = (
     *("torque-scale", "torque-signal", "torque-lag", "torque-limit", "torque-small"),
     *("torque-columns", "position-sign", "joint-order", "zero", "gravity", "gravity-sign"),
 )
-"""Names of all checks of logs."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Examination:
-    """Results of the checks.
-
-    `findings` shared by several logs are merged, errors first. `torques` of the model and
-    `explained` are by part of a log, empty without a model.
-    """
+    """Findings, errors first, with torques and their regression by part, empty without a model."""
 
     findings: tuple[Finding, ...]
     parts: tuple[Motionwise, ...]
@@ -48,10 +43,9 @@ class Examination:
 
 
 def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -> Examination:
-    """Check logs one by one, against the model of the robot, and together for common causes.
+    """Check logs one by one, against the model (if any), and together for common causes.
 
-    Without `model`, torques and limits are not checked. Raises LogError if a log is too slow or too
-    short for the low pass, and its time stamps do not explain it.
+    Raises LogError for a log too slow or short for the low pass, unless its time stamps explain it.
     """
     findings: list[Finding] = []
     parts: list[Motionwise] = []
@@ -142,7 +136,7 @@ def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
 def checked(logs: Sequence[Log], model: Robot, accepted: Sequence[str] = ()) -> list[Finding]:
     """Check logs before use; return warnings and accepted errors.
 
-    Raises HealthError with all errors that are not `accepted`, ConfigError if that names no check.
+    Raises HealthError for other errors, ConfigError if `accepted` names no check.
     """
     require_known(accepted, CHECKS)
     return require_sound(examine(logs, model.description, model).findings, accepted)

@@ -1,4 +1,4 @@
-"""Gaps of the excitation: effects that the motion of the logs does not show."""
+"""Effects that the motion of the logs does not show."""
 
 from collections.abc import Iterator, Sequence
 
@@ -7,17 +7,14 @@ import numpy as np
 from hesr_model.health.examine import Examination
 from hesr_model.logs.phases import moving, reversals
 
-_RESTS = 0.02
-"""Share of rows at rest below which stiction is hardly visible."""
+_RESTS = 0.02  # share of rows at rest below which stiction is hardly visible
 _REVERSALS = 4
-_SLOW, _SLOWLY = 0.1, 0.05
-"""Share of the peak speed that counts as slow, and the share of slow rows needed."""
-_LOAD = 0.5
-"""Ratio of gravity to friction below which load-dependent friction is not visible."""
+_SLOW, _SLOWLY = 0.1, 0.05  # slow, as share of the peak speed, and the share of slow rows needed
+_LOAD = 0.5  # gravity over friction below which load-dependent friction is not visible
 
 
 def unseen(examination: Examination, joints: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield each joint with an effect that the logs do not show, in a few words."""
+    """Yield each joint with an effect that the logs do not show."""
     for j, joint in enumerate(joints):
         parts = [k for k, part in enumerate(examination.parts) if part.moves[j]]
         if not parts:

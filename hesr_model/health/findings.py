@@ -8,7 +8,7 @@ from hesr_model.findings import Finding, errors_first
 
 
 class HealthError(LogError):
-    """Impossible data; one line per finding."""
+    """Impossible data, a line per finding."""
 
     def __init__(self, said: str, findings: Sequence[Finding]) -> None:
         super().__init__(said)
@@ -45,7 +45,7 @@ def merged(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> list[Finding]:
-    """Return all findings, or raise HealthError if there are errors that are not accepted."""
+    """Return all findings, or raise HealthError with errors that are not accepted."""
     refused = [f for f in findings if f.severity == "error" and f.check not in accepted]
     if refused:
         raise HealthError(_said(refused), refused)

@@ -13,14 +13,11 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 CHECKS = ("mass-matrix", "negative-friction", "no-better-than-nothing", "bound", "other-robot")
-"""Names of the checks of results."""
 
 _STATES = 60
-_NOTHING = 0.95
-"""Ratio of a law's error to friction's deviation above which it explains nothing."""
+_NOTHING = 0.95  # a law's error over friction's deviation above which it explains nothing
 _AT_BOUND = 0.01
-_NEGATIVE = 0.5
-"""Negative Coulomb friction below this share of the residual may be zero."""
+_NEGATIVE = 0.5  # share of the residual below which negative Coulomb friction may be zero
 
 
 def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
@@ -99,7 +96,7 @@ def check_laws(
 def check_owner(model: FrictionModel, robot: Robot) -> Iterator[Finding]:
     """Check that a law is evaluated on the robot it was fitted to."""
     own = robot.description
-    if model.robot != own.name and model.joints == own.joints:  # other joints are refused elsewhere
+    if model.robot != own.name and model.joints == own.joints:  # else refused elsewhere
         yield Finding(
             check="other-robot",
             severity="warning",

@@ -10,17 +10,12 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers
 
-_SKIPPED = 0.05
-"""Allowed share of steps between gaps that are longer than 1.8 periods."""
-_UNCERTAIN = 0.03
-"""Allowed uncertainty of the sliding torque (two standard deviations, relative)."""
-_SPEEDS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0])
-"""Shares of a joint's peak speed between which friction is interpolated linearly."""
-_JUDGED = (0.1, 0.7)
-"""Range of these shares that is judged: the joint slides for more than an instant."""
+_SKIPPED = 0.05  # allowed share of steps longer than 1.8 periods
+_UNCERTAIN = 0.03  # allowed uncertainty of the sliding torque (two standard deviations, relative)
+_SPEEDS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0])  # shares of the peak speed
+_JUDGED = (0.1, 0.7)  # range of these shares where the joint slides for more than an instant
 _SPLITS = 16
-_HALF_WAY = 0.2
-"""Share of the slowest interval within which friction changes its sign."""
+_HALF_WAY = 0.2  # share of the slowest interval in which friction changes its sign
 
 
 def share_of_long_steps(log: Log) -> float:
@@ -38,8 +33,8 @@ def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[F
     """Check that the remaining rows determine the sliding torque of each joint.
 
     The standard deviation follows from estimates with random halves of the remaining rows: the
-    variance of their difference is four times that of the estimate from all rows, and lost rows
-    account for their share of it.
+    variance of their difference is four times that with all rows, and lost rows cause their share
+    of it.
     """
     if not loses_rows(motion.log):
         return

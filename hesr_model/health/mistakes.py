@@ -13,18 +13,16 @@ from hesr_model.logs.log_format import column_names
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask
 
-_SIGNAL = 0.8
-"""Unexplained share of a torque above which it is not used to find gravity."""
+_SIGNAL = 0.8  # unexplained share of a torque above which it does not show gravity
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _EARTH = 9.81
-"""Gravity of the earth [m/s2]."""
 _SNAP = np.radians(12.0)
 _TILTED = np.radians(20.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CandidateRows:
-    """Rows of several logs, (N, n) each [rad, rad/s, rad/s2, N.m], and their gravity (3,) [m/s2].
+    """Rows of several logs (N, n), and their gravity (3,) [m/s2].
 
     Torques are as logged; those of motors are divided by the gear ratios.
     """
@@ -38,7 +36,7 @@ class CandidateRows:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mistake:
-    """A hypothesis: check, joint, remedy, changes of the robot file, and the corrected rows."""
+    """A hypothesis, the changes of the robot file that it needs, and the corrected rows."""
 
     check: str
     joint: int
@@ -178,7 +176,7 @@ def _moved_zeros(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterat
 
 
 def _gravity(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
-    """Yield the gravity that the torques show if it differs from that of the robot file."""
+    """Yield the gravity that the torques show if it is not that of the robot file."""
     by_axis, inertial, v = _by_axis(rows.q, model), torques_of(rows, model).inertial, rows.v
     if (logged := model.description.logged) is not None:
         by_axis = np.array([logged.torque(one) for one in by_axis])

@@ -12,21 +12,14 @@ from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
 from hesr_model.units import OTHERS
 
-_PERIODS = (5e-5, 0.9)
-"""Plausible sample periods [s]; 1 s would be 1 kHz in undeclared milliseconds."""
+_PERIODS = 5e-5, 0.9  # plausible sample periods [s]; 1 s would be 1 kHz in undeclared ms
 _TURN = 2.0 * np.pi
-_SPIKE = 40.0
-"""Distance of a spike from its neighbours, relative to the usual distance in the log."""
-_LEAST_SPIKE = 0.02
-"""Smallest spike [rad or m]."""
-_BEYOND = 0.05
-"""Allowed excess of positions over a limit of the model [rad or m]."""
-_COARSE, _FEW = 8e-4, 20
-"""Smallest reported position step [rad or m], and the number of steps needed."""
-_SATURATED = 0.01
-"""Share of rows at the largest torque above which it is a limit of the drive."""
-_LEVELS = 200
-"""Minimum number of distinct values of a torque that is not coarsely quantised."""
+_SPIKE = 40.0  # distance of a spike from its neighbours over the usual one
+_LEAST_SPIKE = 0.02  # [rad or m]
+_BEYOND = 0.05  # allowed excess over a limit [rad or m]
+_COARSE, _FEW = 8e-4, 20  # smallest reported position step [rad or m], and steps needed
+_SATURATED = 0.01  # share of rows at the largest torque above which it is a limit of the drive
+_LEVELS = 200  # distinct values of a finely quantised torque
 _LONG_RUN = 5
 
 
@@ -217,7 +210,7 @@ def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Findi
 
 
 def _saturated(tau: Array) -> float:
-    """Return the share of rows (N,) at the largest magnitude, if such rows are consecutive."""
+    """Return the share of rows at the largest magnitude, if consecutive."""
     top = np.abs(tau) >= np.max(np.abs(tau))
     run = np.convolve(top, np.ones(_LONG_RUN), mode="same")
     fine = len(np.unique(tau)) > _LEVELS

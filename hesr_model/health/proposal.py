@@ -23,8 +23,7 @@ from hesr_model.logs.tables import LogTable, read_table
 from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, description_of
 
 _ROUNDS = 4
-_CUTOFF_SHARE = 0.3
-"""Largest cut-off of the low pass, relative to the sample rate."""
+_CUTOFF_SHARE = 0.3  # largest cut-off of the low pass over the sample rate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,8 +31,7 @@ class Proposal:
     """A robot description, and the logs read with it.
 
     `reasons` has certainty and reason by key, as ``log.units.q``; `first` the findings with the
-    description as given or guessed; `sliding` the indices of the sliding joints, empty without a
-    model.
+    description as given or guessed; `sliding` the sliding joints, empty without a model.
     """
 
     robot: RobotDescription
@@ -58,8 +56,7 @@ def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal
 def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> Proposal:
     """Find a robot description that reads the logs and passes the checks, or raise LogError.
 
-    `robot` is the known part: model, joints and log format. Unless `known`, there is no model file,
-    and logs are checked against themselves.
+    Unless `known`, the robot has no model file, and logs are checked against themselves.
     """
     reasons: dict[str, str] = {}
     stated = robot.log.torque_per_ampere is not None
@@ -90,7 +87,7 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
 
 
 def open_table(path: Path, time: str) -> LogTable | None:
-    """Open a log as a table of named columns; return None for formats without names."""
+    """Open a log as a table of named columns; None for formats without names."""
     if format_of(path) is not COLUMNS or not path.is_file():
         return None
     return read_matlab(path, time=time) if path.suffix.lower() == ".mat" else read_table(path)
@@ -262,13 +259,11 @@ def _toml(value: Any) -> str:
         return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }"
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(_toml, value))}]"
-    return json.dumps(
-        value, ensure_ascii=False
-    )  # JSON and TOML agree on numbers, booleans and strings
+    return json.dumps(value, ensure_ascii=False)  # as in TOML
 
 
 def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of a table of all moving joints of all logs, as text."""
+    """Yield the rows of a table of all moving joints of all logs."""
     examination = proposal.examination
     names = [part.log.name for part in examination.parts]
     for k, part in enumerate(examination.parts):

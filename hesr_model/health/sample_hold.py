@@ -10,22 +10,14 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array, Mask
 
-_WINDOW = 0.1
-"""Window for the speed of a raw position [s]."""
-_MOVES = 0.05
-"""Speed above which a joint moves [rad/s; m/s]."""
-_LEVELS = 200
-"""Minimum number of distinct values of a signal that is not coarsely quantised."""
-_HELD = 0.3
-"""Share of rows equal to the row before above which samples are held."""
-_STUCK, _STUCK_ROWS = 0.3, 15
-"""Duration [s] and number of rows after which a constant signal of a moving joint is stuck."""
-_RARE, _MOVING = 10.0, 0.25
-"""Length relative to most other runs of equal values; share of the run that is in motion."""
-_SPIKE = 3.0
-"""Size of a torque spike relative to the range of the other rows."""
-_TOO_FAST = 1.3
-"""Allowed speed relative to the model's limit; drives exceed it slightly."""
+_WINDOW = 0.1  # for the speed of a raw position [s]
+_MOVES = 0.05  # speed of a moving joint [rad/s; m/s]
+_LEVELS = 200  # distinct values of a finely quantised signal
+_HELD = 0.3  # share of rows equal to the row before
+_STUCK, _STUCK_ROWS = 0.3, 15  # duration [s] and rows of a constant signal while the joint moves
+_RARE, _MOVING = 10.0, 0.25  # length of a stuck run over that of others, its share in motion
+_SPIKE = 3.0  # size of a torque spike over the range of the other rows
+_TOO_FAST = 1.3  # speed over the model's limit; drives exceed it slightly
 
 
 def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:

@@ -23,35 +23,27 @@ from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array
 
-_ROWS = 700
-"""Maximum number of rows examined per log."""
-_WIDTHS = np.array([5e-4, 2e-3, 8e-3, 3.2e-2])
-"""Break-away deflections of the Prandtl stops [rad or m]."""
-_LATEST, _STEP, _LATE = 0.25, 0.01, 0.06
-"""Torque delays searched, search step, and reporting threshold [s]."""
-_SMOOTH = 0.05
-"""Averaging window of a torque before it is shifted [s]."""
+_ROWS = 700  # per log
+_WIDTHS = np.array([5e-4, 2e-3, 8e-3, 3.2e-2])  # break-away deflections of stops [rad or m]
+_LATEST, _STEP, _LATE = 0.25, 0.01, 0.06  # searched delays, search step, reported delay [s]
+_SMOOTH = 0.05  # averaging window of a torque before it is shifted [s]
 _EARLY, _ALONE = 0.1, 0.1
 """Reporting thresholds [s] for an early median lag and for a single late joint.
 
 On measured logs friction alone looks early by .05 s on most joints, and late by .06 s on one.
 """
-_SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)
-"""Scales of the inertial torque relative to gravity: squared rates of the time stamps."""
-_OFF = 1.4
-"""Reporting threshold for the factor of a wrong time-stamp rate."""
-_SURE = 25.0
-"""Threshold for twice the log-likelihood ratio: five standard errors."""
-_SHORTEST = 8.0
-"""Minimum duration of a log, relative to the largest delay."""
+_SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)  # of the inertial torque: squared rates of stamps
+_OFF = 1.4  # reported factor of a wrong time-stamp rate
+_SURE = 25.0  # threshold for twice the log-likelihood ratio: five standard errors
+_SHORTEST = 8.0  # minimum duration of a log over the largest delay
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LagRows:
-    """Rows of one part of a log with the regressors of its torques, in logged coordinates.
+    """Regressors of the torques in one part of a log, in logged coordinates.
 
-    `still` and `moving` (N, n, P) are the regressor of the body at rest and the part due to motion.
-    `rubs` (N, K) of each joint is friction with memory, and an offset.
+    `still` and `moving` (N, n, P) are those of the body at rest and of its motion. `rubs` (N, K) of
+    each joint is friction with memory, and an offset.
     """
 
     t: Array
@@ -80,7 +72,7 @@ class LagRows:
 
 
 def _rubs(u: Array, v: Array) -> Array:
-    """Return friction of several shapes (N, K) along a position u (N,) [rad; m] with velocity v."""
+    """Return friction of several shapes (N, K) along a position u (N,) with velocity v."""
     stops = _stops().over([np.diff(u, prepend=u[0])], np.ones_like(u))
     start = np.full(len(_WIDTHS), np.sign(v[0]))
     held = stops.at(np.zeros(0), start, settled=True)
@@ -89,7 +81,7 @@ def _rubs(u: Array, v: Array) -> Array:
 
 @cache
 def _stops() -> Kernel:
-    """Return Prandtl stops of several break-away deflections, moved by displacements."""
+    """Return Prandtl stops of several deflections, moved by displacements."""
     displacement = sympy.Symbol("displacement", real=True)
     stops = [
         Stop(name=f"stop_{k}", unit="1", velocity=displacement, deflection=width, bound=1)
@@ -103,8 +95,7 @@ def check_clocks(
 ) -> Iterator[Finding]:
     """Check the time-stamp rate of a part of a log, and the lag of its torques.
 
-    The `part` is at the joints, and `logged` in logged coordinates; only the torques of `joints`
-    contain a signal.
+    Only the torques of `joints` contain a signal.
     """
     if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
         return
@@ -146,7 +137,7 @@ def _wrong_rate(rate: float, robot: RobotDescription, logs: tuple[str, ...]) -> 
 
 def delay(rows: LagRows, j: int, t: Array, tau: Array) -> tuple[float, float]:
     """Return the lag of a joint's torque [s], and twice its log-likelihood ratio against no lag."""
-    from scipy.ndimage import uniform_filter1d  # slow to import
+    from scipy.ndimage import uniform_filter1d
 
     inner = (rows.t >= t[0] + _LATEST) & (rows.t <= t[-1] - _LATEST)
     shifts = np.arange(-_LATEST, _LATEST + 0.5 * _STEP, _STEP)
@@ -176,7 +167,7 @@ def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> t
         body = left[:, 1 : 1 + count] + left[:, 1 + count :]
         parts.append(left / max(float(np.std(_project_out(body, left[:, :1]))), 1e-12))
     table = np.concatenate(parts)
-    # The triangular factor contains everything that least squares needs.
+    # Least squares needs only the triangular factor.
     corner = np.asarray(np.linalg.qr(table, mode="r"))
     left = np.stack([table[:, 0] - _bodies(table, s) @ _fitted(corner, s) for s in _SCALES], axis=1)
     best = int(np.argmin(np.sum(left**2, axis=0)))

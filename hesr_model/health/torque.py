@@ -1,7 +1,7 @@
 """Torque checks against motion and model: signs, scales, signal.
 
-Each check regresses the torque of one joint in one log on the gravity and inertial torque of the
-model file and on friction; standard errors account for autocorrelation.
+The torque of one joint in one log is regressed on the gravity and inertial torque of the model file
+and on friction; standard errors account for autocorrelation.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -13,22 +13,14 @@ from hesr_model.health.evidence import JointTorque, Motionwise, Torques, explain
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.units import backwards, unit_of_joint
 
-_SURE = 5.0
-"""Significance threshold for a sign, in standard errors."""
-_SCALE = 3.0
-"""Plausible factor between measured and modelled gravity; real arms have .6 to 1.5."""
-_EXPLAINED = 0.8
-"""Minimum R^2 for a scale estimate to be trusted."""
-NO_SIGNAL = 0.35
-"""R^2 below which model and friction explain next to nothing."""
-_EXACT = 0.1
-"""Residual share below which torques without friction cannot have been measured."""
-_SEEN = 0.5
-"""Minimum gravity torque, relative to the residual, for its sign to be reported."""
-_WEIGHTLESS = 0.1
-"""Share of the model's gravity below which a torque contains none."""
-_ABOVE_LIMIT, _BELOW_OTHERS = 10.0, 30.0
-"""Reporting thresholds: multiple of a model's torque limit, and of the other joints' use of it."""
+_SURE = 5.0  # significance threshold in standard errors
+_SCALE = 3.0  # plausible factor between measured and modelled gravity; real arms have .6 to 1.5
+_EXPLAINED = 0.8  # minimum R^2 for a scale estimate
+NO_SIGNAL = 0.35  # R^2 below which model and friction explain next to nothing
+_EXACT = 0.1  # residual share below which torques without friction were not measured
+_SEEN = 0.5  # minimum gravity torque over the residual to judge its sign
+_WEIGHTLESS = 0.1  # share of the model's gravity below which a torque contains none
+_ABOVE_LIMIT, _BELOW_OTHERS = 10.0, 30.0  # peak torque over the model's limit; others' use over own
 
 Explained = Mapping[int, JointTorque]
 """Regression of the torque of each moving joint, by its index."""

@@ -13,20 +13,13 @@ from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array, Integers
 from hesr_model.units import OTHERS, TURNING, backwards
 
-_ALIKE = 0.9
-"""Correlation below which a velocity does not belong to its position."""
-_SURE = 5.0
-"""Significance threshold in standard errors."""
-_WRONG, _ODD = 0.1, 0.03
-"""Scale errors that are an error and a warning."""
-_SAME = 0.04
-"""Tolerance for recognising the factor of a unit."""
-_LATE = 0.02
-"""Reporting threshold for the lag of a velocity [s]."""
-_LATEST = 0.3
-"""Largest lag searched [s]."""
-_TURNS = 4.0 * np.pi
-"""Travel that joints of arms do not exceed [rad]."""
+_ALIKE = 0.9  # correlation below which a velocity does not belong to its position
+_SURE = 5.0  # significance threshold in standard errors
+_WRONG, _ODD = 0.1, 0.03  # scale errors that are an error and a warning
+_SAME = 0.04  # tolerance for the factor of a unit
+_LATE = 0.02  # reporting threshold for the lag [s]
+_LATEST = 0.3  # largest lag searched [s]
+_TURNS = 4.0 * np.pi  # travel that joints of arms do not exceed [rad]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +47,7 @@ def _correlation(a: Array, b: Array) -> float:
 
 
 def _lag(v: Array, dq: Array, period: float) -> float:
-    """Return the lag of dq [s]: the peak of the cross-correlation of both, (N,)."""
+    """Return the lag of dq [s], at the peak of the cross-correlation."""
     most = min(int(_LATEST / period), len(v) // 4)
     if most < 1 or np.std(v) < 1e-12 or np.std(dq) < 1e-12:
         return 0.0
@@ -98,7 +91,7 @@ def check_velocity(
 
 def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
     """Return for each moving joint the joint whose dq column belongs to its position."""
-    from scipy.optimize import linear_sum_assignment  # slow to import
+    from scipy.optimize import linear_sum_assignment
 
     assert motion.dq is not None
     table = np.array(

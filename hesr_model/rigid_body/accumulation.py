@@ -37,8 +37,8 @@ from hesr_model.support.arrays import Array
 class Streamed:
     """The growing stacked problem of a robot.
 
-    Rows of a friction coordinate below its speed `slow` (n,) [rad/s] are dropped. The right speeds
-    follow from the peak speeds of all motions, known only at the end; then check `fits`.
+    Rows slower than `slow` (n,) [rad/s] are dropped. The right speeds follow from the peak speeds
+    of all motions, known only at the end; then check `fits`.
     """
 
     def __init__(self, model: Robot, slow: Array | None = None) -> None:
@@ -58,11 +58,11 @@ class Streamed:
 
     @property
     def fits(self) -> bool:
-        """Whether those rows were dropped; if not, add the motions again with `wanted`."""
+        """Whether those rows were dropped; if not, add the motions again with these speeds."""
         return np.array_equal(self.slow, self._used)
 
     def add(self, motion: Motion) -> None:
-        """Add the rows of a motion (N, n)."""
+        """Add the rows of a motion."""
         self._peaks = np.maximum(
             self._peaks, np.max(np.abs(rubbing_speeds([motion], self._model)), axis=0)
         )
@@ -75,7 +75,7 @@ class Streamed:
                 self._factors = [factor.with_rows(block) for factor, block in rows]
 
     def body(self, sample: Sequence[Motion], where: str) -> RigidBody:
-        """Return the rigid body; `sample` are motions for the covariance, `where` names the logs.
+        """Return the rigid body, its covariance from the motions `sample`; `where` names the logs.
 
         Raises FitError if there are fewer samples than unknowns, or a joint hardly moves.
         """

@@ -1,4 +1,4 @@
-"""Base parameters: independent columns of the regressor, and their relation to all columns."""
+"""Base parameters: independent columns of the regressor."""
 
 import numpy as np
 from scipy.linalg import qr
@@ -13,8 +13,8 @@ _RANDOM_STATES = 300
 def base_columns(model: Robot) -> tuple[int, ...]:
     """Return the indices of a largest set of independent columns of the regressor, in order.
 
-    Pivoted QR at random states within the joints' limits, with columns of unit length: the rank
-    depends neither on a log nor on units.
+    Pivoted QR at random states, with columns of unit length: the rank depends neither on a log nor
+    on units.
     """
     columns = at_random_states(model)
     lengths = np.linalg.norm(columns, axis=0)
@@ -28,10 +28,7 @@ def base_columns(model: Robot) -> tuple[int, ...]:
 
 
 def dependence(model: Robot, base: tuple[int, ...]) -> Array:
-    """Return the matrix K (len(base), P) that maps all onto base parameters: Y = Y_b K.
-
-    Standard parameters pi and base parameters K pi give the same torque.
-    """
+    """Return the matrix K (len(base), P) that maps all onto base parameters: Y = Y_b K."""
     columns = at_random_states(model)
     return np.asarray(np.linalg.lstsq(columns[:, list(base)], columns, rcond=None)[0], dtype=float)
 
@@ -39,8 +36,7 @@ def dependence(model: Robot, base: tuple[int, ...]) -> Array:
 def offsets_apart(model: Robot, base: tuple[int, ...]) -> Mask:
     """Return whether a constant torque of each friction coordinate is independent of `base`, (n,).
 
-    It is not if gravity is constant, as on a vertical sliding joint: a weight and a friction offset
-    are then one number.
+    It is not if gravity is constant, as on a vertical sliding joint: a weight is then an offset.
     """
     columns = at_random_states(model)[:, list(base)]
     coupling = model.description.coupling

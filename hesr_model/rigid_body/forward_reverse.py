@@ -10,11 +10,9 @@ from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
 from hesr_model.support.arrays import Array, Mask
 
-_LONGEST_SHIFT = 0.5
-"""Largest latency of command and measurement, which reversal does not cancel [s]."""
+_LONGEST_SHIFT = 0.5  # latency of command and measurement, which reversal does not cancel [s]
 
-_LARGEST_MISMATCH = 0.1
-"""Largest mean position mismatch [rad]; tracking errors of 20 mrad are harmless."""
+_LARGEST_MISMATCH = 0.1  # mean position mismatch [rad]; tracking errors of 20 mrad are harmless
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""Rigid-body parameters from logs: base parameters, least squares, forward-reverse averaging."""
+"""Rigid-body parameters from logs."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -41,14 +41,11 @@ RIGID_BODY_FORMAT = "hesr-rigid-body-1"
 Method = Literal["stacked", "paper"]
 Weighting = Literal["wls", "ols"]
 
-LEAST_PEAK = 0.02
-"""Peak speed below which a joint does not determine its inertia [rad/s, m/s]."""
+LEAST_PEAK = 0.02  # peak speed that determines an inertia [rad/s, m/s]
 
-_MATTERS = 1e-2
-"""Torque errors below this share of the largest are not propagated."""
+_MATTERS = 1e-2  # share of the largest torque error below which others are not propagated
 
-AT_ONCE = 4096
-"""Number of samples per regressor evaluation."""
+AT_ONCE = 4096  # samples per evaluation of the regressor
 
 _log = logging.getLogger(__name__)
 
@@ -59,10 +56,9 @@ class RigidBody:
 
     Attributes
     ----------
-    robot, joints : name of the robot and of its joints.
-    names, parameters : all standard parameters (P,) and rotor inertias. Parameters outside `base`
-        are
-        zero, except in physically consistent bodies and bodies with a payload.
+    robot, joints : names.
+    names, parameters : standard parameters and rotor inertias (P,), zero outside `base` except in
+        physically consistent bodies and bodies with a payload.
     base : indices of the base parameters, to which all others reduce linearly (eq. 6).
     standard_errors : of the base parameters (len(base),), the contribution of the others included.
     condition : condition number of the weighted observation matrix, each column relative to its
@@ -77,7 +73,7 @@ class RigidBody:
     rmse : (n,) [N.m] residual of the fit at friction coordinates, over the rows used.
     rows : number of samples offered to the fit.
     logs : names of the logs.
-    physical : whether the parameters are those of bodies of positive mass density.
+    physical : whether the bodies have positive mass density.
     covariance : covariance of the base parameters; None in results of earlier versions.
     provenance : JSON data: input files with hashes, seed and versions.
     """
@@ -113,7 +109,7 @@ class RigidBody:
         return from_json(cls, read_json(path, RIGID_BODY_FORMAT), path, "a rigid body")
 
     def write(self, path: PathArg) -> None:
-        """Write the rigid body as JSON, with every digit of every number.
+        """Write the rigid body as JSON, with every digit.
 
         Raises
         ------
@@ -160,8 +156,8 @@ class RigidBody:
     def torque_spread(self, model: Robot, motion: Motion) -> Array | None:
         """Return the uncertainty of the torque over a motion, (N, n, r) [N.m].
 
-        The columns are the torque errors for one standard deviation of each of the r independent
-        parameter errors that matter; None if the covariance is unknown.
+        The columns are the errors for one standard deviation of each of the r independent parameter
+        errors that matter; None if the covariance is unknown.
         """
         if self.covariance is None:
             return None
@@ -178,10 +174,9 @@ class RigidBody:
 
     @model_serializer(mode="wrap")
     def _by_name(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Serialise parameters, and `base`, by name."""
         data: dict[str, Any] = serialise(self)
         names = data.pop("names")
-        if data["covariance"] is None:  # version 1 has no such key
+        if data["covariance"] is None:  # as in version 1
             del data["covariance"]
         data["parameters"] = dict(zip(names, data["parameters"], strict=True))
         return data | {"base": [names[k] for k in self.base]}
@@ -239,20 +234,20 @@ def identify_motions(
     reversed_motions: Sequence[Motion] = (),
     physical: bool = False,
 ) -> RigidBody:
-    """Identify the rigid-body parameters from smooth motions; raises FitError if impossible.
+    """Identify the rigid-body parameters from smooth motions; raises FitError.
 
     Method ``"stacked"`` solves one least-squares problem over all motions, forward and reversed, in
-    which every joint also has a Coulomb, a viscous and an offset coefficient; no offset if it is
+    which every joint also has a Coulomb, a viscous and an offset coefficient, unless that is
     indistinguishable from a weight (`observations.friction_columns`). ``"paper"`` averages torque
     and regressor of each motion and of its `reversed_motions` counterpart at the same position,
-    where odd friction cancels (eq. 7). Either drops a joint's slow rows (`observations.SLOW`).
+    where odd friction cancels (eq. 7). Either drops slow rows (`observations.SLOW`).
 
     Weighting ``"wls"`` (default of the stacked method) weighs each joint by its residual's standard
     deviation, ``"ols"`` (default of the paper's) does not.
 
     With `physical`, links have positive mass density and rotors positive inertia
-    (`rigid_body.physical`). All standard parameters are then estimated, weakly pulled towards the
-    model file's: it pays on short logs and changes little on long ones.
+    (`rigid_body.physical`). All standard parameters are then weakly pulled towards the model
+    file's: it pays on short logs and changes little on long ones.
     """
     everything = [*motions, *reversed_motions]
     base = base_columns(model)
@@ -383,7 +378,7 @@ def require_samples(where: str, rows: int, unknowns: int) -> None:
 
 
 def require_speed(where: str, peaks: Array, model: Robot) -> None:
-    """Raise FitError if the peak speed (n,) [rad/s] of a joint is too small."""
+    """Raise FitError if the peak speed (n,) of a joint is too small."""
     for joint, peak in zip(model.description.joints, peaks, strict=True):
         if not peak > LEAST_PEAK:
             raise FitError(

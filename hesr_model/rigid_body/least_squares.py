@@ -10,16 +10,14 @@ from hesr_model.inference.covariance import Covariance, blocks_of_time, covarian
 from hesr_model.support.arrays import Array, Integers
 
 _REWEIGHTINGS = 2
-_HUGE_CONDITION = 1e3
-"""Condition number above which a ridge is needed; identification motions have some hundreds."""
+_HUGE_CONDITION = 1e3  # above it a ridge is needed; identification motions have some hundreds
 
-_RIDGE = 3e-3
-"""Ridge relative to the largest singular value; best on short and poorly exciting measured logs."""
+_RIDGE = 3e-3  # over the largest singular value; best on short and poorly exciting measured logs
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
-    """Rows of equal noise, with the sample number (N,) of each row; blocks share samples."""
+    """Rows of equal noise, with the sample number (N,) of each; blocks share samples."""
 
     matrix: Array
     target: Array
@@ -28,11 +26,7 @@ class Block:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Factor:
-    """The part of a block that a solution needs, of bounded size.
-
-    The triangular factor (P + 1, P + 1) of [matrix, target] has the squared residuals of the
-    `rows`.
-    """
+    """Triangular factor (P + 1, P + 1) of [matrix, target], with the same squared residuals."""
 
     triangle: Array
     rows: int = 0
@@ -57,8 +51,7 @@ class Solution:
 
     `condition` is that of the weighted matrix with columns divided by their scales. `ridge` is the
     weight of the pull of the scaled unknowns towards zero, relative to the largest singular value,
-    and `pull` (P,) the resulting cost of one unit of each unknown. Each block has a weight and an
-    `rmse`.
+    and `pull` (P,) the resulting cost of one unit of each. Each block has a weight and an `rmse`.
     """
 
     x: Array

@@ -13,15 +13,13 @@ from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Integers, Mask
 
-SLOW = 0.1
-"""Speed limit of dropped rows [rad/s, m/s]: slow friction depends on more than velocity."""
+SLOW = 0.1  # slower rows are dropped [rad/s, m/s]: their friction depends on more than velocity
 
-SLOW_SHARE = 0.25
-"""Upper bound of `SLOW` as a share of a joint's peak speed, for slow joints such as lifts."""
+SLOW_SHARE = 0.25  # upper bound of `SLOW` over a joint's peak speed, for slow joints such as lifts
 
 
 def rubbing_speeds(motions: Sequence[Motion], model: Robot) -> Array:
-    """Return the velocities of the friction coordinates over all motions, (N, n) [rad/s; m/s]."""
+    """Return the velocities of the friction coordinates over all motions, (N, n)."""
     return onto(model.description.coupling, np.concatenate([motion.dq for motion in motions]))
 
 
@@ -38,7 +36,7 @@ def slow_of(fastest: Array) -> Array:
 def friction_columns(model: Robot, base: tuple[int, ...]) -> Mask:
     """Return the Coulomb, viscous and offset columns that each joint has, (n, 3).
 
-    An offset [N.m] is left out if a weight is the same number (`base_parameters.offsets_apart`).
+    An offset is left out if it is also a weight (`base_parameters.offsets_apart`).
     """
     columns = np.ones((model.n, 3), dtype=bool)
     columns[:, 2] = offsets_apart(model, base)
@@ -46,7 +44,7 @@ def friction_columns(model: Robot, base: tuple[int, ...]) -> Mask:
 
 
 def logs_of(motions: Sequence[Motion]) -> Integers:
-    """Return the log number (N,) of each sample of all motions; parts of a log share it."""
+    """Return the log number (N,) of each sample; parts of a log share it."""
     names = list(dict.fromkeys(motion.name for motion in motions))
     numbers = [names.index(motion.name) for motion in motions]
     return np.repeat(numbers, [len(motion.t) for motion in motions])

@@ -1,7 +1,6 @@
 """Payload: the ten inertial parameters of a load on the last link, from logs under load.
 
-With a known unloaded rigid body, the additional torque is linear in the payload's parameters, with
-the regressor's ten columns of the last link (eq. 5)::
+The additional torque is linear in them, with the regressor's columns of the last link (eq. 5)::
 
     tau - Y pi_unloaded = Y_last pi_payload + friction
 
@@ -38,8 +37,7 @@ rows up to 5.
 
 _LEAST_SEGMENTS = 10
 
-_SIGNIFICANT = 4.0
-"""Significance threshold of the mass in standard errors; twin logs without payload had 3.4."""
+_SIGNIFICANT = 4.0  # mass in standard errors; twin logs without payload had 3.4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,8 +46,8 @@ class Payload:
 
     `parameters` (10,) are those of `robot.LINK_PARAMETERS` in the frame of the last joint [kg,
     kg.m, kg.m2], with a covariance from residuals, correlated within a second, and from the
-    standard errors of the unloaded body. `friction` (n, 3) is Coulomb [N.m], viscous [N.m.s/rad]
-    and offset [N.m] under load. Other fields are as in `RigidBody`.
+    standard errors of the unloaded body. Other fields are as in `RigidBody`, `friction` is that
+    under load.
     """
 
     parameters: Array
@@ -89,10 +87,9 @@ class Payload:
 
 
 def identify_payload(logs: Sequence[Log], model: Robot, unloaded: RigidBody) -> Payload:
-    """Identify the payload on the last link from logs.
+    """Identify the payload on the last link from logs; errors as `identify_payload_motions`.
 
-    Raises LogError for unusable logs, RobotError if `unloaded` belongs to another robot, and
-    FitError as `identify_payload_motions`.
+    Raises LogError for unusable logs.
     """
     require_moving(logs, model.description.joints)
     return identify_payload_motions(smoothed(logs, model), model, unloaded)
@@ -101,7 +98,7 @@ def identify_payload(logs: Sequence[Log], model: Robot, unloaded: RigidBody) -> 
 def identify_payload_motions(
     motions: Sequence[Motion], model: Robot, unloaded: RigidBody
 ) -> Payload:
-    """Identify the payload on the last link from smooth motions, as `identify_motions`.
+    """Identify the payload on the last link from smooth motions.
 
     Raises RobotError if `unloaded` belongs to another robot, and FitError if the motions are too
     short, do not determine the parameters, or show no payload.
@@ -142,7 +139,7 @@ def loaded(unloaded: RigidBody, payload: Payload, model: Robot) -> RigidBody:
     """Return the rigid body with the payload added to its last link.
 
     All ten parameters are added, also dependent ones that are zero in the unloaded body: torque is
-    linear in all of them. Friction, residuals and logs are those under load.
+    linear in all of them.
     """
     columns = list(_last_link(model))
     parameters = unloaded.parameters.copy()
@@ -212,9 +209,9 @@ def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[
 def _inherited(
     blocks: Sequence[Block], solution: Solution, carried: Sequence[Array], errors: Array
 ) -> Array:
-    """Return the covariance of the unknowns due to standard errors of the unloaded body.
+    """Return the covariance of the unknowns due to independent `errors` of the unloaded body.
 
-    Its parameters have independent `errors`, and the columns `carried` in the same rows.
+    Its columns in the same rows are `carried`.
     """
     products = [
         block.matrix.T @ columns / size**2

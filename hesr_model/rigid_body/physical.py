@@ -31,13 +31,11 @@ _PULL = 0.2
 Chosen on measured identification logs, each left out in turn: 0.1 to 0.3 is equally good.
 """
 
-_LEAST_PULL = 1e-4
-"""Pull of rotors that the model file does not have, just large enough to make them unique."""
+_LEAST_PULL = 1e-4  # pull of rotors that are not in the model file, just to make them unique
 
 _REWEIGHTINGS = 2
 
-_SMALLEST_RADIUS = 5e-3
-"""Minimum radius of gyration [m] about any axis through the centre of mass at the start."""
+_SMALLEST_RADIUS = 5e-3  # radius of gyration [m] of a link about any axis at the start
 
 _UNKNOWN_LINK = np.array([1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
 """Start of a link without mass in the model file: 1 kg with radii of gyration of 0.1 m."""

@@ -26,7 +26,7 @@ def identify_again(
     """Identify the rigid body from logs without the torque of a friction model.
 
     `rigid_body`, used for fitting `friction`, gives the load torque. Raises ArtifactError if
-    `friction` has other joints, else errors as `identify` and `friction_records`.
+    `friction` has other joints.
     """
     joints = tuple(model.description.joints)
     if friction.joints != joints:

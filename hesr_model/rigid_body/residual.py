@@ -23,9 +23,9 @@ class FrictionRecord:
 
     `t` [s], smoothed `dq` [rad/s], raw `q` [rad] and rigid-body torque `tau_load` [N.m] are (N,).
     `tau_load_spread` (N, r) [N.m] is the error of `tau_load` for one standard deviation of each
-    independent error of the rigid body. `gear_ratio` is turns of the motor per turn of the joint.
-    Positions of a `sliding` joint are in m, torques are forces in N. `temperature` is in degC.
-    `coupling` is None if nothing is coupled, and after `at_friction`.
+    independent error of the rigid body. `gear_ratio` is turns of the motor per turn of the joint. A
+    `sliding` joint has m and N. `temperature` is in degC. `coupling` is None if nothing is coupled,
+    and after `at_friction`.
     """
 
     log: str
@@ -55,8 +55,7 @@ class FrictionRecord:
 def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
     """Transform the records of all joints in one log to friction coordinates.
 
-    Laws are fitted and run there (`robots.transmission`); the names of the joints stay. Records
-    without coupling are returned unchanged.
+    Laws are fitted and run there (`robots.transmission`); the names of the joints stay.
     """
     coupling = records[0].coupling if records else None
     if coupling is None:

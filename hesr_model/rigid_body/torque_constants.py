@@ -28,18 +28,12 @@ from hesr_model.rigid_body.observations import friction_columns, stacked
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
-_DETERMINED = 0.2
-"""Relative standard error above which a constant is not determined."""
-_FEIGNED = 0.2
-"""Share of friction that a wrong friction law may add to a weight."""
-_CHANGED = 0.02
-"""The same share for a payload, with only differences between logs."""
-_LEAST_ARM = 0.05
-"""Minimum distance of a centre of mass to which the declared error applies [m]."""
-_OPEN = 3.0
-"""Standard deviation of inertia tensors, relative to their size."""
-_ROTOR = 3.0
-"""Standard deviation of rotor inertias, which are unknown [kg.m2]."""
+_DETERMINED = 0.2  # relative standard error of a determined constant
+_FEIGNED = 0.2  # share of friction that a wrong friction law may add to a weight
+_CHANGED = 0.02  # the same for a payload, with only differences between logs
+_LEAST_ARM = 0.05  # distance of a centre of mass to which the declared error applies [m]
+_OPEN = 3.0  # standard deviation of inertia tensors over their size
+_ROTOR = 3.0  # standard deviation of rotor inertias, which are unknown [kg.m2]
 _ROUNDS = 3
 
 
@@ -126,7 +120,7 @@ def point_payload(mass: float, centre: Sequence[float]) -> Array:
 class _Rows:
     """Compressed rows of a joint in logs of one kind: [Y, Y carried, friction, torque]."""
 
-    factor: Array  # triangular factor of these columns
+    factor: Array
     count: int
     length: float  # correlation length of the residuals [rows]
 
@@ -137,8 +131,8 @@ class _Problem:
 
     kinds: tuple[_Rows, ...]  # logs without payload, and with it
     nominal: Array  # (P,) of the model file
-    spread: Array  # (P,) its standard deviations
-    friction: int  # friction columns of each kind
+    spread: Array  # (P,) standard deviations
+    friction: int  # columns of each kind
     known: float  # trusted torque [N.m]: of the payload, else of the model's weights
 
     @classmethod
@@ -197,7 +191,6 @@ class _Problem:
         return float(x[0]), float(np.hypot(error / max(abs(x[0]), 1e-12), feigned))
 
     def _start(self) -> Array:
-        """Return the model file's parameters, and the other unknowns by least squares."""
         x = np.concatenate([[0.0], self.nominal, np.zeros(self.friction * len(self.kinds))])
         free = np.r_[0, 1 + len(self.nominal) : len(x)]
         rows = self._slopes(x, [1.0] * len(self.kinds))[: -len(self.nominal)]
