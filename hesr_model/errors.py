@@ -1,7 +1,6 @@
 """Errors that a user can cause.
 
-Each has one sentence with file, column or key, row, value found and value needed. The command line
-prints it and exits with code 2.
+Each is one sentence with file, column or key, row, value found and value needed.
 """
 
 import re
@@ -15,7 +14,7 @@ _LONGEST = 2000  # characters of a sentence; a file may contain millions
 class HesrError(Exception):
     """Base of every error that a user can cause and fix.
 
-    The sentence may quote a file: it is shortened, and unprintable characters are escaped.
+    Its text may quote a file: it is shortened, and unprintable characters are escaped.
     """
 
     def __init__(self, sentence: str) -> None:
@@ -25,14 +24,11 @@ class HesrError(Exception):
 
 
 class ConfigError(HesrError):
-    """A TOML file or a command-line argument is invalid."""
+    """A TOML file or an argument is invalid."""
 
 
 class ArgumentError(ConfigError):
-    """Arguments of a call, or options of a command, contradict each other.
-
-    The sentence quotes parameters by their Python names.
-    """
+    """Arguments, quoted by their Python names, contradict each other."""
 
     def on_command_line(self, options: Mapping[str, str]) -> str:
         """Return the sentence with options in place of parameters."""
@@ -48,7 +44,7 @@ class TableError(HesrError, ValueError, TypeError):
 
 
 class RobotError(HesrError):
-    """A robot description does not match its kinematic model."""
+    """A robot description does not match its model file."""
 
 
 class FitError(HesrError):

@@ -1,4 +1,4 @@
-"""Findings of checks of logs, laws and FMUs, each with place and remedy."""
+"""Findings of checks of logs, laws and FMUs."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -8,22 +8,19 @@ from pydantic import AliasChoices, BeforeValidator, Field
 
 Severity = Literal["error", "warning", "advice"]
 
-SEVERITIES: tuple[Severity, ...] = ("error", "warning", "advice")
-"""Severities, the worst first."""
+SEVERITIES: tuple[Severity, ...] = ("error", "warning", "advice")  # the worst first
 
 
 def _severity(text: object) -> object:
-    return "error" if text == "refusal" else text  # as in files of version 1
+    return "error" if text == "refusal" else text  # in version 1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A finding of a check.
+    """A finding of a check, whose name `--accept` takes.
 
-    `--accept` takes the name of the `check`. `where` is a file or a member of an FMU, empty if the
-    logs or the sentence name the place; `remedy` is empty if the observation `found` says it.
-    `changes` has values to set in the robot file by key, as ``log.units.q``, and is not part of the
-    JSON.
+    `where` is a file or a member of an FMU, empty if the logs or `found` name it; `remedy` is empty
+    if the observation says it. `changes` has values of the robot file by key, as ``log.units.q``.
     """
 
     check: str

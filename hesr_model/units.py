@@ -8,15 +8,13 @@ TURNING: Mapping[str, Mapping[str, float]] = {
     "q": {"rad": 1.0, "deg": pi / 180.0, "rev": 2.0 * pi},
     "dq": {"rad/s": 1.0, "deg/s": pi / 180.0, "rpm": pi / 30.0, "rev/s": 2.0 * pi},
     "tau": {"N.m": 1.0, "mN.m": 1e-3},
-}
-"""Sizes of the units of turning joints in rad, rad/s, N.m."""
+}  # in rad, rad/s, N.m
 
 SLIDING: Mapping[str, Mapping[str, float]] = {
     "q": {"m": 1.0, "mm": 1e-3},
     "dq": {"m/s": 1.0, "mm/s": 1e-3},
     "tau": {"N": 1.0},
-}
-"""Sizes of the units of sliding joints in m, m/s, N."""
+}  # in m, m/s, N
 
 OTHERS: Mapping[str, Mapping[str, float]] = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -26,12 +24,11 @@ OTHERS: Mapping[str, Mapping[str, float]] = {
 KNOWN: Mapping[str, Mapping[str, float]] = {
     **OTHERS,
     **{quantity: {**TURNING[quantity], **SLIDING[quantity]} for quantity in TURNING},
-}
-"""Sizes of units in SI, by quantity (t, q, dq, tau, current)."""
+}  # in SI, by quantity (t, q, dq, tau, current)
 
 
 def in_si(quantity: str, unit: str | float) -> float:
-    """Return the size of a known logged unit in SI; negative for names such as ``-deg``."""
+    """Return the size of a logged unit in SI; negative for names such as ``-deg``."""
     if isinstance(unit, str):
         return KNOWN[quantity][unit.removeprefix("-")] * (-1.0 if unit.startswith("-") else 1.0)
     return float(unit)
@@ -45,7 +42,7 @@ def backwards(unit: str | float) -> str | float:
 
 
 def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
-    """Return whether a joint of this kind can be logged in a unit; numbers fit any joint.
+    """Return whether a joint can be logged in a unit; numbers fit any joint.
 
     The default of robot files (rad, rad/s, N.m) is also accepted as the SI unit of a sliding joint.
     """
@@ -61,8 +58,7 @@ def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
 class Unit:
     """A unit at a joint, spelt as in FMI, for a turning and for a sliding joint.
 
-    Friction is described for turning joints. The equations of a sliding joint are the same in m and
-    N: `N.m.s/rad` becomes `N.s/m`, `1/(N.m)` becomes `1/N`.
+    The equations of friction are the same in m and N: `N.m.s/rad` becomes `N.s/m`.
     """
 
     turning: str
@@ -72,8 +68,7 @@ class Unit:
     def read(cls, symbol: str) -> "Unit":
         """Return the unit with a symbol at a turning joint, as `mrad/s` or `rad/(s.N.m)`.
 
-        A unit without angle and torque is the same at both. Raises ValueError for a text with
-        blanks.
+        Raises ValueError for a text with blanks.
         """
         if " " in symbol:
             raise ValueError(f"'{symbol}' is no unit")
@@ -96,7 +91,7 @@ def _slid(product: str) -> str:
 
 
 def unit_of_joint(unit: str, *, slides: bool) -> str:
-    """Return the unit at a joint from that at a turning joint; see `Unit`."""
+    """Return the unit at a joint from that at a turning joint."""
     return Unit.read(unit).sliding if slides else unit
 
 

@@ -1,4 +1,4 @@
-"""Types of arrays by content; shapes and units are documented with each variable."""
+"""Types of arrays; shapes and units are documented with each variable."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -8,17 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""Real numbers."""
 Mask = NDArray[np.bool_]
-"""Selected rows or columns."""
 Integers = NDArray[np.int_]
-"""Labels, counts and indices."""
 
 Record = TypeVar("Record")
 
 
 def some_rows(record: Record, columns: Iterable[str], rows: slice | Mask | Integers) -> Record:
-    """Return a data class with a selection of the rows of its arrays `columns`; None stays None."""
+    """Return a data class with some rows of its arrays `columns`; None stays None."""
     whole: Any = record
     found = {name: getattr(record, name) for name in columns}
     some: Record = replace(whole, **{n: v[rows] for n, v in found.items() if v is not None})

@@ -1,7 +1,7 @@
 """Cache of slow results that depend on their inputs only.
 
-Entries are found by a hash of their inputs, contain a hash of their own content, and are written
-whole or not at all. Deleting the folder costs only time.
+Entries have a hash of their inputs as name and a hash of their content, and are written whole or
+not at all. Deleting the folder costs only time.
 """
 
 import hashlib
@@ -15,18 +15,17 @@ from pathlib import Path
 
 from filelock import FileLock
 
-LIMIT = 256 * 1024 * 1024  # [B] per kind of entry, enough for some thousand FMUs
+LIMIT = 256 * 1024 * 1024  # [B] per kind, some thousand FMUs
 USED: Counter[tuple[str, bool]] = Counter()
-"""Number of cache hits (True) and misses by kind, of this process and its workers."""
+"""Cache hits (True) and misses by kind, of this process and its workers."""
 _DIGEST = hashlib.sha256().digest_size
 
 
 def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
     """Return the result of `make`, computed once for all processes of a user.
 
-    `inputs` are everything that determines the result, in a fixed order; `kind` is a folder.
-    Concurrent calls wait for the first one. A damaged entry is made again; if the cache cannot be
-    written (e.g. on a full disk), the result is not stored.
+    `inputs`, in a fixed order, determine the result; `kind` is a folder. Concurrent calls wait for
+    the first one. A damaged entry is made again; if the cache cannot be written, nothing is stored.
     """
     key = hashlib.sha256()
     for part in inputs:
@@ -67,11 +66,7 @@ def since(earlier: Counter[tuple[str, bool]]) -> dict[str, tuple[int, int]]:
 
 
 def folder() -> Path:
-    """Return a writable folder for entries: the user's own, else a private one.
-
-    That is `hesr` in XDG_CACHE_HOME, else in .cache of HOME, else, without a writable HOME as in
-    many containers, a private temporary folder.
-    """
+    """Return a writable folder: in XDG_CACHE_HOME, else .cache of HOME, else a private one."""
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     home = Path(os.environ.get("HOME", ""))
     places = []
@@ -103,7 +98,6 @@ def _temporary() -> Path:
 
 
 def _read(entry: Path) -> bytes | None:
-    """Return the content of an entry, or None if it is missing or damaged."""
     try:
         data = entry.read_bytes()
     except OSError:
@@ -112,7 +106,7 @@ def _read(entry: Path) -> bytes | None:
     if data[:_DIGEST] != _digest(entry, content):
         return None
     with suppress(OSError):
-        os.utime(entry)  # least recently used entries are pruned first
+        os.utime(entry)  # the least recently used are pruned first
     return content
 
 
@@ -131,7 +125,7 @@ def _digest(entry: Path, content: bytes) -> bytes:
 
 
 def _prune(kind: Path) -> None:
-    """Remove the least recently used entries if the total size exceeds the limit."""
+    """Remove the least recently used entries above the size limit."""
     files = []
     for file in kind.glob("*/*"):
         with suppress(FileNotFoundError):

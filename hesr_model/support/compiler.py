@@ -18,8 +18,7 @@ from hesr_model.support.files import scratch_folder
 def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> None:
     """Compile one source file, or reuse the result for the same texts and flags.
 
-    In the flags `last`, `{compiler}` is replaced by the folder of the compiler. Raises ExportError
-    with the first line of the compiler's message.
+    In the flags `last`, `{compiler}` is replaced by the folder of the compiler. Raises ExportError.
     """
     inputs = (
         f"ziglang {version('ziglang')}",
@@ -56,8 +55,7 @@ def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
 
 
 def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
-    # A linker interprets percent signs in the path of its output, which a folder may have. So it
-    # writes into a folder next to the source, with a relative path.
+    # A linker interprets percent signs in the path of its output, so write to a relative path.
     with scratch_folder() as cache, scratch_folder(source.parent) as folder:
         written = folder / output.name
         relative = f"{written.parent.name}/{output.name}"
@@ -70,7 +68,7 @@ def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
             "ZIG_GLOBAL_CACHE_DIR": str(cache_folder() / "zig"),
         }
         try:
-            # In the source's folder: no path of this machine gets into the binary.
+            # Run in the source's folder: no path of this machine gets into the binary.
             result = subprocess.run(
                 [*command, *(flag.replace("{compiler}", compiler) for flag in last)],
                 cwd=source.parent,

@@ -1,4 +1,4 @@
-"""Configuration from validated TOML; unknown keys are refused."""
+"""Configuration from validated TOML."""
 
 import os
 from pathlib import Path
@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, Val
 from hesr_model.errors import ConfigError
 from hesr_model.support.untrusted_text import parse_toml, read_text, require_printable
 
-_MOST_SHOWN = 200  # characters of a wrong value
+_MOST_SHOWN = 200  # characters
 
 
 class Config(BaseModel):
@@ -19,7 +19,7 @@ class Config(BaseModel):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read and validate a TOML file; see `read_toml`."""
+        """Read and validate a TOML file; raises ConfigError."""
         return read_toml(path, cls)
 
 

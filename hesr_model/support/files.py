@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 
 def path_of(value: object, what: str) -> Path:
-    """Return a path from text or a path, or raise ConfigError; `what` describes it there."""
+    """Return a path from text or a path, or raise ConfigError about `what`."""
     if isinstance(value, str | os.PathLike):
         return Path(value)
     raise ConfigError(
@@ -43,12 +43,12 @@ def models_folder() -> Path:
 
 
 def sha256(path: Path) -> str:
-    """Return the hex SHA-256 of a file's bytes; for a folder, of its files' names and hashes."""
+    """Return the hex SHA-256 of a file's bytes, or of a folder's file names and hashes."""
     if path.is_dir():
         files = sorted(file for file in path.rglob("*") if file.is_file())
         lines = [f"{sha256(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
         return hashlib.sha256("".join(lines).encode()).hexdigest()
-    if path.exists() and not path.is_file():  # it may have no end
+    if path.exists() and not path.is_file():  # may have no end
         raise OSError(errno.EINVAL, "it is a pipe or a device", str(path))
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -58,10 +58,9 @@ def sha256(path: Path) -> str:
 def folder_written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files move into `path` when the block succeeds.
 
-    Files of the same name are replaced, others in `path` are kept. On any exception nothing at
-    `path` changes. Leftovers of killed runs are removed. Raises ArtifactError, before the block
-    runs, if the folder cannot be written or another run is writing into it; also if the disk is
-    full.
+    Other files in `path` are kept. On any exception nothing at `path` changes. Leftovers of killed
+    runs are removed. Raises ArtifactError, before the block runs, if the folder cannot be written
+    or another run is writing into it; also if the disk is full.
     """
     with _room_for(path), ExitStack() as cleanup:
         try:
@@ -79,7 +78,7 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _room_for(path: Path) -> Iterator[None]:
-    """Report a full disk for `path`, whichever temporary file of it found that out."""
+    """Report a full disk for `path`, whichever temporary file of it was affected."""
     try:
         yield
     except (OSError, ArtifactError) as error:
@@ -90,7 +89,7 @@ def _room_for(path: Path) -> Iterator[None]:
 
 
 def is_empty(folder: Path) -> bool:
-    """Return whether a folder contains nothing but leftovers of a killed run."""
+    """Return whether a folder contains at most leftovers of a killed run."""
     return all(entry.name.startswith(_TEMPORARY) for entry in folder.iterdir())
 
 
@@ -148,9 +147,9 @@ def _move(temporary: Path, path: Path) -> None:
 
 @contextmanager
 def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
-    """Yield a temporary folder in `parent` or among the temporary files; interrupts leave none."""
+    """Yield a temporary folder in `parent` or the system's; interrupts leave none."""
     with ExitStack() as cleanup:
-        with interrupts.deferred():  # an interrupt must not leave the folder behind
+        with interrupts.deferred():
             folder = Path(tempfile.mkdtemp(prefix="hesr-", dir=parent))
             cleanup.callback(_removed, folder)
         yield folder
@@ -182,9 +181,8 @@ def _remove_whatever(folder: Path) -> None:
 def written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder that becomes `path` when the block succeeds.
 
-    On any exception, also an interrupt, the temporary file is removed and an existing file at
-    `path` stays unchanged. Raises ArtifactError if `path` cannot be written, or is a pipe or a
-    device.
+    On any exception, also an interrupt, an existing file stays unchanged. Raises ArtifactError if
+    `path` cannot be written, or is a pipe or a device.
     """
     with _room_for(path), ExitStack() as cleanup:
         try:
@@ -193,7 +191,7 @@ def written_whole(path: Path) -> Iterator[Path]:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
             if path.exists() and not path.is_file():  # a file would replace it
                 raise ArtifactError(f"{path}: is a pipe or a device; give the name of a file.")
-            with interrupts.deferred():  # an interrupt must not leave the file behind
+            with interrupts.deferred():
                 handle, name = tempfile.mkstemp(
                     dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
                 )

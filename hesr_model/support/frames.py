@@ -1,4 +1,4 @@
-"""Results as pandas tables and xarray data sets; both are imported on use."""
+"""pandas tables and xarray data sets, imported on use."""
 
 from collections.abc import Mapping, Sequence
 from importlib import import_module
@@ -9,7 +9,7 @@ from hesr_model.support.arrays import Array
 
 
 def pandas_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
-    """Return columns (N,) as a `pandas.DataFrame`, one of them optionally as index."""
+    """Return columns (N,) as a `pandas.DataFrame`."""
     frame = _library("pandas").DataFrame(dict(columns))
     return frame if index is None else frame.set_index(index)
 

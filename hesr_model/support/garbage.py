@@ -1,4 +1,4 @@
-"""Garbage collection for processes whose objects mostly stay: modules and expressions."""
+"""Garbage collection for processes whose objects mostly stay."""
 
 import atexit
 import gc

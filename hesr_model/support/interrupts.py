@@ -11,7 +11,7 @@ def deferred() -> Iterator[None]:
     """Defer signals that would end the program until the short block is done.
 
     Processes started in it begin with Ctrl-C blocked, until they have set their handlers. Other
-    threads than the main one get no such signals, so nothing changes there.
+    threads than the main one get no such signals.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -22,13 +22,13 @@ def deferred() -> Iterator[None]:
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
-        # Child processes inherit the mask. It cannot replace the handlers: it holds for this thread
-        # only, and a signal taken by another thread is still handled in this one.
+        # Child processes inherit the mask. It cannot replace the handlers: another thread may take
+        # the signal, which is still handled in this one.
         with _held_back_here():
             yield
     finally:
         for number, handler in before.items():
-            if handler is not None:  # handlers set by C code cannot be restored
+            if handler is not None:  # None if set by C code
                 signal.signal(number, handler)
         if came:
             signal.raise_signal(came[0])
@@ -36,7 +36,7 @@ def deferred() -> Iterator[None]:
 
 @contextmanager
 def _held_back_here() -> Iterator[None]:
-    if not hasattr(signal, "pthread_sigmask"):  # not on Windows
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows
         yield
         return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -47,10 +47,7 @@ def _held_back_here() -> Iterator[None]:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Interrupt of work that can be continued.
-
-    `kept`, the end of a sentence, says what is kept and how to continue.
-    """
+    """Interrupt of work that can be continued; `kept` says how, as the end of a sentence."""
 
     def __init__(self, kept: str, interrupt: KeyboardInterrupt) -> None:
         super().__init__(kept)

@@ -50,11 +50,11 @@ def results_of(
 ) -> Iterator[Iterator[Returned]]:
     """Run jobs in processes; yield the iterator of their results, in the order of the jobs.
 
-    Jobs are functions without arguments; those with large `costs` start first. Processes are new,
-    one per core by default, or those of `one_pool`; they do not import the calling script, whose
-    functions and classes are pickled. With one worker, jobs run in this process when their results
-    are requested. If the block fails, also by Ctrl-C, the processes are killed at once. The
-    iterator raises WorkerError if a process ended before its job was done.
+    Jobs with large `costs` start first. Processes are new, one per core by default, or those of
+    `one_pool`; they do not import the calling script, whose functions and classes are pickled. One
+    worker is this process, when results are requested. If the block fails, also by Ctrl-C,
+    processes are killed at once. The iterator raises WorkerError if a process ended before its job
+    was done.
     """
     count = min(workers or os.cpu_count() or 1, len(jobs))
     if count <= 1:
@@ -74,9 +74,9 @@ def results_of(
 def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Iterator[None]:
     """Share processes among all blocks of `results_of` within that do not give `workers`.
 
-    The processes import `modules` right away, while this process prepares its first jobs; some then
-    do the jobs `first`, whose results and errors are dropped. After a block has failed the next one
-    starts new processes.
+    They import `modules` while this process prepares its first jobs, then do the jobs `first`,
+    whose results and errors are dropped. After a block has failed the next one starts new
+    processes.
     """
     global _sharing
     if _sharing is not None:
@@ -96,12 +96,11 @@ def shared() -> bool:
     return _sharing is not None
 
 
-_Task = tuple[int, int, Future[JobAnswer]]
-"""Numbers of the batch and of the job in it, and the future of its answer."""
+_Task = tuple[int, int, Future[JobAnswer]]  # batch, job in it, and its answer
 
 
 class _Pool:
-    """Processes with a folder for their jobs and temporary files; a context manager."""
+    """Processes, started with the first jobs, and a folder of their jobs and temporary files."""
 
     def __init__(self, count: int) -> None:
         self._count, self._batches = count, 0
@@ -112,7 +111,6 @@ class _Pool:
         self._cleanup = ExitStack()
 
     def __enter__(self) -> "_Pool":
-        """Make the folder; the processes start with the first jobs."""
         with interrupts.deferred():
             folder = tempfile.TemporaryDirectory(prefix="hesr-")
             self._folder = Path(self._cleanup.enter_context(folder))
@@ -192,7 +190,7 @@ class _Pool:
 
 
 class _SharedPool:
-    """A pool for many blocks, made when it is first needed; a context manager."""
+    """A pool for many blocks, made when it is first needed."""
 
     def __init__(self) -> None:
         self._pool: _Pool | None = None
@@ -206,7 +204,6 @@ class _SharedPool:
             pool.__exit__(*raised)
 
     def pool(self) -> _Pool:
-        """Return the pool."""
         if self._pool is None:
             self._pool = _Pool(os.cpu_count() or 1).__enter__()
         return self._pool

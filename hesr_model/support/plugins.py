@@ -1,7 +1,4 @@
-"""Plug-ins: entry points of HESR and of other packages. No other module reads entry points.
-
-HESR registers its own laws, log formats and extras in the groups that other packages use.
-"""
+"""Plug-ins: the entry points of HESR, in the same groups, and of other packages."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +18,7 @@ GROUPS = {
     "hesr.reports": "report",  # writer of a suffix or view
     "hesr.commands": "command",  # workflow function of a verb
 }
-"""Groups of entry points, and the word for one plug-in of each in messages."""
+"""Groups of entry points, with the word for one plug-in in messages."""
 
 _OWN = "hesr"
 
@@ -45,7 +42,7 @@ class Plugin:
         return f"{GROUPS[self.entry.group]} '{self.name}' of the package '{self.package}'"
 
     def load(self) -> Any:
-        """Import the module and return the object; raises ConfigError if another package fails."""
+        """Import and return the object; raises ConfigError if another package fails."""
         try:
             return self.entry.load()
         except Exception as error:
@@ -58,11 +55,10 @@ class Plugin:
 
 
 def load(group: str) -> Mapping[str, Plugin]:
-    """Return the plug-ins of a group by name, without importing them.
+    """Return the plug-ins of a group by name, not imported.
 
-    HESR's own come first, then those of other packages, both sorted. HESR's own are omitted if
-    their module is absent (`hesr.extras` not installed). Raises ConfigError if two packages use the
-    same name.
+    HESR's own come first, unless their module is absent (`hesr.extras` not installed), then those
+    of other packages, both sorted. Raises ConfigError if two packages use the same name.
     """
     every = [
         Plugin(name=entry.name, package=entry.dist.name if entry.dist else "?", entry=entry)
@@ -81,7 +77,7 @@ def load(group: str) -> Mapping[str, Plugin]:
 
 
 def names(group: str) -> tuple[str, ...]:
-    """Return the names of the plug-ins of a group, without importing them."""
+    """Return the names of the plug-ins of a group, not imported."""
     return tuple(load(group))
 
 

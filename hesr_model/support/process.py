@@ -12,7 +12,7 @@ from secrets import token_hex
 from typing import Any
 
 _MOST_OUTPUT = 4 << 20
-_ROUNDS = 10  # a process may have started others before it is killed
+_ROUNDS = 10  # a process may start others before it is killed
 
 
 class FailedError(Exception):
@@ -30,8 +30,8 @@ class Ended:
 class ChildProcess:
     """A program that runs in its own session; raises FailedError if it cannot be started.
 
-    `mark` names an environment variable that identifies all descendants of the program, even those
-    that have left its session and lost their parent. `more` are arguments of `subprocess.Popen`.
+    `mark` names an environment variable that identifies all descendants, even those that have left
+    the session and lost their parent. `more` are arguments of `subprocess.Popen`.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ def new_mark() -> str:
 
 def end_marked(mark: str) -> None:
     """Kill all processes, except this one, that have a mark in their environment."""
-    import psutil  # slow to import
+    import psutil
 
     for _ in range(_ROUNDS):
         found = [
@@ -112,10 +112,7 @@ def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
 
 
 def how_it_ended(code: int) -> str:
-    """Return how a program ended, as the end of a sentence without full stop.
-
-    Negative exit codes are signals, as in `subprocess`.
-    """
+    """Return how a program ended, by its exit code or negative signal, for messages."""
     if code >= 0:
         return f"ended its process with exit code {code}"
     with contextlib.suppress(ValueError):

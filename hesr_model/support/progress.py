@@ -7,11 +7,9 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import TypeVar
 
-Progress = Callable[[int, int], None]
-"""Called with the number of finished items and the total."""
+Progress = Callable[[int, int], None]  # number of finished items, total
 
-Stages = Callable[[str, int, int], None]
-"""Called with the name of a stage, the number of finished items and the total."""
+Stages = Callable[[str, int, int], None]  # name of a stage, number of finished items, total
 
 Item = TypeVar("Item")
 
@@ -30,8 +28,7 @@ def counted(items: Collection[Item], progress: Progress) -> Iterator[Item]:
 
 _steps: ContextVar[Progress] = ContextVar("_steps", default=silent)
 
-PARTS = 100
-"""Units of one job when several jobs are counted together."""
+PARTS = 100  # units of one job among several
 
 _LOOKED = 0.3  # [s] between two polls of workers
 

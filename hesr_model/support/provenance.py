@@ -13,7 +13,7 @@ _VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
 
 
 def provenance(*, files: Sequence[Path], seed: int | None = None, **more: Any) -> dict[str, Any]:
-    """Return the provenance of a result as JSON data; `more` adds entries."""
+    """Return the provenance of a result as JSON data."""
     return {
         "files": [{"name": file.name, "sha256": sha256(file)} for file in files],
         "seed": seed,
@@ -23,9 +23,6 @@ def provenance(*, files: Sequence[Path], seed: int | None = None, **more: Any) -
 
 
 def newest(files: Sequence[Path]) -> str:
-    """Return the modification time of the newest file, ISO 8601 in UTC.
-
-    Unlike the present time, it makes results reproducible.
-    """
+    """Return the modification time of the newest file (reproducible), ISO 8601 in UTC."""
     seconds = max(int(file.stat().st_mtime) for file in files)
     return datetime.fromtimestamp(seconds, tz=UTC).isoformat()

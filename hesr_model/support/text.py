@@ -1,8 +1,8 @@
-"""Names and messages from files of unknown origin, made safe to show."""
+"""Text from files of unknown origin, made safe to show."""
 
 from collections.abc import Iterable
 
-_LONGEST = 160  # characters of one name or message; hostile ones have millions
+_LONGEST = 160  # characters; hostile texts have millions
 
 
 def plain(text: str, longest: int = _LONGEST) -> str:

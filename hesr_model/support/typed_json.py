@@ -1,4 +1,4 @@
-"""JSON files, and data classes as JSON: fields are the keys, annotations validate the values.
+"""Data classes as JSON: fields are the keys, annotations validate the values.
 
 A class whose JSON form differs has pydantic validators and serialisers.
 """
@@ -33,14 +33,13 @@ def _with_gaps(values: Array) -> Any:
     return gaps.tolist()
 
 
-Numbers = Annotated[Array, PlainValidator(_array), PlainSerializer(np.ndarray.tolist)]
-"""An array of any shape, as lists."""
+Numbers = Annotated[Array, PlainValidator(_array), PlainSerializer(np.ndarray.tolist)]  # as lists
 NumbersWithGaps = Annotated[Array, PlainValidator(_array), PlainSerializer(_with_gaps)]
-"""The same, with null for numbers that are not finite; they are read as NaN."""
+"""As `Numbers`, with null for NaN and infinity, read as NaN."""
 
 
 def write_json(path: Path, data: Mapping[str, Any], *, indent: int | None = 2) -> None:
-    """Write JSON data whole or not at all, with every digit of every number."""
+    """Write JSON data whole or not at all, with every digit."""
     text = json.dumps(data, indent=indent, allow_nan=False)
     with written_whole(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
@@ -84,9 +83,9 @@ def to_json(value: Any, *, sparse: bool = False) -> Any:
 
 
 def from_json(kind: type[Kind], data: Any, path: Path, what: str) -> Kind:
-    """Return the data class `kind` for JSON data; `path` and the content `what` are for messages.
+    """Return the data class `kind` for JSON data; raises ArtifactError.
 
-    Raises ArtifactError with the file, the key and the problem.
+    `path` and the expected content `what` are for messages.
     """
     schema: Any = kind
     try:

@@ -9,19 +9,17 @@ from typing import Any, TypeVar
 
 Data = TypeVar("Data")
 
-MOST_BYTES = 256 * 2**20
-"""Maximum size of a text file [B]; the largest results have a tenth of it."""
+MOST_BYTES = 256 * 2**20  # the largest results have a tenth of it
 
-_MOST_DIGITS = 300
-"""Maximum number of digits of an integer; floating-point numbers end at 1.8e308."""
+_MOST_DIGITS = 300  # of an integer; floating-point numbers end at 1.8e308
 
-_DEEPEST_KEY = 100  # dots in a key
+_DEEPEST_KEY = 100  # dots
 
 _LONGEST_NAME = 1000
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file in UTF-8; raises OSError or, with a wrong content, ValueError."""
+    """Return the text of a file in UTF-8; raises OSError or ValueError."""
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ValueError("it is a pipe or a device")  # opening it may block, and it may have no end
     with path.open("rb") as file:
@@ -33,12 +31,12 @@ def read_text(path: Path) -> str:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return JSON data, or raise ValueError, also for deep nesting and huge integers."""
+    """Return JSON data; raises ValueError, also for deep nesting and huge integers."""
     return _shallow(lambda: json.loads(text, parse_int=_integer))
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return TOML data, or raise ValueError, also for deep nesting and huge integers."""
+    """Return TOML data; raises ValueError, also for deep nesting and huge integers."""
     for line in text.splitlines():
         # Parsing nested tables takes quadratic time in their depth.
         if line.partition("=")[0].count(".") > _DEEPEST_KEY and not line.lstrip().startswith("#"):

@@ -1,7 +1,7 @@
-"""A worker process of `support.parallel`: reads requests on stdin, answers on stdout.
+"""A worker process of `support.parallel`.
 
-A request is one line with the numbers of a batch and of a job in it. An answer is a line with its
-size in bytes and the pickled tuple (error or None, result, cache use).
+A request on stdin is one line with the numbers of a batch and of a job in it. An answer on stdout
+is a line with its size in bytes and the pickled tuple (error or None, result, cache use).
 """
 
 import os
@@ -23,24 +23,21 @@ import cloudpickle
 from hesr_model.support.cache import USED
 from hesr_model.support.garbage import collect_seldom
 
-JOBS = "jobs"
-"""Prefix of the files with pickled jobs."""
+JOBS = "jobs"  # prefix of files with pickled jobs
 
 JobAnswer = tuple[BaseException | None, Any, Counter[tuple[str, bool]]]
 
-_GROWTH = 1 << 30
-"""Memory growth after which a worker starts afresh [B]."""
+_GROWTH = 1 << 30  # memory growth after which a worker starts afresh [B]
 
-_ORPHANED = 1.0
-"""Period of a worker's checks for its parent [s]."""
+_ORPHANED = 1.0  # period of checks for the parent [s]
 
 
 def work(folder: Path, parent: int) -> None:
     """Answer requests until stdin closes.
 
-    The parent process removes the `folder` of the jobs and all temporary files of the worker.
+    The parent process removes the `folder` of the jobs and all temporary files.
     """
-    import psutil  # slow to import
+    import psutil
 
     # The parent alone answers signals to the process group, and kills its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
