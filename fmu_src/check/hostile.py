@@ -23,7 +23,7 @@ from fmu_src.check.description import (
     integer,
     real,
 )
-from fmu_src.run.instance import DiedError
+from fmu_src.run.instance import PLATFORM, SUFFIX, DiedError
 from fmu_src.run.sandbox import NONSENSE, Sandbox
 from hesr_model.support.arrays import Array
 from hesr_model.support.text import plain, quoted
@@ -63,16 +63,14 @@ _NAMES = _FREE | {
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """Outcome of a scenario: (N,) times [s] and steps before them [s], (N, outputs) values.
-
-    `fresh` are values that were read before the steps.
-    """
+    """Outcome of a scenario: (N,) times [s] and steps before them [s], (N, outputs) values."""
 
     times: Array
     steps: Array
     rows: Array
-    fresh: Array
+    fresh: Array  # values that were read before the steps
     refused: str
+    taken: bool | None
 
 
 def problems(
@@ -82,24 +80,20 @@ def problems(
 
     It runs the binary of an FMU of FMI 2.0; `folder` is for temporary files.
     """
-    import fmpy
-
-    place = folder / "hostile"
-    kinds = {kind.element: kind for kind in about.kinds}
-    own = f"binaries/{fmpy.platform}/"
-    present = {
-        name: kind
-        for name, kind in kinds.items()
-        if f"{own}{kind.identifier}{fmpy.sharedLibraryExtension}" in contents.files
+    own = f"binaries/{PLATFORM}/"
+    kinds = {
+        kind.element: kind
+        for kind in about.kinds
+        if f"{own}{kind.identifier}{SUFFIX}" in contents.files
     }
-    if not present:
-        return [], [f"Hostile master: there is no binary for this platform, {fmpy.platform}."]
+    if not kinds:
+        return [], [f"Hostile master: a binary for this platform, {PLATFORM}, is missing."]
     for name, file in contents.files.items():
         if name.startswith((own, "resources/")):
-            target = place / name
+            target = folder / "hostile" / name
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(file.read_bytes())
-    master = _Master(about, present, place, folder)
+    master = _Master(about, kinds, folder)
     return list(master.findings()), master.skipped
 
 
@@ -107,38 +101,30 @@ class _Master:
     """The scenarios of one FMU and their findings."""
 
     def __init__(
-        self,
-        about: ParsedDescription,
-        kinds: Mapping[str, InterfaceKind],
-        place: Path,
-        folder: Path,
+        self, about: ParsedDescription, kinds: Mapping[str, InterfaceKind], folder: Path
     ) -> None:
         self._folder = folder
-        self._outputs = [v for v in about.variables if v.causality == "output" and _is_real(v)]
-        self._simulation = kinds.get("CoSimulation")
-        self._exchange = kinds.get("ModelExchange")
-        self._step = _preferred_step(about)
+        reals = [v for v in about.variables if v.kind == "Real" and v.reference is not None]
+        self._outputs = [v for v in reals if v.causality == "output"]
+        self._simulation = simulation = kinds.get("CoSimulation")
+        self._exchange = exchange = kinds.get("ModelExchange")
+        step = real(about.experiment.get("stepSize"))
+        self._step = _STEP if step is None or not 0.0 < step < math.inf else step
+        self._varies = bool(simulation and simulation.can("canHandleVariableCommunicationStepSize"))
         self.skipped: list[str] = []
         self._plan = {
-            "folder": str(place),
+            "folder": str(folder / "hostile"),
             "guid": about.attributes.get("guid", ""),
-            "simulation": self._simulation and self._simulation.identifier,
-            "exchange": self._exchange and self._exchange.identifier,
+            "simulation": simulation and simulation.identifier,
+            "exchange": exchange and exchange.identifier,
             "step": self._step,
             "steps": STEPS,
             "variable": self._varies,
             "states": len(about.structure["Derivatives"]),
             "indicators": integer(about.attributes.get("numberOfEventIndicators")) or 0,
-            "inputs": [
-                _excitation(v) for v in about.variables if v.causality == "input" and _is_real(v)
-            ],
+            "inputs": [_excitation(v) for v in reals if v.causality == "input"],
             "outputs": [v.reference for v in self._outputs],
         }
-
-    @property
-    def _varies(self) -> bool:
-        kind = self._simulation
-        return kind is not None and kind.can("canHandleVariableCommunicationStepSize")
 
     def _scenarios(self) -> list[str]:
         chosen: list[str] = []
@@ -150,8 +136,8 @@ class _Master:
                 chosen += ["dense", "held", *_FREE]
             else:
                 self.skipped.append(
-                    "Hostile steps: canHandleVariableCommunicationStepSize is false, so that "
-                    f"steps of {self._step:g} s were tried only."
+                    "Hostile steps: canHandleVariableCommunicationStepSize is false, so only "
+                    f"steps of {self._step:g} s were tried."
                 )
             if self._simulation.can("canGetAndSetFMUstate"):
                 chosen.append("repeated")
@@ -161,49 +147,41 @@ class _Master:
 
     def findings(self) -> Iterator[str]:
         """Run all scenarios and yield a sentence for each problem."""
-        outcomes = self._outcomes(self._scenarios())
-        for name, outcome in outcomes.items():
-            if refused := outcome.get("refused"):
+        runs = self._runs(self._scenarios())
+        for name, run in runs.items():
+            if run.refused:
                 claim = "; canHandleVariableCommunicationStepSize is true" if name in _FREE else ""
-                yield f"{_NAMES[name]}: {plain(refused.rstrip('.'), 400)}{claim}."
-            if name == "sizes" and outcome.get("taken") and self._plan["states"]:
-                yield f"{_NAMES[name]}: it is taken without an error."
-            if name == "sizes" and not outcome.get("taken", True) and not self._plan["states"]:
+                yield f"{_NAMES[name]}: {plain(run.refused.rstrip('.'), 400)}{claim}."
+            if run.taken and self._plan["states"]:
+                yield f"{_NAMES[name]}: it is accepted without an error."
+            if run.taken is False and not self._plan["states"]:
                 yield (
-                    "fmi2SetContinuousStates with one state where there is none is refused; "
-                    "solvers that need one make it up."
+                    "fmi2SetContinuousStates with one state is refused by an FMU without states; "
+                    "solvers that need one state add it."
                 )
         if self._outputs:
-            count = len(self._outputs)
-            yield from self._jumps(
-                {name: _run(one, count) for name, one in outcomes.items() if "times" in one}
-            )
+            yield from self._jumps(runs)
 
-    def _outcomes(self, scenarios: Sequence[str]) -> dict[str, dict[str, Any]]:
+    def _runs(self, scenarios: Sequence[str]) -> dict[str, _Run]:
         """Run scenarios in a sandbox; after one that ends it, the others run in a new one."""
-        found, sandbox = dict[str, dict[str, Any]](), None
+        found, sandbox = dict[str, _Run](), None
         try:
             for name in scenarios:
                 try:
                     if sandbox is None:
                         sandbox = Sandbox(Path(mkdtemp(dir=self._folder)), SECONDS)
                     outcome = sandbox.run(_SCENARIO, self._plan, name)
-                    if not self._is_outcome(outcome):
-                        raise sandbox.died(NONSENSE)
+                    try:
+                        found[name] = _run(outcome, len(self._outputs))
+                    except (ValueError, TypeError, AttributeError) as error:
+                        raise sandbox.died(NONSENSE) from error
                 except DiedError as error:
-                    outcome, sandbox = {"refused": f"the FMU {error}"}, None
-                found[name] = outcome
+                    sandbox = None
+                    found[name] = _run({"refused": f"the FMU {error}"}, len(self._outputs))
         finally:
             if sandbox is not None:
                 sandbox.kill()
         return found
-
-    def _is_outcome(self, outcome: Any) -> bool:
-        try:
-            _run(outcome, len(self._outputs))
-        except (ValueError, TypeError, KeyError, AttributeError):
-            return False
-        return isinstance(outcome.get("refused", ""), str)
 
     # --- jumps --------------------------------------------------------------------------------
 
@@ -211,11 +189,17 @@ class _Master:
         nominal = runs.get("nominal")
         if nominal is None or nominal.refused:
             return
-        small = [runs[n] for n in ("dense", "held") if n in runs and not runs[n].refused]
+        complete = {name: run for name, run in runs.items() if not run.refused}
+        small = [complete[name] for name in ("dense", "held") if name in complete]
         reference = small or [nominal]
         scale = _scale(np.concatenate([one.rows for one in reference]))
         own = np.zeros(len(self._outputs))
-        for own_run in (nominal, *_fresh(runs), *small[:-1]):
+        fresh = [
+            replace(run, times=run.times[:-1], steps=run.steps[1:], rows=run.fresh)
+            for name, run in complete.items()
+            if name == "refreshed"
+        ]
+        for own_run in (nominal, *fresh, *small[:-1]):
             # Small steps differ from each other if outputs are fast, such as ripple over the angle.
             others = [one for one in reference if one is not own_run]
             around = _around(own_run, others or reference, self._step)
@@ -255,15 +239,6 @@ class _Master:
         )
 
 
-def _is_real(variable: ParsedVariable) -> bool:
-    return variable.kind == "Real" and variable.reference is not None
-
-
-def _preferred_step(about: ParsedDescription) -> float:
-    step = real(about.experiment.get("stepSize"))
-    return step if step is not None and math.isfinite(step) and step > 0.0 else _STEP
-
-
 def _excitation(variable: ParsedVariable) -> dict[str, Any]:
     """Return centre and amplitude of an input within its limits."""
     start, low, high = (real(variable.get(name)) for name in ("start", "min", "max"))
@@ -278,21 +253,20 @@ def _excitation(variable: ParsedVariable) -> dict[str, Any]:
     return {"reference": variable.reference, "centre": centre, "amplitude": amplitude}
 
 
-def _run(outcome: Mapping[str, Any], outputs: int) -> _Run:
+def _run(outcome: Any, outputs: int) -> _Run:
+    """Return an outcome; raise ValueError, TypeError or AttributeError if it is nonsense."""
+    times = np.array(outcome.get("times", []), dtype=float)
+    fresh, refused = outcome.get("fresh", []), outcome.get("refused", "")
+    if not isinstance(refused, str):
+        raise TypeError(refused)
     return _Run(
-        times=np.array(outcome.get("times", []), dtype=float),
-        steps=np.array(outcome.get("steps", []), dtype=float),
-        rows=np.array(outcome.get("rows", []), dtype=float).reshape(-1, outputs),
-        fresh=np.array(outcome.get("fresh", []), dtype=float).reshape(-1, outputs),
-        refused=outcome.get("refused", ""),
+        times=times,
+        steps=np.array(outcome.get("steps", []), dtype=float).reshape(times.shape),
+        rows=np.array(outcome.get("rows", []), dtype=float).reshape(times.size, outputs),
+        fresh=np.array(fresh, dtype=float).reshape(len(fresh), outputs),
+        refused=refused,
+        taken=outcome.get("taken"),
     )
-
-
-def _fresh(runs: Mapping[str, _Run]) -> Iterator[_Run]:
-    """Yield the outputs that follow new inputs before their step."""
-    run = runs.get("refreshed")
-    if run is not None and not run.refused:
-        yield replace(run, times=run.times[:-1], steps=run.steps[1:], rows=run.fresh)
 
 
 def _scale(rows: Array) -> Array:

@@ -103,9 +103,9 @@ class _Run:
 
     def record(self) -> None:
         """Read and record the outputs."""
+        self.found["rows"].append(self.outputs())
         self.found["times"].append(self.time)
         self.found["steps"].append(self.reached)
-        self.found["rows"].append(self.outputs())
 
     def do_step(self, step: float) -> None:
         """Step with the present inputs; repeat the step if it is discarded."""

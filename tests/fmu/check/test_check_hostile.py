@@ -115,15 +115,15 @@ def reworked(make_law, make_model, tmp_path, monkeypatch) -> Callable[..., Path]
 def test_a_state_where_there_is_none(reworked):
     fmu = reworked("viscous", "n != own && (own > 0 || n > 1)", "n != own")
     assert found(fmu) == [
-        "fmi2SetContinuousStates with one state where there is none is refused; solvers that need "
-        "one make it up."
+        "fmi2SetContinuousStates with one state is refused by an FMU without states; solvers that "
+        "need one state add it."
     ]
 
 
 def test_a_state_too_many(reworked):
     fmu = reworked("lugre", "n != own && (own > 0 || n > 1)", "n < own")
     assert found(fmu) == [
-        "fmi2SetContinuousStates with one state too many: it is taken without an error."
+        "fmi2SetContinuousStates with one state too many: it is accepted without an error."
     ]
 
 
@@ -190,8 +190,8 @@ def test_steps_of_one_length_where_nothing_else_is_promised(python_fmu, tmp_path
     report = check(changed(python_fmu(LAG), tmp_path / "Fixed.fmu", fixed), hostile=True)
     assert texts(report, "hostile") == []
     assert (
-        "Hostile steps: canHandleVariableCommunicationStepSize is false, so that steps of 0.01 s "
-        "were tried only." in report.skipped
+        "Hostile steps: canHandleVariableCommunicationStepSize is false, so only steps of 0.01 s "
+        "were tried." in report.skipped
     )
 
 
@@ -228,4 +228,4 @@ def test_a_step_that_never_ends(python_fmu, monkeypatch):
 def test_without_a_binary_there_is_nothing_to_run(source_fmu):
     report = check(source_fmu, hostile=True)
     assert report.problems == ()
-    assert "Hostile master: there is no binary for this platform, linux64." in report.skipped
+    assert "Hostile master: a binary for this platform, linux64, is missing." in report.skipped
