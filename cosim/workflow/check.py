@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.workflow.arguments import FmuArgs
     from fmu_src.check.convention import Convention
-    from fmu_src.check.report import Report
+    from fmu_src.check.run import Report
     from hesr_model.findings import Finding
     from hesr_model.support.files import PathArg
 
@@ -130,10 +130,10 @@ def check(
     True
     """
     from cosim.workflow.arguments import paths_of, remember_trust
-    from fmu_src.check import check as check_fmu
-    from fmu_src.check import opened
     from fmu_src.check.convention import judge, measure
-    from fmu_src.check.report import Report
+    from fmu_src.check.run import Report
+    from fmu_src.check.run import check as check_fmu
+    from fmu_src.run.archive import opened
     from hesr_model.support.files import path_of
 
     paths = paths_of(fmus, "an FMU")
@@ -174,7 +174,7 @@ def check(
 def _with_references(report: Report) -> Report:
     """Return a report extended by the comparison with the reference results in the file."""
     from cosim.systems.ssp_results import verify_ssp
-    from fmu_src.check.report import problems_of
+    from fmu_src.check.run import problems_of
     from fmu_src.run.reference_results import verify
 
     system = report.path.suffix.lower() == ".ssp"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fmu_src.check import functions, libraries
+from fmu_src.check import functions
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import KINDS, InterfaceKind, ParsedDescription
 from fmu_src.run.instance import DiedError
@@ -27,32 +27,53 @@ class Platform:
     suffix: str
 
 
-_ELF = {"format": "ELF", "suffix": ".so"}
-_PE = {"format": "PE", "suffix": ".dll"}
-_MACH_O = {"format": "Mach-O", "suffix": ".dylib"}
-
-PLATFORMS: Mapping[str, Platform] = {
-    "linux32": Platform(**_ELF, machines=("I386",)),
-    "linux64": Platform(**_ELF, machines=("X86_64",)),
-    "win32": Platform(**_PE, machines=("I386",)),
-    "win64": Platform(**_PE, machines=("AMD64",)),
-    "darwin32": Platform(**_MACH_O, machines=("X86",)),
-    "darwin64": Platform(**_MACH_O, machines=("X86_64", "ARM64")),
-    # Names of FMI 3.0 and of importers.
-    "aarch64-linux": Platform(**_ELF, machines=("AARCH64",)),
-    "x86_64-linux": Platform(**_ELF, machines=("X86_64",)),
-    "aarch64-windows": Platform(**_PE, machines=("ARM64",)),
-    "x86_64-windows": Platform(**_PE, machines=("AMD64",)),
-    "aarch64-darwin": Platform(**_MACH_O, machines=("ARM64",)),
-    "x86_64-darwin": Platform(**_MACH_O, machines=("X86_64",)),
+_LINUX = {"format": "ELF", "suffix": ".so"}
+_WINDOWS = {"format": "PE", "suffix": ".dll"}
+_MACOS = {"format": "Mach-O", "suffix": ".dylib"}
+_TUPLES = {
+    "aarch64-linux": Platform(**_LINUX, machines=("AARCH64",)),
+    "x86_64-linux": Platform(**_LINUX, machines=("X86_64",)),
+    "aarch64-windows": Platform(**_WINDOWS, machines=("ARM64",)),
+    "x86_64-windows": Platform(**_WINDOWS, machines=("AMD64",)),
+    "aarch64-darwin": Platform(**_MACOS, machines=("ARM64",)),
+    "x86_64-darwin": Platform(**_MACOS, machines=("X86_64",)),
 }
-
-PLATFORMS_3: Mapping[str, Platform] = {
-    "x86-linux": Platform(**_ELF, machines=("I386",)),
-    "x86-windows": Platform(**_PE, machines=("I386",)),
-    **{name: platform for name, platform in PLATFORMS.items() if "-" in name},
+PLATFORMS: Mapping[int, Mapping[str, Platform]] = {
+    2: {
+        "linux32": Platform(**_LINUX, machines=("I386",)),
+        "linux64": _TUPLES["x86_64-linux"],
+        "win32": Platform(**_WINDOWS, machines=("I386",)),
+        "win64": _TUPLES["x86_64-windows"],
+        "darwin32": Platform(**_MACOS, machines=("X86",)),
+        "darwin64": Platform(**_MACOS, machines=("X86_64", "ARM64")),
+        **_TUPLES,  # used by importers
+    },
+    3: {
+        "x86-linux": Platform(**_LINUX, machines=("I386",)),
+        "x86-windows": Platform(**_WINDOWS, machines=("I386",)),
+        **_TUPLES,
+    },
 }
-"""Platforms of FMI 3.0."""
+"""Platforms by version of FMI."""
+
+# Libraries that every installation of an operating system has.
+_ELF = re.compile(
+    r"(libc|libm|libdl|libpthread|librt|libutil|libresolv|libgcc_s|libstdc\+\+|libc\+\+|"
+    r"linux-vdso|ld-linux[a-z0-9_-]*|ld-musl[a-z0-9_-]*)\.so(\.[0-9]+)*"
+)
+_PE = re.compile(
+    r"(kernel32|kernelbase|ntdll|user32|gdi32|advapi32|shell32|shlwapi|ole32|oleaut32|ws2_32|"
+    r"msvcrt|ucrtbase|bcrypt|crypt32|rpcrt4|winmm|version|psapi|dbghelp|iphlpapi|comdlg32|"
+    r"comctl32|setupapi|secur32|userenv|wsock32|mswsock|powrprof|api-ms-win-[a-z0-9-]+|"
+    r"ext-ms-win-[a-z0-9-]+|bcryptprimitives|cfgmgr32|imm32|netapi32|opengl32|pdh|uxtheme|wininet|"
+    r"winhttp|normaliz|propsys|sechost|wldap32)\.dll",
+    re.IGNORECASE,
+)
+_MACH_O = re.compile(r"/usr/lib/.*|/System/Library/.*", re.DOTALL)
+_USUAL = {"ELF": _ELF, "PE": _PE, "Mach-O": _MACH_O}
+_PYTHON_LIBRARY = re.compile(
+    r"(lib)?python[0-9._]*[a-z]*(\.so|\.dll|\.dylib).*|Python", re.IGNORECASE
+)
 
 _FOLDER = "binaries/"
 _PYTHON = re.compile("_?Py[A-Z_][A-Za-z_]+")
@@ -61,7 +82,7 @@ _PYTHON = re.compile("_?Py[A-Z_][A-Za-z_]+")
 def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iterator[str]:
     """Yield the problems of the binaries; `folder` is for temporary files."""
     for platform, names in _by_platform(contents).items():
-        expected = _platforms(about).get(platform)
+        expected = PLATFORMS[about.fmi].get(platform)
         # Subfolders may contain static libraries only.
         if expected is None or not any("/" not in name for name in names):
             continue
@@ -80,16 +101,12 @@ def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iter
                 )
 
 
-def _platforms(about: ParsedDescription) -> Mapping[str, Platform]:
-    return PLATFORMS if about.fmi == 2 else PLATFORMS_3
-
-
 def skipped(about: ParsedDescription, contents: Contents) -> list[str]:
     """Return the folders whose binaries are not checked, with the reason."""
     return [
         f"binaries/{plain(platform)}: not looked at, since no platform of this name is known."
         for platform in _by_platform(contents)
-        if platform not in _platforms(about)
+        if platform not in PLATFORMS[about.fmi]
     ]
 
 
@@ -188,9 +205,9 @@ def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Ite
     python = [name for name in part["imports"] if _PYTHON.fullmatch(name)]
     others = []
     for name in part["libraries"]:
-        if libraries.is_python(name):
+        if _PYTHON_LIBRARY.fullmatch(posixpath.basename(name)):
             python.append(name)
-        elif not libraries.is_usual(name, expected.format):
+        elif not _USUAL[expected.format].fullmatch(name):
             others.append(name)
     if python:
         yield f"it needs a Python interpreter in the host ({listed(python, 3)} undefined)."
@@ -201,6 +218,5 @@ def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Ite
     present = sorted(names & beside)
     if present and expected.format == "ELF" and not origin:
         yield (
-            f"it needs {listed(present)} beside it, but its run path has no $ORIGIN by which that "
-            "is found."
+            f"it needs {listed(present)} in its folder, but its run path lacks $ORIGIN to find it."
         )

@@ -4,9 +4,11 @@ The rules are those of FMI 2.0 and 3.0. FMI 1.0 is checked by archive, XML, sche
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from lxml import etree
 
@@ -26,16 +28,43 @@ from fmu_src.check import (
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription, read_description
 from fmu_src.check.description3 import read_description3
-from fmu_src.check.report import Report, problems_of
 from hesr_model.errors import ConfigError
 from hesr_model.findings import Finding
 from hesr_model.support.text import plain, quoted
+from hesr_model.support.typed_json import to_json
 
 _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
 _OTHER_XML = (terminals.FILE, _BUILD)
 Rule = Callable[[ParsedDescription], Iterator[str]]
 _RULES: tuple[Rule, ...] = (*general.RULES, *variables.RULES, *structure.RULES)
+
+
+MOST_PROBLEMS = 1000
+"""Largest number of findings per check."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Findings of all checks in one FMU, and reasons for validators that were not run."""
+
+    path: Path
+    problems: tuple[Finding, ...]
+    skipped: tuple[str, ...]
+
+    @property
+    def verdict(self) -> str:
+        """One-line summary."""
+        count = len(self.problems)
+        return f"{count} problem{'s' if count > 1 else ''} found." if count else "no problem found."
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the report as JSON data."""
+        return {
+            "fmu": str(self.path),
+            "problems": [to_json(finding) for finding in self.problems],
+            "skipped": list(self.skipped),
+        }
 
 
 def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) -> Report:
@@ -54,6 +83,21 @@ def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) ->
         found = _Found(folder, vdmcheck, hostile=hostile)
         found.check(archive.unpack(path, files))
     return Report(path=path, problems=tuple(found.problems), skipped=tuple(found.skipped))
+
+
+def problems_of(check: str, texts: Iterable[str]) -> list[Finding]:
+    """Return the findings of one check, without repetitions and at most `MOST_PROBLEMS`."""
+    kept: dict[str, None] = {}
+    more = 0
+    for text in texts:
+        if len(kept) < MOST_PROBLEMS:
+            kept[text] = None
+        elif text not in kept:
+            more += 1
+    problems = [Finding(check=check, found=text) for text in kept]
+    if more:
+        problems.append(Finding(check=check, found=f"{more} more findings are not listed."))
+    return problems
 
 
 class _Found:

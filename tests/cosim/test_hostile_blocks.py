@@ -8,7 +8,7 @@ from closed_loop import Bench
 from cosim.loop.closed_loop import Compensation, Scheme
 from cosim.systems.container import write_container
 from cosim.systems.contents import read_contents
-from fmu_src.check import check
+from fmu_src.check.run import check
 
 
 def complaints(fmu: Path) -> list[str]:

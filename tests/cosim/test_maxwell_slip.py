@@ -8,7 +8,7 @@ import pytest
 
 from cosim.properties.battery import Subject, run_battery
 from fmu_src import export_fmu
-from fmu_src.check import check
+from fmu_src.check.run import check
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay

@@ -15,7 +15,7 @@ from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
 from cosim.workflow.export import export
-from fmu_src.check import check
+from fmu_src.check.run import check
 from fmu_src.run.fmu import FmuInstance
 from hesr.extras.adaptive.follow import Follower
 from hesr_model.errors import ExportError, SimulationError

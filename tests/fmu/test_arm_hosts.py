@@ -10,7 +10,7 @@ from c_hosts import build_host
 from mjcf_models import STEP, UF850, Unpacked, names
 
 from fmu_src.arm.native import export_mjcf
-from fmu_src.check import check
+from fmu_src.check.run import check
 from fmu_src.run.fmu import FmuInstance
 
 MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"

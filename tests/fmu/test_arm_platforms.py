@@ -15,7 +15,7 @@ from fmpy import read_model_description
 from mjcf_models import UF850
 
 from fmu_src.arm.native import export_mjcf
-from fmu_src.check import check
+from fmu_src.check.run import check
 from hesr_model.errors import ExportError
 
 pytestmark = pytest.mark.ci

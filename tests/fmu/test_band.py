@@ -9,7 +9,7 @@ import pytest
 import sympy
 from test_derivatives import difference, initialising, tangent, worst
 
-from fmu_src.check import check
+from fmu_src.check.run import check
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.run.replay import replay

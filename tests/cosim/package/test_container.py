@@ -14,7 +14,7 @@ from fmpy.model_description import read_model_description
 from cosim.systems.container import write_container
 from cosim.systems.contents import SystemContents, read_contents
 from cosim.systems.system import SystemSpec
-from fmu_src.check import check
+from fmu_src.check.run import check
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError, ExportError, SimulationError
 

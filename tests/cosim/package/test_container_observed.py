@@ -13,7 +13,7 @@ from cosim.systems.container import write_container
 from cosim.systems.contents import SystemContents, read_contents
 from cosim.systems.system import SystemSpec
 from cosim.systems.system_file import System
-from fmu_src.check import check
+from fmu_src.check.run import check
 from fmu_src.run.fmu import FmuInstance
 
 Write = Callable[..., Path]

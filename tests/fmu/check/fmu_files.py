@@ -8,7 +8,7 @@ from typing import Any
 
 from lxml import etree
 
-from fmu_src.check import Report, check
+from fmu_src.check.run import Report, check
 
 MODEL = "modelDescription.xml"
 BINARY = "binaries/linux64/friction_parfam_h.so"

@@ -9,7 +9,8 @@ import zlib
 import pytest
 from fmu_files import MODEL, members, said, texts, write
 
-from fmu_src.check import archive, check
+from fmu_src.check import archive
+from fmu_src.check.run import check
 from fmu_src.run.archive import opened
 from hesr_model.errors import ArtifactError
 

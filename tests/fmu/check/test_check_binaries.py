@@ -85,7 +85,7 @@ def test_the_name(table1_fmu, tmp_path):
     ],
 )  # fmt: skip
 def test_the_machine(target, folder, text, library, of):
-    suffix = binaries.PLATFORMS[folder].suffix
+    suffix = binaries.PLATFORMS[2][folder].suffix
     name = f"binaries/{folder}/friction_parfam_h{suffix}"
     export = ("-DEXPORT=__declspec(dllexport)", "-Wl,--no-entry")
     more = export if "windows" in target else ("-fPIC",)
@@ -187,8 +187,8 @@ def test_a_library_that_is_not_there(needy, of):
 def test_a_library_that_is_there_but_not_found(needy, of):
     other = {"binaries__linux64__libother.so.3": b"x"}
     assert of(needy("libother.so.3"), **other) == [
-        f"{BINARY}: it needs 'libother.so.3' beside it, but its run path has no $ORIGIN by which "
-        "that is found."
+        f"{BINARY}: it needs 'libother.so.3' in its folder, but its run path lacks $ORIGIN to "
+        "find it."
     ]
     assert of(needy("libother.so.3", "-Wl,-rpath,$ORIGIN"), **other) == []
 

@@ -10,7 +10,7 @@ from fmpy.validation import validate_fmu
 from fmu_files import changed, texts
 from pythonfmu.builder import FmuBuilder
 
-from fmu_src.check import check
+from fmu_src.check.run import check
 
 pytestmark = pytest.mark.ci
 

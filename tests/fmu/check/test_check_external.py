@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from fmu_files import MODEL, changed, texts
 
-from fmu_src.check import check, external
+from fmu_src.check import external
+from fmu_src.check.run import check
 from hesr_model.errors import ConfigError
 
 REPOSITORY = Path(__file__).parents[3]

@@ -8,7 +8,8 @@ from fmu_files import MODEL, members
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fmu_src.check import Report, check, run
+from fmu_src.check import run
+from fmu_src.check.run import Report, check
 from fmu_src.run.instance import DiedError
 
 pytestmark = pytest.mark.ci

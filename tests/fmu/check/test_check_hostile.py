@@ -9,7 +9,8 @@ from fmu_files import changed, texts
 from pythonfmu.builder import FmuBuilder
 
 from fmu_src import export_fmu
-from fmu_src.check import check, hostile
+from fmu_src.check import hostile
+from fmu_src.check.run import check
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.export import package
 from fmu_src.friction.friction_fmu import export_bare

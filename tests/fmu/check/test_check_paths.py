@@ -6,7 +6,7 @@ import fmpy.container_fmu
 import pytest
 from fmu_files import BINARY, changed, members, said
 
-from fmu_src.check import check
+from fmu_src.check.run import check
 
 
 @pytest.fixture

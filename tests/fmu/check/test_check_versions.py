@@ -6,8 +6,9 @@ import pytest
 from fmu_files import MODEL, texts, write
 from lxml import etree
 
-from fmu_src.check import check, general, readers, structure, variables
+from fmu_src.check import general, readers, structure, variables
 from fmu_src.check.description3 import read_description3
+from fmu_src.check.run import check
 
 NOTHING_RUNS = "there are neither binaries nor a list of source files, so that nothing can run."
 

@@ -5,7 +5,8 @@ import sys
 import pytest
 from fmu_files import MODEL, changed, said, texts
 
-from fmu_src.check import check, markup
+from fmu_src.check import markup
+from fmu_src.check.run import check
 
 PROLOG = b'<?xml version="1.0" encoding="UTF-8"?>\n'
 DOCTYPE = (

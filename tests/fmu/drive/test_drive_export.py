@@ -15,7 +15,7 @@ from fmpy import read_model_description
 
 from cosim.systems.system_file import System
 from fmu_src.blocks.controller import controller
-from fmu_src.check import check
+from fmu_src.check.run import check
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.embedded_model import embedded_model
