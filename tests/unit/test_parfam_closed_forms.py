@@ -215,6 +215,32 @@ def test_candidates_whose_costs_agree_to_a_millionth_are_one() -> None:
     assert [k.cost for k in found] == [1.0, 1.0 + 2.1e-6, 3.0]
 
 
+def test_the_simplest_of_tied_candidates_is_kept() -> None:
+    large, small = linear([0.0] * 4), replace(linear([0.0] * 4), c_active=np.eye(4, dtype=bool)[2])
+    found = refine.distinct([replace(large, cost=1.0), replace(small, cost=1.0 + 0.9e-6)])
+    assert [k.c_active.sum() for k in found] == [1]
+    found = refine.distinct([replace(large, cost=1.0 + 0.9e-6), replace(small, cost=1.0)])
+    assert [k.c_active.sum() for k in found] == [1]
+
+
+def test_an_error_on_left_out_rows_is_that_of_a_converged_refinement(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    t = 0.01 * np.arange(900)
+    dq = np.sin(2.0 * t) + 0.4 * np.sin(5.1 * t)
+    truth = linear([0.2, 1.0, 3.0, 0.1])
+    clean = features_of(t, dq, np.zeros(900))
+    noise = 0.3 * np.random.default_rng(0).normal(size=900)
+    features = features_of(t, dq, truth.torque(clean.columns(ALPHA, BETA)) + noise)
+    folds = features.samples.folds
+    start = replace(truth, alpha=3.0 * ALPHA, beta=0.3 * BETA)
+    settled = refine.left_out_cost(features, start, folds, portions=refine.PORTIONS)
+    monkeypatch.setattr(refine, "FOLD", 3)
+    assert refine.left_out_cost(features, start, folds) != pytest.approx(settled, rel=1e-3)
+    found = refine.left_out_cost(features, start, folds, portions=refine.PORTIONS)
+    assert found == pytest.approx(settled, rel=1e-4)
+
+
 def test_what_a_candidate_left_out_costs_is_averaged_over_all_rows() -> None:
     """Of a law that is linear, at (alpha, beta) that no row tells: those of least squares."""
     t = 0.01 * np.arange(600)

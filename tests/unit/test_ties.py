@@ -17,6 +17,7 @@ def test_costs_within_round_off_are_tied() -> None:
 def test_the_first_of_tied_candidates_wins() -> None:
     assert first_best([5.0, 2.0 + 1e-10, 2.0, 2.0 - 1e-10]) == 1
     assert first_best([5.0, 2.0 + 1e-8, 2.0]) == 2
+    assert first_best([5.0, 2.0 + 1e-6, 2.0], tolerance=1e-6) == 1
 
 
 def test_a_gain_of_round_off_does_not_pay() -> None:

@@ -28,9 +28,10 @@ ROUNDS = ((8, 10), (16, 4))
 because only the few rows of a reversal determine a steep beta.
 """
 LONG, PRUNED, FOLD = 60, 12, 8  # evaluations of the final fit, after pruning, without a fold
+PORTIONS = 20  # of `FOLD` evaluations, at most, before finalists are compared
 HOPEFUL = 1.1  # largest mean square for a final fit, relative to the best candidate
 ROUNDING = 1e-15  # mean square relative to the torque's variance that counts as zero
-SAME = 1e-6  # relative difference of mean squares of candidates that are the same law
+SAME = 1e-6  # relative difference of mean squares, and of their convergence, that is a tie
 
 
 def select(
@@ -41,6 +42,7 @@ def select(
 ) -> Candidate:
     """Refine candidates, prune them and return the one that predicts left-out rows best.
 
+    Of those within `SAME` of the best one the simplest wins, so that round-off decides nothing.
     Laws that explode just outside the trained ranges are refused; raises FitError if every one
     does.
     """
@@ -64,19 +66,25 @@ def select(
             if not explodes(k.law("candidate", features.discretisation), trained)
         ]
         if finalists:
-            finalists.sort(key=lambda k: k.c_active.sum() + k.theta_active.sum())
-            costs = [left_out_cost(features, k, folds) for k in finalists]
-            return finalists[first_best(costs)]
+            finalists.sort(key=_terms)
+            costs = [left_out_cost(features, k, folds, portions=PORTIONS) for k in finalists]
+            return finalists[first_best(costs, SAME)]
     raise FitError("every ParFam candidate explodes just outside the trained speeds.")
 
 
 def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates sorted by cost, without duplicates of a law."""
+    """Return the candidates sorted by cost; of tied ones the one with the fewest terms."""
     kept: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda k: k.cost):
         if not kept or candidate.cost > kept[-1].cost * (1.0 + SAME):
             kept.append(candidate)
+        elif _terms(candidate) < _terms(kept[-1]):
+            kept[-1] = candidate
     return kept
+
+
+def _terms(candidate: Candidate) -> int:
+    return int(candidate.c_active.sum() + candidate.theta_active.sum())
 
 
 def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
@@ -94,7 +102,7 @@ def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
         removable &= ~needed
         if refined.theta_active.sum() == 1:
             removable[7:] = False
-        weakest = int(np.argmin(np.where(removable, statistics, np.inf)))
+        weakest = first_best(np.where(removable, statistics, np.inf), SAME)
         if not removable.any() or statistics[weakest] >= SIGNIFICANCE:
             return refined
         smaller, its_statistics = Refinement(features, _without(refined, weakest)).run(PRUNED)
@@ -102,6 +110,19 @@ def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
             refined, statistics = smaller, its_statistics
         else:
             needed[weakest] = True
+
+
+def settled(
+    features: HysteresisFeatures, candidate: Candidate, portions: int, rows: Mask
+) -> Candidate:
+    """Refine on a mask (N,) of rows until `FOLD` evaluations lower the cost by less than `SAME`."""
+    found = Refinement(features, candidate, rows).run(FOLD)[0]
+    for _ in range(1, portions):
+        before = found.cost
+        found = Refinement(features, found, rows).run(FOLD)[0]
+        if found.cost >= before * (1.0 - SAME):
+            break
+    return found
 
 
 def _without(candidate: Candidate, coefficient: int) -> Candidate:
@@ -126,12 +147,12 @@ def _still_as_good(features: HysteresisFeatures, candidate: Candidate) -> float:
 
 
 def left_out_cost(
-    features: HysteresisFeatures, candidate: Candidate, folds: Sequence[Mask]
+    features: HysteresisFeatures, candidate: Candidate, folds: Sequence[Mask], portions: int = 1
 ) -> float:
     """Return the mean square error [N^2.m^2] by cross-validation; folds are masks (N,)."""
     total = 0.0
     for fold in folds:
-        held = Refinement(features, candidate, ~fold).run(FOLD)[0]
+        held = settled(features, candidate, portions, ~fold)
         torque = held.torque(features.columns(held.alpha, held.beta))
         total += float(np.sum((torque - features.samples.tau)[fold] ** 2))
     return total / len(features.samples.tau)
