@@ -9,7 +9,7 @@ from cosim.loop.motions import Motions
 from cosim.loop.twin import export_twin, twin_plant
 from cosim.study.scores import MEASURED_START, Errors
 from cosim.study.seeds import errors_on
-from cosim.study.study import Study
+from cosim.study.study import Study, Twin
 from hesr_model.errors import FitError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.support.files import scratch_folder
@@ -24,26 +24,25 @@ def under_truths(
     Body and laws are identified again on the same motions. Laws that the logs do not determine are
     absent.
     """
-    names = study.twin.truths if study.twin else ()
-    return {truth: _under(study, path, truth, laws) for truth in counted(names, progress)}
+    twin = study.twin
+    names = twin.truths if twin else ()
+    return {
+        truth: _under(study, twin.model_copy(update={"truth": truth}), path, laws)
+        for truth in counted(names, progress)
+        if twin
+    }
 
 
-def _under(study: Study, path: Path, truth: str, laws: Sequence[str]) -> Errors:
-    if study.twin is None:
-        raise TypeError("the study has no twin")
-    twin = study.twin.model_copy(update={"truth": truth})
-
+def _under(study: Study, twin: Twin, path: Path, laws: Sequence[str]) -> Errors:
     def left_out(law: str, error: FitError) -> None:
         del law, error
 
     with scratch_folder() as folder:
         plant, signals = twin_plant(twin, path, folder)
         arm = export_twin(plant, folder, signals)
-        logs, truths = {}, {}
-        for found in recordings(Motions.read(twin.motions), plant, fmu=arm):
-            logs[found.log.name], truths[found.log.name] = found.log, found.truth.tau_f_true
+        found = list(recordings(Motions.read(twin.motions), plant, fmu=arm))
     fit = partial(fit_models, seed=study.seed, left_out=left_out)
     return {
         test: {law: rmse for law, rmse in of_test.items() if not law.endswith(MEASURED_START)}
-        for test, of_test in errors_on(study, logs, truths, laws, fit).items()
+        for test, of_test in errors_on(study, found, laws, fit).items()
     }

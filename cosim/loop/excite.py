@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.loop.motions import Motions, names_of
+from cosim.loop.motions import Motions, MotionSpec, names_of, require_within
 from cosim.loop.twin import ArmRun, TwinArm, loaded_arm
 from fmu_src.arm.plant import Plant
 from hesr_model.errors import ConfigError
@@ -70,10 +70,15 @@ def recordings(
     noise_seed = plant.noise.seed if seed is None else seed
     with loaded_arm(plant, fmu=fmu) as arm:
         for motion in motions.motions:
-            forward = motion.trajectory()
-            both = (forward, forward.time_reversed())
-            for name, trajectory in zip(names_of(motion), both, strict=False):
-                yield record(arm, trajectory, noise_seed, name=name, unlogged=motion.unlogged)
+            yield from recorded(arm, motion, noise_seed)
+
+
+def recorded(arm: TwinArm, motion: MotionSpec, seed: int) -> Iterator[Recording]:
+    """Run the arm along a motion, and along its time-reversed counterpart if wanted."""
+    forward = motion.trajectory()
+    both = (forward, forward.time_reversed())
+    for name, trajectory in zip(names_of(motion), both, strict=False):
+        yield record(arm, trajectory, seed, name=name, unlogged=motion.unlogged)
 
 
 def record(
@@ -99,7 +104,12 @@ def record(
             f"logged; at least two samples at {rate:g} Hz must be left."
         )
     desired = trajectory.sample(np.arange(count + 1) / rate)[0]
-    _require_reachable(arm, desired, name)
+    joints = arm.plant.joints
+    if desired.shape[1] != len(joints):
+        raise ConfigError(
+            f"motion '{name}': is for {desired.shape[1]} joints; the arm has {len(joints)}."
+        )
+    require_within(arm.limits, desired, joints, f"motion '{name}':")
     commands = np.diff(desired, axis=0) * rate
     truth = arm.run(desired[0], commands, seed=_seed_of_log(seed, name), unlogged=first)
     log = Log(
@@ -127,17 +137,3 @@ def _write_truth(path: Path, recording: Recording) -> None:
 def _seed_of_log(seed: int, name: str) -> int:
     stream = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
     return int(words(seed, stream, 0))
-
-
-def _require_reachable(arm: TwinArm, desired: Array, name: str) -> None:
-    joints = arm.plant.joints
-    if desired.shape[1] != len(joints):
-        raise ConfigError(
-            f"motion '{name}': is for {desired.shape[1]} joints; the arm has {len(joints)}."
-        )
-    for joint, (lower, upper), path in zip(joints, arm.limits, desired.T, strict=True):
-        if path.min() < lower or path.max() > upper:
-            raise ConfigError(
-                f"motion '{name}': takes {joint} from {path.min():.3f} to {path.max():.3f} rad; "
-                f"it can go from {lower:.3f} to {upper:.3f} rad."
-            )

@@ -1,18 +1,22 @@
 """Motions of a study, as described in TOML."""
 
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from cosim.loop.closed_loop import PerJoint
+from hesr_model.errors import ConfigError
 from hesr_model.motions.trajectories import Sine, Sweep, Trajectory, chirp, random_fourier
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
 
 
 class _Motion(Config):
     """Common part of all motions."""
 
+    make: ClassVar[Callable[..., Trajectory]]
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
     also_reversed: bool = False  # also run the time-reversed motion as ``<name>_reversed``
 
@@ -21,15 +25,16 @@ class _Motion(Config):
         """Time before the log begins [s]."""
         return 0.0
 
-    def _values(self, *names: str) -> dict[str, Any]:
-        """Return fields by name, lists as arrays."""
-        values = {name: getattr(self, name) for name in names}
-        return {name: np.array(v) if isinstance(v, tuple) else v for name, v in values.items()}
+    def trajectory(self) -> Trajectory:
+        """Return the motion in closed form, made of all other fields."""
+        values = self.model_dump(exclude={"name", "also_reversed", "kind", "unlogged_periods"})
+        return self.make(**{k: np.array(v) if type(v) is tuple else v for k, v in values.items()})
 
 
 class FourierMotion(_Motion):
     """Fourier series drawn from a seed; see `hesr_model.motions.trajectories.random_fourier`."""
 
+    make = staticmethod(random_fourier)
     kind: Literal["fourier"]
     seed: int
     harmonics: int = Field(ge=2)
@@ -44,29 +49,22 @@ class FourierMotion(_Motion):
         """Time before the log begins [s]."""
         return self.unlogged_periods * self.period
 
-    def trajectory(self) -> Trajectory:
-        """Return the motion in closed form."""
-        names = ("seed", "harmonics", "period", "peak_velocity", "offset", "periods")
-        return random_fourier(**self._values(*names))
-
 
 class SineMotion(_Motion):
     """Sine; see `hesr_model.motions.trajectories.Sine`."""
 
+    make = Sine
     kind: Literal["sine"]
     frequency: float = Field(gt=0)
     amplitude: PerJoint
     offset: PerJoint
     periods: int = Field(ge=1)
 
-    def trajectory(self) -> Trajectory:
-        """Return the motion in closed form."""
-        return Sine(**self._values("offset", "amplitude", "frequency", "periods"))
-
 
 class ChirpMotion(_Motion):
     """Chirp of constant peak velocity; see `hesr_model.motions.trajectories.chirp`."""
 
+    make = staticmethod(chirp)
     kind: Literal["chirp"]
     first: float = Field(gt=0)
     last: float = Field(gt=0)
@@ -74,14 +72,15 @@ class ChirpMotion(_Motion):
     amplitude: PerJoint
     start: PerJoint
 
-    def trajectory(self) -> Trajectory:
-        """Return the motion in closed form."""
-        return chirp(**self._values("start", "amplitude", "first", "last", "length"))
+
+def _sweep(*, swing_phase: Array, **values: Any) -> Sweep:
+    return Sweep(phase=swing_phase, **values)
 
 
 class SweepMotion(_Motion):
     """Sweep with varying amplitude; see `hesr_model.motions.trajectories.Sweep`."""
 
+    make = staticmethod(_sweep)
     kind: Literal["sweep"]
     first: float = Field(gt=0)
     last: float = Field(gt=0)
@@ -91,11 +90,6 @@ class SweepMotion(_Motion):
     swing_phase: PerJoint
     swing_period: float = Field(gt=0)
     start: PerJoint
-
-    def trajectory(self) -> Trajectory:
-        """Return the motion in closed form."""
-        names = ("start", "amplitude", "swing", "swing_period", "first", "last", "length")
-        return Sweep(phase=np.array(self.swing_phase), **self._values(*names))
 
 
 MotionSpec = Annotated[
@@ -121,3 +115,13 @@ class Motions(Config):
 def names_of(motion: MotionSpec) -> tuple[str, ...]:
     """Return the names of the logs of a motion."""
     return (motion.name, f"{motion.name}_reversed") if motion.also_reversed else (motion.name,)
+
+
+def require_within(limits: Array, q: Array, joints: Sequence[str], what: str) -> None:
+    """Raise ConfigError if positions (N, n) leave the limits (n, 2) [rad]."""
+    for joint, (lower, upper), path in zip(joints, limits, q.T, strict=True):
+        if path.min() < lower or path.max() > upper:
+            raise ConfigError(
+                f"{what} takes {joint} from {path.min():.3f} to {path.max():.3f} rad; it can go "
+                f"from {lower:.3f} to {upper:.3f} rad."
+            )

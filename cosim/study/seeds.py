@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from scipy.special import stdtrit
 
-from cosim.loop.excite import record
-from cosim.loop.motions import FourierMotion, Motions, MotionSpec, SweepMotion, names_of
+from cosim.loop.excite import Recording, recorded
+from cosim.loop.motions import FourierMotion, Motions, MotionSpec, SweepMotion
 from cosim.loop.twin import loaded_arm
 from cosim.study.scores import ORACLE, REFERENCE, Errors, by_joint, predict_models
 from cosim.study.study import Study
@@ -23,7 +23,6 @@ from hesr_model.errors import ConfigError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.metrics import score
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -104,29 +103,27 @@ def one_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
     plant = Plant.read(study.twin.plant)
     noise_seed, joints = int(rng.integers(2**31)), len(plant.joints)
     levels, rates = (np.exp(rng.normal(0.0, sd, joints)) for sd in (LEVEL, VISCOSITY))
-    logs, truths = {}, {}
     with loaded_arm(plant, signals=servo_signals(plant, levels, rates)) as arm:
-        for motion in Motions.read(study.twin.motions).motions:
-            own = _drawn(motion, arm.limits, rng)
-            both = (own.trajectory(), own.trajectory().time_reversed())
-            for name, trajectory in zip(names_of(own), both, strict=False):
-                found = record(arm, trajectory, noise_seed, name=name, unlogged=own.unlogged)
-                logs[name], truths[name] = found.log, found.truth.tau_f_true
-    return errors_on(study, logs, truths, laws, partial(fit_models, seed=seed, workers=1))
+        found = [
+            recording
+            for motion in Motions.read(study.twin.motions).motions
+            for recording in recorded(arm, _drawn(motion, arm.limits, rng), noise_seed)
+        ]
+    return errors_on(study, found, laws, partial(fit_models, seed=seed, workers=1))
 
 
 def errors_on(
     study: Study,
-    logs: Mapping[str, Log],
-    truths: Mapping[str, Array],
+    recordings: Sequence[Recording],
     laws: Sequence[str],
     fit: Callable[..., dict[str, FrictionModel]],
 ) -> Errors:
     """Return the errors of laws and of the true friction on the test sets of a twin's logs.
 
-    `truths` holds the true friction (N, n) [N.m] of the logs, `fit` is `fit_models` with the
-    settings of the run.
+    `fit` is `fit_models` with the settings of the run.
     """
+    logs = {found.log.name: found.log for found in recordings}
+    truths = {found.log.name: found.truth.tau_f_true for found in recordings}
     robot = Robot(RobotDescription.read(study.robot))
     body = identify(
         [logs[name] for name in study.logs.identification],
