@@ -172,49 +172,35 @@ def system(
     the trajectory, which can also be set for each run.
     """
     fmus, scheme, gains = setting.fmus, setting.scheme, setting.gains
-    source = "trajectory.dq_ahead" if scheme.source == "desired" else "velocity.dq"
+    measured = scheme.source != "desired"
     filtered = setting.time_constant if scheme.source == "filtered" else 0.0
-    components = [
-        ComponentSpec(name="arm", fmu=fmus.arm, start=setting.arm),
-        ComponentSpec(
-            name="trajectory",
-            fmu=fmus.trajectory,
-            start={
-                "preview": preview(scheme, gains, setting.step),
-                "rest_time": _REST,
-                **(motion or {}),
-            },
-        ),
-        ComponentSpec(name="body", fmu=fmus.body),
-        *(
-            [ComponentSpec(name="velocity", fmu=fmus.velocity, start={"time_constant": filtered})]
-            if scheme.source != "desired"
-            else []
-        ),
-        ComponentSpec(name="friction", fmu=fmus.friction),
-        ComponentSpec(name="gravity", fmu=fmus.gravity or fmus.body, start={"dq": 0.0, "ddq": 0.0}),
-        ComponentSpec(
-            name="controller",
-            fmu=fmus.controller,
-            start={
-                "compensation": scheme.compensation,
-                "friction_gain": scheme.friction_gain,
-                "sample_time": setting.step,
-                "lambda": gains.decay,
-                "Kp": gains.Kp,
-                "Kd": gains.Kd,
-                "Kv": gains.Kv,
-                "Ki": gains.Ki,
-                "Kx": scheme.Kx,
-            },
-        ),
-    ]
+    ahead = {"preview": preview(scheme, gains, setting.step), "rest_time": _REST}
+    control: dict[str, Value] = {
+        "compensation": scheme.compensation,
+        "friction_gain": scheme.friction_gain,
+        "sample_time": setting.step,
+        "lambda": gains.decay,
+        "Kp": gains.Kp,
+        "Kd": gains.Kd,
+        "Kv": gains.Kv,
+        "Ki": gains.Ki,
+        "Kx": scheme.Kx,
+    }
+    parts: dict[str, tuple[Path, Mapping[str, Value]]] = {
+        "arm": (fmus.arm, setting.arm),
+        "trajectory": (fmus.trajectory, {**ahead, **(motion or {})}),
+        "body": (fmus.body, {}),
+        **({"velocity": (fmus.velocity, {"time_constant": filtered})} if measured else {}),
+        "friction": (fmus.friction, {}),
+        "gravity": (fmus.gravity or fmus.body, {"dq": 0.0, "ddq": 0.0}),
+        "controller": (fmus.controller, control),
+    }
     connections = {
         "arm.dq_cmd": "controller.dq_cmd",
         "body.q": "trajectory.q_ahead",
         "body.dq": "trajectory.dq_ahead",
         "body.ddq": "trajectory.ddq_ahead",
-        "friction.dq": source,
+        "friction.dq": "velocity.dq" if measured else "trajectory.dq_ahead",
         "friction.q": "trajectory.q_ahead",
         "friction.tau_load": "body.tau",
         "gravity.q": "arm.q",
@@ -226,16 +212,17 @@ def system(
         "controller.tau_meas": "arm.tau_meas",
         "controller.q": "arm.q",
     }
-    if scheme.source != "desired":
+    if measured:
         connections["velocity.q"] = "arm.q"
+    bounds = tuple((float(low), float(high)) for low, high in limits)
     return SystemSpec(
         name="closed_loop",
         step=setting.step,
         stop=duration,
-        components=tuple(components),
+        components=tuple(
+            ComponentSpec(name=name, fmu=fmu, start=start) for name, (fmu, start) in parts.items()
+        ),
         connections=connections,
         observe=("trajectory.q", "arm.q_true"),
-        limits={"arm.q_true": tuple((float(a), float(b)) for a, b in limits)}
-        if len(limits)
-        else {},
+        limits={"arm.q_true": bounds} if bounds else {},
     )

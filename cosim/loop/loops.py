@@ -1,6 +1,6 @@
 """Rows, motions and FMUs of the closed-loop part of a study."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from cosim.loop.closed_loop import (
     VelocitySource,
     system,
 )
+from cosim.loop.motions import require_within
 from cosim.loop.traces import Tracked
 from cosim.loop.tracking import LoopMotion, LoopRow, track
 from cosim.systems.system import SystemSpec
@@ -34,7 +35,8 @@ from hesr_model.motions.trajectories import Fourier, random_fourier
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
-from hesr_model.support.progress import Stages
+from hesr_model.support.arrays import Array
+from hesr_model.support.progress import Stages, silent
 
 _COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
 _MEASURED: tuple[VelocitySource, ...] = ("measured", "filtered")
@@ -64,17 +66,12 @@ def require_reachable(tracking: Tracking, robot: Robot) -> None:
             raise ConfigError(
                 f"tracking: key '{key}' has {len(entries)} entries; the robot has {robot.n} joints."
             )
-    lower, upper, _ = robot.limits
+    limits = np.column_stack(robot.limits[:2])
     t = np.linspace(0.0, tracking.duration, 2001)
     for seed in tracking.seeds:
         q = _fourier(tracking, seed).sample(t)[0]
-        for k, name in enumerate(robot.description.joints):
-            least, most = float(q[:, k].min()), float(q[:, k].max())
-            if least < lower[k] or most > upper[k]:
-                raise ConfigError(
-                    f"tracking: the motion of seed {seed} takes {name} from {least:.3f} to "
-                    f"{most:.3f} rad; it can go from {lower[k]:.3f} to {upper[k]:.3f} rad."
-                )
+        what = f"tracking: the motion of seed {seed}"
+        require_within(limits, q, robot.description.joints, what)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +84,10 @@ class StudyLoop:
     fmus: Fmus  # other FMUs, with the identified rigid body
     true_body: Path  # FMU of the true rigid body
     step: float  # communication step [s]
+    limits: Array  # positions (n, 2) [rad] where a run ends
     noise: tuple[float, ...] = ()  # standard deviation of the measured torques [N.m]
+    kept: Path | None = None  # folder of finished rows for a resumed study
+    progress: Stages = silent
 
     def setting(self, law: str, scheme: Scheme) -> Setting:
         """Return the loop of a law in a scheme."""
@@ -126,8 +126,25 @@ class StudyLoop:
         """Return one row."""
         return LoopRow(scheme=scheme, law=law, setting=self.setting(law, scheme))
 
-
-_OWN = ("Trajectory", "Controller", "Velocity", "InverseDynamics", "TrueInverseDynamics")
+    def track(
+        self,
+        rows: Iterable[LoopRow],
+        motions: Sequence[LoopMotion],
+        duration: float,
+        stage: str,
+        *,
+        traced: bool = False,
+    ) -> list[Tracked]:
+        """Run rows along motions for `duration` [s]; see `cosim.loop.tracking.track`."""
+        return track(
+            list(rows),
+            motions,
+            duration=duration,
+            limits=self.limits,
+            traced=traced,
+            kept=self.kept,
+            progress=partial(self.progress, stage),
+        )
 
 
 def build(
@@ -138,19 +155,18 @@ def build(
     The true rigid body is that of the robot's model file, `oracle` the true friction.
     """
     step = 1.0 / plant.sample_rate
-    contents: tuple[Callable[[], Content], ...] = (
-        partial(trajectory, robot.n, step=step),
-        partial(controller, robot.n, step=step),
-        partial(velocity, robot.n, step=step),
-        partial(inverse_dynamics, robot, body.parameters, step=step),
-        partial(inverse_dynamics, robot, robot.nominal_parameters, step=step),
-    )
+    contents: dict[str, Callable[[], Content]] = {
+        "Trajectory": partial(trajectory, robot.n, step=step),
+        "Controller": partial(controller, robot.n, step=step),
+        "Velocity": partial(velocity, robot.n, step=step),
+        "InverseDynamics": partial(inverse_dynamics, robot, body.parameters, step=step),
+        "TrueInverseDynamics": partial(
+            inverse_dynamics, robot, robot.nominal_parameters, step=step
+        ),
+    }
     jobs = [
         partial(export_fmu, oracle, folder / f"{oracle.law}.fmu"),
-        *(
-            partial(_written, content, folder / f"{name}.fmu")
-            for name, content in zip(_OWN, contents, strict=True)
-        ),
+        *(partial(_written, make, folder / f"{name}.fmu") for name, make in contents.items()),
     ]
     with parallel.results_of(jobs) as written:
         list(written)
@@ -161,31 +177,40 @@ def _written(content: Callable[[], Content], path: Path) -> Path:
 
 
 def assemble(
-    folder: Path, *, tracking: Tracking, friction: Mapping[str, Path], plant: Plant
+    folder: Path,
+    robot: Robot,
+    *,
+    tracking: Tracking,
+    friction: Mapping[str, Path],
+    plant: Plant,
+    kept: Path | None = None,
+    progress: Stages = silent,
 ) -> StudyLoop:
     """Return the loop of the FMUs in a folder written by `build`, and of friction laws."""
-    paths = {name: folder / f"{name}.fmu" for name in _OWN}
+    lower, upper, _ = robot.limits
     return StudyLoop(
         tracking=tracking,
         friction=friction,
         oracle=folder / "true_friction.fmu",
         fmus=Fmus(
             arm=folder / ARM,
-            trajectory=paths["Trajectory"],
-            body=paths["InverseDynamics"],
+            trajectory=folder / "Trajectory.fmu",
+            body=folder / "InverseDynamics.fmu",
             friction=next(iter(friction.values())),
-            controller=paths["Controller"],
-            velocity=paths["Velocity"],
+            controller=folder / "Controller.fmu",
+            velocity=folder / "Velocity.fmu",
         ),
-        true_body=paths["TrueInverseDynamics"],
+        true_body=folder / "TrueInverseDynamics.fmu",
         step=1.0 / plant.sample_rate,
+        limits=np.column_stack([lower - _MARGIN, upper + _MARGIN]),
         noise=plant.noise.torque,
+        kept=kept,
+        progress=progress,
     )
 
 
 def example(
     loop: StudyLoop,
-    robot: Robot,
     *,
     compensation: Compensation = "servo_inversion",
     duration: float | None = None,
@@ -198,40 +223,19 @@ def example(
     return system(
         replace(setting, arm={**setting.arm, "q0": motion.q0}),
         duration=duration or tracking.duration,
-        limits=limits_of(robot),
+        limits=loop.limits,
         motion=motion.parameters,
     )
 
 
-def limits_of(robot: Robot) -> np.ndarray:
-    """Return the positions (n, 2) [rad] that limit a run."""
-    lower, upper, _ = robot.limits
-    return np.column_stack([lower - _MARGIN, upper + _MARGIN])
-
-
-def run_tracking(
-    loop: StudyLoop, robot: Robot, *, kept: Path | None, progress: Stages
-) -> tuple[list[Tracked], list[Tracked]]:
+def run_tracking(loop: StudyLoop) -> tuple[list[Tracked], list[Tracked]]:
     """Run the rows of the tables on all motions, and selected ones on a long motion."""
-    tracking, limits = loop.tracking, limits_of(robot)
-    tables = track(
-        list(loop.rows()),
-        motions(tracking),
-        duration=tracking.duration,
-        limits=limits,
-        traced=True,
-        kept=kept,
-        progress=partial(progress, "tracking"),
+    tracking = loop.tracking
+    long = motions(tracking, int(np.ceil(tracking.drift / tracking.duration)))[:1]
+    return (
+        loop.track(loop.rows(), motions(tracking), tracking.duration, "tracking", traced=True),
+        loop.track(_drifting(loop), long, tracking.drift, "tracking for long"),
     )
-    long = track(
-        list(_drifting(loop)),
-        motions(tracking, int(np.ceil(tracking.drift / tracking.duration)))[:1],
-        duration=tracking.drift,
-        limits=limits,
-        kept=kept,
-        progress=partial(progress, "tracking for long"),
-    )
-    return tables, long
 
 
 def _drifting(loop: StudyLoop) -> Iterator[LoopRow]:

@@ -2,21 +2,19 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from cosim.loop.closed_loop import Scheme, Setting, StandIn, VelocitySource
-from cosim.loop.loops import StudyLoop, limits_of, motions
+from cosim.loop.loops import StudyLoop, motions
 from cosim.loop.traces import Overcompensation, Tracked
-from cosim.loop.tracking import LoopMotion, LoopRow, track
+from cosim.loop.tracking import LoopMotion, LoopRow
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.export.package import write_fmu
 from hesr_model.motions.trajectories import Sine
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
-from hesr_model.support.progress import Stages
 
 PAYLOADS = (1.0, 2.5, 5.0)  # [kg] unknown to the loop, or identified
 FRICTION_SCALES = (0.5, 0.75, 1.5, 2.0)  # friction of the arm over that of the training
@@ -34,49 +32,27 @@ _MOTIONS = 3
 
 
 def run_sweeps(
-    loop: StudyLoop,
-    robot: Robot,
-    body: RigidBody,
-    folder: Path,
-    *,
-    known: Sequence[Tracked],
-    kept: Path | None,
-    progress: Stages,
+    loop: StudyLoop, robot: Robot, body: RigidBody, folder: Path, known: Sequence[Tracked]
 ) -> list[Tracked]:
     """Run the selected laws under every change, on a few motions.
 
     `known` rows provide the unchanged loops; `folder` receives the FMUs of identified payloads.
     """
     rows = list(_rows(loop, _payload_bodies(robot, body, folder, loop.step)))
-    unchanged = {(replace(t.scheme, change=_AS_IT_IS).name, t.law): t for t in known}
-    same = [unchanged.get((row.scheme.name, row.law)) for row in rows]
-    left = [row for row, found in zip(rows, same, strict=True) if not found or found.failures]
-    run = iter(
-        track(
-            left,
-            motions(loop.tracking)[:_MOTIONS],
-            duration=loop.tracking.duration,
-            limits=limits_of(robot),
-            kept=kept,
-            progress=partial(progress, "robustness"),
-        )
-    )
-    return [
-        next(run)
-        if not found or found.failures
-        else Tracked(
-            scheme=row.scheme,
-            law=row.law,
-            rmse=found.rmse[:_MOTIONS],
-            last=found.last[:_MOTIONS],
-        )
-        for row, found in zip(rows, same, strict=True)
-    ]
+    found = {}
+    for t in known:
+        if not t.failures:
+            scheme, rmse, last = replace(t.scheme, change=_AS_IT_IS), t.rmse, t.last
+            few = replace(t, scheme=scheme, rmse=rmse[:_MOTIONS], last=last[:_MOTIONS], trace=None)
+            found[scheme, t.law] = few
+    left = [row for row in rows if (row.scheme, row.law) not in found]
+    some = motions(loop.tracking)[:_MOTIONS]
+    run = loop.track(left, some, loop.tracking.duration, "robustness")
+    found |= {(t.scheme, t.law): t for t in run}
+    return [found[row.scheme, row.law] for row in rows]
 
 
-def run_overcompensation(
-    loop: StudyLoop, robot: Robot, *, kept: Path | None, progress: Stages
-) -> list[Overcompensation]:
+def run_overcompensation(loop: StudyLoop) -> list[Overcompensation]:
     """Find the lowest factor on friction compensation that makes each loop cycle."""
     sources: tuple[VelocitySource, ...] = ("desired", "measured", "filtered")
     # The torque error would move a resting arm by its noise alone.
@@ -92,14 +68,7 @@ def run_overcompensation(
         for law, scheme in cases
         for factor in FACTORS
     ]
-    found = track(
-        rows,
-        [still],
-        duration=_REST,
-        limits=limits_of(robot),
-        kept=kept,
-        progress=partial(progress, "over-compensation"),
-    )
+    found = loop.track(rows, [still], _REST, "over-compensation")
     results = []
     for k, (law, scheme) in enumerate(cases):
         errors = [t.rmse[0] for t in found[k * len(FACTORS) : (k + 1) * len(FACTORS)]]

@@ -50,24 +50,30 @@ def run_loop(
     progress("building the loop", 0, 1)
     fmus = folder / "fmus"
     build(fmus, robot, body, plant, oracle=truth)
-    loop = assemble(fmus, tracking=tracking, friction=friction, plant=plant)
-    write_system(example(loop, robot), folder / "closed_loop.toml")
+    loop = assemble(
+        fmus,
+        robot,
+        tracking=tracking,
+        friction=friction,
+        plant=plant,
+        kept=kept,
+        progress=progress,
+    )
+    write_system(example(loop), folder / "closed_loop.toml")
     progress("building the loop", 1, 1)
-    tables, long = run_tracking(loop, robot, kept=kept, progress=progress)
+    tables, long = run_tracking(loop)
     runs = [(t.scheme, t.law, t.trace) for t in tables if t.trace]
     write_traces(folder / TRACES, runs)
     return LoopOutcome(
         tracking=tables,
         long=long,
-        sweeps=run_sweeps(loop, robot, body, fmus, known=tables, kept=kept, progress=progress),
-        overcompensation=run_overcompensation(loop, robot, kept=kept, progress=progress),
-        findings=check_masters(loop, robot, plant, signals),
+        sweeps=run_sweeps(loop, robot, body, fmus, tables),
+        overcompensation=run_overcompensation(loop),
+        findings=check_masters(loop, plant, signals),
     )
 
 
-def check_masters(
-    loop: StudyLoop, robot: Robot, plant: Plant, signals: SignalTable
-) -> list[Finding]:
+def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[Finding]:
     """Step one loop in the Python and the native master; return a finding if they disagree.
 
     The loop has the arm as a PythonFMU and a PD controller of the torque error. The third run has
@@ -92,7 +98,7 @@ def check_masters(
             ]
         for arm, native in ((python, False), (python, True), (loop.fmus.arm, True)):
             own = replace(loop, fmus=replace(loop.fmus, arm=arm))
-            spec = example(own, robot, compensation="torque_error", duration=_SECONDS)
+            spec = example(own, compensation="torque_error", duration=_SECONDS)
             with Master(spec, native=native) as master:
                 runs.append(master.run().signals)
     worst = max(_difference(run, runs[0]) for run in runs[1:])

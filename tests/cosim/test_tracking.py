@@ -15,7 +15,6 @@ from cosim.loop.loops import (
     assemble,
     build,
     example,
-    limits_of,
     motions,
     require_reachable,
 )
@@ -73,7 +72,7 @@ def loop(tmp_path_factory: pytest.TempPathFactory, robot: Robot, body: RigidBody
     law = export_fmu(FrictionModel.read(model_file("uf850-table1")), folder / "parfam_h.fmu")
     truth = true_friction(plant.model, plant.joints, sample_time=0.005)
     build(folder, robot, body, plant, oracle=truth)
-    return assemble(folder, tracking=settings, friction={"parfam_h": law}, plant=plant)
+    return assemble(folder, robot, tracking=settings, friction={"parfam_h": law}, plant=plant)
 
 
 def by_name(rows: list[Tracked]) -> dict[tuple[str, str], Tracked]:
@@ -180,12 +179,10 @@ def test_sweeps_change_what_they_say(
     short = replace(loop, tracking=loop.tracking.model_copy(update={"seeds": (11,)}))
     scheme = "servo_inversion, Kx = 5"
     row = loop.row(StandIn.ORACLE, Scheme(compensation="servo_inversion", Kx=5.0))
-    (table,) = track([row], motions(short.tracking), duration=loop.tracking.duration,
-                     limits=limits_of(robot), workers=1)  # fmt: skip
+    (table,) = short.track([row], motions(short.tracking), loop.tracking.duration, "tracking")
     told: list[tuple[str, int, int]] = []
-    sweeps = run_sweeps(
-        short, robot, body, tmp_path, known=[table], kept=None, progress=lambda *t: told.append(t)
-    )
+    short = replace(short, progress=lambda *t: told.append(t))
+    sweeps = run_sweeps(short, robot, body, tmp_path, [table])
     assert told[-1] == ("robustness", len(sweeps) - 1, len(sweeps) - 1)  # not that of the table
     rows = by_name(sweeps)
     np.testing.assert_array_equal(rows[f"{scheme}: as it is", StandIn.ORACLE].rmse, table.rmse)
@@ -200,41 +197,34 @@ def test_sweeps_change_what_they_say(
     assert not list(tmp_path.glob("*.xml"))
 
 
-def test_feed_forward_never_cycles_and_feedback_of_friction_does(
-    loop: StudyLoop, robot: Robot
-) -> None:
-    found = {
-        one.scheme.name: one.factor
-        for one in run_overcompensation(loop, robot, kept=None, progress=lambda *_: None)
-    }
+def test_feed_forward_never_cycles_and_feedback_of_friction_does(loop: StudyLoop) -> None:
+    found = {one.scheme.name: one.factor for one in run_overcompensation(loop)}
     assert found["servo_inversion"] is None
     measured = found["servo_inversion, friction of measured velocity"]
     assert measured in FACTORS
     assert CYCLING == 10 * 2e-5  # of the encoder's noise
 
 
-def test_one_loop_stands_in_a_file_of_its_own(
-    loop: StudyLoop, robot: Robot, tmp_path: Path
-) -> None:
+def test_one_loop_stands_in_a_file_of_its_own(loop: StudyLoop, tmp_path: Path) -> None:
     """The file gives what the study gives for the same law, scheme and motion."""
-    path = write_system(example(loop, robot), tmp_path / "closed_loop.toml")
+    path = write_system(example(loop), tmp_path / "closed_loop.toml")
     with Master(SystemSpec.read(path), path) as master:
         result = master.run().require_success()
     error = result.vector("trajectory.q") - result.vector("arm.q_true")
     scheme = Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx)
     row = loop.row("parfam_h", scheme)
     (tracked,) = track(
-        [row], motions(loop.tracking)[:1], duration=3.0, limits=limits_of(robot), workers=1
+        [row], motions(loop.tracking)[:1], duration=3.0, limits=loop.limits, workers=1
     )
     np.testing.assert_array_equal(np.sqrt(np.mean(error**2, axis=0)), tracked.rmse[0])
 
 
-def test_the_python_and_the_native_master_agree(loop: StudyLoop, robot: Robot) -> None:
+def test_the_python_and_the_native_master_agree(loop: StudyLoop) -> None:
     """With the arm as a PythonFMU and, in the native master, as a native FMU."""
     plant, signals = Plant.read(UF850 / "plant.toml"), SignalTable.read(UF850 / "arm.toml")
-    assert check_masters(loop, robot, plant, signals) == []
+    assert check_masters(loop, plant, signals) == []
     other = signals.model_copy(update={"seed": 2})
-    (finding,) = check_masters(loop, robot, plant, other)
+    (finding,) = check_masters(loop, plant, other)
     assert re.fullmatch(
         r"the Python and the native master differ by \d\.\de-\d\d of a signal's largest value; at "
         r"most 1e-09 is rounding: report this as a bug, with closed_loop\.toml and fmus/\.",
@@ -243,12 +233,12 @@ def test_the_python_and_the_native_master_agree(loop: StudyLoop, robot: Robot) -
 
 
 def test_masters_are_not_compared_for_an_arm_with_other_files(
-    loop: StudyLoop, robot: Robot, tmp_path: Path
+    loop: StudyLoop, tmp_path: Path
 ) -> None:
     mjcf = tmp_path / "arm.xml"
     (tmp_path / "uf850.xml").write_bytes((UF850 / "uf850.xml").read_bytes())
     mjcf.write_text('<mujoco><include file="uf850.xml"/></mujoco>', encoding="utf-8")
     plant = Plant.read(UF850 / "plant.toml").model_copy(update={"model": mjcf})
-    (finding,) = check_masters(loop, robot, plant, SignalTable.read(UF850 / "arm.toml"))
+    (finding,) = check_masters(loop, plant, SignalTable.read(UF850 / "arm.toml"))
     assert finding.severity == "advice"
     assert "refers to other files, which an FMU in Python does not carry." in finding.sentence

@@ -9,9 +9,8 @@ import pytest
 from significance import against
 
 from cosim.loop.closed_loop import StandIn
-from cosim.loop.loops import StudyLoop, assemble, build, limits_of, motions, run_tracking
+from cosim.loop.loops import StudyLoop, assemble, build, motions, run_tracking
 from cosim.loop.traces import Tracked
-from cosim.loop.tracking import track
 from cosim.study.results import Scored
 from cosim.study.run import run_study, score_study
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison
@@ -20,6 +19,7 @@ from cosim.study.study import Study
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.friction.model import FrictionModel
+from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.files import models_folder
 from hesr_model.support.progress import silent
@@ -64,18 +64,18 @@ def outcome(folder: Path) -> Outcome:
         plant = Plant.read(models_folder() / "uf850" / "plant.toml")
         truth = true_friction(plant.model, plant.joints, sample_time=1.0 / plant.sample_rate)
         build(folder / "fmus", run.robot, run.rigid_body, plant, oracle=truth)
-        loop = loop_of(folder, study, plant)
-        tracking, long = run_tracking(loop, run.robot, kept=None, progress=silent)
+        loop = loop_of(folder, study, plant, run.robot)
+        tracking, long = run_tracking(loop)
     return Outcome(
         run=run, comparisons=run.comparisons, models=run.models, tracking=tracking, long=long
     )
 
 
-def loop_of(folder: Path, study: Study, plant: Plant) -> StudyLoop:
+def loop_of(folder: Path, study: Study, plant: Plant, robot: Robot) -> StudyLoop:
     """The loop of a study with the FMUs in a folder."""
     assert study.tracking
     fmus = {law: folder / "fmus" / f"{law}.fmu" for law in COMPENSATING}
-    return assemble(folder / "fmus", tracking=study.tracking, friction=fmus, plant=plant)
+    return assemble(folder / "fmus", robot, tracking=study.tracking, friction=fmus, plant=plant)
 
 
 @pytest.mark.parametrize("tests", ["fourier", "chirp", "chirp_20s"])
@@ -195,13 +195,10 @@ def test_both_pay_on_motions_that_nobody_has_tuned_on(outcome: Outcome, folder: 
     assert study.tracking
     tracking = study.tracking.model_copy(update={"seeds": tuple(range(301, 311))})
     study = study.model_copy(update={"tracking": tracking})
-    loop = loop_of(folder, study, Plant.read(models_folder() / "uf850" / "plant.toml"))
-    rows = track(
-        [row for row in loop.rows() if row.scheme.source == "desired"],
-        motions(tracking),
-        duration=tracking.duration,
-        limits=limits_of(outcome.run.robot),
-    )
+    plant = Plant.read(models_folder() / "uf850" / "plant.toml")
+    loop = loop_of(folder, study, plant, outcome.run.robot)
+    wanted = [row for row in loop.rows() if row.scheme.source == "desired"]
+    rows = loop.track(wanted, motions(tracking), tracking.duration, "tracking")
     assert_paper_scheme_pays(rows)
     assert_inversion_pays(rows)
 

@@ -78,7 +78,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     body.write(folder / "rigid_body.json")
     truth = true_friction(plant.model, plant.joints, sample_time=0.005)
     build(fmus, robot, body, plant, oracle=truth)
-    loop = assemble(fmus, tracking=settings, friction={"parfam_h": law}, plant=plant)
+    loop = assemble(fmus, robot, tracking=settings, friction={"parfam_h": law}, plant=plant)
     inversion = Scheme(compensation="servo_inversion")
     rows = [
         loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none")),
