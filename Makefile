@@ -31,7 +31,7 @@ FITS := tests/numbers $(patsubst %,tests/unit/test_%.py, \
   parfam_velocity per_log refinement ripple separable strain_wave stribeck)
 INTERRUPTS := tests/unit/test_files.py $(patsubst %,tests/cosim/test_%.py,cli_interrupts foreign_fmus workers)
 
-.PHONY: run test test-all contract hard kernels interrupts durations soak mutate lint format docs \
+.PHONY: run test test-all contract hard kernels interrupts durations soak mutate messages lint format docs \
   interop benchmark clean
 
 run: $(VENV)/installed
@@ -58,6 +58,10 @@ interrupts: $(VENV)/installed
 
 durations: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak" --record-cpu tests/durations.toml
+
+messages: export WRITE_MESSAGES = 1
+messages: $(VENV)/installed
+	$(BIN)/pytest tests/contract/test_messages.py
 
 soak: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 2 --dist worksteal -m soak

@@ -1,0 +1,241 @@
+"""Comparison of laws on the same test logs: which are worse than the best, and what can be found.
+
+Errors of neighbouring rows are correlated and peak at reversals. The variance of the log ratio of
+two RMSEs is therefore estimated from low-frequency cosines of the squared errors (equally weighted
+cosines: Müller 2007; Lazarus, Lewis and Stock 2021) and from the differences between logs. The
+result holds for motions of this kind.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import chdtri, stdtr, stdtrit
+
+from hesr_model.inference.correlation import correlation_length
+from hesr_model.support.arrays import Array, Mask
+
+Key = TypeVar("Key")
+
+BIN = 0.05
+"""Length of a bin, whose rows are averaged [s]."""
+SECONDS_PER_DEGREE = 8.0
+"""Minimum duration per degree of freedom [s]."""
+_TIMES_PER_DEGREE = 3.0
+"""Minimum duration per degree of freedom in correlation times."""
+LEAST_DEGREES = 4
+"""Degrees of freedom below which no law is called worse: about 40 s of logs."""
+LEAST_SECONDS = 40.0
+CALIBRATION = 5.0
+"""Factor on p: a nominal level of 1 % has a true one of up to 5 % (`tests/benchmarks`)."""
+SIGNIFICANCE = 0.05
+"""Level of p after the factor, adjusted for all laws of a table."""
+POWER = 0.8
+"""Probability with which the smallest detectable difference is found."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorRatio:
+    """Ratio of the RMSEs of two laws: value and 95 % interval.
+
+    `p` is two-sided, times `CALIBRATION`, not adjusted. `detectable` is the smallest ratio above 1
+    that these logs would show. All but the value are None if the logs are too short.
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+    p: float | None
+    detectable: float | None
+
+
+@dataclass(frozen=True)
+class LawErrors:
+    """Squared errors of several laws on the same logs of one joint, ready to be compared.
+
+    Attributes
+    ----------
+    laws : names.
+    log_rmse : (L,) logarithm of the RMSE over all rows.
+    rows : (nu, L) contrasts of the influence of time and of logs on `log_rmse`, scaled to the
+        variance of one bin; cosines of rising frequency log by log, then differences between logs.
+    slow : (nu,) whether a row is of the lower half of the frequencies or between logs.
+    between : (nu,) whether a row is a difference between logs.
+    bins : number of bins.
+    seconds : duration of all logs [s].
+    """
+
+    laws: tuple[str, ...]
+    log_rmse: Array
+    rows: Array
+    slow: Mask
+    between: Mask
+    bins: int
+    seconds: float
+
+    @property
+    def degrees(self) -> int:
+        """Degrees of freedom of the variance."""
+        return len(self.rows)
+
+    @property
+    def too_short(self) -> bool:
+        """Whether the logs are too short for any statement."""
+        return self.degrees < LEAST_DEGREES
+
+    @cached_property
+    def best(self) -> int:
+        """Number of the law with the lowest error."""
+        return int(np.argmin(self.log_rmse))
+
+    def standard_errors(self, other: int) -> Array:
+        """Return the standard errors (L,) of the log ratios to another law.
+
+        The variance is the largest of three estimates, since each one alone misses a cause.
+        """
+        squares = (self.rows - self.rows[:, [other]]) ** 2
+        of = (np.ones(self.degrees, dtype=bool), self.slow, self.between)
+        largest = np.max([squares[rows].mean(axis=0) for rows in of if rows.any()], axis=0)
+        return np.asarray(np.sqrt(largest / self.bins))
+
+    def ratios(self, other: str, family: int | None = None) -> dict[str, ErrorRatio]:
+        """Return the ratios of all other laws to a law.
+
+        `family` is the number of comparisons that a detectable difference has to hold against; by
+        default that of the other laws.
+        """
+        k = self.laws.index(other)
+        values = np.exp(self.log_rmse - self.log_rmse[k])
+        if self.too_short:
+            return {
+                law: ErrorRatio(value=float(value), low=None, high=None, p=None, detectable=None)
+                for law, value in zip(self.laws, values, strict=True)
+                if law != other
+            }
+        errors = np.maximum(self.standard_errors(k), 1e-300)
+        p = np.minimum(1.0, CALIBRATION * two_sided(np.log(values) / errors, self.degrees))
+        wide = np.exp(stdtrit(self.degrees, 0.975) * errors)
+        level = SIGNIFICANCE / CALIBRATION / (family or max(1, len(self.laws) - 1))
+        found = np.exp(errors * detection_factor(self.degrees, level))
+        return {
+            law: ErrorRatio(
+                value=float(values[i]),
+                low=float(values[i] / wide[i]),
+                high=float(values[i] * wide[i]),
+                p=float(p[i]),
+                detectable=float(found[i]),
+            )
+            for i, law in enumerate(self.laws)
+            if law != other
+        }
+
+    def seconds_for(self, law: str, other: str, ratio: float) -> float:
+        """Return the duration of logs of this kind [s] that would show a ratio of two RMSEs."""
+        k = self.laws.index(other)
+        error = self.standard_errors(k)[self.laws.index(law)]
+        level = SIGNIFICANCE / CALIBRATION / max(1, len(self.laws) - 1)
+
+        def surplus(seconds: float) -> float:
+            degrees = self.degrees * seconds / self.seconds
+            scaled = error * np.sqrt(self.seconds / seconds)
+            return float(np.log(ratio) - scaled * detection_factor(degrees, level))
+
+        shortest = max(LEAST_SECONDS, LEAST_DEGREES * self.seconds / self.degrees)
+        if surplus(shortest) >= 0.0:
+            return shortest
+        longest = shortest
+        while surplus(longest) < 0.0 and longest < 1e7:
+            longest *= 4.0
+        return float(brentq(surplus, shortest, longest, rtol=1e-3)) if longest < 1e7 else np.inf
+
+
+def law_errors(
+    errors: Mapping[str, Sequence[Array]], periods: Sequence[float], among: Iterable[str] = ()
+) -> LawErrors:
+    """Return the errors of laws on one joint, ready to be compared.
+
+    Parameters
+    ----------
+    errors : errors (N,) [N.m] of each law on each log.
+    periods : sample period of each log [s].
+    among : laws whose correlation time counts; by default all.
+    """
+    laws = tuple(errors)
+    squares = [np.stack([errors[law][k] ** 2 for law in laws]) for k in range(len(periods))]
+    total = sum(s.sum(axis=1) for s in squares) / sum(s.shape[1] for s in squares)
+    mean = np.maximum(np.asarray(total), 1e-300)
+    binned = [_binned(s / (2.0 * mean[:, None]), p) for s, p in zip(squares, periods, strict=True)]
+    counted = [laws.index(law) for law in among] or list(range(len(laws)))
+    rows, slow = [], []
+    for psi, square, period in zip(binned, squares, periods, strict=True):
+        degrees = _degrees(psi[counted], square.shape[1] * period)
+        n = psi.shape[1]
+        m = np.arange(1, degrees + 1)
+        cosines = np.sqrt(2.0 / n) * np.cos(np.pi * m[:, None] * (np.arange(n) + 0.5) / n)
+        rows.append(cosines @ psi.T)
+        slow.append(m <= (degrees + 1) // 2)
+    sizes = np.sqrt([psi.shape[1] for psi in binned])
+    apart = _orthogonal(sizes) @ (
+        sizes[:, None] * np.stack([psi.mean(axis=1) - 0.5 for psi in binned])
+    )
+    within, between = sum(map(len, rows)), len(apart)
+    return LawErrors(
+        laws=laws,
+        log_rmse=0.5 * np.log(mean),
+        rows=np.concatenate([*rows, apart]),
+        slow=np.concatenate([*slow, np.ones(between, dtype=bool)]),
+        between=np.arange(within + between) >= within,
+        bins=sum(psi.shape[1] for psi in binned),
+        seconds=float(sum(s.shape[1] * p for s, p in zip(squares, periods, strict=True))),
+    )
+
+
+def _binned(values: Array, period: float) -> Array:
+    """Return the means (L, n) of values (L, N) over bins; the last bin takes the rest."""
+    width = max(1, round(BIN / period))
+    count = max(1, values.shape[1] // width)
+    starts = width * np.arange(count)
+    lengths = np.diff(np.append(starts, values.shape[1]))
+    return np.asarray(np.add.reduceat(values, starts, axis=1) / lengths)
+
+
+def _degrees(psi: Array, seconds: float) -> int:
+    """Return the number of cosines for a log."""
+    if psi.shape[1] < 4:
+        return 0
+    times = [correlation_length(row) for row in psi - psi.mean(axis=0)]
+    time = float(np.median(times)) * seconds / psi.shape[1]
+    return int(seconds / max(SECONDS_PER_DEGREE, _TIMES_PER_DEGREE * time) + 1e-9)
+
+
+def _orthogonal(vector: Array) -> Array:
+    """Return an orthonormal basis (K-1, K) of the vectors orthogonal to one."""
+    return np.linalg.svd(vector[None, :])[2][1:]
+
+
+def two_sided(t: Array, degrees: float) -> Array:
+    """Return the two-sided probabilities of Student's t."""
+    return np.asarray(2.0 * stdtr(degrees, -np.abs(t)))
+
+
+def detection_factor(degrees: float, level: float) -> float:
+    """Return the smallest log ratio, in standard errors, that is found with probability `POWER`.
+
+    The standard error is itself estimated; the factor covers a low estimate.
+    """
+    low = chdtri(degrees, POWER)
+    t = stdtrit(degrees, 1.0 - level / 2.0) + stdtrit(degrees, POWER)
+    return float(t * np.sqrt(degrees / low))
+
+
+def holm(p: Mapping[Key, float]) -> dict[Key, float]:
+    """Return probabilities adjusted for the number of comparisons (Holm 1979)."""
+    adjusted: dict[Key, float] = {}
+    least = 0.0
+    for rank, key in enumerate(sorted(p, key=lambda k: p[k])):
+        least = max(least, min(1.0, (len(p) - rank) * p[key]))
+        adjusted[key] = least
+    return {key: adjusted[key] for key in p}
