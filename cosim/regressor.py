@@ -189,8 +189,8 @@ class FrictionRegressor:
             wanted = torques(y, len(found))
         spread = np.std(wanted, axis=0)
         errors = [rmse(e) for e in (found - wanted).T]
-        return float(np.mean([1.0 - (e / s) ** 2 if s else float(e == 0.0)
-                              for e, s in zip(errors, spread, strict=True)]))  # fmt: skip
+        pairs = zip(errors, spread, strict=True)
+        return float(np.mean([1.0 - (e / s) ** 2 if s else float(e == 0.0) for e, s in pairs]))
 
     def equation(self) -> str:
         """Return the fitted law as text, joint by joint."""

@@ -124,7 +124,7 @@ def model_given(model: LawArg) -> FrictionModel:
     return FrictionModel.read(model_file(str(path_of(model, "a friction model"))))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class NamedLaw:
     """Law under a unique name: `fmu` is None for a model, `model` is None for a foreign FMU."""
 
@@ -136,8 +136,7 @@ class NamedLaw:
 def laws_of(laws: Laws) -> list[NamedLaw]:
     """Return models, FMUs and built-in names as laws, each with a unique name."""
     if isinstance(laws, Mapping):
-        return [NamedLaw(name=name, model=m, fmu=f) for name, (m, f) in
-                ((str(name), _law(law)) for name, law in laws.items())]  # fmt: skip
+        return [NamedLaw(str(name), *_law(law)) for name, law in laws.items()]
     several = listed(laws)
     read = [_law(law) for law in several]
     paths = [law.law if isinstance(law, FrictionModel) else str(law) for law in several]
@@ -147,10 +146,7 @@ def laws_of(laws: Laws) -> list[NamedLaw]:
         for path, stem, (model, fmu) in zip(paths, stems, read, strict=True)
     ]
     names = telling_apart([by_law, stems, paths], "given")
-    return [
-        NamedLaw(name=name, model=model, fmu=fmu)
-        for name, (model, fmu) in zip(names, read, strict=True)
-    ]
+    return [NamedLaw(name, *law) for name, law in zip(names, read, strict=True)]
 
 
 def _law(law: LawArg) -> tuple[FrictionModel | None, Path | None]:

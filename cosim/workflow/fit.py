@@ -15,6 +15,7 @@ from hesr_model.support.progress import Stages, silent
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.workflow.arguments import BodyArg, CheckedLogs, LawArg, Logs, RobotArg
+    from hesr_model.audit.certificate import Certificate
     from hesr_model.fitting.estimator import Estimator
     from hesr_model.friction.model import FrictionModel
     from hesr_model.rigid_body.residual import FrictionRecord
@@ -195,10 +196,14 @@ def _fit(
 
 def answer(model: FrictionModel, output: PathArg | None) -> Answer:
     """Return the answer of a fitted law: equations, errors and passivity of each joint."""
+    from fmu_src.pages import datasheet
     from hesr_model.support.plugins import names
 
     joints = ", ".join(model.joints)
-    lines = [f"{model.law} for {joints}.", *_equations(model), *passivity_lines(model)]
+    lines = [f"{model.law} for {joints}.", *_equations(model)]
+    if model.trained:
+        certificates = datasheet.certificates(model, model.trained)
+        lines.append(f"Passivity: {passivity(model.joints, certificates)}.")
     for name in names("hesr.refinements"):
         lines += model.provenance.get(name, ())
     return Written(
@@ -256,18 +261,12 @@ def audit_tables(name: str, model: FrictionModel) -> list[ResultTable | str]:
         return [f"{name}: {error}"]
 
 
-def passivity_lines(model: FrictionModel) -> list[str]:
-    """Return on which joints a fitted model is proven passive, refuted or open, in one line."""
-    from fmu_src.pages import datasheet
-
-    if not model.trained:
-        return []
+def passivity(joints: Sequence[str], certificates: Sequence[Certificate]) -> str:
+    """Return on which joints a law is proven passive, refuted or open."""
     by_verdict = defaultdict(list)
-    found = datasheet.certificates(model, model.trained)
-    for joint, certificate in zip(model.joints, found, strict=True):
+    for joint, certificate in zip(joints, certificates, strict=True):
         by_verdict[certificate.verdict].append(joint)
-    listed = (f"{verdict} on {', '.join(joints)}" for verdict, joints in by_verdict.items())
-    return [f"Passivity: {'; '.join(listed)}."]
+    return "; ".join(f"{verdict} on {', '.join(names)}" for verdict, names in by_verdict.items())
 
 
 def listing() -> Answer:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, shortened
+from cosim.workflow.fit import passivity
 from hesr_model.errors import ArgumentError, ConfigError, HesrError
 from hesr_model.support.progress import Stages, silent
 
@@ -58,7 +59,8 @@ class LawReport(Answer):
         lines = _scores_lines(self.scores) if self.scores else []
         for law in self.laws:
             if found := self.audits.get(law.name):
-                lines.append(f"{law.name}: {_passivity(law, found)}")
+                joints = law.model.joints if law.model else ()
+                lines.append(f"{law.name}: passivity {passivity(joints, found.certificates)}.")
             if checks := self.properties.get(law.name):
                 lines.append(f"{law.name}: {_failed(checks)}")
         lines += [other.summary() for other in self.others.values()]
@@ -335,12 +337,11 @@ def _checked(
 ) -> LawReport:
     """Add the physics checks, each law in a process of its own."""
     from cosim.properties.battery import Subject, run_battery
+    from cosim.workflow.arguments import listed
     from hesr_model.audit.properties import write_properties
     from hesr_model.support.files import written_whole
 
-    values = None if inertia is None else tuple(
-        inertia if isinstance(inertia, Sequence) else (inertia,)
-    )  # fmt: skip
+    values = None if inertia is None else tuple(listed(inertia))
     subjects = [
         Subject(name=law.name, model=law.model, fmu=law.fmu, inertia=values) for law in report.laws
     ]
@@ -369,20 +370,9 @@ def _scores_lines(scores: Comparison) -> list[str]:
     tied = [name for name in size if name != best and all(name in led for led in scores.leading)]
     lines = [f"Best: {best}. Unexplained friction: {shares}."]
     if len(size) > 1:
-        lines.append(
-            f"The logs do not separate it from {', '.join(tied)}." if tied else
-            "On at least one joint the logs separate it from every other law."
-        )  # fmt: skip
+        apart = "On at least one joint the logs separate it from every other law."
+        lines.append(f"The logs do not separate it from {', '.join(tied)}." if tied else apart)
     return lines
-
-
-def _passivity(law: NamedLaw, found: ModelAudit) -> str:
-    joints = law.model.joints if law.model else ()
-    by_verdict: dict[str, list[str]] = {}
-    for joint, certificate in zip(joints, found.certificates, strict=True):
-        by_verdict.setdefault(certificate.verdict, []).append(joint)
-    listed = (f"{verdict} on {', '.join(names)}" for verdict, names in by_verdict.items())
-    return f"passivity {'; '.join(listed)}."
 
 
 def _failed(found: Properties) -> str:
