@@ -19,10 +19,11 @@ from hesr_model.equations.program import (
     Assignments,
     Invariants,
     Jumps,
-    Tangent,
+    beginning,
     change_of,
+    changes_along,
     derivatives,
-    initial_state,
+    first_readings,
     initial_symbol,
     moved,
     readings,
@@ -134,10 +135,7 @@ class Functions:
 
     def start(self) -> str:
         """Write y and r before the first step, and the previous values p for it."""
-        component = self.component
-        own = readings(component, starting=True)
-        starts = component.starts
-        own |= {symbol: e.xreplace(starts) for symbol, e in starts.items()}
+        own, starts = first_readings(self.component), self.component.starts
         targets = self._reading_targets
         targets |= {f"p[{i}]": s for i, s in enumerate(starts)}
         places = {s: place for s, place in self._arguments.places.items() if s not in starts}
@@ -232,22 +230,16 @@ class Functions:
         signature = "rates(IN(k), IN(u), IN(x), OUT(rate))"
         return self._written(False, own, targets, signature)
 
-    @property
-    def _beginning(self) -> dict[sympy.Symbol, sympy.Expr]:
-        component = self.component
-        own = initial_state(component.memory, component.settling)
-        return {symbol: e.xreplace(component.starts) for symbol, e in own.items()}
-
     def begin(self) -> str:
         """Move the states x from their start values to their initial values."""
         targets = {f"x[{i}]": initial_symbol(m) for i, m in enumerate(self.component.memory)}
-        own = self._beginning
+        own = beginning(self.component)
         return self._written(False, own, targets, "begin(IN(k), IN(u), double *x)")
 
     def begin_tangent(self) -> str:
         """Propagate the change tx of the start values x to the initial values, along dk and du."""
-        own = self._beginning
-        changes = Tangent(self._seeds).of(own)
+        own = beginning(self.component)
+        changes = changes_along(self._seeds, own)
         targets = {
             f"tx[{i}]": change_of(initial_symbol(m)) for i, m in enumerate(self.component.memory)
         }
@@ -257,7 +249,7 @@ class Functions:
     def tangent(self) -> str:
         """Write the changes of dx and y along dk, du and tx."""
         own = self.jumps.held(readings(self.component))
-        changes = Tangent(self._seeds).of(own)
+        changes = changes_along(self._seeds, own)
         targets = {f"t{to}": change_of(s) for to, s in self._derivative_targets.items()}
         targets |= {f"ty[{i}]": change_of(s) for i, s in enumerate(self._outputs)}
         return self._written(
@@ -271,7 +263,7 @@ class Functions:
         """Write the change tx of the states over a step along du, from constant states x."""
         own = self.jumps.held(step(self.component.memory))
         seeds = {s: self._seeds[s] for s in self._inputs}
-        changes = Tangent(seeds).of(own)
+        changes = changes_along(seeds, own)
         targets = {f"moved[{i}]": change_of(moved(m)) for i, m in enumerate(self.component.memory)}
         signature = (
             "follow(IN(k), IN(u), IN(s), IN(x), double dt, double euler, IN(du), OUT(moved))"
@@ -284,7 +276,7 @@ class Functions:
         No sign is held, because a solver inside an FMU tries its own inputs.
         """
         own = sampled(self.component)
-        changes = Tangent({s: self._seeds[s] for s in self._inputs}).of(own)
+        changes = changes_along({s: self._seeds[s] for s in self._inputs}, own)
         targets = {f"moved[{i}]": moved(m) for i, m in enumerate(self.component.memory)}
         targets |= {f"y[{i}]": s for i, s in enumerate(self._outputs)}
         targets |= {f"slope[{i}]": change_of(s) for i, s in enumerate(self._outputs)}

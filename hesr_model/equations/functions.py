@@ -19,13 +19,22 @@ class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
     """Function of real arguments, evaluated for numbers only."""
 
     latex_form: ClassVar[str]
+    exact: ClassVar[Any] = None
 
     @classmethod
     def eval(cls, *arguments: sympy.Expr) -> sympy.Expr | None:
         """Evaluate for numbers only."""
-        if all(a.is_number for a in arguments):
-            return sympy.Float(float(NUMPY[cls.__name__](*(float(a) for a in arguments))))
-        return None
+        if not all(a.is_number for a in arguments):
+            return None
+        if cls.exact is not None:
+            return cls.exact(*arguments)
+        return sympy.Float(float(NUMPY[cls.__name__](*(float(a) for a in arguments))))
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        """Return the derivative by an argument."""
+        if (slopes := _SLOPES.get(type(self).__name__)) is None:
+            return super().fdiff(argindex)
+        return sympy.sympify(slopes(*self.args)[argindex - 1])
 
     def _latex(self, printer: LatexPrinter, exp: str | None = None) -> str:
         power = f"^{{{exp}}}" if exp else ""
@@ -38,16 +47,7 @@ class sgn(_Real):  # noqa: N801 - printed under this name, as all below
 
     nargs = 1
     latex_form = r"\operatorname{{sgn}}{power}\left({}\right)"
-
-    @classmethod
-    def eval(cls, x: sympy.Expr) -> sympy.Expr | None:
-        """Evaluate for numbers only."""
-        return sympy.sign(x) if x.is_number else None
-
-    def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative, 0 almost everywhere."""
-        del argindex
-        return sympy.Integer(0)
+    exact = sympy.sign
 
 
 class absolute(_Real):  # noqa: N801
@@ -55,16 +55,7 @@ class absolute(_Real):  # noqa: N801
 
     nargs = 1
     latex_form = r"\left|{}\right|"
-
-    @classmethod
-    def eval(cls, x: sympy.Expr) -> sympy.Expr | None:
-        """Evaluate for numbers only."""
-        return sympy.Abs(x) if x.is_number else None
-
-    def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative."""
-        del argindex
-        return sgn(self.args[0])
+    exact = sympy.Abs
 
 
 class positive(_Real):  # noqa: N801
@@ -73,22 +64,12 @@ class positive(_Real):  # noqa: N801
     nargs = 1
     latex_form = r"\max\left({}, 0\right)"
 
-    def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative."""
-        del argindex
-        return exceeds(self.args[0], 0)
-
 
 class larger(_Real):  # noqa: N801
     """Maximum of two numbers."""
 
     nargs = 2
     latex_form = r"\max\left({}, {}\right)"
-
-    def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative by each argument."""
-        above = exceeds(*self.args)
-        return above if argindex == 1 else 1 - above
 
 
 class clip(_Real):  # noqa: N801
@@ -97,23 +78,12 @@ class clip(_Real):  # noqa: N801
     nargs = 2
     latex_form = r"\operatorname{{clip}}\left({}, \pm {}\right)"
 
-    def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative by x: 1 inside; by b: the side of the clipping."""
-        x, b = self.args
-        inside = exceeds(b, absolute(x))
-        return inside if argindex == 1 else (1 - inside) * sgn(x)
-
 
 class exceeds(_Real):  # noqa: N801
     """1 if a > b, else 0."""
 
     nargs = 2
     latex_form = r"\left[{} > {}\right]"
-
-    def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative, 0 almost everywhere."""
-        del argindex
-        return sympy.Integer(0)
 
 
 class over(_Real):  # noqa: N801
@@ -122,24 +92,12 @@ class over(_Real):  # noqa: N801
     nargs = 3
     latex_form = r"\left({0}\right) / \left({1}\right)"
 
-    def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative by each argument."""
-        a, b, _ = self.args
-        if argindex == 1:
-            return over(1, b, 0)
-        return -over(over(a, b, 0), b, 0) if argindex == 2 else 1 - exceeds(b, 0)
-
 
 class decay(_Real):  # noqa: N801
     """Relative change of a state over a step, exp(-z) - 1 for z = rate * dt; -z by Euler."""
 
     nargs = 2  # z, 1 for Euler
     latex_form = r"\left(e^{{-{0}}} - 1\right)"
-
-    def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative by z."""
-        z, euler = self.args
-        return -1 - (1 - euler) * decay(z, euler) if argindex == 1 else sympy.Integer(0)
 
 
 class share(_Real):  # noqa: N801
@@ -150,10 +108,6 @@ class share(_Real):  # noqa: N801
 
     nargs = 3
     latex_form = r"\varphi\left({}\right)"
-
-    def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative by z."""
-        return share_slope(*self.args) if argindex == 1 else sympy.Integer(0)
 
 
 class share_slope(_Real):  # noqa: N801
@@ -169,17 +123,27 @@ class cardinal_sine(_Real):  # noqa: N801
     nargs = 1
     latex_form = r"\operatorname{{sinc}}{power}\left({}\right)"
 
-    def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative."""
-        del argindex
-        return cardinal_slope(self.args[0])
-
 
 class cardinal_slope(_Real):  # noqa: N801
     """Derivative of `cardinal_sine`, without derivatives of its own."""
 
     nargs = 1
     latex_form = r"\operatorname{{sinc}}'\left({}\right)"
+
+
+_SLOPES: Mapping[str, Callable[..., tuple[Any, ...]]] = {
+    "sgn": lambda _: (0,),
+    "absolute": lambda x: (sgn(x),),
+    "positive": lambda x: (exceeds(x, 0),),
+    "larger": lambda a, b: (exceeds(a, b), 1 - exceeds(a, b)),
+    "clip": lambda x, b: (exceeds(b, absolute(x)), (1 - exceeds(b, absolute(x))) * sgn(x)),
+    "exceeds": lambda *_: (0, 0),
+    "over": lambda a, b, _: (over(1, b, 0), -over(over(a, b, 0), b, 0), 1 - exceeds(b, 0)),
+    "decay": lambda z, euler: (-1 - (1 - euler) * decay(z, euler), 0),
+    "share": lambda *arguments: (share_slope(*arguments), 0, 0),
+    "cardinal_sine": lambda x: (cardinal_slope(x),),
+}
+"""Derivatives by each argument, almost everywhere."""
 
 
 def _cardinal_sine(x: Any) -> Any:

@@ -1,7 +1,7 @@
 """Straight-line programs of a component: ordered assignments."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import sympy
@@ -62,39 +62,42 @@ def initial_state(
     return found
 
 
+def beginning(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
+    """Return a component's initial states, and intermediate values."""
+    own = initial_state(component.memory, component.settling)
+    return {symbol: e.xreplace(component.starts) for symbol, e in own.items()}
+
+
 def derivatives(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
     """Return each state's continuous derivative."""
     return {m.derivative: m.continuous() for m in memory}
 
 
-def readings(component: Component, *, starting: bool = False) -> dict[sympy.Symbol, sympy.Expr]:
+def readings(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
     """Return derivatives of the states and all ordered equations."""
-    equations = (
-        component.starting if starting else {e.symbol: e.expression for e in component.ordered}
-    )
-    return {**derivatives(component.memory), **equations}
+    return derivatives(component.memory) | {e.symbol: e.expression for e in component.ordered}
 
 
-@dataclass(frozen=True)
-class Tangent:
-    """Derivatives along a direction, given by a seed for each symbol."""
+def first_readings(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
+    """Return the readings before the first step, and the previous values there."""
+    starts = component.starts
+    own = {symbol: e.xreplace(starts) for symbol, e in starts.items()}
+    return {**derivatives(component.memory), **component.starting, **own}
 
-    seeds: Mapping[sympy.Symbol, sympy.Expr] = field(default_factory=dict)
 
-    def of(self, assignments: Assignments) -> dict[sympy.Symbol, sympy.Expr]:
-        """Return the change `d_...` of each assigned symbol."""
-        known = dict(self.seeds)
-        changes: dict[sympy.Symbol, sympy.Expr] = {}
-        for symbol, expression in assignments.items():
-            used = sorted(expression.free_symbols & known.keys(), key=sympy.default_sort_key)
-            change = sympy.Add(*(expression.diff(s) * known[s] for s in used))
-            # Later derivatives skip constant symbols, which get no name.
-            if change == 0:
-                continue
-            name = change_of(symbol)
-            changes[name] = change
-            known[symbol] = name
-        return changes
+def changes_along(
+    seeds: Mapping[sympy.Symbol, sympy.Expr], assignments: Assignments
+) -> dict[sympy.Symbol, sympy.Expr]:
+    """Return the change `d_...` of each assigned symbol along a direction of seeds."""
+    known = dict(seeds)
+    changes: dict[sympy.Symbol, sympy.Expr] = {}
+    for symbol, expression in assignments.items():
+        used = sorted(expression.free_symbols & known.keys(), key=sympy.default_sort_key)
+        change = sympy.Add(*(expression.diff(s) * known[s] for s in used))
+        if change != 0:  # later derivatives skip constant symbols
+            known[symbol] = change_of(symbol)
+            changes[known[symbol]] = change
+    return changes
 
 
 def change_of(symbol: sympy.Symbol) -> sympy.Symbol:

@@ -15,10 +15,10 @@ from hesr_model.equations.functions import NUMPY, SCALAR
 from hesr_model.equations.memory import DT, EULER
 from hesr_model.equations.program import (
     Assignments,
-    initial_state,
+    beginning,
+    first_readings,
     initial_symbol,
     moved,
-    readings,
     sampled,
     straight_line,
 )
@@ -42,22 +42,16 @@ class Steps:
         seen = [sympy.Symbol(name, real=True) for name in own]
         remembered = [e.symbol for e in component.remembered]
         before = [previous(e.name) for e in component.remembered]
-        starts = component.starts
-        begins = initial_state(component.memory, component.settling)
-        self._settle = _function(
+        self.settle = _function(
             (given, states),
-            {symbol: e.xreplace(starts) for symbol, e in begins.items()},
+            beginning(component),
             ([initial_symbol(m) for m in component.memory],),
             lanes=lanes,
         )
-        self._start = _function(
-            (given, states),
-            readings(component, starting=True)
-            | {symbol: start.xreplace(starts) for symbol, start in starts.items()},
-            (seen, remembered),
-            lanes=lanes,
+        self.begin = _function(
+            (given, states), first_readings(component), (seen, remembered), lanes=lanes
         )
-        self._step = _function(
+        self.step = _function(
             (given, states, before, (DT,)),
             sampled(component) | {EULER: sympy.Integer(0)},
             (seen, remembered, [moved(m) for m in component.memory]),
@@ -71,9 +65,7 @@ class Steps:
 
         `inputs` names the inputs passed to each step.
         """
-        return ComponentRun(
-            self._settle, self._start, self._step, self.component, values, start, inputs
-        )
+        return ComponentRun(self, values, start, inputs)
 
     def over(
         self,
@@ -105,16 +97,13 @@ class ComponentRun:
 
     def __init__(
         self,
-        settle: Any,
-        start: Any,
-        step: Any,
-        component: Component,
+        steps: Steps,
         values: Mapping[str, float],
         states: Sequence[float],
         inputs: Sequence[str],
     ) -> None:
-        names = [q.name for q in component.given]
-        self._settle, self._start, self._step = settle, start, step
+        names = [q.name for q in steps.component.given]
+        self._steps = steps
         self._given: list[Any] = [float(values.get(name, 0.0)) for name in names]
         self._places = [names.index(name) for name in inputs]
         self.states: Sequence[float] = list(states)
@@ -128,18 +117,18 @@ class ComponentRun:
     def settle(self, *inputs: float) -> None:
         """Settle the initial states for the first inputs."""
         self._set(inputs)
-        [self.states] = self._settle(self._given, self.states)
+        [self.states] = self._steps.settle(self._given, self.states)
 
     def begin(self, *inputs: float) -> Sequence[float]:
         """Return the observed equations before the first step."""
         self._set(inputs)
-        seen, self.remembered = self._start(self._given, self.states)
+        seen, self.remembered = self._steps.begin(self._given, self.states)
         return seen  # type: ignore[no-any-return]
 
     def step(self, dt: float, *inputs: float) -> Sequence[float]:
         """Hold the inputs over dt [s] and return the observed equations at its end."""
         self._set(inputs)
-        seen, self.remembered, self.states = self._step(
+        seen, self.remembered, self.states = self._steps.step(
             self._given, self.states, self.remembered, (float(dt),)
         )
         return seen  # type: ignore[no-any-return]

@@ -16,7 +16,7 @@ from hesr_model.equations.component import Component, Equation, Quantity, previo
 from hesr_model.equations.functions import NUMPY, absolute, clip, exceeds, larger, lowered, positive
 from hesr_model.equations.kernel import Kernel
 from hesr_model.equations.memory import DT, Discretisation, Relaxation, Stop
-from hesr_model.equations.program import Tangent, change_of, readings
+from hesr_model.equations.program import change_of, changes_along, readings
 from hesr_model.equations.stepping import Steps
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, TAU_LOAD
@@ -247,7 +247,7 @@ def test_a_tangent_goes_through_names() -> None:
             name="b", expression=sympy.sin(sympy.Symbol("a", real=True)), output=True)),
     )  # fmt: skip
     seed = sympy.Symbol("seed", real=True)
-    program = {**readings(own), **Tangent({X: seed}).of(readings(own))}
+    program = {**readings(own), **changes_along({X: seed}, readings(own))}
     b = program[change_of(sympy.Symbol("b", real=True))]
     for symbol in (change_of(sympy.Symbol("a", real=True)), sympy.Symbol("a", real=True)):
         b = b.subs(symbol, program[symbol])
