@@ -45,39 +45,13 @@ class Kernel:
         self.first = program_of(graph, [graph.of(initial_symbol(m)) for m in self.memory])
         self.row_by_row = any(m.state in sympy.Tuple(*m.parts).free_symbols for m in self.memory)
 
-    def over(
-        self,
-        inputs: Sequence[Array],
-        dt: Array,
-        firsts: Sequence[int] | NDArray[np.int64] = (0,),
-        *,
-        euler: bool = False,
-        start: Sequence[float] = (),
-        target: Array | None = None,
-        found: Array | None = None,
-    ) -> "KernelRun":
-        """Bind the kernel to rows; see `KernelRun`."""
-        return KernelRun(
-            self, inputs, dt, firsts, euler=euler, start=start, target=target, found=found
-        )
-
     def at(self, numbers: Iterable[float], *inputs: float) -> tuple[float, ...]:
         """Return the results for one row of inputs, without memory."""
-        row = self.over([np.array([u]) for u in inputs], np.zeros(1))
+        row = KernelRun(self, [np.array([u]) for u in inputs], np.zeros(1))
         return tuple(row.at(np.array(list(numbers)))[0].tolist())
 
 
-def _whole(values: Array, rows: int) -> Array:
-    return np.ascontiguousarray(np.broadcast_to(values, (rows,)), dtype=np.float64)
-
-
-def _in_doubles(values: Array) -> Array:
-    """Return doubles without copying the columns of a table."""
-    found = np.asarray(values, dtype=np.float64)
-    return found if found.strides[0] % 8 == 0 else np.ascontiguousarray(found)
-
-
-class KernelRun:
+class KernelRun(ProgramRun):
     """Kernel bound to rows of logs: `inputs` (N,) each, and steps `dt` (N,) [s] ending at each row.
 
     `firsts` are the first rows of records; `start` is each state's value at rest, 0 by default.
@@ -89,7 +63,7 @@ class KernelRun:
         kernel: Kernel,
         inputs: Sequence[Array],
         dt: Array,
-        firsts: Sequence[int] | NDArray[np.int64],
+        firsts: Sequence[int] | NDArray[np.int64] = (0,),
         *,
         euler: bool = False,
         start: Sequence[float] = (),
@@ -98,23 +72,23 @@ class KernelRun:
     ) -> None:
         # C does not check lengths, so all arrays are broadcast to one.
         arrays = [_in_doubles(np.broadcast_to(a, np.shape(dt))) for a in (dt, *inputs)]
-        firsts, self._states = np.asarray(firsts, dtype=np.int64), len(kernel.memory)
-        self._start = np.array(start or (0.0,) * self._states)
+        firsts, states = np.asarray(firsts, dtype=np.int64), len(kernel.memory)
+        self._start = np.array(start or (0.0,) * states)
         if kernel.known:
             fixed = ProgramRun(kernel.fixed, arrays, firsts)
-            fixed(np.zeros(0))
+            fixed.on(np.zeros(0))
             arrays += list(fixed.found.T)
         if kernel.memory:
             at_firsts = [a[firsts] for a in arrays]
             self._first = ProgramRun(kernel.first, at_firsts, np.arange(len(firsts)))
-        self._run = ProgramRun(
+        super().__init__(
             kernel.main,
             arrays,
             firsts,
-            states=self._states,
+            states=states,
             euler=euler,
             block=1 if kernel.row_by_row else BLOCK,
-            target=None if target is None else _whole(target, len(arrays[0])),
+            target=target,
             found=found,
         )
 
@@ -125,12 +99,12 @@ class KernelRun:
         state whatever the inputs are.
         """
         if settled and start is not None:
-            self._run.starts[:] = start if start.ndim > 1 else start[:, None]
-        elif self._states:
+            self.starts[:] = start if start.ndim > 1 else start[:, None]
+        elif len(self.starts):
             at_rest = self._start if start is None else start
-            self._first(np.concatenate([numbers, at_rest]))
-            self._run.starts[:] = self._first.found.T
-        return self._run.starts
+            self._first.on(np.concatenate([numbers, at_rest]))
+            self.starts[:] = self._first.found.T
+        return self.starts
 
     def at(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
         """Return the (N, K) results, valid until the next call; see `begin` for the arguments.
@@ -138,12 +112,8 @@ class KernelRun:
         Raises SimulationError if Euler's step is unstable.
         """
         self.begin(numbers, start, settled=settled)
-        self._run(numbers)
-        return self._run.found
-
-    def on(self, numbers: Array, first: int, stop: int) -> None:
-        """Write rows `first` to `stop` of the results, after `begin` and earlier rows."""
-        self._run.on(numbers, first, stop)
+        self.on(numbers)
+        return self.found
 
     def solved(
         self, numbers: Array, *, non_negative: int, weights: Array | None = None, keep: bool = False
@@ -154,10 +124,10 @@ class KernelRun:
         None if the factors are ill-conditioned.
         """
         self.begin(numbers)
-        by = None if weights is None else _whole(weights, len(self._run.found))
-        return self._run.solved(numbers, non_negative, by, keep=keep)
+        return self.factors(numbers, non_negative, weights, keep=keep)
 
-    @property
-    def found(self) -> Array:
-        """(N, K) results of the last call."""
-        return self._run.found
+
+def _in_doubles(values: Array) -> Array:
+    """Return doubles without copying the columns of a table."""
+    found = np.asarray(values, dtype=np.float64)
+    return found if found.strides[0] % 8 == 0 else np.ascontiguousarray(found)

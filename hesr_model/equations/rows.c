@@ -326,7 +326,7 @@ INLINE void finish_normal(program *p) {
 }
 
 /* Compute the values equal for all rows. */
-INLINE int prepare(program *p) {
+INLINE void prepare(program *p) {
     p->coming = 0;
     for (int64_t i = 0; i < p->registers; i++) {
         p->places[i] = p->work + i * BLOCK;
@@ -335,10 +335,7 @@ INLINE int prepare(program *p) {
         p->places[p->input_count + i][0] = p->given[i];
     }
     for (int64_t i = 0; i < p->uniform; i++) {
-        const int ended = operate(p, p->operations + i, 0, 1);
-        if (ended) {
-            return ended;
-        }
+        operate(p, p->operations + i, 0, 1);
     }
     for (int64_t i = 0; i < p->uniform_count; i++) {
         double *restrict of_all = p->places[p->input_count + i];
@@ -350,13 +347,11 @@ INLINE int prepare(program *p) {
     for (int64_t i = 0; p->gram && i < p->lane_count; i++) {
         p->lanes[i] = 0.0;
     }
-    return DONE;
 }
 
 INLINE int all_rows(program *p) {
-    const int prepared = p->first ? DONE : prepare(p);
-    if (prepared) {
-        return prepared;
+    if (p->first == 0) {
+        prepare(p);
     }
     for (int64_t at = p->first; at < p->stop; at += p->block) {
         const int64_t n = p->stop - at < p->block ? p->stop - at : p->block;

@@ -107,6 +107,8 @@ def library() -> ctypes.CDLL:
             "laws cannot be run without the C compiler of the package 'ziglang': "
             f"{str(error).rstrip('.')}; reinstall it."
         ) from error
+    address, number = ctypes.c_void_p, ctypes.c_int64
+    found.solve.argtypes = address, number, number, address, address, address
     found.solve.restype = ctypes.c_bool
     return found
 
@@ -118,7 +120,7 @@ def vectors() -> int:
 
 
 class ProgramRun:
-    """Program bound to arrays (N,); see `KernelRun`.
+    """Program bound to arrays (N,).
 
     `found` (N, K) are the last kept results, `starts` (states, records) the initial states.
     """
@@ -135,16 +137,16 @@ class ProgramRun:
         target: Array | None = None,
         found: Array | None = None,
     ) -> None:
-        self._rows = len(arrays[0])
-        self._run, self._solve = library()["run"], library()["solve"]
-        rows, count = self._rows, len(own.results)
-        self.found = np.empty((count, rows)).T if found is None else found
+        self._rows, count = len(arrays[0]), len(own.results)
+        self.found = np.empty((count, self._rows)).T if found is None else found
+        target = None if target is None else self._column(target)
         used = [arrays[i] for i in own.inputs]
         sizes = {
             "work": (own.registers + count + 11) * BLOCK,
             "lanes": sum(4 * _LANES * -(-left // 4) for left in range(1, count + 2)),
             "gram": (count + 1) ** 2,
             "x": count,
+            "squares": 1,
             "factors": count * (count + 3),
             "given": len(own.given),
             "start": states * len(firsts),
@@ -170,7 +172,7 @@ class ProgramRun:
         part["out"].view(np.int64)[:] = [out + i * self.found.strides[1] for i in range(count)]
         self.starts, self.gram = part["start"].reshape(states, len(firsts)), part["gram"]
         self._given, self._numbers = part["given"], own.numbers
-        self._x, self._squares = part["x"], ctypes.c_double()
+        self._x, self._squares = part["x"], part["squares"]
         self._at, self._held = at, (own, used, firsts, target)  # keep alive: C uses their addresses
         operations, results = own.addresses
         self._program = _Program(
@@ -194,46 +196,35 @@ class ProgramRun:
         )
         self._reference = ctypes.byref(self._program)
 
-    def __call__(self, numbers: Array) -> None:
-        """Write the results; see `KernelRun.at`."""
-        self.on(numbers, 0, self._rows)
+    def _column(self, values: Array) -> Array:
+        return np.ascontiguousarray(np.broadcast_to(values, (self._rows,)), dtype=np.float64)
 
-    def on(self, numbers: Array, first: int, stop: int) -> None:
-        """See `KernelRun.on`."""
-        self._started(numbers, (first, stop), weights=None, gram=False, keep=True)
+    def on(self, numbers: Array, first: int = 0, stop: int | None = None) -> None:
+        """Write rows of the results, from the initial states and after all earlier rows."""
+        own = self._program
+        own.first, own.stop = first, self._rows if stop is None else stop
+        own.weights, own.gram, own.out = None, None, self._at["out"]
+        self._run(numbers)
 
-    def solved(
+    def factors(
         self, numbers: Array, non_negative: int, weights: Array | None, *, keep: bool
     ) -> tuple[Array, float] | None:
-        """See `KernelRun.solved`."""
-        self._started(numbers, (0, self._rows), weights, gram=True, keep=keep)
-        at = self._at
-        determined = self._solve(
-            ctypes.c_void_p(at["gram"]),
-            ctypes.c_int64(len(self._x)),
-            ctypes.c_int64(non_negative),
-            ctypes.c_void_p(at["factors"]),
-            ctypes.c_void_p(at["x"]),
-            ctypes.byref(self._squares),
+        """See `KernelRun.solved`; `keep` also writes the results."""
+        own, at = self._program, self._at
+        column = None if weights is None else self._column(weights)
+        own.first, own.stop = 0, self._rows
+        own.weights = None if column is None else _address(column)
+        own.gram, own.out = at["gram"], at["out"] if keep else None
+        self._run(numbers)
+        determined = library().solve(
+            at["gram"], len(self._x), non_negative, at["factors"], at["x"], at["squares"]
         )
-        return (self._x.copy(), self._squares.value) if determined else None
+        return (self._x.copy(), float(self._squares[0])) if determined else None
 
-    def _started(
-        self,
-        numbers: Array,
-        rows: tuple[int, int],
-        weights: Array | None,
-        *,
-        gram: bool,
-        keep: bool,
-    ) -> None:
+    def _run(self, numbers: Array) -> None:
         self._given[self._numbers[0]] = numbers[self._numbers[1]]
         own = self._program
-        own.first, own.stop = rows
-        own.weights = None if weights is None else _address(weights)
-        own.gram = self._at["gram"] if gram else None
-        own.out = self._at["out"] if keep else None
-        if self._run(self._reference, vectors()):
+        if library().run(self._reference, vectors()):
             raise SimulationError(
                 f"Euler needs 0 <= rate * step < 1, found {own.unstable:.3g}; take a smaller step "
                 "or the 'exact' discretisation."

@@ -99,7 +99,8 @@ class Separable:
     @cached_property
     def _run(self) -> KernelRun:
         s, euler = self.samples, self.discretisation == "euler"
-        return self._kernel.over(
+        return KernelRun(
+            self._kernel,
             (s.dq, s.q, s.tau_load),
             s.dt,
             np.flatnonzero(s.begins),

@@ -27,32 +27,23 @@ _PIECE = 2048
 
 
 @lru_cache(maxsize=256)
-def _torque(form: LawForm) -> Kernel:
-    symbols, settling = _symbols(form), form.component.settling
-    return Kernel(form.memory, symbols, INPUTS, (form.output,), settling, once=True)
-
-
-@lru_cache(maxsize=64)
-def _states(form: LawForm) -> Kernel:
-    states = tuple(m.state for m in form.memory)
+def _moving(form: LawForm, *, states: bool = False) -> Kernel:
+    """Return the torque, or the states, over a log."""
+    wanted = tuple(m.state for m in form.memory) if states else (form.output,)
     settling = form.component.settling
-    return Kernel(form.memory, _symbols(form), INPUTS, states, settling, once=True)
+    return Kernel(form.memory, _symbols(form), INPUTS, wanted, settling, once=True)
 
 
 @lru_cache(maxsize=64)
 def _reading(form: LawForm) -> Kernel:
-    """Return the torque for inputs and states of each row; derivatives follow from both."""
+    """Return the torque and each element's guarded parts, for inputs and states of each row.
+
+    The parts are drive and rate, or rate and bound; derivatives follow from inputs and states.
+    """
     states = tuple(m.state for m in form.memory)
     torque = form.output.xreplace({m.derivative: m.continuous() for m in form.memory})
-    return Kernel((), _symbols(form), (*INPUTS, *states), (torque,), once=True)
-
-
-@lru_cache(maxsize=64)
-def _parts(form: LawForm) -> Kernel:
-    """Return drive and rate, or rate and bound, of each element for inputs and states."""
     parts = [part for m in form.memory for part in (m.parts[0], positive(m.parts[1]))]
-    states = tuple(m.state for m in form.memory)
-    return Kernel((), _symbols(form), (*INPUTS, *states), parts, once=True)
+    return Kernel((), _symbols(form), (*INPUTS, *states), (torque, *parts), once=True)
 
 
 @lru_cache(maxsize=64)
@@ -80,8 +71,9 @@ def first_states(
 
     They are steady from `MOVING` on and fade into the law's start at rest.
     """
-    run = _torque(law.form).over([np.array([u]) for u in (dq, q, tau_load)], np.zeros(1))
-    return tuple(run.begin(numbers(law), np.array(law.start))[:, 0].tolist())
+    inputs = [np.array([u]) for u in (dq, q, tau_load)]
+    run = KernelRun(_moving(law.form), inputs, np.zeros(1), start=law.start)
+    return tuple(run.begin(numbers(law))[:, 0].tolist())
 
 
 def predict(
@@ -102,10 +94,9 @@ def predict(
     """
     dt, inputs = _arrays(t, (dq, q, tau_load))
     if shown is None:
-        return _run(_torque(law.form), law, dt, inputs, start)[:, 0]
-    states = _run(_states(law.form), law, dt, inputs, start)
-    read = _reading(law.form).over([*shown, *states.T], dt)
-    return read.at(numbers(law))[:, 0]
+        return _run(_moving(law.form), law, dt, inputs, start)[:, 0]
+    states = _run(_moving(law.form, states=True), law, dt, inputs, start)
+    return KernelRun(_reading(law.form), [*shown, *states.T], dt).at(numbers(law))[:, 0]
 
 
 def predict_joints(
@@ -114,21 +105,28 @@ def predict_joints(
     """Return the torques (N, n) of n joints over a log; see `predict`."""
     dt, inputs = _arrays(t, (dq, q, tau_load))
     found = np.empty(dq.shape)
-    runs = [
-        _started(_torque(law.form), law, dt, [u[:, k] for u in inputs], None, found[:, k : k + 1])
-        for k, law in enumerate(laws)
-    ]
-    values = [numbers(law) for law in laws]
+    runs = []
+    for k, law in enumerate(laws):
+        run = KernelRun(
+            _moving(law.form),
+            [u[:, k] for u in inputs],
+            dt,
+            euler=law.discretisation == "euler",
+            start=law.start,
+            found=found[:, k : k + 1],
+        )
+        run.begin(numbers(law))
+        runs.append((run, numbers(law)))
     for first in range(0, len(dt), _PIECE):
-        for run, own in zip(runs, values, strict=True):
-            run.on(own, first, min(first + _PIECE, len(dt)))
+        for run, values in runs:
+            run.on(values, first, min(first + _PIECE, len(dt)))
     return found
 
 
 def states_over(law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
     """Return the (m, N) states of a law over a log; see `predict`."""
     dt, inputs = _arrays(t, (dq, q, tau_load))
-    return _run(_states(law.form), law, dt, inputs, None).T
+    return _run(_moving(law.form, states=True), law, dt, inputs).T
 
 
 def predict_band(
@@ -151,7 +149,7 @@ def predict_band(
         )
     dt, inputs = _arrays(t, (dq, q, tau_load))
     given = np.concatenate([numbers(law), law.band.values, [coverage]])
-    lower, upper = _band(law.form).over([*inputs, torque], dt).at(given).T
+    lower, upper = KernelRun(_band(law.form), [*inputs, torque], dt).at(given).T
     return lower, upper
 
 
@@ -162,30 +160,16 @@ def _arrays(t: ArrayLike, given: tuple[ArrayLike | None, ...]) -> tuple[Array, l
     return np.diff(time, prepend=time[0]), inputs
 
 
-def _started(
-    kernel: Kernel,
-    law: FrictionLaw,
-    dt: Array,
-    inputs: Sequence[Array],
-    start: tuple[float, ...] | None,
-    found: Array | None = None,
-) -> KernelRun:
-    run = kernel.over(inputs, dt, euler=law.discretisation == "euler", found=found)
-    at_rest = np.array(law.start if start is None else start, dtype=float)
-    run.begin(numbers(law), at_rest, settled=start is not None)
-    return run
-
-
 def _run(
     kernel: Kernel,
     law: FrictionLaw,
     dt: Array,
     inputs: Sequence[Array],
-    start: tuple[float, ...] | None,
+    start: tuple[float, ...] | None = None,
 ) -> Array:
-    run = _started(kernel, law, dt, inputs, start)
-    run.on(numbers(law), 0, len(dt))
-    return run.found
+    run = KernelRun(kernel, inputs, dt, euler=law.discretisation == "euler", start=law.start)
+    settled = start is not None
+    return run.at(numbers(law), np.array(start, dtype=float) if settled else None, settled=settled)
 
 
 def estimated_start(
@@ -222,8 +206,8 @@ def estimated_start(
     [element] = law.form.memory
     if element.state in sympy.Tuple(*element.parts).free_symbols:
         return law.start
-    read = _parts(law.form).over([dq, q, tau_load, np.zeros_like(t)], np.zeros_like(t))
-    b, r = read.at(numbers(law)).T
+    rows = [dq, q, tau_load, np.zeros_like(t)]
+    _, b, r = KernelRun(_reading(law.form), rows, np.zeros_like(t)).at(numbers(law)).T
     moving = r > 1e-9 * max(float(r.max()), 1e-300)
     limit = float(np.max(np.abs(b[moving] / r[moving]), initial=0.0))
     grid = np.linspace(-limit, limit, 41)
@@ -236,7 +220,7 @@ def estimated_start(
 
 
 def _bounds(law: FrictionLaw, *inputs: float) -> list[float | None]:
-    parts = _parts(law.form).at(law.values.values(), *inputs, *law.start)
+    _, *parts = _reading(law.form).at(law.values.values(), *inputs, *law.start)
     return [
         bound if isinstance(m, Stop) else None
         for m, bound in zip(law.form.memory, parts[1::2], strict=True)

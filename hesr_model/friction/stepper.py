@@ -37,7 +37,7 @@ class LawStepper:
         if coefficients:
             self._table[1 : 1 + coefficients] = np.repeat(self._values, 2, axis=1)
         dt, *inputs = self._table
-        return self._kernel.over(inputs, dt, range(0, 2 * motions, 2), euler=self._euler)
+        return KernelRun(self._kernel, inputs, dt, range(0, 2 * motions, 2), euler=self._euler)
 
     def __call__(
         self, dt: Array, dq: Array, q: Array, tau_load: Array, x: Array

@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 import sympy
 
-from hesr_model.equations.kernel import Kernel
+from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Stop
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise, rubbing
@@ -73,7 +73,7 @@ class LagRows:
 
 def _rubs(u: Array, v: Array) -> Array:
     """Return friction of several shapes (N, K) along a position u (N,) with velocity v."""
-    stops = _stops().over([np.diff(u, prepend=u[0])], np.ones_like(u))
+    stops = KernelRun(_stops(), [np.diff(u, prepend=u[0])], np.ones_like(u))
     start = np.full(len(_WIDTHS), np.sign(v[0]))
     held = stops.at(np.zeros(0), start, settled=True)
     return np.column_stack([held, rubbing(v), v, v * np.abs(v), np.ones_like(v)])

@@ -13,7 +13,7 @@ from unchanged import Unchanged
 from hesr.extras.adaptive.component import adaptive_component
 from hesr.extras.adaptive.tuning import TUNING, Tuning
 from hesr_model.equations import functions
-from hesr_model.equations.kernel import Kernel
+from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.equations.operations import Graph
 from hesr_model.equations.recurrence import recurrence
@@ -182,7 +182,7 @@ def test_clips_of_all_rows_are_those_row_by_row(rows: int) -> None:
         for i, (v, s) in enumerate(zip(ways, bounds, strict=True))
     ]
     kernel = Kernel(stops, (), (*ways, *bounds), [stop.state for stop in stops])
-    run = kernel.over([*way, *bound], np.ones(rows), np.flatnonzero(begins))
+    run = KernelRun(kernel, [*way, *bound], np.ones(rows), np.flatnonzero(begins))
     found = run.at(np.zeros(0), start, settled=True).T
     x = start
     for k in range(rows):

@@ -14,7 +14,7 @@ from fmu_src.blocks.controller import controller_equations
 from fmu_src.blocks.velocity import velocity_equations
 from hesr_model.equations.component import Component, Equation, Quantity, previous
 from hesr_model.equations.functions import NUMPY, absolute, clip, exceeds, larger, lowered, positive
-from hesr_model.equations.kernel import Kernel
+from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import DT, Discretisation, Relaxation, Stop
 from hesr_model.equations.program import change_of, changes_along, readings
 from hesr_model.equations.stepping import Steps
@@ -71,7 +71,7 @@ def stops_over(way: np.ndarray, bound: np.ndarray, begins: np.ndarray, start: np
         for i, w in enumerate(ways)
     ]
     kernel = Kernel(stops, (), (*ways, limit), [s.state for s in stops])
-    run = kernel.over([*way, bound], np.ones_like(bound), np.flatnonzero(begins))
+    run = KernelRun(kernel, [*way, bound], np.ones_like(bound), np.flatnonzero(begins))
     return run.at(np.zeros(0), start, settled=True).T
 
 
@@ -80,7 +80,7 @@ def states_over(
     start: tuple[float, ...], discretisation: Discretisation,
 ) -> np.ndarray:  # fmt: skip
     kernel = Kernel(memory, (), (DQ,), [m.state for m in memory])
-    run = kernel.over([dq], dt, np.flatnonzero(begins), euler=discretisation == "euler")
+    run = KernelRun(kernel, [dq], dt, np.flatnonzero(begins), euler=discretisation == "euler")
     return run.at(np.zeros(0), np.array(start), settled=True).T
 
 

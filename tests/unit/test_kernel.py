@@ -48,9 +48,10 @@ def rows_of(
     memory: tuple[Element, ...] = (), begins: np.ndarray | None = None, dt: float = 0.01,
     euler: bool = False, target: np.ndarray | None = None,
 ) -> KernelRun:  # fmt: skip
-    return Kernel(memory, (K,), (U, V), wanted).over(
-        (u, np.zeros_like(u) if v is None else v), np.full(len(u), dt),
-        [0] if begins is None else np.flatnonzero(begins), euler=euler, target=target,
+    return KernelRun(
+        Kernel(memory, (K,), (U, V), wanted), (u, np.zeros_like(u) if v is None else v),
+        np.full(len(u), dt), [0] if begins is None else np.flatnonzero(begins), euler=euler,
+        target=target,
     )  # fmt: skip
 
 
@@ -88,7 +89,7 @@ def test_results_go_where_they_are_wanted(rng: np.random.Generator, wide: int) -
     u = rng.normal(size=ROWS)
     kernel = Kernel((), (K,), (U, V), [K * U])
     room = np.full((ROWS + 8, wide), np.nan)
-    rows = kernel.over((u, u), np.full(ROWS, 0.01), [0], euler=False, found=room[4:-4, -1:])
+    rows = KernelRun(kernel, (u, u), np.full(ROWS, 0.01), [0], euler=False, found=room[4:-4, -1:])
     rows.at(np.array([3.0]))
     np.testing.assert_array_equal(room[4:-4, -1], 3.0 * u)
     room[4:-4, -1] = np.nan
@@ -194,7 +195,7 @@ def test_inputs_of_other_lengths_are_refused() -> None:
     """C would read beyond them."""
     kernel = Kernel((), (K,), (U, V), [K * U + V])
     with pytest.raises(ValueError, match="broadcast"):
-        kernel.over((np.ones(ROWS - 1), np.ones(ROWS)), np.ones(ROWS), [0])
+        KernelRun(kernel, (np.ones(ROWS - 1), np.ones(ROWS)), np.ones(ROWS), [0])
     with pytest.raises(ValueError, match="broadcast"):
         rows_of([K * U], np.ones(ROWS), target=np.ones(ROWS + 1))
     with pytest.raises(ValueError, match="broadcast"):
@@ -256,7 +257,7 @@ def test_states_begin_where_numpy_lets_them_begin(rng: np.random.Generator) -> N
     settling = clip(absolute(U), 1)
     for memory in MEMORY.values():
         kernel = Kernel(memory, (K,), (U, V), [m.state for m in memory], settling)
-        rows = kernel.over((u, v), np.full(300, 0.01), np.flatnonzero(begins))
+        rows = KernelRun(kernel, (u, v), np.full(300, 0.01), np.flatnonzero(begins))
         start = np.full(len(memory), 0.2)
         found = rows.at(np.array([2.0]), start)[begins]
         oracle = StatesOverLog(memory, (K, U, V), [], settling)
@@ -296,7 +297,7 @@ def test_numbers_are_the_same_bits_whatever_vectors_there_are(
     for width in range(widest + 1):
         monkeypatch.setattr(rows_module, "vectors", lambda width=width: width)
         solved = rows.solved(np.array([0.7]), non_negative=0, keep=True)
-        every.append((rows.found.tobytes(), rows._run.gram.tobytes(), str(solved)))
+        every.append((rows.found.tobytes(), rows.gram.tobytes(), str(solved)))
     assert all(one == every[0] for one in every)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import sympy
 from scipy.optimize import least_squares, minimize_scalar
 
-from hesr_model.equations.kernel import Kernel
+from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.errors import FitError
 from hesr_model.friction.factors import parts
 from hesr_model.friction.inputs import INPUTS
@@ -59,7 +59,7 @@ class Factored:
         """Return the torque (N,) [N.m] over a record for factors (N,) of its rows."""
         law, dt = self._law, np.diff(record.t, prepend=record.t[0])
         inputs = (record.dq, record.q, record.tau_load, level, viscosity)
-        run = self._kernel.over(inputs, dt, euler=law.discretisation == "euler")
+        run = KernelRun(self._kernel, inputs, dt, euler=law.discretisation == "euler")
         return run.at(numbers(law), np.array(law.start))[:, 0]
 
 
