@@ -36,6 +36,16 @@ def inner_steps(dt: Array) -> int:
     return int(np.ceil(dt.max() / SUBSTEP - _ROUNDING))
 
 
+@dataclass(eq=False)
+class _Moving:
+    """Laws with their states `x` (m, W) each, and positions and velocities (W, n)."""
+
+    laws: Sequence[LawStepper]
+    x: list[Array]
+    q: Array
+    v: Array
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulator:
     """Body with (P,) standard parameters, or (W, P) for each window, and its friction.
@@ -61,30 +71,33 @@ class Simulator:
         initial states, by default run in along the logs. Raises SimulationError if the mass matrix
         is not positive definite.
         """
-        q, v = windows.q[:, 0].copy(), windows.dq[:, 0].copy()
         # MuJoCo uses the rates before a step, so its states lag a law's by one row.
         run_in = (
             windows.states(self.friction, delay=int(self.as_plant)) if states is None else states
         )
-        x = [part.copy() for part in run_in]
+        own = [None] * len(run_in) if values is None else values
+        now = _Moving(
+            laws=[LawStepper(law, one) for law, one in zip(self.friction.laws, own, strict=True)],
+            x=[part.copy() for part in run_in],
+            q=windows.q[:, 0].copy(),
+            v=windows.dq[:, 0].copy(),
+        )
         found = np.empty_like(windows.q)
-        found[:, 0] = q
-        own = [None] * len(x) if values is None else values
-        laws = [LawStepper(law, one) for law, one in zip(self.friction.laws, own, strict=True)]
+        found[:, 0] = now.q
         steps = np.diff(windows.t, axis=1)
         with np.errstate(all="ignore"):  # divergence shows in the result
             for k, dt in enumerate(steps.T):
-                middle = q if self.as_plant else q + 0.5 * dt[:, None] * v
-                inverse, bias = self._body(np.nan_to_num(middle), np.nan_to_num(v))
+                middle = now.q if self.as_plant else now.q + 0.5 * dt[:, None] * now.v
+                inverse, bias = self._body(np.nan_to_num(middle), np.nan_to_num(now.v))
                 tau = windows.tau[:, k]
                 if self.as_plant:
-                    q, v = self._explicit(laws, dt, q, v, x, tau - bias, inverse, bias)
+                    self._explicit(now, dt, tau - bias, inverse, bias)
                 else:
                     tau = 0.5 * (tau + windows.tau[:, k + 1])
                     parts = inner_steps(dt)
                     for _ in range(parts):
-                        q, v = self._implicit(laws, dt / parts, q, v, x, tau - bias, inverse, bias)
-                found[:, k + 1] = q
+                        self._implicit(now, dt / parts, tau - bias, inverse, bias)
+                found[:, k + 1] = now.q
         return found
 
     def _body(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -107,21 +120,11 @@ class Simulator:
             return np.eye(load.shape[1]), load
         return coupling.forward, coupling.torque(load)
 
-    def _implicit(
-        self,
-        laws: Sequence[LawStepper],
-        h: Array,
-        q: Array,
-        v: Array,
-        x: list[Array],
-        tau: Array,
-        inverse: Array,
-        load: Array,
-    ) -> tuple[Array, Array]:
-        forward, loads = self._at_friction(load)
+    def _implicit(self, now: _Moving, h: Array, tau: Array, inverse: Array, load: Array) -> None:
+        laws, x, (forward, loads) = now.laws, now.x, self._at_friction(load)
         own = forward @ inverse @ forward.T
-        free = v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau)
-        a, p, u = free @ forward.T, q @ forward.T, v @ forward.T
+        free = now.v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau)
+        a, p, u = free @ forward.T, now.q @ forward.T, now.v @ forward.T
         force = np.stack(
             [law(h, u[:, i], p[:, i], loads[:, i], x[i])[0] for i, law in enumerate(laws)], axis=1
         )
@@ -135,29 +138,19 @@ class Simulator:
                 force[:, i] = (target - speed[:, i]) / gain
         for i, law in enumerate(laws):
             _, x[i] = law(h, speed[:, i], p[:, i] + h * speed[:, i], loads[:, i], x[i])
-        v = free - h[:, None] * np.einsum("wij,wj->wi", inverse, force @ forward)
-        return q + h[:, None] * v, v
+        now.v = free - h[:, None] * np.einsum("wij,wj->wi", inverse, force @ forward)
+        now.q = now.q + h[:, None] * now.v
 
-    def _explicit(
-        self,
-        laws: Sequence[LawStepper],
-        h: Array,
-        q: Array,
-        v: Array,
-        x: list[Array],
-        tau: Array,
-        inverse: Array,
-        load: Array,
-    ) -> tuple[Array, Array]:
+    def _explicit(self, now: _Moving, h: Array, tau: Array, inverse: Array, load: Array) -> None:
         """Do one explicit Euler step as MuJoCo does, with the forces and rates before it."""
-        forward, loads = self._at_friction(load)
-        p, u = q @ forward.T, v @ forward.T
+        x, (forward, loads) = now.x, self._at_friction(load)
+        p, u = now.q @ forward.T, now.v @ forward.T
         force, still = np.empty_like(u), np.zeros_like(h)
-        for i, law in enumerate(laws):
+        for i, law in enumerate(now.laws):
             force[:, i], _ = law(still, u[:, i], p[:, i], loads[:, i], x[i])
             _, x[i] = law(h, u[:, i], p[:, i], loads[:, i], x[i])
-        v = v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau - force @ forward)
-        return q + h[:, None] * v, v
+        now.v = now.v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau - force @ forward)
+        now.q = now.q + h[:, None] * now.v
 
 
 def position_errors(found: Array, windows: Windows) -> tuple[float | None, ...]:
@@ -189,16 +182,14 @@ def _root(
     low, at_low = start, residual(start)
     high = low - 2.0 * at_low
     at_high = residual(high)
-    best = np.where(np.abs(at_high) < np.abs(at_low), high, low)
     for _ in range(_ITERATIONS):
         spread = at_high - at_low
         middle = high - at_high * (high - low) / np.where(spread == 0.0, 1.0, spread)
         at_middle = residual(middle)
-        best = middle
         if not np.any(np.abs(at_middle) > _PRECISION):
             break
         crossed = at_middle * at_high < 0.0
         at_low = np.where(crossed, at_high, 0.5 * at_low)
         low = np.where(crossed, high, low)
         high, at_high = middle, at_middle
-    return best
+    return middle
