@@ -21,7 +21,6 @@ from hesr_model.friction.band import (
     LEAST,
     NUMBERS,
     band_equations,
-    start_values,
 )
 from hesr_model.friction.inputs import DQ, INPUTS, MOVING, QUANTITIES, TAU_LOAD, TORQUE
 from hesr_model.friction.law import FrictionLaw
@@ -246,7 +245,7 @@ def band_numbers(model: FrictionModel) -> Iterator[Variable]:
     )
     for number in NUMBERS:
         for i, law in enumerate(model.laws, start=1):
-            start = start_values(law.band)[number.name] if law.band else 0.0
+            start = law.band.values[number.name] if law.band else 0.0
             yield of_joint(model, number, i, "tunable", start=start, least=0.0)
 
 

@@ -1,6 +1,6 @@
 """Memory and expressions over whole logs, run by `rows.c`, which is compiled once per user."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import sympy
@@ -44,11 +44,6 @@ class Kernel:
         graph.assign(initial_state(self.memory, settling))
         self.first = program_of(graph, [graph.of(initial_symbol(m)) for m in self.memory])
         self.row_by_row = any(m.state in sympy.Tuple(*m.parts).free_symbols for m in self.memory)
-
-    def at(self, numbers: Iterable[float], *inputs: float) -> tuple[float, ...]:
-        """Return the results for one row of inputs, without memory."""
-        row = KernelRun(self, [np.array([u]) for u in inputs], np.zeros(1))
-        return tuple(row.at(np.array(list(numbers)))[0].tolist())
 
 
 class KernelRun(ProgramRun):

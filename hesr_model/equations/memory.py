@@ -55,6 +55,11 @@ class _Element:
         )
 
     @property
+    def seeks(self) -> bool:
+        """True if `settled` is one step of an iteration: the rate depends on x."""
+        return False
+
+    @property
     def state(self) -> sympy.Symbol:
         """Symbol of x."""
         return sympy.Symbol(self.name, real=True)
@@ -95,7 +100,7 @@ class Relaxation(_Element):
 
     @property
     def seeks(self) -> bool:
-        """True if `settled` is one step of an iteration: the rate depends on x."""
+        """See `_Element.seeks`."""
         return self.state in self.rate.free_symbols
 
     def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
@@ -142,11 +147,6 @@ class Stop(_Element):
     def sampled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
         """Return x at the end of a step, from v / w and the guarded bound."""
         return clip(self.state + first * DT, second)
-
-    @property
-    def seeks(self) -> bool:
-        """False: `settled` is exact."""
-        return False
 
     def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
         """Return the bound in the direction of motion; x within the bounds at rest."""

@@ -151,14 +151,47 @@ INLINE void stops(program *p, const operation *o, int64_t count, int64_t at, int
         d[i] = (expression);                                                                       \
     }                                                                                              \
     break
+#define CASE(name, expression)                                                                     \
+    case name:                                                                                     \
+        EACH(expression)
+#define CASE_OF_ANGLES(name, small, large)                                                         \
+    case name:                                                                                     \
+        if (!small_angles(a, n)) {                                                                 \
+            EACH(large(a[i]));                                                                     \
+        }                                                                                          \
+        EACH(small(a[i]))
 
 INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
     double *restrict d = p->places[o->result];
     const double *restrict a = p->places[o->a], *restrict b = p->places[o->b];
     const double *restrict c = p->places[o->c];
     switch (o->operation) {
-    case ADD:
-        EACH(a[i] + b[i]);
+        CASE(ADD, a[i] + b[i]);
+        CASE(SUBTRACT, a[i] - b[i]);
+        CASE(MULTIPLY, a[i] * b[i]);
+        CASE(DIVIDE, a[i] / b[i]);
+        CASE(NEGATE, -a[i]);
+        CASE(ROOT, __builtin_sqrt(a[i]));
+        CASE(EXP, even_exp(a[i]));
+        CASE(TANH, even_tanh(a[i]));
+        CASE(LOG, log(a[i]));
+        CASE(SINH, sinh(a[i]));
+        CASE(COSH, cosh(a[i]));
+        CASE(ATAN, atan(a[i]));
+        CASE(ATAN2, atan2(a[i], b[i]));
+        CASE(TAN, tan(a[i]));
+        CASE(POWER, pow(a[i], b[i]));
+        CASE_OF_ANGLES(SIN, even_sin, sine);
+        CASE_OF_ANGLES(COS, even_cos, cosine);
+        CASE_OF_ANGLES(CARDINAL_SINE, even_cardinal_sine, cardinal_sine);
+        CASE(SGN, sgn(a[i]));
+        CASE(ABSOLUTE, fabs(a[i]));
+        CASE(POSITIVE, positive(a[i]));
+        CASE(LARGER, larger(a[i], b[i]));
+        CASE(CLIP, clip(a[i], b[i]));
+        CASE(EXCEEDS, a[i] > b[i] ? 1.0 : 0.0);
+        CASE(OVER, b[i] > 0.0 ? a[i] / b[i] : c[i]);
+        CASE(CARRIED, p->carried[o->c]);
     case ADD_SAME: {
         const double same = b[0];
         EACH(a[i] + same);
@@ -167,65 +200,6 @@ INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
         const double same = b[0];
         EACH(a[i] * same);
     }
-    case SUBTRACT:
-        EACH(a[i] - b[i]);
-    case MULTIPLY:
-        EACH(a[i] * b[i]);
-    case DIVIDE:
-        EACH(a[i] / b[i]);
-    case NEGATE:
-        EACH(-a[i]);
-    case ROOT:
-        EACH(__builtin_sqrt(a[i]));
-    case EXP:
-        EACH(even_exp(a[i]));
-    case TANH:
-        EACH(even_tanh(a[i]));
-    case LOG:
-        EACH(log(a[i]));
-    case SINH:
-        EACH(sinh(a[i]));
-    case COSH:
-        EACH(cosh(a[i]));
-    case ATAN:
-        EACH(atan(a[i]));
-    case ATAN2:
-        EACH(atan2(a[i], b[i]));
-    case TAN:
-        EACH(tan(a[i]));
-    case POWER:
-        EACH(pow(a[i], b[i]));
-    case SIN:
-        if (!small_angles(a, n)) {
-            EACH(sine(a[i]));
-        }
-        EACH(even_sin(a[i]));
-    case COS:
-        if (!small_angles(a, n)) {
-            EACH(cosine(a[i]));
-        }
-        EACH(even_cos(a[i]));
-    case CARDINAL_SINE:
-        if (!small_angles(a, n)) {
-            EACH(cardinal_sine(a[i]));
-        }
-        EACH(even_cardinal_sine(a[i]));
-    case SGN:
-        EACH(sgn(a[i]));
-    case ABSOLUTE:
-        EACH(fabs(a[i]));
-    case POSITIVE:
-        EACH(positive(a[i]));
-    case LARGER:
-        EACH(larger(a[i], b[i]));
-    case CLIP:
-        EACH(clip(a[i], b[i]));
-    case EXCEEDS:
-        EACH(a[i] > b[i] ? 1.0 : 0.0);
-    case OVER:
-        EACH(b[i] > 0.0 ? a[i] / b[i] : c[i]);
-    case CARRIED:
-        EACH(p->carried[o->c]);
     case RELAX:
         return relax(p, o->c, at, n, d, a, b, p->places[0]);
     case STOP: {
@@ -401,12 +375,6 @@ INLINE int all_rows(program *p) {
 
 enum { PLAIN, WIDE, WIDEST };
 
-/* Return the widest vectors of this machine; slow on virtual machines. */
-SHOWN int widest(void);
-
-/* Run a program over rows and return its outcome; numbers do not depend on `vectors`. */
-SHOWN int run(program *p, int vectors);
-
 #if defined(__x86_64__)
 #include <cpuid.h>
 
@@ -418,7 +386,8 @@ __attribute__((target("avx512f,avx512dq,avx512vl"))) static int in_widest_vector
     return all_rows(p);
 }
 
-int widest(void) {
+/* Return the widest vectors of this machine; slow on virtual machines. */
+SHOWN int widest(void) {
     unsigned a, b, c, d, low, high;
     if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & (1u << 27))) {
         return PLAIN;
@@ -433,17 +402,18 @@ int widest(void) {
     return b >> 5 & 1 ? WIDE : PLAIN;
 }
 
-int run(program *p, int vectors) {
+/* Run a program over rows and return its outcome; numbers do not depend on `vectors`. */
+SHOWN int run(program *p, int vectors) {
     return vectors == WIDEST ? in_widest_vectors(p)
            : vectors == WIDE ? in_wide_vectors(p)
                              : all_rows(p);
 }
 #else
-int widest(void) {
+SHOWN int widest(void) {
     return PLAIN;
 }
 
-int run(program *p, int vectors) {
+SHOWN int run(program *p, int vectors) {
     (void)vectors;
     return all_rows(p);
 }
@@ -453,10 +423,7 @@ int run(program *p, int vectors) {
  * first unknowns must not be negative: negative ones become zero one by one, the worst first.
  * `work` holds n^2 + 3 n numbers. Return false if the unknowns are ill-conditioned. */
 SHOWN bool solve(const double *gram, int64_t n, int64_t non_negative, double *work, double *x,
-                 double *cost);
-
-bool solve(const double *gram, int64_t n, int64_t non_negative, double *work, double *x,
-           double *cost) {
+                 double *cost) {
     double *factor = work, *scale = factor + n * n, *y = scale + n, *of = y + n;
     int64_t left = n;
     for (int64_t i = 0; i < n; i++) {

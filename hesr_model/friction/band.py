@@ -94,9 +94,9 @@ class Band:
                 )
 
     @property
-    def values(self) -> tuple[float, ...]:
-        """The numbers, in the order of `NUMBERS`."""
-        return tuple(float(getattr(self, field.name)) for field in fields(self))
+    def values(self) -> Mapping[str, float]:
+        """The numbers by the names of `NUMBERS`."""
+        return {f"band_{f.name}": float(getattr(self, f.name)) for f in fields(self)}
 
 
 def shapes(
@@ -108,11 +108,6 @@ def shapes(
     """
     resting = (1 - most((dq / REST) ** 2, 1)) ** 2
     return 1 + 0 * dq, 1 / (1 + (dq / slow_speed) ** 2), resting, dq**2, tau_load**2
-
-
-def start_values(band: Band) -> Mapping[str, float]:
-    """Return a band's numbers by the names of `NUMBERS`."""
-    return dict(zip((q.name for q in NUMBERS), band.values, strict=True))
 
 
 def band_equations(memory: Sequence[Element], output: sympy.Expr) -> tuple[Equation, ...]:

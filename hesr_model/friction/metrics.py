@@ -26,13 +26,9 @@ class Score:
 
 def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Score:
     """Score predictions (N,) [N.m] of one joint's friction on each record's rows."""
-    error = np.concatenate(
-        [record.tau - predicted for record, predicted in zip(records, predictions, strict=True)]
-    )
-    tau = np.concatenate([record.tau for record in records])
-    near = np.concatenate([near_reversals(record.t, record.dq) for record in records])
-    fast = np.concatenate([moving(record.dq) for record in records])
-    tau_std = float(np.std(tau))
+    error = np.concatenate([r.tau - p for r, p in zip(records, predictions, strict=True)])
+    near, fast = _kinds(records)
+    tau_std = float(np.std(np.concatenate([r.tau for r in records])))
     return Score(
         tau_std=tau_std,
         rmse=rmse(error),
@@ -68,8 +64,7 @@ def score_band(
         for r, (lower, upper) in zip(records, bands, strict=True)
     ]
     held = np.concatenate(inside)
-    near = np.concatenate([near_reversals(r.t, r.dq) for r in records])
-    fast = np.concatenate([moving(r.dq) for r in records])
+    near, fast = _kinds(records)
     error = np.concatenate([np.abs(r.tau - p) for r, p in zip(records, predictions, strict=True)])
     constant = 2.0 * float(np.quantile(error, held.mean()))
     width = float(np.concatenate([upper - lower for lower, upper in bands]).mean())
@@ -80,6 +75,12 @@ def score_band(
         least_log=min(float(of_log.mean()) for of_log in inside),
         width=width / constant if constant > 0.0 else None,
     )
+
+
+def _kinds(records: Sequence[FrictionRecord]) -> tuple[Mask, Mask]:
+    """Return the masks of rows near reversals and in motion."""
+    near = np.concatenate([near_reversals(r.t, r.dq) for r in records])
+    return near, np.concatenate([moving(r.dq) for r in records])
 
 
 def rmse(error: Array) -> float:

@@ -132,12 +132,12 @@ def states_over(law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Ar
 def predict_band(
     law: FrictionLaw,
     *,
-    t: ArrayLike,
-    dq: ArrayLike,
-    q: ArrayLike | None = None,
-    tau_load: ArrayLike | None = None,
-    coverage: float = LEVEL,
+    t: Array,
+    dq: Array,
+    q: Array,
+    tau_load: Array,
     torque: Array,
+    coverage: float = LEVEL,
 ) -> tuple[Array, Array]:
     """Return lower and upper end (N,) [N.m] of a joint's band around the predicted `torque` (N,).
 
@@ -148,7 +148,7 @@ def predict_band(
             f"law '{law.name}' has no band; laws that are fitted with this version have one."
         )
     dt, inputs = _arrays(t, (dq, q, tau_load))
-    given = np.concatenate([numbers(law), law.band.values, [coverage]])
+    given = np.array([*law.values.values(), *law.band.values.values(), coverage])
     lower, upper = KernelRun(_band(law.form), [*inputs, torque], dt).at(given).T
     return lower, upper
 
@@ -191,12 +191,13 @@ def estimated_start(
         return float(np.sum((predicted - tau[first]) ** 2))
 
     if law.start_samples and law.form.stops:
-        bounds = _bounds(law, dq[0], q[0], tau_load[0])
+        rows = [np.array([u]) for u in (dq[0], q[0], tau_load[0], *law.start)]
+        _, *parts = KernelRun(_reading(law.form), rows, np.zeros(1)).at(numbers(law))[0].tolist()
 
         def deflected(share: float) -> tuple[float, ...]:
             return tuple(
-                x if bound is None else share * bound
-                for x, bound in zip(law.start, bounds, strict=True)
+                share * bound if isinstance(m, Stop) else x
+                for m, x, bound in zip(law.form.memory, law.start, parts[1::2], strict=True)
             )
 
         found = minimize_scalar(lambda u: error(deflected(u)), bounds=(-1.0, 1.0), method="bounded")
@@ -217,11 +218,3 @@ def estimated_start(
         return law.start
     best_of_all = minimize_scalar(lambda x: error((x,)), bounds=(low, high), method="bounded")
     return (float(best_of_all.x),)
-
-
-def _bounds(law: FrictionLaw, *inputs: float) -> list[float | None]:
-    _, *parts = _reading(law.form).at(law.values.values(), *inputs, *law.start)
-    return [
-        bound if isinstance(m, Stop) else None
-        for m, bound in zip(law.form.memory, parts[1::2], strict=True)
-    ]

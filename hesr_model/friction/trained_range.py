@@ -8,13 +8,11 @@ from typing import Self
 import numpy as np
 
 from hesr_model.errors import ArtifactError
+from hesr_model.friction.inputs import INPUT_UNITS
 from hesr_model.rigid_body.residual import FrictionRecord
 
 Range = tuple[float, float]
 """Least and greatest value."""
-
-INPUTS = ("dq", "q", "tau_load")
-"""Inputs in records and ranges."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +29,7 @@ class TrainedRange:
     tau: Range
 
     def __post_init__(self) -> None:
-        for name in (*INPUTS, "tau"):
+        for name in (*INPUT_UNITS, "tau"):
             low, high = getattr(self, name)
             if not (isfinite(low) and isfinite(high) and low <= high):
                 raise ArtifactError(f"trained range of '{name}' is {low} to {high}.")
@@ -49,7 +47,7 @@ class TrainedRange:
                 min(float(np.min(getattr(r, name))) for r in records),
                 max(float(np.max(getattr(r, name))) for r in records),
             )
-            for name in (*INPUTS, "tau")
+            for name in (*INPUT_UNITS, "tau")
         }
         period = float(np.median(np.concatenate([np.diff(r.t) for r in records])))
         return cls(sample_time=round(period, 9), **ranges)
@@ -77,7 +75,7 @@ class Excess:
 def outside(trained: TrainedRange, records: Sequence[FrictionRecord]) -> dict[str, Excess]:
     """Return the excess of each input of a joint that leaves its range."""
     found = {}
-    for name in INPUTS:
+    for name in INPUT_UNITS:
         low, high = getattr(trained, name)
         values = np.concatenate([getattr(record, name) for record in records])
         below, above = low - values, values - high

@@ -114,7 +114,14 @@ def design(
         period = round(best.period * rate) / rate
         search = replace(search, period=(period, period))
         motion = replace(_descend(search, best, rest, _FINE, _FINE_STEPS), period=period)
-    _require_speed(motion, model)
+    _, dq, _ = one_period(motion)
+    for joint, peak in zip(model.description.joints, np.abs(dq).max(axis=0), strict=True):
+        if not peak > LEAST_PEAK:
+            raise FitError(
+                f"robot '{model.description.name}': the limits admit no motion of joint '{joint}' "
+                f"that is faster than {peak:.2g} rad/s; identification needs more than "
+                f"{LEAST_PEAK:g} rad/s, so wider limits are needed."
+            )
     return Excitation(
         motion=replace(motion, periods=settings.periods),
         condition=condition(model, search.base, motion),
@@ -147,26 +154,10 @@ def random_motions(
     limits = Limits.of(model, settings.limits)
     rest = limits.rest(model)
     rng = np.random.default_rng(seed)
-    orders = np.arange(1.0, settings.harmonics + 1)
-    motions = []
+    shape, motions = (2, model.n, settings.harmonics), []
     for _ in range(count):
-        a, b = _LARGE * limits.velocity[:, None] * rng.standard_normal((2, model.n, len(orders)))
-        motion = Fourier(
-            offset=rng.uniform(limits.lower, limits.upper),
-            a=a - a.mean(axis=1, keepdims=True),
-            b=b - np.outer(b @ orders, orders) / (orders @ orders),
-            period=rng.uniform(*settings.period),
-        )
+        a, b = _LARGE * limits.velocity[:, None] * rng.standard_normal(shape)
+        offset, period = rng.uniform(limits.lower, limits.upper), rng.uniform(*settings.period)
+        motion = Fourier.from_rest(a, b, offset=offset, period=period)
         motions.append(limits.shrink(motion, model, rest))
     return motions
-
-
-def _require_speed(motion: Fourier, model: Robot) -> None:
-    _, dq, _ = one_period(motion)
-    for joint, peak in zip(model.description.joints, np.abs(dq).max(axis=0), strict=True):
-        if not peak > LEAST_PEAK:
-            raise FitError(
-                f"robot '{model.description.name}': the limits admit no motion of joint '{joint}' "
-                f"that is faster than {peak:.2g} rad/s; identification needs more than "
-                f"{LEAST_PEAK:g} rad/s, so wider limits are needed."
-            )

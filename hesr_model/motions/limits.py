@@ -72,11 +72,21 @@ class Limits:
 
         Raises RobotError if a list has not one entry per joint, or a position is out of range.
         """
-        _require_one_per_joint(model, given)
+        for key, entries in given:
+            if entries is not None and len(entries) != model.n:
+                raise RobotError(
+                    f"key 'limits.{key}' has {len(entries)} entries; the {model.n} joints of robot "
+                    f"'{model.description.name}' need one each."
+                )
         lowest, highest, speed = model.limits
         free = _KEPT_FREE * (highest - lowest)
         position = np.array(given.position or np.column_stack([lowest + free, highest - free]))
-        _require_in_range(model, position)
+        for k, joint in enumerate(model.description.joints):
+            if position[k, 0] < lowest[k] or position[k, 1] > highest[k]:
+                raise RobotError(
+                    f"key 'limits.position' of joint '{joint}' is {position[k, 0]:g} to "
+                    f"{position[k, 1]:g}; the model allows {lowest[k]:g} to {highest[k]:g}."
+                )
         velocity = np.array(given.velocity or speed)
         effort = np.where(model.torque_limits > 0, model.torque_limits, np.inf)
         return cls(
@@ -175,22 +185,3 @@ def peak_torque(model: Robot, motion: Fourier) -> Array:
     q, dq, ddq = one_period(motion)
     peaks: Array = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
     return peaks
-
-
-def _require_one_per_joint(model: Robot, given: MotionLimits) -> None:
-    for key, entries in given:
-        if entries is not None and len(entries) != model.n:
-            raise RobotError(
-                f"key 'limits.{key}' has {len(entries)} entries; the {model.n} joints of robot "
-                f"'{model.description.name}' need one each."
-            )
-
-
-def _require_in_range(model: Robot, position: Array) -> None:
-    lowest, highest, _ = model.limits
-    for k, joint in enumerate(model.description.joints):
-        if position[k, 0] < lowest[k] or position[k, 1] > highest[k]:
-            raise RobotError(
-                f"key 'limits.position' of joint '{joint}' is {position[k, 0]:g} to "
-                f"{position[k, 1]:g}; the model allows {lowest[k]:g} to {highest[k]:g}."
-            )

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +94,16 @@ class Fourier(Trajectory):
                 f"{self.a[joint - 1].sum():.3g}, sum of k b_k is {self.b[joint - 1] @ orders:.3g} "
                 "rad/s); both must be zero."
             )
+
+    @classmethod
+    def from_rest(cls, a: Array, b: Array, **others: Any) -> Self:
+        """Return the nearest motion that starts at rest."""
+        orders = np.arange(1.0, a.shape[1] + 1)
+        return cls(
+            a=a - a.mean(axis=1, keepdims=True),
+            b=b - np.outer(b @ orders, orders) / (orders @ orders),
+            **others,
+        )
 
     @property
     def duration(self) -> float:
@@ -232,14 +243,11 @@ def random_fourier(
         raise ConfigError(f"random Fourier motion: {harmonics} harmonics; at least 2 are needed.")
     joints = np.arange(len(peak_velocity))[:, None]
     counters = np.arange(harmonics)
-    orders = counters + 1.0
     a = standard_normal(seed, 2 * joints, counters)
     b = standard_normal(seed, 2 * joints + 1, counters)
-    a -= a.mean(axis=1, keepdims=True)
-    b -= np.outer(b @ orders, orders) / (orders @ orders)
-    raw = Fourier(offset=offset, a=a, b=b, period=period, periods=periods)
+    raw = Fourier.from_rest(a, b, offset=offset, period=period, periods=periods)
     scale = (np.asarray(peak_velocity) / np.abs(one_period(raw)[1]).max(axis=0))[:, None]
-    return replace(raw, a=scale * a, b=scale * b)
+    return replace(raw, a=scale * raw.a, b=scale * raw.b)
 
 
 def _quadratic_phase_integral(
