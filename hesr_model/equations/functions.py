@@ -34,7 +34,7 @@ class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
         """Return the derivative by an argument."""
         if (slopes := _SLOPES.get(type(self).__name__)) is None:
             return super().fdiff(argindex)
-        return sympy.sympify(slopes(*self.args)[argindex - 1])
+        return slopes(*self.args)[argindex - 1]
 
     def _latex(self, printer: LatexPrinter, exp: str | None = None) -> str:
         power = f"^{{{exp}}}" if exp else ""
@@ -131,16 +131,17 @@ class cardinal_slope(_Real):  # noqa: N801
     latex_form = r"\operatorname{{sinc}}'\left({}\right)"
 
 
+_ZERO = sympy.S.Zero
 _SLOPES: Mapping[str, Callable[..., tuple[Any, ...]]] = {
-    "sgn": lambda _: (0,),
+    "sgn": lambda _: (_ZERO,),
     "absolute": lambda x: (sgn(x),),
     "positive": lambda x: (exceeds(x, 0),),
     "larger": lambda a, b: (exceeds(a, b), 1 - exceeds(a, b)),
     "clip": lambda x, b: (exceeds(b, absolute(x)), (1 - exceeds(b, absolute(x))) * sgn(x)),
-    "exceeds": lambda *_: (0, 0),
+    "exceeds": lambda *_: (_ZERO, _ZERO),
     "over": lambda a, b, _: (over(1, b, 0), -over(over(a, b, 0), b, 0), 1 - exceeds(b, 0)),
-    "decay": lambda z, euler: (-1 - (1 - euler) * decay(z, euler), 0),
-    "share": lambda *arguments: (share_slope(*arguments), 0, 0),
+    "decay": lambda z, euler: (-1 - (1 - euler) * decay(z, euler), _ZERO),
+    "share": lambda *arguments: (share_slope(*arguments), _ZERO, _ZERO),
     "cardinal_sine": lambda x: (cardinal_slope(x),),
 }
 """Derivatives by each argument, almost everywhere."""
