@@ -1,4 +1,4 @@
-"""modelDescription.xml as plain data, read without assuming that it is valid.
+"""modelDescription.xml of FMI 2.0 or 3.0 as plain data, read without assuming that it is valid.
 
 Invalid numbers are None here: the schema check reports them.
 """
@@ -6,8 +6,9 @@ Invalid numbers are None here: the schema check reports them.
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import prod
 
 from lxml import etree
 
@@ -19,6 +20,7 @@ STRUCTURE = ("Outputs", "Derivatives", "InitialUnknowns")
 FLOATS = ("Float32", "Float64")
 """Types of FMI 3.0 that may be continuous."""
 
+_TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
 _INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?INF|NaN")
 
@@ -34,11 +36,6 @@ def real(text: str | None) -> float | None:
     text = (text or "").strip()
     value = float(text) if _REAL.fullmatch(text) else math.nan
     return None if math.isnan(value) else value
-
-
-def flag(text: str | None) -> bool:
-    """Return the value of an XML boolean."""
-    return (text or "").strip() in ("true", "1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +54,8 @@ class InterfaceKind:
     def can(self, capability: str) -> bool:
         """Whether a capability flag is set; FMI 3.0 spells State with a capital."""
         other = capability.replace("FMUstate", "FMUState")
-        return flag(self.attributes.get(capability, self.attributes.get(other)))
+        value = self.attributes.get(capability, self.attributes.get(other, ""))
+        return value.strip() in ("true", "1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,9 +144,12 @@ class ParsedDescription:
         return self.variables[index - 1]
 
 
-def read_description(root: etree._Element) -> ParsedDescription:
-    """Read the element fmiModelDescription of FMI 2.0."""
-    return Reader(root).description()
+def read_description(
+    root: etree._Element, build: etree._Element | None = None
+) -> ParsedDescription:
+    """Read the elements fmiModelDescription, of FMI 2.0 or 3.0, and fmiBuildDescription."""
+    three = root.get("fmiVersion", "").startswith("3.")
+    return (_Reader3(root, build) if three else _Reader(root)).description()
 
 
 def name_of(element: etree._Element) -> str:
@@ -165,22 +166,19 @@ def _attributes(element: etree._Element | None) -> dict[str, str]:
     return {} if element is None else {str(k): str(value) for k, value in element.attrib.items()}
 
 
-class Reader:
-    """Reads the element fmiModelDescription of FMI 2.0; subclasses read other versions."""
-
+class _Reader:
     fmi = 2
     kinds = tuple(KINDS)
     lists: Mapping[str, str] = {name: f"ModelStructure/{name}" for name in STRUCTURE}
-    types = "TypeDefinitions/SimpleType"
+    variables, types = "ModelVariables/ScalarVariable", "TypeDefinitions/SimpleType"
     unknown, reference = "/Unknown", "index"
 
     def __init__(self, root: etree._Element) -> None:
-        self.root = root
+        self.root, self.elements = root, root.findall(self.variables)
         types = tuple(map(self._type, root.findall(self.types)))
         self._types, self._by_name = types, {t.name: t for t in types}
 
     def description(self) -> ParsedDescription:
-        """Return all data of the element."""
         root = self.root
         return ParsedDescription(
             fmi=self.fmi,
@@ -198,28 +196,20 @@ class Reader:
             types=self._types,
             categories=names_of(root.findall("LogCategories/Category")),
             experiment=_attributes(root.find("DefaultExperiment")),
-            variables=tuple(self.variable(i, e) for i, e in enumerate(self.elements(), start=1)),
+            variables=tuple(self.variable(i, e) for i, e in enumerate(self.elements, start=1)),
             structure={name: tuple(self._unknowns(place)) for name, place in self.lists.items()},
         )
 
-    def elements(self) -> list[etree._Element]:
-        """Return the elements of the variables."""
-        return list(self.root.findall("ModelVariables/ScalarVariable"))
-
     def own(self, element: etree._Element) -> etree._Element | None:
-        """Return the element of the type of a variable or of a type definition."""
-        return next((child for child in element if child.tag in _BASE_TYPES), None)
+        return next((child for child in element if child.tag in _TYPES), None)
 
     def sources(self, kind: etree._Element) -> tuple[str, ...]:
-        """Return the source files of a kind."""
         return names_of(kind.findall("SourceFiles/File"))
 
     def number(self, text: str | None) -> int | None:
-        """Return the index of the variable that a text refers to, or None."""
         return integer(text)
 
     def variable(self, index: int, element: etree._Element) -> ParsedVariable:
-        """Return a variable by its index and element."""
         own = self.own(element)
         given = _attributes(own)
         return ParsedVariable(
@@ -257,4 +247,64 @@ class Reader:
             )
 
 
-_BASE_TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
+class _Reader3(_Reader):
+    """Value references become indices of variables, unknown ones negative numbers."""
+
+    fmi = 3
+    kinds = (*_Reader.kinds, "ScheduledExecution")
+    lists: Mapping[str, str] = {
+        "Outputs": "ModelStructure/Output",
+        "Derivatives": "ModelStructure/ContinuousStateDerivative",
+        "InitialUnknowns": "ModelStructure/InitialUnknown",
+    }
+    variables, types = "ModelVariables/*", "TypeDefinitions/*"
+    unknown, reference = "", "valueReference"
+
+    def __init__(self, root: etree._Element, build: etree._Element | None) -> None:
+        super().__init__(root)
+        self._build = build
+        self._numbers: dict[int | None, int] = {}
+        self._sizes: dict[int | None, int | None] = {}
+        for i, element in enumerate(self.elements, start=1):
+            reference = integer(element.get("valueReference"))
+            self._numbers.setdefault(reference, i)
+            self._sizes[reference] = integer(element.get("start"))
+
+    def own(self, element: etree._Element) -> etree._Element:
+        return element
+
+    def sources(self, kind: etree._Element) -> tuple[str, ...]:
+        builds = [] if self._build is None else self._build.findall("BuildConfiguration")
+        return tuple(
+            name
+            for build in builds
+            if build.get("modelIdentifier", "") == kind.get("modelIdentifier", "")
+            for name in names_of(build.findall("SourceFileSet/SourceFile"))
+        )
+
+    def number(self, text: str | None) -> int:
+        reference = integer(text)
+        return -1 if reference is None else self._numbers.get(reference, -1 - reference)
+
+    def variable(self, index: int, element: etree._Element) -> ParsedVariable:
+        found = super().variable(index, element)
+        own = dict(found.own)
+        if "start" not in own and element.find("Start") is not None:  # of a String
+            own["start"] = " ".join(e.get("value", "") or "?" for e in element.findall("Start"))
+        if "derivative" in own:
+            own["derivative"] = str(self.number(own["derivative"]))
+        parts = [
+            integer(d.get("start"))
+            if "start" in d.attrib
+            else self._sizes.get(integer(d.get("valueReference")))
+            for d in element.findall("Dimension")
+        ]
+        known = [size for size in parts if size is not None]
+        usual = "continuous" if found.kind in FLOATS else "discrete"
+        return replace(
+            found,
+            variability=element.get("variability", usual),
+            own=own,
+            size=prod(known) if len(known) == len(parts) else None,
+            others=names_of(element.findall("Alias")),
+        )

@@ -3,7 +3,7 @@
 The rules are those of FMI 2.0 and 3.0. FMI 1.0 is checked by archive, XML, schema and FMPy only.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -27,7 +27,6 @@ from fmu_src.check import (
 )
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription, read_description
-from fmu_src.check.description3 import read_description3
 from hesr_model.errors import ConfigError
 from hesr_model.findings import Finding
 from hesr_model.support.text import plain, quoted
@@ -36,9 +35,6 @@ from hesr_model.support.typed_json import to_json
 _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
 _OTHER_XML = (terminals.FILE, _BUILD)
-Rule = Callable[[ParsedDescription], Iterator[str]]
-_RULES: tuple[Rule, ...] = (*general.RULES, *variables.RULES, *structure.RULES)
-
 
 MOST_PROBLEMS = 1000
 """Largest number of findings per check."""
@@ -131,23 +127,19 @@ class _Found:
         self.skipped += paths.skipped(contents)
         root, texts = _model(contents)
         broken = self._add("xml", texts)
-        version = None if root is None else root.get("fmiVersion", "")
-        if root is None or version is None:
+        if root is None:
             self.skipped.append(f"All other checks: {_MODEL} could not be read.")
             return
-        known = "3" if version.startswith("3.") else version
+        version = str(root.get("fmiVersion", ""))
         texts = markup.schema_problems(_MODEL, contents.files[_MODEL], self._folder)
         invalid = self._add("schema", texts)
-        if known == "2.0":
-            self._check_rules(read_description(root), variables.RULES_2, contents)
-        elif known == "3":
-            file = contents.files.get(_BUILD)
-            build = markup.parse(_BUILD, file)[0] if file else None
-            self._check_rules(read_description3(root, build), variables.RULES_3, contents)
+        file = contents.files.get(_BUILD)
+        about = read_description(root, markup.parse(_BUILD, file)[0] if file else None)
+        if version != "1.0":
+            self._check_rules(about, contents)
         else:
             self.skipped.append(
-                "Rules, sources and binaries: looked at in FMI 2.0 and 3.0 only, this is FMI "
-                f"{plain(version)}."
+                "Rules, sources and binaries: looked at in FMI 2.0 and 3.0 only, this is FMI 1.0."
             )
         if damaged or broken or invalid:
             self.skipped.append(
@@ -155,16 +147,15 @@ class _Found:
             )
         else:
             self._run_others(contents, version)
-        if self._hostile and (known != "2.0" or damaged):
+        if self._hostile and (version != "2.0" or damaged):
             self.skipped.append("Hostile master: it runs FMUs of FMI 2.0 whose archive is right.")
         elif self._hostile:
-            found = hostile.problems(read_description(root), contents, self._folder)
-            self._add_run("hostile", found)
+            self._add_run("hostile", hostile.problems(about, contents, self._folder))
 
-    def _check_rules(
-        self, about: ParsedDescription, more: Iterable[Rule], contents: Contents
-    ) -> None:
-        self._add("rules", chain.from_iterable(rule(about) for rule in (*_RULES, *more)))
+    def _check_rules(self, about: ParsedDescription, contents: Contents) -> None:
+        more = variables.RULES_2 if about.fmi == 2 else variables.RULES_3
+        rules = (*general.RULES, *variables.RULES, *structure.RULES, *more)
+        self._add("rules", chain.from_iterable(rule(about) for rule in rules))
         if terminals.FILE in contents.files:
             connected, _ = markup.parse(terminals.FILE, contents.files[terminals.FILE])
             if connected is not None:

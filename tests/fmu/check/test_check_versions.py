@@ -7,7 +7,7 @@ from fmu_files import MODEL, texts, write
 from lxml import etree
 
 from fmu_src.check import general, readers, structure, variables
-from fmu_src.check.description3 import read_description3
+from fmu_src.check.description import read_description
 from fmu_src.check.run import check
 
 NOTHING_RUNS = "there are neither binaries nor a list of source files, so that nothing can run."
@@ -81,7 +81,7 @@ FULL = re.sub(rb'<Float64 name="y".*?/>', TWO_INPUTS.encode(), FMI_3)
 )  # fmt: skip
 def test_rules_of_fmi_3(old, new, said):
     assert old.encode() in FULL
-    about = read_description3(etree.fromstring(FULL.replace(old.encode(), new.encode())), None)
+    about = read_description(etree.fromstring(FULL.replace(old.encode(), new.encode())))
     rules = (*general.RULES, *variables.RULES, *variables.RULES_3, *structure.RULES)
     found = [text for rule in rules for text in rule(about)]
     assert any(said in text for text in found) if said else found == []
