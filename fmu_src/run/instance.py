@@ -1,6 +1,6 @@
 """One instance of an FMU, loaded by FMPy into this process."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import chdir, suppress
 from ctypes import POINTER, c_double, c_uint
 from dataclasses import asdict, dataclass
@@ -10,8 +10,7 @@ import fmpy
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from fmu_src.run.fmi2 import Fmi2, Tell
-from fmu_src.run.fmi3 import Fmi3
+from fmu_src.run.fmi import VERSIONS, Tell
 from fmu_src.run.variables import Declared, element_of
 from hesr_model.support.arrays import Array
 
@@ -20,9 +19,6 @@ PLATFORM: str = fmpy.platform
 
 SUFFIX: str = fmpy.sharedLibraryExtension
 """Suffix of a binary's name."""
-
-VERSIONS: Mapping[int, Fmi2] = {2: Fmi2(), 3: Fmi3()}
-"""Versions of FMI by their major number."""
 
 WARNING = 1
 """Highest status of a call that has succeeded; OK is 0."""
@@ -99,8 +95,7 @@ class Instance:
         try:
             # FMPy changes the working directory and, if loading fails, does not restore it.
             with chdir(fmu.folder):
-                self.slave = self.fmi.slave(
-                    exchange=fmu.exchange,
+                self.slave = (self.fmi.models if fmu.exchange else self.fmi.slaves)(
                     guid=fmu.guid,
                     modelIdentifier=fmu.identifier,
                     unzipDirectory=fmu.folder,

@@ -13,8 +13,9 @@ import numpy as np
 
 from fmu_src.export.package import own_source
 from fmu_src.export.toolchain import TARGETS, build
+from fmu_src.run.fmi import VERSIONS
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.instance import PLATFORM, VERSIONS, Buffer, LocalBuffer
+from fmu_src.run.instance import PLATFORM, Buffer, LocalBuffer
 from fmu_src.run.master import Layout
 from hesr_model.errors import ExportError
 from hesr_model.support.arrays import Array

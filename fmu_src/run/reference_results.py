@@ -18,8 +18,9 @@ import numpy as np
 
 from fmu_src.export.description import to_bytes
 from fmu_src.run.archive import MOST_TEXT, Archive
+from fmu_src.run.fmi import VERSIONS
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.instance import PLATFORM, SUFFIX, VERSIONS
+from fmu_src.run.instance import PLATFORM, SUFFIX
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder

@@ -12,21 +12,15 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partialmethod
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from fmu_src.run.fmi2 import Tell
-from fmu_src.run.instance import (
-    VERSIONS,
-    CallError,
-    DiedError,
-    Failure,
-    LoadError,
-    UnpackedFmu,
-)
+from fmu_src.run.fmi import VERSIONS, Tell
+from fmu_src.run.instance import CallError, DiedError, Failure, LoadError, UnpackedFmu
 from fmu_src.run.sandbox_child import (
     LENGTH,
     LONGEST_TEXT,
@@ -202,30 +196,6 @@ class SandboxedInstance:
             self.kill()
             raise
 
-    def setup(self, time: float, stop: float | None) -> None:
-        """Announce start and end of the experiment [s]."""
-        self._do("setup", time, stop)
-
-    def enter_initialisation(self) -> None:
-        """Enter the initialisation."""
-        self._do("enter_initialisation")
-
-    def exit_initialisation(self) -> None:
-        """Exit the initialisation."""
-        self._do("exit_initialisation")
-
-    def reset(self) -> None:
-        """Return to the state before the initialisation."""
-        self._do("reset")
-
-    def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
-        """Set variables of type Boolean, Integer or String."""
-        self._do("set", kind, list(references), list(values))
-
-    def set_slopes(self, references: Sequence[int], slopes: Sequence[float]) -> None:
-        """Set the slopes of Real inputs [unit/s] for the next step."""
-        self._do("set_slopes", list(references), list(map(float, slopes)))
-
     def step(self, time: float, size: float) -> None:
         """Step from a time [s] by a size [s]."""
         prefetch = list(self._asked)[:_MOST_PREFETCHED]
@@ -274,6 +244,13 @@ class SandboxedInstance:
             self._exchange()
         kind = self._fmi.kind(arguments[0], None)[0] if method == "set" else ""
         self._call(f"{self._functions[method]}{kind}", method, *arguments)
+
+    setup = partialmethod(_do, "setup")
+    enter_initialisation = partialmethod(_do, "enter_initialisation")
+    exit_initialisation = partialmethod(_do, "exit_initialisation")
+    reset = partialmethod(_do, "reset")
+    set = partialmethod(_do, "set")
+    set_slopes = partialmethod(_do, "set_slopes")
 
     def _call(self, function: str, method: str, *arguments: Any) -> None:
         """Call a method of the instance; errors name the function."""

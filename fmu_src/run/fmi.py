@@ -1,11 +1,11 @@
-"""FMI 2.0 as FMPy calls it: names, types and signatures of its functions."""
+"""FMI 2.0 and 3.0 as FMPy calls them: names, types and signatures of their functions."""
 
 from collections.abc import Callable, Mapping
-from ctypes import c_int
+from ctypes import byref, c_bool, c_double, c_int
 from typing import Any
 
 import fmpy
-from fmpy import fmi2
+from fmpy import fmi2, fmi3
 
 Call = Callable[..., None]
 """Calls a function by name with arguments after the instance."""
@@ -15,10 +15,7 @@ Tell = Callable[[int, str], None]
 
 
 class Fmi2:
-    """Names, types and signatures of FMI 2.0.
-
-    `functions` maps each method of `Instance` and `Buffer` to its function.
-    """
+    """FMI 2.0; `functions` maps each method of `Instance` and `Buffer` to its function."""
 
     folder = f"binaries/{fmpy.platform}/"
     functions: Mapping[str, str] = {
@@ -34,10 +31,7 @@ class Fmi2:
         "terminate": "fmi2Terminate",
         "free": "fmi2FreeInstance",
     }
-
-    def slave(self, *, exchange: bool, **more: Any) -> Any:
-        """Return FMPy's instance of an FMU, not yet instantiated."""
-        return (fmi2.FMU2Model if exchange else fmi2.FMU2Slave)(**more)
+    models, slaves = fmi2.FMU2Model, fmi2.FMU2Slave
 
     def instantiate(self, slave: Any, tell: Tell) -> None:
         """Instantiate an FMU and pass on its messages."""
@@ -82,3 +76,57 @@ class Fmi2:
         """Step from a time [s] by a size [s]; return why the simulation must end, or ""."""
         call("fmi2DoStep", time, size, fmi2.fmi2True)
         return ""
+
+
+class Fmi3(Fmi2):
+    """FMI 3.0, where it differs; it passes the experiment on entering the initialisation."""
+
+    folder = f"binaries/{fmpy.platform_tuple}/"
+    functions = {name: text.replace("fmi2", "fmi3") for name, text in Fmi2.functions.items()} | {
+        "write": "fmi3SetFloat64",
+        "read": "fmi3GetFloat64",
+    }
+    models, slaves = fmi3.FMU3Model, fmi3.FMU3Slave
+
+    def instantiate(self, slave: Any, tell: Tell) -> None:
+        """Instantiate an FMU and pass on its messages."""
+
+        def log(_environment: Any, status: int, _kind: bytes, text: bytes) -> None:
+            tell(status, (text or b"").decode("utf-8", errors="replace"))
+
+        slave.instantiate(logMessage=log)
+
+    def setup(self, call: Call, time: float, stop: float | None) -> None:
+        """Do nothing."""
+
+    def enter(self, call: Call, time: float, stop: float | None) -> None:
+        """Enter the initialisation of an experiment [s]."""
+        more = (c_bool(False), 0.0, time, c_bool(stop is not None), stop or 0.0)
+        call(self.functions["enter_initialisation"], *more)
+
+    def kind(self, kind: str, declared: str | None) -> tuple[str, Any]:
+        """Return suffix of the functions and C type for a type of variable."""
+        default = {"Integer": "Int32"}.get(kind, kind)
+        own = {None: default, "Enumeration": "Int64"}.get(declared, declared)
+        return str(own), getattr(fmi3, f"fmi3{own}")
+
+    def values(self, pointer: Any, count: int) -> tuple[Any, ...]:
+        """Return the arguments that pass values."""
+        return pointer, count
+
+    def set_slopes(self, call: Call, references: list[int], slopes: list[float]) -> None:  # noqa: ARG002 - FMI 3.0 has no such function
+        """Refuse slopes of inputs."""
+        raise ValueError("inputs have no derivatives in FMI 3.0")
+
+    def step(self, call: Call, time: float, size: float) -> str:
+        """Step from a time [s] by a size [s]; return why the simulation must end, or ""."""
+        event, end, early, last = c_bool(), c_bool(), c_bool(), c_double()
+        results = [byref(result) for result in (event, end, early, last)]
+        call("fmi3DoStep", time, size, c_bool(True), *results)
+        if end.value:
+            return "fmi3DoStep asked for the end of the simulation"
+        return "fmi3DoStep ended early, unasked" if early.value else ""
+
+
+VERSIONS: Mapping[int, Fmi2] = {2: Fmi2(), 3: Fmi3()}
+"""Versions of FMI by their major number."""
