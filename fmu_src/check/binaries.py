@@ -111,7 +111,6 @@ def skipped(about: ParsedDescription, contents: Contents) -> list[str]:
 
 
 def _by_platform(contents: Contents) -> dict[str, set[str]]:
-    """Return the files in each folder under binaries/ and its subfolders."""
     found: dict[str, set[str]] = {}
     for name in contents.names:
         first, _, rest = name.partition("/")

@@ -11,8 +11,7 @@ _C_NAME = re.compile("[A-Za-z_][A-Za-z0-9_]*")
 _DATE = re.compile(r"[0-9]{4}(-[0-9]{2}){2}T[0-9]{2}(:[0-9]{2}){2}Z")
 
 
-def kinds(about: ParsedDescription) -> Iterator[str]:
-    """Check that the FMU supports model exchange or co-simulation without its tool."""
+def _kinds(about: ParsedDescription) -> Iterator[str]:
     if not about.kinds:
         yield f"the elements {' and '.join(KINDS)} are both missing."
     state = "FMUstate" if about.fmi == 2 else "FMUState"
@@ -34,8 +33,7 @@ def kinds(about: ParsedDescription) -> Iterator[str]:
             )
 
 
-def identity(about: ParsedDescription) -> Iterator[str]:
-    """Check the GUID and the format of the date."""
+def _identity(about: ParsedDescription) -> Iterator[str]:
     token = "guid" if about.fmi == 2 else "instantiationToken"
     if not about.attributes.get(token, "").strip():
         yield (f"the attribute {token} is empty; it must identify the binaries of the FMU.")
@@ -44,8 +42,7 @@ def identity(about: ParsedDescription) -> Iterator[str]:
         yield f"generationDateAndTime is {quoted(date)}; the format is YYYY-MM-DDThh:mm:ssZ."
 
 
-def experiment(about: ParsedDescription) -> Iterator[str]:
-    """Check the values of the default experiment."""
+def _experiment(about: ParsedDescription) -> Iterator[str]:
     start, stop, step, tolerance = (
         real(about.experiment.get(n)) for n in ("startTime", "stopTime", "stepSize", "tolerance")
     )
@@ -61,8 +58,7 @@ def experiment(about: ParsedDescription) -> Iterator[str]:
             yield f"DefaultExperiment has {name} {text.strip()}; it must be finite."
 
 
-def definitions(about: ParsedDescription) -> Iterator[str]:
-    """Check that names of definitions are unique."""
+def _definitions(about: ParsedDescription) -> Iterator[str]:
     yield from repeated("unit", (name for name, _ in about.units))
     for unit, displays in about.units:
         yield from repeated(f"display unit of {quoted(unit)},", displays)
@@ -86,4 +82,4 @@ def repeated(what: str, names: Iterable[str], done: str = "defined") -> Iterator
             yield f"the {what} {quoted(name)} is {done} {times} times."
 
 
-RULES = (kinds, identity, experiment, definitions)
+RULES = (_kinds, _identity, _experiment, _definitions)

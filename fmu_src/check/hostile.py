@@ -98,8 +98,6 @@ def problems(
 
 
 class _Master:
-    """The scenarios of one FMU and their findings."""
-
     def __init__(
         self, about: ParsedDescription, kinds: Mapping[str, InterfaceKind], folder: Path
     ) -> None:
@@ -146,7 +144,6 @@ class _Master:
         return chosen
 
     def findings(self) -> Iterator[str]:
-        """Run all scenarios and yield a sentence for each problem."""
         runs = self._runs(self._scenarios())
         for name, run in runs.items():
             if run.refused:
@@ -222,7 +219,6 @@ class _Master:
     def _worst(
         self, name: str, run: _Run, over: Array, around: tuple[Array, Array]
     ) -> Iterator[str]:
-        """Report the output with the largest deviation relative to its range."""
         bad = ~(over <= 0.0)  # NaN is bad
         if not bad.any():
             return
@@ -240,7 +236,6 @@ class _Master:
 
 
 def _excitation(variable: ParsedVariable) -> dict[str, Any]:
-    """Return centre and amplitude of an input within its limits."""
     start, low, high = (real(variable.get(name)) for name in ("start", "min", "max"))
     centre = start if start is not None and math.isfinite(start) else 0.0
     amplitude = 0.5 * (real(variable.get("nominal")) or 1.0)

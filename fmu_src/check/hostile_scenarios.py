@@ -44,8 +44,6 @@ def outcome(plan: Mapping[str, Any], scenario: str) -> dict[str, Any]:
 
 
 class _Run:
-    """One instance and its outputs so far."""
-
     def __init__(self, plan: Mapping[str, Any], *, exchange: bool) -> None:
         self.plan, self.step = plan, float(plan["step"])
         self.found: dict[str, Any] = {"times": [], "rows": [], "steps": []}
@@ -68,7 +66,6 @@ class _Run:
             self._messages.append(text)
 
     def refusal(self, error: Exception) -> RefusedError:
-        """Return the error for a call that has failed."""
         function, status = str(error), None
         if isinstance(error, CallError) and error.status is not None:
             function, status = error.function, error.status
@@ -79,7 +76,6 @@ class _Run:
         return RefusedError(function, status)
 
     def begin(self) -> None:
-        """Initialise."""
         self.fmu.setup(0.0, None)
         self.set_inputs(0.0)
         self.fmu.enter_initialisation()
@@ -98,11 +94,9 @@ class _Run:
             self._inputs.write()
 
     def outputs(self) -> list[float]:
-        """Return the outputs (outputs,)."""
         return self._outputs.read().tolist() if self.plan["outputs"] else []
 
     def record(self) -> None:
-        """Read and record the outputs."""
         self.found["rows"].append(self.outputs())
         self.found["times"].append(self.time)
         self.found["steps"].append(self.reached)
@@ -124,7 +118,6 @@ class _Run:
         self.reached = step
 
     def advance(self, step: float) -> None:
-        """Set the inputs, step, and record the outputs."""
         self.set_inputs(self.time)
         self.do_step(step)
         self.record()
@@ -276,7 +269,6 @@ def _solved(run: _Run, solver: Any, time: float, end: float) -> tuple[bool, Any,
 
 
 def _events(run: _Run) -> None:
-    """Handle an event and enter continuous-time mode."""
     for _ in range(MOST_REPEATS):
         if not run.fmu.ask("newDiscreteStates")[0]:
             break

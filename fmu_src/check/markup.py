@@ -26,8 +26,6 @@ class _RefusedError(Exception):
 
 @dataclass
 class _Guard:
-    """A pass over XML before its tree is built."""
-
     nodes: int = 0
     encoding: str | None = None
 

@@ -59,7 +59,6 @@ def _answer(kind: str | None, parts: list[dict[str, Any] | None]) -> dict[str, A
 
 
 def _word(value: object) -> str:
-    """Return the name of an enumeration's value."""
     return str(value).rpartition(".")[2].upper()
 
 

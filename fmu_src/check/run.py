@@ -97,8 +97,6 @@ def problems_of(check: str, texts: Iterable[str]) -> list[Finding]:
 
 
 class _Found:
-    """Findings of the checks so far."""
-
     def __init__(self, folder: Path, vdmcheck: Path | None, *, hostile: bool) -> None:
         self._folder = folder
         self._vdmcheck = vdmcheck
@@ -118,7 +116,6 @@ class _Found:
         self.skipped += found[1]
 
     def check(self, contents: Contents) -> None:
-        """Run all checks that the previous findings allow."""
         damaged = self._add("archive", contents.problems)
         if not contents.names and damaged:
             self.skipped.append("All other checks: the archive could not be read.")

@@ -84,5 +84,4 @@ def _included(text: bytes) -> list[str]:
 
 
 def _supplied(name: str) -> bool:
-    """Whether an importer or the system supplies a header."""
     return name in _OFFICIAL or name.lower().removesuffix(".h") in _SYSTEM

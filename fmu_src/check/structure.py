@@ -8,8 +8,7 @@ from fmu_src.check.description import STRUCTURE, ParsedDescription, Unknown
 from hesr_model.support.text import listed, quoted
 
 
-def derivatives(about: ParsedDescription) -> Iterator[str]:
-    """Check that Derivatives of model exchange lists the derivatives of states, and no other."""
+def _derivatives(about: ParsedDescription) -> Iterator[str]:
     if not about.exchanges:
         return
     place, found = about.lists["Derivatives"], {u.index for u in about.structure["Derivatives"]}
@@ -26,8 +25,7 @@ def derivatives(about: ParsedDescription) -> Iterator[str]:
             )
 
 
-def order(about: ParsedDescription) -> Iterator[str]:
-    """Check that InitialUnknowns of FMI 2.0 follows the order of the variables."""
+def _order(about: ParsedDescription) -> Iterator[str]:
     place = "InitialUnknowns"
     found = [v for u in about.structure[place] if (v := about.variable(u.index))]
     for before, after in pairwise(found if about.fmi == 2 else ()):
@@ -38,8 +36,7 @@ def order(about: ParsedDescription) -> Iterator[str]:
             )
 
 
-def indices(about: ParsedDescription) -> Iterator[str]:
-    """Check that the listed variables exist and are listed once."""
+def _indices(about: ParsedDescription) -> Iterator[str]:
     for name in STRUCTURE:
         for index, times in Counter(u.index for u in about.structure[name]).items():
             variable = about.variable(index)
@@ -49,8 +46,7 @@ def indices(about: ParsedDescription) -> Iterator[str]:
                 yield f"{about.lists[name]} lists {quoted(variable.name)} {times} times."
 
 
-def dependencies(about: ParsedDescription) -> Iterator[str]:
-    """Check that all unknowns have dependencies that exist and are in order."""
+def _dependencies(about: ParsedDescription) -> Iterator[str]:
     for name in STRUCTURE:
         unknowns = about.structure[name]
         silent = [_named(about, u) for u in unknowns if u.dependencies is None]
@@ -74,4 +70,4 @@ def _named(about: ParsedDescription, unknown: Unknown) -> str:
     return variable.name if variable else about.shown(unknown.index)
 
 
-RULES = (derivatives, order, indices, dependencies)
+RULES = (_derivatives, _order, _indices, _dependencies)

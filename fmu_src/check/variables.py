@@ -3,7 +3,6 @@
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from functools import wraps
 
 from fmu_src.check.description import ParsedDescription, ParsedVariable, integer, real
 from hesr_model.support.text import listed, plain, quoted
@@ -12,15 +11,12 @@ _PART = r"(?:[A-Za-z_][A-Za-z0-9_]*|'(?:[^'\\]|\\.)+')(?:\[[0-9]+(?:,[0-9]+)*\])
 _IDENTIFIER = rf"{_PART}(?:\.{_PART})*"
 _STRUCTURED = re.compile(rf"{_IDENTIFIER}|der\({_IDENTIFIER}(?:,[0-9]+)?\)")
 
-_NUMBERS = ("Real", "Integer", "Enumeration")
-
 
 def _of_each(
     rule: Callable[[ParsedDescription, ParsedVariable], Iterator[str]],
 ) -> Callable[[ParsedDescription], Iterator[str]]:
     """Extend a rule on one variable to all variables; its sentences follow the name."""
 
-    @wraps(rule)
     def of_all(about: ParsedDescription) -> Iterator[str]:
         for v in about.variables:
             for text in rule(about, v):
@@ -30,24 +26,21 @@ def _of_each(
 
 
 @_of_each
-def structured_names(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that names are structured if declared so."""
+def _structured_names(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     promised = about.attributes.get("variableNamingConvention") == "structured"
     if promised and not _STRUCTURED.fullmatch(v.name):
         yield "is not a structured name, as variableNamingConvention requires."
 
 
-def independent(about: ParsedDescription) -> Iterator[str]:
-    """Check that at most one variable is independent."""
+def _independent(about: ParsedDescription) -> Iterator[str]:
     found = [v.name for v in about.variables if v.causality == "independent"]
     if len(found) > 1:
         yield f"the variables {listed(found)} are all independent; only one may be."
 
 
 @_of_each
-def ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check start values against min and max or items, and that nominal is positive."""
-    if v.kind not in (*_NUMBERS, *about.continuous) and "Int" not in v.kind:
+def _ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
+    if v.kind not in ("Real", "Integer", "Enumeration", *about.continuous) and "Int" not in v.kind:
         return
     low, high = (real(v.get(name)) for name in ("min", "max"))
     starts = [real(text) for text in (v.get("start") or "").split()]
@@ -74,15 +67,13 @@ def ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
 
 
 @_of_each
-def inputs(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that inputs of FMI 2.0 do not declare `initial`."""
+def _inputs(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     if v.causality == "input" and v.declared_initial is not None:
         yield f"has initial '{plain(v.declared_initial)}', which is invalid with causality 'input'."
 
 
 @_of_each
-def types(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that declared types have the type of the variable."""
+def _types(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     if v.type is not None and v.type.kind != v.kind:
         yield (
             f"is of type {plain(v.kind)}, but its declared type {quoted(v.type.name)} is of type "
@@ -90,8 +81,7 @@ def types(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
         )
 
 
-def units(about: ParsedDescription) -> Iterator[str]:
-    """Check that units and display units are defined."""
+def _units(about: ParsedDescription) -> Iterator[str]:
     users: list[tuple[str, Mapping[str, str], ParsedVariable | None]] = [
         (f"variable {quoted(v.name)}", v.own, v) for v in about.variables
     ]
@@ -112,8 +102,7 @@ def units(about: ParsedDescription) -> Iterator[str]:
 
 
 @_of_each
-def derivatives(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that the state of a derivative is continuous."""
+def _derivatives(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     state = about.variable(integer(v.own.get("derivative")))
     if state is not None and (
         state is v
@@ -128,8 +117,7 @@ def derivatives(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
         )
 
 
-def aliases(about: ParsedDescription) -> Iterator[str]:
-    """Check that variables of one value reference agree, and only one of them can be set."""
+def _aliases(about: ParsedDescription) -> Iterator[str]:
     sets: dict[tuple[str, int], list[ParsedVariable]] = defaultdict(list)
     for v in about.variables:
         base = "Integer" if v.kind == "Enumeration" else v.kind
@@ -151,8 +139,7 @@ def aliases(about: ParsedDescription) -> Iterator[str]:
 
 
 @_of_each
-def sizes(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    """Check that an array has one start value, or one for each element."""
+def _sizes(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     given = len((v.own.get("start") or "").split())
     if v.size is None:
         yield "has a dimension of unknown size."
@@ -166,8 +153,8 @@ def _settable(v: ParsedVariable) -> bool:
     return started or v.causality == "input"
 
 
-RULES = (structured_names, ranges, types, units, derivatives)
+RULES = (_structured_names, _ranges, _types, _units, _derivatives)
 """Rules of every version."""
 
-RULES_2 = (independent, inputs, aliases)
-RULES_3 = (sizes,)
+RULES_2 = (_independent, _inputs, _aliases)
+RULES_3 = (_sizes,)

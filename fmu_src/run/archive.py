@@ -94,7 +94,6 @@ class Archive:
         self._cleanup = ExitStack()
 
     def __enter__(self) -> Self:
-        """Open the file and check its table of contents."""
         with ExitStack() as cleanup:
             self._file = cleanup.enter_context(opened(self.path))
             try:
@@ -117,7 +116,6 @@ class Archive:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the file."""
         self._cleanup.close()
 
     @property

@@ -115,7 +115,6 @@ class FmuInstance:
         self._cleanup = ExitStack()
 
     def __enter__(self) -> Self:
-        """Unpack, load and instantiate."""
         with ExitStack() as cleanup:
             if self._unpacked:
                 folder, trusted = self._unpacked, True
@@ -130,7 +129,6 @@ class FmuInstance:
         return self
 
     def __exit__(self, *ended: Any) -> None:
-        """Free the instance, unload the library and remove the unpacked files."""
         self._cleanup.__exit__(*ended)
 
     def _unpack(self, folder: Path) -> bool:

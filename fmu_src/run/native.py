@@ -205,7 +205,6 @@ def _through(
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    """Return the compiled master; None without a compiler."""
     target = TARGETS.get(PLATFORM)
     if target is None:
         return None

@@ -84,8 +84,6 @@ def unpacked_answer(data: bytes) -> tuple[int, int, bytes]:
 
 
 class _Host:
-    """An instance, its buffers, and its messages since the last answer."""
-
     def __init__(self, connection: socket.socket) -> None:
         self._connection, self._process = connection, os.getpid()
         self._messages: list[tuple[int, str]] = []

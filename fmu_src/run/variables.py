@@ -188,7 +188,6 @@ def _elements(variable: Any) -> list[Any]:
 
 
 def _starts(variable: Any) -> list[Any]:
-    """Return the start value of each element, zero by default."""
     if variable.type in ("String", "Binary", "Clock"):
         return [variable.start or ""]
     size = prod(variable.shape or (1,))
@@ -223,7 +222,6 @@ class Variables:
         self._units = {unit.name: unit.baseUnit for unit in description.unitDefinitions or ()}
 
     def __getitem__(self, name: str) -> Any:
-        """Return the description of a variable."""
         try:
             return self._by_name[name]
         except KeyError:
