@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from cosim.report.figures.zoom import zoom_data
+from cosim.report.tables.csv_file import csv_text
 from cosim.report.tables.table import ResultTable
 from fmu_src.pages.html import TEMPLATES, rendered
 from hesr_model.audit.properties import MARKS
@@ -24,62 +25,78 @@ _FOLDERS = (Path(__file__).parent / "templates", TEMPLATES)
 _NUMBER = "\ue000"
 """Placeholder of a figure's number, because sections may be made in any order."""
 
+TABLES = "tables"
+"""Folder of the CSV files, next to the page."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A section of a page: key in links, heading, HTML."""
+    """Section of a page; `key` is its name in links."""
 
     key: str
     title: str
     html: Markup
+    folded: bool = False
 
 
 @dataclass
 class Pictures:
-    """Figures of a page, also written as PDF and PNG.
-
-    Attributes
-    ----------
-    folder : folder of the files.
-    zooms : data of the zooming views, by key of the figure.
-    """
+    """Figures of a page, also written to `folder` as PDF and PNG; data of zooming views by key."""
 
     folder: Path
     zooms: dict[str, str] = field(default_factory=dict)
 
-    def figure(self, key: str, picture: "Figure", caption: str, *, alt: str) -> Markup:
-        """Write a figure and return its HTML.
-
-        Parameters
-        ----------
-        key : name of the files, and of the figure in links.
-        picture : the figure.
-        caption : text below the figure.
-        alt : description for readers who cannot see it.
-        """
+    def figure(self, key: str, picture: "Figure", caption: str, **texts: Any) -> Markup:
+        """Write a figure and return its HTML; see `drawing`."""
         from cosim.report.figures.style import write
 
         write(picture, self.folder / key)
-        return self.shown(key, picture, caption, alt=alt)
+        return self.shown(key, picture, caption, **texts)
 
-    def shown(self, key: str, picture: "Figure", caption: str, *, alt: str) -> Markup:
-        """Return the HTML of a figure without writing files."""
+    def shown(self, key: str, picture: "Figure", caption: str, **texts: Any) -> Markup:
+        """Return the HTML of a figure without writing files; see `drawing`."""
         from cosim.report.figures.style import svg
 
-        return self.drawing(key, Markup(svg(picture, key)), caption, alt=alt)
+        return self.drawing(key, Markup(svg(picture, key)), caption, **texts)
 
     def chart(self, key: str, chart: "Chart", caption: str, *, alt: str) -> Markup:
-        """Write a chart with a zooming view and return its HTML."""
+        """Write a chart with a zooming view and return its HTML; see `drawing`."""
         from cosim.report.figures.chart import drawn
 
         self.zooms[key] = zoom_data(chart)
         return self.figure(key, drawn(chart), caption, alt=alt)
 
-    def drawing(self, key: str, svg: Markup, caption: str, *, alt: str) -> Markup:
-        """Return the HTML of a figure in SVG."""
-        zoom = key in self.zooms
+    def drawing(
+        self, key: str, svg: Markup, caption: str, *, alt: str, small: bool = False
+    ) -> Markup:
+        """Return the HTML of a figure in SVG.
+
+        `alt` describes it to readers who cannot see it; a `small` one fits a phone.
+        """
         texts = {"caption": caption, "alt": alt, "number": _NUMBER}
-        return render("figure.html.j2", key=key, svg=svg, zoom=zoom, **texts)
+        zoom = key in self.zooms
+        return render("figure.html.j2", key=key, svg=svg, zoom=zoom, small=small, **texts)
+
+
+@dataclass
+class Tables:
+    """Tables of a page, all written to `folder` as CSV; captions and notes by file name."""
+
+    folder: Path
+    written: dict[str, tuple[str, str]] = field(default_factory=dict)
+
+    def csv(self, shown: ResultTable, name: str) -> str:
+        """Write a table as CSV only."""
+        file = f"{name}.csv"
+        with written_whole(self.folder / file) as temporary:
+            temporary.write_text(csv_text(shown), encoding="utf-8")
+        self.written[file] = shown.caption, shown.note
+        return ""
+
+    def table(self, shown: ResultTable, name: str, *, brief: bool = False) -> Markup:
+        """Write a table as CSV and return its HTML; `brief` ones are also printed."""
+        self.csv(shown, name)
+        return table(shown, brief=brief)
 
 
 def render(template: str, **values: Any) -> Markup:
@@ -97,21 +114,14 @@ def write_sections(
     zooms: Mapping[str, Any] | None = None,
     library: str = "",
 ) -> None:
-    """Write a self-contained page of sections.
-
-    Raises
-    ------
-    ArtifactError
-        If it cannot be written.
-    """
+    """Write a self-contained page of sections."""
     from cosim.report.figures.style import VARIABLES
 
     page = render(
         "report.html.j2",
         title=title,
         heading=heading,
-        summary=summary,
-        sections=sections,
+        sections=[Section(key="summary", title="Summary", html=summary), *sections],
         zooms=zooms or {},
         library=library,
         palette=VARIABLES,
@@ -122,9 +132,9 @@ def write_sections(
         temporary.write_text(numbered, encoding="utf-8")
 
 
-def table(what: ResultTable) -> Markup:
-    """Return a table with a button that copies it."""
-    return render("table.html.j2", table=what, symbols=MARKS)
+def table(what: ResultTable, *, brief: bool = False) -> Markup:
+    """Return a table with a button that copies it; `brief` ones are also printed."""
+    return render("table.html.j2", table=what, symbols=MARKS, brief=brief)
 
 
 def paragraph(text: str | Markup, *, note: bool = False) -> Markup:

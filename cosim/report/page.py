@@ -1,16 +1,19 @@
-"""Page of a report: its sections in order, from saved results."""
+"""Report of a run: a first layer, then folded sections, from saved results."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from cosim.report.figures.zoom import library
-from cosim.report.markup import Pictures, Section, render, table, write_sections
+from cosim.report.markup import TABLES, Pictures, Section, Tables, render, write_sections
 from cosim.report.results import Results
 from cosim.report.sections import inputs, laws, loop, physics, prediction
 from cosim.report.sections.summary import summary
+from cosim.report.tables.table import ResultTable, row_of
 from fmu_src.pages.datasheet import ModelAudit
 from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, counted, silent
@@ -19,14 +22,11 @@ REPORT, FIGURES = "report.html", "figures"
 
 
 @dataclass(frozen=True)
-class Chapter:
-    """A section of the page; its template is ``sections/KEY.html.j2``.
+class Part:
+    """Part of a section.
 
-    Attributes
-    ----------
-    key : identifier in links, and name of the template.
-    title : heading.
-    values : function of the results that returns the values of the template; None without data.
+    Its template is ``sections/KEY.html.j2``; `values` returns the template's values, or None
+    without data. The first part of a section may have no title.
     """
 
     key: str
@@ -34,23 +34,44 @@ class Chapter:
     values: Callable[[Results, Pictures], dict[str, Any] | None]
 
 
-CHAPTERS = (
-    Chapter("data", "Robot and data checks", inputs.data),
-    Chapter("body", "Rigid body", inputs.body),
-    Chapter("hysteresis", "Hysteresis state", laws.hysteresis),
-    Chapter("equations", "Equations", laws.equations),
-    Chapter("prediction", "Prediction on unseen motions", prediction.prediction),
-    Chapter("chirp", "Chirp: beyond the trained frequencies", prediction.chirp),
-    Chapter("loops", "Friction loops", prediction.loops),
-    Chapter("audit", "Passivity audit", physics.audit),
-    Chapter("properties", "Physics checks", physics.properties),
-    Chapter("ablation", "Ablation", laws.ablation),
-    Chapter("tracking", "Tracking in closed loop", loop.tracking),
-    Chapter("robustness", "Robustness", loop.robustness),
-    Chapter("live", "Interactive law", laws.live),
-    Chapter("provenance", "Provenance", inputs.provenance),
-)
-_SUMMARY = Chapter("summary", "Summary", summary)
+@dataclass(frozen=True)
+class Made:
+    """HTML of a part, and what it puts into the page and the folder of tables."""
+
+    part: Part
+    html: Markup
+    zooms: Mapping[str, str] = field(default_factory=dict)
+    tables: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+
+SECTIONS = {
+    ("prediction", "Prediction"): (
+        Part("errors", "", prediction.errors_of_tests),
+        Part("chirp", "Chirp beyond the trained frequencies", prediction.chirp),
+        Part("loops", "Friction loops", prediction.loops),
+    ),
+    ("loop", "Closed loop"): (
+        Part("tracking", "", loop.tracking),
+        Part("robustness", "Robustness", loop.robustness),
+    ),
+    ("physics", "Physics checks"): (
+        Part("properties", "", physics.properties),
+        Part("audit", "Passivity audit", physics.audit),
+    ),
+    ("data", "Data checks"): (
+        Part("logs", "", inputs.data),
+        Part("body", "Rigid body", inputs.body),
+    ),
+    ("laws", "Laws"): (
+        Part("equations", "", laws.equations),
+        Part("hysteresis", "Hysteresis state", laws.hysteresis),
+        Part("ablation", "Ablation", laws.ablation),
+        Part("live", "Interactive law", laws.live),
+    ),
+    ("settings", "Settings"): (Part("provenance", "", inputs.provenance),),
+}
+"""Parts of each folded section by its key and title."""
+_SUMMARY = Part("summary", "Summary", summary)
 
 
 def write_report(
@@ -62,9 +83,11 @@ def write_report(
 ) -> Path:
     """Write the report of a run and return its path.
 
+    Its figures (PDF, PNG) and tables (CSV) are written into the folder of the results.
+
     Parameters
     ----------
-    folder : results of `hesr run`; the figures are also written there as PDF and PNG.
+    folder : results of `hesr run`.
     output : the page to write; by default report.html in the folder.
     audits : audits of the laws, if already known.
     progress : receives the stage, its state and its size.
@@ -77,37 +100,56 @@ def write_report(
     """
     results = replace(Results.read(folder), audited=audits)
     path = output or folder / REPORT
-    jobs = [partial(_section, chapter, results, folder / FIGURES) for chapter in CHAPTERS]
-    sections: list[Section] = []
-    zooms: dict[str, str] = {}
+    parts = [part for of_section in SECTIONS.values() for part in of_section]
+    jobs = [partial(_made, part, results, folder) for part in parts]
+    made: list[Made] = []
     # Starting processes costs more than they save.
-    with parallel.results_of(jobs, None if parallel.shared() else 1) as made:
-        head, _ = _section(_SUMMARY, results, folder / FIGURES)
+    with parallel.results_of(jobs, None if parallel.shared() else 1) as found:
+        made += filter(None, [_made(_SUMMARY, results, folder)])
         for _ in counted(jobs, partial(progress, "writing the report")):
-            section, more = next(made)
-            sections += [section] if section else []
-            zooms |= more
-    assert head is not None
+            made += filter(None, [next(found)])
+    zooms = {key: data for one in made for key, data in one.zooms.items()}
+    sections = [
+        _section(*names, [one for one in made if one.part in of_section])
+        for names, of_section in SECTIONS.items()
+    ]
+    _write_index(Tables(folder / TABLES), made)
     write_sections(
         path,
         title=f"HESR report: {results.run.study}",
         heading=f"Friction of {results.run.robot}: report of the study ‘{results.run.study}’",
-        summary=head.html,
-        sections=sections,
+        summary=made[0].html,
+        sections=[section for section in sections if section],
         zooms=zooms,
         library=library() if zooms else "",
     )
     return path
 
 
-def _section(
-    chapter: Chapter, results: Results, figures: Path
-) -> tuple[Section | None, dict[str, str]]:
-    """Return a section, if it has data, and the data of its zooming views."""
-    pictures = Pictures(folder=figures)
-    values = chapter.values(results, pictures)
+def _made(part: Part, results: Results, folder: Path) -> Made | None:
+    """Return a part, if it has data."""
+    pictures, tables = Pictures(folder / FIGURES), Tables(folder / TABLES)
+    values = part.values(results, pictures)
     if values is None:
-        return None, {}
-    template = f"sections/{chapter.key}.html.j2"
-    html = render(template, table=table, unit=results.unit, **values)
-    return Section(key=chapter.key, title=chapter.title, html=html), pictures.zooms
+        return None
+    html = render(
+        f"sections/{part.key}.html.j2",
+        table=tables.table,
+        csv=tables.csv,
+        unit=results.unit,
+        **values,
+    )
+    return Made(part, html, pictures.zooms, tables.written)
+
+
+def _section(key: str, title: str, parts: list[Made]) -> Section | None:
+    if not parts:
+        return None
+    files = {f"{TABLES}/{file}": text for one in parts for file, (text, _) in one.tables.items()}
+    html = render("section.html.j2", parts=parts, files=files)
+    return Section(key=key, title=title, html=html, folded=True)
+
+
+def _write_index(tables: Tables, made: list[Made]) -> None:
+    rows = [row_of(file, *texts) for one in made for file, texts in one.tables.items()]
+    tables.csv(ResultTable(caption="", head=("file", "caption", "note"), rows=rows), "index")

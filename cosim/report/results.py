@@ -15,6 +15,7 @@ from cosim.report.tables.table import joints
 from cosim.study.position_errors import SIMULATION, PositionErrors
 from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_torques
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Errors
+from cosim.study.verdict import Verdict, read_verdict
 from fmu_src.pages.datasheet import ModelAudit
 from hesr_model.audit.properties import Properties, read_properties
 from hesr_model.errors import ArtifactError, SimulationError
@@ -90,6 +91,16 @@ class Results:
     def laws(self) -> list[str]:
         """Laws without variants."""
         return [law for law in self.models if law not in self.run.variants]
+
+    @cached_property
+    def verdict(self) -> Verdict | None:
+        """Verdict; None in results of earlier versions."""
+        return read_verdict(self.folder)
+
+    @property
+    def recommended(self) -> str:
+        """Law of the verdict, or else the best one."""
+        return self.verdict.law if self.verdict else self.best
 
     @cached_property
     def best(self) -> str:

@@ -13,8 +13,8 @@ from matplotlib.typing import LineStyleType
 from cosim.report.figures.style import INK, SOFT, Stroke, style_axis, styled
 from hesr_model.support.arrays import Array
 
-_COLUMNS = 520
-"""Columns of a line over the whole width, each with its extreme values."""
+_COLUMNS, _ROWS = 520, 4
+"""Columns of a line over the whole width, each with its extreme values; fewer in more rows."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,12 +72,13 @@ class Chart:
 def drawn(chart: Chart, width: float = 9.0) -> Figure:
     """Draw a chart, with one legend above all panels."""
     rows, columns = len(chart.rows), len(chart.rows[0])
+    most = min(_COLUMNS, _COLUMNS * _ROWS // rows)
     with styled():
         figure = Figure(figsize=(width, chart.height * rows + 0.5), layout="constrained")
         axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
         for row, of_row in zip(axes, chart.rows, strict=True):
             for axis, panel in zip(row, of_row, strict=True):
-                _draw(axis, panel, chart.window, _COLUMNS // columns)
+                _draw(axis, panel, chart.window, most // columns)
         for axis in axes[-1]:
             axis.set_xlabel(chart.x)
         legend(figure, [line for row in chart.rows for p in row for line in p.lines])

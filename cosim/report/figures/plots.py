@@ -64,15 +64,16 @@ def sheets(panels: Sequence[Sheet]) -> Figure:
 
 
 def loops(
-    measured: tuple[Array, Array], laws: Mapping[str, tuple[Array, Array]], *, x: str, y: str
+    measured: tuple[Array, Array],
+    laws: Mapping[str, tuple[Array, Array]],
+    *,
+    x: str,
+    y: str,
+    points: int | None = None,
 ) -> Figure:
-    """Draw torque over velocity near reversals, one panel per law.
+    """Draw torque [N.m] over velocity [rad/s] (N,) near reversals, one panel per law.
 
-    Parameters
-    ----------
-    measured : velocity [rad/s] and torque [N.m], (N,) each; drawn behind every law.
-    laws : the same of each law, by title.
-    x, y : names of the axes.
+    The measured pair is drawn behind each law's; lines are thinned to `points`.
     """
     columns = min(_LOOP_COLUMNS, len(laws))
     rows = ceil(len(laws) / columns)
@@ -99,11 +100,12 @@ def loops(
         slow = np.abs(measured[0]) <= _REACH * fastest
         # A joint that is never slow is drawn over its whole range.
         reach, near = (_REACH * fastest, slow) if slow.any() else (fastest, ~slow)
-        seen = max(1, int(np.count_nonzero(near)) // _SEEN)
+        count = int(np.count_nonzero(near))
+        seen, every = (max(1, count // most) for most in (points or _SEEN, points or count + 1))
         span = _span(measured[1][near])
         for axis, (title, (dq, tau)) in zip(axes, laws.items(), strict=False):
-            axis.plot(*_parts(near, *measured, every=seen), color=SOFT, linewidth=0.6, alpha=0.7)
-            axis.plot(*_parts(near, dq, tau), color=SERIES[0], linewidth=1.2)
+            axis.plot(*_parts(near, *measured, seen), color=SOFT, linewidth=0.6, alpha=0.7)
+            axis.plot(*_parts(near, dq, tau, every), color=SERIES[0], linewidth=1.2)
             axis.set_title(title, fontsize=8.5)
             axis.set_xlim(-reach, reach)
             axis.set_ylim(*span)

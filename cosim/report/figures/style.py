@@ -36,7 +36,7 @@ VARIABLES = {
 
 _DPI = 150
 _PATH = re.compile(r'(?<= d=")[^"]*')
-_LONG = re.compile(r"(\.\d)\d+")
+_COMMAND = re.compile(r"([A-Za-z])([^A-Za-z]*)")
 _RC: "dict[RcKeyType, Any]" = {
     "axes.edgecolor": LINE,
     "axes.labelcolor": INK,
@@ -171,8 +171,23 @@ def write(figure: Figure, stem: Path) -> None:
 
 
 def _short(body: str) -> str:
-    """Shorten the numbers in the paths of an SVG."""
-    return _PATH.sub(lambda m: _LONG.sub(r"\1", m[0]).replace("\n", ""), body)
+    """Shorten the paths of an SVG."""
+    return _PATH.sub(lambda m: _relative(m[0]), body)
+
+
+def _relative(path: str) -> str:
+    """Return a path with one decimal, its lines as steps from point to point."""
+    parts: list[str] = []
+    last, before = [0, 0], ""
+    for command, numbers in _COMMAND.findall(path):
+        tenths = [round(10.0 * float(number)) for number in numbers.split()]
+        shown = tenths
+        if command == "L":
+            shown = [now - then for now, then in zip(tenths, last, strict=True)]
+            command = "l"
+        parts += ["" if command == before == "l" else command, *(f"{v / 10: g}" for v in shown)]
+        last, before = tenths[-2:] or last, command
+    return "".join(parts).replace(" 0.", " .").replace("-0.", "-.")
 
 
 def _inner(drawn: str, key: str) -> str:

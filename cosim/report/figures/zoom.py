@@ -14,8 +14,10 @@ if TYPE_CHECKING:
 _MODEL = re.compile(r'"p\d{4,}"')
 _PIXELS = 105
 """Pixels per inch of a row's height."""
-_MOST_VALUES = 150_000
+_MOST_VALUES = 50_000
 """Maximum number of values of a chart; more are thinned."""
+_ROUNDING = np.uint32(0xFFFFE000)
+"""Mask of the bits of a value that are kept, since the others do not compress."""
 
 
 def zoom_data(chart: "Chart") -> str:
@@ -83,7 +85,8 @@ class _Sources:
             self._by_axis[id(line.x)] = ColumnDataSource({"x": x})
         source = self._by_axis[id(line.x)]
         name = f"y{len(source.data)}"
-        source.add(line.y[:: self._every].astype(np.float32), name)
+        y = line.y[:: self._every].astype(np.float32).view(np.uint32) & _ROUNDING
+        source.add(y.view(np.float32), name)
         dash = [max(round(length), 1) for length in line.stroke.dash]
         plot.line(
             "x",

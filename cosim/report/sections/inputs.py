@@ -10,12 +10,15 @@ from cosim.report.figures.style import MEASURED, strokes
 from cosim.report.markup import Pictures
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, number, rounded, row_of
-from cosim.study.results import SavedLog, read_findings
+from cosim.study.results import HEALTH, SavedLog, read_findings
+from cosim.study.verdict import VERDICT
 from hesr_model.rigid_body.identification import RigidBody
 
 _INTERVAL = 1.96
 """Half width of a 95 % interval in standard errors."""
 _ROLES = {"identification": "rigid body", "training": "training of the laws"}
+_FILES = ("evaluation.json", "rigid_body.json", VERDICT, HEALTH)
+"""Files of a run that the report links to, in addition to FMUs."""
 _METHODS = {
     "stacked": "stacked least squares with friction columns",
     "paper": "averaging of the motion and its reverse",
@@ -112,10 +115,12 @@ def provenance(results: Results, _: Pictures) -> dict[str, Any]:
     for file in results.provenance.get("files", ()):
         if file["sha256"] not in logs:
             files[file["name"], file["sha256"]] = None
+    written = [*(f"fmus/{law}.fmu" for law in results.models), *_FILES]
     return {
         "run": run,
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
         "bokeh": version("bokeh"),
+        "files": [file for file in written if (results.folder / file).is_file()],
         "hashes": ResultTable(
             caption="SHA-256 of the input files",
             head=("file", "SHA-256"),

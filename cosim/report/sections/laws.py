@@ -44,23 +44,23 @@ _DATA = re.compile(r'<script type="application/json">(.*?)</script>', re.DOTALL)
 
 
 def equations(results: Results, _: Pictures) -> dict[str, Any]:
-    """Typeset the paper's law, the best one, and all others."""
-    first = results.shown(papers_law(), results.best)
-    others = [law for law in results.models if law not in first]
-    return {
-        "first": [_entry(results, results.models[law], law) for law in first],
-        "others": [_entry(results, results.models[law], law) for law in others],
+    """Typeset the recommended law and the paper's; return the coefficients of all."""
+    entries = [
+        {
+            "title": title(law),
+            "joints": [
+                (short, typeset(one, numbers=exposed(one)))
+                for short, one in zip(results.joints, results.models[law].laws, strict=True)
+            ],
+        }
+        for law in results.shown(results.recommended, papers_law())
+    ]
+    coefficients = {
+        law: _coefficients(results, model)
+        for law, model in results.models.items()
+        if all(map(exposed, model.laws))
     }
-
-
-def _entry(results: Results, model: FrictionModel, law: str) -> dict[str, Any]:
-    pairs = zip(results.joints, model.laws, strict=True)
-    shown = all(exposed(of_joint) for of_joint in model.laws)
-    return {
-        "title": title(law),
-        "joints": [(short, typeset(one, numbers=exposed(one))) for short, one in pairs],
-        "coefficients": _coefficients(results, model) if shown else None,
-    }
+    return {"laws": entries, "coefficients": coefficients}
 
 
 def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
@@ -156,29 +156,25 @@ def ablation(results: Results, _: Pictures) -> dict[str, Any] | None:
     laws = results.comparisons[test].laws
     steps = [(a, b, part) for a, b, part in _steps() if a in laws and b in laws]
     variants = [name for name in results.run.variants if name in laws]
-    tables = []
+    tables = {}
     if variants:
         whole = results.run.variants[variants[-1]]
         ladder = [*variants, *([whole] if whole in laws else [])]
-        tables.append(
-            ResultTable(
-                caption=f"{test}: RMSE [{results.unit('N.m')}] of the variants, each with one part "
-                "more than that above it",
-                head=("variant", *results.joints),
-                rows=[row_of(title(law), *map(number, laws[law].rmse)) for law in ladder],
-            )
+        tables["variants"] = ResultTable(
+            caption=f"{test}: RMSE [{results.unit('N.m')}] of the variants, each with one part "
+            "more than that above it",
+            head=("variant", *results.joints),
+            rows=[row_of(title(law), *map(number, laws[law].rmse)) for law in ladder],
         )
     if steps:
-        tables.append(
-            ResultTable(
-                caption=f"{test}: change of the RMSE when one part is added; lower is better",
-                words=(1,),
-                head=("from, to", "adds", *results.joints),
-                rows=[
-                    row_of(f"{title(a)} → {title(b)}", part, *_changes(laws[a].rmse, laws[b].rmse))
-                    for a, b, part in steps
-                ],
-            )
+        tables["steps"] = ResultTable(
+            caption=f"{test}: change of the RMSE when one part is added; lower is better",
+            words=(1,),
+            head=("from, to", "adds", *results.joints),
+            rows=[
+                row_of(f"{title(a)} → {title(b)}", part, *_changes(laws[a].rmse, laws[b].rmse))
+                for a, b, part in steps
+            ],
         )
     return {"tables": tables} if tables else None
 
@@ -199,7 +195,7 @@ def _changes(before: Sequence[float], after: Sequence[float]) -> list[str]:
 
 def live(results: Results, _: Pictures) -> dict[str, Any] | None:
     """Return the interactive plots of the best law, the paper's and the reference law."""
-    laws = results.shown(results.best, papers_law(), REFERENCE)
+    laws = results.shown(results.recommended, papers_law(), REFERENCE)
     found = {law: _live_data(results.folder / "fmus" / f"{law}.fmu") for law in laws}
     lives = [
         (law, title(law), Markup(live_section(data, key=f"live-{law}")))

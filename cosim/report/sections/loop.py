@@ -173,15 +173,16 @@ def _figure(results: Results, pictures: Pictures, scheme: Scheme) -> Markup:
     )
 
 
-def _more(results: Results, loop: LoopOutcome) -> list[ResultTable]:
+def _more(results: Results, loop: LoopOutcome) -> dict[str, ResultTable]:
+    """Return friction of measured velocity and a long run by name of the CSV file."""
     measured = [row for row in loop.tracking if row.scheme.source != "desired"]
-    found = []
+    found = {}
     if measured:
         caption = "RMSE [mrad] with friction evaluated on measured or filtered velocity"
-        found.append(tables.tracking(caption, measured))
+        found["tracking_measured_velocity"] = tables.tracking(caption, measured)
     if loop.long:
-        minutes = results.run.controller["drift"]
-        found.append(tables.tracking(f"One motion of {minutes:g} s: RMSE [mrad]", loop.long))
+        caption = f"One motion of {results.run.controller['drift']:g} s: RMSE [mrad]"
+        found["tracking_long"] = tables.tracking(caption, loop.long)
     return found
 
 

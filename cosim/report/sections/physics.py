@@ -13,7 +13,6 @@ from fmu_src.pages.datasheet import certified
 from fmu_src.pages.properties_sheet import section as sheet
 from hesr_model.audit.audit import Audit
 from hesr_model.audit.cycles import ENCODER
-from hesr_model.friction.registry import papers_law
 
 _ROUNDING = 1e-6
 """Energy of round-off [J]."""
@@ -65,23 +64,21 @@ def audit(results: Results, _: Pictures) -> dict[str, Any] | None:
         "noise": f"{1e6 * ENCODER:.0f}",
         "energy": energy,
         "proofs": proofs,
-        "audits": [audit_table(law, of.audits, results.sliding) for law, of in found.items()],
+        "passive": sum(all(map(passive, of_law.audits)) for of_law in found.values()),
+        "audits": [
+            (law, audit_table(law, of.audits, results.sliding)) for law, of in found.items()
+        ],
     }
 
 
 def properties(results: Results, _: Pictures) -> dict[str, Any] | None:
-    """Return the results of the checks, and plots of the paper's law and the best one."""
+    """Return the results of the checks, and plots of the recommended law."""
     if not results.properties:
         return None
-    shown = dict.fromkeys((papers_law(), results.best))
+    law = results.recommended
+    of_law = results.properties.get(law)
     return {
         "properties": properties_table(results.properties, full=True),
-        "sheets": [(title(k), _sheet(results, k)) for k in shown if k in results.properties],
+        "law": title(law),
+        "sheet": of_law and Markup(sheet(of_law, sliding=results.sliding)),
     }
-
-
-def _sheet(results: Results, law: str) -> Markup:
-    html = sheet(results.properties[law], sliding=results.sliding).replace(
-        'id="property-', f'id="{law}-property-'
-    )
-    return Markup(html.replace('href="#property-', f'href="#{law}-property-'))

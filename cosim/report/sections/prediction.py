@@ -9,7 +9,8 @@ from markupsafe import Markup
 from cosim.report import paper
 from cosim.report.figures.chart import Chart, Line, Panel
 from cosim.report.figures.plots import loops as loop_panels
-from cosim.report.figures.style import MEASURED, SOFT, Stroke, strokes
+from cosim.report.figures.plots import ratios
+from cosim.report.figures.style import MEASURED, SOFT, Stroke, strokes, write
 from cosim.report.markup import Pictures
 from cosim.report.results import Results
 from cosim.report.tables.scores import MEASURES, bands, errors, other_truths, position_errors
@@ -22,16 +23,18 @@ from hesr_model.support.arrays import Array
 
 _NETWORK = "rbfnn_h"
 """Law that Fig. 5 of the paper compares with its own."""
-_WINDOW = 10.0
+WINDOW = 10.0
 """Time span of a static figure [s]; the zooming view shows all."""
 MOVING = 0.25
 """Window of the moving error [s]; it averages out noise."""
 _LOOPS = 20.0
 """Time span of friction loops [s]."""
+_POINTS = 400
+"""Maximum number of points of a friction loop in the page, fewer for more than 3 joints."""
 _EDGE = Stroke(colour=SOFT, width=0.6, dash=(1.5, 1.5))
 
 
-def prediction(results: Results, pictures: Pictures) -> dict[str, Any]:
+def errors_of_tests(results: Results, pictures: Pictures) -> dict[str, Any]:
     """Compare all laws on every test set."""
     split = {band.test for band in results.run.bands}
     tests = []
@@ -53,10 +56,28 @@ def prediction(results: Results, pictures: Pictures) -> dict[str, Any]:
         )
     truths, run = results.truths, results.run
     return {
+        "ratios": _ratios(results, pictures),
         "tests": tests,
         "truths": truths and other_truths(results.comparisons, truths, run.truth),
         "paper": _paper(results) if run.robot == paper.ROBOT else None,
     }
+
+
+def _ratios(results: Results, pictures: Pictures) -> Markup:
+    test = results.tests[0]
+    scores = results.comparisons[test].ratios
+    if not scores.laws:
+        return Markup()
+    laws = {title(law): row for law, row in scores.laws.items()}
+    reference = "its reference" if scores.references else title(scores.reference)
+    return pictures.figure(
+        "ratios",
+        ratios(laws, results.joints, x=f"RMSE / RMSE of {reference}"),
+        f"Error of every law over that of {reference} on ‘{test}’, with 95 % intervals (bootstrap "
+        "of blocks of time). Left of the line is better. The reference of a law is the strongest "
+        "classic law of the same inputs or fewer; the claim is about these logs.",
+        alt=f"For each law and joint, a dot at its error relative to {reference} and its interval.",
+    )
 
 
 def _errors(results: Results, name: str, measure: str = "rmse") -> ResultTable:
@@ -82,9 +103,9 @@ def _key_laws(results: Results) -> list[str]:
 
 
 def _traces(results: Results, pictures: Pictures, test: str, log: SavedLog) -> Markup:
-    window = (0.0, _WINDOW) if log.duration > 1.5 * _WINDOW else None
+    window = (0.0, WINDOW) if log.duration > 1.5 * WINDOW else None
     laws = _key_laws(results)
-    what = f"the first {_WINDOW:g} s of {log.name}" if window else log.name
+    what = f"the first {WINDOW:g} s of {log.name}" if window else log.name
     names = ", ".join(map(title, laws))
     return pictures.chart(
         f"torque_{results.tests.index(test) + 1}",
@@ -148,7 +169,7 @@ def _chart(
         measured = torques[f"tau{k}"] - torques[f"tau_rb{k}"]
         predicted = {law: torques[f"{law}.tau_f{k}"] for law in laws}
         friction = (
-            *(band(results, k, torques) if results.best in laws else ()),
+            *(band(results, results.best, k, torques) if results.best in laws else ()),
             Line(name="measured", x=t, y=measured, stroke=MEASURED),
             *(Line(name=title(a), x=t, y=tau, stroke=styles[a]) for a, tau in predicted.items()),
         )
@@ -173,9 +194,8 @@ def moving_rms(t: Array, error: Array) -> Array:
     return np.asarray(np.sqrt((total[last] - total[first]) / np.maximum(last - first, 1)))
 
 
-def band(results: Results, joint: int, torques: Mapping[str, Array]) -> tuple[Line, ...]:
-    """Return both ends of the best law's band as lines."""
-    law = results.best
+def band(results: Results, law: str, joint: int, torques: Mapping[str, Array]) -> tuple[Line, ...]:
+    """Return both ends of a law's 95 % band as lines, if it has one."""
     model = results.models.get(law)
     if model is None or not model.banded:
         return ()
@@ -192,7 +212,7 @@ def band(results: Results, joint: int, torques: Mapping[str, Array]) -> tuple[Li
 
 
 def loops(results: Results, pictures: Pictures) -> dict[str, Any] | None:
-    """Draw torque over velocity of every law, one figure per joint."""
+    """Draw torque over velocity, one figure per joint: of key laws, and of all laws in files."""
     test = results.tests[0]
     log = results.log_of(test)
     if log is None:
@@ -200,6 +220,7 @@ def loops(results: Results, pictures: Pictures) -> dict[str, Any] | None:
     torques = results.torques(log)
     rows = torques["t"] - torques["t"][0] <= _LOOPS
     figures = []
+    points = min(_POINTS, 3 * _POINTS // len(results.joints))
     for k, short, name in results.numbered:
         dq = torques[f"dq{k}"][rows]
         measured = (torques[f"tau{k}"] - torques[f"tau_rb{k}"])[rows]
@@ -210,9 +231,11 @@ def loops(results: Results, pictures: Pictures) -> dict[str, Any] | None:
         }
         x = f"dq of {short} [{results.unit('rad/s', k - 1)}]"
         y = f"friction [{results.unit('N.m', k - 1)}]"
-        drawn = pictures.figure(
+        write(loop_panels((dq, measured), laws, x=x, y=y), pictures.folder / f"loops_{k}")
+        few = {name: laws[name] for name in map(title, (*results.key_laws, ORACLE)) if name in laws}
+        drawn = pictures.shown(
             f"loops_{k}",
-            loop_panels((dq, measured), laws, x=x, y=y),
+            loop_panels((dq, measured), few, x=x, y=y, points=points),
             f"Friction of {name} over its velocity near reversals on {log.name}: measured (grey) "
             "and predicted (blue). A law of velocity alone is one curve; laws with memory open "
             "into loops, and the best follow the measured ones.",

@@ -1,139 +1,151 @@
-"""Summary of a report: verdict, key figures, and limits of the results."""
+"""First layer of a report: recommended FMU, warnings, errors by joint, one plot, and limits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from cosim.loop.closed_loop import Scheme, StandIn
-from cosim.report.figures.plots import ratios
+from cosim.report.figures.chart import Chart, Line, Panel, drawn
+from cosim.report.figures.style import MEASURED, SERIES, Stroke
 from cosim.report.markup import Pictures
 from cosim.report.results import Results
-from cosim.report.sections.loop import of_scheme, outer
-from cosim.report.sections.physics import passive
+from cosim.report.sections.prediction import WINDOW, band
 from cosim.report.tables.scores import leading
-from cosim.report.tables.table import decimals, title
-from cosim.study.results import HEALTH, read_findings
-from cosim.study.scores import BASELINE, ORACLE
-from cosim.study.verdict import VERDICT, read_verdict
+from cosim.report.tables.table import ResultTable, TableCell, decimals, fixed, row_of, title
+from cosim.study.results import read_findings
+from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Ratio
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.friction.registry import papers_law
-from hesr_model.support.arrays import Array
 
 _FEW = 3
 """Maximum number of joints whose figures are shown next to each other."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tile:
-    """A key figure with its unit and a sentence."""
-
-    figure: str
-    unit: str
-    text: str
+_FINDINGS = 2
+"""Number of findings in the first layer; the data checks list all."""
+_WIDTH, _HEIGHT = 4.6, 2.0
+"""Size of the plot [in], small enough for letters that can be read on a phone."""
 
 
 def summary(results: Results, pictures: Pictures) -> dict[str, Any]:
-    """Return the values of the summary."""
-    files = [
-        *(f"fmus/{law}.fmu" for law in results.models),
-        *("evaluation.json", "rigid_body.json", VERDICT, HEALTH),
-    ]
-    tiles = (_error(results), _paper(results), _tracking(results), _physics(results))
+    """Return the values of the first layer."""
+    law = results.recommended
+    fmu = f"fmus/{law}.fmu"
+    findings = read_findings(results.folder)
     return {
         "run": results.run,
-        "verdict": read_verdict(results.folder),
-        "files": [file for file in files if (results.folder / file).is_file()],
-        "findings": len(read_findings(results.folder)),
+        "verdict": results.verdict,
+        "law": title(law),
+        "fmu": fmu if (results.folder / fmu).is_file() else "",
+        "findings": len(findings),
+        "first": [replace(finding, remedy="").sentence for finding in findings[:_FINDINGS]],
+        "errors": errors(results, law),
+        "plot": _plot(results, pictures, law),
         "laws": len(results.models),
         "tests": len(results.tests),
         "has_loop": results.loop is not None,
-        "tiles": [tile for tile in tiles if tile],
-        "figure": _ratios(results, pictures),
         "remarks": _remarks(results),
     }
 
 
-def _listed(values: Sequence[float] | Array, digits: int = 3) -> str:
+def errors(results: Results, law: str) -> ResultTable:
+    """Return error, unexplained share, and ratio to the strongest reference by joint."""
+    test = results.tests[0]
+    scores = results.comparisons[test]
+    own = scores.laws[law].rmse
+    places = decimals(own)
+    head = ["joint", "RMSE", "unexplained"]
+    columns = [
+        [fixed(error, places) for error in own],
+        [
+            TableCell(text=f"{share:.0f} %", value=float(share))
+            for share in 100.0 * np.divide(own, np.maximum(scores.tau_std, 1e-300))
+        ],
+    ]
+    caption = f"Error of {title(law)} on ‘{test}’ [{results.unit('N.m')}]"
+    if found := _reference(scores, law):
+        reference, ratios = found
+        head += ["reference", "ratio"]
+        caption += f" and of {title(reference)}, the strongest reference; small: 95\u00a0% interval"
+        columns += [
+            [fixed(error, places) for error in scores.laws[reference].rmse],
+            [fixed(ratio.value, 2, notes=_interval(ratio)) for ratio in ratios],
+        ]
+    rows = [row_of(*cells) for cells in zip(results.joints, *columns, strict=True)]
+    return ResultTable(caption=caption, head=head, rows=rows)
+
+
+def _reference(scores: Comparison, law: str) -> tuple[str, Sequence[Ratio]] | None:
+    """Return the strongest reference of a law and its ratios; of a reference, its closest rival."""
+    found = scores.ratios
+    if law in found.laws:
+        return found.of(law), found.laws[law]
+    rivals = {
+        other: float(np.mean([ratio.value for ratio in ratios]))
+        for other, ratios in found.laws.items()
+        if found.of(other) == law and other != ORACLE and not other.endswith(MEASURED_START)
+    }
+    if not rivals:
+        return None
+    rival = min(rivals, key=lambda other: rivals[other])
+    return rival, [
+        Ratio(
+            value=1.0 / ratio.value,
+            low=ratio.high and 1.0 / ratio.high,
+            high=ratio.low and 1.0 / ratio.low,
+            p=ratio.p,
+        )
+        for ratio in found.laws[rival]
+    ]
+
+
+def _interval(ratio: Ratio) -> tuple[str, ...]:
+    return () if ratio.low is None else (f"{ratio.low:.2f}–{ratio.high:.2f}",)
+
+
+def _plot(results: Results, pictures: Pictures, law: str) -> Markup:
+    """Draw friction of the joint with the largest unexplained share."""
+    test = results.tests[0]
+    log, scores = results.log_of(test), results.comparisons[test]
+    if log is None:
+        return Markup()
+    k, short, name = results.numbered[
+        int(np.argmax(np.divide(scores.laws[law].rmse, scores.tau_std)))
+    ]
+    torques = results.torques(log)
+    t = torques["t"]
+    measured = torques[f"tau{k}"] - torques[f"tau_rb{k}"]
+    panel = Panel(
+        title=f"{short}: {name}, {title(law)}",
+        y=f"friction [{results.unit('N.m', k - 1)}]",
+        lines=(
+            *(replace(line, name="95 % band") for line in band(results, law, k, torques)),
+            Line(name="measured", x=t, y=measured, stroke=MEASURED),
+            Line(
+                name="predicted",
+                x=t,
+                y=torques[f"{law}.tau_f{k}"],
+                stroke=Stroke(colour=SERIES[0]),
+            ),
+        ),
+    )
+    chart = Chart(x="t [s]", rows=((panel,),), height=_HEIGHT, window=(0.0, WINDOW))
+    return pictures.figure(
+        "prediction",
+        drawn(chart, _WIDTH),
+        f"Friction of {short}, the joint with the largest unexplained share, on {log.name}: "
+        "measured, and predicted by the FMU.",
+        alt=f"Friction torque of {name} over time, measured and predicted by {title(law)}.",
+        small=True,
+    )
+
+
+def _listed(values: Sequence[float], digits: int = 3) -> str:
     """Return the figures of few joints, or the range over many."""
     places = decimals([max(values)], digits)
     few = len(values) <= _FEW
     shown = values if few else (min(values), max(values))
     return (" / " if few else " – ").join(f"{v:.{places}f}" for v in shown)
-
-
-def _error(results: Results) -> Tile:
-    scores, short = results.comparisons[results.tests[0]].laws, results.joints
-    text = f"error of {title(results.best)}, the best law on ‘{results.tests[0]}’"
-    if BASELINE in scores and results.best != BASELINE:
-        text += f"; {title(BASELINE)} {_listed(scores[BASELINE].rmse)}"
-    if ORACLE in scores:
-        text += f"; the true friction {_listed(scores[ORACLE].rmse)}"
-    over = "/".join(short) if len(short) <= _FEW else f"{short[0]} to {short[-1]}"
-    figure = _listed(scores[results.best].rmse)
-    return Tile(figure=figure, unit=results.unit("N.m"), text=f"{text} ({over})")
-
-
-def _paper(results: Results) -> Tile | None:
-    law, scores = papers_law(), results.comparisons[results.tests[0]].ratios
-    if law not in scores.laws:
-        return None
-    found, reference = scores.laws[law], title(scores.of(law))
-    groups = {
-        verdict: [j for j, r in zip(results.joints, found, strict=True) if r.verdict == verdict]
-        for verdict in ("better", "worse", "alike")
-    }
-    said = ", ".join(f"{word} on {', '.join(of)}" for word, of in groups.items() if of)
-    return Tile(
-        figure=_listed([r.value for r in found]),
-        unit=f"× {reference}",
-        text=f"error of the paper’s {title(law)} over that of {reference}, fitted with the same "
-        f"care: {said}",
-    )
-
-
-def _tracking(results: Results) -> Tile | None:
-    if results.loop is None:
-        return None
-    rows = of_scheme(results, outer(results, Scheme(compensation="servo_inversion")))
-    law = results.best if results.best in rows else next(iter(rows))
-    body = rows.get(StandIn.BODY_ONLY)
-    only = f"; with the rigid body alone {_listed(1e3 * body.mean, 2)}" if body else ""
-    return Tile(
-        figure=_listed(1e3 * rows[law].mean, 2),
-        unit="mrad",
-        text=f"tracking error with {title(law)} through the servo’s inverse{only}",
-    )
-
-
-def _physics(results: Results) -> Tile | None:
-    found, law = results.audits, papers_law()
-    if not found:
-        return None
-    good = [name for name, of_law in found.items() if all(map(passive, of_law.audits))]
-    text = "laws give no energy on the tested closed cycles"
-    if law in found and law not in good:
-        text += f"; the paper’s {title(law)} does"
-    return Tile(figure=f"{len(good)} of {len(found)}", unit="", text=text)
-
-
-def _ratios(results: Results, pictures: Pictures) -> Markup:
-    test = results.tests[0]
-    scores = results.comparisons[test].ratios
-    if not scores.laws:
-        return Markup()
-    laws = {title(law): row for law, row in scores.laws.items()}
-    reference = "its reference" if scores.references else title(scores.reference)
-    return pictures.figure(
-        "ratios",
-        ratios(laws, results.joints, x=f"RMSE / RMSE of {reference}"),
-        f"Error of every law over that of {reference} on ‘{test}’, with 95 % intervals (bootstrap "
-        "of blocks of time). Left of the line is better. The reference of a law is the strongest "
-        "classic law of the same inputs or fewer; the claim is about these logs.",
-        alt=f"For each law and joint, a dot at its error relative to {reference} and its interval.",
-    )
 
 
 def _remarks(results: Results) -> list[str]:

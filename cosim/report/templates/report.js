@@ -54,9 +54,37 @@
       else box.removeAttribute("tabindex");
     }
   }
-  addEventListener("resize", reachable);
-  document.addEventListener("toggle", reachable, true);
+
+  // Mark the current section in the contents.
+  const links = [...document.querySelectorAll("nav a")];
+  const sections = links.map((link) => document.querySelector(link.hash));
+  function mark() {
+    const atEnd = innerHeight + scrollY >= document.documentElement.scrollHeight - 2 && scrollY > 0;
+    const passed = sections.filter((section) => section.getBoundingClientRect().top < 0.3 * innerHeight);
+    const current = atEnd ? sections.length - 1 : Math.max(passed.length - 1, 0);
+    links.forEach((link, k) => {
+      if (k === current) link.setAttribute("aria-current", "true");
+      else link.removeAttribute("aria-current");
+    });
+  }
+
+  // A link into a folded section unfolds it.
+  function reveal() {
+    const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (!target) return;
+    for (const folded of document.querySelectorAll("details")) {
+      if (folded.contains(target) || folded.parentElement === target) folded.open = true;
+    }
+    target.scrollIntoView();
+  }
+
+  addEventListener("scroll", mark, { passive: true });
+  addEventListener("hashchange", reveal);
+  addEventListener("resize", () => { reachable(); mark(); });
+  document.addEventListener("toggle", () => dispatchEvent(new Event("resize")), true);
   reachable();
+  mark();
+  reveal();
 
   // Views that zoom: library and data are packed in this page and unpacked when first asked for.
   async function unpacked(id) {

@@ -26,10 +26,10 @@ def test_both_ends_are_drawn_where_there_is_a_band() -> None:
     t = 0.01 * np.arange(200)
     dq = np.cos(t)
     torques = {"t": t, "dq1": dq, "q1": np.sin(t), "tau_rb1": 0.0 * t, "lugre.tau_f1": 10.0 * dq}
-    shown = SimpleNamespace(models={"lugre": model}, best="lugre")
-    lower, upper = band(shown, 1, torques)
+    shown = SimpleNamespace(models={"lugre": model})
+    lower, upper = band(shown, "lugre", 1, torques)
     half = np.sqrt(0.7**2 + (0.5 * dq) ** 2)
     assert upper.y == pytest.approx(10.0 * dq + half, rel=1e-9)
     assert lower.y == pytest.approx(10.0 * dq - half, rel=1e-9)
     bare = replace(model, laws=(replace(law, band=None),))
-    assert band(SimpleNamespace(models={"lugre": bare}, best="lugre"), 1, torques) == ()
+    assert band(SimpleNamespace(models={"lugre": bare}), "lugre", 1, torques) == ()

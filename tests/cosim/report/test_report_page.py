@@ -4,27 +4,33 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from html import escape, unescape
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
 from small_study import Hesr, hesr_here
 
+from cosim.report.markup import Tables
 from cosim.report.page import write_report
 from cosim.report.results import Results
+from cosim.report.sections.summary import errors as summary_errors
+from cosim.report.tables.table import ResultTable
+from cosim.study.results import read_findings
+from cosim.study.verdict import read_verdict
 from hesr_model.errors import HesrError
 
 Json = dict[str, Any]
 
 __all__ = ["hesr_here"]
 
-SECTIONS = [
-    "summary", "data", "body", "hysteresis", "equations", "prediction", "chirp", "loops", "audit",
-    "properties", "ablation", "tracking", "robustness", "live", "provenance",
-]  # fmt: skip
-LOOP = {"tracking", "robustness"}
+SECTIONS = ["summary", "prediction", "loop", "physics", "data", "laws", "settings"]
+PARTS = ["chirp", "loops", "robustness", "audit", "body", "hysteresis", "ablation", "live"]
+MOST_BYTES, MOST_TABLES = 3e6, 25
 
 
 class Page(HTMLParser):
@@ -45,6 +51,15 @@ class Page(HTMLParser):
     @property
     def sections(self) -> list[str | None]:
         return [a["id"] for a in self.of("section") if "aria-labelledby" in a]
+
+    @property
+    def parts(self) -> list[str | None]:
+        return [a["id"] for a in self.of("h3") if "id" in a]
+
+    @property
+    def files(self) -> list[str]:
+        """Links to files next to the page."""
+        return [str(a["href"]) for a in self.of("a") if not str(a["href"]).startswith("#")]
 
     @property
     def figures(self) -> list[str]:
@@ -83,11 +98,79 @@ def edit(path: Path, change: Callable[[Json], object]) -> None:
 def test_a_run_ends_with_its_report(results: Path) -> None:
     page = Page(results / "report.html")
     assert page.sections == SECTIONS
-    assert len(page.text) < 8e6
+    assert page.parts == PARTS
     drawn = {path.stem for path in (results / "figures").iterdir()}
     assert {path.suffix for path in (results / "figures").iterdir()} == {".pdf", ".png"}
     assert set(page.figures) == drawn | {"controller"}
     assert len(page.figures) == len(set(page.figures))
+
+
+def test_the_page_is_small_and_has_few_tables(results: Path) -> None:
+    page = Page(results / "report.html")
+    assert len(page.text.encode()) < MOST_BYTES
+    assert len(page.of("table")) <= MOST_TABLES
+    assert len(page.of("details")) > len(SECTIONS) - 1
+
+
+def test_the_first_layer_names_the_law_and_links_to_its_fmu(results: Path) -> None:
+    page = Page(results / "report.html")
+    first = page.text[page.text.index('id="summary"') : page.text.index('id="prediction"')]
+    found = read_verdict(results)
+    assert found is not None
+    assert f'<a class="download" href="{found.fmu}" download>' in first
+    for sentence in (found.why[1:], *found.weak, *found.improve):
+        assert escape(sentence, quote=False).replace("'", "&#39;") in first
+    count = len(read_findings(results))
+    assert (f"{count} data warning" if count else "No data warnings.") in first
+    assert first.count("<table") == 1
+    assert page.figures[0] == "prediction"
+
+
+def test_the_errors_of_the_first_layer_are_against_the_strongest_reference(results: Path) -> None:
+    comparison = Results.read(results).comparisons["trial & error"]
+    shown = summary_errors(Results.read(results), "parfam_h")
+    assert shown.head == ["joint", "RMSE", "unexplained", "reference", "ratio"]
+    columns = list(zip(*(row.cells for row in shown.rows), strict=True))
+    values = [[getattr(cell, "value", None) for cell in column] for column in columns]
+    own, other = (comparison.laws[law].rmse for law in ("parfam_h", "stribeck"))
+    share = np.divide(own, comparison.tau_std)
+    assert values[0] == list(own)
+    assert values[1] == pytest.approx(100.0 * share)
+    assert values[2] == list(other)
+    assert values[3] == pytest.approx(np.divide(own, other))
+    turned = summary_errors(Results.read(results), "stribeck")
+    assert [row.cells[3].value for row in turned.rows] == pytest.approx(np.divide(other, own))  # type: ignore[union-attr]
+
+
+def test_every_table_is_a_csv_file_with_the_same_data(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    described: dict[str, ResultTable] = {}
+    csv = Tables.csv
+
+    def kept(tables: Tables, shown: ResultTable, name: str) -> str:
+        assert f"{name}.csv" not in described
+        described[f"{name}.csv"] = shown
+        return csv(tables, shown, name)
+
+    monkeypatch.setattr(Tables, "csv", kept)
+    page = Page(write_report(results, tmp_path / "page.html"))
+    files = {path.name for path in (results / "tables").iterdir()}
+    assert set(described) == files
+    assert {f"tables/{name}" for name in files} <= set(page.files) | {"tables/joints.csv"}
+    captions = re.findall(r"<caption>([^<]+)</caption>", page.text)
+    assert {unescape(one) for one in captions} <= {one.caption for one in described.values()}
+    for name, shown in described.items():
+        read = pd.read_csv(results / "tables" / name, keep_default_na=False, dtype=str)
+        rows = [row for row in shown.rows if row.cells]
+        assert len(read) == len(rows), name
+        for k, head in enumerate(shown.head[1:]):
+            column = (
+                read.iloc[:, list(read.columns).index(head, 1)] if head else read.iloc[:, k + 1]
+            )
+            for text, row in zip(column, rows, strict=True):
+                value = getattr(row.cells[k], "value", None)
+                assert value is None or float(text) == value, (name, head)
 
 
 def test_it_needs_nothing_but_itself(results: Path) -> None:
@@ -112,7 +195,7 @@ def test_headings_stand_in_order_and_parts_have_names(results: Path) -> None:
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(b - a <= 1 for a, b in pairwise(levels))
-    drawings = [a for a in page.of("div") if a.get("class") == "drawing"]
+    drawings = [a for a in page.of("div") if str(a.get("class")).startswith("drawing")]
     assert len(drawings) == len(page.figures)
     assert all(len(str(a["aria-label"])) > 40 for a in drawings)
     captions = re.findall(r"<caption>([^<]+)</caption>", page.text)
@@ -157,9 +240,10 @@ def test_measured_logs_have_no_loop_and_no_truth(copied: Path) -> None:
     for name in ("closed_loop.json", "closed_loop.parquet", "properties.json"):
         (copied / name).unlink()
     page = Page(write_report(copied))
-    assert page.sections == [s for s in SECTIONS if s not in LOOP | {"properties"}]
+    assert page.sections == [s for s in SECTIONS if s != "loop"]
+    assert "Thirteen experiments" not in page.text
     assert "The logs were measured. The true friction is not known" in page.text
-    assert "Table II of the paper" not in page.text
+    assert "paper_prediction.csv" not in page.text
 
 
 def test_logs_of_one_name_in_two_folders_keep_their_hashes(copied: Path) -> None:
@@ -171,12 +255,15 @@ def test_logs_of_one_name_in_two_folders_keep_their_hashes(copied: Path) -> None
     page = Page(write_report(copied))
     for k in range(2):
         assert f"d{k}/log.csv" in page.text
-        assert f"{k}" * 64 in page.text
+        assert f"{k}" * 64 in (copied / "tables/hashes.csv").read_text(encoding="utf-8")
 
 
 def test_without_fmus_nothing_is_live_and_the_rest_is_there(copied: Path) -> None:
     shutil.rmtree(copied / "fmus")
-    assert Page(write_report(copied)).sections == [s for s in SECTIONS if s != "live"]
+    page = Page(write_report(copied))
+    assert page.sections == SECTIONS
+    assert page.parts == [part for part in PARTS if part != "live"]
+    assert 'class="download"' not in page.text
 
 
 def test_variants_make_an_ablation(results: Path) -> None:
