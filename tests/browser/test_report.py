@@ -37,6 +37,15 @@ def unfold(page: "Page") -> None:
     page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
 
 
+def opened(open_page: "OpenPage", report: Path, **options: Any) -> "Page":
+    """The page with its sections unfolded."""
+    page = open_page(report, **options)
+    page.evaluate(
+        "document.querySelectorAll('main > section > details').forEach(d => { d.open = true; })"
+    )
+    return page
+
+
 def zoomed(page: "Page", key: str) -> "Locator":
     figure = page.locator(f"#figure-{key}")
     figure.get_by_role("button", name="Zoom in").click()
@@ -70,16 +79,57 @@ def test_every_figure_is_drawn(open_page: "OpenPage", report: Path) -> None:
         assert min(inside) > 100
 
 
-def test_the_verdict_is_first_and_few_figures_are_open(open_page: "OpenPage", report: Path) -> None:
-    page = open_page(report)
-    assert page.locator("#summary h2 + *").get_attribute("class") == "verdict"
-    assert page.locator("main > section").nth(1).get_attribute("id") == "data"
+FIRST = ("h1", ".pick", ".download", "#summary .fail, .left > p:last-of-type", "#summary table",
+         "#figure-prediction .drawing", "nav")  # fmt: skip
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1440, 900), (1920, 1080)])
+def test_the_first_layer_fits_the_first_screen(
+    open_page: "OpenPage", report: Path, width: int, height: int
+) -> None:
+    page = open_page(report, viewport={"width": width, "height": height})
+    for part in FIRST:
+        box = page.locator(part).first.bounding_box()
+        assert box is not None, part
+        assert box["x"] >= 0, part
+        assert box["x"] + box["width"] <= width, part
+        assert box["y"] + box["height"] <= height, part
     shown = [figure for figure in page.locator("figure.figure").all() if figure.is_visible()]
-    assert 3 < len(shown) <= 7
+    assert len(shown) == 1
+    contents, main = (page.locator(part).bounding_box() for part in ("nav", "main"))
+    assert contents is not None
+    assert main is not None
+    assert (contents["x"] + contents["width"] <= main["x"]) == (width > 1440)
+
+
+def test_contents_stay_in_sight_and_mark_the_section(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report)
+    unfold(page)
+    current = page.locator("nav a[aria-current]")
+    assert current.all_inner_texts() == ["Summary"]
+    for name in ("Physics checks", "Prediction", "Settings"):
+        page.get_by_role("navigation").get_by_text(name, exact=True).click()
+        page.wait_for_function(
+            "name => document.querySelector('nav a[aria-current]').textContent === name", arg=name
+        )
+        assert current.count() == 1
+        box = page.locator("nav").bounding_box()
+        assert box is not None
+        assert box["y"] == 0
+
+
+def test_a_link_unfolds_its_section(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report)
+    drawing = page.locator("#figure-torque_1")
+    assert drawing.is_hidden()
+    page.get_by_role("navigation").get_by_text("Prediction", exact=True).click()
+    drawing.wait_for()
+    page.evaluate("location.hash = '#audit'")
+    page.locator("#audit").wait_for()
 
 
 def test_a_view_zooms_and_all_panels_follow(open_page: "OpenPage", report: Path) -> None:
-    page = open_page(report)
+    page = opened(open_page, report)
     figure = zoomed(page, "torque_1")
     assert not figure.locator(".drawing").is_visible()
     before = ranges(page)
@@ -105,7 +155,7 @@ def test_a_view_zooms_and_all_panels_follow(open_page: "OpenPage", report: Path)
 
 
 def test_a_name_hides_its_lines(open_page: "OpenPage", report: Path) -> None:
-    page = open_page(report)
+    page = opened(open_page, report)
     figure = zoomed(page, "torque_1")
     shown = """() => [...Bokeh.documents[0].all_models]
         .filter(m => m.type === "GlyphRenderer" && m.name === "Stribeck").map(m => m.visible)"""
@@ -129,7 +179,7 @@ def test_every_view_zooms(open_page: "OpenPage", report: Path) -> None:
 
 
 def test_clicks_while_a_view_opens_are_not_lost(open_page: "OpenPage", report: Path) -> None:
-    page = open_page(report)
+    page = opened(open_page, report)
     figure = page.locator("#figure-torque_1")
     twice = """figure => { const button = figure.querySelector(".to-zoom");
         button.click(); button.click(); }"""
@@ -146,7 +196,7 @@ def test_clicks_while_a_view_opens_are_not_lost(open_page: "OpenPage", report: P
 
 
 def test_a_dark_page_has_dark_views(open_page: "OpenPage", report: Path) -> None:
-    page = open_page(report, color_scheme="dark")
+    page = opened(open_page, report, color_scheme="dark")
     zoomed(page, "torque_1")
     colour = """() => { const m = [...Bokeh.documents[0].all_models]
         .find(m => m.type === "Title"); return JSON.stringify(m.text_color); }"""
@@ -172,7 +222,7 @@ def require_scores(text: str, results: Path) -> None:
 
 
 def test_a_table_is_copied(open_page: "OpenPage", report: Path, results: Path) -> None:
-    page = open_page(report)
+    page = opened(open_page, report)
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     copy(page)
     require_scores(page.evaluate("navigator.clipboard.readText()"), results)
@@ -181,7 +231,7 @@ def test_a_table_is_copied(open_page: "OpenPage", report: Path, results: Path) -
 def test_a_table_is_copied_where_there_is_no_clipboard(
     open_page: "OpenPage", report: Path, results: Path
 ) -> None:
-    page = open_page(report, prepare="delete Navigator.prototype.clipboard")
+    page = opened(open_page, report, prepare="delete Navigator.prototype.clipboard")
     copy(page)
     page.evaluate("document.body.append(document.createElement('textarea'))")
     page.locator("body > textarea").focus()
@@ -193,7 +243,7 @@ def test_a_table_is_copied_where_there_is_no_clipboard(
 def test_the_accessibility_checker_finds_nothing(
     open_page: "OpenPage", report: Path, axe: str, scheme: str
 ) -> None:
-    page = open_page(report, color_scheme=scheme)
+    page = opened(open_page, report, color_scheme=scheme)
     zoomed(page, "torque_1")
     unfold(page)
     page.evaluate(axe)
@@ -239,24 +289,28 @@ def test_a_phone(open_page: "OpenPage", report: Path) -> None:
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
-def test_paper_has_the_figures_and_nothing_to_click(open_page: "OpenPage", report: Path) -> None:
+def test_paper_has_the_first_layer_and_the_summary_tables(
+    open_page: "OpenPage", report: Path
+) -> None:
     page = open_page(report)
     page.emulate_media(media="print")
-    assert page.locator("#figure-torque_1 .drawing svg").is_visible()
-    for part in ("nav", "button.copy", "button.to-zoom"):
-        assert not page.locator(part).first.is_visible()
+    assert page.locator("#figure-prediction .drawing svg").is_visible()
+    tables = [table for table in page.locator("table").all() if table.is_visible()]
+    assert len(tables) == page.locator(".brief").count() == 5
+    for part in ("nav", "button.copy", "button.to-zoom", "#figure-torque_1", "#body", "#laws"):
+        assert not page.locator(part).first.is_visible(), part
     assert len(page.pdf(format="A4")) > 50_000
 
 
 def test_without_scripts_it_can_be_read(open_page: "OpenPage", report: Path) -> None:
     page = open_page(report, java_script_enabled=False)
-    assert page.get_by_role("heading", name="Prediction on unseen motions").is_visible()
+    page.get_by_role("heading", name="Prediction").click()
     assert page.locator("#figure-torque_1 .drawing svg").is_visible()
 
 
 @pytest.fixture
 def live(open_page: "OpenPage", report: Path) -> "Page":
-    page = open_page(report)
+    page = opened(open_page, report)
     page.locator(".live-app").first.wait_for()
     return page
 

@@ -23,7 +23,7 @@ _FEW = 3
 """Maximum number of joints whose figures are shown next to each other."""
 _FINDINGS = 2
 """Number of findings in the first layer; the data checks list all."""
-_WIDTH, _HEIGHT = 4.6, 2.0
+_WIDTH, _HEIGHT = 4.4, 1.9
 """Size of the plot [in], small enough for letters that can be read on a phone."""
 
 
@@ -64,9 +64,9 @@ def errors(results: Results, law: str) -> ResultTable:
     ]
     caption = f"Error of {title(law)} on ‘{test}’ [{results.unit('N.m')}]"
     if found := _reference(scores, law):
-        reference, ratios = found
+        reference, ratios, role = found
         head += ["reference", "ratio"]
-        caption += f" and of {title(reference)}, the strongest reference; small: 95\u00a0% interval"
+        caption += f" and of {title(reference)}, {role}; small: 95\u00a0% interval"
         columns += [
             [fixed(error, places) for error in scores.laws[reference].rmse],
             [fixed(ratio.value, 2, notes=_interval(ratio)) for ratio in ratios],
@@ -75,11 +75,11 @@ def errors(results: Results, law: str) -> ResultTable:
     return ResultTable(caption=caption, head=head, rows=rows)
 
 
-def _reference(scores: Comparison, law: str) -> tuple[str, Sequence[Ratio]] | None:
-    """Return the strongest reference of a law and its ratios; of a reference, its closest rival."""
+def _reference(scores: Comparison, law: str) -> tuple[str, Sequence[Ratio], str] | None:
+    """Return the law to compare with, the ratios to it and its role."""
     found = scores.ratios
     if law in found.laws:
-        return found.of(law), found.laws[law]
+        return found.of(law), found.laws[law], "the strongest reference"
     rivals = {
         other: float(np.mean([ratio.value for ratio in ratios]))
         for other, ratios in found.laws.items()
@@ -88,7 +88,7 @@ def _reference(scores: Comparison, law: str) -> tuple[str, Sequence[Ratio]] | No
     if not rivals:
         return None
     rival = min(rivals, key=lambda other: rivals[other])
-    return rival, [
+    inverse = [
         Ratio(
             value=1.0 / ratio.value,
             low=ratio.high and 1.0 / ratio.high,
@@ -97,6 +97,7 @@ def _reference(scores: Comparison, law: str) -> tuple[str, Sequence[Ratio]] | No
         )
         for ratio in found.laws[rival]
     ]
+    return rival, inverse, f"the best law with {title(law)} as its reference"
 
 
 def _interval(ratio: Ratio) -> tuple[str, ...]:

@@ -121,7 +121,7 @@ def test_the_first_layer_names_the_law_and_links_to_its_fmu(results: Path) -> No
     for sentence in (found.why[1:], *found.weak, *found.improve):
         assert escape(sentence, quote=False).replace("'", "&#39;") in first
     count = len(read_findings(results))
-    assert (f"{count} data warning" if count else "No data warnings.") in first
+    assert (f"{count} warning" if count else "No warnings about data and fits.") in first
     assert first.count("<table") == 1
     assert page.figures[0] == "prediction"
 
