@@ -22,7 +22,7 @@ REPORT, FIGURES = "report.html", "figures"
 
 
 @dataclass(frozen=True)
-class Part:
+class Chapter:
     """Part of a section.
 
     Its template is ``sections/KEY.html.j2``; `values` returns the template's values, or None
@@ -38,7 +38,7 @@ class Part:
 class Made:
     """HTML of a part, and what it puts into the page and the folder of tables."""
 
-    part: Part
+    part: Chapter
     html: Markup
     zooms: Mapping[str, str] = field(default_factory=dict)
     tables: Mapping[str, tuple[str, str]] = field(default_factory=dict)
@@ -46,32 +46,32 @@ class Made:
 
 SECTIONS = {
     ("prediction", "Prediction"): (
-        Part("errors", "", prediction.errors_of_tests),
-        Part("chirp", "Chirp beyond the trained frequencies", prediction.chirp),
-        Part("loops", "Friction loops", prediction.loops),
+        Chapter("errors", "", prediction.errors_of_tests),
+        Chapter("chirp", "Chirp beyond the trained frequencies", prediction.chirp),
+        Chapter("loops", "Friction loops", prediction.loops),
     ),
     ("loop", "Closed loop"): (
-        Part("tracking", "", loop.tracking),
-        Part("robustness", "Robustness", loop.robustness),
+        Chapter("tracking", "", loop.tracking),
+        Chapter("robustness", "Robustness", loop.robustness),
     ),
     ("physics", "Physics checks"): (
-        Part("properties", "", physics.properties),
-        Part("audit", "Passivity audit", physics.audit),
+        Chapter("properties", "", physics.properties),
+        Chapter("audit", "Passivity audit", physics.audit),
     ),
     ("data", "Data checks"): (
-        Part("logs", "", inputs.data),
-        Part("body", "Rigid body", inputs.body),
+        Chapter("logs", "", inputs.data),
+        Chapter("body", "Rigid body", inputs.body),
     ),
     ("laws", "Laws"): (
-        Part("equations", "", laws.equations),
-        Part("hysteresis", "Hysteresis state", laws.hysteresis),
-        Part("ablation", "Ablation", laws.ablation),
-        Part("live", "Interactive law", laws.live),
+        Chapter("equations", "", laws.equations),
+        Chapter("hysteresis", "Hysteresis state", laws.hysteresis),
+        Chapter("ablation", "Ablation", laws.ablation),
+        Chapter("live", "Interactive law", laws.live),
     ),
-    ("settings", "Settings"): (Part("provenance", "", inputs.provenance),),
+    ("settings", "Settings"): (Chapter("provenance", "", inputs.provenance),),
 }
 """Parts of each folded section by its key and title."""
-_SUMMARY = Part("summary", "Summary", summary)
+_SUMMARY = Chapter("summary", "Summary", summary)
 
 
 def write_report(
@@ -126,7 +126,7 @@ def write_report(
     return path
 
 
-def _made(part: Part, results: Results, folder: Path) -> Made | None:
+def _made(part: Chapter, results: Results, folder: Path) -> Made | None:
     """Return a part, if it has data."""
     pictures, tables = Pictures(folder / FIGURES), Tables(folder / TABLES)
     values = part.values(results, pictures)
