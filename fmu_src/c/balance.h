@@ -1,4 +1,4 @@
-/* Torques on the motor of a joint as a function of its speed at the end of a step. */
+/* Torques on a joint's motor as functions of its speed at the end of a step. */
 #ifndef BALANCE_H
 #define BALANCE_H
 
@@ -10,28 +10,28 @@
 #include "coupling.h"
 #include "equations.h"
 
-/* Motion of a joint's motor and the states of its friction. */
+/* Motion of a motor and the states of its friction. */
 typedef struct {
     double q, dq; /* of the motor */
     double ddq, tau_f, tau_link;
     double x[MAX_STATES];
 } Motion;
 
-/* Quantities that are constant within a step. */
+/* Constants within a step. */
 typedef struct {
     const Joint *joint;
     const double *k;      /* coefficients */
-    double u[MAX_INPUTS]; /* inputs of the law other than speed and angle */
+    double u[MAX_INPUTS]; /* inputs of the law but speed and angle */
     double inertia, gear, stiffness, damping;
     double tau_motor, q_link, dq_link;
     double h; /* [s] */
     double euler;
 } Step;
 
-/* Consequences of a trial speed at the end of the step. */
+/* Consequences of a trial speed. */
 typedef struct {
     double v, residual, slope;
-    double size; /* scale of the terms of the residual */
+    double size; /* scale of the residual's terms */
     double tau_f, tau_link;
     double x[MAX_STATES];
 } Trial;
@@ -42,7 +42,7 @@ static double input_at(const Component *component, int variable, double time) {
     return component->v[variable] + slope * time;
 }
 
-/* The same for a coordinate, mixed from the joints of a vector of variables. */
+/* The same for a coordinate, mixed from the joints. */
 static double mixed_at(const Component *component, bool torque, int vector, int i, double time) {
     double sum = 0.0;
     if (!COUPLED) {
@@ -54,8 +54,8 @@ static double mixed_at(const Component *component, bool torque, int vector, int 
     return sum;
 }
 
-/* Inner step of length h that ends at `time` [s] after the start of the communication step. It is
- * implicit, so its inputs are those at its end. */
+/* Inner step of length h that ends at `time` [s] after the start of the communication step. Its
+ * inputs are those at its end, because it is implicit. */
 static Step step_of(const Component *component, int i, double h, double time) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
@@ -79,16 +79,14 @@ static Step step_of(const Component *component, int i, double h, double time) {
     return step;
 }
 
-/* Fill in the inputs of the law for a motor, referred to its joint. */
 static void see(const Step *step, double q, double dq, double *u) {
     memcpy(u, step->u, sizeof step->u);
     u[0] = step->gear * dq;
     u[1] = step->gear * q;
 }
 
-/* Evaluate friction and flexspline at a motor speed v that is held over the step; h = 0 leaves the
- * states unchanged. The slopes are derivatives with respect to v; torques and speeds are those of
- * the joint. */
+/* Evaluate friction and flexspline in joint coordinates at a motor speed v held over the step; if
+ * h = 0, the states are unchanged. Slopes are derivatives with respect to v. */
 static void attempt(const Step *step, const Motion *from, double v, Trial *trial) {
     const double du[MAX_INPUTS] = {step->gear, step->gear * step->h};
     double u[MAX_INPUTS], slope[MAX_OUTPUTS], torque[MAX_OUTPUTS];
@@ -101,7 +99,7 @@ static void attempt(const Step *step, const Motion *from, double v, Trial *trial
     trial->slope = slope[0] + step->stiffness * du[1] + step->damping * du[0];
 }
 
-/* The same, plus the residual of the torque balance. */
+/* The same, with the residual of the torque balance. */
 static void balance(const Step *step, const Motion *from, double v, Trial *trial) {
     attempt(step, from, v, trial);
     const double rate = step->inertia / step->h;

@@ -1,4 +1,4 @@
-/* Libraries in the same folder as this one, wherever the host loaded it from. */
+/* Libraries in the folder of this one. */
 #ifndef BESIDE_H
 #define BESIDE_H
 
@@ -6,7 +6,7 @@
 #include <stddef.h>
 #include <string.h>
 
-static const char here = 0; /* an address within this library */
+static const char here = 0; /* an address in this library */
 
 #ifdef _WIN32
 
@@ -16,7 +16,7 @@ static const char here = 0; /* an address within this library */
 #define NOUSER
 #include <windows.h>
 
-/* Load a library by its full path, so that Windows finds its dependencies in the same folder. */
+/* Load a library by its full path, so that Windows finds its dependencies next to it. */
 static void *beside(const char *name) {
     wchar_t path[4096];
     HMODULE own = NULL;
@@ -32,12 +32,12 @@ static void *beside(const char *name) {
         return NULL;
     }
     do {
-        *++end = (wchar_t)*name; /* library names are plain ASCII */
+        *++end = (wchar_t)*name; /* library names are ASCII */
     } while (*name++);
     return LoadLibraryExW(path, NULL, LOAD_WITH_ALTERED_SEARCH_PATH);
 }
 
-/* Store the address of a function in a pointer; false if the library does not have it. */
+/* Store a function's address; false if the library lacks it. */
 static bool look_up(void *library, const char *name, void *pointer) {
     const FARPROC found = GetProcAddress(library, name);
     memcpy(pointer, &found, sizeof found);

@@ -1,16 +1,14 @@
 /* The seam between FMI and the equations of a component.
  *
- * A component is a plain struct of doubles: one for each scalar variable of the interface, at its
- * index in the generated table, and the component's own memory. It holds no pointers, so copying
- * it saves its state. The glue (fmi2*.c) uses only the declarations in this file, and a component
- * is independent of FMI.
+ * A component is a struct of doubles: one per scalar variable, at its index in the generated table,
+ * and its own memory. It holds no pointers, so copying it saves its state. The glue (fmi2*.c) uses
+ * only the declarations in this file, and a component is independent of FMI.
  *
  * Only the glue uses value references: a table maps each to the index of its first variable.
  *
  * The generated interface.h defines MODEL_GUID, PREFERRED_STEP, the numbers of VARIABLES, STATES
- * and INDICATORS, the number of doubles in the component's own memory (OWN), the number of leading
- * variables that may be inputs with SLOPES, whether the component makes INNER_STEPS, and the
- * tables. */
+ * and INDICATORS, the size of the component's own memory (OWN), the number of leading variables
+ * that may be inputs with SLOPES, whether the component makes INNER_STEPS, and the tables. */
 #ifndef COMPONENT_H
 #define COMPONENT_H
 
@@ -18,8 +16,8 @@
 
 #include "interface.h"
 
-/* Attribute of functions optimised for size rather than speed. Not on Windows, where isfinite() is
- * a function that must be inlined. */
+/* Attribute of functions optimised for size. Not on Windows, where isfinite() is a function that
+ * must be inlined. */
 #if defined(__clang__) && !defined(_WIN32)
 #define SELDOM __attribute__((cold, minsize))
 #else
@@ -27,28 +25,27 @@
 #endif
 
 typedef struct {
-    double v[VARIABLES];           /* integers and enumerations included */
-    double own[OWN > 0 ? OWN : 1]; /* zero at the start; the glue only copies it */
+    double v[VARIABLES];           /* including integers and enumerations */
+    double own[OWN > 0 ? OWN : 1]; /* initially zero; the glue only copies it */
     double slope[SLOPES]; /* of inputs over the next step [unit/s], maintained by the glue */
     double time;          /* [s], maintained by the glue */
     double may_end_early; /* whether a step may end at an event, maintained by the glue */
-    double done;          /* length of the last step that was completed [s] */
+    double done;          /* completed length of the last step [s] */
     double event;         /* whether the last step ended at an event */
-    double changed; /* whether anything but inputs has been set since the component cleared this
-                       flag */
+    double
+        changed; /* whether more than inputs has been set since the component cleared this flag */
 } Component;
 
-/* One sentence for the user: the reason for a refusal, or an event. */
+/* One sentence for the user: the reason of a refusal, or an event. */
 typedef struct {
     char text[256];
 } Message;
 
-/* Functions that a component defines. The glue stores start values, parameters and inputs in `v`
- * before it calls any of them. A function that returns false has changed nothing and gives the
- * reason. */
+/* Functions that a component defines. Before calling any, the glue stores start values, parameters
+ * and inputs in `v`. A function that returns false has changed nothing and gives the reason. */
 
-/* Open the workspace of the functions below, which is not part of the state, such as a model read
- * from the FMU's resources. Returns NULL, with the reason, on failure. */
+/* Open the workspace of the functions below, which is not part of the state, such as a model from
+ * the FMU's resources. Returns NULL, with the reason, on failure. */
 static void *component_open(const char *resources, Message *why);
 static void component_close(void *workspace);
 
@@ -60,27 +57,26 @@ static bool component_initialise(Component *component, void *workspace, Message 
  * held since the last event, without changing any of these. */
 static bool component_output(Component *component, void *workspace, Message *why);
 
-/* Advance the states by `step` > 0 [s] with the inputs held, and compute the outputs at the end of
- * the step as component_output does; derivatives may be left out. With INNER_STEPS the inputs are
- * those at the start of the step and follow their slopes; such a component reports an event at the
- * end of the step and, if allowed, ends the step at the first one and reports the length completed.
- * The glue advances the time afterwards. */
+/* Advance the states by `step` > 0 [s] with the inputs held, and compute the outputs at its end as
+ * component_output does; derivatives may be omitted. With INNER_STEPS the inputs are those at the
+ * start and follow their slopes; such a component reports an event at the end of the step and, if
+ * allowed, ends it at the first one and reports the completed length. The glue then advances the
+ * time. */
 static bool component_step(Component *component, void *workspace, double step, Message *why);
 
 /* Compute the variables marked ON_DEMAND. */
 static void component_demand(Component *component);
 
-/* Update the values that are held between events from the inputs. Returns true if any changed, and
- * describes the change in `what` unless that is NULL. In co-simulation every evaluation is such an
- * event. An input within `rest` of zero counts as zero. */
+/* Update the values held between events from the inputs. Returns whether any changed, and describes
+ * the change in `what` unless NULL. In co-simulation every evaluation is such an event. An input
+ * within `rest` of zero counts as zero. */
 static bool component_event(Component *component, double rest, Message *what);
 
-/* Compute the event indicators: positive while a held value agrees with the inputs. */
+/* Compute the event indicators, positive while a held value agrees with the inputs. */
 static void component_indicators(const Component *component, double rest, double *indicator);
 
-/* Derivatives of continuous outputs and state derivatives along a direction. `seed` holds the
- * direction for inputs, states and tunable parameters, and zeros elsewhere; both have VARIABLES
- * elements. */
+/* Derivatives of continuous outputs and state derivatives along a direction. `seed` holds that of
+ * inputs, states and tunable parameters, and zeros elsewhere; both have VARIABLES elements. */
 static void component_tangent(const Component *component, const double *seed, double *tangent);
 
 #endif

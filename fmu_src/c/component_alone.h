@@ -1,4 +1,4 @@
-/* Included by components that need no workspace. */
+/* For components without a workspace. */
 #ifndef COMPONENT_ALONE_H
 #define COMPONENT_ALONE_H
 

@@ -1,4 +1,4 @@
-/* Included by components without events, on-demand variables and derivatives. */
+/* For components without events, on-demand variables and derivatives. */
 #ifndef COMPONENT_PLAIN_H
 #define COMPONENT_PLAIN_H
 

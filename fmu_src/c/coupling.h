@@ -1,4 +1,4 @@
-/* Joints that motors move together: equations belong to coordinates, variables to joints.
+/* Joints moved together by motors: equations belong to coordinates, variables to joints.
  *
  *     u = C q,  du = C dq,  tau_u = C'^-1 tau_q;  tau_q = C' tau_u
  *
@@ -9,7 +9,7 @@
 
 #include "equations.h"
 
-/* Inputs of a joint that a coupling mixes, in this order: velocity, position and load torque. */
+/* Inputs of a joint that a coupling mixes: velocity, position and load torque. */
 enum { LOAD = 2, MIXED = 3 };
 
 /* Coefficient of joint m in coordinate i, for motions or torques. */
@@ -29,21 +29,21 @@ static inline double input_of(const double *v, int i, int j) {
     return sum;
 }
 
-/* Add the torque of coordinate i to the torques of the joints in a vector of variables. */
+/* Add the torque of coordinate i to the torques of the joints. */
 static inline void add_torque(double *v, int vector, int i, double torque) {
     for (int m = 0; m < JOINTS; m++) {
         v[vector + m] += (COUPLED ? forward[i][m] : (double)(i == m)) * torque;
     }
 }
 
-/* Set the torques of all joints to zero before the coordinates add theirs. */
+/* Zero the torques of all joints before coordinates add theirs. */
 static inline void clear_torques(double *v) {
     for (int m = 0; COUPLED && m < JOINTS; m++) {
         v[joints[m].output[0]] = 0.0;
     }
 }
 
-/* Store the outputs y of coordinate i in the values v; the first output is a torque. */
+/* Store the outputs y of coordinate i in the values v; the first is a torque. */
 static inline void put_outputs(double *v, int i, const double *y) {
     for (int m = 0; COUPLED && m < JOINTS; m++) {
         v[joints[m].output[0]] += forward[i][m] * y[0];

@@ -1,4 +1,4 @@
-/* Component: the motor of each joint under its friction law; torque in, speed and angle out.
+/* Component: motors of joints under friction laws; torque in, speed and angle out.
  *
  *     inertia dq' = tau_motor - tau_f / ratio - tau_link / ratio,  q' = dq
  *     tau_link    = stiffness (q / ratio - q_link) + damping (dq / ratio - dq_link)
@@ -10,13 +10,11 @@
  *
  *     R(v) = inertia (v - dq) / h - tau_motor + (tau_f(v, x(v)) + tau_link(v)) / ratio = 0
  *
- * with the states x of the law relaxed over the step at that speed (implicit Euler). If there are
- * several roots, the solver takes the first one from dq in the direction in which R falls.
+ * with the states x relaxed over the step at that speed (implicit Euler). Of several roots, the
+ * solver takes the first one from dq in the direction in which R falls.
  *
- * A motor that starts, stops or reverses within an inner step causes an event at its end.
- *
- * The generated equations.h defines the functions of the laws and the indices of the variables of
- * each joint. */
+ * A motor that starts, stops or reverses within an inner step causes an event at its end. The
+ * generated equations.h defines the functions of the laws and the indices of the variables. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -35,7 +33,7 @@ enum { STARTED = 0 /* whether initialisation has ended */ };
 /* Tolerance for a number of steps to count as whole. */
 #define ROUNDING 1e-9
 
-/* Whether the Euler step is stable for the rates of the law's states at a speed. */
+/* Whether Euler steps are stable for the rates of the states at a speed. */
 static bool can_relax(const Step *step, int i, const Motion *from, const Trial *at, Message *why) {
     double u[MAX_INPUTS], rate[MAX_STATES];
     see(step, from->q + step->h * at->v, at->v, u);
@@ -53,7 +51,6 @@ static bool can_relax(const Step *step, int i, const Motion *from, const Trial *
     return true;
 }
 
-/* Make one inner step of a joint. */
 static bool advance(const Step *step, int i, Motion *motion, Message *why) {
     const Joint *joint = step->joint;
     Trial trial;
@@ -136,8 +133,8 @@ static bool component_initialise(Component *component, void *workspace, Message 
     return true;
 }
 
-/* Until initialisation ends, compute outputs from start values and inputs; afterwards keep the
- * outputs of the last step. */
+/* Until initialisation ends, compute outputs from start values and inputs; then keep those of the
+ * last step. */
 static bool component_output(Component *component, void *workspace, Message *why) {
     (void)workspace, (void)why;
     if (component->own[STARTED] == 0.0) {

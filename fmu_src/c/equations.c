@@ -1,11 +1,11 @@
 /* Component: equations, shared by all joints or different for each.
  *
- *     the memory advances over a step with the inputs held; then the outputs are computed from it
+ *     the memory advances over a step with the inputs held; then it determines the outputs
  *
- * The generated equations.h defines the functions, the table `joints`, and the indices of the
- * inputs, states, parameters and outputs of each joint. The signs of inputs at which an equation
- * jumps are held between events. Equations with previous values take a sample at each step, or at
- * multiples of their sample time if they have one, and hold their outputs in between. */
+ * The generated equations.h defines the functions, the table `joints`, and the indices of each
+ * joint's variables. Signs of inputs at which an equation jumps are held between events. Equations
+ * with previous values take a sample at each step, or at multiples of their sample time, and hold
+ * their outputs in between. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -17,16 +17,15 @@
 /* The component's own memory. */
 enum {
     STARTED = 0,                         /* whether initialisation has ended */
-    LAST_STEP = 1,                       /* length of the last step [s], 0 before the first one */
+    LAST_STEP = 1,                       /* length of the last step [s], 0 before the first */
     BEGIN = 2,                           /* start time [s] */
     TICKS = 3,                           /* samples since then; negative while outputs are held */
-    INVARIANT_STEP = 4,                  /* step length for which the invariants are valid */
+    INVARIANT_STEP = 4,                  /* step length of the invariants */
     USED = OWN_FIXED,                    /* inputs held over the last step */
     BEFORE = USED + JOINTS * MAX_INPUTS, /* states before the last step */
-    PREVIOUS = BEFORE + JOINTS * MAX_STATES,     /* values at the sample before last */
-    LATEST = PREVIOUS + JOINTS * MAX_REMEMBERED, /* values at the last sample */
-    INVARIANTS = LATEST +
-        JOINTS * MAX_REMEMBERED, /* terms that depend only on parameters and step length */
+    PREVIOUS = BEFORE + JOINTS * MAX_STATES,       /* values at the sample before last */
+    LATEST = PREVIOUS + JOINTS * MAX_REMEMBERED,   /* values at the last sample */
+    INVARIANTS = LATEST + JOINTS * MAX_REMEMBERED, /* terms of parameters and step length only */
     HELD = INVARIANTS + JOINTS * MAX_INVARIANTS,
 };
 
@@ -74,14 +73,12 @@ static double *latest_of(Component *component, int i) {
     return &component->own[LATEST + i * MAX_REMEMBERED];
 }
 
-/* Whether the states start in the steady state of the first inputs instead of at their start
- * values. */
+/* Whether the states start in the steady state of the first inputs. */
 static bool begins_steady(const Component *component, const Joint *joint) {
     return joint->states > 0 && START_MODE >= 0 && component->v[START_MODE] == STEADY;
 }
 
-/* Before the first step, set the states to their initial values and the previous values to their
- * starts. */
+/* Before the first step, set states and previous values to their start values. */
 static void start(Component *component, int i) {
     const Place at = place_of(component, i);
     const Joint *joint = at.joint;
@@ -137,8 +134,7 @@ static bool component_initialise(Component *component, void *workspace, Message 
     return true;
 }
 
-/* Explicit Euler steps are stable only if short; the message names the speed at which they are
- * not. */
+/* Explicit Euler steps must be short to be stable; the message names the offending speed. */
 static bool can_relax(const Component *component, double step, Message *why) {
     for (int i = 0; i < JOINTS; i++) {
         const Place at = place_of(component, i);
@@ -158,8 +154,8 @@ static bool can_relax(const Component *component, double step, Message *why) {
     return true;
 }
 
-/* Update the invariants if a parameter or the step length has changed. Values that are not finite
- * are not stored, because they could not be saved. */
+/* Update the invariants if a parameter or the step length has changed. Non-finite values are not
+ * stored, because they could not be saved. */
 SELDOM static void update_invariants(Component *component, double step, double euler) {
     double *own = component->own;
     bool finite = true;

@@ -1,4 +1,4 @@
-/* Declarations of the types and functions of FMI 2.0. */
+/* Types and functions of FMI 2.0. */
 #ifndef FMI2_H
 #define FMI2_H
 
@@ -14,7 +14,7 @@
 #define FMI2_EXPORT
 #endif
 
-/* A prefix separates the functions of several FMUs linked into one program. */
+/* A prefix separates the functions of FMUs linked into one program. */
 #ifdef FMI2_FUNCTION_PREFIX
 #define FMI2_JOIN(prefix, name) prefix##name
 #define FMI2_PREFIXED(prefix, name) FMI2_JOIN(prefix, name)
@@ -23,7 +23,6 @@
 #define FMI2_NAME(name) name
 #endif
 
-/* Declarations of functions. */
 #define FMI2_TEXT(name) FMI2_EXPORT const char *FMI2_NAME(name)
 #define FMI2_STATUS(name) FMI2_EXPORT fmi2Status FMI2_NAME(name)
 

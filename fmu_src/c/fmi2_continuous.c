@@ -31,7 +31,7 @@ FMI2_STATUS(fmi2EnterContinuousTimeMode)(fmi2Component c) {
     if (!instance) {
         return fmi2Error;
     }
-    /* Variables on demand are discrete: they keep their values until the next event. */
+    /* On-demand variables are discrete: they keep their values until the next event. */
     if (component_output(&instance->memory.component, instance->workspace, &why)) {
         component_demand(&instance->memory.component);
     }
@@ -39,7 +39,7 @@ FMI2_STATUS(fmi2EnterContinuousTimeMode)(fmi2Component c) {
     return fmi2OK;
 }
 
-/* A host that ignores event indicators between its steps is asked for an event after them. */
+/* Ask a host that ignores event indicators between its steps for an event after them. */
 FMI2_STATUS(fmi2CompletedIntegratorStep)
 (fmi2Component c, fmi2Boolean no_set_state_before, fmi2Boolean *event, fmi2Boolean *terminate) {
     static const char function[] = "fmi2CompletedIntegratorStep";

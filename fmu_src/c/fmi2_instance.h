@@ -1,4 +1,4 @@
-/* An instance of the FMU: its memory, and the calls it accepts in each state. */
+/* Instance of the FMU: its memory, and the calls it accepts in each state. */
 #ifndef FMI2_INSTANCE_H
 #define FMI2_INSTANCE_H
 
@@ -12,7 +12,7 @@
 #include "component.h"
 #include "fmi2.h"
 
-/* States of the two state machines of the standard; slaves step synchronously only. */
+/* States of the two state machines of the standard. */
 enum {
     INSTANTIATED = 1,
     INITIALISING = 2,
@@ -27,7 +27,7 @@ enum {
 /* Functions of one interface type only, because both share some states. */
 enum { ONLY_MODEL_EXCHANGE = 128, ONLY_CO_SIMULATION = 256 };
 
-/* For each group of functions, the states in which the standard allows it. */
+/* States in which the standard allows each group of functions. */
 enum {
     RUNNING = INITIALISING | STEPPING | AT_EVENT | CONTINUOUS,
     MAY_SET_UP = INSTANTIATED,
@@ -49,12 +49,11 @@ enum {
     MAY_COPY_STATE = ANY,
 };
 
-/* In model exchange an input within this fraction of its unit counts as zero. This exceeds the
- * solver's uncertainty about a zero crossing, so no crossing is found twice. */
+/* Model exchange takes inputs within this fraction of their units for zero. It exceeds the solver's
+ * uncertainty about a crossing, so none is found twice. */
 static const double REST = 1e-9;
 
-/* Some hosts retry a discarded step forever. After this many identical retries, return
- * fmi2Error. */
+/* Some hosts retry a discarded step forever: return fmi2Error after this many identical retries. */
 enum { MOST_REFUSALS = 10 };
 
 /* Everything that GetFMUstate copies, free of pointers. */
@@ -72,10 +71,10 @@ typedef struct {
 
 typedef struct {
     Memory memory;
-    void *workspace; /* workspace of the component */
+    void *workspace;
     fmi2CallbackFunctions host;
     int telling_events;
-    char name[]; /* instance name */
+    char name[];
 } Instance;
 
 /* Message categories. Reasons for a failed call are always reported. */
@@ -88,8 +87,8 @@ static void tell(const Instance *instance, fmi2Status status, const char *catego
                  const char *format, va_list arguments) {
     char text[512];
     vsnprintf(text, sizeof text, format, arguments);
-    /* The text is passed as the format, because hosts without varargs show it unformatted. It
-     * consists of names and numbers from these files and never contains a percent sign. */
+    /* The text is the format, because hosts without varargs show it unformatted. It has names and
+     * numbers from these files and never a percent sign. */
     if (instance->host.logger) {
         instance->host.logger(instance->host.componentEnvironment, instance->name, status, category,
                               text);
@@ -150,7 +149,7 @@ static Instance *entered_with(fmi2Component c, int modes, const char *function,
     return instance;
 }
 
-/* End the simulation of an instance: only reading, reset, restoring a state and freeing remain. */
+/* End the simulation: only reading, reset, restoring a state and freeing remain. */
 static fmi2Status failed(Instance *instance) {
     instance->memory.mode = FAILED;
     return fmi2Error;
@@ -191,7 +190,7 @@ static bool refresh(Instance *instance, Message *why) {
 }
 
 /* The same before reading: fmi2Discard, with a message, if the values are not finite. After a
- * failure or termination the last computed values are returned. */
+ * failure or termination the last values are returned. */
 static fmi2Status refreshed(Instance *instance) {
     Message why;
     if (!(instance->memory.mode & RUNNING) || refresh(instance, &why)) {

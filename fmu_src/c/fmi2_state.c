@@ -1,4 +1,4 @@
-/* FMI 2.0: saving and restoring the whole state of an instance. */
+/* FMI 2.0: saving and restoring the state of an instance. */
 #include <stddef.h>
 #include <stdint.h>
 
@@ -6,7 +6,7 @@
 
 enum { STATE_VERSION = 1 };
 
-/* A serialised state carries the GUID, which identifies the model, and a checksum of its bytes. */
+/* A serialised state carries the GUID, which identifies the model, and a checksum. */
 typedef struct {
     char guid[sizeof MODEL_GUID];
     uint32_t version;
@@ -14,8 +14,8 @@ typedef struct {
     Memory memory;
 } Saved;
 
-/* FNV-1a over words. Each sum is folded, because a product leaves the sign bit of a word in place
- * and two would cancel. States that differ in one word have different sums. */
+/* FNV-1a over words. Each sum is folded, because a product leaves a word's sign bit in place and
+ * two would cancel. States that differ in one word have different sums. */
 static uint64_t sum_of(const Saved *saved) {
     const unsigned char *bytes = (const unsigned char *)saved;
     uint64_t sum = 14695981039346656037u;
@@ -35,7 +35,7 @@ static bool is_mode(int mode, int type) {
     return mode > 0 && (mode & (mode - 1)) == 0 && (mode & known) != 0;
 }
 
-/* Whether the host or solver could have set the current values. */
+/* Whether host or solver could have set the current values. */
 SELDOM static bool in_range(const Component *component, Message *why) {
     for (int i = 0; i < VARIABLES; i++) {
         const double value = component->v[i], slope = i < SLOPES ? component->slope[i] : 0.0;
@@ -58,7 +58,7 @@ SELDOM static bool in_range(const Component *component, Message *why) {
     return true;
 }
 
-/* Whether a memory is valid for an instance; after a failure it may contain any values. */
+/* Whether a memory is valid for an instance; after a failure any values are. */
 SELDOM static bool is_possible(const Memory *memory, Message *why) {
     const bool typed =
         memory->type == fmi2CoSimulation || (memory->type == fmi2ModelExchange && MODEL_EXCHANGE);

@@ -15,8 +15,8 @@ static void forget_slopes(Memory *memory) {
     memory->sloped = false;
 }
 
-/* Advance the states with the inputs held. Inputs with slopes are held at their mid-step values,
- * unless the component follows them by inner steps. */
+/* Advance the states with the inputs held. Inputs with slopes are held at mid-step values, unless
+ * the component follows them by inner steps. */
 SELDOM static bool follow(Memory *memory, void *workspace, double step, Message *why) {
     const Component before = memory->component;
     follow_slopes(memory, &before, INNER_STEPS ? 0.0 : 0.5 * step);
@@ -50,14 +50,13 @@ static bool move(Memory *memory, void *workspace, double step, Message *why) {
     return component_step(&memory->component, workspace, step, why);
 }
 
-/* True if the step is only round-off of accumulated times. Skip it: the component divides by the
- * step. */
+/* Whether a step is only round-off of accumulated times. It is skipped: the component divides by
+ * the step. */
 static bool is_rounding(double step) {
     return step < 1e-9 * PREFERRED_STEP;
 }
 
-/* Whether a step passes the end of the experiment by more than the round-off of accumulated
- * steps. */
+/* Whether a step passes the end of the experiment by more than round-off. */
 static bool passes_end(const Memory *memory, double time, double step) {
     const double rounding = fmax(1e-3 * step, 1e-9 * PREFERRED_STEP) + 1e-15 * fabs(memory->stop);
     return time + step > memory->stop + rounding;

@@ -1,4 +1,4 @@
-/* FMI 2.0: getting and setting variables. A call processes all of its values or none. */
+/* FMI 2.0: getting and setting variables; a call processes all of its values or none. */
 #include "fmi2_instance.h"
 
 /* States of the instance in which a variable of a role may be set. */
@@ -55,8 +55,8 @@ static bool all_settable(const Instance *instance, const char *function,
     return true;
 }
 
-/* Index of the first number that is not finite, or `n`. Such numbers are refused; the previous
- * values remain. */
+/* Index of the first non-finite number, or `n`. Such numbers are refused; the previous values
+ * remain. */
 static size_t first_odd(const fmi2Real value[], size_t n) {
     size_t i = 0;
     while (i < n && isfinite(value[i])) {
@@ -86,7 +86,7 @@ static fmi2Status demanded_are_finite(const Instance *instance, const fmi2ValueR
     return fmi2OK;
 }
 
-/* Compute the state derivatives, which steps may leave out, without changing any output. */
+/* Compute the state derivatives, which steps may omit, without changing any output. */
 static void derive(Instance *instance) {
     Component *component = &instance->memory.component;
     Component other = *component;
@@ -268,8 +268,8 @@ FMI2_STATUS(fmi2GetRealOutputDerivatives)
     return none(c, MAY_GET_SLOPES, "fmi2GetRealOutputDerivatives", n);
 }
 
-/* Whether derivatives of these variables with respect to those are available. Until initialisation
- * ends, states are computed from their start values. */
+/* Whether these derivatives are available. Until initialisation ends, states are computed from
+ * their start values. */
 static bool differentiable(const Instance *instance, const char *function,
                            const fmi2ValueReference unknowns[], size_t n_unknown,
                            const fmi2ValueReference knowns[], size_t n_known) {

@@ -1,5 +1,4 @@
-/* FMI 3.0 on top of the glue of FMI 2.0: the same instance, states and refusals with other
- * signatures.
+/* FMI 3.0 on top of FMI 2.0: the same instance, states and refusals with other signatures.
  *
  * The functions of FMI 2.0 are static here and not exported. */
 #include "fmi3_instance.h"

@@ -1,4 +1,4 @@
-/* Declarations of the types of FMI 3.0. */
+/* Types of FMI 3.0. */
 #ifndef FMI3_H
 #define FMI3_H
 

@@ -1,4 +1,4 @@
-/* An instance of FMI 3.0: one of FMI 2.0 and the additions of FMI 3.0. */
+/* Instance of FMI 3.0: one of FMI 2.0 with additions. */
 #ifndef FMI3_INSTANCE_H
 #define FMI3_INSTANCE_H
 
@@ -9,7 +9,7 @@ typedef struct {
     fmi2Component inner;
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log;
-    bool events; /* whether the host of a co-simulation enabled event mode */
+    bool events; /* whether the host enabled event mode */
     bool early;  /* whether steps may end early */
 } Outer;
 

@@ -1,7 +1,7 @@
 /* FMI 3.0: getting and setting variables and arrays.
  *
- * The value reference of a variable is the index of its first element; EXTENTS holds the sizes.
- * The time follows all variables, then the event indicators. */
+ * The value reference of a variable is the index of its first element; EXTENTS holds the sizes. The
+ * time follows all variables, then the event indicators. */
 #include "fmi3_instance.h"
 
 #include "extents.h"

@@ -1,9 +1,8 @@
 /* Component: torque of a rigid-body motion by the recursive Newton-Euler algorithm.
  *
  * The torque is linear in first moments and in inertias about the joint frames, so identified base
- * parameters suffice, with zero masses for dependent ones.
- *
- * The generated tree.h holds the joint placements and the indices of the variables. */
+ * parameters suffice, with zero masses for dependent ones. The generated tree.h holds the joint
+ * placements and the indices of the variables. */
 #include <math.h>
 
 #include "component_alone.h"

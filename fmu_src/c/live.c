@@ -1,5 +1,5 @@
-/* The whole FMU for a page in a browser: an importer with one instance and a purely numerical
- * interface. Compiled to WebAssembly without imports. */
+/* The FMU for a page in a browser: an importer with one instance and a numerical interface,
+ * compiled to WebAssembly without imports. */
 #include "all.c"
 
 #define EXPORTED(name) __attribute__((export_name(#name))) name
@@ -13,7 +13,7 @@ static void listen(fmi2ComponentEnvironment environment, fmi2String instance, fm
     snprintf(heard, sizeof heard, "%s", message);
 }
 
-/* The last message of the FMU since the last reset, or an empty string. */
+/* Last message of the FMU since the last reset, or an empty string. */
 const char *EXPORTED(live_heard)(void) {
     return heard;
 }

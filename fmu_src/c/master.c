@@ -28,11 +28,11 @@ typedef struct {
     int64_t every; /* its step, in communication steps */
     int64_t inputs, outputs;
     const fmi2ValueReference *input_references, *output_references;
-    const int64_t *sources; /* index of the value of each input */
+    const int64_t *sources; /* index of each input's value */
     double *input_values, *output_values;
 } Station;
 
-/* How the steps ended. A failed call belongs to station `failed`, with the status returned. */
+/* How the steps ended. A failed call belongs to station `failed`, with its status. */
 typedef enum { DONE, NOT_FINITE, OUTSIDE, SET_FAILED, STEP_FAILED, GET_FAILED } End;
 
 typedef struct {
@@ -48,7 +48,7 @@ typedef struct {
     const double *low, *high;
     int64_t limits;
     double *kept; /* (steps + 1, width) */
-    int64_t done; /* number of rows recorded */
+    int64_t done; /* number of recorded rows */
     int64_t failed;
     fmi2Status status;
 } System;
@@ -126,7 +126,7 @@ static End jacobi(System *s, int64_t k) {
     return DONE;
 }
 
-/* Continue until `stop` rows are recorded, or until a failure. */
+/* Continue until `stop` rows are recorded, or a failure. */
 PUBLIC int advance(System *s, int64_t stop) {
     while (s->done < stop) {
         const int64_t k = s->done;
@@ -155,8 +155,8 @@ PUBLIC int advance(System *s, int64_t stop) {
     return DONE;
 }
 
-/* Step one component through rows of inputs, `done` of which are complete: step k starts at
- * times[k] and has length sizes[k]. */
+/* Step a component through rows of inputs, `done` of which are complete: step k starts at times[k]
+ * and has length sizes[k]. */
 PUBLIC int through(const Station *at, const double *times, const double *sizes, const double *rows,
                    double *kept, int64_t stop, int64_t *done, fmi2Status *status) {
     for (; *done < stop; ++*done) {

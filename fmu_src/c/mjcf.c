@@ -1,8 +1,8 @@
 /* Component: any MJCF model, simulated by MuJoCo.
  *
- * Inputs drive named actuators; outputs are weighted sums of named sensors with seeded noise, as
- * the generated signals.h defines. The state is MuJoCo's integration state, kept in `own`, so a
- * component can be copied like any other; model and scratch memory are the workspace. */
+ * Inputs drive actuators; outputs are weighted sums of sensors with seeded noise, as the generated
+ * signals.h defines. The state is MuJoCo's integration state, kept in `own`, so a component can be
+ * copied like any other; model and scratch memory are the workspace. */
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -31,7 +31,7 @@ typedef struct {
     mjModel *model;
     mjModel *original; /* the unmodified model */
     mjData *data;
-    bool changed; /* whether the model has been modified, and how */
+    bool changed; /* whether and how the model has been modified */
     Changes changes;
     bool sensors_remember; /* whether earlier sensor readings are part of the state */
     bool evaluated;        /* whether the data belong to this state: */
@@ -171,7 +171,6 @@ static void read_without_noise(double *v, const Workspace *w) {
     }
 }
 
-/* Read all outputs at the current instant. */
 static void read_sensors(Component *component, Workspace *w) {
     double *v = component->v;
     const uint64_t seed = (uint64_t)seed_half(v, 0) | (uint64_t)seed_half(v, 1) << 32;
@@ -184,7 +183,6 @@ static void read_sensors(Component *component, Workspace *w) {
     }
 }
 
-/* Set everything to its start values. */
 static bool begin(void *argument) {
     const Call *call = argument;
     Workspace *w = call->workspace;
@@ -200,7 +198,7 @@ static bool begin(void *argument) {
         double *place = starts[i].activation ? w->data->act : w->data->qpos;
         place[starts[i].index] = v[starts[i].parameter];
     }
-    /* An integral can be started so that it holds the other torques on its joint at rest. */
+    /* Start an integral so that it holds the other torques on its joint at rest. */
     mj_forward(w->model, w->data);
     for (int i = 0; i < STARTS; i++) {
         if (starts[i].held_dof >= 0) {
@@ -257,8 +255,8 @@ static bool drive(const Component *component, const Workspace *w, Message *why) 
     return true;
 }
 
-/* Whether MuJoCo abandoned part of the motion: it restarts from the beginning on divergence, and
- * drops contacts that do not fit into its memory. */
+/* Whether MuJoCo abandoned part of the motion: it restarts on divergence, and drops contacts that
+ * exceed its memory. */
 static bool given_up(const mjData *data, Message *why) {
     for (int i = mjWARN_CONTACTFULL; i < mjNWARNING; i++) {
         const mjWarningStat *warning = &data->warning[i];

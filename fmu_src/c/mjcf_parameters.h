@@ -1,4 +1,4 @@
-/* Parameters of the FMU of an MJCF: their valid values and their effect on the model. */
+/* Parameters of an MJCF's FMU: their valid values and their effect on the model. */
 #ifndef MJCF_PARAMETERS_H
 #define MJCF_PARAMETERS_H
 
@@ -81,8 +81,8 @@ static void scale_friction(mjModel *m, int actuator, double wanted) {
     }
 }
 
-/* Without interpolation a command acts at the first step after the delay. Subtracting half a step
- * from the whole number of steps protects it from round-off. */
+/* Without interpolation a command acts at the first step after the delay. Half a step less than the
+ * whole steps protects it from round-off. */
 static double delay_of(const mjModel *m, int actuator, double latency) {
     const double steps = ceil(latency / m->opt.timestep - 1e-6);
     const bool interpolated = m->actuator_history[2 * actuator + 1] > 0;

@@ -1,8 +1,7 @@
-/* MuJoCo's library, shipped next to the FMU's binary.
+/* MuJoCo's library, shipped next to the FMU's binary, where most loaders find it.
  *
- * Other loaders find it there by themselves. The Windows loader searches the folder of the host's
- * program instead, so there the library is loaded by its full path and its functions are looked up.
- */
+ * The Windows loader searches the folder of the host's program instead, so there the library is
+ * loaded by its full path and its functions are looked up. */
 #ifndef MUJOCO_LIBRARY_H
 #define MUJOCO_LIBRARY_H
 
@@ -12,7 +11,7 @@
 
 #include "component.h"
 
-/* MuJoCo's headers declare log handlers of the whole process only. */
+/* MuJoCo's headers declare only log handlers of the whole process. */
 mjfLogHandler _mjPRIVATE_setTlsLogHandler(mjfLogHandler handler);
 
 #ifdef _WIN32

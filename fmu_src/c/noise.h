@@ -1,4 +1,4 @@
-/* Normally distributed numbers as a pure function of seed, stream and counter, as defined in
+/* Normally distributed numbers as a function of seed, stream and counter, as in
  * hesr_model/logs/noise.py. */
 #ifndef NOISE_H
 #define NOISE_H

@@ -2,8 +2,8 @@
  *
  * The search marches outwards from the old speed, in the direction in which the residual falls,
  * until its sign changes; Newton steps in the bracket follow, with bisection as a fallback. The
- * motion converges to the first root on this path as the step shrinks, so it is the right one if
- * there are several. */
+ * first root on this path is the right one of several, because the motion converges to it as the
+ * step shrinks. */
 #ifndef ROOT_H
 #define ROOT_H
 
@@ -36,8 +36,7 @@ typedef struct {
     double before;  /* size of the residual at the previous trial */
 } Search;
 
-/* A stride from `near` outwards stops just before and just after zero, so that jumps there are
- * detected. */
+/* A stride outwards stops just before and just after zero, to detect jumps there. */
 static double seeing_zero(const Search *search, double next) {
     const double from = search->outward * search->near, to = search->outward * next;
     if (from < -BESIDE_ZERO && to > -BESIDE_ZERO) {
@@ -81,8 +80,7 @@ static bool refused(const char *name, double h, const char *what, Message *why) 
     return false;
 }
 
-/* Whether the residual bends or falls within a stride, so that the stride may have passed a
- * root. */
+/* Whether the residual bends or falls within a stride, which may then have passed a root. */
 static bool bent(const Trial *start, const Trial *end) {
     const double straight = start->residual + start->slope * (end->v - start->v);
     return fabs(end->v - start->v) > 2.0 * BESIDE_ZERO &&

@@ -1,5 +1,5 @@
-/* Description of scalar variables for the glue and the component, and the map from value
- * references. The generated interface.h fills in both tables. */
+/* Scalar variables for glue and component, and the map from value references. The generated
+ * interface.h fills in both tables. */
 #ifndef VARIABLE_H
 #define VARIABLE_H
 
@@ -25,7 +25,7 @@ typedef struct {
     Role role;
     Type type;
     int low, high; /* bounds of an INTEGER */
-    int used;      /* whether any result depends on it directly, even if only at the start */
+    int used;      /* whether any result depends directly on it, even if only at the start */
 } Variable;
 
 /* Target of a value reference: `size` consecutive variables, more than one for an array. */

@@ -1,5 +1,5 @@
-/* Thread-local storage directory for the Windows loader, otherwise part of a C library's start-up
- * code. Compiled into binaries without one. */
+/* Thread-local storage directory for the Windows loader, for binaries without a C library's start-
+ * up code. */
 #include <windows.h>
 
 ULONG _tls_index;
