@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterator, Mapping
 
 from fmu_src.blocks.table import content, vector
-from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, own_size
+from fmu_src.equations.header import Joint, equations_header, own_size
 from fmu_src.export.interface import Enumeration, Interface, Variable
 from fmu_src.export.package import Content, equation_sources
 from hesr_model.equations.component import Choice, Component, Parameter, Quantity
@@ -39,7 +39,7 @@ def block(
         model_exchange=free,
         directional_derivatives=free,
     )
-    header = equations_header(own, table, Needs(functions=FRICTION))
+    header = equations_header(own, table, {})
     return content(
         table,
         name=name,

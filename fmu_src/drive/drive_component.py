@@ -8,7 +8,7 @@ from math import isfinite
 import sympy
 
 from fmu_src.blocks.table import scalar, vector
-from fmu_src.equations.header import SOLVER, Joint, Needs, equations_header
+from fmu_src.equations.header import SOLVER, Joint, equations_header
 from fmu_src.export.interface import Interface, Variable
 from fmu_src.friction.friction_component import (
     adding,
@@ -209,5 +209,5 @@ def equations_to_c(model: FrictionModel, table: Interface) -> str:
     vectors = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *(n for n, *_ in _PARAMETERS)]
     places = {name.upper(): f"{name}[1]" for name in vectors}
     places |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}
-    needs = Needs(functions=SOLVER, places=places)
-    return equations_header(_joints(model), table, needs, model.coupling)
+    own = _joints(model)
+    return equations_header(own, table, places, wanted=SOLVER, coupling=model.coupling)

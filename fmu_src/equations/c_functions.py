@@ -5,7 +5,7 @@ Each distinct component becomes functions with a common prefix over its paramete
 a flag for Euler relaxations. See `Functions` for the results.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -30,6 +30,29 @@ from hesr_model.equations.program import (
     sampled,
     step,
 )
+
+SIGNATURES: Mapping[str, str] = {
+    "switches": "IN(k), IN(u), OUT(z)",
+    "read": "IN(k), IN(u), IN(s), IN(x), IN(p), double dt, OUT(dx), OUT(y), OUT(r)",
+    "solved_derivatives": "IN(k), IN(u), IN(x), OUT(dx)",
+    "start": "IN(k), IN(u), IN(s), IN(x), OUT(p), OUT(y), OUT(r)",
+    "invariants": "IN(k), double dt, double euler, OUT(c)",
+    "step": "IN(k), IN(u), IN(s), IN(p), IN(c), double dt, double euler, double *x, OUT(y), OUT(r)",
+    "lanes": "IN(k), IN(c), LANES(const, u), double dt, double euler, LANES(, x), LANES(, y)",
+    "rates": "IN(k), IN(u), IN(x), OUT(rate)",
+    "begin": "IN(k), IN(u), double *x",
+    "begin_tangent": "IN(k), IN(u), IN(x), IN(dk), IN(du), double *tx",
+    "tangent": "IN(k), IN(u), IN(s), IN(x), IN(p), double dt, IN(dk), IN(du), IN(tx), OUT(tdx), "
+    "OUT(ty)",
+    "follow": "IN(k), IN(u), IN(s), IN(x), double dt, double euler, IN(du), OUT(moved)",
+    "attempt": "IN(k), IN(u), IN(x), double dt, double euler, IN(du), OUT(moved), OUT(y), "
+    "OUT(slope)",
+}
+"""Arguments of the functions, with arrays that are read or written."""
+
+
+def _array(name: str, symbols: Iterable[sympy.Symbol]) -> dict[str, sympy.Symbol]:
+    return {f"{name}[{i}]": symbol for i, symbol in enumerate(symbols)}
 
 
 @dataclass(frozen=True)
@@ -81,9 +104,7 @@ class Functions:
 
     @cached_property
     def _seeds(self) -> dict[sympy.Symbol, sympy.Symbol]:
-        moving = (*self._inputs, *self._states)
-        if self.tunable:
-            moving = (*self._parameters, *moving)
+        moving = (*(self._parameters if self.tunable else ()), *self._inputs, *self._states)
         return {symbol: change_of(symbol) for symbol in moving}
 
     @cached_property
@@ -96,53 +117,58 @@ class Functions:
             )
         return found
 
-    def _written(self, held: bool, extra: Assignments, targets: Mapping[str, sympy.Symbol],
-                 signature: str, *, seeds: bool = False) -> str:  # fmt: skip
-        program = self.jumps.held(extra) if held else dict(extra)
-        arguments = self._with_seeds if seeds else self._arguments
-        return function(f"{self.name}_{signature}", program, targets, arguments.places)
+    def _head(self, function: str) -> str:
+        return f"{self.name}_{function}({SIGNATURES[function]})"
+
+    def _written(self, name: str, program: Assignments, targets: Mapping[str, sympy.Symbol]) -> str:
+        return function(self._head(name), program, targets, self._arguments.places)
+
+    def _with_changes(
+        self,
+        name: str,
+        program: Assignments,
+        targets: Mapping[str, sympy.Symbol],
+        seeds: Mapping[sympy.Symbol, sympy.Symbol],
+        *,
+        held: bool = False,
+    ) -> str:
+        whole = {**program, **changes_along(seeds, program)}
+        whole = self.jumps.held(whole) if held else whole
+        return function(self._head(name), whole, targets, self._with_seeds.places)
+
+    def _evaluated(self, name: str, array: str, expressions: Iterable[sympy.Expr]) -> str:
+        program = {sympy.Dummy(): e for e in expressions}
+        return self._written(name, program, _array(array, program))
 
     @property
     def _reading_targets(self) -> dict[str, sympy.Symbol]:
-        component = self.component
-        targets = {f"y[{i}]": s for i, s in enumerate(self._outputs)}
-        return targets | {f"r[{i}]": e.symbol for i, e in enumerate(component.remembered)}
+        remembered = (e.symbol for e in self.component.remembered)
+        return _array("y", self._outputs) | _array("r", remembered)
 
     @property
     def _derivative_targets(self) -> dict[str, sympy.Symbol]:
-        return {f"dx[{i}]": m.derivative for i, m in enumerate(self.component.memory)}
+        return _array("dx", (m.derivative for m in self.component.memory))
 
     def switches(self) -> str:
         """Write the arguments of the held signs into z."""
-        symbols = [sympy.Dummy() for _ in self.jumps.expressions]
-        own = dict(zip(symbols, self.jumps.expressions, strict=True))
-        targets = {f"z[{i}]": s for i, s in enumerate(symbols)}
-        return self._written(False, own, targets, "switches(IN(k), IN(u), OUT(z))")
+        return self._evaluated("switches", "z", self.jumps.expressions)
 
     def read(self) -> str:
         """Write state derivatives dx, outputs y and remembered values r."""
-        own = readings(self.component)
-        return self._written(
-            True, own, {**self._derivative_targets, **self._reading_targets},
-            "read(IN(k), IN(u), IN(s), IN(x), IN(p), double dt, OUT(dx), OUT(y), OUT(r))",
-        )  # fmt: skip
+        own = self.jumps.held(readings(self.component))
+        return self._written("read", own, self._derivative_targets | self._reading_targets)
 
     def solved_derivatives(self) -> str:
         """Write state derivatives dx without held signs, as in `attempt`."""
         own = derivatives(self.component.memory)
-        signature = "solved_derivatives(IN(k), IN(u), IN(x), OUT(dx))"
-        return self._written(False, own, self._derivative_targets, signature)
+        return self._written("solved_derivatives", own, self._derivative_targets)
 
     def start(self) -> str:
         """Write y and r before the first step, and the previous values p for it."""
         own, starts = first_readings(self.component), self.component.starts
-        targets = self._reading_targets
-        targets |= {f"p[{i}]": s for i, s in enumerate(starts)}
+        targets = self._reading_targets | _array("p", starts)
         places = {s: place for s, place in self._arguments.places.items() if s not in starts}
-        return function(
-            f"{self.name}_start(IN(k), IN(u), IN(s), IN(x), OUT(p), OUT(y), OUT(r))",
-            self.jumps.held(own), targets, places,
-        )  # fmt: skip
+        return function(self._head("start"), self.jumps.held(own), targets, places)
 
     def refused(self) -> str:
         """Return the index in u of an invalid parameter, or -1."""
@@ -150,24 +176,25 @@ class Functions:
         names = [q.name for q in self.gathers]
         lines = []
         for requirement in self.component.requirements:
-            unit = next(q.unit for q in self.gathers if q.name == requirement.name)
+            place = names.index(requirement.name)
+            unit = self.gathers[place].unit
             shown = "" if unit == "1" else f" {unit}"
             lines += [
                 f"if (!({in_c(requirement.condition, places)})) {{",
                 f'    *needed = "{shown}; it must {requirement.text}.";',
-                f"    return {names.index(requirement.name)};",
+                f"    return {place};",
                 "}",
             ]
         head = f"static int {self.name}_refused(const double *u, const char **needed)"
         return "\n".join([head, "{", *(f"    {line}" for line in (*lines, "return -1;")), "}", ""])
 
     @property
-    def _moved_targets(self) -> dict[str, sympy.Symbol]:
-        return {f"x[{i}]": moved(m) for i, m in enumerate(self.component.memory)}
+    def _moved(self) -> tuple[sympy.Symbol, ...]:
+        return tuple(map(moved, self.component.memory))
 
     @property
     def _step_targets(self) -> dict[str, sympy.Symbol]:
-        return {**self._moved_targets, **self._reading_targets}
+        return _array("x", self._moved) | self._reading_targets
 
     @cached_property
     def _invariants(self) -> Invariants:
@@ -182,19 +209,15 @@ class Functions:
 
     def invariants(self) -> str:
         """Write into c the terms of a step that depend only on parameters and its length."""
-        targets = {f"c[{i}]": s for i, s in enumerate(self._invariants.kept)}
-        signature = f"{self.name}_invariants(IN(k), double dt, double euler, OUT(c))"
-        return printed(signature, self._invariants.once, {}, targets, self._arguments.places)
+        own = self._invariants
+        targets = _array("c", own.kept)
+        return printed(self._head("invariants"), own.once, {}, targets, self._arguments.places)
 
     def step(self) -> str:
         """Advance the states x by dt and write the readings at its end; c is from `invariants`."""
-        places = self._arguments.plus(self._invariants.kept, "c").places
-        signature = (
-            f"{self.name}_step(IN(k), IN(u), IN(s), IN(p), IN(c), double dt, double euler, "
-            "double *x, OUT(y), OUT(r))"
-        )
         own = self._invariants
-        return printed(signature, own.moving, own.names, self._step_targets, places)
+        places = self._arguments.plus(own.kept, "c").places
+        return printed(self._head("step"), own.moving, own.names, self._step_targets, places)
 
     def lanes(self) -> str:
         """Do as `step` for LANES instances with the same parameters.
@@ -209,79 +232,50 @@ class Functions:
         places = places.plus(self._states, "x", "[l]")
         used = set().union(*(e.free_symbols for e in own.moving.values()))
         pairs = zip(self.jumps.signs, self.jumps.expressions, strict=True)
-        signs = {s: sgn(e) for s, e in pairs if s in used}
-        targets = {f"{place}[l]": s for place, s in self._moved_targets.items()}
-        targets |= {f"y[{i}][l]": s for i, s in enumerate(self._outputs)}
-        signature = (
-            f"{self.name}_lanes(IN(k), IN(c), LANES(const, u), double dt, double euler, "
-            "LANES(, x), LANES(, y))"
-        )
-        return printed(signature, {**signs, **own.moving}, own.names, targets, places.places)
+        lines = {s: sgn(e) for s, e in pairs if s in used} | dict(own.moving)
+        targets = _array("x", self._moved) | _array("y", self._outputs)
+        targets = {f"{place}[l]": symbol for place, symbol in targets.items()}
+        return printed(self._head("lanes"), lines, own.names, targets, places.places)
 
     def rates(self) -> str:
         """Write the rate of each relaxation, 0 for other states."""
+        zero = sympy.Integer(0)
         memory = self.component.memory
-        symbols = [sympy.Dummy() for _ in memory]
-        own = {
-            symbol: positive(m.rate) if isinstance(m, Relaxation) else sympy.Integer(0)
-            for symbol, m in zip(symbols, memory, strict=True)
-        }
-        targets = {f"rate[{i}]": s for i, s in enumerate(symbols)}
-        signature = "rates(IN(k), IN(u), IN(x), OUT(rate))"
-        return self._written(False, own, targets, signature)
+        rates = (positive(m.rate) if isinstance(m, Relaxation) else zero for m in memory)
+        return self._evaluated("rates", "rate", rates)
 
     def begin(self) -> str:
         """Move the states x from their start values to their initial values."""
-        targets = {f"x[{i}]": initial_symbol(m) for i, m in enumerate(self.component.memory)}
-        own = beginning(self.component)
-        return self._written(False, own, targets, "begin(IN(k), IN(u), double *x)")
+        targets = _array("x", map(initial_symbol, self.component.memory))
+        return self._written("begin", beginning(self.component), targets)
 
     def begin_tangent(self) -> str:
         """Propagate the change tx of the start values x to the initial values, along dk and du."""
-        own = beginning(self.component)
-        changes = changes_along(self._seeds, own)
-        targets = {
-            f"tx[{i}]": change_of(initial_symbol(m)) for i, m in enumerate(self.component.memory)
-        }
-        signature = "begin_tangent(IN(k), IN(u), IN(x), IN(dk), IN(du), double *tx)"
-        return self._written(False, own | changes, targets, signature, seeds=True)
+        targets = _array("tx", (change_of(initial_symbol(m)) for m in self.component.memory))
+        return self._with_changes("begin_tangent", beginning(self.component), targets, self._seeds)
 
     def tangent(self) -> str:
         """Write the changes of dx and y along dk, du and tx."""
         own = self.jumps.held(readings(self.component))
-        changes = changes_along(self._seeds, own)
         targets = {f"t{to}": change_of(s) for to, s in self._derivative_targets.items()}
-        targets |= {f"ty[{i}]": change_of(s) for i, s in enumerate(self._outputs)}
-        return self._written(
-            True, own | changes, targets,
-            "tangent(IN(k), IN(u), IN(s), IN(x), IN(p), double dt, IN(dk), IN(du), IN(tx), "
-            "OUT(tdx), OUT(ty))",
-            seeds=True,
-        )  # fmt: skip
+        targets |= _array("ty", map(change_of, self._outputs))
+        return self._with_changes("tangent", own, targets, self._seeds, held=True)
+
+    @property
+    def _input_seeds(self) -> dict[sympy.Symbol, sympy.Symbol]:
+        return {s: self._seeds[s] for s in self._inputs}
 
     def follow(self) -> str:
         """Write the change tx of the states over a step along du, from constant states x."""
         own = self.jumps.held(step(self.component.memory))
-        seeds = {s: self._seeds[s] for s in self._inputs}
-        changes = changes_along(seeds, own)
-        targets = {f"moved[{i}]": change_of(moved(m)) for i, m in enumerate(self.component.memory)}
-        signature = (
-            "follow(IN(k), IN(u), IN(s), IN(x), double dt, double euler, IN(du), OUT(moved))"
-        )
-        return self._written(True, own | changes, targets, signature, seeds=True)
+        targets = _array("moved", map(change_of, self._moved))
+        return self._with_changes("follow", own, targets, self._input_seeds, held=True)
 
     def attempt(self) -> str:
         """Write the states after a step from x, the outputs y there, and the change of y along du.
 
         No sign is held, because a solver inside an FMU tries its own inputs.
         """
-        own = sampled(self.component)
-        changes = changes_along({s: self._seeds[s] for s in self._inputs}, own)
-        targets = {f"moved[{i}]": moved(m) for i, m in enumerate(self.component.memory)}
-        targets |= {f"y[{i}]": s for i, s in enumerate(self._outputs)}
-        targets |= {f"slope[{i}]": change_of(s) for i, s in enumerate(self._outputs)}
-        signature = (
-            "attempt(IN(k), IN(u), IN(x), double dt, double euler, IN(du), OUT(moved), "
-            "OUT(y), OUT(slope))"
-        )
-        return self._written(False, own | changes, targets, signature, seeds=True)
+        targets = _array("moved", self._moved) | _array("y", self._outputs)
+        targets |= _array("slope", map(change_of, self._outputs))
+        return self._with_changes("attempt", sampled(self.component), targets, self._input_seeds)

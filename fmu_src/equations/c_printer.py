@@ -12,6 +12,10 @@ from hesr_model.equations.functions import cardinal_sine
 from hesr_model.equations.program import Assignments, straight_line
 from hesr_model.errors import ExportError
 
+_SAME_NAMES = (
+    *("sgn", "positive", "larger", "clip", "exceeds", "over", "decay"),
+    *("share", "share_slope", "cardinal_sine", "cardinal_slope"),
+)
 _POWERS = {2: "square", 3: "cube"}
 _OF_ANGLES = {"sin": sympy.sin, "cos": sympy.cos, "cardinal_sine": cardinal_sine}
 _SELDOM = ("start", "rates", "invariants", "begin", "begin_tangent", "tangent", "follow")
@@ -27,9 +31,7 @@ class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
     def __init__(self, names: Mapping[sympy.Symbol, str], *, lanes: bool = False) -> None:
         super().__init__({"strict": False})
         self._names = names
-        own = ("sgn", "positive", "larger", "clip", "exceeds", "over", "decay", "share",
-               "share_slope", "cardinal_sine", "cardinal_slope")  # fmt: skip
-        self.known_functions |= {name: name for name in own}
+        self.known_functions |= {name: name for name in _SAME_NAMES}
         self.known_functions |= {"absolute": "fabs", "exp": "even_exp"}
         if lanes:
             self.known_functions |= {name: f"even_{name}" for name in ("tanh", *_OF_ANGLES)}
@@ -42,14 +44,10 @@ class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
 
     _print_Dummy = _print_Symbol
 
-    def _print_Float(self, expr: sympy.Float) -> str:
+    def _print_Float(self, expr: sympy.Expr) -> str:
         return literal(float(expr))
 
-    def _print_NumberSymbol(self, expr: sympy.NumberSymbol) -> str:
-        return literal(float(expr))
-
-    _print_Pi = _print_NumberSymbol
-    _print_Exp1 = _print_NumberSymbol
+    _print_NumberSymbol = _print_Pi = _print_Exp1 = _print_Float
 
     def _print_Pow(self, expr: sympy.Pow) -> str:
         if expr.exp in _POWERS:
@@ -107,11 +105,11 @@ def printed(
         for symbol, e in lines.items()
     ]
     # Constant symbols have no name: their change is zero.
-    writes = [f"{place} = {_c(printer, s) if s in lines or s in known else '0.0'};"
-              for place, s in targets.items()]  # fmt: skip
-    signature = re.sub(r"IN\((\w+)\)", r"const double *\1", signature)
-    signature = re.sub(r"OUT\((\w+)\)", r"double *\1", signature)
-    signature = re.sub(r"LANES\((\w*), (\w+)\)", r"\1 double (*__restrict \2)[LANES]", signature)
+    writes = [
+        f"{place} = {_c(printer, s) if s in lines or s in known else '0.0'};"
+        for place, s in targets.items()
+    ]
+    signature = declared(signature)
     arguments = re.findall(r"(\w+)(?:\)\[LANES\])?[,)]", signature)
     text = " ".join([*reads, *body, *writes])
     unused = [a for a in arguments if not re.search(rf"\b{a}\b", text)]
@@ -135,6 +133,13 @@ def printed(
     return "\n".join(
         [f"{kind} {result} {signature}", "{", *(f"    {line}" for line in content), "}", ""]
     )
+
+
+def declared(arguments: str) -> str:
+    """Return arguments in C: IN and OUT are arrays, LANES arrays of lanes."""
+    arguments = re.sub(r"IN\((\w+)\)", r"const double *\1", arguments)
+    arguments = re.sub(r"OUT\((\w+)\)", r"double *\1", arguments)
+    return re.sub(r"LANES\((\w*), (\w+)\)", r"\1 double (*__restrict \2)[LANES]", arguments)
 
 
 def in_c(expression: sympy.Expr, names: Mapping[sympy.Symbol, str]) -> str:

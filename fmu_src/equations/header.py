@@ -2,12 +2,13 @@
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
-from fmu_src.equations.c_functions import Functions
+from fmu_src.equations.c_functions import SIGNATURES, Functions
+from fmu_src.equations.c_printer import declared
 from fmu_src.export.interface import Interface, literal
 from fmu_src.export.software import software
 from hesr_model.equations.component import Component
@@ -40,103 +41,22 @@ class Joint:
         return bool(self.component.parameters) and not self.parameters and not self.constants
 
 
-Writer = Callable[[Functions], str]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Needs:
-    """Functions that a C file calls, each with its writer and the type of a pointer to it.
-
-    `places` are further C constants for indices of variables.
-    """
-
-    functions: Mapping[str, tuple[Writer, str]]
-    places: Mapping[str, str] = field(default_factory=dict)
-
-
-def _pointer(name: str, arguments: str) -> str:
-    return f"void (*{name})({arguments});"
-
-
-_K = "const double *k, const double *u"
-
-FRICTION: Mapping[str, tuple[Writer, str]] = {
-    "switches": (Functions.switches, _pointer("switches", f"{_K}, double *z")),
-    "rates": (
-        Functions.rates,
-        _pointer("rates", f"{_K}, const double *x, double *rate"),
-    ),
-    "read": (
-        Functions.read,
-        _pointer("read", f"{_K}, const double *s, const double *x, const double *p, double dt, "
-                 "double *dx, double *y, double *r"),
-    ),
-    "invariants": (
-        Functions.invariants,
-        _pointer("invariants", "const double *k, double dt, double euler, double *c"),
-    ),
-    "step": (
-        Functions.step,
-        _pointer("step", f"{_K}, const double *s, const double *p, const double *c, double dt, "
-                 "double euler, double *x, double *y, double *r"),
-    ),
-    "start": (
-        Functions.start,
-        _pointer("start", f"{_K}, const double *s, const double *x, double *p, double *y, "
-                 "double *r"),
-    ),
-    "begin": (
-        Functions.begin,
-        _pointer("begin", f"{_K}, double *x"),
-    ),
-    "begin_tangent": (
-        Functions.begin_tangent,
-        _pointer("begin_tangent", f"{_K}, const double *x, const double *dk, const double *du, "
-                 "double *tx"),
-    ),
-    "tangent": (
-        Functions.tangent,
-        _pointer("tangent", f"{_K}, const double *s, const double *x, const double *p, double dt, "
-                 "const double *dk, const double *du, const double *tx, double *tdx, double *ty"),
-    ),
-    "follow": (
-        Functions.follow,
-        _pointer("follow", f"{_K}, const double *s, const double *x, double dt, double euler, "
-                 "const double *du, double *moved"),
-    ),
-}  # fmt: skip
+FRICTION = (
+    *("switches", "rates", "read", "invariants", "step", "start"),
+    *("begin", "begin_tangent", "tangent", "follow"),
+)
 """Functions called by equations.c."""
 
-SOLVER: Mapping[str, tuple[Writer, str]] = {
-    "rates": FRICTION["rates"],
-    "begin": FRICTION["begin"],
-    "attempt": (
-        Functions.attempt,
-        _pointer("attempt", f"{_K}, const double *x, double dt, double euler, const double *du, "
-                 "double *moved, double *y, double *slope"),
-    ),
-    "solved_derivatives": (
-        Functions.solved_derivatives,
-        _pointer("solved_derivatives", f"{_K}, const double *x, double *dx"),
-    ),
-}  # fmt: skip
+SOLVER = ("rates", "begin", "attempt", "solved_derivatives")
 """Functions called by a solver inside an FMU."""
 
 
 def own_size(joints: Sequence[Joint]) -> int:
     """Return the number of doubles in the own memory of equations.c."""
     sizes = _sizes(joints)
-    return (
-        sizes["OWN_FIXED"]
-        + len(joints)
-        * (
-            sizes["MAX_INPUTS"]
-            + sizes["MAX_STATES"]
-            + 2 * sizes["MAX_REMEMBERED"]
-            + sizes["MAX_INVARIANTS"]
-        )
-        + indicators(joints)
-    )
+    of_joint = ("INPUTS", "STATES", "REMEMBERED", "REMEMBERED", "INVARIANTS")
+    own = sum(sizes[f"MAX_{name}"] for name in of_joint)
+    return sizes["OWN_FIXED"] + len(joints) * own + indicators(joints)
 
 
 def indicators(joints: Sequence[Joint]) -> int:
@@ -145,11 +65,17 @@ def indicators(joints: Sequence[Joint]) -> int:
 
 
 def equations_header(
-    joints: Sequence[Joint], table: Interface, needs: Needs, coupling: Coupling | None = None
+    joints: Sequence[Joint],
+    table: Interface,
+    places: Mapping[str, str],
+    *,
+    wanted: Sequence[str] = FRICTION,
+    coupling: Coupling | None = None,
 ) -> str:
     """Return equations.h, with each distinct component written once.
 
-    A coupling maps the joints to the coordinates of the equations; None if these are the joints.
+    `places` has the variables of further C constants, `wanted` the functions that a C file calls. A
+    coupling maps the joints to the coordinates of the equations; None if these are the joints.
     """
     distinct = list(dict.fromkeys(j.component for j in joints))
     first = {j.component: j for j in reversed(joints)}
@@ -157,11 +83,11 @@ def equations_header(
         c: Functions(c, f"law_{i}", tunable=not first[c].constants, gathered=first[c].gathered)
         for i, c in enumerate(distinct, start=1)
     }
-    texts, names = _written(functions.values(), needs)
+    texts, names = _written(functions.values(), wanted)
     arrays, rows, before = [], [], 0
     for i, joint in enumerate(joints, start=1):
         own = functions[joint.component]
-        rows.append(f"    {{{', '.join(_row(joint, i, own, table, before, names))}}},")
+        rows.append(f"    {{{', '.join(_row(joint, i, own, table, before, names[own.name]))}}},")
         arrays += _arrays(joint, i, own, table)
         before += len(own.jumps.expressions)
     sample_time = joints[0].component.sample_time
@@ -175,11 +101,11 @@ def equations_header(
         "STEADY": 1,
         "HOLDS": int(any(j.component.holds for j in joints)),
         "COUPLED": int(coupling is not None),
-        **{name: table.places[variable] for name, variable in needs.places.items()},
+        **{name: table.places[variable] for name, variable in places.items()},
     }
     return _HEADER.format(
         constants=",\n".join(f"    {name} = {value}" for name, value in constants.items()),
-        members="\n".join(f"    {pointer}" for _, pointer in needs.functions.values()),
+        members="\n".join(f"    void (*{n})({declared(SIGNATURES[n])});" for n in wanted),
         functions="\n".join(texts),
         names="\n".join(
             _signs(f) + (f.refused() if _wanted("refused", f) else "") for f in functions.values()
@@ -191,7 +117,7 @@ def equations_header(
 
 
 def _written(
-    components: Iterable[Functions], needs: Needs
+    components: Iterable[Functions], wanted: Sequence[str]
 ) -> tuple[list[str], dict[str, list[str]]]:
     """Return the functions of all components, and for each component the names of its own.
 
@@ -201,42 +127,37 @@ def _written(
     by_body: dict[str, str] = {}
     names: dict[str, list[str]] = {}
     for own in components:
-        found = _texts(own, needs)
+        found = _texts(own, wanted)
         for function, text in found.items():
             name = f"{own.name}_{function}"
             found[function] = by_body.setdefault(text.replace(name, "", 1), name)
             if found[function] == name:
                 texts[name] = text
         refused = f"{own.name}_refused" if _wanted("refused", own) else "NULL"
-        names[own.name] = [refused, *(found.get(n, "NULL") for n in needs.functions)]
+        names[own.name] = [refused, *(found.get(n, "NULL") for n in wanted)]
     return list(texts.values()), names
 
 
-def _texts(own: Functions, needs: Needs) -> dict[str, str]:
+def _texts(own: Functions, needed: Sequence[str]) -> dict[str, str]:
     """Return the functions of a component, cached because writing them is slow."""
-    wanted = {name: write for name, (write, _) in needs.functions.items() if _wanted(name, own)}
+    wanted = [name for name in needed if _wanted(name, own)]
     about = (own.name, f"{own.tunable} {own.gathered}", repr(own.component))
     made = kept(
         "functions",
         (software(), *wanted, *about),
-        lambda: json.dumps([write(own) for write in wanted.values()]).encode(),
+        lambda: json.dumps([getattr(own, name)() for name in wanted]).encode(),
     )
     return dict(zip(wanted, json.loads(made), strict=True))
 
 
 def _coupling(coupling: Coupling | None, joints: int) -> str:
-    """Return the matrices of a coupling, empty without one."""
-    matrices = (
-        {"forward": coupling.forward, "backward": coupling.backward}
-        if coupling
-        else dict.fromkeys(("forward", "backward"), np.eye(joints))
-    )
-    return "\n".join(
-        f"static const double {name}[JOINTS][JOINTS] = {{\n"
-        + "\n".join(f"    {{{', '.join(literal(float(x)) for x in row)}}}," for row in matrix)
-        + "\n};"
-        for name, matrix in matrices.items()
-    )
+    """Return the matrices of a coupling, identities without one."""
+    lines = []
+    for name in ("forward", "backward"):
+        matrix = getattr(coupling, name) if coupling else np.eye(joints)
+        rows = (f"    {{{', '.join(literal(float(x)) for x in row)}}}," for row in matrix)
+        lines += [f"static const double {name}[JOINTS][JOINTS] = {{", *rows, "};"]
+    return "\n".join(lines)
 
 
 def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
@@ -274,33 +195,23 @@ def _gathered(joint: Joint) -> int:
 
 
 def _row(
-    joint: Joint,
-    i: int,
-    own: Functions,
-    table: Interface,
-    before: int,
-    names: Mapping[str, list[str]],
+    joint: Joint, i: int, own: Functions, table: Interface, before: int, names: Sequence[str]
 ) -> list[str]:
     component = joint.component
-    states = (*joint.states, *joint.derivatives)
-    return [
-        str(len(own.gathers)),
-        f"inputs_{i}",
-        str(len(component.outputs)),
-        f"outputs_{i}",
-        str(len(component.memory)),
-        str(table.first(states) if states else 0),
-        str(table.first(joint.starts) if joint.starts else 0),
-        str(len(component.parameters)),
-        str(table.first(joint.parameters) if joint.parameters else 0),
+    first_state, first_start, first_parameter = (
+        table.first(variables) if variables else 0
+        for variables in ((*joint.states, *joint.derivatives), joint.starts, joint.parameters)
+    )
+    row = (
+        *(len(own.gathers), f"inputs_{i}", len(component.outputs), f"outputs_{i}"),
+        *(len(component.memory), first_state, first_start),
+        *(len(component.parameters), first_parameter),
         f"constants_{i}" if joint.constants else "NULL",
-        str(len(component.remembered)),
-        str(table.places[joint.slope] if joint.slope else -1),
-        str(len(own.jumps.expressions)),
-        str(before),
-        f"{own.name}_names",
-        *names[own.name],
-    ]
+        len(component.remembered),
+        table.places[joint.slope] if joint.slope else -1,
+        *(len(own.jumps.expressions), before, f"{own.name}_names"),
+    )
+    return [*map(str, row), *names]
 
 
 def _wanted(function: str, own: Functions) -> bool:

@@ -21,7 +21,4 @@ class LanguagePrinter(CodePrinter):  # type: ignore[misc] # SymPy is not typed
     def _print_Float(self, expr: sympy.Expr) -> str:
         return repr(float(expr))
 
-    _print_Rational = _print_Float
-    _print_NumberSymbol = _print_Float
-    _print_Pi = _print_Float
-    _print_Exp1 = _print_Float
+    _print_Rational = _print_NumberSymbol = _print_Pi = _print_Exp1 = _print_Float

@@ -7,7 +7,7 @@ separate table, so that one reference of FMI 3.0 can denote an array.
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from itertools import groupby, product
 from typing import Literal
@@ -41,7 +41,7 @@ class Enumeration:
     """Name and description of each choice."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Variable:
     """One variable of an FMU, with a structured name such as `dq[1]` or `joint[1].alpha`.
 
@@ -56,6 +56,7 @@ class Variable:
     name: str
     role: Role
     description: str
+    _: KW_ONLY
     unit: str | None = None
     enumeration: Enumeration | None = None
     start: float = 0.0
@@ -101,8 +102,8 @@ class Interface:
     def __post_init__(self) -> None:
         seen: set[str] = set()
         for variable in self.variables:
-            if not _NAME.fullmatch(variable.name) or variable.name in seen:
-                twice = variable.name in seen
+            twice = variable.name in seen
+            if twice or not _NAME.fullmatch(variable.name):
                 odd = "used twice" if twice else "not a structured name of FMI"
                 raise ExportError(
                     f"variable name '{variable.name}' is {odd}; needed are distinct names of "
@@ -131,9 +132,7 @@ class Interface:
             shape = indices[-1]
             whole = list(product(*(range(1, size + 1) for size in shape)))
             if name and indices == whole and len(whole) == counts[name]:
-                found.append(
-                    ArrayVariable(name=name, shape=shape, place=places[0], elements=elements)
-                )
+                found.append(ArrayVariable(name, shape, places[0], elements))
             else:
                 found += scalars(places[0], elements)
         return tuple(found)
@@ -167,7 +166,7 @@ class Interface:
         return start
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ArrayVariable:
     """A variable with a shape, () for a scalar, and the index `place` of its first element.
 
@@ -182,10 +181,7 @@ class ArrayVariable:
 
 def scalars(place: int, elements: Sequence[Variable]) -> list[ArrayVariable]:
     """Return consecutive variables from an index as scalars."""
-    return [
-        ArrayVariable(name=v.name, shape=(), place=i, elements=(v,))
-        for i, v in enumerate(elements, place)
-    ]
+    return [ArrayVariable(v.name, (), i, (v,)) for i, v in enumerate(elements, place)]
 
 
 def _split(name: str) -> tuple[str, tuple[int, ...]]:
@@ -206,48 +202,43 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
 
     With `arrays`, as in FMI 3.0, a value reference denotes a whole array instead of a scalar.
     """
-    rows = []
+    variables, places = interface.variables, interface.places
     shaped = [(a.place, len(a.elements)) for a in interface.arrays]
-    references = shaped if arrays else [(place, 1) for place in range(len(interface.variables))]
+    references = shaped if arrays else [(place, 1) for place in range(len(variables))]
     used = {
         name
-        for v in interface.variables
+        for v in variables
         if v.computed or v.role == "state"
         for name in (*v.dependencies, *v.initial_dependencies)
     }
-    for variable in interface.variables:
-        choices = variable.enumeration
-        kind = f"INTEGER, 1, {len(choices.items)}" if choices else "REAL, 0, 0"
-        start = literal(variable.start)
-        counts = int(variable.role != "input" or variable.name in used)
-        role = "DERIVATIVE" if variable.derivative_of else variable.role.upper()
-        rows.append(f'    {{"{variable.name}", {start}, {role}, {kind}, {counts}}},')
-    derivatives = interface.derivatives
-    states = [interface.places[v.derivative_of or ""] for v in derivatives]
-    nominals = [literal(interface.variables[i].nominal) for i in states]
-    watched = [i for i, v in enumerate(interface.variables)
-               if v.role in ("output", "local", "state") and not v.derivative_of]  # fmt: skip
+    rows, inputs, watched = [], [0], []
+    for i, v in enumerate(variables):
+        kind = f"INTEGER, 1, {len(v.enumeration.items)}" if v.enumeration else "REAL, 0, 0"
+        counts = int(v.role != "input" or v.name in used)
+        role = "DERIVATIVE" if v.derivative_of else v.role.upper()
+        rows.append(f'    {{"{v.name}", {literal(v.start)}, {role}, {kind}, {counts}}},')
+        if v.role == "input":
+            inputs.append(i)
+        elif v.role in ("output", "local", "state") and not v.derivative_of:
+            watched.append(i)
+    states = [places[v.derivative_of or ""] for v in interface.derivatives]
+    derivatives = [places[v.name] for v in interface.derivatives]
     return _INTERFACE.format(
         guid=guid,
         step=literal(step),
+        own=interface,
+        derivable=interface.directional_derivatives,
         variables=len(rows),
-        # Up to the last input; C has no empty arrays.
-        slopes=1
-        + max((i for i, v in enumerate(interface.variables) if v.role == "input"), default=0),
+        slopes=1 + inputs[-1],  # up to the last input; C has no empty arrays
         states=len(states),
-        indicators=interface.indicators,
-        own=interface.own,
         watched=len(watched),
-        model_exchange=int(interface.model_exchange),
-        derivable=int(interface.directional_derivatives),
-        inner_steps=int(interface.inner_steps),
         rows="\n".join(rows),
         references=len(references),
         reference_rows=", ".join(f"{{{place}, {size}}}" for place, size in references),
         state_list=_list(states),
-        derivative_list=_list([interface.places[v.name] for v in derivatives]),
-        nominal_list=_list(nominals),
-        watched_list=_list([*watched, *(interface.places[v.name] for v in derivatives)]),
+        derivative_list=_list(derivatives),
+        nominal_list=_list([literal(variables[i].nominal) for i in states]),
+        watched_list=_list(watched + derivatives),
     )
 
 
@@ -257,7 +248,7 @@ def _list(items: Sequence[object]) -> str:
 
 
 _INTERFACE = """\
-/* Generated: the variables of the FMU, and where value references lead among them. */
+/* Generated: the variables of the FMU and its value references. */
 #ifndef INTERFACE_H
 #define INTERFACE_H
 
@@ -266,10 +257,10 @@ _INTERFACE = """\
 #define MODEL_GUID "{guid}"
 #define PREFERRED_STEP {step} /* [s] */
 
-enum {{ VARIABLES = {variables}, STATES = {states}, INDICATORS = {indicators} }};
-enum {{ OWN = {own}, WATCHED = {watched}, SLOPES = {slopes} }};
-enum {{ MODEL_EXCHANGE = {model_exchange}, DIRECTIONAL_DERIVATIVES = {derivable} }};
-enum {{ INNER_STEPS = {inner_steps}, REFERENCES = {references} }};
+enum {{ VARIABLES = {variables}, STATES = {states}, INDICATORS = {own.indicators} }};
+enum {{ OWN = {own.own}, WATCHED = {watched}, SLOPES = {slopes} }};
+enum {{ MODEL_EXCHANGE = {own.model_exchange:d}, DIRECTIONAL_DERIVATIVES = {derivable:d} }};
+enum {{ INNER_STEPS = {own.inner_steps:d}, REFERENCES = {references} }};
 
 static const Variable variables[VARIABLES] = {{
 {rows}
@@ -277,8 +268,8 @@ static const Variable variables[VARIABLES] = {{
 
 static const Reference references[REFERENCES] = {{{reference_rows}}};
 
-/* Continuous states, their derivatives and nominal values; what must stay finite, derivatives,
- * left out by steps, behind WATCHED others. An array has one element where the list is empty. */
+/* Continuous states, their derivatives and nominal values; values that must stay finite, with
+ * derivatives, which steps omit, behind WATCHED others. An empty list has one element. */
 static const int states{state_list};
 static const int derivatives{derivative_list};
 static const double nominals{nominal_list};

@@ -7,7 +7,7 @@ Inputs and outputs are those of every friction FMU and of the joints' components
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
+from fmu_src.equations.header import Joint, equations_header, indicators, own_size
 from fmu_src.export.interface import Interface, Variable
 from fmu_src.friction.friction_component import (
     START_MODE,
@@ -56,9 +56,7 @@ def discrete_equations(
         model_exchange=False,
         directional_derivatives=False,
     )  # fmt: skip
-    return table, equations_header(
-        joints, table, Needs(functions=FRICTION, places={"START_MODE": START_MODE})
-    )
+    return table, equations_header(joints, table, {"START_MODE": START_MODE})
 
 
 def _joint(model: FrictionModel, i: int, own: Component, switches: Sequence[Quantity]) -> Joint:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
+from fmu_src.equations.header import Joint, equations_header, indicators, own_size
 from fmu_src.export.interface import Enumeration, Interface, Role, Variable
 from fmu_src.friction.validity import discretisation_of
 from fmu_src.friction.variable_names import exposed, place
@@ -393,5 +393,5 @@ def equations_to_c(
 ) -> str:
     """Return equations.h of a friction FMU."""
     places = {"DISCRETISATION": "discretisation", "START_MODE": START_MODE}
-    needs = Needs(functions=FRICTION, places=places)
-    return equations_header(joints_of(model, more, band=band), table, needs, model.coupling)
+    joints = joints_of(model, more, band=band)
+    return equations_header(joints, table, places, coupling=model.coupling)
