@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator, Mapping
 
 from fmu_src.blocks.table import content, vector
 from fmu_src.equations.header import Joint, equations_header, own_size
-from fmu_src.export.interface import Enumeration, Interface, Variable
+from fmu_src.export.interface import Enumeration, Interface, Role, Variable
 from fmu_src.export.package import Content, equation_sources
 from hesr_model.equations.component import Choice, Component, Parameter, Quantity
 from hesr_model.errors import ExportError
@@ -66,10 +66,10 @@ def _variables(component: Component, joints: list[Joint]) -> Iterator[Variable]:
         initial = component.sources(equation.symbol, starting=True)
         for i, joint in enumerate(joints, start=1):
             yield Variable(
-                name=joint.names[equation.name],
-                role="output",
+                joint.names[equation.name],
+                "output",
+                f"{equation.description}, joint {i}",
                 unit=equation.unit,
-                description=f"{equation.description}, joint {i}",
                 dependencies=_named(component, joint, at_once),
                 initial_dependencies=_named(component, joint, initial),
             )
@@ -88,14 +88,8 @@ def _named(component: Component, joint: Joint, used: Collection[object]) -> tupl
 def _parameter(parameter: Quantity, name: str, text: str) -> Variable:
     if not isinstance(parameter, Parameter):
         raise TypeError(f"'{parameter.name}' is no parameter with a start value")
-    choice = None
+    role: Role = "tunable" if parameter.tunable else "fixed"
     if isinstance(parameter, Choice):
         choice = Enumeration(name=parameter.name.capitalize(), items=parameter.items)
-    return Variable(
-        name=name,
-        role="tunable" if parameter.tunable else "fixed",
-        description=text,
-        unit=None if choice else parameter.unit,
-        enumeration=choice,
-        start=parameter.start,
-    )
+        return Variable(name, role, text, enumeration=choice, start=parameter.start)
+    return Variable(name, role, text, unit=parameter.unit, start=parameter.start)

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu_src.blocks.table import content, places, scalar, vector
-from fmu_src.export.interface import Interface, literal
+from fmu_src.blocks.table import content, places, vector
+from fmu_src.export.interface import Interface, Variable, literal
 from fmu_src.export.package import Content, own_source
 from hesr_model.robots.robot import LINK_PARAMETERS, Robot
 
@@ -20,35 +20,32 @@ def inverse_dynamics(
 
     The parameters (P,), tunable in the FMU, are in the order of `robot.parameter_names`.
     """
-    n, tree = robot.n, robot.tree
+    n = robot.n
     rotors = parameters[10 * n :] if len(parameters) > 10 * n else np.zeros(n)
     zeros = np.zeros(n)
     needed = [f"{name}[{i}]" for name in ("q", "dq", "ddq") for i in range(1, n + 1)]
-    links = [
-        scalar(f"link[{i}].{name}", "tunable", unit, f"{name} of link {i}, {joint.name}", value)
-        for i, joint in enumerate(tree, start=1)
-        for name, unit, value in zip(
-            LINK_PARAMETERS, _UNITS, parameters[10 * (i - 1) : 10 * i], strict=True
-        )
-    ]
-    own = [
-        scalar(f"link[{i}].Ir", "tunable", "kg.m2", f"rotor inertia of joint {i}", value)
-        for i, value in enumerate(rotors, start=1)
-    ]
+    own = []
+    for i, joint in enumerate(robot.tree, start=1):
+        values = parameters[10 * (i - 1) : 10 * i]
+        for name, unit, value in zip(LINK_PARAMETERS, _UNITS, values, strict=True):
+            text = f"{name} of link {i}, {joint.name}"
+            own.append(Variable(f"link[{i}].{name}", "tunable", text, unit=unit, start=value))
+    for i, value in enumerate(rotors, start=1):
+        text = f"rotor inertia of joint {i}"
+        own.append(Variable(f"link[{i}].Ir", "tunable", text, unit="kg.m2", start=value))
+    made_of = [*needed, *(v.name for v in own)]
     table = Interface(
         variables=(
             *vector("q", "input", "rad", "position", zeros),
             *vector("dq", "input", "rad/s", "velocity", zeros),
             *vector("ddq", "input", "rad/s2", "acceleration", zeros),
-            *vector("tau", "output", "N.m", "rigid-body torque", zeros,
-                    [*needed, *(v.name for v in (*links, *own))]),
-            *links,
+            *vector("tau", "output", "N.m", "rigid-body torque", zeros, made_of),
             *own,
         ),
         directional_derivatives=False,
-    )  # fmt: skip
-    first = {"POSITION": "q[1]", "VELOCITY": "dq[1]", "ACCELERATION": "ddq[1]", "TORQUE": "tau[1]",
-             "PARAMETERS": "link[1].m", "ROTORS": "link[1].Ir"}  # fmt: skip
+    )
+    first = {"POSITION": "q", "VELOCITY": "dq", "ACCELERATION": "ddq", "TORQUE": "tau"}
+    first |= {"PARAMETERS": "link[1].m", "ROTORS": "link[1].Ir"}
     header = places(table, "PLACES_H", first, JOINTS=n)
     return content(
         table,

@@ -1,6 +1,7 @@
 """Common parts of the blocks: vectors of variables, their indices in C, and the FMU."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Interface, Role, Variable
@@ -19,19 +20,9 @@ def vector(
 ) -> Iterator[Variable]:
     """Yield one variable per joint; `{}` in a dependency is replaced by the joint number."""
     for i, value in enumerate(start, start=1):
-        yield Variable(
-            name=f"{name}[{i}]",
-            role=role,
-            unit=unit,
-            description=f"{text}, joint {i}",
-            start=float(value),
-            dependencies=tuple(d.format(i) for d in dependencies),
-        )
-
-
-def scalar(name: str, role: Role, unit: str, text: str, start: float) -> Variable:
-    """Return one variable."""
-    return Variable(name=name, role=role, unit=unit, description=text, start=start)
+        own = tuple(d.format(i) for d in dependencies)
+        one = Variable(f"{name}[{i}]", role, f"{text}, joint {i}", unit=unit, dependencies=own)
+        yield replace(one, start=float(value))
 
 
 def places(table: Interface, guard: str, first: Mapping[str, str], **sizes: int) -> str:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fmu_src.blocks.table import content, places, scalar, vector
+from fmu_src.blocks.table import content, places, vector
 from fmu_src.export.interface import Enumeration, Interface, Variable
 from fmu_src.export.package import Content, own_source
 from fmu_src.run.reference_results import ROWS
@@ -12,17 +12,24 @@ from hesr_model.motions.trajectories import Fourier, Sine, Sweep, Trajectory
 HARMONICS = 10
 """Maximum number of harmonics of a Fourier motion."""
 
+_SWEEP = (
+    "dq = (amplitude + swing sin(2 pi t / swing_period + swing_phase)) sin(phi), the frequency "
+    "rising from first to last in a time of length, after which the joint rests; without swing a "
+    "chirp"
+)
 KIND = Enumeration(
     name="Motion",
     items=(
         ("fourier", "dq = sum_k a_k cos(k w t) + b_k sin(k w t), w = 2 pi / period"),
         ("sine", "dq = amplitude sin(2 pi first t)"),
-        ("sweep", "dq = (amplitude + swing sin(2 pi t / swing_period + swing_phase)) sin(phi), the "
-         "frequency rising from first to last in a time of length, after which the joint rests; "
-         "without swing a chirp"),
+        ("sweep", _SWEEP),
     ),
-)  # fmt: skip
-
+)
+_MOTION = {
+    "q": ("rad", "position"),
+    "dq": ("rad/s", "velocity"),
+    "ddq": ("rad/s2", "acceleration"),
+}
 _PARAMETERS = (
     ("offset", "rad", "mean position, or position at the start of a sweep"),
     ("amplitude", "rad/s", "peak velocity of a sine or sweep"),
@@ -46,13 +53,14 @@ _FROM_REST = (("a", 1, 0.5), ("a", 3, -0.5), ("b", 1, 0.4), ("b", 2, -0.2))
 def trajectory(joints: int, *, step: float = 0.005) -> Content:
     """Return the Trajectory FMU for a number of joints with preferred step `step` [s]."""
     zeros = np.zeros(joints)
-    kind = Variable(
-        name="kind", role="fixed", description="kind of the motion", enumeration=KIND, start=2.0
-    )
-    scalars = [scalar(name, "fixed", unit, text, start) for name, unit, text, start in _SCALARS]
+    kind = Variable("kind", "fixed", "kind of the motion", enumeration=KIND, start=2.0)
+    scalars = [
+        Variable(name, "fixed", text, unit=unit, start=start)
+        for name, unit, text, start in _SCALARS
+    ]
     vectors = [v for n, unit, text in _PARAMETERS for v in vector(n, "fixed", unit, text, zeros)]
     series = [
-        scalar(f"{name}[{i},{k}]", "fixed", "rad/s", f"harmonic {k} of joint {i}", 0.0)
+        Variable(f"{name}[{i},{k}]", "fixed", f"harmonic {k} of joint {i}", unit="rad/s")
         for name in ("a", "b")
         for i in range(1, joints + 1)
         for k in range(1, HARMONICS + 1)
@@ -61,11 +69,7 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
     outputs = [
         variable
         for tail, text in (("", "desired {}"), ("_ahead", "desired {} a preview time ahead"))
-        for name, unit, what in (
-            ("q", "rad", "position"),
-            ("dq", "rad/s", "velocity"),
-            ("ddq", "rad/s2", "acceleration"),
-        )
+        for name, (unit, what) in _MOTION.items()
         for variable in vector(name + tail, "output", unit, text.format(what), zeros, made_of)
     ]
     table = Interface(
@@ -73,58 +77,47 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         model_exchange=False,
         directional_derivatives=False,
     )
-    first = {"POSITION": "q", "VELOCITY": "dq", "ACCELERATION": "ddq", "POSITION_AHEAD": "q_ahead",
-             "VELOCITY_AHEAD": "dq_ahead", "ACCELERATION_AHEAD": "ddq_ahead",
-             **{name.upper(): name for name in ("kind", "a", "b")},
-             **{name.upper(): name for name, *_ in (*_SCALARS, *_PARAMETERS)}}  # fmt: skip
+    first = {
+        f"{what.upper()}{tail.upper()}": name + tail
+        for tail in ("", "_ahead")
+        for name, (_, what) in _MOTION.items()
+    }
+    parameters = ("kind", "a", "b", *(name for name, *_ in (*_SCALARS, *_PARAMETERS)))
+    first |= {name.upper(): name for name in parameters}
     kinds = {name.upper(): i for i, (name, _) in enumerate(KIND.items, start=1)}
     header = places(table, "MOTION_H", first, JOINTS=joints, HARMONICS=HARMONICS, **kinds)
+    numbers = range(1, joints + 1)
+    example = {f"{name}[{i},{k}]": value for i in numbers for name, k, value in _FROM_REST}
     return content(
         table,
         name="Trajectory",
         text="Desired motion of all joints: Fourier series, sine, sweep or chirp.",
         sources={"trajectory.c": own_source("trajectory.c"), "motion.h": header},
         step=step,
-        example={
-            "kind": 1.0,
-            "period": ROWS * step,
-            "preview": 2.0 * step,
-            **{
-                f"{name}[{i},{k}]": value
-                for i in range(1, joints + 1)
-                for name, k, value in _FROM_REST
-            },
-        },
+        example={"kind": 1.0, "period": ROWS * step, "preview": 2.0 * step, **example},
     )
 
 
 def start_values(motion: Trajectory) -> dict[str, float | str | tuple[float, ...]]:
     """Return the parameters of the Trajectory FMU for a motion; ExportError if unsupported."""
+    found: dict[str, float | str | tuple[float, ...]]
     match motion:
         case Fourier():
-            series = _series(motion)
-            offset = tuple(motion.offset)
-            return {"kind": "fourier", "period": motion.period, "offset": offset, **series}
+            found = {"kind": "fourier", "period": motion.period, **_series(motion)}
+            vectors = {"offset": motion.offset}
         case Sine():
-            return {
-                "kind": "sine",
-                "first": motion.frequency,
-                "offset": tuple(motion.offset),
-                "amplitude": tuple(motion.amplitude),
-            }
+            found = {"kind": "sine", "first": motion.frequency}
+            vectors = {"offset": motion.offset, "amplitude": motion.amplitude}
         case Sweep():
-            return {
-                "kind": "sweep",
-                "first": motion.first,
-                "last": motion.last,
-                "length": motion.length,
-                "swing_period": motion.swing_period,
-                "offset": tuple(motion.start),
-                "amplitude": tuple(motion.amplitude),
-                "swing": tuple(motion.swing),
-                "swing_phase": tuple(motion.phase),
-            }
-    raise ExportError(f"a motion of kind '{type(motion).__name__}' cannot be made by the FMU.")
+            scalars = ("first", "last", "length", "swing_period")
+            found = {"kind": "sweep", **{name: getattr(motion, name) for name in scalars}}
+            vectors = {"offset": motion.start, "swing_phase": motion.phase}
+            vectors |= {"amplitude": motion.amplitude, "swing": motion.swing}
+        case _:
+            raise ExportError(
+                f"a motion of kind '{type(motion).__name__}' cannot be made by the FMU."
+            )
+    return found | {name: tuple(values) for name, values in vectors.items()}
 
 
 def _series(motion: Fourier) -> dict[str, float]:

@@ -7,7 +7,7 @@ from math import isfinite
 
 import sympy
 
-from fmu_src.blocks.table import scalar, vector
+from fmu_src.blocks.table import vector
 from fmu_src.equations.header import SOLVER, Joint, equations_header
 from fmu_src.export.interface import Interface, Variable
 from fmu_src.friction.friction_component import (
@@ -69,8 +69,7 @@ def motors(
         values = (usual,) * joints if numbers is None else tuple(map(float, numbers))
         if len(values) != joints:
             raise ExportError(
-                f"drive: '{name}' has {len(values)} values; needed are {joints}, one for each "
-                "joint."
+                f"drive: '{name}' has {len(values)} values; {joints} are needed, one per joint."
             )
         for joint, value in enumerate(values, start=1):
             if not (isfinite(value) and sound(value)):
@@ -95,49 +94,45 @@ _PARAMETERS = (
     ("q_start", "rad", "angle at which the motor starts"),
     ("dq_start", "rad/s", "speed at which the motor starts"),
 )
-_FLEXSPLINE = ("stiffness[{}]", "damping[{}]", "ratio[{}]")
+_AT_LINK = (
+    *("q_link[{}]", "dq_link[{}]", "q_start[{}]", "dq_start[{}]"),
+    *("stiffness[{}]", "damping[{}]", "ratio[{}]"),
+)
 _OUTPUTS = (
     ("q", "rad", "motor angle", ("q_start[{}]",)),
     ("dq", "rad/s", "motor speed", ("dq_start[{}]",)),
-    ("tau_link", "N.m", "torque on the link at the end of the last step",
-     ("q_link[{}]", "dq_link[{}]", "q_start[{}]", "dq_start[{}]", *_FLEXSPLINE)),
+    ("tau_link", "N.m", "torque on the link at the end of the last step", _AT_LINK),
     ("ddq", "rad/s2", "motor acceleration over the last inner step; 0 before the first", ()),
-)  # fmt: skip
+)
 
 
 def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) -> Interface:
     """Return the variables of a drive FMU; `substep` is the longest inner step [s]."""
     zeros = (0.0,) * len(model.laws)
     laws = _joints(model)
-    friction = [
-        Variable(
-            name=f"tau_f[{joint}]",
-            role="output",
-            description=f"friction torque of {model.joints[joint - 1]} over the last inner step, "
-            "on its side of the gear",
-            unit="N.m",
-            dependencies=dependencies(
-                laws[joint - 1], sympy.Symbol(TORQUE, real=True), _sources(joint, model.coupling)
-            ),
+    torque = sympy.Symbol(TORQUE, real=True)
+    friction: list[Variable] = []
+    own_laws: list[Variable] = []
+    for joint, (name, law, own_law) in enumerate(
+        zip(model.joints, model.laws, laws, strict=True), start=1
+    ):
+        sources = _sources(joint, model.coupling)
+        made_of = dependencies(own_law, torque, sources)
+        text = f"friction torque of {name} over the last inner step, on its side of the gear"
+        friction.append(
+            Variable(f"tau_f[{joint}]", "output", text, unit="N.m", dependencies=made_of)
         )
-        for joint, _ in enumerate(model.laws, start=1)
-    ]
+        own_laws += law_variables(law, joint, own_law, sources)
     choice = discretisation(model, "how the states of the friction are relaxed over an inner step")
-    variables = (
-        *(v for n, unit, text in _INPUTS for v in vector(n, "input", unit, text, zeros)),
-        *(v for n, unit, text, deps in _OUTPUTS
-          for v in _coupled(model.coupling, list(vector(n, "output", unit, text, zeros, deps)))),
-        *friction,
-        *(v for n, unit, text in _PARAMETERS
-          for v in vector(n, "fixed", unit, text, getattr(own, n, zeros))),
-        scalar("substep", "fixed", "s", "longest inner step", substep),
-        choice,
-        start_mode(),
-        *scales(model),
-        *(v for joint, law in enumerate(model.laws, start=1)
-          for v in law_variables(law, joint, laws[joint - 1], _sources(joint, model.coupling))),
-    )  # fmt: skip
-    variables = tuple(_at_joint(v, model.slides) for v in variables)
+    found = [v for n, unit, text in _INPUTS for v in vector(n, "input", unit, text, zeros)]
+    for n, unit, text, deps in _OUTPUTS:
+        found += _coupled(model.coupling, list(vector(n, "output", unit, text, zeros, deps)))
+    found += friction
+    for n, unit, text in _PARAMETERS:
+        found += vector(n, "fixed", unit, text, getattr(own, n, zeros))
+    found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=substep))
+    found += [choice, start_mode(), *scales(model), *own_laws]
+    variables = [_at_joint(v, model.slides) for v in found]
     inputs = {v.name for v in variables if v.role == "input"}
     return Interface(
         variables=tuple(_of_the_last_step(v, inputs) for v in variables),

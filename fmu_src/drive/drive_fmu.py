@@ -52,26 +52,16 @@ def export_drive(
     those of `friction_fmu.export_fmu`. `bare` omits the documentation.
     """
     check_request(path, platforms)
-    own = content(
-        model, inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio, bare=bare
-    )
-    return write_fmu(own, path, platforms=platforms, progress=progress, fmi=fmi)
-
-
-def content(
-    model: FrictionModel,
-    *,
-    inertia: Sequence[float],
-    stiffness: Sequence[float] | None = None,
-    damping: Sequence[float] | None = None,
-    ratio: Sequence[float] | None = None,
-    bare: bool = False,
-) -> Content:
-    """Return the FMU of a drive before compilation; for the arguments see `export_drive`."""
     require_exportable(model, "a drive")
     own = motors(
         len(model.laws), inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio
     )
+    whole = content(model, own, bare=bare)
+    return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
+
+
+def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content:
+    """Return the FMU of a drive before compilation."""
     table = interface(model, own)
     about = description_of(
         model,
@@ -85,8 +75,8 @@ def content(
     sources = {name: own_source(name) for name in names}
     members = {}
     if not bare:
-        members["documentation/index.html"] = to_html(model, table, about).encode()
-        members |= embedding(model)
+        page = to_html(model, table, about).encode()
+        members = {"documentation/index.html": page, **embedding(model)}
     return Content(
         table=table,
         about=about,

@@ -31,10 +31,7 @@ def thermal_equations(model: FrictionModel) -> tuple[Interface, str]:
 
     Raises a HesrError if temperature scales no part of a law.
     """
-    rows = zip(model.laws, model.thermal, strict=True)
-    return discrete_equations(
-        model, tuple(thermal_component(law, thermal) for law, thermal in rows)
-    )
+    return discrete_equations(model, tuple(map(thermal_component, model.laws, model.thermal)))
 
 
 def discrete_equations(
@@ -45,17 +42,15 @@ def discrete_equations(
     The switches are inputs of value 0 or 1 that all joints share; they start at 1.
     """
     joints = [_joint(model, i, own, switches) for i, own in enumerate(components, start=1)]
+    factors = scales(model) if components[0].shared else ()
+    signals = (*_signals(model, joints, switches), start_mode(), *factors)
     table = Interface(
-        variables=(
-            *_signals(model, joints, switches), start_mode(),
-            *(scales(model) if components[0].shared else ()),
-            *_own(model, components, joints),
-        ),
+        variables=(*signals, *_own(model, components, joints)),
         indicators=indicators(joints),
         own=own_size(joints),
         model_exchange=False,
         directional_derivatives=False,
-    )  # fmt: skip
+    )
     return table, equations_header(joints, table, {"START_MODE": START_MODE})
 
 
@@ -63,18 +58,17 @@ def _joint(model: FrictionModel, i: int, own: Component, switches: Sequence[Quan
     at = place(model.laws[i - 1], i)
     slow = tuple(m.name for m in own.memory if isinstance(m, Slow))
     names = {q.name: f"{q.name}[{i}]" for q in (*own.inputs, *own.shared, *own.outputs)}
+    # Without starts in the equations, joints that differ only in starts share C code.
+    parameters = (replace(p, description="", unit="1") for p in own.parameters)
+    bare = tuple(replace(p, start=0.0) if isinstance(p, Parameter) else p for p in parameters)
     return Joint(
-        # Without starts in the equations, joints that differ only in starts share C code.
-        component=replace(own, parameters=tuple(
-            replace(p, start=0.0, description="", unit="1") if isinstance(p, Parameter)
-            else replace(p, description="", unit="1") for p in own.parameters
-        )),
+        component=replace(own, parameters=bare),
         names=names | {switch.name: switch.name for switch in switches},
         states=(*(f"{n}[{i}]" for n in slow), *at.states),
         derivatives=(*(f"der({n}[{i}])" for n in slow), *at.derivatives),
         starts=(*(f"{n}_start[{i}]" for n in slow), *at.starts),
         parameters=tuple(f"joint[{i}].{p.name}" for p in own.parameters),
-    )  # fmt: skip
+    )
 
 
 def _signals(
@@ -83,14 +77,8 @@ def _signals(
     own = joints[0].component
     for quantity in own.inputs:
         if quantity in switches:
-            yield Variable(
-                name=quantity.name,
-                role="input",
-                unit="1",
-                start=1.0,
-                switch=True,
-                description=quantity.description,
-            )
+            text = quantity.description
+            yield Variable(quantity.name, "input", text, unit="1", start=1.0, switch=True)
             continue
         for i, _ in enumerate(joints, start=1):
             # The factors of temperature are 1 at the reference.
@@ -122,10 +110,6 @@ def _own(
         ):
             if not isinstance(parameter, Parameter):
                 raise TypeError(f"'{parameter.name}' has no start value")
-            yield Variable(
-                name=name,
-                role="tunable",
-                description=parameter.description,
-                unit=unit_of_joint(parameter.unit, slides=slides),
-                start=parameter.start,
-            )
+            unit = unit_of_joint(parameter.unit, slides=slides)
+            text = parameter.description
+            yield Variable(name, "tunable", text, unit=unit, start=parameter.start)

@@ -39,17 +39,11 @@ DISCRETISATION = Enumeration(
 
 _NONE = 1e-12
 """Round-off of the inverse of a coupling; smaller coefficients count as zero."""
-START = Enumeration(
-    name="Start",
-    items=(
-        (
-            "steady",
-            "in the steady state of the first inputs, faded in from the start values at "
-            f"rest up to {MOVING:g} rad/s or m/s",
-        ),
-        ("given", "at their start values"),
-    ),
+_STEADY = (
+    "in the steady state of the first inputs, faded in from the start values at rest up to "
+    f"{MOVING:g} rad/s or m/s"
 )
+START = Enumeration(name="Start", items=(("steady", _STEADY), ("given", "at their start values")))
 
 STEADY, GIVEN = 1.0, 2.0
 
@@ -83,67 +77,63 @@ SLOPE = Quantity(
 def component(law: FrictionLaw, more: Iterable[Equation] = (), *, band: bool = False) -> Component:
     """Return the equations of a joint: its law with `SCALES`, further outputs and the band."""
     form = scaled(law.form)
-    own = form.component
+    shared: tuple[Quantity, ...] = SCALES
+    equations = (*form.component.equations, *more)
+    if band:
+        shared = (*shared, *NUMBERS, COVERAGE)
+        equations = (*equations, *band_equations(form.memory, form.output))
     return replace(
-        own,
-        parameters=law.form.coefficients,
-        shared=(*SCALES, *((*NUMBERS, COVERAGE) if band else ())),
-        equations=(
-            *own.equations,
-            *more,
-            *(band_equations(form.memory, form.output) if band else ()),
-        ),
+        form.component, parameters=law.form.coefficients, shared=shared, equations=equations
     )
 
 
-def interface(
+def friction_equations(
     model: FrictionModel, more: tuple[Equation, ...] = (), *, band: bool = False
-) -> Interface:
-    """Return the variables of a friction FMU.
+) -> tuple[Interface, str]:
+    """Return the variables of a friction FMU, and its equations.h.
 
     The connectors `dq[i]`, `q[i]`, `tau_load[i]` -> `tau[i]` are those of every friction FMU;
     `more` are outputs such as `POWER`, and `band` adds the limits of the model's band. Raises
     ExportError if a name of the laws is not an FMI name, or their discretisations differ.
     """
     joints = joints_of(model, more, band=band)
+    table = Interface(
+        variables=tuple(_variables(model, joints, band=band)),
+        indicators=indicators(joints),
+        own=own_size(joints),
+    )
+    places = {"DISCRETISATION": "discretisation", "START_MODE": START_MODE}
+    return table, equations_header(joints, table, places, coupling=model.coupling)
+
+
+def _variables(
+    model: FrictionModel, joints: tuple[Joint, ...], *, band: bool
+) -> Iterator[Variable]:
     numbers = range(1, len(joints) + 1)
-    given = joints[0].component.outputs
-    made_of = {(e, i): _output_dependencies(model, joints, i, e) for e in given for i in numbers}
-    inputs = [
-        of_joint(model, quantity, i, "input", nominal=_trained_size(model, quantity, i))
-        for quantity in QUANTITIES
-        for i in numbers
-    ]
-    outputs = [
-        of_joint(
-            model, equation, i, "output", nominal=_trained_size(model, equation, i),
-            dependencies=made_of[equation, i],
-        )
-        for equation in given
-        for i in numbers
-    ]  # fmt: skip
-    slopes = [
-        of_joint(model, SLOPE, i, "on_demand", dependencies=made_of[given[0], i]) for i in numbers
-    ]
-    choice = discretisation(
+    for quantity in QUANTITIES:
+        for i in numbers:
+            size = _trained_size(model, quantity, i)
+            yield of_joint(model, quantity, i, "input", nominal=size)
+    outputs = joints[0].component.outputs
+    for equation in outputs:
+        for i in numbers:
+            size = _trained_size(model, equation, i)
+            made_of = _output_dependencies(model, joints, i, equation)
+            yield of_joint(model, equation, i, "output", nominal=size, dependencies=made_of)
+    for i in numbers:
+        made_of = _output_dependencies(model, joints, i, outputs[0])
+        yield of_joint(model, SLOPE, i, "on_demand", dependencies=made_of)
+    yield discretisation(
         model,
         "how co-simulation integrates the states over a step; without meaning in model exchange, "
         "where the importer's solver does",
     )
-    own = [
-        v
-        for joint, law in enumerate(model.laws, start=1)
-        for v in law_variables(law, joint, joints[joint - 1], _mixed_inputs(model.coupling, joint))
-    ]
-    return Interface(
-        variables=(
-            *(*inputs, *outputs, *slopes, choice, start_mode(), *scales(model)),
-            *(band_numbers(model) if band else ()),
-            *own,
-        ),
-        indicators=indicators(joints),
-        own=own_size(joints),
-    )
+    yield start_mode()
+    yield from scales(model)
+    if band:
+        yield from band_numbers(model)
+    for i, law in enumerate(model.laws, start=1):
+        yield from law_variables(law, i, joints[i - 1], _mixed_inputs(model.coupling, i))
 
 
 def mixed(name: str, coordinate: int, coupling: Coupling | None) -> tuple[str, ...]:
@@ -184,15 +174,11 @@ def of_joint(
 ) -> Variable:
     """Return a variable that every joint has, of the joint with this number from 1."""
     slides = model.slides[joint - 1]
-    return Variable(
-        name=f"{quantity.name}[{joint}]",
-        role=role,
-        description=quantity.description.format(
-            joint=model.joints[joint - 1], effort=_EFFORT[slides], number=joint
-        ),
-        unit=unit_of_joint(quantity.unit, slides=slides),
-        **more,
+    text = quantity.description.format(
+        joint=model.joints[joint - 1], effort=_EFFORT[slides], number=joint
     )
+    unit = unit_of_joint(quantity.unit, slides=slides)
+    return Variable(f"{quantity.name}[{joint}]", role, text, unit=unit, **more)
 
 
 def _trained_size(model: FrictionModel, quantity: Quantity, joint: int) -> float:
@@ -202,24 +188,13 @@ def _trained_size(model: FrictionModel, quantity: Quantity, joint: int) -> float
 
 def discretisation(model: FrictionModel, description: str) -> Variable:
     """Return the parameter that selects the integration of the states."""
-    return Variable(
-        name="discretisation",
-        role="fixed",
-        description=description,
-        enumeration=DISCRETISATION,
-        start=1.0 + ("exact", "euler").index(discretisation_of(model)),
-    )
+    start = 1.0 + ("exact", "euler").index(discretisation_of(model))
+    return Variable("discretisation", "fixed", description, enumeration=DISCRETISATION, start=start)
 
 
 def start_mode() -> Variable:
     """Return the parameter that selects the initial state."""
-    return Variable(
-        name=START_MODE,
-        role="fixed",
-        description="where states begin",
-        enumeration=START,
-        start=STEADY,
-    )
+    return Variable(START_MODE, "fixed", "where states begin", enumeration=START, start=STEADY)
 
 
 def scales(model: FrictionModel) -> Iterator[Variable]:
@@ -234,15 +209,8 @@ def scales(model: FrictionModel) -> Iterator[Variable]:
 
 def band_numbers(model: FrictionModel) -> Iterator[Variable]:
     """Yield the parameters of a band: coverage, and the numbers of every joint."""
-    yield Variable(
-        name=COVERAGE.name,
-        role="tunable",
-        description=COVERAGE.description,
-        unit=COVERAGE.unit,
-        start=COVERAGE.start,
-        least=LEAST,
-        greatest=GREATEST,
-    )
+    coverage = Variable(COVERAGE.name, "tunable", COVERAGE.description, unit=COVERAGE.unit)
+    yield replace(coverage, start=COVERAGE.start, least=LEAST, greatest=GREATEST)
     for number in NUMBERS:
         for i, law in enumerate(model.laws, start=1):
             start = law.band.values[number.name] if law.band else 0.0
@@ -252,7 +220,7 @@ def band_numbers(model: FrictionModel) -> Iterator[Variable]:
 def joints_of(
     model: FrictionModel,
     more: tuple[Equation, ...] = (),
-    names: Mapping[str, str] | None = None,
+    names: dict[str, str] | None = None,
     *,
     band: bool = False,
 ) -> tuple[Joint, ...]:
@@ -265,14 +233,12 @@ def joints_of(
     laws = [replace(law, form=law.form.sliding) for law in model.laws]
     for joint, law in enumerate(laws, start=1):
         own, at = component(law, more, band=band), place(law, joint)
-        stems = {q.name: q.name for q in (*own.inputs, *own.shared, *own.outputs)} | dict(
-            names or {}
-        )
+        stems = {q.name: q.name for q in (*own.inputs, *own.shared, *own.outputs)} | (names or {})
+        own_names = {name: f"{stem}[{joint}]" for name, stem in stems.items()}
         found.append(
             Joint(
                 component=own,
-                names={name: f"{stem}[{joint}]" for name, stem in stems.items()}
-                | ({COVERAGE.name: COVERAGE.name} if band else {}),
+                names=own_names | ({COVERAGE.name: COVERAGE.name} if band else {}),
                 states=at.states,
                 derivatives=at.derivatives,
                 starts=at.starts,
@@ -323,41 +289,30 @@ def law_variables(
     elements = list(zip(memory, own.states, own.derivatives, strict=True))
     for element, state, _ in elements:
         yield Variable(
-            name=state,
-            role="state",
-            description=f"friction state {element.name} of joint {joint}",
+            state,
+            "state",
+            f"friction state {element.name} of joint {joint}",
             unit=element.unit,
             nominal=nominal(law, element) if element.name in known else 1.0,
             initial_dependencies=(START_MODE, *dependencies(own, initial_symbol(element), inputs)),
         )
     for element, state, derivative in elements:
         yield Variable(
-            name=derivative,
-            role="local",
-            description=f"time derivative of {state}",
+            derivative,
+            "local",
+            f"time derivative of {state}",
             unit=_per_second(element.unit),
             derivative_of=state,
             dependencies=dependencies(own, element.derivative, inputs),
         )
     first = (*(0.0,) * (len(memory) - len(law.start)), *law.start)
     for (element, state, _), name, start in zip(elements, own.starts, first, strict=True):
-        yield Variable(
-            name=name,
-            role="fixed",
-            description=f"value of {state} at the start; where this is steady, of a start at rest",
-            unit=element.unit,
-            start=start,
-        )
+        text = f"value of {state} at the start; where this is steady, of a start at rest"
+        yield Variable(name, "fixed", text, unit=element.unit, start=start)
     if not exposed(law):
         return
-    for name, coefficient in zip(own.parameters, law.form.coefficients, strict=True):
-        yield Variable(
-            name=name,
-            role="tunable",
-            description=coefficient.description,
-            unit=coefficient.unit,
-            start=law.values[coefficient.name],
-        )
+    for name, c in zip(own.parameters, law.form.coefficients, strict=True):
+        yield Variable(name, "tunable", c.description, unit=c.unit, start=law.values[c.name])
 
 
 def nominal(law: FrictionLaw, element: Element) -> float:
@@ -369,9 +324,9 @@ def nominal(law: FrictionLaw, element: Element) -> float:
     at |= dict.fromkeys(INPUTS, 0.0) | {DQ: _CRAWL} | {m.state: 0.0 for m in law.form.memory}
     numbers = {symbol: sympy.Float(value) for symbol, value in at.items()}
     first, second = (float(e.xreplace(numbers)) for e in element.parts)
-    slides_at = abs(first / second) if second else 0.0
-    size = slides_at if isinstance(element, Relaxation) else second
-    return _usual(size)
+    if isinstance(element, Relaxation):
+        return _usual(abs(first / second) if second else 0.0)
+    return _usual(second)
 
 
 def _usual(size: float) -> float:
@@ -382,16 +337,3 @@ def _usual(size: float) -> float:
 def _per_second(unit: str) -> str:
     above, slash, below = unit.partition("/")
     return f"{above}/({below}.s)" if slash else f"{above}/s"
-
-
-def equations_to_c(
-    model: FrictionModel,
-    table: Interface,
-    more: tuple[Equation, ...] = (),
-    *,
-    band: bool = False,
-) -> str:
-    """Return equations.h of a friction FMU."""
-    places = {"DISCRETISATION": "discretisation", "START_MODE": START_MODE}
-    joints = joints_of(model, more, band=band)
-    return equations_header(joints, table, places, coupling=model.coupling)

@@ -21,7 +21,7 @@ from fmu_src.export.package import (
 )
 from fmu_src.friction.discrete_fmu import thermal_equations
 from fmu_src.friction.embedded_model import embedding
-from fmu_src.friction.friction_component import POWER, equations_to_c, interface
+from fmu_src.friction.friction_component import POWER, friction_equations
 from fmu_src.friction.reference import reference_files
 from fmu_src.friction.validity import require_numbers
 from fmu_src.pages.datasheet import ModelAudit
@@ -132,9 +132,8 @@ def _component(
     require_numbers(model)
     if band:
         model.require_band()
-    table = interface(model, more, band=band)
     about = about_model(model, "friction", "from their motion")
-    return bare_content(model, about, table, equations_to_c(model, table, more, band=band))
+    return bare_content(model, about, *friction_equations(model, more, band=band))
 
 
 def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
@@ -148,9 +147,9 @@ def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
             "rigid body; export the model without temperature."
         )
     about = about_model(model, "friction", "from their motion and temperature")
-    table, header = thermal_equations(model)
+    equations = thermal_equations(model)
     require_numbers(model)
-    return bare_content(model, about, table, header)
+    return bare_content(model, about, *equations)
 
 
 def bare_content(

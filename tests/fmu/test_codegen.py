@@ -63,7 +63,7 @@ def test_a_step_is_straight_lines():
 
 def test_what_two_laws_share_is_written_once(table1):
     """Joints 2 and 3 remember alike, by coefficients in the same places."""
-    text = friction.equations_to_c(table1, friction.interface(table1))
+    _, text = friction.friction_equations(table1)
     defined = re.findall(r"^(?:SELDOM )?static void (law_\d_\w+)\(", text, re.MULTILINE)
     assert "law_3_begin" not in defined
     rows = [line for line in text.splitlines() if line.startswith("    {") and "_step" in line]
@@ -133,7 +133,7 @@ def test_coefficients_that_cannot_change_have_no_tangents():
 
 def test_equal_forms_are_written_once(make_law, make_model):
     model = make_model(make_law("lugre"), make_law("parfam_sin"), make_law("lugre"))
-    text = friction.equations_to_c(model, friction.interface(model))
+    _, text = friction.friction_equations(model)
     assert text.count("_step(const") == 2
     assert text.count(" law_1_step,") == 2
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
+from fmu_src.drive.drive_component import motors as motors_of
 from fmu_src.drive.drive_fmu import content as drive
 from fmu_src.export.package import write_fmu
-from fmu_src.friction.friction_component import interface
+from fmu_src.friction.friction_component import friction_equations
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.reference import reference_files
 from fmu_src.run.fmu import FmuInstance
@@ -85,7 +86,7 @@ def test_directional_derivatives_and_slopes_go_through_the_coupling(fmu, load) -
 
 
 def test_dependencies_are_those_of_the_motors_that_move_a_joint(model) -> None:
-    table = {v.name: v for v in interface(model).variables}
+    table = {v.name: v for v in friction_equations(model)[0].variables}
     inputs = {name for name in table["tau[3]"].dependencies if name.startswith("dq[")}
     assert inputs == {"dq[2]", "dq[3]"}
     first = {name for name in table["tau[1]"].dependencies if name.startswith("dq[")}
@@ -97,7 +98,8 @@ def test_dependencies_are_those_of_the_motors_that_move_a_joint(model) -> None:
 def test_a_drive_feels_the_links_of_all_joints_that_it_turns(model, tmp_path) -> None:
     stiffness, ratio = (2e3, 3e3, 4e3), (50.0, 80.0, 40.0)
     path = write_fmu(
-        drive(model, inertia=(1e-3,) * 3, stiffness=stiffness, ratio=ratio), tmp_path / "D.fmu"
+        drive(model, motors_of(3, inertia=(1e-3,) * 3, stiffness=stiffness, ratio=ratio)),
+        tmp_path / "D.fmu",
     )
     q_link, q_start = np.array([0.01, -0.02, 0.03]), np.array([1.0, 2.0, -1.5])
     joints = range(1, 4)

@@ -20,6 +20,7 @@ from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.check.run import check
+from fmu_src.drive.drive_component import motors
 from fmu_src.drive.drive_fmu import content as drive
 from fmu_src.export.package import Content, write_fmu
 from fmu_src.friction.friction_fmu import export_bare
@@ -31,7 +32,9 @@ from hesr_model.support.files import models_folder
 FMI_SIM = Path(__file__).parents[2] / ".tools/interop/bin/fmi-sim"
 STEP = 0.004
 BLOCKS: dict[str, Callable[..., Content]] = {
-    "drive": lambda model: drive(model, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4)),
+    "drive": lambda model: drive(
+        model, motors(3, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4))
+    ),
     "controller": lambda _: controller(3),
     "velocity": lambda _: velocity(3),
     "trajectory": lambda _: trajectory(3),
@@ -314,7 +317,7 @@ def test_c_compiles_with_other_compilers(friction3, tmp_path) -> None:
 
 @pytest.fixture(scope="module")
 def drive3(make_model, make_law, tmp_path_factory) -> Path:
-    own = drive(make_model(make_law("viscous"), make_law("viscous")), inertia=(0.5, 0.5))
+    own = drive(make_model(make_law("viscous"), make_law("viscous")), motors(2, inertia=(0.5, 0.5)))
     return write_fmu(own, tmp_path_factory.mktemp("drive") / "D3.fmu", fmi=3)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from fmu_src.friction.friction_component import interface
+from fmu_src.friction.friction_component import friction_equations
 from fmu_src.friction.friction_fmu import live_of
 from fmu_src.pages.live.page import live_section
 from fmu_src.pages.live.section import ends
@@ -64,7 +64,7 @@ def test_the_fmu_stays_small(table1_fmu: Path) -> None:
 
 
 def test_every_tunable_parameter_has_a_knob(table1: FrictionModel, live: dict[str, Any]) -> None:
-    table = interface(table1)
+    table, _ = friction_equations(table1)
     tunable = {i for i, v in enumerate(table.variables) if v.role == "tunable"}
     knobs = [knob for joint in live["joints"] for knob in joint["coefficients"]]
     assert {knob["reference"] for knob in knobs} == tunable

@@ -13,6 +13,7 @@ from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.blocks.velocity import velocity
+from fmu_src.drive.drive_component import motors
 from fmu_src.drive.drive_fmu import content as drive
 from fmu_src.export.package import Version, write_fmu
 from fmu_src.friction.friction_fmu import export_bare
@@ -78,7 +79,7 @@ def of_both_versions(folder: Path) -> dict[str, tuple[Alone, Alone]]:
     joints = len(table1.joints)
     contents = {
         "adaptive": adaptive_content(followed()),
-        "drive": drive(table1, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4)),
+        "drive": drive(table1, motors(3, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4))),
         "trajectory": trajectory(joints),
         "body": inverse_dynamics(robot, robot.nominal_parameters),
         "controller": controller(joints),

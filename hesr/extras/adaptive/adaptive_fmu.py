@@ -34,6 +34,6 @@ def export_adaptive(
 def adaptive_content(model: FrictionModel) -> Content:
     """Return the adaptive FMU of a model before compilation."""
     about = about_model(model, "adaptive", "that follow what is measured")
-    table, header = discrete_equations(model, adaptive_components(model), (ADAPT,))
+    equations = discrete_equations(model, adaptive_components(model), (ADAPT,))
     require_numbers(model)
-    return bare_content(model, about, table, header)
+    return bare_content(model, about, *equations)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fmu_src.drive.drive_component import motors
 from fmu_src.drive.drive_fmu import content
 from fmu_src.export.package import write_fmu
 from fmu_src.run.fmu import FmuInstance
@@ -26,7 +27,9 @@ def drive(
     laws: Mapping[str, FrictionLaw], folder: Path, inertia: Sequence[float], **more: Sequence[float]
 ) -> Path:
     """Write the drive of one joint for each law."""
-    return write_fmu(content(model_of(laws), inertia=inertia, **more), folder / "Drive.fmu")
+    return write_fmu(
+        content(model_of(laws), motors(len(laws), inertia=inertia, **more)), folder / "Drive.fmu"
+    )
 
 
 class Run:
