@@ -19,7 +19,15 @@ from xml.etree.ElementTree import Element, SubElement
 from pydantic import Field, model_validator
 
 from fmu_src.arm.signals import compiled, passive_motors
-from fmu_src.arm.table import Losses, LossTable, NotNegative, OutputTable, Positive, SignalTable
+from fmu_src.arm.table import (
+    Losses,
+    LossTable,
+    NotNegative,
+    OutputTable,
+    Positive,
+    SignalTable,
+    require_entries,
+)
 from hesr_model.errors import ConfigError
 from hesr_model.support.config import Config
 from hesr_model.support.files import written_whole
@@ -60,14 +68,10 @@ class Truth(Config):
 
     @model_validator(mode="after")
     def _one_entry_per_joint(self) -> Self:
-        count = len(self.losses.constant)
-        tables: list[Config] = [self]
-        if self.transmission:
-            tables += [self.transmission, *self.transmission.hysteresis]
-        for table in tables:
-            for key, entries in table:
-                if isinstance(entries, tuple) and key != "hysteresis" and len(entries) != count:
-                    raise ValueError(f"{key} has {len(entries)} entries, losses.constant {count}")
+        require_entries(self, len(self.losses.constant))
+        gear = self.transmission
+        for table in (gear, *gear.hysteresis) if gear else ():
+            require_entries(table, len(self.losses.constant), besides=("hysteresis",))
         return self
 
 
@@ -109,10 +113,10 @@ def _without_elements(root: Element, model: Any) -> set[str]:
     gone = set()
     for section in (*root.iterfind("actuator"), *root.iterfind("sensor")):
         for part in list(section):
-            if part.tag == "dcmotor" and part.get("name") in elements:
+            reads = part.get("actuator") in elements
+            if reads or (part.tag == "dcmotor" and part.get("name") in elements):
                 section.remove(part)
-            elif part.get("actuator") in elements:
-                section.remove(part)
+            if reads:
                 gone.add(part.get("name", ""))
     return gone
 
@@ -133,34 +137,19 @@ def _divided(
     joint.attrib |= {"name": link, "armature": "0"}
     body = SubElement(_section(root, "worldbody"), "body", name=f"{name}_rotor")
     SubElement(body, "inertial", _LIGHT)
-    rotor = SubElement(
-        body,
-        "joint",
-        name=name,
-        type=joint.get("type", "hinge"),
-        axis="0 0 1",
-        armature=repr(float(known.armature[0])),
-        range=_numbers(known.range),
-    )
+    own = {"name": name, "type": joint.get("type", "hinge"), "axis": "0 0 1"}
+    own |= {"armature": repr(float(known.armature[0])), "range": _numbers(known.range)}
+    rotor = SubElement(body, "joint", own)
     half = transmission.backlash[i] / 2.0
-    springs = [
-        {
-            "name": f"{name}_torsion",
-            "stiffness": repr(transmission.stiffness[i]),
-            "damping": repr(transmission.damping[i]),
-            "springlength": _numbers((-half, half)),
-        }
-    ]
-    springs += [
-        {
-            "name": f"{name}_hysteresis{k}",
-            "stiffness": repr(element.stiffness[i]),
-            "springyield": repr(element.limit[i] / element.stiffness[i]),  # a deflection
-        }
-        for k, element in enumerate(transmission.hysteresis, start=1)
-    ]
-    for spring in springs:
-        tendon = SubElement(_section(root, "tendon"), "fixed", spring)
+    damping = {"damping": repr(transmission.damping[i]), "springlength": _numbers((-half, half))}
+    springs = {"torsion": {"stiffness": repr(transmission.stiffness[i]), **damping}}
+    for k, element in enumerate(transmission.hysteresis, start=1):
+        deflection = {"springyield": repr(element.limit[i] / element.stiffness[i])}
+        springs[f"hysteresis{k}"] = {"stiffness": repr(element.stiffness[i]), **deflection}
+    for suffix, spring in springs.items():
+        tendon = SubElement(
+            _section(root, "tendon"), "fixed", {"name": f"{name}_{suffix}", **spring}
+        )
         SubElement(tendon, "joint", joint=name, coef="1")
         SubElement(tendon, "joint", joint=link, coef="-1")
     for suffix, kind in (("q", "jointpos"), ("dq", "jointvel"), ("torque", "jointactuatorfrc")):
@@ -181,33 +170,28 @@ def _signals(
     table: SignalTable, joints: tuple[str, ...], gone: set[str], truth: Truth
 ) -> SignalTable:
 
+    links = tuple(map(_link, joints)) if truth.transmission else ()
+
     def output(name: str) -> OutputTable:
         vector = table.outputs[name]
         if name == "tau_f_true":
-            return vector.model_copy(
-                update={"sensors": ({},) * len(joints), "losses": joints, "scaled": ()}
-            )
-        sensors = tuple({s: k for s, k in row.items() if s not in gone} for row in vector.sensors)
-        if truth.transmission and name in ("q_true", "dq_true"):
-            suffix = name.partition("_")[0]
-            sensors = tuple({f"{_link(joint)}_{suffix}": 1.0} for joint in joints)
-        elif truth.transmission and name in ("tau_meas", "tau_true"):
-            sensors = tuple(
-                {**row, f"{_link(joint)}_torque": 1.0}
-                for row, joint in zip(sensors, joints, strict=True)
-            )
-        return vector.model_copy(update={"sensors": sensors})
+            update = {"sensors": ({},) * len(joints), "losses": joints, "scaled": ()}
+            return vector.model_copy(update=update)
+        rows = tuple({s: k for s, k in row.items() if s not in gone} for row in vector.sensors)
+        if links and name in ("q_true", "dq_true"):
+            rows = tuple({f"{link}_{name.partition('_')[0]}": 1.0} for link in links)
+        elif links and name in ("tau_meas", "tau_true"):
+            pairs = zip(rows, links, strict=True)
+            rows = tuple({**row, f"{link}_torque": 1.0} for row, link in pairs)
+        return vector.model_copy(update={"sensors": rows})
 
-    links = tuple(map(_link, joints)) if truth.transmission else ()
-    starts = {
-        name: vector.model_copy(update={"others": tuple(map(_link, vector.joints))})
-        for name, vector in table.start.items()
-        if truth.transmission
-    }
+    starts = dict(table.start)
+    for name, vector in table.start.items() if links else ():
+        starts[name] = vector.model_copy(update={"others": tuple(map(_link, vector.joints))})
     return table.model_copy(
         update={
             "outputs": {name: output(name) for name in table.outputs},
-            "start": {**table.start, **starts},
+            "start": starts,
             "friction": (),
             "losses": LossTable(**truth.losses.model_dump(), joints=joints, carriers=links),
         }

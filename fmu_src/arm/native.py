@@ -26,14 +26,8 @@ from hesr_model.support.progress import Progress, silent
 _SMALL = 0.1  # amplitude of controls in the reference results
 _OWN, _OF_LOSS = 4, 2  # state variables of mjcf.c without MuJoCo's, and per loss
 _SOURCES = (
-    "mjcf.c",
-    "mjcf_losses.h",
-    "mjcf_parameters.h",
-    "beside.h",
-    "guard.h",
-    "mujoco_library.h",
-    "noise.h",
-    "resource.h",
+    *("mjcf.c", "mjcf_losses.h", "mjcf_parameters.h", "beside.h", "guard.h"),
+    *("mujoco_library.h", "noise.h", "resource.h"),
 )
 
 
@@ -65,11 +59,6 @@ def model_name(model: Any, path: Path) -> str:
     """Return the name of the model in an MJCF, by default that of its file."""
     name = bytes(model.names).partition(b"\0")[0].decode()
     return path.stem if name in ("", "MuJoCo Model") else name
-
-
-def identifier_of(name: str) -> str:
-    """Return a name as an identifier of C."""
-    return re.sub(r"^(?=\d)", "_", re.sub(r"\W", "_", name, flags=re.ASCII))
 
 
 def arm(
@@ -113,9 +102,8 @@ def description(signals: ArmSignals, name: str) -> Description:
     """Return the description of an FMU of a model, without variables."""
     return Description(
         name=name,
-        identifier=identifier_of(name),
+        identifier=re.sub(r"^(?=\d)", "_", re.sub(r"\W", "_", name, flags=re.ASCII)),
         text=f"{name}, simulated by MuJoCo {mujoco.__version__}.",
-        version=importlib.metadata.version("hesr"),
         created=RELEASED,
         step=signals.step,
         sources=(),
@@ -124,13 +112,10 @@ def description(signals: ArmSignals, name: str) -> Description:
 
 def licences(package: str) -> dict[str, bytes]:
     """Return licence and notices of an installed package as members of an FMU."""
-    files = importlib.metadata.files(package) or ()
-    wanted: Sequence[importlib.metadata.PackagePath] = [
-        f for f in files if "licenses" in f.parts or f.name.upper().startswith("LICENSE")
-    ]
     return {
         f"documentation/licenses/{package}-{f.name}": Path(str(f.locate())).read_bytes()
-        for f in wanted
+        for f in importlib.metadata.files(package) or []
+        if "licenses" in f.parts or f.name.upper().startswith("LICENSE")
     }
 
 

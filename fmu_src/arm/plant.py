@@ -10,7 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from fmu_src.arm.alternative_plants import Truth, TruthName
 from fmu_src.arm.parts import ArmSignals
 from fmu_src.arm.signals import compiled, named_signals, passive_motors
-from fmu_src.arm.table import InputTable, OutputTable, SignalTable, StartTable
+from fmu_src.arm.table import InputTable, OutputTable, SignalTable, StartTable, require_entries
 from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config, RelativePath
@@ -69,12 +69,8 @@ class Plant(Config):
     @field_validator("servo", "noise")
     @classmethod
     def _one_entry_per_joint(cls, table: Config, info: ValidationInfo) -> Config:
-        joints = info.data.get("joints", ())
-        for key, entries in table:
-            if joints and isinstance(entries, tuple) and len(entries) != len(joints):
-                raise ValueError(
-                    f"{key} has {len(entries)} entries; {len(joints)} are needed, one per joint"
-                )
+        if joints := info.data.get("joints"):
+            require_entries(table, len(joints))
         return table
 
 

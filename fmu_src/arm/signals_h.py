@@ -1,6 +1,6 @@
 """The signals of a model as C tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import astuple
 
 from fmu_src.arm.parts import ArmSignals
@@ -22,10 +22,11 @@ _TABLES = {
 def to_h(signals: ArmSignals, table: Interface, *, state: int, digest: str) -> str:
     """Return signals.h; `state` is the size of MuJoCo's integration state."""
     at = table.places
-    rows = _rows(signals, at)
-    arrays = []
-    for name, (kind, _, empty) in _TABLES.items():
-        arrays.append(f"static const {kind} {name}[] = {{{', '.join(rows[name]) or empty}}};")
+    rows = {name: list(map(_row, found)) for name, found in _rows(signals, at).items()}
+    arrays = [
+        f"static const {kind} {name}[] = {{{', '.join(rows[name]) or empty}}};"
+        for name, (kind, _, empty) in _TABLES.items()
+    ]
     delay = signals.delay
     return _SIGNALS.format(
         digest=digest,
@@ -43,35 +44,31 @@ def to_h(signals: ArmSignals, table: Interface, *, state: int, digest: str) -> s
     )
 
 
-def _rows(signals: ArmSignals, at: Mapping[str, int]) -> dict[str, Sequence[str]]:
-    noisy = [output for output in signals.outputs if output.noise is not None]
-    starts = []
+def _row(values: tuple[object, ...]) -> str:
+    """Return an initialiser: a struct, or a single number."""
+    texts = [literal(v) if isinstance(v, float) else str(v) for v in values]
+    return f"{{{', '.join(texts)}}}" if len(texts) > 1 else texts[0]
+
+
+def _rows(signals: ArmSignals, at: Mapping[str, int]) -> dict[str, list[tuple[object, ...]]]:
+    outputs = signals.outputs
+    noisy = [o for o in outputs if o.noise is not None]
+    starts: list[tuple[object, ...]] = []
     for start in signals.starts:
-        starts.append(f"{{{at[start.name]}, 0, {start.position}, -1, 1.0}}")
+        place = at[start.name]
+        starts.append((place, 0, start.position, -1, 1.0))
         if start.activation is not None:
-            starts += [
-                f"{{{at[start.name]}, 1, {start.activation}, {held}, {literal(start.gain)}}}"
-                for held in start.held or (-1,)
-            ]
+            starts += [(place, 1, start.activation, h, start.gain) for h in start.held or (-1,)]
         if start.other is not None:
-            starts.append(f"{{{at[start.name]}, 0, {start.other}, -1, 1.0}}")
+            starts.append((place, 0, start.other, -1, 1.0))
     return {
-        "drives": [
-            f"{{{at[one.name]}, {control}}}" for one in signals.inputs for control in one.controls
-        ],
-        "reads": [
-            f"{{{at[output.name]}, {address}, {literal(factor)}, {int(scaled)}}}"
-            for output in signals.outputs
-            for address, factor, scaled in output.reads
-        ],
-        "noises": [f"{{{at[o.name]}, {at[noise_name(o)]}, {o.stream}u}}" for o in noisy],
+        "drives": [(at[one.name], c) for one in signals.inputs for c in one.controls],
+        "reads": [(at[o.name], where, k, int(s)) for o in outputs for where, k, s in o.reads],
+        "noises": [(at[o.name], at[noise_name(o)], f"{o.stream}u") for o in noisy],
         "starts": starts,
-        "rubbing": [str(actuator) for actuator in signals.friction],
-        "losses": [
-            f"{{{loss.dof}, {loss.carrier}, {', '.join(map(literal, astuple(loss)[2:]))}}}"
-            for loss in signals.losses
-        ],
-        "lost": [f"{{{at[o.name]}, {place}}}" for o in signals.outputs for place in o.losses],
+        "rubbing": [(actuator,) for actuator in signals.friction],
+        "losses": [astuple(loss) for loss in signals.losses],
+        "lost": [(at[o.name], place) for o in outputs for place in o.losses],
     }
 
 

@@ -1,5 +1,6 @@
 """TOML file that names the signals of an MJCF."""
 
+from collections.abc import Collection
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
@@ -10,6 +11,20 @@ Names = tuple[str, ...]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Element = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
+
+
+def require_entries(
+    table: Config, count: int, what: str = "joint", *, besides: Collection[str] = ()
+) -> None:
+    """Raise ValueError unless the lists of a table have `count` entries or are omitted."""
+    for key, entries in table:
+        if not isinstance(entries, tuple) or key in besides:
+            continue
+        omitted = not entries and not type(table).model_fields[key].is_required()
+        if len(entries) != count and not omitted:
+            raise ValueError(
+                f"{key} has {len(entries)} entries; {count} are needed, one per {what}"
+            )
 
 
 class InputTable(Config):
@@ -35,13 +50,8 @@ class OutputTable(Config):
     streams: tuple[Annotated[int, Field(ge=0)], ...] = ()
 
     @model_validator(mode="after")
-    def _one_entry_per_element(self) -> "OutputTable":
-        for key in ("losses", "noise", "streams"):
-            entries = getattr(self, key)
-            if entries and len(entries) != len(self.sensors):
-                raise ValueError(
-                    f"{key} has {len(entries)} entries for {len(self.sensors)} elements"
-                )
+    def _one_entry_per_element(self) -> Self:
+        require_entries(self, len(self.sensors), "element", besides=("scaled",))
         return self
 
 
@@ -59,11 +69,8 @@ class StartTable(Config):
     hold: bool = False
 
     @model_validator(mode="after")
-    def _one_entry_per_joint(self) -> "StartTable":
-        for key in ("others", "integrals"):
-            entries = getattr(self, key)
-            if entries and len(entries) != len(self.joints):
-                raise ValueError(f"{key} has {len(entries)} entries for {len(self.joints)} joints")
+    def _one_entry_per_joint(self) -> Self:
+        require_entries(self, len(self.joints))
         return self
 
 
@@ -97,14 +104,10 @@ class Losses(Config):
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        given = {key: value for key, value in self if isinstance(value, tuple) and value}
-        for key, entries in given.items():
-            if len(entries) != len(self.constant):
-                raise ValueError(f"{key} has {len(entries)} entries, constant {len(self.constant)}")
-        for key, needs in (("direct", ("speed",)), ("evolution", ("age", "slip"))):
-            for need in needs:
-                if key in given and need not in given:
-                    raise ValueError(f"{key} needs {need}")
+        require_entries(self, len(self.constant))
+        for key, need in (("direct", "speed"), ("evolution", "age"), ("evolution", "slip")):
+            if getattr(self, key) and not getattr(self, need):
+                raise ValueError(f"{key} needs {need}")
         return self
 
 

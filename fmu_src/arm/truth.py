@@ -23,19 +23,17 @@ _COEFFICIENTS = (
     ("damping", "N.m.s/rad", "viscous friction"),
     ("cogging", "N.m", "amplitude of the ripple"),
     ("poles", "1/rad", "ripples in a radian"),
-    ("phase", "rad", "of the ripple"),
+    ("phase", "rad", "phase of the ripple"),
 )
-
-
 _OF_LOSSES = (
     ("constant", "N.m", "dry friction"),
     ("load", "1", "share of the load"),
     ("direct", "N.m", "direct effect of speed"),
-    ("speed", "rad/s", "from which speed on"),
+    ("speed", "rad/s", "reference speed"),
     ("evolution", "N.m", "effect of age"),
-    ("age", "s", "from which age on"),
-    ("slip", "rad", "way on which contacts are renewed"),
-    ("longest", "s", "age that nothing exceeds"),
+    ("age", "s", "reference age"),
+    ("slip", "rad", "slip distance that renews contacts"),
+    ("longest", "s", "upper bound of the age"),
     ("viscous", "N.m.s/rad", "viscous friction"),
 )
 
@@ -54,6 +52,7 @@ def true_friction(
     s.
     """
     model = compiled(mjcf)
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
     return FrictionModel(
         law="true_friction",
         robot=mjcf.stem,
@@ -64,34 +63,23 @@ def true_friction(
             else _law(model, passive_motors(model, joint))
             for i, joint in enumerate(joints)
         ),
-        sliding=tuple(
-            bool(model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE) for joint in joints
-        ),
+        sliding=tuple(bool(model.joint(joint).type[0] == slide) for joint in joints),
         sample_time=sample_time,
     )
 
 
 def _of_losses(losses: LossTable, i: int, viscous: float) -> FrictionLaw:
     coefficients = [Coefficient(name=n, unit=u, description=d) for n, u, d in _OF_LOSSES]
-    symbols = {c.name: c.symbol for c in coefficients}
     values = losses.of_joint(i) | {"viscous": viscous}
-    age = Relaxation(
-        name="s",
-        unit="s",
-        drive=sympy.Integer(1),
-        rate=absolute(DQ) / symbols["slip"] + 1 / symbols["longest"],
+    constant, load, direct, speed, evolution, reference, slip, longest, viscous_ = (
+        c.symbol for c in coefficients
     )
-    level = (
-        symbols["constant"]
-        + symbols["load"] * absolute(TAU_LOAD)
-        + symbols["direct"] * sympy.log(1 + absolute(DQ) / symbols["speed"])
-        + symbols["evolution"] * sympy.log(1 + age.state / symbols["age"])
-    )
-    form = LawForm(
-        coefficients=tuple(coefficients),
-        memory=(age,),
-        output=sgn(DQ) * level + symbols["viscous"] * DQ,
-    )
+    rate = absolute(DQ) / slip + 1 / longest
+    age = Relaxation(name="s", unit="s", drive=sympy.Integer(1), rate=rate)
+    level = constant + load * absolute(TAU_LOAD) + direct * sympy.log(1 + absolute(DQ) / speed)
+    level += evolution * sympy.log(1 + age.state / reference)
+    output = sgn(DQ) * level + viscous_ * DQ
+    form = LawForm(coefficients=tuple(coefficients), memory=(age,), output=output)
     return FrictionLaw(name="true_friction", form=form, values=values)
 
 

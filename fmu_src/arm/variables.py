@@ -22,43 +22,30 @@ def noise_name(output: ArmOutput) -> str:
 
 def _connectors(signals: ArmSignals, parameters: tuple[str, ...]) -> Iterator[Variable]:
     for one in signals.inputs:
-        yield Variable(name=one.name, role="input", unit=one.unit, description="control")
-    for output in signals.outputs:
-        yield Variable(
-            name=output.name,
-            role="output",
-            unit=output.unit,
-            description="sum of sensors",
-            dependencies=parameters,
-        )
+        yield Variable(one.name, "input", "control", unit=one.unit)
+    for out in signals.outputs:
+        text = "sum of sensors"
+        yield Variable(out.name, "output", text, unit=out.unit, dependencies=parameters)
 
 
 def _parameters(signals: ArmSignals) -> Iterator[Variable]:
     scaled = any(scaled for o in signals.outputs for _, _, scaled in o.reads)
     if signals.friction or signals.losses or scaled:
-        yield _fixed(
-            SCALE, "1", 1.0, "factor on the friction of the elements that are named for it"
-        )
+        text = "factor on the friction of the elements that are named for it"
+        yield Variable(SCALE, "fixed", text, unit="1", start=1.0)
     if signals.payload is not None:
-        yield _fixed(PAYLOAD, "kg", 0.0, "mass of a payload")
+        yield Variable(PAYLOAD, "fixed", "mass of a payload", unit="kg")
     if signals.delay is not None:
-        yield _fixed(
-            LATENCY,
-            "s",
-            signals.delay.usual,
-            "time until a command acts, in whole steps of the simulation",
-        )
+        text = "time until a command acts, in whole steps of the simulation"
+        yield Variable(LATENCY, "fixed", text, unit="s", start=signals.delay.usual)
     noisy = [output for output in signals.outputs if output.noise is not None]
     halves = (signals.seed & 0xFFFFFFFF, signals.seed >> 32) if noisy else ()
     for k, half in enumerate(halves, start=1):
-        end = "low" if k == 1 else "high"
-        yield _fixed(f"{SEED}[{k}]", "1", float(half), f"{end} 32 bits of the noise's seed")
+        text = f"{'low' if k == 1 else 'high'} 32 bits of the noise's seed"
+        yield Variable(f"{SEED}[{k}]", "fixed", text, unit="1", start=float(half))
     for start in signals.starts:
-        yield _fixed(start.name, start.unit, start.value, "position at the start")
-    for output in noisy:
-        text = f"standard deviation of the noise of {output.name}"
-        yield _fixed(noise_name(output), output.unit, output.noise or 0.0, text)
-
-
-def _fixed(name: str, unit: str, start: float, text: str) -> Variable:
-    return Variable(name=name, role="fixed", unit=unit, start=start, description=text)
+        text = "position at the start"
+        yield Variable(start.name, "fixed", text, unit=start.unit, start=start.value)
+    for out in noisy:
+        text = f"standard deviation of the noise of {out.name}"
+        yield Variable(noise_name(out), "fixed", text, unit=out.unit, start=out.noise or 0.0)

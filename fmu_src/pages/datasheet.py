@@ -1,6 +1,6 @@
 """Figures of an FMU's data sheet: audit, errors by input convention, fastest states."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,18 +24,6 @@ RK4, EULER = 2.785, 2.0
 """Largest stable rate * step of fourth-order Runge-Kutta and forward Euler."""
 
 _ALMOST_PASSIVE = 1e-6  # [J]; less is round-off
-
-
-@dataclass(frozen=True, kw_only=True)
-class Costs:
-    """Errors of each input convention on the reference motion, by joint.
-
-    `replay` is against the law in a log replay, the direct convention; `continuous` is against the
-    law in continuous time with linear inputs between rows.
-    """
-
-    replay: Mapping[str, tuple[Error, ...]]
-    continuous: Mapping[str, tuple[Error, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,27 +107,36 @@ def audit_rows(found: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str
     speed, torque, slope, angle = (
         unit_of_joints(unit, sliding) for unit in ("rad/s", "N.m", "N.m.s/rad", "µrad")
     )
-    return {
-        f"Steady sliding drives the joint for dq [{speed}]": [_ranges(a.driving) for a in found],
-        f"The same without any offset, for |dq| [{speed}]": [
-            _ranges(a.driving_both_ways) for a in found
-        ],
-        "Most energy given in a closed cycle [J]": [figure(a.generated, 3) for a in found],
-        f"In the cycle of this amplitude [{speed}] and frequency [Hz]": [
-            f"{figure(c.amplitude, 2)}, {figure(c.frequency, 2)}" if (c := a.generating) else "–"
-            for a in found
-        ],
-        f"Jump of the torque at rest [{torque}]": [figure(a.jump, 3) for a in found],
-        f"Slope dtau/ddq at rest [{slope}]": [figure(a.slope) for a in found],
-        f"The same, held over one sample [{slope}]": [figure(a.slope_of_step) for a in found],
-        f"Chatter at rest, encoder noise {1e6 * ENCODER:.0f} {angle} [{torque}]": [
-            figure(a.chatter, 3) for a in found
-        ],
-        f"Largest |tau| within the range [{torque}]": [figure(a.largest, 3) for a in found],
-        f"Largest |tau| up to {REACH:g} times outside [{torque}]": [
-            figure(a.largest_outside, 3) + (": explodes" if a.explodes else "") for a in found
-        ],
-    }
+    labels = (
+        f"Steady sliding drives the joint for dq [{speed}]",
+        f"The same without any offset, for |dq| [{speed}]",
+        "Most energy given in a closed cycle [J]",
+        f"In the cycle of this amplitude [{speed}] and frequency [Hz]",
+        f"Jump of the torque at rest [{torque}]",
+        f"Slope dtau/ddq at rest [{slope}]",
+        f"The same, held over one sample [{slope}]",
+        f"Chatter at rest, encoder noise {1e6 * ENCODER:.0f} {angle} [{torque}]",
+        f"Largest |tau| within the range [{torque}]",
+        f"Largest |tau| up to {REACH:g} times outside [{torque}]",
+    )
+    columns = list(map(_audit_cells, found))
+    return {label: [cells[i] for cells in columns] for i, label in enumerate(labels)}
+
+
+def _audit_cells(a: Audit) -> tuple[str, ...]:
+    cycle = a.generating
+    return (
+        _ranges(a.driving),
+        _ranges(a.driving_both_ways),
+        figure(a.generated, 3),
+        f"{figure(cycle.amplitude, 2)}, {figure(cycle.frequency, 2)}" if cycle else "–",
+        figure(a.jump, 3),
+        figure(a.slope),
+        figure(a.slope_of_step),
+        figure(a.chatter, 3),
+        figure(a.largest, 3),
+        figure(a.largest_outside, 3) + (": explodes" if a.explodes else ""),
+    )
 
 
 def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
@@ -163,20 +160,22 @@ def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
     return said
 
 
-def costs(model: FrictionModel, motion: ReferenceMotion) -> Costs:
-    """Return the errors of each input convention.
+def costs(model: FrictionModel, motion: ReferenceMotion) -> dict[str, dict[str, tuple[Error, ...]]]:
+    """Return the errors of each input convention by truth, convention and joint.
 
-    Raises SimulationError if the laws' discretisation is unstable at the steps of the motion or the
-    torque is not finite.
+    The truths are the law in a log replay, the direct convention, and in continuous time with
+    linear inputs between rows. Raises SimulationError if the laws' discretisation is unstable at
+    the steps of the motion or the torque is not finite.
     """
     found = {way: torques(model, motion, way) for way in SETTINGS}
     fine = torques(model, motion, CONTINUOUS)
     if not np.all(np.isfinite([fine, *found.values()])):
         raise SimulationError("the torque is not finite on this motion.")
-    return Costs(
-        replay={way: errors(motion, tau, found["direct"]) for way, tau in found.items()},
-        continuous={way: errors(motion, tau, fine) for way, tau in found.items()},
-    )
+    truths = {"the log's convention": found["direct"], "the law in continuous time": fine}
+    return {
+        name: {way: errors(motion, tau, truth) for way, tau in found.items()}
+        for name, truth in truths.items()
+    }
 
 
 def fastest(law: FrictionLaw, seen: TrainedRange) -> dict[str, float]:
@@ -187,12 +186,11 @@ def fastest(law: FrictionLaw, seen: TrainedRange) -> dict[str, float]:
     grid: list[Array] = [u.ravel() for u in np.meshgrid(speeds, places, loads)]
     symbols = tuple(c.symbol for c in law.form.coefficients)
     at_rest = dict.fromkeys((m.state for m in law.form.memory), 0)
-    rates = lowered((*symbols, *INPUTS), [r.rate.subs(at_rest) for r in law.form.relaxations])
+    own = law.form.relaxations
+    rates = lowered((*symbols, *INPUTS), [r.rate.subs(at_rest) for r in own])
     with np.errstate(all="ignore"):  # results that are not finite are reported as such
         values = rates(*numbers(law), *grid)
-    return {
-        r.name: float(np.max(value)) for r, value in zip(law.form.relaxations, values, strict=True)
-    }
+    return {r.name: float(np.max(value)) for r, value in zip(own, values, strict=True)}
 
 
 def figure(value: float | None, digits: int = 4) -> str:
@@ -206,5 +204,10 @@ def figure(value: float | None, digits: int = 4) -> str:
     return text.replace("-", "−")
 
 
+def spelled(range_: Range, digits: int = 3) -> str:
+    """Return a range as text."""
+    return " to ".join(figure(value, digits) for value in range_)
+
+
 def _ranges(found: Sequence[Range]) -> str:
-    return ", ".join(f"{figure(low, 2)} to {figure(high, 2)}" for low, high in found) or "none"
+    return ", ".join(spelled(one, 2) for one in found) or "none"

@@ -27,6 +27,17 @@ def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
     audits, refused = datasheet.audited(model)
     verdicts = [datasheet.verdict(a, known=bool(model.trained)) for a in audits]
     verdicts = verdicts or [""] * len(model.laws)
+    rows = zip(model.joints, model.laws, model.slides, verdicts, strict=True)
+    joints = [
+        {
+            "name": name,
+            "equations": equations(law),
+            "rest": _rest(law, slides=slides),
+            "verdict": verdict,
+        }
+        for name, law, slides, verdict in rows
+    ]
+    pairs = zip(model.joints, model.laws, strict=True)
     return rendered(
         "drive.html.j2",
         about=about,
@@ -34,22 +45,8 @@ def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
         titles=list(dict.fromkeys(title(law) for law in model.laws)),
         substep=table.variables[table.places["substep"]].start,
         discretisation=model.laws[0].discretisation,
-        loaded=[
-            name
-            for name, law in zip(model.joints, model.laws, strict=True)
-            if TAU_LOAD in law.form.inputs
-        ],
-        joints=[
-            {
-                "name": name,
-                "equations": equations(law),
-                "rest": _rest(law, slides=slides),
-                "verdict": verdict,
-            }
-            for name, law, slides, verdict in zip(
-                model.joints, model.laws, model.slides, verdicts, strict=True
-            )
-        ],
+        loaded=[name for name, law in pairs if TAU_LOAD in law.form.inputs],
+        joints=joints,
         refused=refused,
     )
 

@@ -1,6 +1,7 @@
 """documentation/index.html of a friction FMU: its data sheet."""
 
 from collections.abc import Mapping, Sequence
+from itertools import count
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -11,7 +12,7 @@ from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import SETTINGS, Error
 from fmu_src.friction.variable_names import exposed
 from fmu_src.pages import datasheet
-from fmu_src.pages.datasheet import ModelAudit, figure
+from fmu_src.pages.datasheet import ModelAudit, figure, spelled
 from fmu_src.pages.html import rendered
 from fmu_src.pages.mathml import equations, symbol
 from hesr_model.equations.program import Jumps
@@ -22,7 +23,7 @@ from hesr_model.friction.inputs import INPUT_UNITS, INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
-from hesr_model.friction.trained_range import Range, TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.units import unit_of_joints
 
 _INTERVAL = 1.96  # standard errors of a two-sided 95 % interval
@@ -58,10 +59,7 @@ def to_html(
         titles=list(dict.fromkeys(title(law) for law in model.laws)),
         unused=[f"{symbol.name}[i]" for symbol in INPUTS if symbol not in used],
         discretisation=DISCRETISATION.items[int(start) - 1][0],
-        joints=[
-            _joint(joint, name, law)
-            for joint, (name, law) in enumerate(zip(model.joints, model.laws, strict=True), start=1)
-        ],
+        joints=list(map(_joint, count(1), model.joints, model.laws)),
         training=training(model.provenance),
         units=units,
         trained_rows=_trained_rows(model.trained, units),
@@ -116,27 +114,18 @@ def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:
 
 def training(provenance: Mapping[str, Any]) -> dict[str, Any]:
     """Return the provenance of the model, with file names but without folders."""
-    files = [f for f in provenance.get("files") or () if isinstance(f, Mapping)]
+    found = [f for f in provenance.get("files") or () if isinstance(f, Mapping)]
+    files = [(str(f.get("name", "")), str(f.get("sha256", ""))) for f in found]
     versions = provenance.get("versions") or {}
     return {
         "remarks": [str(provenance[key]) for key in ("source", "note") if provenance.get(key)],
         "files": [
-            {"name": _bare(str(f.get("name", ""))), "sha256": str(f.get("sha256", ""))}
-            for f in files
+            {"name": PurePosixPath(name.replace("\\", "/")).name, "sha256": digest}
+            for name, digest in files
         ],
         "seed": provenance.get("seed"),
         "versions": ", ".join(f"{name} {number}" for name, number in versions.items()),
     }
-
-
-def _bare(path: str) -> str:
-    return PurePosixPath(path.replace("\\", "/")).name
-
-
-def spelled(range_: Range) -> str:
-    """Return a range as text."""
-    low, high = range_
-    return f"{figure(low, 3)} to {figure(high, 3)}"
 
 
 def _trained_rows(
@@ -153,36 +142,24 @@ def _trained_rows(
 
 def _measured(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:
     """Return the measured properties of the laws, or the reason why one is missing."""
-    found: dict[str, Any] = {"audit": {}, "certified": [], "verdicts": [], "refused": "",
-                             "rates": [], "costs": None, "costs_refused": ""}  # fmt: skip
-    motion = reference_motion(model)
+    found: dict[str, Any] = dict.fromkeys(("rates", "certified", "verdicts", "costs"), ())
+    found |= {"audit": {}, "refused": "", "costs_refused": ""}
+    motion, slides, known = reference_motion(model), model.slides, bool(model.trained)
     try:
         seen = datasheet.ranges(model, motion)
-        found["rates"] = [
-            _rate_rows(law, range_) for law, range_ in zip(model.laws, seen, strict=True)
-        ]
-        found["certified"] = [
-            datasheet.certified(c, slides=slides)
-            for c, slides in zip(
-                audit.certificates if audit else datasheet.certificates(model, seen),
-                model.slides,
-                strict=True,
-            )
-        ]
+        found["rates"] = list(map(_rate_rows, model.laws, seen))
+        proofs = audit.certificates if audit else datasheet.certificates(model, seen)
+        pairs = zip(proofs, slides, strict=True)
+        found["certified"] = [datasheet.certified(c, slides=s) for c, s in pairs]
         audits = audit.audits if audit else datasheet.audits(model, seen)
         found["audit"] = datasheet.audit_rows(audits, model.sliding)
-        found["verdicts"] = [
-            datasheet.verdict(a, known=bool(model.trained), slides=slides)
-            for a, slides in zip(audits, model.slides, strict=True)
-        ]
+        rows = zip(audits, slides, strict=True)
+        found["verdicts"] = [datasheet.verdict(a, known=known, slides=s) for a, s in rows]
     except HesrError as error:
         found["refused"] = str(error)
     try:
         costs = datasheet.costs(model, motion)
-        found["costs"] = {
-            "the log's convention": _cost_rows(costs.replay),
-            "the law in continuous time": _cost_rows(costs.continuous),
-        }
+        found["costs"] = {truth: _cost_rows(rows) for truth, rows in costs.items()}
     except HesrError as error:
         found["costs_refused"] = str(error)
     return found
@@ -200,16 +177,9 @@ def _torque(value: float | None) -> str:
 
 
 def _rate_rows(law: FrictionLaw, seen: TrainedRange) -> list[dict[str, str]]:
-    return [
-        {
-            "name": name,
-            "rate": figure(rate, 3),
-            "rk4": _step(datasheet.RK4, rate),
-            "euler": _step(datasheet.EULER, rate),
-        }
-        for name, rate in datasheet.fastest(law, seen).items()
-    ]
-
-
-def _step(limit: float, rate: float) -> str:
-    return f"{1e3 * limit / rate:.3g} ms" if rate > 0.0 else "any"
+    rows = []
+    for name, rate in datasheet.fastest(law, seen).items():
+        limits = {"rk4": datasheet.RK4, "euler": datasheet.EULER}
+        steps = {k: f"{1e3 * x / rate:.3g} ms" if rate > 0.0 else "any" for k, x in limits.items()}
+        rows.append({"name": name, "rate": figure(rate, 3), **steps})
+    return rows

@@ -20,20 +20,16 @@ MOST_TERMS = 12
 
 _DIGITS = 4
 
-_GREEK = {
-    "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "kappa": "κ", "lambda": "λ", "mu": "μ",
-    "sigma": "σ", "tau": "τ", "theta": "θ",
-}  # fmt: skip
+_LETTERS = ("alpha", "beta", "gamma", "delta", "kappa", "lambda", "mu", "sigma", "tau", "theta")
+_GREEK = dict(zip(_LETTERS, "αβγδκλμστθ", strict=True))
 _DERIVATIVES = {"dq": "q", "dh": "h", "dz": "z"}
 _TIMES = '<mo lspace="0" rspace="0.17em">&#8290;</mo>'
 """Invisible multiplication with some space, because names may have several letters."""
 _EQUALS, _PLUS, _MINUS = (f'<mo form="infix">{sign}</mo>' for sign in "=+−")
 _FIRST_MINUS = "<mo>−</mo>"
 _EXP = sympy.Function("exp")
-_FUNCTIONS = {
-    "sgn": "sgn", "positive": "max", "larger": "max", "cardinal_sine": "sinc", "clip": "clip",
-}  # fmt: skip
-"""Displayed names of HESR's own functions."""
+_FUNCTIONS = {"positive": "max", "larger": "max", "cardinal_sine": "sinc"}
+"""Displayed names of HESR's own functions, if they differ."""
 _BETTER = {
     "<mo>&InvisibleTimes;</mo>": _TIMES,
     "<mo>-</mo>": "<mo>−</mo>",
@@ -56,13 +52,8 @@ def equations(law: FrictionLaw, *, numbers: bool = False) -> list[str]:
             continue
         if isinstance(m.rate, sympy.Add):
             rate = f"<mrow><mo>(</mo>{rate}<mo>)</mo></mrow>"
-        lines.append(
-            [
-                f"{_dotted(state)}{_EQUALS}",
-                *printer.terms(m.drive),
-                f"{_MINUS}{rate}{_TIMES}{state}",
-            ]
-        )
+        terms = (*printer.terms(m.drive), f"{_MINUS}{rate}{_TIMES}{state}")
+        lines.append([f"{_dotted(state)}{_EQUALS}", *terms])
     return [" ".join(f'<math displaystyle="true">{part}</math>' for part in line) for line in lines]
 
 
@@ -79,12 +70,10 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
 
     def __init__(self, form: LawForm, values: Mapping[str, float]) -> None:
         super().__init__()
-        self._values = {
-            c.symbol: sympy.Float(f"{values[c.name]:.{_DIGITS}g}")
-            for c in form.coefficients
-            if c.name in values
-        }
-        written = {c.symbol: _name(c.name) for c in form.coefficients}
+        own = form.coefficients
+        numbers = {c.symbol: values[c.name] for c in own if c.name in values}
+        self._values = {s: sympy.Float(f"{x:.{_DIGITS}g}") for s, x in numbers.items()}
+        written = {c.symbol: _name(c.name) for c in own}
         for m in form.memory:
             written |= {m.derivative: _dotted(_name(m.name)), m.state: _name(m.name)}
         written |= {Q: _name("q"), DQ: _name("dq"), TAU_LOAD: _name("tau_load")}
@@ -146,12 +135,12 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         return self._row(next(bars), self._print(expr.args[0]), next(bars))
 
     def _applied(self, expr: sympy.Expr, *more: sympy.Expr) -> Any:
-        name = _FUNCTIONS[expr.func.__name__]
+        name = expr.func.__name__
         inner = []
         for argument in (*expr.args, *more):
             inner += [self._element("mo", ","), self._print(argument)]
         brackets = (self._element("mo", "("), *inner[1:], self._element("mo", ")"))
-        return self._row(self._element("mi", name), self._row(*brackets))
+        return self._row(self._element("mi", _FUNCTIONS.get(name, name)), self._row(*brackets))
 
     _print_sgn = _print_larger = _print_cardinal_sine = _print_clip = _applied
 

@@ -253,12 +253,12 @@ GEAR = {"stiffness": (1.0,) * 3, "damping": (1.0,) * 2, "backlash": (0.0,) * 3}
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"losses": {"constant": (1.0,)}}, "viscous has 3 entries, losses.constant 1"),
-        ({"losses": LOSS | {"load": (0.1,)}}, "load has 1 entries, constant 3"),
+        ({"losses": {"constant": (1.0,)}}, "viscous has 3 entries; 1 are needed"),
+        ({"losses": LOSS | {"load": (0.1,)}}, "load has 1 entries; 3 are needed"),
         ({"losses": LOSS | {"direct": (1.0,) * 3}}, "direct needs speed"),
         ({"losses": LOSS | {"evolution": (1.0,) * 3, "age": (1.0,) * 3}}, "evolution needs slip"),
         ({"losses": {"constant": (-1.0, 1.0, 1.0)}}, "greater than or equal to 0"),
-        ({"transmission": GEAR}, "damping has 2 entries, losses.constant 3"),
+        ({"transmission": GEAR}, "damping has 2 entries; 3 are needed"),
     ],
     ids=lambda x: x if isinstance(x, str) else "",
 )  # fmt: skip
@@ -284,9 +284,9 @@ def test_a_truth_of_another_arm_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"joints": ("joint1",)}, "joints has 1 entries, constant 3"),
+        ({"joints": ("joint1",)}, "joints has 1 entries; 3 are needed"),
         ({"load": (0.1,) * 3}, "load needs carriers"),
-        ({"load": (0.1,) * 3, "carriers": ("joint1",)}, "carriers has 1 entries, constant 3"),
+        ({"load": (0.1,) * 3, "carriers": ("joint1",)}, "carriers has 1 entries; 3 are needed"),
     ],
     ids=lambda x: x if isinstance(x, str) else "",
 )
@@ -306,9 +306,9 @@ def test_parts_that_do_not_go_together_are_named(tmp_path):
         signals_of(path, losing)
     with pytest.raises(ConfigError, match="joint 'joint1' has losses; it needs a frictionloss"):
         signals_of(PLANT.model, TABLE.model_copy(update={"losses": losing.losses}))
-    with pytest.raises(ValueError, match="losses has 1 entries for 2 elements"):
+    with pytest.raises(ValueError, match="losses has 1 entries; 2 are needed"):
         OutputTable(unit="N.m", sensors=({}, {}), losses=("joint1",))
-    with pytest.raises(ValueError, match="others has 1 entries for 2 joints"):
+    with pytest.raises(ValueError, match="others has 1 entries; 2 are needed"):
         StartTable(unit="rad", joints=("joint1", "joint2"), others=("joint3",))
 
 

@@ -26,14 +26,11 @@ _FEWEST = 20  # rows of a cycle
 _USUAL = 0.25  # [Hz], as in the FMU's picture
 _UNITS = {"velocity": "rad/s", "position": "rad", "time": "s", "torque": "N.m"}
 _NO_LOAD = 20.0  # default load [N.m]
-# Limits of the number fields beyond the sliders keep the page responsive: a sine has some rows, and
-# a
-# browser runs this many within seconds.
-_LEAST_ROWS, _MOST_ROWS = 4, 20_000  # rows of a cycle
+_LEAST_ROWS, _MOST_ROWS = 4, 20_000  # rows of a cycle; a browser runs this many within seconds
 _MOST_CYCLES = 100.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Knob:
     """A number with a slider and a number field; `name` is its key on the page.
 
@@ -43,46 +40,39 @@ class Knob:
     """
 
     name: str
-    symbol: str = ""
     text: str
     unit: str
     value: float
     low: float
     high: float
+    scale: str = "linear"
     least: float | None = None
     most: float | None = None
-    scale: str = "linear"
+    symbol: str = ""
     reference: int | None = None
 
 
 def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str, Any]:
     """Return the JSON data of an interactive section; `module` is the result of `wasm`."""
     trained = model.trained or (None,) * len(model.joints)
-    return {
-        "module": packed(module),
-        "step": model.sample_time,
-        "joints": [
+    connectors = (*(u.name for u in INPUTS), "tau")
+    joints = []
+    for i, (name, law, seen, slides) in enumerate(
+        zip(model.joints, model.laws, trained, model.slides, strict=True), start=1
+    ):
+        motion = _motion(law, seen, model.sample_time)
+        motion = (replace(k, unit=unit_of_joint(k.unit, slides=slides)) for k in motion)
+        joints.append(
             {
-                "name": model.joints[joint - 1],
-                "references": {
-                    name: table.places[f"{name}[{joint}]"]
-                    for name in (*(u.name for u in INPUTS), "tau")
-                },
-                "units": {
-                    name: unit_of_joint(unit, slides=slides) for name, unit in _UNITS.items()
-                },
+                "name": name,
+                "references": {x: table.places[f"{x}[{i}]"] for x in connectors},
+                "units": {x: unit_of_joint(unit, slides=slides) for x, unit in _UNITS.items()},
                 "speeds": list(seen.dq) if seen else None,
-                "motion": [
-                    asdict(replace(k, unit=unit_of_joint(k.unit, slides=slides)))
-                    for k in _motion(law, seen, model.sample_time)
-                ],
-                "coefficients": [asdict(k) for k in _coefficients(law, joint, table)],
+                "motion": list(map(asdict, motion)),
+                "coefficients": list(map(asdict, _coefficients(law, i, table))),
             }
-            for joint, (law, seen, slides) in enumerate(
-                zip(model.laws, trained, model.slides, strict=True), start=1
-            )
-        ],
-    }
+        )
+    return {"module": packed(module), "step": model.sample_time, "joints": joints}
 
 
 def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterator[Knob]:
@@ -90,26 +80,26 @@ def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterato
     speed = trained_speed(seen)
     digits = 2 - floor(log10(speed))
     within = floor(speed * 10.0**digits) / 10.0**digits  # short, and within the trained range
-    yield Knob(name="amplitude", text="velocity amplitude", unit="rad/s", value=within,
-               low=_short(speed / 200.0), high=_short(2.0 * speed), least=0.0,
-               scale="log")  # fmt: skip
+    low, high = _short(speed / 200.0), _short(2.0 * speed)
+    yield Knob("amplitude", "velocity amplitude", "rad/s", within, low, high, "log", least=0.0)
     fastest = max(min(_FASTEST, 1.0 / (_FEWEST * step)), 2.0 * _SLOWEST)
-    yield Knob(name="frequency", text="frequency", unit="Hz", value=min(_USUAL, fastest),
-               low=_SLOWEST, high=_short(fastest), scale="log",
-               least=min(_SLOWEST, _short(1.0 / (_MOST_ROWS * step))),
-               most=max(_short(fastest), _short(1.0 / (_LEAST_ROWS * step))))  # fmt: skip
-    yield Knob(name="cycles", text="cycles, the last one drawn in full", unit="", value=3.0,
-               low=1.0, high=10.0, least=1.0, most=_MOST_CYCLES, scale="whole")  # fmt: skip
+    high = _short(fastest)
+    least = min(_SLOWEST, _short(1.0 / (_MOST_ROWS * step)))
+    most = max(high, _short(1.0 / (_LEAST_ROWS * step)))
+    usual = min(_USUAL, fastest)
+    yield Knob("frequency", "frequency", "Hz", usual, _SLOWEST, high, "log", least, most)
+    text = "cycles, the last one drawn in full"
+    yield Knob("cycles", text, "", 3.0, 1.0, 10.0, "whole", least=1.0, most=_MOST_CYCLES)
     if Q in law.form.inputs:
         middle = seen.middle if seen else 0.0
-        yield Knob(name="centre", text="centre of the positions", unit="rad",
-                   value=middle, low=_short(middle - 3.0), high=_short(middle + 3.0))  # fmt: skip
+        low, high = _short(middle - 3.0), _short(middle + 3.0)
+        yield Knob("centre", "centre of the positions", "rad", middle, low, high)
     if TAU_LOAD in law.form.inputs:
         low, high = seen.tau_load if seen else (0.0, 0.0)
         reach = max(high - low, abs(low), abs(high)) or _NO_LOAD
         middle = 0.5 * (low + high)
-        yield Knob(name="load", text="load torque, constant", unit="N.m", value=middle,
-                   low=_short(middle - reach), high=_short(middle + reach))  # fmt: skip
+        low, high = _short(middle - reach), _short(middle + reach)
+        yield Knob("load", "load torque, constant", "N.m", middle, low, high)
 
 
 def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Knob]:
@@ -119,16 +109,13 @@ def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Kn
         reference = table.places[name]
         variable = table.variables[reference]
         factor = coefficient is None or _is_factor(law.form, coefficient.symbol)
-        low, high, scale = ends(variable.start, factor=factor)
         yield Knob(
-            name=coefficient.name if coefficient else name,
+            coefficient.name if coefficient else name,
+            variable.description,
+            "" if variable.unit in (None, "1") else str(variable.unit),
+            variable.start,
+            *ends(variable.start, factor=factor),
             symbol=symbol(coefficient.name) if coefficient else "",
-            text=variable.description,
-            unit="" if variable.unit in (None, "1") else str(variable.unit),
-            value=variable.start,
-            low=low,
-            high=high,
-            scale=scale,
             reference=reference,
         )
 

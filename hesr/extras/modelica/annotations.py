@@ -11,8 +11,8 @@ from typing import Any
 from fmu_src.friction.reference import UNKNOWN_SPEED
 from fmu_src.friction.variable_names import exposed
 from fmu_src.pages import datasheet
-from fmu_src.pages.datasheet import figure
-from fmu_src.pages.friction_page import spelled, title, training
+from fmu_src.pages.datasheet import figure, spelled
+from fmu_src.pages.friction_page import title, training
 from fmu_src.pages.html import rendered
 from hesr_model.audit.audit import Audit
 from hesr_model.friction.equation import coefficient_lines

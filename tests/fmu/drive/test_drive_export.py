@@ -182,7 +182,7 @@ def test_the_page_explains_the_drive_and_needs_nothing(fmu: Path) -> None:
         "At rest this law holds nothing",
         "Steady sliding drives at speeds of 0 to 0.75 rad/s",
         "0.001 s, parameter substep",
-        "torque on the link, which the importing tool integrates",
+        "torque on the link, for the importing tool",
     ):
         assert said in words
     assert "<math" in text
