@@ -149,16 +149,24 @@ static void set_one(Memory *memory, fmi2ValueReference vr, double value) {
     memory->stale |= variable->used;
 }
 
+/* Return the instance if these variables can be set now, else NULL. */
+static Instance *settable_in(fmi2Component c, const char *function, Type type,
+                             const fmi2ValueReference vr[], size_t n, const void *value) {
+    Instance *instance = entered(c, MAY_SET, function);
+    if (instance && !(known(instance, function, type, vr, n, value) &&
+                      all_settable(instance, function, vr, n))) {
+        failed(instance);
+        return NULL;
+    }
+    return instance;
+}
+
 FMI2_STATUS(fmi2SetReal)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[]) {
     static const char function[] = "fmi2SetReal";
-    Instance *instance = entered(c, MAY_SET, function);
+    Instance *instance = settable_in(c, function, REAL, vr, n, value);
     if (!instance) {
         return fmi2Error;
-    }
-    if (!known(instance, function, REAL, vr, n, value) ||
-        !all_settable(instance, function, vr, n)) {
-        return failed(instance);
     }
     const size_t odd = first_odd(value, n);
     if (odd < n) {
@@ -173,13 +181,9 @@ FMI2_STATUS(fmi2SetReal)
 FMI2_STATUS(fmi2SetInteger)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer value[]) {
     static const char function[] = "fmi2SetInteger";
-    Instance *instance = entered(c, MAY_SET, function);
+    Instance *instance = settable_in(c, function, INTEGER, vr, n, value);
     if (!instance) {
         return fmi2Error;
-    }
-    if (!known(instance, function, INTEGER, vr, n, value) ||
-        !all_settable(instance, function, vr, n)) {
-        return failed(instance);
     }
     for (size_t i = 0; i < n; i++) {
         const Variable *variable = variable_of(vr[i]);

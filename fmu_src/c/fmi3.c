@@ -69,10 +69,9 @@ FMI3_EXPORT const char *fmi3GetVersion(void) {
     return "3.0";
 }
 
-FMI3_STATUS(fmi3SetDebugLogging)
-(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String category[]) {
-    return STATUS(fmi2SetDebugLogging(INNER(c), on, n, category));
-}
+FMI3_FORWARD(fmi3SetDebugLogging, fmi2SetDebugLogging,
+             (fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String category[]), on, n,
+             category)
 
 FMI3_STATUS(fmi3EnterInitializationMode)
 (fmi3Instance c, fmi3Boolean tolerance_defined, fmi3Float64 tolerance, fmi3Float64 start,
@@ -91,36 +90,16 @@ FMI3_STATUS(fmi3ExitInitializationMode)(fmi3Instance c) {
     return STATUS(status);
 }
 
-FMI3_STATUS(fmi3Terminate)(fmi3Instance c) {
-    return STATUS(fmi2Terminate(INNER(c)));
-}
-
-FMI3_STATUS(fmi3Reset)(fmi3Instance c) {
-    return STATUS(fmi2Reset(INNER(c)));
-}
-
-FMI3_STATUS(fmi3GetFMUState)(fmi3Instance c, fmi3FMUState *state) {
-    return STATUS(fmi2GetFMUstate(INNER(c), state));
-}
-
-FMI3_STATUS(fmi3SetFMUState)(fmi3Instance c, fmi3FMUState state) {
-    return STATUS(fmi2SetFMUstate(INNER(c), state));
-}
-
-FMI3_STATUS(fmi3FreeFMUState)(fmi3Instance c, fmi3FMUState *state) {
-    return STATUS(fmi2FreeFMUstate(INNER(c), state));
-}
-
-FMI3_STATUS(fmi3SerializedFMUStateSize)(fmi3Instance c, fmi3FMUState state, size_t *size) {
-    return STATUS(fmi2SerializedFMUstateSize(INNER(c), state, size));
-}
-
-FMI3_STATUS(fmi3SerializeFMUState)
-(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size) {
-    return STATUS(fmi2SerializeFMUstate(INNER(c), state, (fmi2Byte *)bytes, size));
-}
-
-FMI3_STATUS(fmi3DeserializeFMUState)
-(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state) {
-    return STATUS(fmi2DeSerializeFMUstate(INNER(c), (const fmi2Byte *)bytes, size, state));
-}
+FMI3_FORWARD_ALONE(fmi3Terminate, fmi2Terminate)
+FMI3_FORWARD_ALONE(fmi3Reset, fmi2Reset)
+FMI3_FORWARD(fmi3GetFMUState, fmi2GetFMUstate, (fmi3Instance c, fmi3FMUState *state), state)
+FMI3_FORWARD(fmi3SetFMUState, fmi2SetFMUstate, (fmi3Instance c, fmi3FMUState state), state)
+FMI3_FORWARD(fmi3FreeFMUState, fmi2FreeFMUstate, (fmi3Instance c, fmi3FMUState *state), state)
+FMI3_FORWARD(fmi3SerializedFMUStateSize, fmi2SerializedFMUstateSize,
+             (fmi3Instance c, fmi3FMUState state, size_t *size), state, size)
+FMI3_FORWARD(fmi3SerializeFMUState, fmi2SerializeFMUstate,
+             (fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size), state,
+             (fmi2Byte *)bytes, size)
+FMI3_FORWARD(fmi3DeserializeFMUState, fmi2DeSerializeFMUstate,
+             (fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state),
+             (const fmi2Byte *)bytes, size, state)

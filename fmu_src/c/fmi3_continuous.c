@@ -1,9 +1,7 @@
 /* FMI 3.0: model exchange. */
 #include "fmi3_instance.h"
 
-FMI3_STATUS(fmi3EnterContinuousTimeMode)(fmi3Instance c) {
-    return STATUS(fmi2EnterContinuousTimeMode(INNER(c)));
-}
+FMI3_FORWARD_ALONE(fmi3EnterContinuousTimeMode, fmi2EnterContinuousTimeMode)
 
 FMI3_STATUS(fmi3CompletedIntegratorStep)
 (fmi3Instance c, fmi3Boolean no_set_state_before, fmi3Boolean *event, fmi3Boolean *terminate) {
@@ -16,42 +14,25 @@ FMI3_STATUS(fmi3CompletedIntegratorStep)
     return STATUS(status);
 }
 
-FMI3_STATUS(fmi3SetTime)(fmi3Instance c, fmi3Float64 time) {
-    return STATUS(fmi2SetTime(INNER(c), time));
-}
+FMI3_FORWARD(fmi3SetTime, fmi2SetTime, (fmi3Instance c, fmi3Float64 time), time)
+FMI3_FORWARD(fmi3SetContinuousStates, fmi2SetContinuousStates,
+             (fmi3Instance c, const fmi3Float64 x[], size_t n), x, n)
+FMI3_FORWARD(fmi3GetContinuousStateDerivatives, fmi2GetDerivatives,
+             (fmi3Instance c, fmi3Float64 dx[], size_t n), dx, n)
+FMI3_FORWARD(fmi3GetEventIndicators, fmi2GetEventIndicators,
+             (fmi3Instance c, fmi3Float64 indicator[], size_t n), indicator, n)
+FMI3_FORWARD(fmi3GetContinuousStates, fmi2GetContinuousStates,
+             (fmi3Instance c, fmi3Float64 x[], size_t n), x, n)
+FMI3_FORWARD(fmi3GetNominalsOfContinuousStates, fmi2GetNominalsOfContinuousStates,
+             (fmi3Instance c, fmi3Float64 nominal[], size_t n), nominal, n)
 
-FMI3_STATUS(fmi3SetContinuousStates)(fmi3Instance c, const fmi3Float64 x[], size_t n) {
-    return STATUS(fmi2SetContinuousStates(INNER(c), x, n));
-}
-
-FMI3_STATUS(fmi3GetContinuousStateDerivatives)(fmi3Instance c, fmi3Float64 dx[], size_t n) {
-    return STATUS(fmi2GetDerivatives(INNER(c), dx, n));
-}
-
-FMI3_STATUS(fmi3GetEventIndicators)(fmi3Instance c, fmi3Float64 indicator[], size_t n) {
-    return STATUS(fmi2GetEventIndicators(INNER(c), indicator, n));
-}
-
-FMI3_STATUS(fmi3GetContinuousStates)(fmi3Instance c, fmi3Float64 x[], size_t n) {
-    return STATUS(fmi2GetContinuousStates(INNER(c), x, n));
-}
-
-FMI3_STATUS(fmi3GetNominalsOfContinuousStates)(fmi3Instance c, fmi3Float64 nominal[], size_t n) {
-    return STATUS(fmi2GetNominalsOfContinuousStates(INNER(c), nominal, n));
-}
-
-FMI3_STATUS(fmi3GetNumberOfEventIndicators)(fmi3Instance c, size_t *n) {
-    if (!c || !n) {
-        return fmi3Error;
+#define FMI3_COUNT(name, number)                                                                   \
+    FMI3_STATUS(name)(fmi3Instance c, size_t *n) {                                                 \
+        if (!c || !n) {                                                                            \
+            return fmi3Error;                                                                      \
+        }                                                                                          \
+        *n = number;                                                                               \
+        return fmi3OK;                                                                             \
     }
-    *n = INDICATORS;
-    return fmi3OK;
-}
-
-FMI3_STATUS(fmi3GetNumberOfContinuousStates)(fmi3Instance c, size_t *n) {
-    if (!c || !n) {
-        return fmi3Error;
-    }
-    *n = STATES;
-    return fmi3OK;
-}
+FMI3_COUNT(fmi3GetNumberOfEventIndicators, INDICATORS)
+FMI3_COUNT(fmi3GetNumberOfContinuousStates, STATES)

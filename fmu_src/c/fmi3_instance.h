@@ -16,6 +16,16 @@ typedef struct {
 #define INNER(c) ((c) ? ((Outer *)(c))->inner : NULL)
 #define STATUS(call) ((fmi3Status)(call))
 
+/* Functions that only call one of FMI 2.0. */
+#define FMI3_FORWARD(name, inner, parameters, ...)                                                 \
+    FMI3_STATUS(name) parameters {                                                                 \
+        return STATUS(inner(INNER(c), __VA_ARGS__));                                               \
+    }
+#define FMI3_FORWARD_ALONE(name, inner)                                                            \
+    FMI3_STATUS(name)(fmi3Instance c) {                                                            \
+        return STATUS(inner(INNER(c)));                                                            \
+    }
+
 static Memory *memory_of(fmi3Instance c) {
     return &((Instance *)((Outer *)c)->inner)->memory;
 }
