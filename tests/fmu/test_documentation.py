@@ -69,7 +69,7 @@ def page_of(model: FrictionModel) -> str:
         step=model.sample_time,
         sources=("all.c",),
     )
-    return to_html(model, friction.interface(model), about)
+    return to_html(model, friction.friction_equations(model)[0], about)
 
 
 @pytest.fixture(scope="session")
