@@ -1,6 +1,7 @@
 """Pre-sliding: position loop at small amplitude, and memory of reversals at two kinds of load."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -21,19 +22,15 @@ _DEPTH = np.concatenate(
     [[2.0 * _JUMP, 0.01], np.linspace(0.05, 0.5, 10)]
 )  # return path, in amplitudes of the outer loop
 _TURNS = int(np.searchsorted(_BRANCH, _TURN))  # its row
-_INNER_WAY = np.concatenate([[0.0], _DEPTH, _DEPTH[-1] - _DEPTH])
-_NESTED_WAYS = (-1.0, 1.0, -1.0, 1.0)
-_NESTED = (0.5 * _DEPTH, 0.25 * _DEPTH, 0.25 * _DEPTH, 0.5 * _DEPTH)
-"""Displacements of two nested loops, in widths of the outer one."""
-_NESTED_WAY = np.concatenate(
-    [
-        [0.0],
-        _DEPTH,
-        _DEPTH[-1] - 0.5 * _DEPTH,
-        0.5 * _DEPTH[-1] + 0.5 * _DEPTH,
-        _DEPTH[-1] - _DEPTH,
-    ]
-)  # in amplitudes below the turning point
+_Moves = Sequence[tuple[float, Array]]
+"""Directions, and displacements in widths of the outer loop."""
+_INNER: _Moves = ((-1.0, 0.5 * _DEPTH), (1.0, 0.5 * _DEPTH))
+_NESTED: _Moves = (
+    (-1.0, 0.5 * _DEPTH),
+    (1.0, 0.25 * _DEPTH),
+    (-1.0, 0.25 * _DEPTH),
+    (1.0, 0.5 * _DEPTH),
+)
 _AT_ONCE = 0.99  # of the height; a larger jump excludes pre-sliding
 _LITTLE = 1e-9  # [N.m] minimum height of a loop
 
@@ -55,17 +52,7 @@ def memory(
     Slow motion excludes memory of time. `states` is the number of states of each law; None if
     unknown.
     """
-    loop = _loop(bench, scale, SLOW_PERIOD, scale.load)
-    turned = _turn(bench, scale)
-    down, again = (_branch(bench, scale, SLOW_PERIOD, way, 0.5 * _DEPTH) for way in (-1.0, 1.0))
-    on = _continue(bench, scale)
-    inner = np.concatenate([turned, down, again])
-    return [
-        _remembered(
-            loop[:, j], inner[:, j], on[:, j], _INNER_WAY, float(scale.deflection[j]), states[j]
-        )
-        for j in range(bench.joints)
-    ]
+    return _reversed(bench, scale, states, _INNER)
 
 
 def nested(
@@ -75,39 +62,47 @@ def nested(
 
     The load moves between half of `peaks` (n,) and `peaks` [N.m]; see `memory` for `states`.
     """
-    loaded = np.ptp(_loop(bench, scale, SLOW_PERIOD, peaks), axis=0)
-    loop = _loop(bench, scale, SLOW_PERIOD, 0.5 * peaks)
-    ways = [_turn(bench, scale)]
-    for way, shares in zip(_NESTED_WAYS, _NESTED, strict=True):
+    return _reversed(bench, scale, states, _NESTED, peaks)
+
+
+def _reversed(
+    bench: FrictionBench,
+    scale: Scale,
+    states: Sequence[int | None],
+    moves: _Moves,
+    peaks: Array | None = None,
+) -> list[PropertyResult]:
+    """Make moves at a turning point of the rising branch; see `nested` for `peaks`."""
+    innermost = loaded = np.zeros(bench.joints)
+    if peaks is not None:
+        loaded = np.ptp(_loop(bench, scale, SLOW_PERIOD, peaks), axis=0)
+    loop = _loop(bench, scale, SLOW_PERIOD, scale.load if peaks is None else 0.5 * peaks)
+    branch = partial(_branch, bench, scale, SLOW_PERIOD)
+    branch(-1.0, _BRANCH)
+    parts = [branch(1.0, _BRANCH[: _TURNS + 1])[-1:]]
+    way = [np.zeros(1)]  # in amplitudes below the turning point
+    for sign, shares in moves:
         rise = 0.5 - 0.5 * np.cos(2.0 * np.pi * shares / shares[-1])
-        load = (0.5 + 0.5 * rise)[:, None] * peaks
-        ways.append(_branch(bench, scale, SLOW_PERIOD, way, shares, load))
-    on = _continue(bench, scale)
-    inner, turns = np.concatenate(ways), np.array([of_way[-1] for of_way in ways])
+        load = None if peaks is None else (0.5 + 0.5 * rise)[:, None] * peaks
+        parts.append(branch(sign, shares, load))
+        way.append(way[-1][-1] - 2.0 * sign * shares)
+    if len(parts) > 3:
+        innermost = parts[3][-1] - parts[1][-1]
+    on = branch(1.0, _BRANCH[_TURNS + 1 :] - _BRANCH[_TURNS])
+    inner, path = np.concatenate(parts), np.concatenate(way)
     return [
         _remembered(
             loop[:, j],
             inner[:, j],
             on[:, j],
-            _NESTED_WAY,
+            path,
             float(scale.deflection[j]),
             states[j],
-            innermost=float(turns[3, j] - turns[1, j]),
+            innermost=float(innermost[j]),
             loaded=float(loaded[j]),
         )
         for j in range(bench.joints)
     ]
-
-
-def _turn(bench: FrictionBench, scale: Scale) -> Array:
-    """Move down the loop and up to the turning point; return the torque (1, n) there."""
-    _branch(bench, scale, SLOW_PERIOD, -1.0, _BRANCH)
-    return _branch(bench, scale, SLOW_PERIOD, 1.0, _BRANCH[: _TURNS + 1])[-1:]
-
-
-def _continue(bench: FrictionBench, scale: Scale) -> Array:
-    """Return the torque (K, n) on the rest of the rising branch."""
-    return _branch(bench, scale, SLOW_PERIOD, 1.0, _BRANCH[_TURNS + 1 :] - _BRANCH[_TURNS])
 
 
 def _branch(
@@ -193,8 +188,8 @@ def _remembered(
     amplitude: float,
     states: int | None,
     *,
-    innermost: float = 0.0,
-    loaded: float = 0.0,
+    innermost: float,
+    loaded: float,
 ) -> PropertyResult:
     """Judge inner loops and the branch `on` after them by the outer loop.
 
@@ -219,8 +214,7 @@ def _remembered(
         wrong.append("One first-order state cannot have non-local memory.")
     if wrong and states == 0:
         wrong.append("A law without a state has no memory.")
-    turn = 2.0 * _TURN - 1.0
-    into = turn - way
+    into = 2.0 * _TURN - 1.0 - way
     # A loop as high as the outer one closes without memory.
     closes = None if depth > INNER else miss
     return judged(
