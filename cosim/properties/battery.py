@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from cosim.properties.bench import DriveBench, FrictionBench, drive_bench, friction_bench
+from cosim.properties.bench import DriveBench, FrictionBench
 from cosim.properties.break_away import breakaway, dither, hold
 from cosim.properties.coupling import coupling
 from cosim.properties.dissipation import dissipation
@@ -24,6 +24,7 @@ from cosim.properties.stick_slip import stick_slip
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.reference import UNKNOWN_SPEED
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.audit.audit import loads_of
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import (
@@ -112,44 +113,34 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
             if model is None:
                 raise ConfigError(f"{subject.name}: there is neither a model nor an FMU.")
             fmu = export_bare(model, Path(folder, "friction.fmu"))
-        joints = len(model.laws) if model else _joints_of(fmu)
-        inertia = _require_inertia(subject, joints)
-        seen = _ranges(model, joints)
-        places, speed = (np.array([getattr(s, x) for s in seen]) for x in ("middle", "speed"))
-        with friction_bench(fmu, places) as bench:
+        with FmuInstance(fmu) as component:
+            bench = FrictionBench(component)
+            joints = bench.joints
+            inertia = _require_inertia(subject, joints)
+            seen = _ranges(model, joints)
+            bench.places = np.array([one.middle for one in seen])
+            speed = np.array([one.speed for one in seen])
+            scale = None
             try:
                 scale = measure_scale(bench, speed, load)
+                found = _moved(bench, scale, model, seen, inertia)
             except SimulationError as error:
                 # Without steady sliding every property fails.
                 found = dict.fromkeys(EXPECTATIONS, [_given_up(error)] * joints)
-                return _collected(subject, load, speed, None, inertia, found)
-            found = _moved(bench, scale, model, seen, inertia)
-        if model and inertia is not None:
+        if scale and model and inertia is not None:
             # Prismatic joints obey the same equations, with a mass as inertia.
             turning = replace(model, sliding=())
             own = inertia.tolist()
             drive = export_drive(turning, Path(folder, "drive.fmu"), inertia=own, bare=True)
-            with drive_bench(drive, places) as driven:
+            with FmuInstance(drive) as component:
+                driven = DriveBench(component, bench.places)
                 for key, experiment in _DRIVEN.items():
                     found[key] = _tried(partial(experiment, driven, scale), joints)
                 loaded = np.array([TAU_LOAD in law.form.inputs for law in turning.laws])
                 peaks = _peaks(seen, scale)
                 found[_DRIVE] = _tried(partial(dissipation, driven, scale, peaks, loaded), joints)
-    return _collected(subject, load, speed, scale, inertia, found)
-
-
-def _collected(
-    subject: Subject,
-    load: float,
-    speed: Array,
-    scale: Scale | None,
-    inertia: Array | None,
-    found: Mapping[str, list[PropertyResult]],
-) -> Properties:
-    """Return all findings by joint; unmeasured scales are zero."""
-    model = subject.model
-    names = model.joints if model else [f"joint {k}" for k in range(1, len(speed) + 1)]
-    sliding = model.slides if model else (False,) * len(speed)
+    names = model.joints if model else [f"joint {k}" for k in range(1, joints + 1)]
+    sliding = model.slides if model else (False,) * joints
     return Properties(
         law=model.law if model else subject.name,
         robot=model.robot if model else "",
@@ -185,21 +176,22 @@ def _moved(
         (scale.load,) if law is None else loads_of(law, one)
         for law, one in zip(laws, seen, strict=True)
     ]
-    not_run = PropertyResult(verdict="not run", reason=_NO_INERTIA if model else _NO_MODEL)
-    found = {key: [not_run] * n for key in (*_DRIVEN, _DRIVE)}
-    found["presliding"] = _tried(partial(presliding, bench, scale), n)
-    found["memory"] = _tried(partial(memory, bench, scale, states), n)
-    found["nested"] = _tried(partial(nested, bench, scale, states, _peaks(seen, scale)), n)
-    found["start"] = _tried(partial(start, bench, scale), n)
-    found["lag"] = _tried(partial(lag, bench, scale), n)
-    found["chatter"] = _tried(partial(chatter, bench, scale, seen), n)
-    found["work"] = _tried(partial(work, bench, seen, loads), n)
-    found["coupling"] = (
-        [PropertyResult(verdict="not run", reason=_NO_INERTIA)] * n
-        if inertia is None
-        else _tried(partial(coupling, bench, scale, inertia), n)
-    )
-    return found
+    experiments: dict[str, Callable[[], list[PropertyResult]]] = {
+        "presliding": partial(presliding, bench, scale),
+        "memory": partial(memory, bench, scale, states),
+        "nested": partial(nested, bench, scale, states, _peaks(seen, scale)),
+        "start": partial(start, bench, scale),
+        "lag": partial(lag, bench, scale),
+        "chatter": partial(chatter, bench, scale, seen),
+        "work": partial(work, bench, seen, loads),
+    }
+    reasons = dict.fromkeys((*_DRIVEN, _DRIVE), _NO_INERTIA if model else _NO_MODEL)
+    if inertia is None:
+        reasons["coupling"] = _NO_INERTIA
+    else:
+        experiments["coupling"] = partial(coupling, bench, scale, inertia)
+    found = {key: [PropertyResult(verdict="not run", reason=r)] * n for key, r in reasons.items()}
+    return found | {key: _tried(experiment, n) for key, experiment in experiments.items()}
 
 
 def _peaks(seen: list[TrainedRange], scale: Scale) -> Array:
@@ -227,11 +219,6 @@ def _finite(found: PropertyResult) -> PropertyResult:
         for f in found.figures
     )
     return replace(found, figures=tuple(figures))
-
-
-def _joints_of(fmu: Path) -> int:
-    with friction_bench(fmu) as bench:
-        return bench.joints
 
 
 def _ranges(model: FrictionModel | None, joints: int) -> list[TrainedRange]:

@@ -1,8 +1,6 @@
 """Benches: one moves the joints of a friction FMU, the other drives those of a JointDrive."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -62,7 +60,7 @@ class FrictionBench(_Bench):
     Raises SimulationError if the FMU lacks the connectors of a friction FMU.
     """
 
-    def __init__(self, component: FmuInstance, places: Array | None = None) -> None:
+    def __init__(self, component: FmuInstance) -> None:
         names: set[str] = {v.name for v in component.description.modelVariables}
         joints = sum(name.startswith("tau[") for name in names)
         wanted = [f"{u.name}[{i}]" for u in INPUTS for i in range(1, max(joints, 1) + 1)]
@@ -73,7 +71,7 @@ class FrictionBench(_Bench):
                     "inputs dq[i], q[i], tau_load[i] and the outputs tau[i]."
                 )
         super().__init__(component, joints, [u.name for u in INPUTS], ["tau"])
-        self.places = np.zeros(joints) if places is None else places
+        self.places = np.zeros(joints)
         self.exact = DISCRETISATION in names
         self._settles = START_MODE in names
         self.forever = _FOREVER if self.exact else _LONG
@@ -128,13 +126,6 @@ class FrictionBench(_Bench):
             parts = np.maximum(np.ceil(dt / _SUBSTEP).astype(int), 1)
         rows = np.repeat(np.hstack([dq, q, held]), parts, axis=0)
         return np.asarray(self._through(np.repeat(dt / parts, parts), rows)[np.cumsum(parts) - 1])
-
-
-@contextmanager
-def friction_bench(fmu: Path, places: Array | None = None) -> Iterator[FrictionBench]:
-    """Load a friction FMU onto a bench; see `FrictionBench` for `places`."""
-    with FmuInstance(fmu) as component:
-        yield FrictionBench(component, places)
 
 
 class DriveBench(_Bench):
@@ -203,10 +194,3 @@ class DriveBench(_Bench):
             if values is not None:
                 rows[:, first : first + n] = values
         return np.moveaxis(self._through(dt, rows).reshape(len(dt), 3, n), 1, 0)
-
-
-@contextmanager
-def drive_bench(fmu: Path, places: Array) -> Iterator[DriveBench]:
-    """Load a JointDrive onto a bench, its joints at places (n,) [rad]."""
-    with FmuInstance(fmu) as component:
-        yield DriveBench(component, places)
