@@ -37,36 +37,25 @@ def exposed_variables(contents: SystemContents) -> Iterator[Exposed]:
     for name, described in contents.descriptions.items():
         for variable in described.modelVariables:
             element = (name, variable.name)
-            given = wiring.start[name].get(variable.name)
-            fed = element in wiring.sources
-            seen = _causality(
-                variable, observed=element in observed, every=not observed, fed=fed, given=given
+            fed, shown = element in wiring.sources, element in observed
+            given = None if fed else wiring.start[name].get(variable.name)
+            seen = variable.causality
+            if seen == "output":
+                seen = "output" if shown or not observed else "local"
+            elif seen != "parameter" and (fed or seen != "input"):
+                if seen == "independent" or not (shown or given is not None):
+                    continue
+                # FMI: an output is continuous or discrete; it cannot change with parameters alone.
+                follows = variable.variability in ("fixed", "tunable")
+                seen = "output" if shown and not follows else "local"
+            start = _own_start(variable) if given is None else given
+            initial = None if seen == "input" else variable.initial
+            yield Exposed(
+                element=element,
+                causality=seen,
+                initial="calculated" if fed else initial,
+                start=None if fed else start,
             )
-            if seen is not None:
-                start = _own_start(variable) if given is None else given
-                initial = None if seen == "input" else variable.initial
-                yield Exposed(
-                    element=element,
-                    causality=seen,
-                    initial="calculated" if fed else initial,
-                    start=None if fed else start,
-                )
-
-
-def _causality(
-    variable: Any, *, observed: bool, every: bool, fed: bool, given: float | str | None
-) -> str | None:
-    """Return the causality of a variable in the container; None if it is not exposed."""
-    own: str = variable.causality
-    if own == "output":
-        return "output" if observed or every else "local"
-    if own == "parameter" or (own == "input" and not fed):
-        return own
-    if own == "independent" or not (observed or (given is not None and not fed)):
-        return None
-    # FMI: an output is continuous or discrete; it cannot change with parameters alone.
-    follows = variable.variability in ("fixed", "tunable")
-    return "output" if observed and not follows else "local"
 
 
 def to_description(

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -64,25 +64,16 @@ class Master:
             self._cleanup = cleanup.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *ended: Any) -> None:
         """Free all FMUs."""
-        self._cleanup.__exit__(kind, error, trace)
+        self._cleanup.__exit__(*ended)
 
     def _build(self) -> None:
         """Assign a place to every needed output, contiguous for each component."""
         wiring = self._wiring
         wanted = [*wiring.sources.values(), *wiring.observed, *(e for e, _ in wiring.limited)]
-        names: list[Element] = [
-            element
-            for name in self._slaves
-            for element in dict.fromkeys(wanted)
-            if element[0] == name
-        ]
+        order = list(self._slaves)
+        names = sorted(dict.fromkeys(wanted), key=lambda element: order.index(element[0]))
         place = {element: i for i, element in enumerate(names)}
         values = np.zeros(len(place))
         stations = []

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +25,8 @@ class Wiring:
         for target, source in spec.connections.items():
             self._connect(target, source, f"connection '{target}' = '{source}'")
         self.start = {c.name: self._start(c.name, c.start) for c in spec.components}
-        self.observed = list(
-            dict.fromkeys(
-                element
-                for signal in spec.observe
-                for element in self._elements(signal, f"observed '{signal}'", "Real")
-            )
-        )
+        observed = (self.elements(s, f"observed '{s}'", "Real") for s in spec.observe)
+        self.observed = list(dict.fromkeys(chain.from_iterable(observed)))
         self.limited: list[tuple[Element, Bounds]] = []
         for signal, bounds in spec.limits.items():
             self.limited += self._bounds(signal, bounds, f"limits of '{signal}'")
@@ -51,13 +47,10 @@ class Wiring:
             hint = suggestion(name, self._slaves, 1) or f"there are {', '.join(self._slaves)}."
             raise self._error(f"{where}: there is no component '{name}'; {hint}")
 
-    def elements(self, signal: str) -> list[Element]:
-        """Return the elements of a signal."""
-        return self._elements(signal, f"'{signal}'")
-
-    def _elements(self, signal: str, where: str, kind: str | None = None) -> list[Element]:
+    def elements(self, signal: str, where: str = "", kind: str | None = None) -> list[Element]:
         """Return the elements of a signal, and check their type if one is given."""
         name, _, variable = signal.partition(".")
+        where = where or f"'{signal}'"
         self._require_component(name, where)
         try:
             found = self._slaves[name].elements(variable)
@@ -75,14 +68,14 @@ class Wiring:
 
     def _bounds(self, signal: str, bounds: Any, where: str) -> Iterator[tuple[Element, Bounds]]:
         """Yield the bounds of each element, from one pair for all or one pair each."""
-        elements = self._elements(signal, where, "Real")
+        elements = self.elements(signal, where, "Real")
         pairs = bounds if isinstance(bounds[0], tuple) else (bounds,) * len(elements)
         if len(pairs) != len(elements):
             raise self._error(f"{where}: {len(pairs)} pairs for {len(elements)} elements.")
         yield from zip(elements, pairs, strict=True)
 
     def _connect(self, target: str, source: str, where: str) -> None:
-        inputs, outputs = self._elements(target, where), self._elements(source, where)
+        inputs, outputs = self.elements(target, where), self.elements(source, where)
         if len(inputs) != len(outputs):
             raise self._error(
                 f"{where}: '{target}' has {len(inputs)} element{'s'[: len(inputs) > 1]}, "
@@ -137,14 +130,10 @@ class Wiring:
             return tuple(TopologicalSorter(graph).static_order())
         except CycleError as error:
             loop = error.args[1]
-            silent = [
-                n
-                for n in dict.fromkeys(name for name, _ in loop)
-                if not self._slaves[n].declares_feedthrough
-            ]
             hint = "".join(
                 f" ('{name}' does not say what its outputs depend on: every input counts)"
-                for name in silent
+                for name in dict.fromkeys(name for name, _ in loop)
+                if not self._slaves[name].declares_feedthrough
             )
             raise self._error(
                 f"algebraic loop through direct feedthrough: {' -> '.join(map('.'.join, loop))}"
