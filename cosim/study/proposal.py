@@ -1,7 +1,6 @@
 """Proposed study of inspected logs: training on some of them, test on the rest."""
 
 import json
-from collections.abc import Sequence
 from os.path import relpath
 from pathlib import Path
 
@@ -35,22 +34,25 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
         "",
         "[logs]",
     ]
-    if len(files) > 1:
-        return _text([*lines, *_sets(files[:-1], files[-1:])])
-    (log,) = proposal.logs
-    cut = float(f"{_share(log) * (log.t[-1] - log.t[0]):.4g}")
-    of_log = f"log = {json.dumps(files[0])}"
-    return _text(
-        [
-            *lines,
-            *_sets(["first"], ["rest"]),
+    trained, tested = (files[:-1], files[-1:]) if len(files) > 1 else (["first"], ["rest"])
+    lines += [
+        f"identification = {json.dumps(trained, ensure_ascii=False)}",
+        "",
+        "[logs.test]",
+        f"test = {json.dumps(tested, ensure_ascii=False)}",
+    ]
+    if len(files) == 1:
+        (log,) = proposal.logs
+        cut = float(f"{_share(log) * (log.t[-1] - log.t[0]):.4g}")
+        of_log = f"log = {json.dumps(files[0])}"
+        lines += [
             "",
             "# Times in s, from the log's first row.",
             "[logs.parts]",
             f"first = {{ {of_log}, stop = {cut:g} }}",
             f"rest = {{ {of_log}, start = {cut:g} }}",
         ]
-    )
+    return "\n".join(lines) + "\n"
 
 
 def _share(log: Log) -> float:
@@ -60,15 +62,6 @@ def _share(log: Log) -> float:
     whole, first = log.t[-1] - log.t[0], [rows[0] for rows in found if len(rows)]
     late = float(np.max(log.t[first] - log.t[0], initial=0.0) / whole)
     return min(max(_TRAINED, late + _BEYOND), _MOST_TRAINED)
-
-
-def _sets(trained: Sequence[str], tested: Sequence[str]) -> list[str]:
-    return [
-        f"identification = {json.dumps(trained, ensure_ascii=False)}",
-        "",
-        "[logs.test]",
-        f"test = {json.dumps(tested, ensure_ascii=False)}",
-    ]
 
 
 def _file(path: Path | None) -> Path:
@@ -81,7 +74,3 @@ def _name(path: Path) -> str:
     stem = path.resolve().parent.name if path.stem == "study" else path.stem
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in stem)
     return kept.lstrip("_-") or "study"
-
-
-def _text(lines: Sequence[str]) -> str:
-    return "\n".join(lines) + "\n"

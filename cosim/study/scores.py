@@ -168,15 +168,14 @@ def compare(
     numbered = range(len(records))
     others = [law for law in predictions if references[law] != law]
     ratios = paired((law, references[law], j) for law in others for j in numbered)
-    ranked = [law for law in predictions if _runs(law)]
-    best = [min(ranked, key=lambda law: scores[law][j].rmse) for j in numbered] if ranked else []
-    # One family per joint: a family over all joints has no power with few blocks.
-    apart = {
-        key: ratio
-        for j in numbered
-        if best
-        for key, ratio in paired((law, best[j], j) for law in ranked if law != best[j]).items()
-    }
+    ranked = [law for law in predictions if law != ORACLE and not law.endswith(MEASURED_START)]
+    leading = []
+    for j in numbered if ranked else ():
+        best = min(ranked, key=lambda law: scores[law][j].rmse)
+        rest = [law for law in ranked if law != best]
+        # One family per joint: a family over all joints has no power with few blocks.
+        apart = paired((law, best, j) for law in rest)
+        leading.append((best, *(law for law in rest if apart[law, best, j].verdict == "alike")))
     return Comparison(
         joints=tuple(of_joint[0].joint for of_joint in records),
         tau_std=tuple(s.tau_std for s in scores[fallback]),
@@ -189,18 +188,7 @@ def compare(
             laws={law: tuple(ratios[law, references[law], j] for j in numbered) for law in others},
             references={law: references[law] for law in others} if inputs else {},
         ),
-        leading=tuple(
-            (
-                best[j],
-                *(
-                    law
-                    for law in ranked
-                    if law != best[j] and apart[law, best[j], j].verdict == "alike"
-                ),
-            )
-            for j in numbered
-            if best
-        ),
+        leading=tuple(leading),
         bands=_band_scores(models or {}, records, predictions),
     )
 
@@ -225,11 +213,6 @@ def _band_scores(
         for name, model in models.items()
         if model.banded
     }
-
-
-def _runs(law: str) -> bool:
-    """Whether a user can run the row: not the truth, no start from measured torques."""
-    return law != ORACLE and not law.endswith(MEASURED_START)
 
 
 def _reference(
@@ -273,10 +256,8 @@ def within(
 def inputs_of(model: FrictionModel) -> str:
     """Return the names of the inputs that a model uses on any joint."""
     used = {symbol for law in model.laws for symbol in law.form.inputs}
-    names = [
-        label for symbol, label in zip(INPUTS, ("v", "q", "load"), strict=True) if symbol in used
-    ]
-    return ", ".join(names)
+    named = zip(INPUTS, ("v", "q", "load"), strict=True)
+    return ", ".join(name for symbol, name in named if symbol in used)
 
 
 def rows_of(models: Mapping[str, FrictionModel]) -> dict[str, tuple[str, bool]]:

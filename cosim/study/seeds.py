@@ -174,25 +174,14 @@ def _scores(drawn: Sequence[Mapping[str, Sequence[float]]], reference: str) -> S
     logarithms = {law: np.log(of / rmse[reference]) for law, of in rmse.items()}
     return SeedScores(
         rmse={law: _spreads(of) for law, of in rmse.items()},
-        ratios={
-            law: tuple(
-                Spread(
-                    mean=float(np.exp(s.mean)), low=float(np.exp(s.low)), high=float(np.exp(s.high))
-                )
-                for s in _spreads(of)
-            )
-            for law, of in logarithms.items()
-            if law != reference
-        },
+        ratios={law: _spreads(of, np.exp) for law, of in logarithms.items() if law != reference},
     )
 
 
-def _spreads(values: Array) -> tuple[Spread, ...]:
-    """Return mean and Student's 95 % interval of each column (seeds, n)."""
+def _spreads(values: Array, shown: Callable[[Array], Array] = np.asarray) -> tuple[Spread, ...]:
+    """Return `shown` of mean and Student's 95 % interval of each column (seeds, n)."""
     count = len(values)
     means = values.mean(axis=0)
     halves = stdtrit(count - 1, _UPPER) * values.std(axis=0, ddof=1) / np.sqrt(count)
-    return tuple(
-        Spread(mean=float(m), low=float(m - h), high=float(m + h))
-        for m, h in zip(means, halves, strict=True)
-    )
+    rows = shown(np.column_stack([means, means - halves, means + halves]))
+    return tuple(Spread(mean=mean, low=low, high=high) for mean, low, high in rows.tolist())
