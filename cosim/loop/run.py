@@ -15,9 +15,9 @@ from cosim.systems.system import write_system
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_arm.export import export_python_arm
 from fmu_src.arm.table import SignalTable
+from fmu_src.arm.truth import true_friction
 from hesr_model.errors import ConfigError
 from hesr_model.findings import Finding
-from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.support.files import scratch_folder
@@ -36,7 +36,6 @@ def run_loop(
     body: RigidBody,
     folder: Path,
     *,
-    truth: FrictionModel,
     friction: Mapping[str, Path],
     kept: Path | None,
     progress: Stages,
@@ -44,11 +43,14 @@ def run_loop(
     """Build the FMUs of a loop and run the closed-loop part of a study.
 
     `folder` has FMUs in ``fmus``, including Arm.fmu. It receives one loop as closed_loop.toml and
-    the positions along the first motion as `TRACES`. `truth` is the friction of the arm.
+    the positions along the first motion as `TRACES`.
     """
     require_reachable(tracking, robot)
     progress("building the loop", 0, 1)
     fmus = folder / "fmus"
+    truth = true_friction(
+        plant.model, plant.joints, sample_time=1.0 / plant.sample_rate, losses=signals.losses
+    )
     build(fmus, robot, body, plant, oracle=truth)
     loop = assemble(
         fmus,

@@ -105,8 +105,8 @@ def run_study(
             truths = job.other_truths([law for law in models if law not in study.variants])
             if truths:
                 write_json(folder / TRUTHS, truths)
-            loop = job.closed_loop(run.robot, run.rigid_body, folder, models)
-            found = {} if quick else job.properties(run.robot, run.rigid_body, models, folder)
+            loop = job.closed_loop(run, folder)
+            found = {} if quick else job.properties(run, folder)
             # Last, because the documentation of the FMUs contains the physics checks.
             body = PageBody.of(run.robot, run.rigid_body)
             audits = _of_each(

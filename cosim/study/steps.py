@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.loop.traces import LoopOutcome
-from cosim.study.results import log_findings, read_findings, write_findings
+from cosim.study.results import Scored, log_findings, read_findings, write_findings
 from cosim.study.scores import (
     ORACLE,
     Comparison,
@@ -175,55 +175,40 @@ class Job:
             )
         return replace(log.rows(rows), name=name)
 
-    def properties(
-        self, robot: Robot, body: RigidBody, models: Mapping[str, FrictionModel], folder: Path
-    ) -> "dict[str, Properties]":
+    def properties(self, run: Scored, folder: Path) -> "dict[str, Properties]":
         """Run the physics checks on all laws and write the results."""
         from cosim.properties.battery import Subject, run_battery
         from cosim.properties.scale import standing_inertia
         from hesr_model.audit.properties import write_properties
 
-        subjects = [
-            Subject(name=law, model=fitted, inertia=standing_inertia(robot, body, fitted))
-            for law, fitted in models.items()
-        ]
+        inertia = partial(standing_inertia, run.robot, run.rigid_body)
+        subjects = [Subject(name=n, model=m, inertia=inertia(m)) for n, m in run.models.items()]
         listed = run_battery(
             subjects,
             progress=partial(self.progress, "testing the laws"),
             kept=self.kept and self.kept / "properties",
         )
-        found = dict(zip(models, listed, strict=True))
+        found = dict(zip(run.models, listed, strict=True))
         write_properties(folder / "properties.json", found)
         return found
 
-    def closed_loop(
-        self, robot: Robot, body: RigidBody, folder: Path, models: Mapping[str, FrictionModel]
-    ) -> LoopOutcome | None:
+    def closed_loop(self, run: Scored, folder: Path) -> LoopOutcome | None:
         """Run the closed loop of the study; None if it has none."""
         if self.study.tracking is None or self.study.twin is None:
             return None
         from cosim.loop.run import run_loop
         from cosim.loop.twin import twin_plant
-        from fmu_src.arm.truth import true_friction
 
         plant, signals = twin_plant(self.study.twin, self.path, folder)
         assert signals is not None  # `Study` requires them with `tracking`
-        truth = true_friction(
-            plant.model,
-            plant.joints,
-            sample_time=1.0 / plant.sample_rate,
-            losses=signals.losses,
-        )
-        laws = {law: folder / "fmus" / f"{law}.fmu" for law in models}
         outcome = run_loop(
             self.study.tracking,
             plant,
             signals,
-            robot,
-            body,
+            run.robot,
+            run.rigid_body,
             folder,
-            truth=truth,
-            friction=laws,
+            friction=run.fmus,
             kept=self.kept,
             progress=self.progress,
         )
