@@ -57,7 +57,6 @@ def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
         findings.append(
             Finding(
                 check=best.check,
-                severity="error",
                 joints=(model.description.joints[best.joint],) if best.joint >= 0 else (),
                 logs=logs,
                 found=f"model and friction leave {100 * now[helped]:.0f} % of the torque of joint "

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from hesr_model.findings import Finding
 from hesr_model.health.causes import check_causes
 from hesr_model.health.evidence import Motionwise, Torques, as_logged, motionwise
-from hesr_model.health.findings import merged, require_known, require_sound
+from hesr_model.health.findings import merged, of_log, require_known, require_sound
 from hesr_model.health.loss import check_loss
 from hesr_model.health.positions import (
     check_columns,
@@ -50,27 +50,29 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
     findings: list[Finding] = []
     parts: list[Motionwise] = []
     for log in logs:
-        timed = list(check_time(log, robot))
+        timed = of_log(log, check_time(log, robot))
         findings += timed
         if any(f.severity == "error" for f in timed):
             continue
-        findings += [*check_jumps(log, robot), *check_steps(log, robot)]
-        findings += check_held(log, robot)
+        for check in (check_jumps, check_steps, check_held):
+            findings += of_log(log, check(log, robot))
         parts += motionwise(log, robot.log.filter_cutoff)
     torques = [Torques.of(model, part.q, part.v, part.a) for part in parts] if model else []
     logged = [as_logged(*both, robot.logged) for both in zip(parts, torques, strict=False)]
     fits = [explained(part, torque) for part, torque in logged]
     broken = {name for f in findings if f.check in ("wrap", "spikes") for name in f.joints}
     for part in parts:
-        findings += check_velocity(part, robot, broken)
-        findings += [*check_limits(part, model), *check_speed(part, model)] if model else []
-        findings += check_columns(part, robot)
+        findings += of_log(part.log, check_velocity(part, robot, broken))
+        if model:
+            findings += of_log(part.log, check_limits(part, model))
+            findings += of_log(part.log, check_speed(part, model))
+        findings += of_log(part.log, check_columns(part, robot))
     if model and not _hopeless(findings):
         for part, (own, torque), fit in zip(parts, logged, fits, strict=True):
             clocks = list(check_clocks(part, own, [j for j in fit if fit[j].r2 > NO_SIGNAL], model))
             late = {j for j in fit for f in clocks if robot.joints[j] in f.joints}
-            findings += [*clocks, *check_torque(own, fit, model, late)]
-            findings += check_loss(own, torque, model)
+            found = (*clocks, *check_torque(own, fit, model, late), *check_loss(own, torque, model))
+            findings += of_log(part.log, found)
         findings = _caused(findings, check_causes(parts, model))
     return Examination(
         findings=tuple(merged(_without_followers(findings))),

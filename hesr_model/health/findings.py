@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from hesr_model.errors import ConfigError, LogError
 from hesr_model.findings import Finding, errors_first
+from hesr_model.logs.robot_log import Log
 
 
 class HealthError(LogError):
@@ -22,6 +23,11 @@ def _said(findings: Sequence[Finding]) -> str:
     if len(lines) == 1:
         return f"{lines[0]} {told}"
     return "\n  ".join([f"{len(lines)} things in the data cannot be right.", *lines, told])
+
+
+def of_log(log: Log, findings: Iterable[Finding]) -> list[Finding]:
+    """Return findings with the name of the log that they are about."""
+    return [replace(finding, logs=(log.name,)) for finding in findings]
 
 
 def merged(findings: Iterable[Finding]) -> list[Finding]:

@@ -47,9 +47,7 @@ def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[F
         unit = "m/s" if model.tree[j].prismatic else "rad/s"
         yield Finding(
             check="missing-rows",
-            severity="error",
             joints=(model.description.joints[j],),
-            logs=(motion.log.name,),
             found=f"rows are missing throughout; its sliding torque at {speeds[worst]:.2g} {unit} "
             f"is uncertain by {100 * min(uncertain[worst], 9.99):.2g} %",
             remedy=f"friction needs {100 * _UNCERTAIN:g} %; record without losses, or for longer",

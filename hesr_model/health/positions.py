@@ -39,8 +39,6 @@ def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         )
         yield Finding(
             check="time-unit",
-            severity="error",
-            logs=(log.name,),
             found=f"its rows are {period:.3g} s apart",
             remedy=mend,
             changes={"log.units.t": units[0]} if units else {},
@@ -51,7 +49,6 @@ def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         yield Finding(
             check="gaps",
             severity="warning",
-            logs=(log.name,),
             found=f"{len(log.gaps)} gap{'s' * (len(log.gaps) > 1)}, the longest of {longest:.3g} s",
             remedy="rows are missing; "
             + (
@@ -65,7 +62,6 @@ def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         yield Finding(
             check="missing-rows",
             severity="warning",
-            logs=(log.name,),
             found=f"{100 * share:.0f} % of its steps are longer than 1.8 periods of {period:.4g} s",
             remedy="rows are missing, which blurs reversals",
         )
@@ -73,7 +69,6 @@ def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         yield Finding(
             check="dropped-rows",
             severity="warning",
-            logs=(log.name,),
             found=f"{log.dropped} rows lack a number or repeat the time stamp of the row before",
             remedy="they were left out ([log] missing = 'drop')",
         )
@@ -90,9 +85,7 @@ def check_jumps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         if len(turned) and usual < 0.05 * _TURN:
             yield Finding(
                 check="wrap",
-                severity="error",
                 joints=(joint,),
-                logs=(log.name,),
                 found=f"its position jumps by a full turn at t = {log.t[turned[0] + 1]:.4g} s",
                 remedy="the log wraps angles; unwrap them first (numpy.unwrap)",
             )
@@ -103,9 +96,7 @@ def check_jumps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
             k = int(np.argmax(bends)) + 1
             yield Finding(
                 check="spikes",
-                severity="error",
                 joints=(joint,),
-                logs=(log.name,),
                 found=f"its position is {float(bends.max()):.3g} off at t = {log.t[k]:.4g} s",
                 remedy="a row is wrong, or rows were lost; leave it out",
             )
@@ -125,7 +116,6 @@ def check_steps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
                 check="coarse",
                 severity="warning",
                 joints=(joint,),
-                logs=(log.name,),
                 found=f"its position comes in steps of {step:.2g}",
                 remedy="it was rounded, or the encoder is coarse; log more digits to get sharper "
                 "velocities",
@@ -157,7 +147,6 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
             check="limits",
             severity="error" if wrong else "warning",
             joints=(joint,),
-            logs=(motion.log.name,),
             found=f"its position reaches {far:.4g}, the model's limit is {limit:.4g}",
             remedy="q is in degrees; set [log.units] q = 'deg'"
             if in_degrees and turning[j]
@@ -170,7 +159,6 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
 
 def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Finding]:
     """Check that no joint's column is a copy of another, constant, or clipped."""
-    logs = (motion.log.name,)
     joints = [int(j) for j in np.flatnonzero(motion.moves)]
     for kind, values in (("position", motion.q), ("velocity", motion.dq), ("torque", motion.tau)):
         if values is None:
@@ -180,8 +168,6 @@ def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Findi
                 if np.std(values[:, a]) > 0 and np.array_equal(values[:, a], values[:, b]):
                     yield Finding(
                         check="same-column",
-                        severity="error",
-                        logs=logs,
                         joints=(robot.joints[a],),
                         found=f"its {kind} equals that of joint '{robot.joints[b]}' in every row",
                         remedy="one column is used for both; see [log.columns]",
@@ -191,9 +177,7 @@ def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Findi
         if np.ptp(tau) == 0.0:
             yield Finding(
                 check="torque-constant",
-                severity="error",
                 joints=(robot.joints[j],),
-                logs=logs,
                 found=f"it moves while its torque stays at {tau[0]:.4g}",
                 remedy="its torque is not logged, or another column is",
             )
@@ -202,7 +186,6 @@ def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Findi
                 check="saturation",
                 severity="warning",
                 joints=(robot.joints[j],),
-                logs=logs,
                 found=f"{100 * share:.1f} % of its rows are at the largest torque, "
                 f"{np.max(np.abs(tau)):.4g}",
                 remedy="the drive or the log clips the torque; friction beyond is not learned",

@@ -46,9 +46,7 @@ def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         if alone[k] and off[k] > _SPIKE * (high - low) > 0.0:
             yield Finding(
                 check="torque-spikes",
-                severity="error",
                 joints=(joint,),
-                logs=(log.name,),
                 found=f"its torque is {off[k]:.3g} off in a single row, at t = {log.t[k + 1]:.4g} "
                 "s",
                 remedy="that row is wrong; leave it out",
@@ -75,7 +73,6 @@ def _repeated(log: Log, moves: Mask, fine: Mask) -> Iterator[Finding]:
         yield Finding(
             check="held-samples",
             severity="warning",
-            logs=(log.name,),
             found=f"{100 * share:.0f} % of the rows in motion repeat the torques of the row before",
             remedy="the log is faster than the robot's data; log at the robot's own rate",
         )
@@ -98,9 +95,7 @@ def _stands_still(log: Log, values: Array, moves: Mask) -> int | None:
 def _stuck(log: Log, joint: str, what: str, row: int, while_: str) -> Finding:
     return Finding(
         check="stuck",
-        severity="error",
         joints=(joint,),
-        logs=(log.name,),
         found=f"its {what} stands still from t = {log.t[row]:.4g} s on, while {while_}",
         remedy="the sensor or its connection failed there; cut these rows out",
     )
@@ -117,7 +112,6 @@ def check_speed(motion: Motionwise, model: Robot) -> Iterator[Finding]:
         yield Finding(
             check="speed-limit",
             severity="warning",
-            logs=(motion.log.name,),
             joints=(model.description.joints[j],),
             found=f"it reaches {peaks[j]:.3g} {unit}, {peaks[j] / limits[j]:.2g} times the model's "
             "limit",

@@ -99,7 +99,7 @@ def check_clocks(
     """
     if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
         return
-    rows, logs = LagRows.of(part, model, base_columns(model)), (part.log.name,)
+    rows = LagRows.of(part, model, base_columns(model))
     found = {j: delay(rows, j, part.t, logged.tau[:, j]) for j in joints}
     lags = {j: lag for j, (lag, sure) in found.items() if sure > _SURE}
     most = float(np.median(list(lags.values()))) if len(lags) > 1 else 0.0
@@ -111,7 +111,6 @@ def check_clocks(
         yield Finding(
             check="torque-lag",
             severity="warning",
-            logs=logs,
             joints=(model.description.joints[j],),
             found=f"its torque is about {abs(lag) * 1e3:.0f} ms {'late' if lag > 0 else 'early'} "
             "relative to the motion",
@@ -119,16 +118,15 @@ def check_clocks(
         )
     rate, sure = stamps_rate(rows, joints, part.t, logged.tau)
     if sure > _SURE and max(rate, 1.0 / rate) > _OFF:
-        yield _wrong_rate(rate, model.description, logs)
+        yield _wrong_rate(rate, model.description)
 
 
-def _wrong_rate(rate: float, robot: RobotDescription, logs: tuple[str, ...]) -> Finding:
+def _wrong_rate(rate: float, robot: RobotDescription) -> Finding:
     unit = float(robot.log.units.factors("t", 1)[0]) * rate
     way = f"{rate:.2g} times slower" if rate > 1 else f"{1 / rate:.2g} times faster"
     return Finding(
         check="time-scale",
         severity="warning",
-        logs=logs,
         found=f"compared with gravity, its inertial torques are those of a motion that is {way}",
         remedy="the time stamps come from a wrong sample rate, or their unit is wrong; set "
         f"[log.units] t to about {unit:.2g}",

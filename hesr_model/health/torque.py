@@ -40,16 +40,13 @@ def check_torque(
     motion: Motionwise, found: Explained, model: Robot, late: Collection[int] = ()
 ) -> Iterator[Finding]:
     """Check the torques of one part of a log; skip the scale of `late` joints."""
-    logs = (motion.log.name,)
     for j, fit in found.items():
-        yield from _sign(fit, j, model, logs)
+        yield from _sign(fit, j, model)
         if j not in late:
-            yield from _scale(fit, j, found, model, logs)
+            yield from _scale(fit, j, found, model)
         if fit.gravity.t < -_SURE and fit.gravity_size > _SEEN * fit.residual:
             yield Finding(
                 check="gravity-sign",
-                severity="error",
-                logs=logs,
                 joints=(model.description.joints[j],),
                 found="its gravity torque has the opposite sign of the model's "
                 f"({fit.gravity.value:.2g} times, {abs(fit.gravity.t):.0f} standard errors)",
@@ -62,17 +59,16 @@ def check_torque(
                 check="torque-signal",
                 severity="warning",
                 joints=(model.description.joints[j],),
-                logs=logs,
                 found=f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
                 f"which takes {levels} values",
                 remedy="it contains almost no signal, or belongs to another joint; a fit to it is "
                 "meaningless",
             )
-    yield from _no_friction(found, model, logs)
-    yield from _against_limits(motion, found, model, logs)
+    yield from _no_friction(found, model)
+    yield from _against_limits(motion, found, model)
 
 
-def _sign(fit: JointTorque, j: int, model: Robot, logs: tuple[str, ...]) -> Iterator[Finding]:
+def _sign(fit: JointTorque, j: int, model: Robot) -> Iterator[Finding]:
     """Check that the joint's torque takes energy out of its motion."""
     if fit.friction.t > -_SURE or fit.friction_size < 0.3 * fit.residual:
         return
@@ -84,9 +80,7 @@ def _sign(fit: JointTorque, j: int, model: Robot, logs: tuple[str, ...]) -> Iter
     beside = "" if fit.bears_gravity else ", or its position and velocity do"
     yield Finding(
         check="torque-sign",
-        severity="error",
         joints=(robot.joints[j],),
-        logs=logs,
         found="its torque drives the motion where friction should brake it "
         f"({fit.friction.value:.3g} {unit} along the velocity, {abs(fit.friction.t):.0f} "
         "standard errors)",
@@ -120,9 +114,7 @@ def sign_change(
     return f"{owner}torque_per_ampere to {told}", {"log.torque_per_ampere": mended}
 
 
-def _scale(
-    fit: JointTorque, j: int, found: Explained, model: Robot, logs: tuple[str, ...]
-) -> Iterator[Finding]:
+def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator[Finding]:
     """Check the size of the torque against the model's gravity, or inertia on a joint without."""
     if fit.r2 < _EXPLAINED:
         return
@@ -143,9 +135,7 @@ def _scale(
     )
     yield Finding(
         check="torque-scale",
-        severity="error",
         joints=(robot.joints[j],),
-        logs=logs,
         found=f"its torque is {max(scale, 0.0):.2g} times the {of} torque of the model",
         remedy=_why_scaled(robot, scale, everywhere=everywhere)
         if scale > _WEIGHTLESS or not weightless or abs(fit.inertia.value) < 1.0 / _SCALE
@@ -181,7 +171,7 @@ def _why_scaled(robot: RobotDescription, scale: float, *, everywhere: bool) -> s
     return "the unit of the torque is wrong, or the column holds a current; see [log.units] tau"
 
 
-def _no_friction(found: Explained, model: Robot, logs: tuple[str, ...]) -> Iterator[Finding]:
+def _no_friction(found: Explained, model: Robot) -> Iterator[Finding]:
     """Check that torques that the rigid body explains completely were really measured."""
     clear = {j: fit for j, fit in found.items() if fit.r2 > _EXPLAINED}
     if not clear or any(
@@ -189,21 +179,17 @@ def _no_friction(found: Explained, model: Robot, logs: tuple[str, ...]) -> Itera
         for fit in clear.values()
     ):
         return
-    names = tuple(model.description.joints[j] for j in clear)
     yield Finding(
         check="no-friction",
         severity="warning",
-        joints=names,
-        logs=logs,
+        joints=tuple(model.description.joints[j] for j in clear),
         found="the model's rigid body explains their torques completely, and no part follows the "
         "velocity",
         remedy="they were computed or commanded instead of measured, or friction was removed",
     )
 
 
-def _against_limits(
-    motion: Motionwise, found: Explained, model: Robot, logs: tuple[str, ...]
-) -> Iterator[Finding]:
+def _against_limits(motion: Motionwise, found: Explained, model: Robot) -> Iterator[Finding]:
     """Check peak torques against the limits of the model file, and relative to each other."""
     limits = np.where(np.isfinite(model.torque_limits), model.torque_limits, 0.0)
     peaks = np.quantile(np.abs(motion.tau), 0.99, axis=0)
@@ -217,9 +203,7 @@ def _against_limits(
         if share > _ABOVE_LIMIT:
             yield Finding(
                 check="torque-limit",
-                severity="error",
                 joints=(name,),
-                logs=logs,
                 found=f"its torque reaches {peaks[j]:.3g}, {share:.2g} times the model's limit",
                 remedy="its unit or its torque_per_ampere is wrong",
             )
@@ -233,7 +217,6 @@ def _against_limits(
                 check="torque-small",
                 severity="warning",
                 joints=(name,),
-                logs=logs,
                 found=f"its torque reaches {100 * share:.2g} % of the model's limit, the other "
                 f"joints' {100 * np.median(others):.2g} %",
                 remedy="its unit or its torque_per_ampere may be wrong",

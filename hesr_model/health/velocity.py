@@ -63,7 +63,7 @@ def check_velocity(
     """Check one part of a log; skip resting joints and those in `without`."""
     if motion.dq is None:
         return
-    dq, logs = motion.dq, (motion.log.name,)
+    dq = motion.dq
     joints = np.array([j for j in np.flatnonzero(motion.moves) if robot.joints[j] not in without])
     period = float(np.median(np.diff(motion.t)))
     matches = {int(j): match(motion.v[:, j], dq[:, j], period) for j in joints}
@@ -73,20 +73,18 @@ def check_velocity(
         if np.ptp(dq[:, j]) < 1e-9:
             yield Finding(
                 check="velocity-constant",
-                severity="error",
                 joints=(name,),
-                logs=logs,
                 found="its position moves while its velocity never changes",
                 remedy='the velocity is not logged; set [log.columns] dq = "" to derive it from '
                 "the position",
                 changes={"log.columns.dq": ""},
             )
         elif abs(found.correlation) < _ALIKE:
-            yield _unlike(robot, j, found, places, logs)
+            yield _unlike(robot, j, found, places)
         else:
-            yield from _scale(robot, j, matches, motion, logs)
+            yield from _scale(robot, j, matches, motion)
             if abs(found.lag) > max(_LATE, 2.0 * period):
-                yield _late(name, found.lag, logs)
+                yield _late(name, found.lag)
 
 
 def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
@@ -107,9 +105,7 @@ def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
     }
 
 
-def _unlike(
-    robot: RobotDescription, j: int, found: Match, places: dict[int, int], logs: tuple[str, ...]
-) -> Finding:
+def _unlike(robot: RobotDescription, j: int, found: Match, places: dict[int, int]) -> Finding:
     name, other = robot.joints[j], places.get(j, j)
     what = f"its velocity does not follow its position (correlation {found.correlation:.2f})"
     if other != j:
@@ -118,9 +114,7 @@ def _unlike(
         listed = ", ".join(f'"{column}"' for column in order)
         return Finding(
             check="velocity-columns",
-            severity="error",
             joints=(name,),
-            logs=logs,
             found=what,
             remedy=f"its velocity is in the column of joint '{robot.joints[other]}'; set "
             f"[log.columns] dq = [{listed}]",
@@ -129,9 +123,7 @@ def _unlike(
     late = f", and is {found.lag * 1e3:.0f} ms late" if abs(found.lag) > _LATE else ""
     return Finding(
         check="velocity-match",
-        severity="error",
         joints=(name,),
-        logs=logs,
         found=what + late,
         remedy='the column contains another signal or a filtered one; set [log.columns] dq = "" '
         "to derive it from the position",
@@ -139,13 +131,12 @@ def _unlike(
     )
 
 
-def _late(name: str, lag: float, logs: tuple[str, ...]) -> Finding:
+def _late(name: str, lag: float) -> Finding:
     way = "late" if lag > 0 else "early"
     return Finding(
         check="velocity-lag",
         severity="warning",
         joints=(name,),
-        logs=logs,
         found=f"its velocity is {abs(lag) * 1e3:.0f} ms {way} relative to its position",
         remedy='it was filtered or comes from another clock; set [log.columns] dq = "" to '
         "derive it from the position",
@@ -158,7 +149,6 @@ def _scale(
     j: int,
     matches: dict[int, Match],
     motion: Motionwise,
-    logs: tuple[str, ...],
 ) -> Iterator[Finding]:
     found, name = matches[j], robot.joints[j]
     if found.slope < 0:
@@ -167,9 +157,7 @@ def _scale(
         units = [backwards(unit) if k in against else unit for k, unit in declared]
         yield Finding(
             check="velocity-sign",
-            severity="error",
             joints=(name,),
-            logs=logs,
             found=f"its position falls where its velocity is positive (slope {found.slope:.2f})",
             remedy=f"velocity or position counts backwards; set [log.units] dq = {_listed(units)}, "
             "or q accordingly",
@@ -185,7 +173,6 @@ def _scale(
         check="velocity-scale",
         severity="error" if abs(np.log(ratio)) > _WRONG else "warning",
         joints=(name,),
-        logs=logs,
         found=f"q changes {shown} than dq",
         remedy=cause,
         changes=changes,

@@ -12,6 +12,7 @@ from hesr_model.health.evidence import (
     Motionwise,
     motionwise,
 )
+from hesr_model.health.findings import of_log
 from hesr_model.health.timing import (
     LagRows,
     _project_out,
@@ -57,7 +58,7 @@ def test_clocks(
         return replace(part, tau=tau)
 
     def told(own: Motionwise, joints: list[int] = every) -> list[str]:
-        return said(check_clocks(own, own, joints, arm_model))
+        return said(of_log(own.log, check_clocks(own, own, joints, arm_model)))
 
     def slowed(rate: float) -> Motionwise:
         own = replace(log, t=rate * log.t, dq=None)
@@ -106,6 +107,6 @@ def test_clocks(
             "slowed": told(slowed(1.5)),
             "hurried": told(slowed(0.6)),
             "hardly slowed": told(slowed(1.2)),
-            "rates": said(_wrong_rate(x, r, ("run",)) for x in (0.5, 1.7) for r in (arm, ms)),
+            "rates": said(of_log(log, [_wrong_rate(x, r) for x in (0.5, 1.7) for r in (arm, ms)])),
         }
     )  # fmt: skip

@@ -17,6 +17,7 @@ from hesr_model.health.evidence import (
     motionwise,
     rubbing,
 )
+from hesr_model.health.findings import of_log
 from hesr_model.health.loss import _sliding, check_loss
 from hesr_model.health.torque import explained
 from hesr_model.logs.robot_log import Log
@@ -118,7 +119,8 @@ def test_what_lost_rows_cost(
 
     def told(own: Log) -> list[str]:
         part = part_of(own)
-        return said(check_loss(part, Torques.of(arm_model, part.q, part.v, part.a), arm_model))
+        torques = Torques.of(arm_model, part.q, part.v, part.a)
+        return said(of_log(part.log, check_loss(part, torques, arm_model)))
 
     part = part_of(lost(0.3, 1.0))
     torques = Torques.of(arm_model, part.q, part.v, part.a)

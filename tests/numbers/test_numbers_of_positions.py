@@ -9,6 +9,7 @@ from limits_found import TWO, as_part, at, edge, said, two_joints
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
+from hesr_model.health.findings import of_log
 from hesr_model.health.loss import share_of_long_steps
 from hesr_model.health.positions import (
     check_columns,
@@ -60,7 +61,7 @@ def lossy(long: int, *, by: float = 2.0) -> Log:
 
 def test_stamps(unchanged: Unchanged, data_regression: DataRegressionFixture) -> None:
     def told(log: Log, check: str = "", unit: str | float = "s") -> list[str]:
-        return said(check_time(log, in_unit(TWO, t=unit)), check)
+        return said(of_log(log, check_time(log, in_unit(TWO, t=unit))), check)
 
     def every(period: float) -> Log:
         return two_joints(50, period)
@@ -99,7 +100,7 @@ def test_stamps(unchanged: Unchanged, data_regression: DataRegressionFixture) ->
 
 def test_leaps(unchanged: Unchanged, data_regression: DataRegressionFixture) -> None:
     def told(log: Log, check: str = "") -> list[str]:
-        return said(check_jumps(log, TWO), check)
+        return said(of_log(log, check_jumps(log, TWO)), check)
 
     def leaping(by: float, *, step: float = 0.01, row: int = 500) -> Log:
         """All positions from a row on are further, behind a step of some length."""
@@ -162,7 +163,8 @@ def test_leaps(unchanged: Unchanged, data_regression: DataRegressionFixture) -> 
 
 def test_coarse_positions(unchanged: Unchanged, data_regression: DataRegressionFixture) -> None:
     def told(q: np.ndarray) -> list[str]:
-        return said(check_steps(replace(two_joints(), q=np.column_stack([q, 0.0 * q])), TWO))
+        log = two_joints()
+        return said(of_log(log, check_steps(replace(log, q=np.column_stack([q, 0.0 * q])), TWO)))
 
     def stairs(step: float, count: int = 100) -> np.ndarray:
         return step * (np.arange(1000) % count)
@@ -198,8 +200,9 @@ def test_positions_beyond_the_limits(
              words: str = "") -> list[str]:  # fmt: skip
         model = Robot(in_unit(lift.description, q=unit))
         q = np.linspace([turn[0], slide[0]], [turn[1], slide[1]], 100)
-        return [x for x in said(check_limits(as_part(replace(two_joints(100), q=q)), model))
-                if words in x]  # fmt: skip
+        log = two_joints(100)
+        found = said(of_log(log, check_limits(as_part(replace(log, q=q)), model)))
+        return [x for x in found if words in x]
 
     inside = (-0.4, 1.4)
     unchanged(
@@ -235,7 +238,7 @@ def test_columns(unchanged: Unchanged, data_regression: DataRegressionFixture) -
 
     def told(check: str = "", **signals: np.ndarray | None) -> list[str]:
         own = replace(log, **signals)
-        return said(check_columns(as_part(own, dq=own.dq), TWO), check)
+        return said(of_log(own, check_columns(as_part(own, dq=own.dq), TWO)), check)
 
     def clipped(rows: int, run: int = 6) -> np.ndarray:
         """Of 2000 rows some stand at the largest torque, some of them in a run."""
@@ -264,7 +267,9 @@ def test_columns(unchanged: Unchanged, data_regression: DataRegressionFixture) -
             "one torque": told(tau=twice["tau"]),
             "one position": told(q=twice["q"]),
             "one velocity": told(dq=log.dq[:, [1, 1]]),
-            "no velocity": said(check_columns(as_part(replace(log, **twice), dq=None), TWO)),
+            "no velocity": said(
+                of_log(log, check_columns(as_part(replace(log, **twice), dq=None), TWO))
+            ),
             "none": told(),
         }
     )

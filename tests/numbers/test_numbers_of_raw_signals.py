@@ -9,13 +9,14 @@ from limits_found import TWO, as_part, at, edge, said, two_joints
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
+from hesr_model.health.findings import of_log
 from hesr_model.health.sample_hold import _speeds, check_held, check_speed
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 
 
 def told(log: Log, check: str = "") -> list[str]:
-    return said(check_held(log, TWO), check)
+    return said(of_log(log, check_held(log, TWO)), check)
 
 
 def spiked(height: float, *, beside: float = 0.0, rows: int = 1000, row: int = 500) -> Log:
@@ -200,7 +201,8 @@ def test_speeds_beyond_the_limits(
 
     def told(*peaks: float, travel: float = 1.0) -> list[str]:
         part = as_part(two_joints(1001))
-        return said(check_speed(replace(part, v=peaks * rising, q=travel * part.q), model))
+        fast = replace(part, v=peaks * rising, q=travel * part.q)
+        return said(of_log(part.log, check_speed(fast, model)))
 
     unchanged(
         {

@@ -11,6 +11,7 @@ from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
 from hesr_model.health.evidence import Estimate, JointTorque
+from hesr_model.health.findings import of_log
 from hesr_model.health.torque import check_torque, sign_change
 from hesr_model.robots.robot import Robot, RobotDescription
 
@@ -62,7 +63,7 @@ def told(
     late: tuple[int, ...] = (),
 ) -> list[str]:
     part = as_part(two_joints(1001), tau=np.linspace(0.0, 1.0, 1001)[:, None] * peaks)
-    return said(check_torque(part, found, Robot(robot), late), check)
+    return said(of_log(part.log, check_torque(part, found, Robot(robot), late)), check)
 
 
 def of(value: float, error: float = 0.01) -> Estimate:

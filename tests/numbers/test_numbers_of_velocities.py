@@ -7,6 +7,7 @@ from limits_found import TWO, as_part, edge, said, two_joints
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
+from hesr_model.health.findings import of_log
 from hesr_model.health.velocity import _lag, check_velocity, match
 from hesr_model.robots.robot import RobotDescription
 
@@ -45,7 +46,7 @@ def told(
 ) -> list[str]:
     log = two_joints(len(v), period)
     part = replace(as_part(log, v=v, dq=dq), q=travel * log.q)
-    return said(check_velocity(part, own, without), check)
+    return said(of_log(part.log, check_velocity(part, own, without)), check)
 
 
 def noisy(size: float, scale: float = 1.0) -> np.ndarray:
