@@ -12,10 +12,7 @@ _LONGEST = 2000  # characters of a sentence; a file may contain millions
 
 
 class HesrError(Exception):
-    """Base of every error that a user can cause and fix.
-
-    Its text may quote a file: it is shortened, and unprintable characters are escaped.
-    """
+    """Base of every error that a user can cause and fix; quoted files are shortened and escaped."""
 
     def __init__(self, sentence: str) -> None:
         if len(sentence) > _LONGEST:

@@ -19,8 +19,8 @@ def _severity(text: object) -> object:
 class Finding:
     """A finding of a check, whose name `--accept` takes.
 
-    `where` is a file or a member of an FMU, empty if the logs or `found` name it; `remedy` is empty
-    if the observation says it. `changes` has values of the robot file by key, as ``log.units.q``.
+    `where` is a file or member of an FMU, unless `logs` name it. `changes` has values of the robot
+    file by key, as ``log.units.q``.
     """
 
     check: str

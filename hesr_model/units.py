@@ -44,7 +44,7 @@ def backwards(unit: str | float) -> str | float:
 def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
     """Return whether a joint can be logged in a unit; numbers fit any joint.
 
-    The default of robot files (rad, rad/s, N.m) is also accepted as the SI unit of a sliding joint.
+    Sliding joints accept rad, rad/s and N.m as the default of robot files.
     """
     if quantity in OTHERS or not isinstance(unit, str):
         return True
@@ -56,20 +56,14 @@ def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit at a joint, spelt as in FMI, for a turning and for a sliding joint.
-
-    The equations of friction are the same in m and N: `N.m.s/rad` becomes `N.s/m`.
-    """
+    """A unit at a turning and at a sliding joint, as of FMI: `N.m.s/rad` becomes `N.s/m`."""
 
     turning: str
     sliding: str
 
     @classmethod
     def read(cls, symbol: str) -> "Unit":
-        """Return the unit with a symbol at a turning joint, as `mrad/s` or `rad/(s.N.m)`.
-
-        Raises ValueError for a text with blanks.
-        """
+        """Return the unit with a symbol as `mrad/s` or `rad/(s.N.m)`; raises ValueError."""
         if " " in symbol:
             raise ValueError(f"'{symbol}' is no unit")
         over, slash, under = symbol.partition("/")

@@ -15,19 +15,13 @@ from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array, Mask, some_rows
 
 _LEAST_TRAVEL = 5e-3  # of a joint that moves [rad or m]
-
 _ROWS = 4000  # per log
-
 _KNEE = 0.1  # smoothing speed of the velocity's sign [rad/s, m/s]; at most a quarter of the peak
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motionwise:
-    """One part of a log, smoothed, (N, n) each.
-
-    `v` and `a` are derivatives of the position q; `dq` is the logged velocity, also smoothed, if
-    any.
-    """
+    """One part of a log, smoothed, (N, n) each; `v`, `a` are derivatives of q, `dq` was logged."""
 
     log: Log
     t: Array
@@ -99,10 +93,7 @@ class Torques:
 def as_logged(
     motion: Motionwise, torques: Torques, coupling: Coupling | None
 ) -> tuple[Motionwise, Torques]:
-    """Transform velocities and torques to motors if these were logged.
-
-    If a motor turns several joints, a mistake in its column shows at the motor only.
-    """
+    """Transform velocities and torques to motors if logged: there, mistakes concern one column."""
     if coupling is None:
         return motion, torques
     at_motors = replace(motion, v=coupling.motion(motion.v), tau=coupling.torque(motion.tau))
@@ -133,8 +124,8 @@ class JointTorque:
     """Regression of one joint's torque on the model and friction.
 
     `gravity` and `inertia` are measured over modelled torque; a URDF has no rotor inertias.
-    `friction` [N.m] is in phase with the velocity. Sizes, `residual` and `deviation` (of the
-    torque) are standard deviations [N.m].
+    `friction` is in phase with the velocity. Sizes, `residual` and `deviation` are standard
+    deviations [N.m].
     """
 
     gravity: Estimate

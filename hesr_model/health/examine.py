@@ -43,10 +43,7 @@ class Examination:
 
 
 def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -> Examination:
-    """Check logs one by one, against the model (if any), and together for common causes.
-
-    Raises LogError for a log too slow or short for the low pass, unless its time stamps explain it.
-    """
+    """Check logs one by one, against the model (if any), and together; raises LogError."""
     findings: list[Finding] = []
     parts: list[Motionwise] = []
     for log in logs:
@@ -104,8 +101,7 @@ _SYMPTOMS = (
 def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Finding]:
     """Replace symptoms by the causes that explain them, in the words of the symptoms.
 
-    A wrong torque sign explains symptoms of its own joint; wrong positions, columns or gravity
-    explain symptoms of any joint.
+    A wrong torque sign explains symptoms of its own joint, other causes those of any joint.
     """
     local = {name for cause in causes if cause.check == "torque-sign" for name in cause.joints}
     everywhere = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
@@ -136,9 +132,6 @@ def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def checked(logs: Sequence[Log], model: Robot, accepted: Sequence[str] = ()) -> list[Finding]:
-    """Check logs before use; return warnings and accepted errors.
-
-    Raises HealthError for other errors, ConfigError if `accepted` names no check.
-    """
+    """Check logs before use; return warnings and accepted errors, or raise HealthError."""
     require_known(accepted, CHECKS)
     return require_sound(examine(logs, model.description, model).findings, accepted)

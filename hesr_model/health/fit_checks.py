@@ -13,7 +13,6 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 CHECKS = ("mass-matrix", "negative-friction", "no-better-than-nothing", "bound", "other-robot")
-
 _STATES = 60
 _NOTHING = 0.95  # a law's error over friction's deviation above which it explains nothing
 _AT_BOUND = 0.01
@@ -47,10 +46,7 @@ def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
 
 
 def _least_inertia(body: RigidBody, model: Robot) -> tuple[float, Array, int]:
-    """Return the smallest eigenvalue of the mass matrix, its position and its joint.
-
-    The matrix is scaled by its mean diagonal, so that a wrist counts as much as a shoulder.
-    """
+    """Return the smallest eigenvalue of the scaled mass matrix, its position and its joint."""
     lower, upper, _ = model.limits
     q = np.random.default_rng(0).uniform(lower, upper, (_STATES, model.n))
     mass, _ = model.dynamics(body.parameters, q, np.zeros_like(q))

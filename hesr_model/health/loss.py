@@ -32,9 +32,8 @@ def loses_rows(log: Log) -> bool:
 def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[Finding]:
     """Check that the remaining rows determine the sliding torque of each joint.
 
-    The standard deviation follows from estimates with random halves of the remaining rows: the
-    variance of their difference is four times that with all rows, and lost rows cause their share
-    of it.
+    Estimates with random halves of the rows differ by four times the variance of that with all
+    rows, and lost rows cause their share of it.
     """
     if not loses_rows(motion.log):
         return

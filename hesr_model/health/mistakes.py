@@ -22,10 +22,7 @@ _TILTED = np.radians(20.0)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CandidateRows:
-    """Rows of several logs (N, n), and their gravity (3,) [m/s2].
-
-    Torques are as logged; those of motors are divided by the gear ratios.
-    """
+    """Rows of several logs (N, n), and their gravity (3,); motors are divided by gear ratios."""
 
     q: Array
     v: Array

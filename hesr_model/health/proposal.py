@@ -30,8 +30,8 @@ _CUTOFF_SHARE = 0.3  # largest cut-off of the low pass over the sample rate
 class Proposal:
     """A robot description, and the logs read with it.
 
-    `reasons` has certainty and reason by key, as ``log.units.q``; `first` the findings with the
-    description as given or guessed; `sliding` the sliding joints, empty without a model.
+    `reasons` has certainty and reason by key, as ``log.units.q``; `first` are the findings with the
+    first description.
     """
 
     robot: RobotDescription
@@ -54,10 +54,7 @@ def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal
 
 
 def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> Proposal:
-    """Find a robot description that reads the logs and passes the checks, or raise LogError.
-
-    Unless `known`, the robot has no model file, and logs are checked against themselves.
-    """
+    """Find a robot description, with a model file if `known`, that passes the checks."""
     reasons: dict[str, str] = {}
     stated = robot.log.torque_per_ampere is not None
 

@@ -40,11 +40,7 @@ _SHORTEST = 8.0  # minimum duration of a log over the largest delay
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LagRows:
-    """Regressors of the torques in one part of a log, in logged coordinates.
-
-    `still` and `moving` (N, n, P) are those of the body at rest and of its motion. `rubs` (N, K) of
-    each joint is friction with memory, and an offset.
-    """
+    """Regressors (N, n, P) of the body at rest and in motion, and friction (N, K) of each joint."""
 
     t: Array
     still: Array
@@ -93,10 +89,7 @@ def _stops() -> Kernel:
 def check_clocks(
     part: Motionwise, logged: Motionwise, joints: Sequence[int], model: Robot
 ) -> Iterator[Finding]:
-    """Check the time-stamp rate of a part of a log, and the lag of its torques.
-
-    Only the torques of `joints` contain a signal.
-    """
+    """Check the time-stamp rate of a part, and the lag of the torques of `joints`."""
     if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
         return
     rows = LagRows.of(part, model, base_columns(model))
@@ -154,7 +147,7 @@ def delay(rows: LagRows, j: int, t: Array, tau: Array) -> tuple[float, float]:
 def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> tuple[float, float]:
     """Return the ratio of a motion's duration to that of its stamps, and its certainty.
 
-    A motion that lasted r times as long has 1 / r^2 times the inertial torques. The result is (1,
+    If stamps are r times too short, inertial torques are 1 / r^2 times as large. The result is (1,
     0) if the best scale is at an end of the search range.
     """
     parts = []

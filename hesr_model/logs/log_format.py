@@ -114,10 +114,7 @@ class LogUnits(Config):
 
 
 class LogBag(Config):
-    """Joint states in ROS bags.
-
-    `joints` are their names in the messages; some drivers publish currents as `effort`.
-    """
+    """Joint states in ROS bags, with joint names of the messages and the meaning of `effort`."""
 
     topic: str = "/joint_states"
     joints: tuple[str, ...] | None = None
@@ -127,9 +124,9 @@ class LogBag(Config):
 class LogFormat(Config):
     """Format of a robot's logs.
 
-    `sample_rate` [Hz] is checked. Rows are `missing` with an empty cell, NaN or a repeated time
-    stamp. `filter_cutoff` [Hz] applies to q and dq. `zero` [rad; m] is the joint position at a
-    logged 0. `torque_per_ampere` [N.m/A] turns currents into torques.
+    `sample_rate` [Hz] is checked. Rows are `missing` with an empty cell, NaN or a repeated stamp.
+    `filter_cutoff` [Hz] applies to q and dq; `zero` [rad; m] is the joint position at a logged 0;
+    `torque_per_ampere` [N.m/A] turns currents into torques.
     """
 
     sample_rate: float | None = Field(default=None, gt=0)

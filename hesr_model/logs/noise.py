@@ -34,7 +34,6 @@ from hesr_model.support.arrays import Array
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
-
 _MASK = 2**64 - 1
 _TO_UNIT = 2.0**-53
 

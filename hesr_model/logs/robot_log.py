@@ -18,15 +18,10 @@ from hesr_model.support.arrays import Array, Integers, some_rows
 from hesr_model.support.files import PathArg, path_of, sha256, written_whole
 
 _LONGEST_GAP = 10.0  # length of a gap in usual steps; friction states are unknown after it
-
 _USUAL = 0.95  # share of the shortest steps, whose mean is usual
-
 _SHORTEST_PART = 1.0  # minimum duration of a part [s]
-
 _RATE_MARGIN = 1.25
-
 _LARGEST = 1e20  # in any unit; nanoseconds since 1970 are 2e18
-
 _LEAST_TRAVEL = 5e-3  # minimum travel of a joint in use [rad or m]; encoder noise is smaller
 
 
@@ -92,10 +87,7 @@ class Log:
 
     @property
     def longest_step(self) -> float:
-        """Step above which there is a gap: ten usual steps [s].
-
-        If rows are missing at random, the mean is more usual than the median.
-        """
+        """Step [s] above which there is a gap, ten times the usual (median or mean)."""
         steps = np.diff(self.t)
         usual = steps[steps <= np.quantile(steps, _USUAL, method="lower")]
         return _LONGEST_GAP * max(self.period, float(np.mean(usual)))

@@ -26,7 +26,6 @@ WINDOW = 1.0
 """Length of a window [s]; friction forgets its initial state."""
 
 _FASTEST = 8  # octaves of speed above `MOVING`; the last one is open
-
 _LEAST, _MOST = -3, 5  # octaves of torque around the root mean square of the first motion
 
 

@@ -20,8 +20,7 @@ class Motion:
     """The smoothed motion of a log, at its own time stamps.
 
     q, dq, ddq (N, n) [rad, rad/s, rad/s2] are low-passed. tau [N.m], q_raw [rad] and temperature
-    [degC] are raw: predictions are compared with measured torque, and gear ripple must not be
-    smoothed.
+    [degC] are raw: predictions are compared with measured torque, and gear ripple must remain.
     """
 
     name: str
@@ -45,11 +44,10 @@ class Motion:
 
 
 def smooth(log: Log, cutoff: float = 15.0) -> Motion:
-    """Filter q and dq by a zero-phase Butterworth low pass, and differentiate.
+    """Filter q and dq by a zero-phase Butterworth low pass, and differentiate; raises LogError.
 
     A `cutoff` of 15 Hz is best on the measured arm (8 Hz and less flatten reversals, 25 Hz and more
-    let the noise of ddq through). Raises LogError with gaps, or if the log is too slow or too
-    short.
+    let the noise of ddq through).
     """
     from scipy.interpolate import make_interp_spline
     from scipy.signal import butter, sosfiltfilt

@@ -54,10 +54,7 @@ class LogTable:
             return index + 2
 
     def numbers(self, names: Sequence[str], *, missing: bool = False) -> Array:
-        """Return columns (N, len(names)); `missing` cells become NaN.
-
-        Raises LogError with the row and column of a bad cell.
-        """
+        """Return columns (N, len(names)), `missing` cells as NaN; raises LogError at a cell."""
         for name in names:
             self._require(name)
         columns = [self._floats(name, self._arrow.column(name), missing=missing) for name in names]
@@ -135,8 +132,8 @@ def read_table(path: Path) -> LogTable:
     """Open a CSV (with a header) or a Parquet file; raises LogError.
 
     A CSV has commas, semicolons, tabs or single blanks between cells; all but the first allow
-    decimal commas. A header may begin with ``#``. A preamble, blank lines, comments (``#`` or
-    ``%``) and a row of units are skipped.
+    decimal commas. Preamble, ``#`` of a header, comments, blank lines and a row of units are
+    skipped.
     """
     if not path.is_file():
         raise LogError(f"{path}: no such log file.")
@@ -207,10 +204,9 @@ def _dialect(path: Path) -> _Dialect:
 
 
 def _table_in(lines: Sequence[tuple[int, str]]) -> tuple[int, int, str]:
-    """Return the lines of the header and the first row, and the delimiter.
+    """Return the lines of the header (else the first) and of the first row, and the delimiter.
 
-    Data begin at the first line of numbers below a line with as many names; otherwise the first
-    line is the header.
+    The first row has numbers, and is below a line with as many names.
     """
     for at, (number, line) in enumerate(lines):
         for delimiter in sorted(_DELIMITERS, key=lambda d: -line.count(d)):

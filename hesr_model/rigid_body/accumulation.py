@@ -37,8 +37,7 @@ from hesr_model.support.arrays import Array
 class Streamed:
     """The growing stacked problem of a robot.
 
-    Rows slower than `slow` (n,) [rad/s] are dropped. The right speeds follow from the peak speeds
-    of all motions, known only at the end; then check `fits`.
+    Rows slower than `slow` (n,) [rad/s] are dropped, which depends on all motions: check `fits`.
     """
 
     def __init__(self, model: Robot, slow: Array | None = None) -> None:
@@ -75,10 +74,7 @@ class Streamed:
                 self._factors = [factor.with_rows(block) for factor, block in rows]
 
     def body(self, sample: Sequence[Motion], where: str) -> RigidBody:
-        """Return the rigid body, its covariance from the motions `sample`; `where` names the logs.
-
-        Raises FitError if there are fewer samples than unknowns, or a joint hardly moves.
-        """
+        """Return the rigid body, its covariance from the motions `sample`; raises FitError."""
         model, base, friction = self._model, self._base, self._friction
         require_samples(where, self.rows, len(base) + int(np.sum(friction)))
         require_speed(where, self._peaks, model)

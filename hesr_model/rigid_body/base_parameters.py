@@ -13,8 +13,7 @@ _RANDOM_STATES = 300
 def base_columns(model: Robot) -> tuple[int, ...]:
     """Return the indices of a largest set of independent columns of the regressor, in order.
 
-    Pivoted QR at random states, with columns of unit length: the rank depends neither on a log nor
-    on units.
+    The pivoted QR at random states depends neither on a log nor, with unit columns, on units.
     """
     columns = at_random_states(model)
     lengths = np.linalg.norm(columns, axis=0)
@@ -34,9 +33,9 @@ def dependence(model: Robot, base: tuple[int, ...]) -> Array:
 
 
 def offsets_apart(model: Robot, base: tuple[int, ...]) -> Mask:
-    """Return whether a constant torque of each friction coordinate is independent of `base`, (n,).
+    """Return whether a constant torque of each coordinate is independent of `base`, (n,).
 
-    It is not if gravity is constant, as on a vertical sliding joint: a weight is then an offset.
+    It is not if gravity is constant, as on a vertical sliding joint.
     """
     columns = at_random_states(model)[:, list(base)]
     coupling = model.description.coupling

@@ -11,7 +11,6 @@ from hesr_model.logs.signals import Motion
 from hesr_model.support.arrays import Array, Mask
 
 _LONGEST_SHIFT = 0.5  # latency of command and measurement, which reversal does not cancel [s]
-
 _LARGEST_MISMATCH = 0.1  # mean position mismatch [rad]; tracking errors of 20 mrad are harmless
 
 
@@ -24,11 +23,7 @@ class Pair:
 
 
 def matched(forward: Motion, backward: Motion) -> Pair:
-    """Match a motion with its time-reversed counterpart; raises FitError if no shift matches.
-
-    The counterpart is evaluated at the mirrored time, with the shift that best matches the
-    positions.
-    """
+    """Match a motion with its counterpart at mirrored and best shifted time; raises FitError."""
     period = float(np.median(np.diff(forward.t)))
     count = int(_LONGEST_SHIFT / period)
     position = make_interp_spline(backward.t, backward.q, k=1)

@@ -42,9 +42,7 @@ Method = Literal["stacked", "paper"]
 Weighting = Literal["wls", "ols"]
 
 LEAST_PEAK = 0.02  # peak speed that determines an inertia [rad/s, m/s]
-
 _MATTERS = 1e-2  # share of the largest torque error below which others are not propagated
-
 AT_ONCE = 4096  # samples per evaluation of the regressor
 
 _log = logging.getLogger(__name__)
@@ -154,10 +152,10 @@ class RigidBody:
         return self.parameters
 
     def torque_spread(self, model: Robot, motion: Motion) -> Array | None:
-        """Return the uncertainty of the torque over a motion, (N, n, r) [N.m].
+        """Return torque errors over a motion, (N, n, r) [N.m]; None if the covariance is unknown.
 
-        The columns are the errors for one standard deviation of each of the r independent parameter
-        errors that matter; None if the covariance is unknown.
+        They are for one standard deviation of each of the r independent parameter errors that
+        matter.
         """
         if self.covariance is None:
             return None
@@ -210,10 +208,7 @@ def identify(
     reversed_logs: Sequence[Log] = (),
     physical: bool = False,
 ) -> RigidBody:
-    """Identify the rigid-body parameters from logs; see `identify_motions`.
-
-    Raises LogError if a joint does not move, or a log is too slow or short for the low pass.
-    """
+    """Identify the rigid-body parameters from logs; raises LogError, else as `identify_motions`."""
     require_moving([*logs, *reversed_logs], model.description.joints)
     return identify_motions(
         smoothed(logs, model),
@@ -238,16 +233,15 @@ def identify_motions(
 
     Method ``"stacked"`` solves one least-squares problem over all motions, forward and reversed, in
     which every joint also has a Coulomb, a viscous and an offset coefficient, unless that is
-    indistinguishable from a weight (`observations.friction_columns`). ``"paper"`` averages torque
-    and regressor of each motion and of its `reversed_motions` counterpart at the same position,
-    where odd friction cancels (eq. 7). Either drops slow rows (`observations.SLOW`).
+    indistinguishable from a weight. ``"paper"`` averages torque and regressor of each motion and of
+    its `reversed_motions` counterpart at the same position, where odd friction cancels (eq. 7).
+    Either drops slow rows (`observations.SLOW`).
 
     Weighting ``"wls"`` (default of the stacked method) weighs each joint by its residual's standard
     deviation, ``"ols"`` (default of the paper's) does not.
 
-    With `physical`, links have positive mass density and rotors positive inertia
-    (`rigid_body.physical`). All standard parameters are then weakly pulled towards the model
-    file's: it pays on short logs and changes little on long ones.
+    With `physical` (`rigid_body.physical`), all standard parameters are weakly pulled towards the
+    model file's: it pays on short logs and changes little on long ones.
     """
     everything = [*motions, *reversed_motions]
     base = base_columns(model)
@@ -310,10 +304,7 @@ def _consistent(
 
 
 def scale_of(model: Robot, base: tuple[int, ...], friction: Mask) -> Array:
-    """Return the size of each column [N.m] for `least_squares.solve`, base columns first.
-
-    Friction columns, selected by `friction` (n, 3), have size 1 N.m and 1 N.m.s/rad.
-    """
+    """Return the size of each column [N.m] for `solve`; that of friction columns is 1."""
     rigid = np.sqrt(np.mean(at_random_states(model)[:, list(base)] ** 2, axis=0))
     return np.concatenate([rigid, np.ones(int(np.sum(friction)))])
 

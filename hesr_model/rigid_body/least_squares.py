@@ -11,7 +11,6 @@ from hesr_model.support.arrays import Array, Integers
 
 _REWEIGHTINGS = 2
 _HUGE_CONDITION = 1e3  # above it a ridge is needed; identification motions have some hundreds
-
 _RIDGE = 3e-3  # over the largest singular value; best on short and poorly exciting measured logs
 
 
@@ -50,8 +49,8 @@ class Solution:
     """Unknowns of a least-squares problem, and its conditioning.
 
     `condition` is that of the weighted matrix with columns divided by their scales. `ridge` is the
-    weight of the pull of the scaled unknowns towards zero, relative to the largest singular value,
-    and `pull` (P,) the resulting cost of one unit of each. Each block has a weight and an `rmse`.
+    pull of the scaled unknowns towards zero over the largest singular value, and `pull` (P,) its
+    cost per unit of each. Each block has a weight and an `rmse`.
     """
 
     x: Array
@@ -65,9 +64,9 @@ class Solution:
 def solve(blocks: Sequence[Block], *, scale: Array, weighted: bool) -> Solution:
     """Solve least squares over all blocks, each divided by its residual's size if `weighted`.
 
-    Weights start equal and follow from the residuals, twice. A ridge is added only if the condition
-    number exceeds 1e3. The usual size `scale` (P,) of each column must not come from the data: a
-    hardly excited column, scaled up to the others, would get a huge coefficient.
+    A ridge is added only if the condition number exceeds 1e3. The usual size `scale` (P,) of each
+    column must not come from the data: a hardly excited column, scaled up to the others, would get
+    a huge coefficient.
     """
     return solve_factors([Factor.of(block) for block in blocks], scale=scale, weighted=weighted)
 
@@ -89,9 +88,9 @@ def covariance_of(
     solution: Solution,
     labels: Integers,
 ) -> Covariance:
-    """Return the covariance of a solution, residuals of all blocks at one sample summed.
+    """Return the covariance of a solution, from the log number `labels` (samples,).
 
-    `labels` (samples,) is the number of the log of each sample.
+    Residuals of all blocks at one sample are summed.
     """
     labels = blocks_of_time(labels)
     size, logs = len(solution.x), int(np.max(labels)) + 1

@@ -14,7 +14,6 @@ from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Integers, Mask
 
 SLOW = 0.1  # slower rows are dropped [rad/s, m/s]: their friction depends on more than velocity
-
 SLOW_SHARE = 0.25  # upper bound of `SLOW` over a joint's peak speed, for slow joints such as lifts
 
 
@@ -34,10 +33,7 @@ def slow_of(fastest: Array) -> Array:
 
 
 def friction_columns(model: Robot, base: tuple[int, ...]) -> Mask:
-    """Return the Coulomb, viscous and offset columns that each joint has, (n, 3).
-
-    An offset is left out if it is also a weight (`base_parameters.offsets_apart`).
-    """
+    """Return the Coulomb, viscous and offset columns (n, 3), without offsets that are weights."""
     columns = np.ones((model.n, 3), dtype=bool)
     columns[:, 2] = offsets_apart(model, base)
     return columns
@@ -66,7 +62,7 @@ def stacked(
 ) -> list[Block]:
     """Return one block per friction coordinate: base columns, then friction columns (n, 3).
 
-    Rows below `slow` (n,) [rad/s], by default `slow_speeds` of the motions, are dropped.
+    Rows below `slow` (n,) [rad/s], by default `slow_speeds`, are dropped.
     """
     n = model.n
     q, dq, ddq, tau = (

@@ -36,18 +36,16 @@ rows up to 5.
 """
 
 _LEAST_SEGMENTS = 10
-
 _SIGNIFICANT = 4.0  # mass in standard errors; twin logs without payload had 3.4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Payload:
-    """An identified payload.
+    """An identified payload, with friction under load; see `RigidBody`.
 
     `parameters` (10,) are those of `robot.LINK_PARAMETERS` in the frame of the last joint [kg,
-    kg.m, kg.m2], with a covariance from residuals, correlated within a second, and from the
-    standard errors of the unloaded body. Other fields are as in `RigidBody`, `friction` is that
-    under load.
+    kg.m, kg.m2]. Their covariance has residuals correlated within a second, and errors of the
+    unloaded body.
     """
 
     parameters: Array
@@ -87,10 +85,7 @@ class Payload:
 
 
 def identify_payload(logs: Sequence[Log], model: Robot, unloaded: RigidBody) -> Payload:
-    """Identify the payload on the last link from logs; errors as `identify_payload_motions`.
-
-    Raises LogError for unusable logs.
-    """
+    """Identify the payload on the last link from logs; raises LogError, RobotError, FitError."""
     require_moving(logs, model.description.joints)
     return identify_payload_motions(smoothed(logs, model), model, unloaded)
 
@@ -98,11 +93,7 @@ def identify_payload(logs: Sequence[Log], model: Robot, unloaded: RigidBody) -> 
 def identify_payload_motions(
     motions: Sequence[Motion], model: Robot, unloaded: RigidBody
 ) -> Payload:
-    """Identify the payload on the last link from smooth motions.
-
-    Raises RobotError if `unloaded` belongs to another robot, and FitError if the motions are too
-    short, do not determine the parameters, or show no payload.
-    """
+    """Identify the payload on the last link; raises RobotError, or FitError, also without one."""
     name = "log " + ", ".join(motion.name for motion in motions)
     segments = _segments(motions)
     _require_length(name, motions, segments)
@@ -136,11 +127,7 @@ def identify_payload_motions(
 
 
 def loaded(unloaded: RigidBody, payload: Payload, model: Robot) -> RigidBody:
-    """Return the rigid body with the payload added to its last link.
-
-    All ten parameters are added, also dependent ones that are zero in the unloaded body: torque is
-    linear in all of them.
-    """
+    """Return the rigid body with all ten payload parameters added to its last link."""
     columns = list(_last_link(model))
     parameters = unloaded.parameters.copy()
     parameters[columns] += payload.parameters
@@ -209,10 +196,7 @@ def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[
 def _inherited(
     blocks: Sequence[Block], solution: Solution, carried: Sequence[Array], errors: Array
 ) -> Array:
-    """Return the covariance of the unknowns due to independent `errors` of the unloaded body.
-
-    Its columns in the same rows are `carried`.
-    """
+    """Return the covariance of the unknowns due to `errors` of the unloaded body's columns."""
     products = [
         block.matrix.T @ columns / size**2
         for block, columns, size in zip(blocks, carried, solution.rmse, strict=True)

@@ -32,11 +32,8 @@ Chosen on measured identification logs, each left out in turn: 0.1 to 0.3 is equ
 """
 
 _LEAST_PULL = 1e-4  # pull of rotors that are not in the model file, just to make them unique
-
 _REWEIGHTINGS = 2
-
 _SMALLEST_RADIUS = 5e-3  # radius of gyration [m] of a link about any axis at the start
-
 _UNKNOWN_LINK = np.array([1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
 """Start of a link without mass in the model file: 1 kg with radii of gyration of 0.1 m."""
 
@@ -45,10 +42,9 @@ _UPPER = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhysicalFit:
-    """Physically consistent parameters (P,), rotor inertias included.
+    """Physically consistent parameters (P,), and coefficients of the friction columns.
 
-    `friction` are the coefficients of the columns after the first P. The covariance of the base
-    parameters takes the pull towards the model file as prior. `rmse` is the residual of each block.
+    The covariance of the base parameters takes the pull towards the model file as prior.
     """
 
     parameters: Array
@@ -87,9 +83,9 @@ def fit(
 ) -> PhysicalFit:
     """Fit physically consistent parameters by Levenberg-Marquardt, friction eliminated.
 
-    `blocks` have all P standard columns, then friction columns. `labels` (samples,) is the log
-    number of each sample, `rmse` (blocks,) [N.m] the residual of the unconstrained fit, for the
-    first weights. If `weighted`, each block is divided by its own residual's size.
+    `blocks` have all P standard columns, then friction columns; `labels` (samples,) is the log
+    number of each sample, `rmse` (blocks,) [N.m] the residual of the unconstrained fit, for first
+    weights.
     """
     chart = _Chart.of(model)
     count, size = sum(len(block.target) for block in blocks), len(model.parameter_names)
@@ -135,10 +131,7 @@ def fit(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Chart:
-    """Coordinates of physically consistent parameters: ten per link, one per rotor.
-
-    B B' is the pseudo-inertia of each link in the model file; there are r rotors, n or none.
-    """
+    """Coordinates of physically consistent parameters: ten per link, one per rotor (r)."""
 
     factors: Array  # (n, 4, 4), upper triangular B
     rotors: Array  # (r,) inertias in the model file [kg.m2], 0 if unknown

@@ -25,8 +25,7 @@ def identify_again(
 ) -> RigidBody:
     """Identify the rigid body from logs without the torque of a friction model.
 
-    `rigid_body`, used for fitting `friction`, gives the load torque. Raises ArtifactError if
-    `friction` has other joints.
+    `rigid_body`, used for fitting `friction`, gives the load torque. Raises ArtifactError.
     """
     joints = tuple(model.description.joints)
     if friction.joints != joints:

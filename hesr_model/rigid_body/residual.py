@@ -21,11 +21,11 @@ from hesr_model.units import unit_of_joint
 class FrictionRecord:
     """Friction `tau` [N.m] of one joint in one log (eq. 8), unsmoothed, on the log's own rows.
 
-    `t` [s], smoothed `dq` [rad/s], raw `q` [rad] and rigid-body torque `tau_load` [N.m] are (N,).
-    `tau_load_spread` (N, r) [N.m] is the error of `tau_load` for one standard deviation of each
+    t [s], smoothed dq [rad/s], raw q [rad] and rigid-body torque `tau_load` [N.m] are (N,).
+    `tau_load_spread` (N, r) is the error of `tau_load` for one standard deviation of each
     independent error of the rigid body. `gear_ratio` is turns of the motor per turn of the joint. A
-    `sliding` joint has m and N. `temperature` is in degC. `coupling` is None if nothing is coupled,
-    and after `at_friction`.
+    `sliding` joint has m and N. `temperature` is in degC. `coupling` is None if uncoupled, and
+    after `at_friction`.
     """
 
     log: str
@@ -53,10 +53,7 @@ class FrictionRecord:
 
 
 def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
-    """Transform the records of all joints in one log to friction coordinates.
-
-    Laws are fitted and run there (`robots.transmission`); the names of the joints stay.
-    """
+    """Transform the records of all joints in one log to friction coordinates, as laws need."""
     coupling = records[0].coupling if records else None
     if coupling is None:
         return list(records)
@@ -92,10 +89,7 @@ def all_at_friction(records: Sequence[Sequence[FrictionRecord]]) -> list[list[Fr
 
 
 def friction_records(log: Log, model: Robot, rigid_body: RigidBody) -> list[FrictionRecord]:
-    """Separate friction from a log, joint by joint (eq. 8).
-
-    Raises LogError if the log is too slow or short, RobotError if `rigid_body` is of another robot.
-    """
+    """Separate friction from a log, joint by joint (eq. 8); raises LogError or RobotError."""
     return motion_records(smooth(log, model.description.log.filter_cutoff), model, rigid_body)
 
 

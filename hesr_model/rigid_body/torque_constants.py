@@ -39,10 +39,7 @@ _ROUNDS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Constant:
-    """The torque constant of one joint [N.m/A] and its standard error, infinite if unknown.
-
-    The value is meaningless unless `determined` by the data.
-    """
+    """The torque constant of one joint [N.m/A], meaningless unless `determined`, and its error."""
 
     joint: str
     value: float
@@ -73,7 +70,7 @@ def torque_constants(
 
     `motions`, without payload, and `loaded` ones have torques computed with the constants `assumed`
     (n,). `mass_error` is the relative standard deviation of the file's masses. `payload` (10,) is
-    in the frame of the last joint [kg, kg.m, kg.m2], as `robot.LINK_PARAMETERS`.
+    in the frame of the last joint.
     """
     if not 0.0 < mass_error < 1.0:
         raise FitError(

@@ -15,10 +15,7 @@ _DEGREES = 180.0 / np.pi
 
 
 def load(path: Path, *, mimic: bool = False) -> Any:
-    """Parse a URDF, or an MJCF (``.xml``), without meshes; raises RobotError.
-
-    With `mimic`, mimic joints of a URDF are distinguished from driven ones.
-    """
+    """Parse a URDF, or an MJCF (``.xml``); mimic joints of a URDF are driven unless `mimic`."""
     import pinocchio  # slow to import
 
     if not path.is_file():

@@ -38,8 +38,7 @@ class RobotDescription(Config):
     fixed joints; other unlisted joints are at neutral. `gravity` [m/s2] is in the base frame.
     `rotor_inertia` adds a rotor inertia per joint, reflected through its gear, to the parameters.
     `gear_ratio` (turns of the motor per turn of the joint) is needed by laws with motor ripple;
-    `transmission` if a motor turns several joints or logs are of motors, it then sets the gear
-    ratios.
+    `transmission` if motors turn several joints or were logged, it then sets the gear ratios.
     """
 
     name: PrintableName
@@ -115,8 +114,8 @@ class RobotDescription(Config):
 class JointFrame:
     """Place of a joint in the kinematic tree.
 
-    The pose (`rotation`, `translation` [m]) at zero is relative to the `parent`, -1 for the base. A
-    joint turns about or, if `prismatic`, slides along the unit vector `axis` in its frame.
+    The pose at zero is relative to the `parent`, -1 for the base. A joint turns about or, if
+    `prismatic`, slides along the unit vector `axis` in its frame.
     """
 
     name: str
@@ -365,10 +364,7 @@ RobotLike = RobotDescription | Robot | str | PathLike[str]
 
 
 def description_of(robot: RobotLike) -> RobotDescription:
-    """Return the description of a robot; raises ConfigError or RobotError.
-
-    A URDF or MJCF alone describes all its joints, with the default columns of logs.
-    """
+    """Return the description of a robot, or of all joints of a URDF or MJCF."""
     if isinstance(robot, Robot):
         return robot.description
     if isinstance(robot, RobotDescription):

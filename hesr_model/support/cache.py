@@ -24,8 +24,8 @@ _DIGEST = hashlib.sha256().digest_size
 def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
     """Return the result of `make`, computed once for all processes of a user.
 
-    `inputs`, in a fixed order, determine the result; `kind` is a folder. Concurrent calls wait for
-    the first one. A damaged entry is made again; if the cache cannot be written, nothing is stored.
+    `inputs`, in a fixed order, determine the result. Concurrent calls wait for the first one. A
+    damaged entry is made again; if the cache cannot be written, nothing is stored.
     """
     key = hashlib.sha256()
     for part in inputs:

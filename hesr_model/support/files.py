@@ -58,9 +58,8 @@ def sha256(path: Path) -> str:
 def folder_written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files move into `path` when the block succeeds.
 
-    Other files in `path` are kept. On any exception nothing at `path` changes. Leftovers of killed
-    runs are removed. Raises ArtifactError, before the block runs, if the folder cannot be written
-    or another run is writing into it; also if the disk is full.
+    Other files in `path` are kept. On any exception nothing at `path` changes. Raises ArtifactError
+    before the block if another run is writing into the folder or it cannot be written.
     """
     with _room_for(path), ExitStack() as cleanup:
         try:
@@ -181,8 +180,7 @@ def _remove_whatever(folder: Path) -> None:
 def written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder that becomes `path` when the block succeeds.
 
-    On any exception, also an interrupt, an existing file stays unchanged. Raises ArtifactError if
-    `path` cannot be written, or is a pipe or a device.
+    On any exception, also an interrupt, an existing file stays unchanged. Raises ArtifactError.
     """
     with _room_for(path), ExitStack() as cleanup:
         try:

@@ -10,8 +10,7 @@ from contextlib import contextmanager
 def deferred() -> Iterator[None]:
     """Defer signals that would end the program until the short block is done.
 
-    Processes started in it begin with Ctrl-C blocked, until they have set their handlers. Other
-    threads than the main one get no such signals.
+    Processes started in it begin with Ctrl-C blocked, until they have set their handlers.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

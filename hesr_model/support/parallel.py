@@ -52,9 +52,8 @@ def results_of(
 
     Jobs with large `costs` start first. Processes are new, one per core by default, or those of
     `one_pool`; they do not import the calling script, whose functions and classes are pickled. One
-    worker is this process, when results are requested. If the block fails, also by Ctrl-C,
-    processes are killed at once. The iterator raises WorkerError if a process ended before its job
-    was done.
+    worker is this process. If the block fails, also by Ctrl-C, processes are killed at once. The
+    iterator raises WorkerError if a process ended before its job was done.
     """
     count = min(workers or os.cpu_count() or 1, len(jobs))
     if count <= 1:

@@ -55,10 +55,10 @@ class Plugin:
 
 
 def load(group: str) -> Mapping[str, Plugin]:
-    """Return the plug-ins of a group by name, not imported.
+    """Return the plug-ins of a group by name, not imported; raises ConfigError for a double name.
 
     HESR's own come first, unless their module is absent (`hesr.extras` not installed), then those
-    of other packages, both sorted. Raises ConfigError if two packages use the same name.
+    of other packages, both sorted.
     """
     every = [
         Plugin(name=entry.name, package=entry.dist.name if entry.dist else "?", entry=entry)

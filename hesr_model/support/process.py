@@ -30,8 +30,8 @@ class Ended:
 class ChildProcess:
     """A program that runs in its own session; raises FailedError if it cannot be started.
 
-    `mark` names an environment variable that identifies all descendants, even those that have left
-    the session and lost their parent. `more` are arguments of `subprocess.Popen`.
+    The environment variable `mark` identifies all descendants, even those that have left the
+    session and lost their parent. `more` are arguments of `subprocess.Popen`.
     """
 
     def __init__(

@@ -29,7 +29,6 @@ def counted(items: Collection[Item], progress: Progress) -> Iterator[Item]:
 _steps: ContextVar[Progress] = ContextVar("_steps", default=silent)
 
 PARTS = 100  # units of one job among several
-
 _LOOKED = 0.3  # [s] between two polls of workers
 
 

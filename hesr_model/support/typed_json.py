@@ -75,18 +75,12 @@ def to_text(value: Any, *, sparse: bool = False) -> str:
 
 
 def to_json(value: Any, *, sparse: bool = False) -> Any:
-    """Return a data class as JSON data, numbers with all digits; if `sparse`, without None.
-
-    Raises ValueError if a number is not finite.
-    """
+    """Return a data class as JSON data, if `sparse` without None; raises ValueError for NaN."""
     return json.loads(to_text(value, sparse=sparse))
 
 
 def from_json(kind: type[Kind], data: Any, path: Path, what: str) -> Kind:
-    """Return the data class `kind` for JSON data; raises ArtifactError.
-
-    `path` and the expected content `what` are for messages.
-    """
+    """Return the data class `kind` for JSON data; raises ArtifactError about `what` in `path`."""
     schema: Any = kind
     try:
         valid: Kind = _adapter(schema).validate_python(data)

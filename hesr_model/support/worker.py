@@ -28,15 +28,11 @@ JOBS = "jobs"  # prefix of files with pickled jobs
 JobAnswer = tuple[BaseException | None, Any, Counter[tuple[str, bool]]]
 
 _GROWTH = 1 << 30  # memory growth after which a worker starts afresh [B]
-
 _ORPHANED = 1.0  # period of checks for the parent [s]
 
 
 def work(folder: Path, parent: int) -> None:
-    """Answer requests until stdin closes.
-
-    The parent process removes the `folder` of the jobs and all temporary files.
-    """
+    """Answer requests until stdin closes; the parent process removes the `folder`."""
     import psutil
 
     # The parent alone answers signals to the process group, and kills its workers.

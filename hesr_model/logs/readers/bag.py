@@ -30,8 +30,7 @@ def is_bag(path: Path) -> bool:
 def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
     """Read the joint states from one topic of a bag; raises LogError.
 
-    Messages may list joints in any order; those without all joints of the robot are skipped. Time
-    counts from the stamp of the first message used.
+    Messages may list joints in any order; those without all joints of the robot are skipped.
     """
     bag = robot.log.bag
     joints = bag.joints or robot.joints
