@@ -19,15 +19,6 @@ notebook; logs and signals have `to_pandas()`, logs also `to_xarray()`. The stub
 the list of names; each is imported when it is first used.
 """
 
-import re
-from pathlib import Path
+from hesr_model.support.lazy import lazy_stub
 
-from hesr_model.support.lazy import lazy
-
-_STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-_HOMES = {
-    name: f"{module}:{name}"
-    for module, name in re.findall(r"^from (\S+) import (\w+)", _STUB, re.MULTILINE)
-}
-
-__getattr__, __dir__ = lazy(__name__, _HOMES)
+__getattr__, __dir__ = lazy_stub(__name__, __file__)

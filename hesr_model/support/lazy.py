@@ -1,13 +1,22 @@
 """Public names that are imported on first use (PEP 562)."""
 
+import re
 import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from pathlib import Path
+
+Names = tuple[Callable[[str], object], Callable[[], list[str]]]
 
 
-def lazy(
-    module: str, homes: Mapping[str, str]
-) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+def lazy_stub(module: str, file: str) -> Names:
+    """Return `lazy` for the names that the stub next to the `file` of a module imports."""
+    stub = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
+    imported = re.findall(r"^from (\S+) import (\w+)", stub, re.MULTILINE)
+    return lazy(module, {name: f"{home}:{name}" for home, name in imported})
+
+
+def lazy(module: str, homes: Mapping[str, str]) -> Names:
     """Return ``__getattr__`` and ``__dir__`` of a module that imports its names on use.
 
     `homes` gives the module of each public name, with a colon and the name there if it differs.
