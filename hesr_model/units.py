@@ -1,7 +1,6 @@
 """Units of logs in SI, and units of sliding joints."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import pi
 
 TURNING: Mapping[str, Mapping[str, float]] = {
@@ -54,24 +53,6 @@ def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
     return unit in TURNING[quantity]
 
 
-@dataclass(frozen=True)
-class Unit:
-    """A unit at a turning and at a sliding joint, as of FMI: `N.m.s/rad` becomes `N.s/m`."""
-
-    turning: str
-    sliding: str
-
-    @classmethod
-    def read(cls, symbol: str) -> "Unit":
-        """Return the unit with a symbol as `mrad/s` or `rad/(s.N.m)`; raises ValueError."""
-        if " " in symbol:
-            raise ValueError(f"'{symbol}' is no unit")
-        over, slash, under = symbol.partition("/")
-        below = _slid(under.removeprefix("(").removesuffix(")"))
-        brackets = "({})" if "." in below else "{}"
-        return cls(symbol, _slid(over) + slash + brackets.format(below))
-
-
 def _slid(product: str) -> str:
     """Return one side of a fraction with m for rad, N for N.m and kg for kg.m2."""
     factors: list[str] = []
@@ -85,8 +66,14 @@ def _slid(product: str) -> str:
 
 
 def unit_of_joint(unit: str, *, slides: bool) -> str:
-    """Return the unit at a joint from that at a turning joint."""
-    return Unit.read(unit).sliding if slides else unit
+    """Return the unit at a joint, `N.s/m` for `N.m.s/rad` if it slides; spelt as in FMI."""
+    if not slides:
+        return unit
+    if " " in unit:
+        raise ValueError(f"'{unit}' is no unit")
+    over, slash, under = unit.partition("/")
+    below = _slid(under.removeprefix("(").removesuffix(")"))
+    return _slid(over) + slash + (f"({below})" if "." in below else below)
 
 
 def unit_of_joints(unit: str, sliding: Sequence[bool]) -> str:

@@ -1,6 +1,6 @@
 """Findings of logs: merged over logs and joints, refused unless accepted."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from hesr_model.errors import ConfigError, LogError
@@ -32,22 +32,22 @@ def of_log(log: Log, findings: Iterable[Finding]) -> list[Finding]:
 
 def merged(findings: Iterable[Finding]) -> list[Finding]:
     """Merge findings that several logs or joints share; errors first."""
-    by_log: dict[tuple[str, tuple[str, ...]], Finding] = {}
+    by_log = _merged(findings, lambda f: (f.check, f.joints))
+    return errors_first(_merged(by_log, lambda f: (f.check, f.severity, f.remedy)))
+
+
+def _merged(findings: Iterable[Finding], key: Callable[[Finding], object]) -> list[Finding]:
+    groups: dict[object, list[Finding]] = {}
     for finding in findings:
-        first = by_log.setdefault((finding.check, finding.joints), finding)
-        worst = min(first, finding, key=lambda f: f.severity != "error")
-        logs = tuple(dict.fromkeys((*first.logs, *finding.logs)))
-        by_log[finding.check, finding.joints] = replace(worst, logs=logs)
-    by_joint: dict[tuple[str, str, str], Finding] = {}
-    for finding in by_log.values():
-        key = (finding.check, finding.severity, finding.remedy)
-        first = by_joint.setdefault(key, finding)
-        by_joint[key] = replace(
-            first,
-            joints=tuple(dict.fromkeys((*first.joints, *finding.joints))),
-            logs=tuple(dict.fromkeys((*first.logs, *finding.logs))),
+        groups.setdefault(key(finding), []).append(finding)
+    return [
+        replace(
+            errors_first(group)[0],
+            joints=tuple(dict.fromkeys(joint for f in group for joint in f.joints)),
+            logs=tuple(dict.fromkeys(log for f in group for log in f.logs)),
         )
-    return errors_first(by_joint.values())
+        for group in groups.values()
+    ]
 
 
 def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> list[Finding]:

@@ -77,6 +77,7 @@ def mistakes(rows: CandidateRows, model: Robot, moves: Mask) -> Iterator[Mistake
         )
     for j in joints:
         key, changes = sign_change(robot, j, position=False)
+        position, other = sign_change(robot, j, position=True)
         side = np.where(np.arange(model.n) == j, -1.0, 1.0)
         q, v, a, tau = (part * side for part in (rows.q, rows.v, rows.a, rows.tau))
         yield Mistake(
@@ -86,20 +87,18 @@ def mistakes(rows: CandidateRows, model: Robot, moves: Mask) -> Iterator[Mistake
             changes=changes,
             mended=replace(rows, tau=tau),
         )
-        key, changes = sign_change(robot, j, position=True)
         yield Mistake(
             check="position-sign",
             joint=j,
-            remedy=f"its position and velocity count backwards; set {key}",
-            changes=changes,
+            remedy=f"its position and velocity count backwards; set {position}",
+            changes=other,
             mended=replace(rows, q=q, v=v, a=a),
         )
-        both, other = sign_change(robot, j, position=False)
         yield Mistake(
             check="position-sign",
             joint=j,
-            remedy=f"its position, velocity and torque count backwards; set {key}, and {both}",
-            changes=changes | other,
+            remedy=f"its position, velocity and torque count backwards; set {position}, and {key}",
+            changes=other | changes,
             mended=replace(rows, q=q, v=v, a=a, tau=tau),
         )
     for mend in (_swapped_torques, _swapped_joints, _gravity, _moved_zeros):

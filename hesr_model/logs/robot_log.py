@@ -268,24 +268,20 @@ def _of_joints(motion: Array, robot: RobotDescription) -> Array:
 
 
 def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
-    """Return the torque (N, n) of the joints, also from that of motors."""
-    torque = _effort(path, samples, robot)
+    """Return the torque (N, n) of the joints, also from currents or that of motors."""
+    gains = robot.log.torque_per_ampere
+    unit = "current" if samples.is_current else "tau"
+    torque: Array = samples.effort * robot.log.units.factors(unit, len(robot.joints))
+    if samples.is_current:
+        if gains is None:
+            raise LogError(
+                f"{path}: its efforts are currents by 'log.bag.effort' of the robot file, which "
+                "needs 'log.torque_per_ampere' for them."
+            )
+        torque = torque * gains
     if robot.transmission is None or robot.transmission.logs == "joint":
         return torque
     return np.asarray(torque @ np.array(robot.transmission.matrix))
-
-
-def _effort(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
-    """Return the logged torque (N, n), also from currents."""
-    units, gains, n = robot.log.units, robot.log.torque_per_ampere, len(robot.joints)
-    if not samples.is_current:
-        return np.asarray(samples.effort * units.factors("tau", n))
-    if gains is None:
-        raise LogError(
-            f"{path}: its efforts are currents by 'log.bag.effort' of the robot file, which needs "
-            "'log.torque_per_ampere' for them."
-        )
-    return np.asarray(samples.effort * units.factors("current", n) * gains)
 
 
 def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:

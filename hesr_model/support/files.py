@@ -67,9 +67,7 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
         except OSError as error:
             raise _unwritable(path, error) from error
         _take(path, cleanup)
-        with interrupts.deferred():  # an interrupt must not leave the folder behind
-            temporary = Path(tempfile.mkdtemp(dir=path, prefix=_TEMPORARY))
-            cleanup.callback(_remove, temporary)
+        temporary = cleanup.enter_context(scratch_folder(path, _TEMPORARY))
         yield temporary
         with interrupts.deferred():  # all files or none
             _move(temporary, path)
@@ -124,11 +122,6 @@ def _take(path: Path, cleanup: ExitStack) -> None:
         shutil.rmtree(left, ignore_errors=True)
 
 
-def _remove(folder: Path) -> None:
-    with interrupts.deferred():
-        shutil.rmtree(folder)
-
-
 def _remove_empty(folder: Path) -> None:
     with suppress(OSError):  # not empty, or never made
         folder.rmdir()
@@ -145,11 +138,11 @@ def _move(temporary: Path, path: Path) -> None:
 
 
 @contextmanager
-def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
+def scratch_folder(parent: Path | None = None, prefix: str = "hesr-") -> Iterator[Path]:
     """Yield a temporary folder in `parent` or the system's; interrupts leave none."""
     with ExitStack() as cleanup:
         with interrupts.deferred():
-            folder = Path(tempfile.mkdtemp(prefix="hesr-", dir=parent))
+            folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
             cleanup.callback(_removed, folder)
         yield folder
 

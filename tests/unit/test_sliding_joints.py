@@ -13,7 +13,7 @@ from hesr_model.friction.equation import coefficient_lines
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
 from hesr_model.rigid_body.residual import require_reversals
-from hesr_model.units import Unit, unit_of_joint, unit_of_joints
+from hesr_model.units import unit_of_joint, unit_of_joints
 
 TRUTH = law("parfam_hx", HX_PAPER, c_0=0.4, c_dq=5.0, c_h=9.0, c_dh=0.02, alpha=10.0, beta=50.0)
 TURNS = along(TRUTH, path(0), log="run")
@@ -63,7 +63,7 @@ def test_units_of_a_joint_that_slides(turning: str, sliding: str) -> None:
 
 def test_a_text_is_no_unit() -> None:
     with pytest.raises(ValueError, match=r"'3 N\.m' is no unit"):
-        Unit.read("3 N.m")
+        unit_of_joint("3 N.m", slides=True)
 
 
 def test_units_of_several_joints() -> None:
