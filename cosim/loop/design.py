@@ -18,7 +18,6 @@ from hesr_model.motions.excitation import design as design_excitation
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
-from hesr_model.support.config import read_toml
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, silent
 
@@ -59,7 +58,7 @@ def design(
             f"{', '.join(sorted(_TABLES))}."
         )
     model = Robot(RobotDescription.read(robot))
-    chosen = read_toml(settings, ExcitationSettings) if settings else ExcitationSettings()
+    chosen = ExcitationSettings.read(settings) if settings else ExcitationSettings()
     try:
         found = design_excitation(model, chosen, progress=progress)
     except HesrError as error:

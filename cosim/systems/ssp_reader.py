@@ -19,7 +19,6 @@ from cosim.systems.system import Name, SystemSpec
 from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
 from fmu_src.run.variables import Variables
 from hesr_model.errors import ConfigError, SimulationError
-from hesr_model.support.config import validated
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
 # Annotations of the engines with the step, in any namespace because tools differ.
@@ -42,7 +41,7 @@ def opened_system(path: Path) -> Iterator[SystemSpec]:
         yield SystemSpec.read(path)
         return
     with Archive(path, "SSP") as archive, TemporaryDirectory(prefix="hesr-") as folder:
-        yield validated(path, SystemSpec, _Reader(path, archive, Path(folder)).system())
+        yield SystemSpec.validated(path, _Reader(path, archive, Path(folder)).system())
 
 
 @dataclass(frozen=True)

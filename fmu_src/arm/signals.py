@@ -14,7 +14,6 @@ from fmu_src.arm.default_signals import SINGLE, everything
 from fmu_src.arm.parts import ArmInput, ArmOutput, ArmSignals, ArmStart, Loss
 from fmu_src.arm.table import LossTable, OutputTable, SignalTable, StartTable
 from hesr_model.errors import ConfigError
-from hesr_model.support.config import read_toml
 
 _MOST_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
 
@@ -79,7 +78,7 @@ def signals_of(path: Path, table: Path | SignalTable | None = None) -> ArmSignal
     if isinstance(table, SignalTable):
         return named_signals(model, path, table)
     if table is not None:
-        return named_signals(model, table, read_toml(table, SignalTable))
+        return named_signals(model, table, SignalTable.read(table))
     if not model.nsensor:
         raise ConfigError(f"{path}: has no sensor, so an FMU of it would have no output.")
     return everything(model)

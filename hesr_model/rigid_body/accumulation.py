@@ -26,8 +26,8 @@ from hesr_model.rigid_body.observations import (
     SLOW,
     friction_columns,
     logs_of,
-    rubbing_speeds,
-    slow_of,
+    peak_speeds,
+    slow_speeds,
     stacked,
 )
 from hesr_model.robots.robot import Robot
@@ -53,7 +53,7 @@ class Streamed:
     @property
     def slow(self) -> Array:
         """Speeds (n,) [rad/s] below which rows should be dropped, by the motions so far."""
-        return slow_of(self._peaks)
+        return slow_speeds(self._peaks)
 
     @property
     def fits(self) -> bool:
@@ -62,9 +62,7 @@ class Streamed:
 
     def add(self, motion: Motion) -> None:
         """Add the rows of a motion."""
-        self._peaks = np.maximum(
-            self._peaks, np.max(np.abs(rubbing_speeds([motion], self._model)), axis=0)
-        )
+        self._peaks = np.maximum(self._peaks, peak_speeds([motion], self._model))
         self._logs[motion.name] = None
         self.rows += len(motion.t)
         with threadpool_limits(1):

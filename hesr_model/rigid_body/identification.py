@@ -26,8 +26,8 @@ from hesr_model.rigid_body.observations import (
     averaged,
     friction_columns,
     logs_of,
+    peak_speeds,
     per_joint,
-    rubbing_speeds,
     stacked,
 )
 from hesr_model.robots.robot import Robot
@@ -249,7 +249,7 @@ def identify_motions(
     where = "log " + ", ".join(motion.name for motion in everything)
     rows = sum(len(motion.t) for motion in everything)
     require_samples(where, rows, len(base) + int(np.sum(friction)))
-    require_speed(where, np.max(np.abs(rubbing_speeds(everything, model)), axis=0), model)
+    require_speed(where, peak_speeds(everything, model), model)
 
     def blocks_of(columns: tuple[int, ...]) -> list[Block]:
         if method == "paper":

@@ -22,14 +22,14 @@ def rubbing_speeds(motions: Sequence[Motion], model: Robot) -> Array:
     return onto(model.description.coupling, np.concatenate([motion.dq for motion in motions]))
 
 
-def slow_speeds(motions: Sequence[Motion], model: Robot) -> Array:
-    """Return the speeds (n,) [rad/s] below which rows of a friction coordinate are dropped."""
-    return slow_of(np.max(np.abs(rubbing_speeds(motions, model)), axis=0))
+def peak_speeds(motions: Sequence[Motion], model: Robot) -> Array:
+    """Return the peak speeds (n,) of the friction coordinates."""
+    return np.asarray(np.max(np.abs(rubbing_speeds(motions, model)), axis=0))
 
 
-def slow_of(fastest: Array) -> Array:
-    """Return the same (n,) [rad/s] from peak speeds (n,)."""
-    return np.minimum(SLOW, SLOW_SHARE * fastest)
+def slow_speeds(peaks: Array) -> Array:
+    """Return the speeds (n,) below which rows are dropped, from peak speeds."""
+    return np.minimum(SLOW, SLOW_SHARE * peaks)
 
 
 def friction_columns(model: Robot, base: tuple[int, ...]) -> Mask:
@@ -73,7 +73,7 @@ def stacked(
     coupling = model.description.coupling
     if coupling is not None:
         dq, tau, rigid = coupling.motion(dq), coupling.torque(tau), coupling.torque(rigid)
-    slow = slow_speeds(motions, model) if slow is None else slow
+    slow = slow_speeds(peak_speeds(motions, model)) if slow is None else slow
     blocks = []
     for joint in range(n):
         rows = np.abs(dq[:, joint]) > slow[joint]
@@ -113,7 +113,7 @@ def averaged(
         matrix, target = coupling.torque(matrix), coupling.torque(target)
     forward = rubbing_speeds([pair.forward for pair in pairs], model)
     backward = rubbing_speeds([pair.backward for pair in pairs], model)
-    slow = slow_speeds([*motions, *counterparts], model)
+    slow = slow_speeds(peak_speeds([*motions, *counterparts], model))
     kept = (np.minimum(np.abs(forward), np.abs(backward)) > slow) & (forward * backward < 0)
     for joint, rows in zip(model.description.joints, kept.T, strict=True):
         if not np.any(rows):

@@ -22,7 +22,7 @@ from hesr_model.robots.model_file import (
 from hesr_model.robots.owner import Owner
 from hesr_model.robots.transmission import Coupling, Transmission
 from hesr_model.support.arrays import Array
-from hesr_model.support.config import Config, PrintableName, RelativePath, read_toml
+from hesr_model.support.config import Config, PrintableName, RelativePath
 from hesr_model.support.files import PathArg, path_of
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -84,7 +84,7 @@ class RobotDescription(Config):
     def read(cls, path: PathArg) -> Self:
         """Read a robot file; raises ConfigError, or RobotError for a list of wrong length."""
         path = path_of(path, "a robot")
-        description = read_toml(path, cls)
+        description = super().read(path)
         try:
             description.require_one_per_joint()
         except RobotError as error:

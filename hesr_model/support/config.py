@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, Self, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, ValidationInfo
 
@@ -19,8 +19,28 @@ class Config(BaseModel):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read and validate a TOML file; raises ConfigError."""
-        return read_toml(path, cls)
+        """Read and validate a TOML file; raises ConfigError with key, value and allowed values."""
+        try:
+            text = read_text(path)
+        except FileNotFoundError as error:
+            raise ConfigError(f"{path}: no such file.") from error
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"{path}: cannot be read ({error}).") from error
+        try:
+            data = parse_toml(text)
+        except ValueError as error:
+            raise ConfigError(f"{path}: not valid TOML ({error}).") from error
+        return cls.validated(path, data)
+
+    @classmethod
+    def validated(cls, path: Path, data: Any) -> Self:
+        """Validate data read from a file; errors as `read`."""
+        try:
+            return cls.model_validate(data, context={"folder": path.parent})
+        except ValidationError as error:
+            raise ConfigError(_sentence(path, cls, error)) from error
+        except RecursionError as error:
+            raise ConfigError(f"{path}: it is nested too deeply.") from error
 
 
 def _beside_the_toml(path: Path, info: ValidationInfo) -> Path:
@@ -34,33 +54,6 @@ RelativePath = Annotated[Path, AfterValidator(_beside_the_toml)]
 
 PrintableName = Annotated[str, AfterValidator(require_printable)]
 """A name without control characters, which an FMU's description cannot contain."""
-
-Schema = TypeVar("Schema", bound=Config)
-
-
-def read_toml(path: Path, schema: type[Schema]) -> Schema:
-    """Read and validate a TOML file; raises ConfigError with key, value and allowed values."""
-    try:
-        text = read_text(path)
-    except FileNotFoundError as error:
-        raise ConfigError(f"{path}: no such file.") from error
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}).") from error
-    try:
-        data = parse_toml(text)
-    except ValueError as error:
-        raise ConfigError(f"{path}: not valid TOML ({error}).") from error
-    return validated(path, schema, data)
-
-
-def validated(path: Path, schema: type[Schema], data: Any) -> Schema:
-    """Validate data read from a file; errors as `read_toml`."""
-    try:
-        return schema.model_validate(data, context={"folder": path.parent})
-    except ValidationError as error:
-        raise ConfigError(_sentence(path, schema, error)) from error
-    except RecursionError as error:
-        raise ConfigError(f"{path}: it is nested too deeply.") from error
 
 
 def _sentence(path: Path, schema: type[BaseModel], error: ValidationError) -> str:

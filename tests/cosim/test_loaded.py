@@ -11,7 +11,6 @@ from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from fmu_src.run.fmu import FmuPool
 from hesr_model.errors import SimulationError
-from hesr_model.support.config import read_toml
 
 
 @pytest.fixture
@@ -95,7 +94,7 @@ def test_a_file_that_is_missing_is_said_as_ever(tmp_path, loaded):
 def test_a_system_gives_the_same_bits_from_kept_fmus(lag_fmu, tmp_path, loaded):
     path = tmp_path / "lags.toml"
     path.write_text(LAGS.replace("FMU", str(lag_fmu)), encoding="utf-8")
-    spec = read_toml(path, SystemSpec)
+    spec = SystemSpec.read(path)
     with Master(spec, path) as master:
         fresh = master.run().require_success()
     for _ in range(2):

@@ -13,7 +13,6 @@ from cosim.systems.system_file import System
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.logs.tables import read_table
-from hesr_model.support.config import read_toml
 
 
 def run(spec):
@@ -398,7 +397,7 @@ fmu = "B.fmu"
 def test_files_of_fmus_are_beside_the_toml(tmp_path):
     path = tmp_path / "system.toml"
     path.write_text(GOOD)
-    spec = read_toml(path, SystemSpec)
+    spec = SystemSpec.read(path)
     assert [c.fmu for c in spec.components] == [tmp_path / "folder/A.fmu", tmp_path / "B.fmu"]
     assert (spec.steps, spec.every(spec.components[0])) == (10, 1)
 
@@ -431,6 +430,6 @@ def test_files_that_are_wrong(tmp_path, old, new, said):
     path = tmp_path / "system.toml"
     path.write_text(GOOD.replace(old, new))
     with pytest.raises(ConfigError) as error:
-        read_toml(path, SystemSpec)
+        SystemSpec.read(path)
     assert str(error.value).startswith(f"{path}: ")
     assert said in str(error.value)

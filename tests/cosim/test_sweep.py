@@ -17,7 +17,6 @@ from hesr.extras.sweep.design import chosen
 from hesr.extras.sweep.run import replay, run_sweep
 from hesr.extras.sweep.study import SweepStudy
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
-from hesr_model.support.config import validated
 
 STUDY = """
 name = "lags"
@@ -85,7 +84,7 @@ def of(**more: object) -> SweepStudy:
         "inputs": [{"variables": ["a.x"], "low": -1.0, "high": 3.0}],
         "outputs": [{"name": "y", "signal": "a.y"}],
     }
-    return validated(Path("study.toml"), SweepStudy, data | more)
+    return SweepStudy.validated(Path("study.toml"), data | more)
 
 
 # --- how runs are chosen ----------------------------------------------------------------------

@@ -152,9 +152,8 @@ def _write_fleet(path: Path) -> None:
 
 def _excitation(path: Path) -> object:
     from hesr_model.motions.excitation import ExcitationSettings
-    from hesr_model.support.config import read_toml
 
-    return read_toml(path, ExcitationSettings)
+    return ExcitationSettings.read(path)
 
 
 SETTINGS = {

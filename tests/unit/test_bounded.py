@@ -10,7 +10,7 @@ import pytest
 from hesr_model.errors import ConfigError
 from hesr_model.support import cache
 from hesr_model.support import untrusted_text as bounded
-from hesr_model.support.config import Config, validated
+from hesr_model.support.config import Config
 from hesr_model.support.process import how_it_ended
 from hesr_model.support.progress import PARTS, counted, into_file, watched
 from hesr_model.support.text import listed, plain, quoted
@@ -108,7 +108,7 @@ class Outer(Config):
 def test_values_that_are_wrong_are_shown_up_to_200_characters() -> None:
     def told(data: object) -> str:
         with pytest.raises(ConfigError) as refusal:
-            validated(Path("x.toml"), Outer, data)
+            Outer.validated(Path("x.toml"), data)
         return str(refusal.value)
 
     assert told({"inner": {"b": 1}}) == "x.toml: unknown key 'inner.b'; allowed here: a."

@@ -8,7 +8,7 @@ import pytest
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from hesr_model.errors import ConfigError
-from hesr_model.support.config import Config, RelativePath, read_toml
+from hesr_model.support.config import Config, RelativePath
 
 
 class Inner(Config):
@@ -72,7 +72,7 @@ KEYS = "count, inner, model, motions, name, named, odd, pair, shapes"
 def read(folder: Path, text: str) -> Outer:
     path = folder / "file.toml"
     path.write_text(text, encoding="utf-8")
-    return read_toml(path, Outer)
+    return Outer.read(path)
 
 
 def sentence(folder: Path, text: str) -> str:
@@ -184,7 +184,7 @@ def test_text_that_is_no_toml_is_refused_with_its_place(tmp_path: Path, text: st
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "none.toml"
     with pytest.raises(ConfigError) as caught:
-        read_toml(path, Outer)
+        Outer.read(path)
     assert str(caught.value) == f"{path}: no such file."
 
 
@@ -192,8 +192,8 @@ def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
     path = tmp_path / "file.toml"
     path.write_bytes(b"name = '\xff\xfe'")
     with pytest.raises(ConfigError) as caught:
-        read_toml(path, Outer)
+        Outer.read(path)
     assert str(caught.value).startswith(f"{path}: cannot be read (")
     with pytest.raises(ConfigError) as caught:
-        read_toml(tmp_path, Outer)
+        Outer.read(tmp_path)
     assert str(caught.value).startswith(f"{tmp_path}: cannot be read (")

@@ -20,7 +20,6 @@ from hesr_model.motions.limits import Limits, MotionLimits, peak_torque
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import Robot, RobotDescription
-from hesr_model.support.config import read_toml
 from hesr_model.support.files import models_folder
 
 QUICK = ExcitationSettings(harmonics=3, period=(5.0, 12.0), starts=1)
@@ -257,7 +256,7 @@ def test_settings_that_admit_no_motion_are_refused(
     path = tmp_path / "excitation.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
-        read_toml(path, ExcitationSettings)
+        ExcitationSettings.read(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert sentence in str(caught.value)
 
