@@ -54,7 +54,7 @@ def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
 
 
 def _slid(product: str) -> str:
-    """Return one side of a fraction with m for rad, N for N.m and kg for kg.m2."""
+    """Return a side of a fraction with m for rad, N for N.m and kg for kg.m2."""
     factors: list[str] = []
     for factor in product.split("."):
         prefix, angle, power = factor.partition("rad")

@@ -89,7 +89,7 @@ def _best(
 
 
 def _either(best: Mistake) -> str:
-    """Return a remedy with both possible signs, which the logs cannot distinguish."""
+    """Return a remedy with both possible signs."""
     if best.check != "torque-sign":
         return best.remedy
     return best.remedy.replace(

@@ -80,7 +80,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
 
 
 def _hopeless(findings: Sequence[Finding]) -> bool:
-    """Whether positions or time stamps are too wrong to judge torques."""
+    """Whether positions or stamps are too wrong to judge torques."""
     return any(
         f.severity == "error"
         and (
@@ -119,7 +119,7 @@ def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Find
 
 
 def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
-    """Drop findings that a clearer finding of the same joint implies."""
+    """Drop findings that a clearer one of the same joint implies."""
     clear = {f.joints for f in findings if f.check in ("velocity-columns", "same-column")}
     coarse = any(f.check == "coarse" for f in findings)
     mended = any(key.startswith("log.units") for f in findings for key in f.changes)

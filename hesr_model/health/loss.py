@@ -54,7 +54,7 @@ def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[F
 
 
 def _sliding(motion: Motionwise, torques: Torques, j: int) -> tuple[Array, Array, Array]:
-    """Return speeds (K,) [rad/s; m/s], sliding torques and their deviation due to lost rows."""
+    """Return speeds (K,), sliding torques and their deviation due to lost rows."""
     v, tau = motion.v[:, j], motion.tau[:, j]
     speeds = float(np.max(np.abs(v))) * _SPEEDS
     hats = np.stack([np.interp(np.abs(v), speeds, one) for one in np.eye(len(speeds))], axis=1)

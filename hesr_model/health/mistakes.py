@@ -53,7 +53,7 @@ def torques_of(rows: CandidateRows, model: Robot) -> Torques:
 
 
 def _by_axis(q: Array, model: Robot) -> Array:
-    """Return the gravity torques (3, N, n) of unit gravity along each base axis."""
+    """Return the gravity torques (3, N, n) of unit gravity along each axis."""
     nothing = np.zeros_like(q)
     with model.under_gravity() as set_gravity:
         parts = []
@@ -172,7 +172,6 @@ def _moved_zeros(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterat
 
 
 def _gravity(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
-    """Yield the gravity that the torques show if it is not that of the robot file."""
     by_axis, inertial, v = _by_axis(rows.q, model), torques_of(rows, model).inertial, rows.v
     if (logged := model.description.logged) is not None:
         by_axis = np.array([logged.torque(one) for one in by_axis])

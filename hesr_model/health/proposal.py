@@ -91,7 +91,6 @@ def open_table(path: Path, time: str) -> LogTable | None:
 
 
 def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) -> RobotDescription:
-    """Guess the columns if those of the description are not in the log."""
     table = open_table(path, robot.log.columns.t)
     if table is None or _has_columns(table, robot):
         return robot
@@ -124,7 +123,7 @@ def _has_columns(table: LogTable, robot: RobotDescription) -> bool:
 def _read(
     paths: Sequence[Path], robot: RobotDescription, reasons: dict[str, str]
 ) -> tuple[RobotDescription, list[Log]]:
-    """Read logs; leave out rows with missing cells or repeated time stamps if needed."""
+    """Read logs; leave out faulty rows if needed."""
     try:
         return robot, [Log.read(path, robot) for path in paths]
     except LogError as error:
@@ -157,7 +156,7 @@ def _with_cutoff(
 def _changes(
     robot: RobotDescription, findings: Sequence[Finding], reasons: dict[str, str]
 ) -> dict[str, Any]:
-    """Return the changes that findings ask for; lists are combined entry by entry."""
+    """Return the changes of findings; lists are combined entry by entry."""
     wanted: dict[str, Any] = {}
     for finding in findings:
         if finding.check == "velocity-lag" or not finding.changes:
@@ -169,7 +168,6 @@ def _changes(
 
 
 def _combined(declared: Any, before: Any, value: Any) -> Any:
-    """Combine two lists that each changed some entries of the declared one."""
     if not (isinstance(before, tuple) and isinstance(value, tuple)):
         return value
     old = declared if isinstance(declared, tuple) else (declared,) * len(value)
@@ -179,7 +177,7 @@ def _combined(declared: Any, before: Any, value: Any) -> Any:
 def _constants(
     robot: RobotDescription, examination: Examination, reasons: dict[str, str]
 ) -> dict[str, Any]:
-    """Estimate torque constants from the model's gravity; joints without gravity get the median."""
+    """Estimate torque constants from gravity; joints without get the median."""
     slopes: dict[int, list[float]] = {}
     for fits in examination.explained:
         for j, fit in fits.items():

@@ -54,7 +54,7 @@ def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:
 
 
 def _speeds(log: Log) -> Array:
-    """Return speeds (N, n) [rad/s; m/s] over a window of raw positions."""
+    """Return speeds (N, n) over a window of raw positions."""
     around = max(1, round(0.5 * _WINDOW / log.period))
     rows = np.arange(len(log.t))
     before, after = np.maximum(rows - around, 0), np.minimum(rows + around, len(rows) - 1)
@@ -79,7 +79,7 @@ def _repeated(log: Log, moves: Mask, fine: Mask) -> Iterator[Finding]:
 
 
 def _stands_still(log: Log, values: Array, moves: Mask) -> int | None:
-    """Return the first row of the longest run of equal values (N,) if it is long and in motion."""
+    """Return the first row of the longest run of equal values if it is long and in motion."""
     edges = np.flatnonzero(np.diff(np.r_[False, np.diff(values) == 0.0, False].astype(int)))
     starts, lengths = edges[::2], edges[1::2] - edges[::2]
     if not len(starts):

@@ -77,7 +77,6 @@ def _rubs(u: Array, v: Array) -> Array:
 
 @cache
 def _stops() -> Kernel:
-    """Return Prandtl stops of several deflections, moved by displacements."""
     displacement = sympy.Symbol("displacement", real=True)
     stops = [
         Stop(name=f"stop_{k}", unit="1", velocity=displacement, deflection=width, bound=1)
@@ -175,7 +174,7 @@ def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> t
 
 
 def _bodies(table: Array, scale: float) -> Array:
-    """Return regressors (N, P) of a body from a table (N, 1 + 2 P) of torque, still, moving."""
+    """Return regressors (N, P) from a table (N, 1 + 2 P) of torque, still, moving."""
     still, moving = np.split(table[:, 1:], 2, axis=1)
     return np.asarray(still + scale * moving)
 

@@ -69,7 +69,7 @@ def check_torque(
 
 
 def _sign(fit: JointTorque, j: int, model: Robot) -> Iterator[Finding]:
-    """Check that the joint's torque takes energy out of its motion."""
+    """Check that the torque takes energy out of the motion."""
     if fit.friction.t > -_SURE or fit.friction_size < 0.3 * fit.residual:
         return
     robot = model.description
@@ -115,7 +115,7 @@ def sign_change(
 
 
 def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator[Finding]:
-    """Check the size of the torque against the model's gravity, or inertia on a joint without."""
+    """Check the torque against the model's gravity, or inertia on a joint without."""
     if fit.r2 < _EXPLAINED:
         return
     weightless = fit.bears_gravity and fit.gravity.value + _SURE * fit.gravity.error < 1.0 / _SCALE
@@ -145,7 +145,7 @@ def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator
 
 
 def _far_too_large(fit: JointTorque) -> bool:
-    """Return whether a barely visible gravity exceeds any plausible model error."""
+    """Return whether a barely visible gravity exceeds any model error."""
     return fit.gravity_size > 1e-3 and fit.gravity.value - _SURE * fit.gravity.error > 10.0
 
 
@@ -172,7 +172,7 @@ def _why_scaled(robot: RobotDescription, scale: float, *, everywhere: bool) -> s
 
 
 def _no_friction(found: Explained, model: Robot) -> Iterator[Finding]:
-    """Check that torques that the rigid body explains completely were really measured."""
+    """Check that torques were not computed."""
     clear = {j: fit for j, fit in found.items() if fit.r2 > _EXPLAINED}
     if not clear or any(
         abs(fit.friction.t) > _SURE or fit.residual > _EXACT * fit.deviation
@@ -190,7 +190,7 @@ def _no_friction(found: Explained, model: Robot) -> Iterator[Finding]:
 
 
 def _against_limits(motion: Motionwise, found: Explained, model: Robot) -> Iterator[Finding]:
-    """Check peak torques against the limits of the model file, and relative to each other."""
+    """Check peak torques against the model's limits and each other."""
     limits = np.where(np.isfinite(model.torque_limits), model.torque_limits, 0.0)
     peaks = np.quantile(np.abs(motion.tau), 0.99, axis=0)
     used = {

@@ -88,7 +88,7 @@ def check_velocity(
 
 
 def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
-    """Return for each moving joint the joint whose dq column belongs to its position."""
+    """Return the joint whose dq belongs to the position of each moving joint."""
     from scipy.optimize import linear_sum_assignment
 
     assert motion.dq is not None
@@ -182,7 +182,6 @@ def _scale(
 def _cause(
     robot: RobotDescription, j: int, matches: dict[int, Match], motion: Motionwise
 ) -> tuple[str, dict[str, object]]:
-    """Return the likeliest cause of a wrong scale of one joint, and the corrections."""
     ratio = abs(matches[j].slope)
     all_alike = len(matches) > 1 and all(
         abs(np.log(abs(other.slope) / ratio)) < _SAME for other in matches.values()

@@ -261,14 +261,12 @@ def require_moving(logs: Sequence[Log], joints: Sequence[str]) -> None:
 
 
 def _of_joints(motion: Array, robot: RobotDescription) -> Array:
-    """Return the motion (N, n) of the joints, also from that of motors."""
     if robot.transmission is None or robot.transmission.logs == "joint":
         return motion
     return np.asarray(np.linalg.solve(np.array(robot.transmission.matrix), motion.T).T)
 
 
 def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
-    """Return the torque (N, n) of the joints, also from currents or that of motors."""
     gains = robot.log.torque_per_ampere
     unit = "current" if samples.is_current else "tau"
     torque: Array = samples.effort * robot.log.units.factors(unit, len(robot.joints))
@@ -285,7 +283,7 @@ def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
 
 
 def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
-    """Check that products of a few numbers stay finite; NaN also fails."""
+    """Check that products of a few numbers stay finite."""
     for what in ("q", "dq", "effort", "temperature"):
         values = getattr(samples, what)
         if values is not None and not np.all(usable := np.abs(values) <= _LARGEST):

@@ -136,7 +136,6 @@ class Sample:
 
 
 def _uniform(seed: int, log: str, t: float) -> float:
-    """Return a pseudo-random number in (0, 1) for these arguments."""
     digest = hashlib.sha256(f"{seed} {log} {float(t)!r}".encode()).digest()
     return (int.from_bytes(digest[:6], "big") + 0.5) / 2.0**48
 

@@ -100,7 +100,7 @@ class LogTable:
         return values
 
     def _first_text(self, name: str) -> LogError:
-        """Return the error for a column that is not numeric, at its first bad cell."""
+        """Return the error at the first cell that is no number."""
         column = self._arrow.column(name)
         try:
             cells = column.to_pylist()
@@ -252,7 +252,7 @@ def _lines(file: TextIO) -> Iterator[str]:
 
 
 def _csv_rows(path: Path, dialect: _Dialect) -> Iterator[tuple[int, list[str]]]:
-    """Yield header and rows of a CSV, without comments, each with its line from 1."""
+    """Yield header and rows of a CSV, without comments, with their lines from 1."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(_lines(file), delimiter=dialect.delimiter)
         for cells in reader:
@@ -342,7 +342,6 @@ def _read_csv(path: Path, dialect: _Dialect) -> Any:
 
 
 def _names(header: Sequence[str]) -> list[str]:
-    """Return the names in a header, without a leading ``#``."""
     names = [name.strip() for name in header]
     if names[0] == "#":
         return names[1:]
@@ -350,7 +349,7 @@ def _names(header: Sequence[str]) -> list[str]:
 
 
 def _ragged(path: Path, dialect: _Dialect, width: int) -> LogError:
-    """Return the error for a CSV that cannot be parsed, at its first row of another length."""
+    """Return the error at the first row of another length."""
     try:
         rows = _csv_rows(path, dialect)
         next(rows)

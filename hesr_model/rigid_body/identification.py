@@ -286,7 +286,6 @@ def _consistent(
     friction: Mask,
     labels: Integers,
 ) -> RigidBody:
-    """Replace an estimate by the physically consistent one from the same rows."""
     with threadpool_limits(1):
         found = consistent.fit(
             blocks, model, body.base, labels, rmse=body.rmse, weighted=body.weighting == "wls"

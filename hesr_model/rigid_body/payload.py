@@ -170,7 +170,6 @@ def _last_link(model: Robot) -> tuple[int, ...]:
 
 
 def _segments(motions: Sequence[Motion]) -> Integers:
-    """Return the number of the time segment of each row of all motions."""
     parts: list[Integers] = []
     first = 0
     for motion in motions:

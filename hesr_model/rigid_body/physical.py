@@ -184,8 +184,6 @@ class _Chart:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
-    """Weighted torque residuals and the pull towards the start."""
-
     chart: _Chart
     rows: Array
     pull: Array
@@ -199,7 +197,7 @@ class _Problem:
 
 
 def _triangle(x: Array) -> Array:
-    """Return U (4, 4) from ten coordinates: logarithms of the diagonal, then the upper triangle."""
+    """Return U from ten coordinates: logarithms of the diagonal, then the upper triangle."""
     u = np.diag(np.exp(x[:4]))
     for place, value in zip(_UPPER, x[4:], strict=True):
         u[place] = value
@@ -207,12 +205,12 @@ def _triangle(x: Array) -> Array:
 
 
 def _upper_factor(matrix: Array) -> Array:
-    """Return the upper triangular B with B B' = matrix: Cholesky from the last row up."""
+    """Return the upper triangular B with B B' = matrix."""
     return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])
 
 
 def _start(link: Array) -> Array:
-    """Return the pseudo-inertia of a link of the model file, made positive definite."""
+    """Return a link's pseudo-inertia, made positive definite."""
     pseudo = pseudo_inertia(link if link[0] > 0 else _UNKNOWN_LINK)
     m, centre = pseudo[3, 3], pseudo[:3, 3] / pseudo[3, 3]
     about_centre = pseudo[:3, :3] - m * np.outer(centre, centre)
@@ -233,7 +231,7 @@ def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
 
 
 def _eliminated(blocks: Sequence[Block], weights: Array, size: int) -> tuple[Array, Array]:
-    """Return the triangular factor of [friction, rigid, target], and its rows without friction."""
+    """Return the factor of [friction, rigid, target], and its rows without friction."""
     rows = np.concatenate(
         [
             weight * np.column_stack([b.matrix[:, size:], b.matrix[:, :size], b.target])

@@ -228,7 +228,7 @@ class _Problem:
 
 
 def _spread(model: Robot, mass_error: float) -> Array:
-    """Return the standard deviations (P,) of the parameters of the model file."""
+    """Return the standard deviations (P,) of the model file."""
     nominal = model.nominal_parameters
     spread = np.full(len(nominal), _ROTOR)
     heaviest = max(float(np.max(nominal[: 10 * model.n : 10])), 1e-3)

@@ -83,7 +83,7 @@ def folder() -> Path:
 
 
 def _temporary() -> Path:
-    """Return a folder among the temporary files that no other user can have created."""
+    """Return a folder that no other user can have created."""
     user = os.getuid() if hasattr(os, "getuid") else 0
     path = Path(tempfile.gettempdir(), f"hesr-cache-{user}")
     with suppress(OSError):
@@ -125,7 +125,6 @@ def _digest(entry: Path, content: bytes) -> bytes:
 
 
 def _prune(kind: Path) -> None:
-    """Remove the least recently used entries above the size limit."""
     files = []
     for file in kind.glob("*/*"):
         with suppress(FileNotFoundError):

@@ -35,7 +35,7 @@ _INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*[\"<]([^\">]+)", re.MULTILIN
 
 
 def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
-    """Yield a hash of the source, files in the flags, and all included files but the compiler's."""
+    """Yield a hash of each file of a compilation but the compiler's own."""
     home = source.parent
     folders = [home / found[1] for flag in flags if (found := re.match("-(?:I|isystem)(.+)", flag))]
     todo = [source, *(home / flag for flag in flags if (home / flag).is_file())]

@@ -57,7 +57,7 @@ PrintableName = Annotated[str, AfterValidator(require_printable)]
 
 
 def _sentence(path: Path, schema: type[BaseModel], error: ValidationError) -> str:
-    """Describe the first problem; unknown keys come first and may cause the others."""
+    """Describe the first problem; unknown keys may cause the others."""
     problems = error.errors()
     first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
     key = ".".join(str(part) for part in first["loc"])
@@ -80,7 +80,7 @@ def _shown(value: object) -> str:
 
 
 def _holder(schema: type[BaseModel], location: tuple[Any, ...]) -> type[BaseModel] | None:
-    """Return the schema of the table that contains the last part of `location`."""
+    """Return the schema of the table of the last part of `location`."""
     holders = [schema]
     for part in location[:-1]:
         fields = [h.model_fields[part] for h in holders if part in h.model_fields]

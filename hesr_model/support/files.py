@@ -75,7 +75,7 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _room_for(path: Path) -> Iterator[None]:
-    """Report a full disk for `path`, whichever temporary file of it was affected."""
+    """Report a full disk for `path`, whichever temporary file is affected."""
     try:
         yield
     except (OSError, ArtifactError) as error:
@@ -104,7 +104,7 @@ def folder_made(path: Path) -> Iterator[None]:
 
 
 def _take(path: Path, cleanup: ExitStack) -> None:
-    """Lock a folder against other runs, and remove leftovers of dead ones."""
+    """Lock a folder, and remove leftovers of dead runs."""
     lock = FileLock(path / _LOCK, timeout=0)
     try:
         lock.acquire()

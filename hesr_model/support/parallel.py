@@ -116,7 +116,7 @@ class _Pool:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """End the processes, on an error at once and with all that they have started."""
+        """End the processes, on an error at once and with all their descendants."""
         with self._cleanup:
             if kind is not None:
                 self._kill()
@@ -159,7 +159,6 @@ class _Pool:
         self._threads[-1].start()
 
     def _serve(self, child: ChildProcess) -> None:
-        """Pass tasks to a process until the queue ends."""
         requests, answers = child.process.stdin, child.process.stdout
         assert requests is not None
         assert answers is not None
@@ -189,7 +188,7 @@ class _Pool:
 
 
 class _SharedPool:
-    """A pool for many blocks, made when it is first needed."""
+    """A pool for many blocks, made on demand."""
 
     def __init__(self) -> None:
         self._pool: _Pool | None = None

@@ -92,7 +92,7 @@ def read_answer(answers: IO[bytes]) -> JobAnswer:
 
 
 def _end_with(parent: int, folder: Path) -> None:
-    """End this process, and remove the folder, when the parent has been killed."""
+    """End this process, and remove the folder, after its parent."""
     while os.getppid() == parent:
         time.sleep(_ORPHANED)
     shutil.rmtree(folder, ignore_errors=True)

@@ -70,7 +70,7 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Message:
-    """A message, its number on the topic from 1, and its stamp [ns]."""
+    """A message, its number from 1, and its stamp [ns]."""
 
     number: int
     stamp: int
@@ -153,7 +153,7 @@ def _missing_joints(where: str, joints: Sequence[str], messages: Sequence[_Messa
 def _values(
     where: str, messages: Sequence[_Message], joints: Sequence[str], field: str, *, missing: bool
 ) -> Array | None:
-    """Return one field of all joints (N, n); None if no message has it."""
+    """Return one field of all joints (N, n), if any message has it."""
     if not any(len(getattr(message, field)) for message in messages):
         return None
     values = np.empty((len(messages), len(joints)))

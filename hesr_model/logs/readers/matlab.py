@@ -50,7 +50,6 @@ def _described(name: str, array: Array) -> str:
 
 
 def _classic(path: Path) -> Iterator[tuple[str, Array]]:
-    """Return the numeric arrays of versions 5 to 7."""
     from scipy.io import loadmat
 
     try:
@@ -84,7 +83,6 @@ def _numeric(value: Any, name: str) -> Iterator[tuple[str, Array]]:
 
 
 def _hdf5(path: Path) -> Iterator[tuple[str, Array]]:
-    """Return the numeric arrays of version 7.3."""
     try:
         import h5py
     except ModuleNotFoundError as error:
