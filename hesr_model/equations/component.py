@@ -6,22 +6,19 @@ Relaxation, Stop             memory with a sampled and a continuous form
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import sympy
 
 from hesr_model.equations.memory import DT, Element, Relaxation
 from hesr_model.errors import ArtifactError
 
-K = TypeVar("K")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """Named number with its SI unit in FMI's spelling ("1" if dimensionless)."""
+    """Named number with its SI unit in FMI's spelling."""
 
     name: str
     unit: str
@@ -62,8 +59,7 @@ class Choice(Parameter):
 class Equation(Quantity):
     """name = expression.
 
-    `output` makes it visible outside the component; `start` is previous(name) at the first sample,
-    with the same symbols, or None if unused.
+    `start` is previous(name) at the first sample, with the same symbols, or None if unused.
     """
 
     unit: str = "1"
@@ -89,21 +85,15 @@ def previous(name: str) -> sympy.Symbol:
 
 @dataclass(frozen=True, kw_only=True)
 class Component:
-    """Equations of one joint.
+    """Equations of one joint; ArtifactError for unknown or repeated symbols, or a circle.
 
     Attributes
     ----------
     shared : parameters of all joints.
     memory : states, in the order of their moves; they may also read previous values.
-    sample_time : name of the parameter with the sample period [s]; all values hold in between.
-        Empty if every step is a sample.
+    sample_time : name of the parameter with the sample period [s]; empty if every step is a sample.
     reversing : inputs whose sign changes are solver events because a magnitude bends there.
     settling : share of the steady state in the initial state, 0 to 1; the rest is `start`.
-
-    Raises
-    ------
-    ArtifactError
-        If an expression uses an unknown symbol, a name is used twice, or equations form a circle.
     """
 
     inputs: tuple[Quantity, ...] = ()
@@ -179,7 +169,7 @@ class Component:
 
     @cached_property
     def sampled_memory(self) -> bool:
-        """True if memory reads previous values and so moves exactly and by whole steps only."""
+        """True if memory reads previous values; it then moves by whole steps only."""
         read = sympy.Tuple(*(part for m in self.memory for part in m.parts)).free_symbols
         return any(previous(e.name) in read for e in self.remembered)
 
@@ -190,7 +180,7 @@ class Component:
         return timed and bool(self.remembered)
 
     def sources(self, expression: sympy.Expr, *, starting: bool = False) -> frozenset[sympy.Symbol]:
-        """Return the inputs, parameters and states that an expression depends on.
+        """Return the given symbols and states that an expression depends on.
 
         Previous values depend on their starts before the first step (`starting`).
         """
@@ -226,11 +216,6 @@ def in_order(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> Iterator[sympy.S
 
     for symbol in expressions:
         yield from visit(symbol, ())
-
-
-def elements_of(memory: Iterable[Element], kind: type[K]) -> tuple[K, ...]:
-    """Return the elements of one kind."""
-    return tuple(m for m in memory if isinstance(m, kind))
 
 
 def _require_known(unknown: set[sympy.Symbol], where: str) -> None:

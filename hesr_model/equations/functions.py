@@ -1,4 +1,4 @@
-"""Functions of real arguments with derivatives almost everywhere, and their NumPy counterparts.
+"""Functions of real arguments with derivatives almost everywhere, and NumPy counterparts.
 
 SymPy differentiates `sign` to a Dirac impulse and `Abs` to a complex expression.
 """
@@ -12,7 +12,7 @@ import sympy
 from sympy.printing.latex import LatexPrinter
 
 _SERIES_BELOW = 1e-3
-"""Argument below which the series of `share` is exact to double precision, unlike the quotient."""
+"""Argument below which series are exact to double precision, unlike quotients."""
 
 
 class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
@@ -23,7 +23,6 @@ class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
 
     @classmethod
     def eval(cls, *arguments: sympy.Expr) -> sympy.Expr | None:
-        """Evaluate for numbers only."""
         if not all(a.is_number for a in arguments):
             return None
         if cls.exact is not None:
@@ -31,7 +30,6 @@ class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
         return sympy.Float(float(NUMPY[cls.__name__](*(float(a) for a in arguments))))
 
     def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative by an argument."""
         if (slopes := _SLOPES.get(type(self).__name__)) is None:
             return super().fdiff(argindex)
         return slopes(*self.args)[argindex - 1]
@@ -42,7 +40,7 @@ class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
         return text if "{power}" in self.latex_form else text + power
 
 
-class sgn(_Real):  # noqa: N801 - printed under this name, as all below
+class sgn(_Real):
     """Sign, 0 at 0."""
 
     nargs = 1
@@ -50,7 +48,7 @@ class sgn(_Real):  # noqa: N801 - printed under this name, as all below
     exact = sympy.sign
 
 
-class absolute(_Real):  # noqa: N801
+class absolute(_Real):
     """Absolute value."""
 
     nargs = 1
@@ -58,74 +56,74 @@ class absolute(_Real):  # noqa: N801
     exact = sympy.Abs
 
 
-class positive(_Real):  # noqa: N801
+class positive(_Real):
     """max(x, 0), 0 for NaN: guard of rates and bounds."""
 
     nargs = 1
     latex_form = r"\max\left({}, 0\right)"
 
 
-class larger(_Real):  # noqa: N801
+class larger(_Real):
     """Maximum of two numbers."""
 
     nargs = 2
     latex_form = r"\max\left({}, {}\right)"
 
 
-class clip(_Real):  # noqa: N801
+class clip(_Real):
     """x clipped to -b and b, for b >= 0."""
 
     nargs = 2
     latex_form = r"\operatorname{{clip}}\left({}, \pm {}\right)"
 
 
-class exceeds(_Real):  # noqa: N801
+class exceeds(_Real):
     """1 if a > b, else 0."""
 
     nargs = 2
     latex_form = r"\left[{} > {}\right]"
 
 
-class over(_Real):  # noqa: N801
+class over(_Real):
     """a / b for b > 0, else the third argument."""
 
     nargs = 3
     latex_form = r"\left({0}\right) / \left({1}\right)"
 
 
-class decay(_Real):  # noqa: N801
+class decay(_Real):
     """Relative change of a state over a step, exp(-z) - 1 for z = rate * dt; -z by Euler."""
 
     nargs = 2  # z, 1 for Euler
     latex_form = r"\left(e^{{-{0}}} - 1\right)"
 
 
-class share(_Real):  # noqa: N801
+class share(_Real):
     """(1 - exp(-z)) / z, continued by 1 at 0; arguments are z, `decay` and 1 for Euler.
 
-    The derivative is the total one by z, since `decay` is a function of z.
+    The derivative is the total one by z.
     """
 
     nargs = 3
     latex_form = r"\varphi\left({}\right)"
 
 
-class share_slope(_Real):  # noqa: N801
-    """Derivative of `share` by z, without derivatives of its own."""
+class share_slope(_Real):
+    """Derivative of `share` by z."""
 
     nargs = 3
     latex_form = r"\varphi'\left({}\right)"
 
 
-class cardinal_sine(_Real):  # noqa: N801
+class cardinal_sine(_Real):
     """sin(x) / x, continued by 1 at 0: mean of a wave over a step relative to its middle value."""
 
     nargs = 1
     latex_form = r"\operatorname{{sinc}}{power}\left({}\right)"
 
 
-class cardinal_slope(_Real):  # noqa: N801
-    """Derivative of `cardinal_sine`, without derivatives of its own."""
+class cardinal_slope(_Real):
+    """Derivative of `cardinal_sine`."""
 
     nargs = 1
     latex_form = r"\operatorname{{sinc}}'\left({}\right)"

@@ -1,4 +1,4 @@
-"""Memory and expressions over whole logs, run by `rows.c`, which is compiled once per user."""
+"""Expressions with memory over whole logs, run by `rows.c`."""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,8 +17,7 @@ class Kernel:
     """Programs for `rows.c`: `wanted` as functions of `numbers`, equal for all rows, and `inputs`.
 
     States and derivatives in `wanted` are those at the end of a step. Expressions of `names` use
-    earlier names only. With `once`, subexpressions of inputs alone are not cached between runs.
-    Raises ArtifactError for a function that `rows.c` lacks.
+    earlier names only. With `once`, values of inputs alone are not cached between runs.
     """
 
     def __init__(
@@ -49,8 +48,8 @@ class Kernel:
 class KernelRun(ProgramRun):
     """Kernel bound to rows of logs: `inputs` (N,) each, and steps `dt` (N,) [s] ending at each row.
 
-    `firsts` are the first rows of records; `start` is each state's value at rest, 0 by default.
-    Results (N, K) are written into `found` and fitted to `target` (N,).
+    `firsts` are the first rows of records, `start` the states at rest, 0 by default. Results (N, K)
+    are fitted to `target` (N,).
     """
 
     def __init__(
@@ -65,7 +64,7 @@ class KernelRun(ProgramRun):
         target: Array | None = None,
         found: Array | None = None,
     ) -> None:
-        # C does not check lengths, so all arrays are broadcast to one.
+        # C does not check lengths.
         arrays = [_in_doubles(np.broadcast_to(a, np.shape(dt))) for a in (dt, *inputs)]
         firsts, states = np.asarray(firsts, dtype=np.int64), len(kernel.memory)
         self._start = np.array(start or (0.0,) * states)
@@ -88,10 +87,9 @@ class KernelRun(ProgramRun):
         )
 
     def begin(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
-        """Set the initial states (m, records) of all records and return them.
+        """Set the initial states (m, records) and return them.
 
-        `start` is each state's value at rest, (m,) or (m, records), or with `settled` the initial
-        state whatever the inputs are.
+        `start` has the states at rest, (m,) or (m, records), or with `settled` the initial states.
         """
         if settled and start is not None:
             self.starts[:] = start if start.ndim > 1 else start[:, None]
@@ -102,7 +100,7 @@ class KernelRun(ProgramRun):
         return self.starts
 
     def at(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
-        """Return the (N, K) results, valid until the next call; see `begin` for the arguments.
+        """Return the (N, K) results, valid until the next call; see `begin`.
 
         Raises SimulationError if Euler's step is unstable.
         """

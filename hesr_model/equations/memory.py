@@ -1,7 +1,7 @@
 """Memory of a component: relaxations and stops, each as expressions in three forms.
 
-The sampled form moves a state by a step of any length with held inputs, the continuous form is for
-model exchange, and the settled form is the limit for inputs held forever.
+The sampled form moves a state by a step with held inputs, the continuous form is for model
+exchange, and the settled form is the limit for inputs held forever.
 """
 
 from collections.abc import Mapping
@@ -48,7 +48,6 @@ class _Element:
                 object.__setattr__(self, f.name, sympy.S.Zero + getattr(self, f.name))
 
     def subs(self, replaced: Mapping[sympy.Symbol, sympy.Expr]) -> Self:
-        """Replace symbols in the element's expressions."""
         own = {f.name: getattr(self, f.name) for f in fields(self)}
         return replace(
             self, **{k: v.xreplace(replaced) for k, v in own.items() if isinstance(v, sympy.Basic)}
@@ -61,7 +60,6 @@ class _Element:
 
     @property
     def state(self) -> sympy.Symbol:
-        """Symbol of x."""
         return sympy.Symbol(self.name, real=True)
 
     @property
@@ -74,7 +72,7 @@ class _Element:
 class Relaxation(_Element):
     """x' = drive - rate x; a negative rate counts as 0.
 
-    Both may use earlier states; the rate may also use x, which is frozen over a step.
+    Both may use earlier states; the rate may also use x, frozen over a step.
     """
 
     drive: sympy.Expr
@@ -86,10 +84,7 @@ class Relaxation(_Element):
         return self.drive, self.rate
 
     def sampled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
-        """Return x at the end of a step, exact for held drive and guarded rate.
-
-        x+ = x exp(-z) + drive dt (1 - exp(-z)) / z with z = rate dt.
-        """
+        """Return x+ = x exp(-z) + drive dt (1 - exp(-z)) / z for z = rate dt, exact if held."""
         z = second * DT
         e = decay(z, EULER)
         return (1 + e) * self.state + first * DT * share(z, e, EULER)
@@ -107,7 +102,7 @@ class Relaxation(_Element):
         """Return drive / rate, the zero of x'; x itself if the rate is 0.
 
         If the rate depends on x, return the point halfway there, as in Heron's square root: some
-        such steps converge even if whole steps would oscillate.
+        such steps converge where whole steps would oscillate.
         """
         if not self.seeks:
             return over(first, second, self.state)
@@ -131,8 +126,7 @@ class Slow(Relaxation):
 class Stop(_Element):
     """x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii.
 
-    `velocity` v moves the stop, `deflection` w > 0 moves x from 0 to 1, `bound` s is an expression
-    of inputs, parameters and earlier states; negative values count as 0.
+    `velocity` is v, `deflection` w > 0, and `bound` s, where negative values count as 0.
     """
 
     velocity: sympy.Expr

@@ -55,10 +55,7 @@ class Node:
 
 
 class Graph:
-    """Nodes of several expressions, each after its operands.
-
-    `numbers` are symbols equal for all rows, `inputs` those that differ, without `dt`.
-    """
+    """Nodes of expressions, each after its operands; `inputs` differ between rows."""
 
     def __init__(self, numbers: Sequence[sympy.Symbol], inputs: Sequence[sympy.Symbol]) -> None:
         self.inputs = (DT, *inputs)
@@ -210,14 +207,9 @@ class Graph:
 class Program:
     """Program for `rows.c`; registers hold inputs, then uniform values, then the others.
 
-    Attributes
-    ----------
-    inputs : input of each first register, `dt` first; higher ones are known nodes.
-    given : (G,) literals of the next registers, 0 in place of numbers.
-    numbers : (2, M) positions in `given` and index of the number for each.
-    operations : (K, 5) operation, result and three operands, uniform operations first.
-    uniform, uniform_count : operations and registers equal for all rows.
-    results : (R,) register of each result.
+    `inputs` are the inputs of the first registers, `dt` first, then known nodes; `given` (G,)
+    literals, 0 in place of numbers; `numbers` (2, M) positions there and numbers; `operations`
+    (K, 5) operation, result and three operands, uniform ones first; `results` (R,) registers.
     """
 
     inputs: tuple[int, ...]
@@ -340,11 +332,10 @@ def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) ->
 def _allocate(
     nodes: Sequence[Node], rest: Sequence[int], kept: set[int], places: dict[int, int], first: int
 ) -> int:
-    """Assign registers, reusing each one after its last use."""
     last = {operand: i for i, k in enumerate(rest) for operand in nodes[k].operands}
     own, free, count = set(rest), list[int](), first
     for i, k in enumerate(rest):
-        # Before operands are freed: a result must not overwrite its own operands.
+        # Before operands are freed: a result must not overwrite them.
         if free:
             places[k] = free.pop()
         else:

@@ -43,8 +43,7 @@ def initial_state(
 ) -> dict[sympy.Symbol, sympy.Expr]:
     """Return initial states for the first inputs, and intermediate values.
 
-    Each moves from its start by the share `Component.settling` towards the steady state for earlier
-    initial states.
+    Each moves from its start by the share `Component.settling` to the steady state.
     """
     found: dict[sympy.Symbol, sympy.Expr] = {}
     seen: dict[sympy.Symbol, sympy.Expr] = {}
@@ -109,8 +108,8 @@ def change_of(symbol: sympy.Symbol) -> sympy.Symbol:
 class Jumps:
     """Solver events: sign changes that make a component jump; signs are held in between.
 
-    A magnitude bends but does not jump, so its sign is not held; bends of reversing inputs are
-    still events. Signs of states alone are not held, since only outputs depend on them.
+    A magnitude bends but does not jump; bends of reversing inputs are still events. Signs of states
+    alone are not held, since only outputs depend on them.
     """
 
     component: Component
@@ -168,10 +167,7 @@ def needed(
 def straight_line(
     assignments: Assignments, wanted: Iterable[sympy.Symbol]
 ) -> tuple[dict[sympy.Symbol, sympy.Expr], dict[sympy.Symbol, str]]:
-    """Return ordered assignments with shared subexpressions, and their short names.
-
-    Assigned symbols are named `a_0`, `a_1`, .., shared subexpressions `t0`, `t1`, ..
-    """
+    """Return ordered assignments with shared subexpressions, and their short names `a_0`, .."""
     own = needed(assignments, wanted)
     shared, results = sympy.cse(
         list(own.values()), symbols=sympy.numbered_symbols("t"), order="none"
@@ -192,7 +188,7 @@ def sampled(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
 class Invariants:
     """Program split into `once`, assignments of fixed symbols alone, and `moving`, the rest.
 
-    `kept` are the fixed symbols used by the rest, `names` short names of assigned symbols.
+    `kept` are the fixed symbols used by the rest.
     """
 
     once: Assignments

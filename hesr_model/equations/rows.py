@@ -120,10 +120,7 @@ def vectors() -> int:
 
 
 class ProgramRun:
-    """Program bound to arrays (N,).
-
-    `found` (N, K) are the last kept results, `starts` (states, records) the initial states.
-    """
+    """Program bound to arrays (N,), with results `found` (N, K) and initial states `starts`."""
 
     def __init__(
         self,
@@ -157,7 +154,7 @@ class ProgramRun:
             "places": own.registers,
             "columns": count + 4,
         }
-        # One allocation, because each look-up of an address is slow.
+        # One allocation: each look-up of an address is slow.
         starts = list(accumulate(sizes.values(), initial=0))
         room = np.zeros(starts[-1])
         part = {
@@ -200,7 +197,7 @@ class ProgramRun:
         return np.ascontiguousarray(np.broadcast_to(values, (self._rows,)), dtype=np.float64)
 
     def on(self, numbers: Array, first: int = 0, stop: int | None = None) -> None:
-        """Write rows of the results, from the initial states and after all earlier rows."""
+        """Write rows of the results, after all earlier rows."""
         own = self._program
         own.first, own.stop = first, self._rows if stop is None else stop
         own.weights, own.gram, own.out = None, None, self._at["out"]

@@ -1,7 +1,6 @@
 """Components with previous values, run step by step in Python in the order of `c/equations.c`.
 
-Before the first step previous values are their starts; a step moves the memory, then evaluates the
-equations, whose values are the previous ones of the next step.
+A step moves the memory, then evaluates the equations, the previous values of the next step.
 """
 
 from collections.abc import Mapping, Sequence
@@ -61,10 +60,7 @@ class Steps:
     def run(
         self, values: Mapping[str, float], start: Sequence[float], inputs: Sequence[str]
     ) -> "ComponentRun":
-        """Return a run with values of parameters and constant inputs, and each state's start.
-
-        `inputs` names the inputs passed to each step.
-        """
+        """Return a run with values of parameters and constant inputs, and each state's start."""
         return ComponentRun(self, values, start, inputs)
 
     def over(
@@ -78,8 +74,8 @@ class Steps:
     ) -> Array:
         """Return the observed equations (observed, N) over a log at times `t` (N,) [s].
 
-        `columns` has (N,) values by input; other names are ignored. With `settled`, the first row
-        settles the initial states.
+        `columns` has (N,) values by input, and possibly others. With `settled`, the first row
+        settles the states.
         """
         used = {q.name: columns[q.name] for q in self.component.inputs if q.name in columns}
         run = self.run(values, start, list(used))

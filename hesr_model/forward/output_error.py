@@ -1,12 +1,10 @@
 """Joint refinement of body and friction by output error.
 
 Base parameters and coefficients are refined by the position error over short windows. The torque
-error is part of the cost and keeps directions that the windows do not show (DIDIM: Gautier, Janot
-and Vandanjon 2013, "A new closed-loop output error method for parameter identification of robot
-dynamics", IEEE Trans. Control Syst. Technol. 21(2); here with friction that has a state).
-
-Derivatives are finite differences: all parameters are varied at once, each in a copy of all
-windows.
+error keeps directions that the windows do not show (DIDIM: Gautier, Janot and Vandanjon 2013, "A
+new closed-loop output error method for parameter identification of robot dynamics", IEEE Trans.
+Control Syst. Technol. 21(2); here with friction that has a state). Finite differences vary all
+parameters at once, each in a copy of all windows.
 """
 
 from collections.abc import Sequence
@@ -28,11 +26,11 @@ WINDOW = 0.5
 MOST_TORQUE = 1.02
 """Largest allowed ratio of a joint's torque error to that before."""
 
-_STEP = 1e-3  # finite-difference step, relative to the parameter
-_TORQUE = 0.5  # weight of the mean square torque error against that of the position
-_DAMPING = (1e-3, 1e-2, 1e-1, 1.0, 1e1)  # damping tried in each round, relative to the curvature
-_MOST = 0.7  # largest change of a parameter, relative or in its logarithm
-_SPREAD = 0.15  # spread of further starts, relative to each parameter
+_STEP = 1e-3  # finite-difference step, relative
+_TORQUE = 0.5  # weight of the mean square torque error
+_DAMPING = (1e-3, 1e-2, 1e-1, 1.0, 1e1)  # damping of each round, relative to the curvature
+_MOST = 0.7  # largest change of a parameter, relative or logarithmic
+_SPREAD = 0.15  # relative spread of further starts
 _LEAST = 1e-3  # smallest relative gain of a round
 
 
@@ -64,8 +62,8 @@ def refine(
 ) -> Refined:
     """Refine body and friction jointly by output error.
 
-    Of several starts, the given parameters and random variations of the friction, the best one
-    continues for `rounds` damped Gauss-Newton steps. Raises SimulationError if a log is too short.
+    The best of several starts, random variations of the friction, continues for `rounds` damped
+    Gauss-Newton steps. Raises SimulationError if a log is too short.
     """
     problem = _Problem(robot, body, friction, motions)
     rng = np.random.default_rng(seed)
@@ -121,13 +119,11 @@ class _Problem:
         self._torque_sizes = _sizes(self._torque(still))
 
     def costs(self, theta: Array) -> Array:
-        """Return the cost of changes (S, size); infinite if diverging."""
         with np.errstate(all="ignore"):
             found = [np.sum(np.square(row)) for row in self._rows(theta)]
         return np.where(np.isfinite(found), found, np.inf)
 
     def linearised(self, theta: Array) -> tuple[Array, Array]:
-        """Return residuals (M,) and derivatives (M, size)."""
         moved = np.vstack([theta, theta + _STEP * np.eye(self.size)])
         rows = np.array(self._rows(moved))
         return rows[0], (rows[1:] - rows[0]).T / _STEP
@@ -145,7 +141,6 @@ class _Problem:
         return Refined(body=self._body, friction=self._friction, ratio=1.0)
 
     def _rows(self, theta: Array) -> list[Array]:
-        """Return the residuals (M,) of each change in (S, size)."""
         positions = zip(self._position(theta), theta, strict=True)
         return [self._residuals(position, change) for position, change in positions]
 

@@ -7,7 +7,7 @@ step, as in a drive: with A = M^-1 the velocity v+ after a step h solves
 
     v+ + h A tau_f(v+) = v + h A (tau - c - g),  q+ = q + h v+.
 
-M, c and g are constant over a row, evaluated in its middle.
+M, c and g are those in the middle of a row.
 """
 
 from collections.abc import Sequence
@@ -101,7 +101,6 @@ class Simulator:
         return found
 
     def _body(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return the inverse mass matrix (W, n, n), and the torque without acceleration."""
         mass, bias = self.robot.dynamics(self.parameters, q, v)
         try:
             np.linalg.cholesky(mass)
@@ -114,7 +113,6 @@ class Simulator:
         return np.asarray(np.linalg.inv(mass), dtype=np.float64), bias
 
     def _at_friction(self, load: Array) -> tuple[Array, Array]:
-        """Return the map from joints to friction coordinates, and the load there."""
         coupling = self.friction.coupling
         if coupling is None:
             return np.eye(load.shape[1]), load

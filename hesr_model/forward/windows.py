@@ -26,7 +26,7 @@ Logs = Sequence[Sequence[FrictionRecord]]
 class Windows:
     """W windows of K steps: `t` (W, K + 1) [s]; `q`, `dq`, `tau` (W, K + 1, n), measured.
 
-    `places` has the part of a log, and the first row in it, of each window.
+    `places` has each window's part of a log and first row.
     """
 
     t: Array
@@ -37,9 +37,9 @@ class Windows:
     logs: Logs = field(repr=False)
 
     def states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
-        """Return the states (m, W) of each law at the windows' starts, `delay` rows earlier.
+        """Return the states (m, W) of each law, run in along the logs, at the windows' starts.
 
-        They are run in along the measured motion from the start of each log.
+        They are those `delay` rows earlier.
         """
         found: list[list[Array]] = [[] for _ in model.laws]
         for number, log in enumerate(self.logs):

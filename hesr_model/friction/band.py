@@ -6,10 +6,10 @@
 
 In motion tau - w and tau + w bound friction. At rest friction is any torque that holds the joint,
 so the band spans both break-away torques, those of the law creeping at `MOVING`, and beyond them
-the floor because of noise. If the calibration logs contain rests, their width is used instead.
+the floor; if the calibration logs contain rests, their width is used instead.
 
-The numbers are half-widths at 95 %, from `fitting.calibration`. Other probabilities follow from a
-Weibull tail of the standardised error, whose exponent is 0.65 for a normal distribution.
+Probabilities follow from a Weibull tail of the standardised error, whose exponent is 0.65 for a
+normal distribution.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -69,10 +69,9 @@ NUMBERS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Numbers of one joint's band, with units as in `NUMBERS`.
+    """Numbers of one joint's band; ArtifactError if one is negative or not finite, or the speed 0.
 
     `envelope` is 1 if the band at rest spans the break-away torques, 0 if rests were measured.
-    Raises ArtifactError if a number is negative or not finite, or the speed is 0.
     """
 
     floor: float
@@ -104,7 +103,7 @@ def shapes(
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Return the factors of floor^2, slow^2, rest^2, fast^2 and load^2 in s^2.
 
-    Arguments and results are arrays or expressions; `most` is the minimum of two.
+    Arguments are arrays or expressions; `most` is the minimum of two.
     """
     resting = (1 - most((dq / REST) ** 2, 1)) ** 2
     return 1 + 0 * dq, 1 / (1 + (dq / slow_speed) ** 2), resting, dq**2, tau_load**2

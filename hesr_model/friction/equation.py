@@ -11,7 +11,7 @@ _DIGITS = 4
 def equations(law: FrictionLaw) -> list[str]:
     """Return torque and states of a law as lines of text, numbers to four digits.
 
-    A relaxation's derivative dx is written x', a stop after a step x+.
+    A relaxation's derivative is written x', a stop after a step x+.
     """
     return form_lines(
         law.form, {c.symbol: _rounded(law.values[c.name]) for c in law.form.coefficients}

@@ -6,7 +6,7 @@
     warmth     c(T) on l and n(T) on n, with a thermal model
     torque     tau = hysteresis(x) + n v f(v) + ripple + tau_0 + o
 
-Changing a factor on a held torque adds energy; a moving bound only dissipates, since the state is
+A factor on a held torque would add energy; a moving bound only dissipates, since the state is
 projected on a set that contains 0. The derivative of the torque by the level is F_i xi_i, where
 xi_i = dx_i/dl is +-s_i if the stop is clipped and keeps its value otherwise.
 """
@@ -35,8 +35,8 @@ _CLIPPED = 1.0 - 1e-9
 class Parts:
     """Terms of a law's torque [N.m], with memory scaled by the level.
 
-    `viscous` has the factor 1, `rest` are ripple and offset, `along` is the derivative of the
-    hysteresis by the level, a function of `sensitivities`: the stops' derivatives, warmth included.
+    `rest` are ripple and offset, `along` is the derivative of the hysteresis by the level, a
+    function of `sensitivities`: the stops' derivatives, warmth included.
     """
 
     memory: tuple[Element, ...]

@@ -1,4 +1,4 @@
-"""Signals of friction laws: inputs, output and the speed that counts as motion."""
+"""Signals of friction laws."""
 
 from hesr_model.equations.component import Quantity
 

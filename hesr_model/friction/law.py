@@ -4,8 +4,8 @@
     x_i+ = clip(x_i + v dt / w_i, -s_i, s_i)    stops: deflection w, bound s >= 0
     tau  = f(v, x, x', u)
 
-v is the joint velocity, u are the other inputs (`inputs.INPUTS`). A form makes a component
-(`hesr_model.equations`); all code that runs or shows a law is lowered from it.
+v is the joint velocity, u are the other inputs (`inputs.INPUTS`). All code that runs or shows a law
+is lowered from the component of its form.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from typing import Any
 
 import sympy
 
-from hesr_model.equations.component import Component, Equation, Quantity, elements_of
+from hesr_model.equations.component import Component, Equation, Quantity
 from hesr_model.equations.functions import absolute, clip
 from hesr_model.equations.memory import Discretisation, Element, Relaxation, Stop
 from hesr_model.errors import ArtifactError
@@ -80,12 +80,12 @@ class LawForm:
     @property
     def relaxations(self) -> tuple[Relaxation, ...]:
         """Relaxations of the memory."""
-        return elements_of(self.memory, Relaxation)
+        return tuple(m for m in self.memory if isinstance(m, Relaxation))
 
     @property
     def stops(self) -> tuple[Stop, ...]:
         """Stops of the memory."""
-        return elements_of(self.memory, Stop)
+        return tuple(m for m in self.memory if isinstance(m, Stop))
 
     @cached_property
     def inputs(self) -> tuple[sympy.Symbol, ...]:
@@ -107,7 +107,7 @@ class LawForm:
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionLaw:
-    """Frozen law of one joint.
+    """Frozen law of one joint; ArtifactError if values are missing, unknown or not finite.
 
     Attributes
     ----------
@@ -117,12 +117,6 @@ class FrictionLaw:
         "euler" is eq. 10 and requires 0 <= rate * dt < 1.
     start : initial states at rest, zero by default; in motion they are steady (`SETTLING`).
     start_samples : first torques of a log that can replace the start (`records.record_start`).
-    standard_errors : standard errors of coefficients, if known.
-
-    Raises
-    ------
-    ArtifactError
-        If values are missing, unknown or not finite.
     """
 
     name: str

@@ -14,7 +14,7 @@ from hesr_model.support.arrays import Array, Mask
 class Score:
     """Prediction errors [N.m] of one joint and R^2; None without rows of the kind.
 
-    `tau_std` is the standard deviation of the measured friction, the error of its mean.
+    `tau_std` is the error of the measured mean.
     """
 
     tau_std: float
@@ -42,8 +42,8 @@ def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Sc
 class BandScore:
     """Coverage of one joint's band; None without rows of the kind.
 
-    `held` are shares of rows within the band, `least_log` the lowest share of a log. `width` is the
-    mean width relative to the constant band of the same coverage; None without errors.
+    `held` are shares of rows within the band, `least_log` is the lowest share of a log, and `width`
+    the mean width relative to the constant band of the same coverage.
     """
 
     held: float
@@ -78,7 +78,6 @@ def score_band(
 
 
 def _kinds(records: Sequence[FrictionRecord]) -> tuple[Mask, Mask]:
-    """Return the masks of rows near reversals and in motion."""
     near = np.concatenate([near_reversals(r.t, r.dq) for r in records])
     return near, np.concatenate([moving(r.dq) for r in records])
 
@@ -104,9 +103,9 @@ def rmse_ratio_interval(
 ) -> tuple[float, float]:
     """Return the interval, of probability `level`, of the ratio of two RMSEs over the same rows.
 
-    Circular block bootstrap: blocks of rows are drawn with replacement from each log's errors (N,)
-    [N.m], the same for both, because errors of neighbouring rows are correlated. A `block` has a
-    few correlation lengths [rows]; with less the interval is too narrow.
+    Circular block bootstrap: the same blocks of rows are drawn with replacement from each log's
+    errors (N,) [N.m], because errors of neighbouring rows are correlated. A `block` has a few
+    correlation lengths [rows]; with less the interval is too narrow.
     """
     above, below = np.zeros(resamples), np.zeros(resamples)
     for error, other in zip(errors, reference, strict=True):

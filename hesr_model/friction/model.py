@@ -39,16 +39,14 @@ class FrictionModel:
     Attributes
     ----------
     law : name of the law, as in the registry or of a published model.
-    robot : name of the robot.
-    joints : names of the joints.
-    laws : law of each joint, converted to the units of prismatic joints.
+    laws : law of each joint, in the units of prismatic joints if it is one.
     sliding : True for prismatic joints, with positions in m and forces in N; empty if none.
     coupling : map from joints to friction coordinates if they differ; laws, trained ranges and
         training errors are then of these coordinates.
     sample_time : sample period of the training data [s].
-    trained : ranges of the training records of each law; empty if unknown.
+    trained : ranges of each law's training records; empty if unknown.
     training_rmse : error of each law on those records [N.m]; empty if unknown.
-    thermal : dependence of each joint's friction on temperature; empty if unknown.
+    thermal : thermal model of each joint; empty if unknown.
     provenance : JSON data on the origin of the model (files with hashes, seed, versions).
 
     Raises

@@ -1,8 +1,7 @@
 """Predictions of laws over logs.
 
 As in the FMU, the inputs of sample k are held while the states move from t[k-1] to t[k]; then the
-torque of sample k is read. At the first sample the states are in the steady state of its inputs in
-motion, and at the law's start at rest.
+torque of sample k is read. The first states are steady in motion, and the law's start at rest.
 """
 
 from collections.abc import Sequence
@@ -28,7 +27,6 @@ _PIECE = 2048
 
 @lru_cache(maxsize=256)
 def _moving(form: LawForm, *, states: bool = False) -> Kernel:
-    """Return the torque, or the states, over a log."""
     wanted = tuple(m.state for m in form.memory) if states else (form.output,)
     settling = form.component.settling
     return Kernel(form.memory, _symbols(form), INPUTS, wanted, settling, once=True)
@@ -38,7 +36,7 @@ def _moving(form: LawForm, *, states: bool = False) -> Kernel:
 def _reading(form: LawForm) -> Kernel:
     """Return the torque and each element's guarded parts, for inputs and states of each row.
 
-    The parts are drive and rate, or rate and bound; derivatives follow from inputs and states.
+    The parts are drive and rate, or rate and bound.
     """
     states = tuple(m.state for m in form.memory)
     torque = form.output.xreplace({m.derivative: m.continuous() for m in form.memory})
@@ -67,10 +65,7 @@ def numbers(law: FrictionLaw) -> Array:
 def first_states(
     law: FrictionLaw, dq: float, q: float = 0.0, tau_load: float = 0.0
 ) -> tuple[float, ...]:
-    """Return the initial states for the first inputs [rad/s, rad, N.m].
-
-    They are steady from `MOVING` on and fade into the law's start at rest.
-    """
+    """Return the initial states for the first inputs [rad/s, rad, N.m]."""
     inputs = [np.array([u]) for u in (dq, q, tau_load)]
     run = KernelRun(_moving(law.form), inputs, np.zeros(1), start=law.start)
     return tuple(run.begin(numbers(law))[:, 0].tolist())
@@ -139,7 +134,7 @@ def predict_band(
     torque: Array,
     coverage: float = LEVEL,
 ) -> tuple[Array, Array]:
-    """Return lower and upper end (N,) [N.m] of a joint's band around the predicted `torque` (N,).
+    """Return both ends (N,) [N.m] of a joint's band around the predicted `torque` (N,).
 
     `coverage` is the share of rows within, 0.5 to 0.999. Raises ArtifactError without a band.
     """
@@ -177,10 +172,9 @@ def estimated_start(
 ) -> tuple[float, ...]:
     """Return the start of the states that best explains the first `law.start_samples` torques.
 
-    A relaxation is searched within its reachable limits in the log; stops share one number, their
-    deflection as a share of their bounds. The law's own start is returned without such samples, or
-    if its memory is neither stops nor one relaxation with parts independent of its state. Rows are
-    (N,) in [s, rad/s, rad, N.m, N.m]; `tau` is friction.
+    A relaxation is searched within its reachable limits in the log (N,) [s, rad/s, rad, N.m, N.m];
+    stops share one number, their deflection as a share of their bounds. Otherwise, or if the parts
+    of a relaxation depend on its state, the law's own start is returned.
     """
     first = slice(0, law.start_samples)
 

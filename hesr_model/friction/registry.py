@@ -13,7 +13,7 @@ GROUP = "hesr.laws"
 
 @cache
 def load_laws() -> None:
-    """Register all laws; raise ConfigError if the law of another package cannot be loaded."""
+    """Register all laws; raise ConfigError if that of another package cannot be loaded."""
     for plugin in plugins.load(GROUP).values():
         plugin.load()
         if plugin.name not in registered():

@@ -5,9 +5,9 @@
     torque     c T(x / c) + n v f(v) + ripple + offset
 
 Viscous terms have the velocity as a factor and no memory; ripple and offset have neither velocity
-nor memory nor a factor; all others are Coulomb friction. Terms linear in stops and bristles are
-scaled by their bounds alone: stiffness at rest stays, level and break-away deflection grow, and
-changing the factor under load adds no energy. Without a bound the factor scales the torque.
+nor memory; all others are Coulomb friction. Terms linear in stops and bristles are scaled by their
+bounds alone: stiffness at rest stays, level and break-away deflection grow, and changing the factor
+under load adds no energy. Without a bound the factor scales the torque.
 """
 
 from collections.abc import Collection

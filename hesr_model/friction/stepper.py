@@ -31,7 +31,6 @@ class LawStepper:
         self._run: KernelRun | None = None
 
     def _bind(self, motions: int) -> KernelRun:
-        """Allocate two rows for each motion: its state and the step from there."""
         coefficients = len(self._values)
         self._table = np.zeros((1 + coefficients + len(INPUTS), 2 * motions))
         if coefficients:

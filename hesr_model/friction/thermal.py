@@ -3,9 +3,8 @@
     Coulomb     c(T) = c_0 (1 - b_c (T - T_0))       viscous    n(T) = n_0 exp(-b_v (T - T_0))
     heat        x' = (R |tau dq| - x) / T_th         T = T_a + x
 
-The Coulomb factor acts on bounds (`factors`); both factors are limited. T is measured at the joint,
-or computed for one lumped mass, heated by friction and cooled by the ambient. The exponential is
-Reynolds' law of lubricant viscosity.
+The Coulomb factor acts on bounds (`factors`). T is measured at the joint, or computed for one
+lumped mass. The exponential is Reynolds' law of lubricant viscosity.
 """
 
 from dataclasses import dataclass
@@ -36,10 +35,9 @@ _LEAST_SCALE = 1e-3  # bounds stay positive
 
 @dataclass(frozen=True, kw_only=True)
 class Thermal:
-    """Thermal model of one joint: the module's symbols, in the units of `_UNITS`.
+    """Thermal model of one joint in the units of `_UNITS`; ArtifactError for an invalid number.
 
-    The resistance is 1 if no temperature was `measured`. Raises ArtifactError if a number is not
-    finite, or not positive where needed.
+    The resistance is 1 if no temperature was `measured`.
     """
 
     coulomb: float

@@ -1,16 +1,15 @@
 """Covariance of least-squares estimates from logs, for rigid bodies and friction.
 
 An estimate errs by the sum of the influences of its rows, psi_t = H^-1 g_t, with the gradient g_t
-of row t and the Hessian H of half the sum of squares. Neighbouring rows of a log are correlated,
-and logs differ by more than their rows show (day, temperature, unmodelled effects):
+of row t and the Hessian H of half the sum of squares. Neighbouring rows are correlated, and logs
+differ by more than their rows show (day, temperature, unmodelled effects):
 
     cov = factor^2 sum over logs S_log + carried,    S = long-run covariance of the influences.
 
 S is prewhitened by a first-order autoregression of each unknown and weighted by Bartlett's kernel,
 with the bandwidth of Andrews and Monahan (1992). The factor measures how estimates with each log
-left out differ beyond that; a few logs determine only one factor for a group of unknowns. With at
-least `ENOUGH` logs the influences of whole logs are summed (cluster-robust, Liang and Zeger 1986)
-without a factor. `carried` is the uncertainty of earlier estimates.
+left out differ beyond that. With at least `ENOUGH` logs the influences of whole logs are summed
+(cluster-robust, Liang and Zeger 1986) without a factor. `carried` is from earlier estimates.
 """
 
 from collections.abc import Sequence
@@ -47,11 +46,10 @@ _RANK = 1e-13
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Covariance:
-    """Covariance of the P unknowns of one least-squares problem.
+    """Covariance of P unknowns of one least-squares problem.
 
     `within` (P, P) is from the rows of each log, `between` the mean square difference between logs
-    relative to it with `degrees` independent comparisons, `carried` (P, P) from uncertain earlier
-    estimates. Raises ArtifactError if a matrix has another shape.
+    relative to it with `degrees` independent comparisons, `carried` (P, P) from earlier estimates.
     """
 
     names: tuple[str, ...]
@@ -115,7 +113,7 @@ def left_out(jacobian: Array, residual: Array, hessian: Array) -> Array:
     """Return the residual (N,) of each row by an estimate without it.
 
     A few rows around reversals determine some unknowns alone, which hides their errors (MacKinnon
-    and White 1985, HC3). `hessian` (P, P) is that of half the sum of squares of all rows.
+    and White 1985, HC3). `hessian` (P, P) is that of half the sum of squares.
     """
     leverage = np.sum((jacobian @ _inverse(hessian, hessian)) * jacobian, axis=1)
     return np.asarray(residual / (1.0 - np.minimum(leverage, _MOST_LEVERAGE)))
@@ -140,9 +138,9 @@ def covariance(
     """Return the covariance of a least-squares estimate of P unknowns.
 
     `gradients` (N, P) are those of half the squared leave-one-out residual (`left_out`) of each row
-    in the order of time, `hessians` (P, P) the share of each label, `labels` (N,) each row's log or
-    block. `known` (P, P) is the Hessian of prior knowledge, `carried` (P, r) the summed gradients
-    for one standard deviation of each of r independent errors of earlier estimates.
+    in time order, `hessians` (P, P) the share of each label, `labels` (N,) each row's log or block.
+    `known` (P, P) is the Hessian of prior knowledge, `carried` (P, r) the summed gradients for one
+    standard deviation of each of r independent errors of earlier estimates.
     """
     own = np.sum(hessians, axis=0)
     whole = own if known is None else own + known

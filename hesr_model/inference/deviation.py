@@ -62,7 +62,7 @@ def deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[
 class Trend:
     """Straight line by least squares, with a two-sided p-value by Student's t.
 
-    `slope` is per day, or per log without days; `change` is from the first to the last day.
+    `slope` is per day, or per log without days; `change` is over all days.
     """
 
     slope: float

@@ -1,8 +1,7 @@
-"""Paired test of two predictions of the same logs.
+"""Paired test of two predictions of the same logs; it says nothing on other days or motions.
 
 Errors of neighbouring rows are correlated, so rows are summed in units: whole logs if there are at
 least `ENOUGH`, else blocks of time of at least 8 s, longer if residuals are correlated for longer.
-The result holds for these logs, not for other days or motions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -81,7 +80,6 @@ def compare_errors(
 
     The interval is a bootstrap over units, widened by Student's t for few units. The probability is
     that of the sign-flip test: if both are equally good, the errors of each unit can be exchanged.
-    All exchanges are counted if there are at most `DRAWS`.
     """
     a, b = units(above, below, periods)
     flips, seen, drawn = _resamples(len(a))
@@ -102,7 +100,6 @@ def compare_errors(
 
 @lru_cache(maxsize=8)
 def _resamples(count: int) -> tuple[Array, int, Array]:
-    """Return exchanges (F, count) of units, the number equal to the observation, and draws."""
     rng = np.random.default_rng(0)
     if 2**count <= DRAWS:
         flips, seen = (np.arange(2**count)[:, None] >> np.arange(count)) % 2, 0

@@ -35,7 +35,7 @@ class ExcitationSettings(Config):
     """Settings of the designed motion.
 
     A motion needs two `harmonics`: rest at the start takes one coefficient of each kind. `period`
-    is the range [s]. The `sample_rate` [Hz] of setpoints is by default that of the logs, or 200.
+    is the range [s]. The `sample_rate` [Hz] is by default that of the logs, or 200.
     """
 
     harmonics: int = Field(default=10, ge=2)
@@ -56,7 +56,7 @@ class ExcitationSettings(Config):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Excitation:
-    """Designed motion, at rest at both ends; `motion.time_reversed()` is its counterpart.
+    """Designed motion, at rest at both ends, for a robot.
 
     `condition` is that of W_b, `sample_rate` [Hz] that of the setpoints, and `peak_torque` (n,)
     [N.m] the largest of the model file's rigid body, without friction.
@@ -92,10 +92,9 @@ def design(
 ) -> Excitation:
     """Design the motion with the smallest `condition` within limits.
 
-    From random admissible motions L-BFGS-B descends a smooth bound of the condition number with
-    penalties for exceeded limits. The best of these motions is refined, and shrunk until every
-    limit holds. Raises RobotError if the limits do not fit the robot, FitError if they admit no
-    motion.
+    L-BFGS-B descends a smooth bound of the condition number, with penalties for exceeded limits,
+    from random motions. The best one is refined, and shrunk until every limit holds. Raises
+    RobotError if the limits do not fit the robot, FitError if they admit no motion.
     """
     settings = settings or ExcitationSettings()
     rate = settings.sample_rate or model.description.log.sample_rate or _USUAL_RATE
@@ -147,10 +146,7 @@ def _descend(search: Search, motion: Fourier, rest: Array, weight: float, steps:
 def random_motions(
     model: Robot, settings: ExcitationSettings, count: int, seed: int
 ) -> list[Fourier]:
-    """Draw random motions within the same limits, as large as these allow: references for `design`.
-
-    Coefficients are normal numbers, projected onto motions that start at rest.
-    """
+    """Draw random motions as large as the limits allow, as references for `design`."""
     limits = Limits.of(model, settings.limits)
     rest = limits.rest(model)
     rng = np.random.default_rng(seed)

@@ -1,8 +1,8 @@
 """Search space of the excitation design: coordinates, objective and gradient.
 
-A Fourier motion is linear in its coefficients, and the regressor depends on position, velocity and
-acceleration at one instant only. Its derivatives need one finite difference per joint and quantity,
-for all instants at once: 3 n + 1 regressors, whatever the number of coefficients.
+The regressor depends on position, velocity and acceleration at one instant only, and these are
+linear in the coefficients. Its derivatives need one finite difference per joint and quantity for
+all instants at once: 3 n + 1 regressors, whatever the number of coefficients.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Search:
     """Fourier motions at rest at both ends, with a range of periods [s], as vectors.
 
     A vector contains, joint by joint, H - 1 coordinates of `a` and H - 1 of `b` in units of the
-    joint's speed, then the mean positions from -1 to 1 within their limits, then ln(period).
+    joint's speed, then mean positions from -1 to 1 within their limits, then ln(period).
     """
 
     model: Robot
@@ -170,8 +170,7 @@ def _excess(values: Array, limit: Array) -> tuple[float, Array]:
 def _log_condition(columns: Array) -> tuple[float, Array]:
     """Return the log of a bound of the condition number of rows (N, n, P), and derivatives.
 
-    With the eigenvalues l_i of W'W, cond(W)^2 = max l / min l is bounded by (sum l_i^p)^(1/p) (sum
-    l_i^-p)^(1/p).
+    For eigenvalues l_i of W'W, max l / min l <= (sum l_i^p)^(1/p) (sum l_i^-p)^(1/p).
     """
     rows = columns.reshape(-1, columns.shape[2])
     values, vectors = np.linalg.eigh(rows.T @ rows)

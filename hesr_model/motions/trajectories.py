@@ -165,8 +165,8 @@ class Sweep(Trajectory):
         dq    = A(t) sin(phi(t)),    A(t) = amplitude + swing sin(2 pi t / swing_period + phase)
         phi   = 2 pi (first t + (last - first) t^2 / (2 length))
 
-    The position is the exact integral, by Fresnel's functions. The joint rests before t = 0 and
-    after the length [s]. Raises ConfigError if the frequency does not rise.
+    The position is the exact integral, by Fresnel's functions. The joint rests outside the length
+    [s]. Raises ConfigError if the frequency does not rise.
     """
 
     start: Array
@@ -235,9 +235,8 @@ def random_fourier(
 ) -> Fourier:
     """Draw a Fourier motion with peak velocities (n,) [rad/s].
 
-    The coefficients are normal numbers of `hesr_model.logs.noise`, so a seed gives the same motion
-    on every machine. They are projected onto motions that start at rest, and scaled. Raises
-    ConfigError for fewer than 2 harmonics.
+    Its coefficients are normal numbers of `hesr_model.logs.noise`, so a seed gives the same motion
+    on every machine. Raises ConfigError for fewer than 2 harmonics.
     """
     if harmonics < 2:
         raise ConfigError(f"random Fourier motion: {harmonics} harmonics; at least 2 are needed.")
