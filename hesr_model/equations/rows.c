@@ -13,35 +13,30 @@ typedef struct {
 
 typedef struct {
     const operation *operations;
-    int64_t uniform; /* number of operations equal for all rows */
-    int64_t count;
     const double *const *inputs; /* (rows) each: the first registers, dt first */
     const int64_t *strides;      /* of each input, in doubles */
-    int64_t input_count;
-    const double *given; /* values equal for all rows: the next registers */
-    int64_t given_count;
-    int64_t uniform_count; /* number of given values and results of uniform operations */
-    int64_t registers;
-    double euler;
-    double unstable;             /* rate dt of the refused Euler step */
+    const double *given;         /* values equal for all rows: the next registers */
     const int64_t *firsts;       /* (first_count) first rows of records, increasing */
-    int64_t first_count, coming; /* their number, and the first one not before the block */
     const double *start;         /* (states, first_count) initial states of records */
     double *carried;             /* current value of each state */
-    int64_t first, stop;         /* rows to run; earlier ones are done */
-    int64_t block;
-    double **places; /* (registers) addresses */
-    double *work;    /* BLOCK per register and result, and 10 BLOCK */
+    double **places;             /* (registers) addresses */
+    double *work;                /* BLOCK per register and result, and 10 BLOCK */
     const int32_t *results;
-    int64_t result_count;
-    double *const *out;    /* (rows) for each result, or NULL */
-    int64_t out_stride;    /* of each result, in doubles */
-    const double *target;  /* (rows) last column of the normal equations */
-    const double *weights; /* (rows) weights of the normal equations, or NULL */
-    double *gram;          /* (results + 1)^2, upper triangle, or NULL */
-    double *lanes;         /* (lane_count) partial sums of the products */
-    int64_t lane_count;
+    double *const *out;     /* (rows) for each result, or NULL */
+    const double *target;   /* (rows) last column of the normal equations */
+    const double *weights;  /* (rows) weights of the normal equations, or NULL */
+    double *gram;           /* (results + 1)^2, upper triangle, or NULL */
+    double *lanes;          /* (lane_count) partial sums of the products */
     const double **columns; /* (results + 4) */
+    int64_t uniform, count; /* number of operations equal for all rows, and of all */
+    int64_t input_count, given_count, first_count, result_count, lane_count, registers;
+    int64_t uniform_count; /* number of given values and results of uniform operations */
+    int64_t coming;        /* first record not before the block */
+    int64_t first, stop;   /* rows to run; earlier ones are done */
+    int64_t block;
+    int64_t out_stride; /* of each result, in doubles */
+    double euler;
+    double unstable; /* rate dt of the refused Euler step */
 } program;
 
 #define INLINE static inline __attribute__((always_inline))

@@ -47,33 +47,21 @@ _LIBRARIES: Mapping[str, tuple[str, ...]] = {
 _SOURCES = ("rows.c", "law_math.h")
 
 
-_ROOM = (
-    *("inputs", "strides", "given", "start", "carried"),
-    *("places", "work", "lanes", "columns"),
+_ADDRESSES = (
+    *("operations", "inputs", "strides", "given", "firsts", "start", "carried", "places"),
+    *("work", "results", "out", "target", "weights", "gram", "lanes", "columns"),
 )
-"""Arrays of a run."""
+_NUMBERS = (
+    *("uniform", "count", "input_count", "given_count", "first_count", "result_count"),
+    *("lane_count", "registers", "uniform_count", "coming", "first", "stop", "block", "out_stride"),
+)
 
 
 class _Program(ctypes.Structure):
     _fields_ = (
-        ("operations", ctypes.c_void_p),
-        *((name, ctypes.c_int64) for name in ("uniform", "count")),
-        *((name, ctypes.c_void_p) for name in ("inputs", "strides")),
-        ("input_count", ctypes.c_int64),
-        ("given", ctypes.c_void_p),
-        *((name, ctypes.c_int64) for name in ("given_count", "uniform_count", "registers")),
+        *((name, ctypes.c_void_p) for name in _ADDRESSES),
+        *((name, ctypes.c_int64) for name in _NUMBERS),
         *((name, ctypes.c_double) for name in ("euler", "unstable")),
-        ("firsts", ctypes.c_void_p),
-        *((name, ctypes.c_int64) for name in ("first_count", "coming")),
-        *((name, ctypes.c_void_p) for name in ("start", "carried")),
-        *((name, ctypes.c_int64) for name in ("first", "stop", "block")),
-        *((name, ctypes.c_void_p) for name in ("places", "work", "results")),
-        ("result_count", ctypes.c_int64),
-        ("out", ctypes.c_void_p),
-        ("out_stride", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("target", "weights", "gram", "lanes")),
-        ("lane_count", ctypes.c_int64),
-        ("columns", ctypes.c_void_p),
     )
 
 
@@ -173,7 +161,7 @@ class ProgramRun:
         self._at, self._held = at, (own, used, firsts, target)  # keep alive: C uses their addresses
         operations, results = own.addresses
         self._program = _Program(
-            **{name: at[name] for name in _ROOM},
+            **{name: at[name] for name in sizes if name in _ADDRESSES},
             operations=operations,
             uniform=own.uniform,
             count=len(own.operations),

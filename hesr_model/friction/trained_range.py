@@ -42,13 +42,10 @@ class TrainedRange:
     @classmethod
     def of(cls, records: Sequence[FrictionRecord]) -> Self:
         """Return the ranges of a joint's records."""
-        ranges = {
-            name: (
-                min(float(np.min(getattr(r, name))) for r in records),
-                max(float(np.max(getattr(r, name))) for r in records),
-            )
-            for name in (*INPUT_UNITS, "tau")
-        }
+        ranges = {}
+        for name in (*INPUT_UNITS, "tau"):
+            values = np.concatenate([getattr(r, name) for r in records])
+            ranges[name] = float(np.min(values)), float(np.max(values))
         period = float(np.median(np.concatenate([np.diff(r.t) for r in records])))
         return cls(sample_time=round(period, 9), **ranges)
 
