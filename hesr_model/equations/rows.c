@@ -60,22 +60,16 @@ INLINE int relax(program *p, int64_t state, int64_t at, int64_t n, double *restr
                  const double *restrict dt) {
     double *restrict a = p->work + (p->registers + p->result_count + 1) * BLOCK;
     double *restrict c = a + BLOCK;
-    if (p->euler > 0.0) {
-        for (int64_t i = 0; i < n; i++) {
-            const double z = positive(rate[i]) * dt[i];
-            a[i] = 1.0 - z;
-            c[i] = drive[i] * dt[i];
-            if (z >= 1.0) {
-                p->unstable = z;
-                return UNSTABLE;
-            }
-        }
-    } else {
-        for (int64_t i = 0; i < n; i++) {
-            const double z = positive(rate[i]) * dt[i];
-            const double e = even_expm1(-z);
-            a[i] = 1.0 + e;
-            c[i] = drive[i] * dt[i] * share(z, e, 0.0);
+    const double euler = p->euler;
+    for (int64_t i = 0; i < n; i++) {
+        const double z = positive(rate[i]) * dt[i], e = decay(z, euler);
+        a[i] = 1.0 + e;
+        c[i] = drive[i] * dt[i] * share(z, e, euler);
+    }
+    for (int64_t i = 0; euler > 0.0 && i < n; i++) {
+        if (a[i] <= 0.0) {
+            p->unstable = positive(rate[i]) * dt[i];
+            return UNSTABLE;
         }
     }
     EACH_FIRST(f, i) {
