@@ -19,10 +19,9 @@ from hesr_model.support.progress import Progress, counted, silent
 def under_truths(
     study: Study, path: Path, laws: Sequence[str], *, progress: Progress = silent
 ) -> dict[str, Errors]:
-    """Return the errors of laws by alternative plant of the twin.
+    """Return the errors of laws by alternative plant of the twin, fitted anew to each.
 
-    Body and laws are identified again on the same motions. Laws that the logs do not determine are
-    absent.
+    Laws that the logs do not determine are absent.
     """
     twin = study.twin
     names = twin.truths if twin else ()

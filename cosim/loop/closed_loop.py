@@ -1,4 +1,4 @@
-"""The closed loop of an arm as a system of FMUs: trajectory, models, controller, arm."""
+"""Closed loop of an arm as a system of FMUs: trajectory, models, controller, arm."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -31,25 +31,25 @@ Law = Annotated[StandIn | str, Field(union_mode="left_to_right")]
 ARM = "Arm.fmu"
 
 PerJoint = Annotated[tuple[float, ...], Field(min_length=1)]
-_REST = 0.05  # [s] rest before the motion, longer than any preview
+_REST = 0.05  # [s] before the motion, longer than any preview
 Compensation = Literal["none", "torque_error", "servo_inversion"]
 _TITLES: Mapping[Compensation, str] = {
     "none": "velocity command only",
     "torque_error": "torque error (the paper’s scheme)",
     "servo_inversion": "servo inversion",
 }
-VelocitySource = Literal["desired", "measured", "filtered"]  # velocity input of the friction law
+VelocitySource = Literal["desired", "measured", "filtered"]  # velocity input of the law
 
 
 class Gains(Config):
     """Gains of the controller, one entry per joint."""
 
-    Kp: PerJoint  # gain of the torque error [rad/(s N.m)]
-    Kd: PerJoint  # gain of its derivative [rad/(N.m)]
-    decay: float  # decay of both with the desired velocity, lambda [s/rad]
-    Kv: PerJoint  # servo gain assumed by the controller [N.m s/rad]
-    Ki: PerJoint  # integral servo gain assumed by the controller [N.m/rad]
-    latency: float  # servo latency assumed by the controller [s]
+    Kp: PerJoint  # torque-error gain [rad/(s N.m)]
+    Kd: PerJoint  # derivative gain [rad/(N.m)]
+    decay: float  # lambda, decay with the desired velocity [s/rad]
+    Kv: PerJoint  # assumed servo gain [N.m s/rad]
+    Ki: PerJoint  # assumed integral servo gain [N.m/rad]
+    latency: float  # assumed servo latency [s]
 
 
 class Tracking(Config):
@@ -61,9 +61,9 @@ class Tracking(Config):
     peak_velocity: PerJoint
     offset: PerJoint
     gains: Gains
-    Kx: float = Field(gt=0)  # gain of the outer position loop [1/s]
-    sources: tuple[str, ...] = ()  # laws also evaluated on measured and filtered velocity
-    drift: float = Field(default=60.0, gt=0)  # length of a long run that shows drift [s]
+    Kx: float = Field(gt=0)  # outer position loop [1/s]
+    sources: tuple[str, ...] = ()  # laws also run on measured and filtered velocity
+    drift: float = Field(default=60.0, gt=0)  # length of a long run [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,14 +71,14 @@ class Scheme:
     """Control scheme."""
 
     compensation: Compensation
-    Kx: float = 0.0  # gain of the outer position loop [1/s]
-    source: VelocitySource = "desired"  # velocity input of the friction law
-    friction_gain: float = 1.0  # factor on the friction torque
-    change: str = ""  # difference from the identified loop, for tables
+    Kx: float = 0.0  # outer position loop [1/s]
+    source: VelocitySource = "desired"
+    friction_gain: float = 1.0
+    change: str = ""  # difference from the identified loop
 
     @property
     def name(self) -> str:
-        """Name in files, the inverse of `of_name`."""
+        """Name in files."""
         change = f": {self.change}" if self.change else ""
         return ", ".join((self.compensation, *self._more)) + change
 
@@ -98,7 +98,7 @@ class Scheme:
 
     @classmethod
     def of_name(cls, name: str) -> Self:
-        """Return the scheme of a name; raise ValueError if it is not valid."""
+        """Return the scheme of a `name`, or raise ValueError."""
         found = _NAME.fullmatch(name)
         if found is None:
             raise ValueError(f"'{name}' is not a scheme")
@@ -135,7 +135,7 @@ class Fmus:
     friction: Path
     controller: Path
     velocity: Path
-    gravity: Path | None = None  # rigid body of the gravity torque; `body` by default
+    gravity: Path | None = None  # body of the gravity torque; `body` by default
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,17 +145,14 @@ class Setting:
     fmus: Fmus
     scheme: Scheme
     gains: Gains
-    step: float  # communication step [s]
-    time_constant: float = 0.02  # time constant of the velocity filter [s]
-    arm: Mapping[str, Value] = field(default_factory=dict)  # further parameters of the arm
-    noise: PerJoint = ()  # standard deviation of the measured torque per joint [N.m]
+    step: float  # [s]
+    time_constant: float = 0.02  # velocity filter [s]
+    arm: Mapping[str, Value] = field(default_factory=dict)  # further parameters
+    noise: PerJoint = ()  # standard deviation of tau_meas per joint [N.m]
 
 
 def preview(scheme: Scheme, gains: Gains, step: float) -> float:
-    """Return the preview of the desired motion [s]: nonzero for servo inversion.
-
-    A command is held for a step, so half a step adds to the latency.
-    """
+    """Return the preview [s] of servo inversion: latency and half a step, as commands are held."""
     return gains.latency + 0.5 * step if scheme.compensation == "servo_inversion" else 0.0
 
 
@@ -168,8 +165,8 @@ def system(
 ) -> SystemSpec:
     """Return the loop as a system that steps the arm first, with the commands of the last sample.
 
-    A run of `duration` [s] ends early outside `limits` (n, 2) [rad]. `motion` holds start values of
-    the trajectory, which can also be set for each run.
+    A run of `duration` [s] ends early outside `limits` (n, 2) [rad]; `motion` starts the
+    trajectory.
     """
     fmus, scheme, gains = setting.fmus, setting.scheme, setting.gains
     measured = scheme.source != "desired"

@@ -30,10 +30,10 @@ class ExcitationDesign:
     """A designed excitation and its files."""
 
     excitation: Excitation
-    random_condition: float  # median of 200 random motions within the same limits, of W_b
-    forward: Path  # setpoints
-    backward: Path  # setpoints of the time-reversed motion
-    picture: Path  # position and velocity with their limits
+    random_condition: float  # median condition of W_b over 200 random motions
+    forward: Path
+    backward: Path  # time-reversed
+    picture: Path
 
 
 def design(
@@ -43,12 +43,10 @@ def design(
     *,
     progress: Progress = silent,
 ) -> ExcitationDesign:
-    """Design an excitation and write it.
+    """Design an excitation; write setpoints `output`, ``<name>_reversed`` and ``<name>.png``.
 
-    The files are `output`, ``<name>_reversed`` with its suffix, and ``<name>.png``. The setpoints
-    (CSV or Parquet) have columns ``t, q1.., dq1.., ddq1..`` [s, rad, rad/s, rad/s2; m for prismatic
-    joints] and run from rest to rest at the sample rate of `settings`, a TOML of
-    `ExcitationSettings`. Collisions are not checked: position limits must exclude them.
+    Columns are ``t, q1.., dq1.., ddq1..`` [s, rad, rad/s, rad/s2; m for prismatic joints], from
+    rest to rest. Collisions are not checked: position limits must exclude them.
     """
     from cosim.report.figures.motions import excitation
 

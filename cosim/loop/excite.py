@@ -1,4 +1,4 @@
-"""Runs of the digital twin along the motions of a study, and their logs."""
+"""Runs of the digital twin along motions, and their logs."""
 
 import hashlib
 import logging
@@ -29,8 +29,8 @@ class Recording:
     """Log and truth of one motion of the twin."""
 
     log: Log  # noisy; the velocity is a central difference over two samples
-    truth: ArmRun  # true motion and torques at the times of the log
-    desired: Array  # commanded position (N, n) [rad]
+    truth: ArmRun  # truth at the times of the log
+    desired: Array  # position (N, n) [rad]
 
     @property
     def tracking_error(self) -> Array:
@@ -46,11 +46,10 @@ def excite(
     seed: int | None = None,
     fmu: Path | None = None,
 ) -> dict[str, Path]:
-    """Run the arm along every motion; return the CSV files ``<name>.csv`` of the logs by name.
+    """Run the arm along every motion; return the CSV files of the logs by name.
 
-    The true friction is written next to each log. `seed` of the noise and `fmu` of the arm are
-    those of `plant` by default. Raises ConfigError if a motion does not fit the arm or leaves its
-    joint limits.
+    The true friction is written next to each log. Noise seed and FMU are those of `plant` by
+    default.
     """
     paths = {}
     for recording in recordings(motions, plant, seed=seed, fmu=fmu):
@@ -84,12 +83,10 @@ def recorded(arm: TwinArm, motion: MotionSpec, seed: int) -> Iterator[Recording]
 def record(
     arm: TwinArm, trajectory: Trajectory, seed: int, *, name: str, unlogged: float = 0.0
 ) -> Recording:
-    """Run the arm along one motion from rest and log it after `unlogged` [s].
+    """Run the arm along a motion from rest and log it after `unlogged` [s].
 
     The command is the mean desired velocity over each sample period, whose integral is the desired
-    position without drift. `seed` is combined with `name`, so that the noise of a log does not
-    depend on other logs. Raises ConfigError if the motion does not fit the arm or leaves its joint
-    limits.
+    position without drift. The noise of a log depends on `seed` and `name` only.
     """
     rate = arm.plant.sample_rate
     if not trajectory.duration * rate <= _MOST_SAMPLES:
@@ -123,7 +120,7 @@ def record(
 
 
 def truth_of(log: Path) -> Path:
-    """Return the file of the true friction of a log, with columns t, tau_f1.."""
+    """Return the file of the true friction of a log: t, tau_f1.."""
     return log.parent / "truth" / log.name
 
 

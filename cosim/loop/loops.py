@@ -40,11 +40,11 @@ from hesr_model.support.progress import Stages, silent
 
 _COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
 _MEASURED: tuple[VelocitySource, ...] = ("measured", "filtered")
-_MARGIN = 0.5  # [rad] beyond the joint limits: the run has diverged
+_MARGIN = 0.5  # [rad] beyond the joint limits, where a run has diverged
 
 
 def motions(tracking: Tracking, periods: int = 1) -> list[LoopMotion]:
-    """Return the motions of a study with the given number of periods."""
+    """Return the motions of a study."""
     return [LoopMotion.of(_fourier(tracking, seed, periods)) for seed in tracking.seeds]
 
 
@@ -60,7 +60,7 @@ def _fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
 
 
 def require_reachable(tracking: Tracking, robot: Robot) -> None:
-    """Raise ConfigError with motion and joint if a motion leaves the limits of the robot."""
+    """Raise ConfigError if a motion leaves the limits of the robot."""
     for key, entries in (("peak_velocity", tracking.peak_velocity), ("offset", tracking.offset)):
         if len(entries) != robot.n:
             raise ConfigError(
@@ -80,13 +80,13 @@ class StudyLoop:
 
     tracking: Tracking
     friction: Mapping[str, Path]  # by law
-    oracle: Path  # FMU of the true friction
-    fmus: Fmus  # other FMUs, with the identified rigid body
-    true_body: Path  # FMU of the true rigid body
-    step: float  # communication step [s]
-    limits: Array  # positions (n, 2) [rad] where a run ends
-    noise: tuple[float, ...] = ()  # standard deviation of the measured torques [N.m]
-    kept: Path | None = None  # folder of finished rows for a resumed study
+    oracle: Path  # true friction
+    fmus: Fmus  # FMUs with the identified rigid body
+    true_body: Path
+    step: float  # [s]
+    limits: Array  # (n, 2) [rad] where a run ends
+    noise: tuple[float, ...] = ()  # standard deviation of tau_meas [N.m]
+    kept: Path | None = None  # finished rows of a resumed study
     progress: Stages = silent
 
     def setting(self, law: str, scheme: Scheme) -> Setting:
@@ -150,9 +150,9 @@ class StudyLoop:
 def build(
     folder: Path, robot: Robot, body: RigidBody, plant: Plant, *, oracle: FrictionModel
 ) -> None:
-    """Write the FMUs of a loop to `folder`, except those of the arm and the laws.
+    """Write the FMUs of a loop, without arm and laws; `oracle` is the true friction.
 
-    The true rigid body is that of the robot's model file, `oracle` the true friction.
+    The true rigid body is that of the robot's model file.
     """
     step = 1.0 / plant.sample_rate
     contents: dict[str, Callable[[], Content]] = {
@@ -186,7 +186,7 @@ def assemble(
     kept: Path | None = None,
     progress: Stages = silent,
 ) -> StudyLoop:
-    """Return the loop of the FMUs in a folder written by `build`, and of friction laws."""
+    """Return the loop of the FMUs that `build` has written, and of friction laws."""
     lower, upper, _ = robot.limits
     return StudyLoop(
         tracking=tracking,

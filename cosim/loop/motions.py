@@ -1,4 +1,4 @@
-"""Motions of a study, as described in TOML."""
+"""Motions of a study in TOML."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, ClassVar, Literal
@@ -18,7 +18,7 @@ class _Motion(Config):
 
     make: ClassVar[Callable[..., Trajectory]]
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
-    also_reversed: bool = False  # also run the time-reversed motion as ``<name>_reversed``
+    also_reversed: bool = False  # second log ``<name>_reversed``
 
     @property
     def unlogged(self) -> float:
@@ -32,7 +32,7 @@ class _Motion(Config):
 
 
 class FourierMotion(_Motion):
-    """Fourier series drawn from a seed; see `hesr_model.motions.trajectories.random_fourier`."""
+    """Fourier series; see `hesr_model.motions.trajectories.random_fourier`."""
 
     make = staticmethod(random_fourier)
     kind: Literal["fourier"]
@@ -42,7 +42,7 @@ class FourierMotion(_Motion):
     peak_velocity: PerJoint
     offset: PerJoint
     periods: int = Field(default=1, ge=1)
-    unlogged_periods: int = Field(default=0, ge=0)  # first periods without log
+    unlogged_periods: int = Field(default=0, ge=0)  # without log
 
     @property
     def unlogged(self) -> float:
@@ -98,7 +98,7 @@ MotionSpec = Annotated[
 
 
 class Motions(Config):
-    """Motions of a study; each gives one log, or two with `also_reversed`."""
+    """Motions of a study."""
 
     motions: tuple[MotionSpec, ...] = Field(min_length=1)
 

@@ -16,15 +16,15 @@ from hesr_model.motions.trajectories import Sine
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 
-PAYLOADS = (1.0, 2.5, 5.0)  # [kg] unknown to the loop, or identified
-FRICTION_SCALES = (0.5, 0.75, 1.5, 2.0)  # friction of the arm over that of the training
-LATENCIES = (0.0, 0.02, 0.04)  # [s] servo latencies, known to the controller
+PAYLOADS = (1.0, 2.5, 5.0)  # [kg] unknown or identified
+FRICTION_SCALES = (0.5, 0.75, 1.5, 2.0)  # arm over training
+LATENCIES = (0.0, 0.02, 0.04)  # [s] known to the controller
 GAIN_ERRORS = (0.8, 1.2)  # assumed over true servo gains
-NOISE = 3.0  # on the torque noise
+NOISE = 3.0  # factor on the torque noise
 FACTORS = tuple(float(f) for f in np.round(np.arange(0.2, 3.01, 0.2), 1))
 """Factors on the friction torque in the search for limit cycles."""
 CYCLING = 2e-4
-"""Threshold of cycling: RMS motion of an arm at rest [rad], ten times the encoder noise."""
+"""RMS motion of an arm at rest [rad] that counts as cycling: ten times the encoder noise."""
 _REST = 4.0  # [s]
 _AS_IT_IS = "as it is"
 

@@ -24,8 +24,8 @@ from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Stages
 
 _SECONDS = 2.0  # [s] length of the runs that compare the masters
-_AGREEMENT = 1e-9  # allowed difference between the masters, relative to the largest value
-_DERIVATIVE = 5e-4  # [s] Kd / Kp in that comparison for joints without Kd
+_AGREEMENT = 1e-9  # allowed difference, relative to the largest value
+_DERIVATIVE = 5e-4  # [s] Kd / Kp there for joints without Kd
 
 
 def run_loop(
@@ -40,10 +40,9 @@ def run_loop(
     kept: Path | None,
     progress: Stages,
 ) -> LoopOutcome:
-    """Build the FMUs of a loop and run the closed-loop part of a study.
+    """Build the FMUs of a loop in ``folder/fmus``, next to Arm.fmu, and run it.
 
-    `folder` has FMUs in ``fmus``, including Arm.fmu. It receives one loop as closed_loop.toml and
-    the positions along the first motion as `TRACES`.
+    Writes one loop as closed_loop.toml and the positions along the first motion as `TRACES`.
     """
     require_reachable(tracking, robot)
     progress("building the loop", 0, 1)
@@ -78,8 +77,7 @@ def run_loop(
 def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[Finding]:
     """Step one loop in the Python and the native master; return a finding if they disagree.
 
-    The loop has the arm as a PythonFMU and a PD controller of the torque error. The third run has
-    the native arm in the native master.
+    The arm is a PythonFMU under a PD controller of the torque error, and in a third run native.
     """
     gains = loop.tracking.gains
     Kd = tuple(kd or _DERIVATIVE * kp for kp, kd in zip(gains.Kp, gains.Kd, strict=True))
@@ -118,7 +116,7 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
 
 
 def _difference(run: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> float:
-    """Return the largest difference of signals, relative to their largest values."""
+    """Return the largest difference, relative to the largest value of each signal."""
     return max(
         float(np.abs(values - other[name]).max(initial=0.0) / np.abs(other[name]).max(initial=1e-3))
         if len(values) == len(other[name])

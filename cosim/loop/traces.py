@@ -26,8 +26,8 @@ class Trace:
     """One run of the closed loop."""
 
     t: Numbers  # (N,) [s]
-    q_d: Numbers  # desired positions (N, n) [rad]
-    q: Numbers  # true positions (N, n) [rad]
+    q_d: Numbers  # desired (N, n) [rad]
+    q: Numbers  # true (N, n) [rad]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,9 +36,9 @@ class Tracked:
 
     scheme: NamedScheme
     law: Law
-    rmse: NumbersWithGaps  # (M, n) of each motion and joint [rad]; NaN if failed
-    last: NumbersWithGaps  # (M, n) mean error over the last tenth of each run [rad]
-    failures: tuple[str, ...] = ()  # reasons of runs that ended early
+    rmse: NumbersWithGaps  # (M, n) by motion and joint [rad]; NaN if failed
+    last: NumbersWithGaps  # (M, n) mean error over the last tenth [rad]
+    failures: tuple[str, ...] = ()
     trace: Annotated[Trace | None, Field(exclude=True)] = None  # not in JSON
 
     @property
@@ -65,9 +65,9 @@ class Overcompensation:
 class LoopOutcome:
     """Results of the closed loop of a study."""
 
-    tracking: Sequence[Tracked]  # every law in every scheme, on all motions
-    long: Sequence[Tracked]  # selected rows on a long motion
-    sweeps: Sequence[Tracked]  # selected rows with a changed arm or controller
+    tracking: Sequence[Tracked]  # all laws, schemes and motions
+    long: Sequence[Tracked]  # selected rows, one long motion
+    sweeps: Sequence[Tracked]  # selected rows, changed arm or controller
     overcompensation: Sequence[Overcompensation]
     findings: Annotated[Sequence[Finding], Field(exclude=True)] = ()  # not in JSON
 
@@ -90,10 +90,7 @@ def write_traces(path: Path, traces: Iterable[tuple[Scheme, str, Trace]]) -> Non
 
 
 def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
-    """Return the traces of a file by (scheme, law), in its order.
-
-    Raises ArtifactError if the file is missing or not written by `write_traces`.
-    """
+    """Return the traces of a file by (scheme, law), in its order."""
     import pyarrow
     import pyarrow.parquet
 

@@ -27,8 +27,8 @@ from hesr_model.support.typed_json import from_json, read_json, to_text
 class LoopMotion:
     """A motion in the parameters of the FMUs."""
 
-    parameters: Mapping[str, Value]  # start values of the Trajectory FMU
-    q0: tuple[float, ...]  # start position of the arm [rad]
+    parameters: Mapping[str, Value]  # Trajectory FMU
+    q0: tuple[float, ...]  # [rad]
 
     @classmethod
     def of(cls, trajectory: Trajectory) -> "LoopMotion":
@@ -65,11 +65,10 @@ def track(
     workers: int | None = None,
     progress: Progress = silent,
 ) -> list[Tracked]:
-    """Run every row along every motion for `duration` [s].
+    """Run every row along every motion for `duration` [s]; return one result per row.
 
-    A run ends early outside the positions `limits` (n, 2) [rad]. Returns one result per row, in
-    order, including failures. `traced` keeps the positions along the first motion; `kept` is a
-    folder of finished rows for a resumed study.
+    A run ends early outside `limits` (n, 2) [rad]. `traced` keeps the first motion's positions,
+    `kept` finished rows for a resumed study.
     """
     done: dict[int, Tracked] = {}
     left: list[int] = []

@@ -21,7 +21,7 @@ from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 
-# Outputs of the FMU, by the fields of `ArmRun`.
+# of the FMU, by the fields of `ArmRun`
 _OUTPUTS = {
     "q": "q_true",
     "dq": "dq_true",
@@ -33,10 +33,9 @@ _OUTPUTS = {
 
 
 def twin_plant(twin: Twin, study: Path, folder: Path) -> tuple[Plant, SignalTable | None]:
-    """Return the arm of a twin with the friction of its study, and its table of signals, if any.
+    """Return plant and table of signals of a twin, with the friction that its study names.
 
-    `study` is the file for messages; `folder` receives the MJCF of an alternative plant. Raises
-    ConfigError if a file is wrong or the plant has no such truth.
+    `study` is for messages; `folder` receives the MJCF of an alternative plant.
     """
     plant = Plant.read(twin.plant)
     signals = SignalTable.read(twin.signals) if twin.signals else None
@@ -55,7 +54,7 @@ def twin_plant(twin: Twin, study: Path, folder: Path) -> tuple[Plant, SignalTabl
 def export_twin(
     plant: Plant, folder: Path, signals: SignalTable | ArmSignals | None = None
 ) -> Path:
-    """Write the arm as an FMU in `folder`; by default its signals follow from the servo."""
+    """Write the arm as an FMU in `folder`; signals are those of the servo by default."""
     folder.mkdir(parents=True, exist_ok=True)
     return export_mjcf(plant.model, folder / ARM, table=signals or servo_signals(plant))
 
@@ -64,12 +63,12 @@ def export_twin(
 class ArmRun:
     """Motion and torques of an arm, (N, n) at N instants."""
 
-    q: Array  # without noise [rad]
-    dq: Array  # without noise [rad/s]
-    tau_meas: Array  # torque of the servo without noise [N.m]: rigid body plus friction
-    tau_f_true: Array  # friction torque [N.m], positive if it opposes positive velocity
-    q_noisy: Array  # measured position [rad]
-    tau_noisy: Array  # measured torque [N.m]
+    q: Array  # true [rad]
+    dq: Array  # true [rad/s]
+    tau_meas: Array  # true servo torque [N.m]: rigid body plus friction
+    tau_f_true: Array  # [N.m] positive if it opposes positive velocity
+    q_noisy: Array  # measured [rad]
+    tau_noisy: Array  # measured [N.m]
 
 
 class TwinArm:
@@ -83,9 +82,8 @@ class TwinArm:
     def run(self, q0: ArrayLike, commands: Array, *, seed: int, unlogged: int = 0) -> ArmRun:
         """Start at rest at `q0` (n,) [rad], hold each command (N, n) [rad/s] for a sample, and log.
 
-        Returns the arm at the start of each command, without the first `unlogged` samples. `seed`
-        (64 bit) is that of the measurement noise. The servo's integral holds gravity and ripple at
-        `q0`.
+        Returns the arm at the start of each command, without the first `unlogged` ones. `seed` of
+        the noise has 64 bit. The servo's integral holds gravity and ripple at `q0`.
         """
         fmu, noise = self._component, self.plant.noise
         if fmu.used:
@@ -117,7 +115,7 @@ class TwinArm:
 def loaded_arm(
     plant: Plant, *, fmu: Path | None = None, signals: ArmSignals | None = None
 ) -> Iterator[TwinArm]:
-    """Load the FMU of the arm, exported with `signals` by default, and free it in the end."""
+    """Load the FMU of the arm, exported with `signals` by default."""
     with ExitStack() as cleanup:
         if fmu is None:
             fmu = export_twin(plant, cleanup.enter_context(scratch_folder()), signals)

@@ -43,7 +43,7 @@ from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, counted, silent
 
-_SAMPLE_TIME = 5e-3  # [s] default for FMUs without one
+_SAMPLE_TIME = 5e-3  # [s] default
 _DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[PropertyResult]]] = {
     "breakaway": breakaway,
     "stick_slip": stick_slip,
@@ -60,9 +60,9 @@ class Subject:
     """A model or FMU to examine."""
 
     name: str  # display name without a model
-    model: FrictionModel | None  # None for an FMU that does not contain its laws
-    fmu: Path | None = None  # a friction FMU; exported from the model by default
-    inertia: tuple[float, ...] | None = None  # [kg.m2]; that of a shipped robot by default
+    model: FrictionModel | None  # None if unknown
+    fmu: Path | None = None  # exported from the model by default
+    inertia: tuple[float, ...] | None = None  # [kg.m2]
 
 
 def run_battery(
@@ -73,10 +73,9 @@ def run_battery(
     progress: Progress = silent,
     kept: Path | None = None,
 ) -> list[Properties]:
-    """Examine models or FMUs in parallel processes, under a constant load [N.m] of every joint.
+    """Examine models or FMUs in parallel under a constant load [N.m] of every joint.
 
-    `kept` is a folder of finished results, which are reused. Raises ConfigError if an inertia is
-    not valid, ExportError or SimulationError if an FMU cannot be built or is not a friction FMU.
+    `kept` is a folder of finished results. Raises ConfigError if an inertia is not valid.
     """
     for subject in subjects:
         _require_inertia(subject)
@@ -87,7 +86,6 @@ def run_battery(
 
 
 def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties:
-    """Examine one model or FMU, or read its finished result."""
     if kept is None or subject.model is None or subject.fmu is not None:
         return measure(subject, load=load)
     about = [subject.model.to_json(), subject.inertia, load, version("hesr")]
@@ -103,8 +101,8 @@ def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties
 def measure(subject: Subject, *, load: float = 0.0) -> Properties:
     """Examine one model or FMU; see `run_battery`.
 
-    Coupled joints move one friction coordinate at a time. Thermal laws stay at the temperature of
-    their fit.
+    Coupled joints move one friction coordinate at a time; thermal laws keep the temperature of the
+    fit.
     """
     model = subject.model and replace(subject.model, coupling=None, thermal=())
     with TemporaryDirectory(prefix="hesr-") as folder:
@@ -168,7 +166,7 @@ def _moved(
     seen: list[TrainedRange],
     inertia: Array | None,
 ) -> dict[str, list[PropertyResult]]:
-    """Run the experiments on a friction FMU; the others get a reason."""
+    """Run the experiments on a friction FMU; others get a reason."""
     n = bench.joints
     laws = model.laws if model else (None,) * n
     states = [None if law is None else len(law.form.memory) for law in laws]
@@ -195,7 +193,7 @@ def _moved(
 
 
 def _peaks(seen: list[TrainedRange], scale: Scale) -> Array:
-    """Return the largest trained load (n,) [N.m]; else load plus friction level."""
+    """Return the largest trained load (n,) [N.m], or load plus friction level."""
     trained = np.array([max(one.tau_load, key=abs) for one in seen])
     return np.where(trained != 0.0, trained, scale.load + scale.level)
 
@@ -213,7 +211,6 @@ def _given_up(error: SimulationError) -> PropertyResult:
 
 
 def _finite(found: PropertyResult) -> PropertyResult:
-    """Replace infinite and NaN figures of a result by None."""
     figures = (
         f if f.value is None or isfinite(f.value) else Figure(name=f.name, value=None, unit=f.unit)
         for f in found.figures

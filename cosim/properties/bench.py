@@ -1,4 +1,4 @@
-"""Benches: one moves the joints of a friction FMU, the other drives those of a JointDrive."""
+"""Benches that move the joints of a friction FMU, or drive those of a JointDrive."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,12 +13,12 @@ from hesr_model.support.arrays import Array
 
 DISCRETISATION = "discretisation"
 _EXACT = 1.0
-_SUBSTEP = 5e-3  # [s] for FMUs without exact integration over long steps
+_SUBSTEP = 5e-3  # [s] without exact integration
 _FOREVER, _LONG = 1e4, 60.0  # [s] of steady sliding, with exact integration and without
 
 
 class _Bench:
-    """An FMU with vectors of `joints` inputs and outputs, stepped from its own time zero."""
+    """An FMU with vectors of inputs and outputs, stepped from its own time zero."""
 
     def __init__(
         self, component: FmuInstance, joints: int, inputs: Sequence[str], outputs: Sequence[str]
@@ -53,11 +53,9 @@ class _Bench:
 
 
 class FrictionBench(_Bench):
-    """A friction FMU whose joints are moved independently, all at once.
+    """A friction FMU whose joints move independently from `places` (n,) [rad].
 
-    The rest positions are `places` (n,) [rad], zero by default. With `exact` the FMU integrates its
-    states exactly over a step of any length; `forever` is the duration of steady sliding [s].
-    Raises SimulationError if the FMU lacks the connectors of a friction FMU.
+    With `exact` it integrates exactly over any step; `forever` is the time of steady sliding [s].
     """
 
     def __init__(self, component: FmuInstance) -> None:
@@ -84,11 +82,10 @@ class FrictionBench(_Bench):
         dq: Array | None = None,
         unmoved: bool = False,
     ) -> Array:
-        """Restart at rest or at a velocity dq (n,) [rad/s] and return the torque (n,) [N.m].
+        """Restart at rest or at dq (n,) [rad/s]; return the torque (n,) [N.m].
 
         In motion friction starts in its steady state if the FMU has one, except with `unmoved`. The
-        load of each joint [N.m] is held until the next start; `exact` overrides the discretisation
-        of the law.
+        load [N.m] is held until the next start; `exact` overrides the discretisation of the law.
         """
         n = self.joints
         chosen = {DISCRETISATION: _EXACT} if exact and self.exact else {}
@@ -101,10 +98,7 @@ class FrictionBench(_Bench):
         return self._outputs.read().copy()
 
     def step(self, dt: float, dq: Array, q: Array) -> Array:
-        """Hold dq (n,) [rad/s] at q (n,) [rad] for a time [s]; return the torque (n,) [N.m].
-
-        The array is valid until the next step.
-        """
+        """Hold dq (n,) [rad/s] at q (n,) [rad]; return the torque (n,), valid for one step."""
         n = self.joints
         self._inputs.values[:n] = dq
         self._inputs.values[n : 2 * n] = q
@@ -115,8 +109,7 @@ class FrictionBench(_Bench):
     ) -> Array:
         """Hold dq (K, n) [rad/s] for dt (K,) [s]; return the torque at each end (K, n) [N.m].
 
-        The position input q (K, n) [rad] is constant by default, which excludes effects of
-        position; load (K, n) [N.m] is that of the start by default.
+        The position q (K, n) [rad] is constant by default, to exclude effects of position.
         """
         n = self.joints
         q = np.broadcast_to(self.places, dq.shape) if q is None else q
@@ -129,10 +122,7 @@ class FrictionBench(_Bench):
 
 
 class DriveBench(_Bench):
-    """A JointDrive whose joints start at `places` (n,) [rad] and get motor torque.
-
-    Joints with a spring also have a link.
-    """
+    """A JointDrive with motor torque, and a link for joints with a spring."""
 
     def __init__(self, component: FmuInstance, places: Array) -> None:
         self.places = places
@@ -149,8 +139,8 @@ class DriveBench(_Bench):
     ) -> None:
         """Restart at rest under a motor torque (n,) [N.m], the link at the joint's position.
 
-        The load [N.m] is that of every joint, `stiffness` (n,) that of the flexsplines [N.m/rad];
-        `substep` is the longest inner step [s], that of the FMU by default.
+        Load [N.m], `stiffness` (n,) of the flexsplines [N.m/rad] and the longest inner step [s] are
+        held.
         """
         n = self.joints
         start = {
@@ -168,7 +158,7 @@ class DriveBench(_Bench):
         self._start(start)
 
     def step(self, dt: float) -> Array:
-        """Step; return q, dq and friction torque, (3, n) in SI units, valid until the next step."""
+        """Step; return q, dq and friction torque (3, n) in SI units, valid for one step."""
         return self._step(dt).reshape(3, self.joints)
 
     @property

@@ -9,14 +9,14 @@ from hesr_model.audit.expectations import FALLS, HELD
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
-RAMPS = (10.0, 3.0, 1.0, 0.3)  # [s] durations of torque ramps up to the friction level
-LOAD = 0.5  # load to hold, as a share of the friction level
-DITHER, FREQUENCY = 0.2, 5.0  # amplitude as a share of the friction level, and frequency [Hz]
+RAMPS = (10.0, 3.0, 1.0, 0.3)  # [s] up to the friction level
+LOAD = 0.5  # held load in friction levels
+DITHER, FREQUENCY = 0.2, 5.0  # amplitude in friction levels, [Hz]
 MINUTE = 60.0
 
-_SLIDES = 0.05  # share of the trained speed above which a joint slides
+_SLIDES = 0.05  # sliding threshold in trained speeds
 _HIGHEST = 3.0  # end of a ramp, in friction levels
-_RAMP_STEPS = 1000  # up to the level
+_RAMP_STEPS = 1000  # steps up to the friction level
 _CREEPS = 2.0  # ratio of displacements on ramps of different rate; pre-sliding has 1
 _PUT_ON, _SETTLING = 1.0, 1.0  # [s] rise of a load, and rest
 _PER_PERIOD = 20  # steps of the dither
@@ -36,9 +36,9 @@ def breakaway(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
 
 
 def _ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, Array]:
-    """Return the peak friction before sliding [N.m] and the displacement at half of it [rad].
+    """Return peak friction before sliding (n,) [N.m] and displacement at half of it (n,) [rad].
 
-    Both are (n,), and NaN for a joint that does not slide.
+    Both are NaN for a joint that does not slide.
     """
     bench.start(load=scale.load, torque=scale.offset)
     dt, slides = seconds / _RAMP_STEPS, _SLIDES * scale.speed
@@ -94,7 +94,7 @@ def _broken(peaks: Array, ways: Array, level: float) -> PropertyResult:
 
 
 def hold(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
-    """Hold a constant load for a minute; it is also the load input of the law."""
+    """Hold a constant load for a minute, also as load input of the law."""
     load = LOAD * scale.level
     bench.start(load=load, torque=scale.offset)
     _put_on(bench, scale, load)
@@ -119,7 +119,6 @@ def dither(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
 
 
 def _put_on(bench: DriveBench, scale: Scale, load: Array) -> None:
-    """Raise the load smoothly and let the joints settle."""
     steps = 100
     rise = 0.5 - 0.5 * np.cos(np.pi / steps * np.arange(1, steps + 1))
     bench.run(np.full(steps, _PUT_ON / steps), torque=scale.offset + rise[:, None] * load)

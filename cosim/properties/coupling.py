@@ -14,10 +14,10 @@ LEAST, MOST = 5e-5, 0.1  # [s] bounds of the step search
 _COARSE = np.geomspace(LEAST, MOST, 24)
 _HALVINGS = 5
 _STEPS = 400  # minimum
-_SLIDES = 5.0  # run time in stopping times at the friction level
-_LONGEST = 2.0  # [s] limit of the run time
+_SLIDES = 5.0  # in stopping times at the friction level
+_LONGEST = 2.0  # [s] run time
 _QUIET, _STOPPED = 1e-3, 0.2  # shares of the first speed: rest, and a stop at the finest step
-_SMALL = 1e-6  # [rad/s] speed of the slope at rest
+_SMALL = 1e-6  # [rad/s]
 _TURNS = 8  # sign changes in a row; a true stop has fewer
 
 
@@ -74,7 +74,7 @@ def _slide(bench: FrictionBench, scale: Scale, inertia: Array, dt: float) -> Arr
 
 
 def _chatters(dq: Array) -> Array:
-    """Return for each joint whether its velocity alternates from step to step, (n,)."""
+    """Return whether the velocity of each joint alternates from step to step, (n,)."""
     loud = np.abs(dq) > _QUIET * np.abs(dq[0])
     turns = (dq[1:] * dq[:-1] < 0.0) & loud[1:] & loud[:-1]
     full = np.lib.stride_tricks.sliding_window_view(turns, _TURNS, axis=0).all(axis=-1)

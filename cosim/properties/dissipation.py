@@ -9,13 +9,13 @@ from hesr_model.audit.expectations import PASSIVE
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
-AMPLITUDES = (0.02, 0.5, 2.0)  # in friction levels: deep pre-sliding, half the level, sliding
-FREQUENCY = 1.0  # of the torque [Hz]; that of the load is twice as high
-PHASES = (0.5 * np.pi, 1.5 * np.pi)  # of the load [rad]
-_STEP = 4e-3  # [s] communication and inner step, so that the rows contain all work
+AMPLITUDES = (0.02, 0.5, 2.0)  # in friction levels: pre-sliding, half the level, sliding
+FREQUENCY = 1.0  # [Hz] of the torque; the load has twice as much
+PHASES = (0.5 * np.pi, 1.5 * np.pi)  # load phase [rad]
+_STEP = 4e-3  # [s] communication and inner step: rows contain all work
 _ROWS = round(1.0 / (FREQUENCY * _STEP))  # per cycle
 _CYCLES, _MEASURED = 10, 4
-_SPRING = 20.0  # stretch of the spring at the friction level, in deflections
+_SPRING = 20.0  # stretch at the friction level, in deflections
 
 
 def dissipation(
@@ -23,7 +23,7 @@ def dissipation(
 ) -> list[PropertyResult]:
     """Drive spring-held joints to and fro and sum up the work of their friction.
 
-    If a law is `loaded` (n,), its load moves between 0 and `peaks` (n,) [N.m].
+    The load of `loaded` (n,) laws moves between 0 and `peaks` (n,) [N.m].
     """
     angle = 2.0 * np.pi / _ROWS * np.arange(1, _ROWS * _CYCLES + 1)
     dt = np.full(len(angle), _STEP)

@@ -15,9 +15,9 @@ from hesr_model.support.arrays import Array
 PERIOD, SLOW_PERIOD = 4.0, 40.0  # [s] of the loops
 _CYCLES = 3  # the last one is measured
 _JUMP, _STIFF = 5e-4, 0.025
-"""Shares of a branch: end of a jump, and end of the stiffness measurement."""
+"""Shares of a branch: end of a jump, and of the stiffness measurement."""
 _BRANCH = np.concatenate([[_JUMP, 5e-3, _STIFF], np.linspace(0.05, 1.0, 39)])
-_TURN = 0.75  # start of an inner loop, as a share of the rising branch
+_TURN = 0.75  # share of the rising branch before an inner loop
 _DEPTH = np.concatenate(
     [[2.0 * _JUMP, 0.01], np.linspace(0.05, 0.5, 10)]
 )  # return path, in amplitudes of the outer loop
@@ -31,7 +31,7 @@ _NESTED: _Moves = (
     (-1.0, 0.25 * _DEPTH),
     (1.0, 0.5 * _DEPTH),
 )
-_AT_ONCE = 0.99  # of the height; a larger jump excludes pre-sliding
+_AT_ONCE = 0.99  # share of the height; a larger jump excludes pre-sliding
 _LITTLE = 1e-9  # [N.m] minimum height of a loop
 
 
@@ -47,10 +47,9 @@ def presliding(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
 def memory(
     bench: FrictionBench, scale: Scale, states: Sequence[int | None]
 ) -> list[PropertyResult]:
-    """Reverse on the rising branch of the slow loop, return and continue.
+    """Reverse on the rising branch of a loop too slow for memory of time, return and continue.
 
-    Slow motion excludes memory of time. `states` is the number of states of each law; None if
-    unknown.
+    `states` is the number of states of each law; None if unknown.
     """
     return _reversed(bench, scale, states, _INNER)
 
@@ -58,10 +57,7 @@ def memory(
 def nested(
     bench: FrictionBench, scale: Scale, states: Sequence[int | None], peaks: Array
 ) -> list[PropertyResult]:
-    """Reverse twice, in nested loops, while the load rises and returns on each path.
-
-    The load moves between half of `peaks` (n,) and `peaks` [N.m]; see `memory` for `states`.
-    """
+    """Reverse twice, in nested loops, while the load swings from half of `peaks` [N.m] to it."""
     return _reversed(bench, scale, states, _NESTED, peaks)
 
 
@@ -193,9 +189,9 @@ def _remembered(
 ) -> PropertyResult:
     """Judge inner loops and the branch `on` after them by the outer loop.
 
-    `way` (K,) holds the positions of the torque `inner` (K,), in amplitudes below the turning
-    point; `innermost` is the gap of the innermost loop, `loaded` the height of the outer loop at
-    the largest load [N.m].
+    `way` (K,) has the positions of `inner` (K,), in amplitudes below the turning point; `innermost`
+    is the gap of the innermost loop, `loaded` the height of the outer loop at the largest load
+    [N.m].
     """
     height = max(float(np.ptp(loop)), _LITTLE)
     outer = loop[-len(_BRANCH) :]

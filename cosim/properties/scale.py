@@ -1,4 +1,4 @@
-"""Scales of the experiments: sizes measured on the FMU of a law, and the inertia of its joints."""
+"""Scales of the experiments: sizes measured on the FMU, and inertia of the joints."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,30 +12,30 @@ from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
-CREEP = 0.01  # slow sliding, as a share of the largest trained speed
-SLIDING = 0.1  # speed of the friction level, as a share of the largest trained speed
-DEFLECTION = 1e-3  # [rad] amplitude of pre-sliding motions for laws without a deflection
+CREEP = 0.01  # in largest trained speeds
+SLIDING = 0.1  # speed of the friction level, in largest trained speeds
+DEFLECTION = 1e-3  # [rad] default amplitude of pre-sliding
 
 INERTIA: Mapping[str, tuple[float, ...]] = {"uf850": (3.0, 3.0, 0.6)}
-"""Inertia of the joints of shipped robots, the other joints at rest [kg.m2]."""
+"""Inertia of the joints of shipped robots [kg.m2], the others at rest."""
 
-_NO_FRICTION = 1e-6  # [N.m] least level, a divisor
+_NO_FRICTION = 1e-6  # [N.m] minimum of a divisor
 _SHARES = np.geomspace(1e-3, 1.0, 31)
-_DEFLECTIONS = (ENCODER, 1e-2)  # [rad] accepted range, from the resolution of an encoder
+_DEFLECTIONS = (ENCODER, 1e-2)  # [rad] accepted range, from encoder resolution
 _BACK = np.geomspace(1e-7, 0.5, 100)  # [rad] after a reversal
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scale:
-    """Sizes of a model's joints, (n,) each unless noted."""
+    """Sizes of a model's joints, (n,) unless noted."""
 
-    speed: Array  # largest trained speed, or its substitute [rad/s]
-    speeds: Array  # (S, n) speeds of steady sliding [rad/s]
-    steady: Array  # (S, n) half the difference of the torques in both directions [N.m]
-    level: Array  # absolute value of `steady` at `SLIDING` [N.m]
-    offset: Array  # mean torque of both directions there [N.m]
-    load: float  # constant load torque [N.m]
-    deflection: Array  # amplitude of pre-sliding motions [rad]
+    speed: Array  # largest trained [rad/s]
+    speeds: Array  # (S, n) steady sliding [rad/s]
+    steady: Array  # (S, n) half the difference of both directions [N.m]
+    level: Array  # absolute `steady` at `SLIDING` [N.m]
+    offset: Array  # mean of both directions there [N.m]
+    load: float  # [N.m]
+    deflection: Array  # amplitude of pre-sliding [rad]
 
     @property
     def drives(self) -> Array:
@@ -54,7 +54,7 @@ class Scale:
 
 
 def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
-    """Slide and reverse joints up to `speed` (n,) [rad/s] under a load [N.m]; measure torques."""
+    """Slide and reverse joints up to `speed` (n,) [rad/s] under a load [N.m]."""
     speeds = _SHARES[:, None] * speed
     both = []
     for sign in (1.0, -1.0):
@@ -80,7 +80,7 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
 
 
 def _deflections(before: Array, tau: Array, way: Array) -> Array:
-    """Return the displacement after a reversal at half of the torque change [rad]."""
+    """Return the displacement at half of the torque change after a reversal [rad]."""
     turned = (before - tau) / np.where(before == tau[-1], 1.0, before - tau[-1])
     first = np.argmax(turned >= 0.5, axis=0)
     found = way[first, np.arange(len(before))]
@@ -91,10 +91,10 @@ def _deflections(before: Array, tau: Array, way: Array) -> Array:
 def standing_inertia(
     robot: Robot, body: RigidBody, model: FrictionModel
 ) -> tuple[float, ...] | None:
-    """Return the inertia of each joint about its axis at the middle of the trained range [kg.m2].
+    """Return the inertia of each joint at the middle of the trained range [kg.m2].
 
-    It is that of `INERTIA` for robots listed there, else the diagonal of the identified mass
-    matrix; None if that is not positive, as with too little data.
+    It is that of `INERTIA`, else the diagonal of the identified mass matrix; None if not positive,
+    as with too little data.
     """
     if body.robot in INERTIA:
         return INERTIA[body.robot]

@@ -20,15 +20,15 @@ from hesr_model.audit.properties import PropertyResult
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.arrays import Array
 
-_SLOWEST, _FASTEST = 0.01, 0.11  # speeds of the one-way motion, as shares of the trained speed
+_SLOWEST, _FASTEST = 0.01, 0.11  # one-way motion, in trained speeds
 _PERIODS = (1.0, 50.0)  # [s]
 _ROWS = 500  # per period
 _TURNS = 3  # periods; the last one is measured
 _ROUNDING = 1e-9  # [N.m]
 _ANGLES, _PHASES, _LOADED_TURNS = (1e-5, 1e-4, 1e-3), (0.5 * np.pi, 1.5 * np.pi), 20
-_SHOWN = 400  # plotted rows of the noisy rest
-_STARTS = np.geomspace(0.05, 1.0, 5)  # start speeds, as shares of the trained speed
-_LAST = 1e-3  # [s] step before the steady torque is read, as short as a servo's
+_SHOWN = 400  # plotted rows
+_STARTS = np.geomspace(0.05, 1.0, 5)  # in trained speeds
+_LAST = 1e-3  # [s] before the steady torque is read, as short as a servo's
 _NO_FRICTION = 1e-6  # [N.m]
 
 
@@ -85,9 +85,9 @@ def lag(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
 
 
 def _widest(tau: Array) -> tuple[float, int]:
-    """Return the largest distance of the branches [N.m] and its row.
+    """Return the largest distance of the branches [N.m], + if acceleration is above, and its row.
 
-    It is positive if the accelerating branch is above. Rows k and -1 - k have the same speed.
+    Rows k and -1 - k have the same speed.
     """
     apart = tau[: _ROWS // 2] - tau[::-1][: _ROWS // 2]
     row = int(np.argmax(np.abs(apart)))
@@ -149,7 +149,7 @@ def chatter(
 def work(
     bench: FrictionBench, trained: list[TrainedRange], loads: list[tuple[float, ...]]
 ) -> list[PropertyResult]:
-    """Run closed cycles of the audit under loads [N.m] by joint and sum up their work."""
+    """Sum up the work of the audit's closed cycles under loads [N.m] by joint."""
     found: list[list[Cycle]] = [[] for _ in trained]
     for wanted in FREQUENCIES:
         motions = [closed_motions(r, np.multiply(AMPLITUDES, r.speed), wanted) for r in trained]

@@ -9,13 +9,13 @@ from hesr_model.audit.expectations import WEAKENING
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
-STRETCH = 0.2  # [rad] of the spring under the friction level
+STRETCH = 0.2  # [rad] at the friction level
 _TIMES = 6.0  # run time in stretching times
 _STEP = 1e-2  # [s]
-_FASTEST = 0.2  # end of the examined curve, as a share of the trained speed
-_NO_WEAKENING = 1e-3  # of the level; up to WEAKENING both outcomes are right
-_STICKS, _SLIPS = 0.1, 1.5  # of the pulling speed
-_LASTS = 0.8  # minimum ratio of the amplitudes of the last two quarters
+_FASTEST = 0.2  # end of the examined curve, in trained speeds
+_NO_WEAKENING = 1e-3  # fall in levels; up to WEAKENING both outcomes are right
+_STICKS, _SLIPS = 0.1, 1.5  # shares of the pulling speed
+_LASTS = 0.8  # ratio of the last two quarters' amplitudes
 
 
 def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
@@ -38,10 +38,7 @@ def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
 
 
 def _weakest(scale: Scale, joint: int) -> tuple[float, float]:
-    """Return the speed of steepest fall of the steady curve [rad/s] and its fall in levels.
-
-    Without a fall it is the lowest speed.
-    """
+    """Return the speed of steepest fall of the steady curve [rad/s] and its fall."""
     speeds = scale.speed[joint] * np.geomspace(CREEP, _FASTEST, 100)
     torque = scale.steady_at(speeds, joint)
     fallen = np.max(np.maximum.accumulate(torque) - torque) / scale.level[joint]
@@ -85,6 +82,5 @@ def _pulled(
 
 
 def _period(t: Array, over: Array) -> float | None:
-    """Return the mean time between slips; None for fewer than two."""
     begins = t[1:][(over[:-1] <= 0.0) & (over[1:] > 0.0)]
     return float(np.mean(np.diff(begins))) if len(begins) > 1 else None

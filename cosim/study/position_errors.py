@@ -20,7 +20,7 @@ from hesr_model.support import parallel
 SIMULATION = "simulation.json"
 LENGTHS = (0.2, 0.5)  # [s] of the windows
 
-_WEIGHTLESS = 1e-9  # threshold of gravity torque over the largest torque
+_WEIGHTLESS = 1e-9  # threshold of gravity over the largest torque
 _Errors = tuple[float | None, ...]  # [rad; m] by joint; None if the simulation diverges
 
 _log = logging.getLogger(__name__)
@@ -31,8 +31,8 @@ class PositionErrors:
     """Position errors of laws as simulators."""
 
     joints: tuple[str, ...]
-    lengths: tuple[float, ...]  # [s] of the windows
-    windows: Mapping[str, tuple[_Errors, ...]]  # by law and length; None if it diverges
+    lengths: tuple[float, ...]  # [s]
+    windows: Mapping[str, tuple[_Errors, ...]]  # by law and length
     open_loop: Mapping[str, _Errors]
 
 
@@ -51,7 +51,7 @@ def simulate_tests(
 ) -> dict[str, PositionErrors]:
     """Score laws as simulators on test sets; those that cannot be simulated are left out.
 
-    Errors over whole logs are empty under gravity, where an upright arm diverges with any friction.
+    Under gravity an upright arm diverges with any friction, so there are no errors over whole logs.
     """
     windows: dict[str, list[Windows]] = {}
     logs: dict[str, list[Windows]] = {}

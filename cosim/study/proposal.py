@@ -13,14 +13,11 @@ from hesr_model.logs.robot_log import Log
 
 _TRAINED, _MOST_TRAINED = 0.6, 0.8
 """Share of a single log used for training, and its maximum if a joint reverses late."""
-_BEYOND = 0.02  # share of the log trained beyond a joint's first reversal
+_BEYOND = 0.02  # share trained beyond a joint's first reversal
 
 
 def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
-    """Return the text of a study file at `path`.
-
-    The last of several logs is the test. A single log is split in time, and its end is the test.
-    """
+    """Return a study file at `path`: the last log, or the end of a single log, is the test."""
     folder = path.resolve().parent
     files = [Path(relpath(_file(log.path), folder)).as_posix() for log in proposal.logs]
     lines = [
@@ -70,7 +67,7 @@ def _file(path: Path | None) -> Path:
 
 
 def _name(path: Path) -> str:
-    """Return the name of the study: that of its file, or of the folder of a file named 'study'."""
+    """Return the name of the study, that of the folder if its file is named 'study'."""
     stem = path.resolve().parent.name if path.stem == "study" else path.stem
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in stem)
     return kept.lstrip("_-") or "study"

@@ -27,7 +27,7 @@ from hesr_model.support.typed_json import from_json, read_json, to_json, write_j
 
 RUN, TRACES, TRUTHS, HEALTH = "run.json", "traces", "truths.json", "health.json"
 RUN_FORMAT, HEALTH_FORMAT = "hesr-run-1", "hesr-health-1"
-MOST_ROWS = 20_000  # of a trace
+MOST_ROWS = 20_000  # rows per trace
 
 _log = logging.getLogger(__name__)
 
@@ -39,12 +39,12 @@ class SavedLog:
     name: str
     file: str  # without its folder
     sha256: str
-    roles: tuple[str, ...]  # "identification", "training", or names of test sets
+    roles: tuple[str, ...]  # "identification", "training", or test sets
     rows: int
     duration: float  # [s]
     rate: float  # [Hz]
-    trace: str = ""  # file in `traces/`; empty if its torques are not saved
-    sample: bool = False  # whether it is a simulated log made by `hesr new`
+    trace: str = ""  # file in `traces/`, if any
+    sample: bool = False  # made by `hesr new`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,24 +56,24 @@ class SavedRun:
     study: str
     command: str  # command that repeats the run
     robot: str
-    model: str  # name of the model file
+    model: str  # model file
     joints: tuple[str, ...]
-    gear_ratio: tuple[float, ...]  # motor turns per turn of each joint
-    twin: bool  # whether the logs come from the digital twin
+    gear_ratio: tuple[float, ...]  # motor turns per joint turn
+    twin: bool
     quick: bool
     seed: int
     logs: tuple[SavedLog, ...]
     bands: tuple[TimeBand, ...]
-    inputs: Mapping[str, str]  # inputs of each law
-    variants: Mapping[str, str]  # law behind each variant
-    controller: Mapping[str, Any]  # parameters of the closed loop
+    inputs: Mapping[str, str]  # by law
+    variants: Mapping[str, str]  # their laws
+    controller: Mapping[str, Any]  # closed loop
     versions: Mapping[str, str]
     left_out: Mapping[str, str] = field(default_factory=dict)  # reasons by law
-    truth: str = ""  # alternative plant of the twin
+    truth: str = ""  # alternative plant
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read `run.json`; raise ArtifactError with file and key if it is damaged."""
+        """Read `run.json`; raise ArtifactError if it is damaged."""
         return from_json(cls, read_json(path, RUN_FORMAT), path, "the description of a run")
 
 
@@ -86,13 +86,13 @@ class Scored:
     rigid_body: RigidBody
     files: Mapping[str, Path]
     logs: Mapping[str, Log]
-    records: LogRecords  # [part][joint] of every log
+    records: LogRecords  # [part][joint] by log
     models: Mapping[str, FrictionModel]
     left_out: Mapping[str, str]  # reasons by law
-    source: Mapping[str, Any]  # provenance of the laws
+    source: Mapping[str, Any]  # provenance
     fmus: Mapping[str, Path]
     comparisons: Mapping[str, Comparison]
-    predictions: Predictions  # torques of the FMUs
+    predictions: Predictions  # FMU torques
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,8 +179,8 @@ def write_torques(
 ) -> None:
     """Write the torques [N.m] of one log to Parquet: measured, rigid body, and every law.
 
-    The columns are t, then for joint k of 1..n: q{k}, dq{k}, tau{k} (measured), tau_rb{k} (rigid
-    body) and {law}.tau_f{k} (friction).
+    Columns are t, and q{k}, dq{k}, tau{k} (measured), tau_rb{k} (rigid body), {law}.tau_f{k}
+    (friction) for joint k of 1..n.
     """
     rows = slice(0, MOST_ROWS)
     columns: dict[str, Array] = {"t": records[0].t[rows] - records[0].t[0]}

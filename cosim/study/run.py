@@ -56,8 +56,8 @@ class Outcome:
     properties: "Mapping[str, Properties]"  # empty for a quick run
     verdict: Verdict
     loop: LoopOutcome | None = None
-    truths: Mapping[str, Errors] = field(default_factory=dict)  # by alternative plant of the twin
-    truth: str = ""  # alternative plant of the twin
+    truths: Mapping[str, Errors] = field(default_factory=dict)  # by alternative plant
+    truth: str = ""  # alternative plant
     cached: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # hits, requests
 
 
@@ -73,11 +73,11 @@ def run_study(
     """Run a study and write all results into a folder, or nothing on an error.
 
     Finished parts of long work (laws of single joints, rows of the closed loop, physics checks) are
-    kept next to the folder, so that an interrupted run continues there. The scores are those of the
-    FMUs, replayed in FMPy over the test logs.
+    kept next to the folder for an interrupted run. FMUs are scored by replaying the test logs in
+    FMPy.
 
-    `quick` runs the `quick` laws only, without variants, refinement of the rigid body, closed loop
-    and physics checks. The log checks in `accepted` only warn.
+    `quick` runs the `quick` laws only, without variants, refinement, closed loop and physics
+    checks. The log checks in `accepted` only warn.
     """
     study = Study.read(path)
     if quick:
@@ -237,7 +237,6 @@ def _of_each(
     do: Callable[[str, FrictionModel], Returned],
     progress: Progress,
 ) -> dict[str, Returned]:
-    """Apply a function to each law, in processes."""
     jobs = [partial(do, law, fitted) for law, fitted in models.items()]
     with parallel.results_of(jobs, costs=[fitted.size for fitted in models.values()]) as done:
         return {law: next(done) for law in counted(list(models), progress)}

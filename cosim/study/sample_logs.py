@@ -27,23 +27,22 @@ _MARK = "SAMPLES.sha256"
 
 _PERIOD = 20.0  # [s]
 _HARMONICS = 5
-_CANDIDATES = 8  # random motions; the best conditioned one is taken for training
+_CANDIDATES = 8  # random motions; the best conditioned one is for training
 _FINER = 10  # steps of simulated friction per sample
-_NO_LIMIT = 1e12  # [N.m], because effort limits of model files are often invented
+_NO_LIMIT = 1e12  # [N.m] because effort limits of model files are often invented
 
 # Relative to the largest rigid-body torque of the joint, at least to that of the robot / 20.
 _COULOMB, _VISCOUS, _TORQUE_NOISE = 0.15, 0.15, 0.005
-_STATIC = 1.3  # to Coulomb
-_STRIBECK = 0.05  # of the peak velocity
-_DEFLECTION = 1e-3  # of the travel
-_POSITION_NOISE, _VELOCITY_NOISE = 5e-6, 5e-4  # of travel and of peak velocity
+_STATIC = 1.3  # ratio to Coulomb friction
+_STRIBECK = 0.05  # share of the peak velocity
+_DEFLECTION = 1e-3  # share of the travel
+_POSITION_NOISE, _VELOCITY_NOISE = 5e-6, 5e-4  # shares of travel and peak velocity
 
 
 def sample_logs(model: Robot) -> tuple[Log, Log]:
     """Simulate two random Fourier motions of 20 s, for training and test.
 
-    The torque is that of the model file's rigid body, LuGre friction (eq. 1-3) and noise. Raises
-    RobotError if the limits of a joint allow no motion fast enough for identification.
+    The torque is that of the model file's rigid body, LuGre friction (eq. 1-3) and noise.
     """
     settings = sample_settings(model)
     base = base_columns(model)
@@ -109,7 +108,7 @@ def plausible_friction(model: Robot, motion: Fourier) -> list[FrictionLaw]:
 
 
 def _levels(model: Robot, q: Array, dq: Array, ddq: Array) -> Array:
-    """Return the size of the torques of each joint (n,) [N.m]; 1 for a model without masses."""
+    """Return the size of the torques (n,) [N.m]; 1 for a model without masses."""
     peaks = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
     levels: Array = np.maximum(peaks, peaks.max() / 20.0)
     return np.where(levels > 0.0, levels, 1.0)

@@ -1,4 +1,4 @@
-"""Scores of friction predictions on logs, by Python models or by their FMUs."""
+"""Scores of friction predictions on logs, by Python models or FMUs."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,13 +30,13 @@ MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
 
 REFERENCE = "lugre"
 """Reference of ratios if a class of inputs has none of its own; otherwise the first law."""
-BASELINE = "stribeck"  # law without memory, for comparison in summaries and figures
+BASELINE = "stribeck"  # law without memory, for comparison
 MEASURED_START = " + start"
 """Row-name suffix: initial state estimated from measured torque."""
-Errors = Mapping[str, Mapping[str, Sequence[float]]]  # RMSE by test set, law and joint [N.m]
+Errors = Mapping[str, Mapping[str, Sequence[float]]]  # RMSE by test set, law, joint [N.m]
 ORACLE = "true friction"
 """Row of the twin's own friction; its error is noise and the error of the rigid body."""
-SIGNIFICANCE = 0.05  # level of differences, adjusted for all comparisons of a table
+SIGNIFICANCE = 0.05  # adjusted for all comparisons of a table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,11 +46,11 @@ class Ratio:
     value: float
     low: float | None
     high: float | None
-    p: float | None = None  # adjusted for the table (Holm); None in earlier versions
+    p: float | None = None  # adjusted (Holm); None in earlier versions
 
     @property
     def verdict(self) -> str:
-        """Whether the law is "better" or "worse" than its reference, or "alike"."""
+        """Comparison with the reference: "better", "worse" or "alike"."""
         if self.p is not None:
             sure = self.p < SIGNIFICANCE
         else:  # rule of earlier versions
@@ -65,7 +65,7 @@ class Ratio:
 class Ratios:
     """Ratios of each other law to its reference, one per joint."""
 
-    reference: str  # fallback reference
+    reference: str  # fallback
     laws: Mapping[str, tuple[Ratio, ...]]
     references: Mapping[str, str] = field(default_factory=dict)
 
@@ -88,16 +88,16 @@ class LawScores:
 class Comparison:
     """Scores of several laws on the same logs; defaults are those of earlier versions.
 
-    For each joint, `leading` has the law with the lowest error and all laws that are not
-    significantly worse (Holm over the joint).
+    `leading` has for each joint the law with the lowest error and all that are not significantly
+    worse (Holm over the joint).
     """
 
     joints: tuple[str, ...]
-    tau_std: tuple[float, ...]  # standard deviation of the measured friction of each joint [N.m]
+    tau_std: tuple[float, ...]  # standard deviation of friction [N.m]
     laws: Mapping[str, LawScores]
     ratios: Ratios
     leading: tuple[tuple[str, ...], ...] = ()
-    per_log: tuple[str, ...] | None = None  # quantities fitted to each test log
+    per_log: tuple[str, ...] | None = None  # fitted to each test log
     bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)  # coverage of 95 %
 
     def to_pandas(self) -> Any:
@@ -131,7 +131,7 @@ def compare(
 ) -> Comparison:
     """Score predictions [law][joint][log], (N,) [N.m] each, on records [joint][log].
 
-    The `inputs` of each law decide the references, see `inputs_of`. Bands of `models` are also
+    The `inputs` of each law (see `inputs_of`) decide the references. Bands of `models` are also
     scored.
     """
     errors = {
@@ -233,10 +233,9 @@ def _reference(
 def within(
     records: Records, torques: Sequence[Sequence[Array]], start: float, stop: float
 ) -> tuple[list[list[FrictionRecord]], list[list[Array]]]:
-    """Return the rows of records and torques with start <= t < stop [s].
+    """Return the rows of records and torques [joint][log] with start <= t < stop [s] in each log.
 
-    Torques are (N,) [N.m], [joint][log]. Time counts from the start of each log; logs without such
-    rows are left out. Raises ConfigError if no log has such rows.
+    Logs without such rows are left out; ConfigError if all are.
     """
     kept_records, kept_torques = [], []
     for of_joint, predicted in zip(records, torques, strict=True):
@@ -254,7 +253,7 @@ def within(
 
 
 def inputs_of(model: FrictionModel) -> str:
-    """Return the names of the inputs that a model uses on any joint."""
+    """Return the inputs that a model uses on any joint."""
     used = {symbol for law in model.laws for symbol in law.form.inputs}
     named = zip(INPUTS, ("v", "q", "load"), strict=True)
     return ", ".join(name for symbol, name in named if symbol in used)
@@ -281,10 +280,9 @@ def input_classes(models: Mapping[str, FrictionModel]) -> dict[str, str]:
 def predict_model(
     model: FrictionModel, records: Records, *, measured_start: bool = False
 ) -> list[list[Array]]:
-    """Return the model's torque for records, (N,) [N.m] by joint and log.
+    """Return the model's torque (N,) [N.m] by joint and log.
 
-    With `measured_start` the initial state is estimated from the first measured torques. Raises
-    ArtifactError if the model is for other joints.
+    With `measured_start` the initial state is estimated from the first measured torques.
     """
     joints = tuple(of_joint[0].joint for of_joint in records)
     if joints != model.joints:
@@ -310,10 +308,9 @@ def predict_models(
 
 
 def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) -> list[list[Array]]:
-    """Return the torque of an FMU for records, (N,) [N.m] by joint and log, replayed in FMPy.
+    """Return the torque (N,) [N.m] of an FMU by joint and log, replayed in FMPy.
 
-    With `measured_start` the model inside the FMU estimates the initial state, set before the
-    initialisation.
+    With `measured_start` the model inside the FMU estimates the initial state.
     """
     from fmu_src.friction.embedded_model import embedded_model
     from fmu_src.friction.friction_component import GIVEN, START_MODE

@@ -1,8 +1,7 @@
-"""Prediction part of a twin's study over random draws of noise, motions and true friction.
+"""Prediction part of a twin's study over random draws, which give the intervals of tables.
 
 Each draw has its own noise, Fourier motions, amplitudes of other motions, and friction level and
-viscosity of each joint. Rigid body and laws are fitted as in the study; the spread over draws gives
-the intervals of the tables.
+viscosity of each joint. Rigid body and laws are fitted as in the study.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -33,9 +32,9 @@ from hesr_model.support.progress import Progress, counted, silent
 LEAST = 2  # draws
 LEVEL, VISCOSITY = 0.15, 0.3
 """Standard deviations of the logarithms of Coulomb and viscous friction."""
-_AMPLITUDE = 0.8  # factor on the amplitude of motions other than Fourier series
-_TRIES = 100  # Fourier motions drawn to stay within the limits
-_UPPER = 0.975  # quantile of the upper end of intervals
+_AMPLITUDE = 0.8  # minimum, of motions other than Fourier series
+_TRIES = 100  # draws of a Fourier motion within the limits
+_UPPER = 0.975  # quantile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,14 +51,14 @@ class SeedScores:
     """Errors of laws on one test set over draws, by law, one per joint."""
 
     rmse: Mapping[str, tuple[Spread, ...]]  # mean [N.m]
-    ratios: Mapping[str, tuple[Spread, ...]]  # geometric mean, over the RMSE of the reference
+    ratios: Mapping[str, tuple[Spread, ...]]  # geometric mean over the reference
 
 
 @dataclass(frozen=True, kw_only=True)
 class Seeds:
     """Scores over draws."""
 
-    seeds: int  # number of draws
+    seeds: int
     joints: tuple[str, ...]
     reference: str  # reference of the ratios
     tests: Mapping[str, SeedScores]
@@ -68,10 +67,7 @@ class Seeds:
 def run_seeds(
     path: Path, seeds: int, *, laws: Sequence[str] = (), progress: Progress = silent
 ) -> Seeds:
-    """Run the prediction part of a twin's study over random draws; the first has the study's seed.
-
-    Raises ConfigError if the study has no twin, there are fewer than two draws, or no law is named.
-    """
+    """Run the prediction part of a twin's study over draws; the first has the study's seed."""
     study = Study.read(path)
     if study.twin is None:
         raise ConfigError(f"{path}: --seeds needs a digital twin; this study has measured logs.")
@@ -97,7 +93,7 @@ def run_seeds(
 
 
 def one_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
-    """Return the errors of laws and of the true friction on the test sets of one draw."""
+    """Return the errors of laws and true friction on the test sets of one draw."""
     assert study.twin is not None
     rng = np.random.default_rng(seed)
     plant = Plant.read(study.twin.plant)
@@ -118,7 +114,7 @@ def errors_on(
     laws: Sequence[str],
     fit: Callable[..., dict[str, FrictionModel]],
 ) -> Errors:
-    """Return the errors of laws and of the true friction on the test sets of a twin's logs.
+    """Return the errors of laws and true friction on the test sets of a twin's logs.
 
     `fit` is `fit_models` with the settings of the run.
     """

@@ -24,12 +24,12 @@ class NewProject:
     """A created project folder."""
 
     folder: Path
-    joints: tuple[str, ...]  # joints of the robot file
-    unused: tuple[str, ...]  # further joints of the model, which are fixed or follow others
+    joints: tuple[str, ...]  # joints in the robot file
+    unused: tuple[str, ...]  # fixed, or following others
 
 
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
-    """Create a project folder for `hesr run FOLDER/study.toml`; see `hesr.new`.
+    """Create a project folder for `hesr run`; see `hesr.new`.
 
     The model (URDF, or MJCF with suffix ``.xml``) is copied without its meshes.
     """

@@ -57,7 +57,7 @@ class Job:
     study: Study
     path: Path
     progress: Stages
-    kept: Path | None = None  # folder of checkpoints for continuing an interrupted run
+    kept: Path | None = None  # checkpoints of an interrupted run
 
     def __post_init__(self) -> None:
         study = self.study
@@ -83,7 +83,6 @@ class Job:
         return ConfigError(f"{self.path}: {text}")
 
     def _require_law(self, key: str, law: str, options: Mapping[str, Any] | None = None) -> None:
-        """Check that the law exists and takes the options."""
         if law not in registry():
             raise self._error(
                 f"key '{key}': law '{law}' is unknown; known are {', '.join(registry())}."
@@ -116,7 +115,7 @@ class Job:
 
     @property
     def trained_on(self) -> list[str]:
-        """Names of the logs used for identification or training."""
+        """Logs used for identification or training."""
         logs = self.study.logs
         return list(dict.fromkeys((*logs.identification, *logs.reversed, *logs.training)))
 
@@ -156,8 +155,7 @@ class Job:
     def led_up_to(self, name: str, file: Path) -> Log | None:
         """Read a part of a log with all rows before it; None for a whole log.
 
-        A law tested on the part runs through these rows first, so that its initial states follow
-        from the motion.
+        A law runs through these rows first, so that its initial states follow from the motion.
         """
         part = self.study.logs.parts.get(name)
         if part is None or part.start == 0.0:
@@ -285,10 +283,9 @@ class Job:
     def fit_all(
         self, records: LogRecords, source: Mapping[str, Any]
     ) -> tuple[dict[str, FrictionModel], dict[str, str]]:
-        """Fit all laws, except those that the training logs do not determine.
+        """Fit all laws except those that the training logs do not determine; return their reasons.
 
-        Returns the models, and the reason for each law left out. A law that the closed loop needs
-        raises instead.
+        A law that the closed loop needs raises instead.
         """
         reasons: dict[str, str] = {}
 
@@ -311,9 +308,9 @@ class Job:
     ) -> tuple[dict[str, Comparison], Predictions]:
         """Score the FMUs on every test set and its bands; for a twin also the true friction.
 
-        With `per_log`, every test set has a second comparison with the offsets of its logs fitted.
-        FMUs replay all rows of `runs`; the last of them are the rows of `records`. Returns the
-        scores, and the torques on the test sets.
+        With `per_log`, a second comparison has the offsets of each test log fitted. FMUs replay all
+        rows of `runs`, which end with those of `records`. Returns the scores, and the torques on
+        the test sets.
         """
         comparisons, predictions = {}, {}
         inputs = input_classes(models)

@@ -11,17 +11,17 @@ from hesr_model.fitting.day_offsets import Nuisance
 from hesr_model.robots.owner import Owner
 from hesr_model.support.config import Config, RelativePath
 
-_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"  # of names that become file names
+_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"  # names that become file names
 
 
 class Twin(Config):
     """Digital twin that makes the logs of a study."""
 
     plant: RelativePath
-    signals: RelativePath | None = None  # of the arm FMU; the arm in Python by default
-    motions: RelativePath  # each becomes a log of its name
-    truth: str | None = None  # alternative plant instead of the friction of the MJCF
-    truths: tuple[str, ...] = ()  # alternative plants for a comparison of the laws
+    signals: RelativePath | None = None  # arm FMU
+    motions: RelativePath  # file of motions, one log each
+    truth: str | None = None  # alternative plant instead of the MJCF
+    truths: tuple[str, ...] = ()  # alternative plants to compare laws on
 
     @model_validator(mode="after")
     def _a_truth_is_run_as_an_fmu(self) -> Self:
@@ -42,8 +42,8 @@ class StudyLogs(Config):
     """Uses of the logs: files relative to the study, or names of the twin's motions."""
 
     identification: tuple[str, ...] = Field(min_length=1)
-    reversed: tuple[str, ...] = ()  # time-reversed counterparts, in the same order
-    friction: tuple[str, ...] = ()  # training logs; those of the identification by default
+    reversed: tuple[str, ...] = ()  # time-reversed counterparts, same order
+    friction: tuple[str, ...] = ()  # training logs; `identification` by default
     test: Mapping[str, tuple[str, ...]] = Field(min_length=1)
     parts: Mapping[Annotated[str, Field(pattern=_NAME)], Part] = {}
 
@@ -99,16 +99,16 @@ class Study(Config):
     robot: RelativePath
     seed: int = Field(default=0, ge=0)
     laws: tuple[str, ...] = ()  # all everyday laws by default
-    options: Mapping[str, Mapping[str, Any]] = {}  # hyper-parameters of estimators, by law
+    options: Mapping[str, Mapping[str, Any]] = {}  # estimator options by law
     variants: Mapping[Annotated[str, Field(pattern=_NAME)], Variant] = {}  # further rows by name
     per_log: tuple[Nuisance, ...] = ()  # quantities that differ by training log
-    physical: bool = False  # whether the masses must be physically possible
+    physical: bool = False  # masses must be physically possible
     refinement: RefinementStudy | None = None
     bands: tuple[TimeBand, ...] = ()
     twin: Twin | None = None
     tracking: Tracking | None = None
     logs: StudyLogs
-    owner: Owner = Owner()  # that of the robot file by default
+    owner: Owner = Owner()  # robot file by default
 
     @model_validator(mode="after")
     def _keys_fit(self) -> Self:

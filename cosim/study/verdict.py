@@ -22,20 +22,20 @@ if TYPE_CHECKING:
 
 VERDICT, VERDICT_FORMAT = "verdict.json", "hesr-verdict-1"
 
-_MUCH = 25.0  # [%] unexplained friction of a poorly modelled joint
-_AT_REVERSALS = 1.5  # error near reversals over that of all rows, above which reversals are weak
-_BEYOND = 0.02  # share of test rows outside the trained speeds to report
+_MUCH = 25.0  # [%] of friction unexplained
+_AT_REVERSALS = 1.5  # error near reversals over that of all rows
+_BEYOND = 0.02  # share of test rows outside the trained speeds
 _RESTS = 0.02  # share of training rows at rest that shows stiction
-_LOADED = 0.5  # spread of the load over that of friction that shows the effect of load
+_LOADED = 0.5  # spread of the load over that of friction
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """Verdict of a run; reasons, weaknesses and improvements are one sentence each."""
+    """Verdict of a run in sentences."""
 
     law: str
-    fmu: str  # relative to the folder of results
-    test: str  # test set that decided
+    fmu: str  # path in the folder of results
+    test: str  # deciding test set
     why: str
     unexplained: Mapping[str, float]  # error over the size of friction by joint [%]
     weak: tuple[str, ...]
@@ -63,11 +63,10 @@ def verdict(
     *,
     gear_ratio: bool,
 ) -> Verdict:
-    """Judge a run by its first test set.
+    """Judge a run by its first test set; records are [joint][log].
 
     Candidates are the laws that lead on most joints, where no other law is significantly better.
-    Among these, the law that passes most physics checks is taken, then the one with the lowest
-    error. Records of the training logs and of the first test set are [joint][log].
+    The law that passes most physics checks is taken, then the one with the lowest error.
     """
     test, scores = next(iter(comparisons.items()))
     names = [law for law in scores.laws if law != ORACLE]
@@ -174,7 +173,7 @@ def write_verdict(folder: Path, found: Verdict) -> None:
 
 
 def read_verdict(folder: Path) -> Verdict | None:
-    """Read a verdict; None if the results are of an earlier version without one."""
+    """Read a verdict; results of earlier versions have none."""
     path = folder / VERDICT
     if not path.is_file():
         return None

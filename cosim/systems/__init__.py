@@ -1,1 +1,1 @@
-"""Systems of FMUs as one file: SSP for other engines, or an FMU that holds the whole system."""
+"""Systems of FMUs: SSP for other engines, or one FMU that holds the whole system."""

@@ -1,9 +1,9 @@
 """Systems of FMUs inside one FMU of FMI 2.0, run by FMPy's container runtime.
 
 The runtime reads container.json, steps all components at the system's step, and then passes values
-along the connections in the order of known values. Outputs with direct feedthrough
-use the newest inputs; states use those at the beginning of the step. The runtime accepts only
-multiples of its step; our library in front of it accepts any step and holds the outputs.
+along the connections in the order of known values. Outputs with direct feedthrough use the newest
+inputs; states use those at the beginning of the step. The runtime accepts only multiples of its
+step; our library in front of it accepts any step and holds the outputs.
 
 FMPy's builder cannot be used. For FMI 2.0 it writes connections of type Real, which the runtime
 refuses, and value references from 0, which is the time; it packs the unfinished archive into
@@ -124,7 +124,6 @@ def holding_sources(step: float, runtime: str) -> dict[str, str]:
 
 
 def _holding(identifier: str, step: float, platform: str, runtime: str) -> bytes:
-    """Compile the library that holds outputs."""
     with TemporaryDirectory(prefix="hesr-") as folder:
         for name, text in holding_sources(step, runtime).items():
             Path(folder, name).write_text(text, encoding="utf-8")

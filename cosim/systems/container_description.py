@@ -19,8 +19,8 @@ _STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*", re.ASCII)
 class Exposed:
     """A variable of a component, exposed as `component.variable`."""
 
-    element: Element  # component and variable
-    causality: str  # in the container
+    element: Element
+    causality: str
     initial: str | None
     start: float | str | None
 
@@ -30,7 +30,6 @@ def exposed_variables(contents: SystemContents) -> Iterator[Exposed]:
 
     Outputs are the observed signals, or all outputs if none is observed; the others are local.
     Unconnected inputs, parameters, and variables with a start value in the system are also exposed.
-    Observed parameters and unconnected inputs keep their causality.
     """
     wiring = contents.wiring
     observed = set(wiring.observed)
@@ -128,7 +127,7 @@ def _scalar(
 
 
 def _text(variable: Any) -> str | None:
-    """Return the description of a variable, for a choice with its names.
+    """Return the description of a variable, with names of choices.
 
     Choices are integers, as in our own FMUs, because some engines cannot load Enumerations.
     """
@@ -140,7 +139,6 @@ def _text(variable: Any) -> str | None:
 
 
 def _own_start(variable: Any) -> float | str | None:
-    """Return the start value in the component's description."""
     text: str | None = variable.start
     if text is None or variable.type == "String":
         return text
@@ -150,7 +148,6 @@ def _own_start(variable: Any) -> float | str | None:
 
 
 def _unknowns(structure: ET.Element, contents: SystemContents, exposed: list[Exposed]) -> None:
-    """Add outputs and initial unknowns."""
     index = {shown.element: i for i, shown in enumerate(exposed, start=1)}
     shown_as_output = [shown for shown in exposed if shown.causality == "output"]
     outputs = [shown.element for shown in shown_as_output]
@@ -172,7 +169,7 @@ def _unknowns(structure: ET.Element, contents: SystemContents, exposed: list[Exp
 
 
 def _at_start(contents: SystemContents, component: str) -> dict[str, list[str]]:
-    """Return the dependencies of each initial unknown of a component."""
+    """Return the dependencies of each initial unknown."""
     described = contents.descriptions[component]
     everything = [v.name for v in described.modelVariables if v.causality in ("input", "parameter")]
     return {

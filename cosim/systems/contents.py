@@ -16,7 +16,7 @@ from hesr_model.errors import ConfigError, SimulationError
 _FIRST_DATE = datetime(1980, 1, 1, tzinfo=UTC)
 _LAST_DATE = datetime(2107, 12, 31, tzinfo=UTC)  # range of zip archives
 
-UnitExponents = tuple[float, ...]  # in terms of `fmu_src.run.variables.SI`
+UnitExponents = tuple[float, ...]  # exponents of `fmu_src.run.variables.SI`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,11 +24,11 @@ class SystemContents:
     """A system and the descriptions of its FMUs."""
 
     spec: SystemSpec
-    path: Path  # file of the system, for messages
+    path: Path  # file for messages
     descriptions: Mapping[str, Any]
     variables: Mapping[str, Variables]
-    wiring: Wiring  # checked connections and start values
-    created: str  # date of the newest FMU, ISO 8601 in UTC with a final Z
+    wiring: Wiring
+    created: str  # newest FMU, ISO 8601 in UTC with a final Z
 
     @property
     def used(self) -> list[Element]:
@@ -51,7 +51,7 @@ class SystemContents:
         return found
 
     def unit(self, element: Element, defined: Mapping[str, UnitExponents]) -> dict[str, str]:
-        """Return the XML attribute of a variable's unit; empty if the unit is not defined."""
+        """Return the XML attribute of a variable's unit, if defined."""
         name, variable = element
         unit, base = self.variables[name].unit(variable)
         known = unit and base is not None and defined.get(unit) == base
@@ -64,10 +64,9 @@ class SystemContents:
 
 
 def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
-    """Read the descriptions of a system's FMUs and check the system against them.
+    """Read the descriptions of a system's FMUs and check the system against them; see `Wiring`.
 
-    Raises ConfigError if an FMU is missing or not FMI 2.0 for co-simulation, or the system does not
-    fit its FMUs; see `Wiring`.
+    Raises ConfigError if an FMU is missing or not FMI 2.0 for co-simulation.
     """
     descriptions = {
         c.name: description_of(c.fmu, f"{path}: component '{c.name}'") for c in spec.components
@@ -84,10 +83,7 @@ def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
 
 
 def description_of(fmu: Path, where: str) -> Any:
-    """Return FMPy's description of an FMU; `where` is for messages.
-
-    Raises ConfigError if it is missing, or not FMI 2.0 for co-simulation.
-    """
+    """Return FMPy's description of an FMI 2.0 FMU for co-simulation; `where` is for messages."""
     if not fmu.is_file():
         raise ConfigError(f"{where}: there is no FMU {fmu}.")
     try:

@@ -11,7 +11,7 @@ from fmu_src.run.variables import SI, Variables
 from hesr_model.errors import ConfigError
 
 SSD = "SystemStructure.ssd"
-Version = Literal["1.0", "2.0"]  # of the SSP standard; the parts used here are the same in both
+Version = Literal["1.0", "2.0"]  # SSP standard; the parts used here are equal
 
 _STANDARD = "http://ssp-standard.org/SSP1/SystemStructure"
 
@@ -23,7 +23,7 @@ NAMESPACES = {
 }
 
 _DEFAULTS = {key: 1.0 if key == "factor" else 0.0 for key in SI}
-_EXPONENTS = len(SI) - 2  # of a unit; factor and offset follow them
+_EXPONENTS = len(SI) - 2  # factor and offset follow the exponents
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class ValueWithUnit:
 
     value: float
     unit: str
-    base: UnitExponents | None  # in terms of `fmu_src.run.variables.SI`; None if undefined
+    base: UnitExponents | None  # None if undefined
 
 
 def to_bytes(root: ET.Element) -> bytes:
@@ -43,7 +43,7 @@ def to_bytes(root: ET.Element) -> bytes:
 
 
 def text_of(kind: str, value: float | str) -> str:
-    """Return a value as in XML and JSON files, with all digits of a number."""
+    """Return a value as in XML and JSON files, with all digits."""
     if kind == "String":
         return str(value)
     if kind == "Boolean":
@@ -69,7 +69,7 @@ def add_units(
 
 
 def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponents]:
-    """Return the units defined by `ssc:Unit` elements, by name; `where` is for messages."""
+    """Return the units defined by `ssc:Unit` elements; `where` is for messages."""
     found: dict[str, UnitExponents] = {}
     for node in nodes:
         name, base = node.get("name", ""), node.find("{*}BaseUnit")
@@ -95,8 +95,7 @@ def differ(one: str, other: str, defined: Mapping[str, UnitExponents]) -> bool:
 def in_unit_of(variables: Variables, name: str, given: ValueWithUnit, where: str) -> float:
     """Return a number in the unit of an FMU's variable; unchanged if that has none.
 
-    `where` names file and parameter in messages. Raises ConfigError if the units cannot be
-    converted.
+    Raises ConfigError, with file and parameter `where`, if the units cannot be converted.
     """
     unit, base = variables.unit(name)
     if unit is None or given.base == base is not None:

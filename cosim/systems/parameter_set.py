@@ -85,7 +85,6 @@ def _values(model: FrictionModel) -> list[tuple[str, float, str]]:
 
 
 def _covariances(model: FrictionModel) -> list[ET.Element]:
-    """Return the covariances of the joints, if known."""
     found = []
     for i, law in enumerate(model.laws, start=1):
         if law.covariance is None or not exposed(law):

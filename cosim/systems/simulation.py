@@ -25,16 +25,15 @@ from fmu_src.run.native import native_stepper
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.progress import Progress, silent
 
-_REPORT_EVERY = 200  # between reports of progress
+_REPORT_EVERY = 200  # steps between reports of progress
 
 
 class Master:
     """A loaded and checked system; a context manager that frees all FMUs.
 
-    If all FMUs are in this process, it steps in C unless `native` is false; the results are equal.
-    By default every FMU is loaded for this system alone, and values are exchanged in the order of
-    the system. Entering raises ConfigError if the system does not fit its FMUs (see `Wiring`), and
-    SimulationError if an FMU cannot be loaded.
+    It steps in C if all FMUs are in this process and `native` is true; the results are equal.
+    Values are exchanged in the order of the system by default. Entering raises ConfigError if the
+    system does not fit its FMUs (see `Wiring`).
     """
 
     def __init__(
@@ -127,9 +126,9 @@ class Master:
         *,
         start: Mapping[str, Mapping[str, Value]] | None = None,
     ) -> Signals:
-        """Run the system from its start values; a failure ends the run and is part of the result.
+        """Run the system after a reset; a failure ends the run and is part of the result.
 
-        A run begins with a reset. `start` adds start values of components to those of the system.
+        `start` adds start values of components to those of the system.
         """
         steps, step, stepper = self.spec.steps, self.spec.step, self._stepper
         kept = np.empty((steps + 1, len(self._layout.rows)))
@@ -167,7 +166,7 @@ class Master:
                     )
 
     def require_alike(self, one: str, other: str, path: Path) -> None:
-        """Raise ConfigError, naming `path`, if two signals differ in their number of elements."""
+        """Raise ConfigError, naming `path`, if two signals differ in size."""
         counts = [len(self._wiring.elements(signal)) for signal in (one, other)]
         if counts[0] != counts[1]:
             raise ConfigError(

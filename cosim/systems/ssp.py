@@ -34,8 +34,8 @@ _TOLERANCE = "0.0001"  # required by OMSimulator; FMUs with a fixed step ignore 
 def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:
     """Write a system with its FMUs as an SSP and return the path; the bytes are reproducible.
 
-    If all FMUs are trusted, the SSP contains the system's signals as reference results. libcosim
-    and ecos read version 1.0 only.
+    If all FMUs are trusted, the SSP contains reference results. libcosim and ecos read version 1.0
+    only.
     """
     if path.suffix != ".ssp":
         raise ConfigError(f"{path}: the name of a packaged system ends in .ssp.")
@@ -52,10 +52,9 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
 
 
 def left_out(contents: SystemContents) -> str | None:
-    """Return one sentence on the parts of a system that its SSP lacks; None if it is complete.
+    """Return one sentence on what the SSP of a system lacks, if anything.
 
-    Engines refuse connectors of unconnected inputs, parameters and local variables, so an SSP
-    observes outputs only.
+    Engines refuse connectors of unconnected inputs, parameters and local variables.
     """
     used = set(contents.used)
     observed = [".".join(e) for e in contents.wiring.observed if e not in used]
@@ -65,7 +64,7 @@ def left_out(contents: SystemContents) -> str | None:
 
 
 def resource(component: str, suffix: str) -> str:
-    """Return the name of a component's file in the SSP; OMSimulator needs one FMU per component."""
+    """Return the name of a component's file; OMSimulator needs one FMU per component."""
     return f"resources/{component}{suffix}"
 
 
@@ -154,7 +153,7 @@ def _annotation(parent: ET.Element, kind: str) -> ET.Element:
 
 
 def to_ssv(contents: SystemContents, component: str, version: Version) -> bytes:
-    """Return the start values of a component with their units, as a parameter set."""
+    """Return the start values of a component as a parameter set."""
     start = contents.wiring.start[component]
     units = contents.units((component, variable) for variable in start)
     root = ET.Element(

@@ -21,21 +21,20 @@ from fmu_src.run.variables import Variables
 from hesr_model.errors import ConfigError, SimulationError
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
-# Annotations of the engines with the step, in any namespace because tools differ.
+# Steps in annotations of the engines, in any namespace because tools differ.
 _STEPS = ((".//{*}FixedStepAlgorithm", "baseStepSize"), (".//{*}FixedStepMaster", "stepSize"))
 
 _TRUE = ("true", "1")
-_LONGEST = 100  # of a file name
+_LONGEST = 100  # characters of a file name
 _NAME: TypeAdapter[str] = TypeAdapter(Name)
 
 
 @contextmanager
 def opened_system(path: Path) -> Iterator[SystemSpec]:
-    """Yield the system of a file; the FMUs of an SSP are unpacked meanwhile. See `System.read`.
+    """Yield the system of a file; the FMUs of an SSP are unpacked meanwhile.
 
-    An SSP is read as one level of components with connections, start values and steps, and all
-    outputs with a connector are observed. Invalid names of components are replaced, and start
-    values are converted to the units of the FMU.
+    An SSP is read as one level of components with connections, start values and steps; all outputs
+    with a connector are observed. Component names and units of start values are made to fit.
     """
     if path.suffix.lower() != ".ssp":
         yield SystemSpec.read(path)
@@ -186,7 +185,6 @@ class _Reader:
         raise self.error(f"{where} has no value.")
 
     def signal(self, component: str, node: ET.Element, key: str) -> str:
-        """Return the name of a connector in a system."""
         connector = self.attribute(node, key, f"a connector of '{component}'")
         if not connector or re.search(r"\s", connector):
             raise self.error(
@@ -254,8 +252,8 @@ def _all(node: ET.Element, path: str) -> list[ET.Element]:
 def safe_names(names: Iterable[str]) -> dict[str, str]:
     """Map names of components to unique names that a system allows.
 
-    Allowed names are kept. In others `_` replaces everything except ASCII letters and digits, and a
-    number is appended if two become equal.
+    Other names get `_` for everything except ASCII letters and digits, and a number if they
+    collide.
     """
     names = list(dict.fromkeys(names))
     found = {name: name for name in names if _allowed(name)}

@@ -59,7 +59,7 @@ there are results for each:
 def result_files(contents: SystemContents) -> dict[str, bytes]:
     """Return the members of an SSP's folder `extra/`.
 
-    The result is empty if an FMU is not trusted or has a step of its own, nothing is connected or
+    There are none if an FMU is not trusted or has a step of its own, nothing is connected or
     observed, or a run fails.
     """
     spec = contents.spec

@@ -18,7 +18,7 @@ Signal = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*\.\S+$")]
 """`component.variable`; without an index all elements of a vector."""
 Value = bool | int | float | str | tuple[float, ...]
 
-_MULTIPLE = 1e-9  # relative tolerance of steps that must be multiples of each other
+_MULTIPLE = 1e-9  # relative tolerance of multiples
 _MOST_STEPS = 10**9
 _MOST_COMPONENTS = 1000
 
@@ -35,25 +35,24 @@ Bounds = Annotated[tuple[float, float], AfterValidator(_ordered)]
 class ComponentSpec(Config):
     """One FMU of a system.
 
-    `start` has values of parameters, inputs and states: a number, a list for all elements of a
-    vector, or the name of a choice.
+    Start values are a number, a list for all elements of a vector, or the name of a choice.
     """
 
     name: Name
     fmu: RelativePath
     start: Mapping[str, Value] = {}
-    step: float | None = Field(default=None, gt=0.0)  # [s] a multiple of the system's step
+    step: float | None = Field(default=None, gt=0.0)  # [s] a multiple of the system's
 
 
 class SystemSpec(Config):
     """A system of FMUs."""
 
     name: str = "system"
-    step: float = Field(gt=0.0)  # communication step [s]
-    stop: float = Field(gt=0.0)  # end of the run, which starts at 0 [s]
+    step: float = Field(gt=0.0)  # [s]
+    stop: float = Field(gt=0.0)  # [s] the run starts at 0
     order: Order = "gauss_seidel"  # see `fmu_src.run.master.ExchangeScheme`
     components: tuple[ComponentSpec, ...] = Field(min_length=1, max_length=_MOST_COMPONENTS)
-    connections: Mapping[Signal, Signal] = {}  # source of each connected input
+    connections: Mapping[Signal, Signal] = {}  # source of each input
     observe: tuple[Signal, ...] = ()
     limits: Mapping[Signal, Bounds | tuple[Bounds, ...]] = {}  # the run ends outside these
 
@@ -79,7 +78,6 @@ class SystemSpec(Config):
 
 
 def _multiple_of(time: float, step: float, what: str) -> None:
-    """Check that a time is a positive integer multiple of the communication step."""
     if not time / step <= _MOST_STEPS:
         raise ValueError(
             f"{what} is {time:g} s, {time / step:.3g} communication steps of {step:g} s; at most "
@@ -122,7 +120,7 @@ def _pairs(table: Any) -> Iterator[str]:
 
 
 def _value(value: Any) -> str:
-    """Return a value as TOML, with all digits of a number."""
+    """Return a value as TOML, with all digits."""
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, float):

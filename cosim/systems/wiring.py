@@ -15,8 +15,8 @@ from hesr_model.errors import ConfigError, SimulationError
 class Wiring:
     """Signals of a system; `slaves` holds the variables of its components.
 
-    Raises ConfigError if a signal does not exist or does not fit its source, an input has no value,
-    or there is an algebraic loop.
+    Raises ConfigError if signals do not exist or fit, an input has no value, or there is an
+    algebraic loop.
     """
 
     def __init__(self, spec: SystemSpec, slaves: Mapping[str, Variables], path: Path) -> None:
@@ -91,7 +91,6 @@ class Wiring:
             self.sources[into] = out
 
     def _require_fit(self, into: Element, out: Element, where: str) -> None:
-        """Check that an output fits an input."""
         for (name, variable), wanted in ((into, "input"), (out, "output")):
             found = self._slaves[name][variable].causality
             if found != wanted:
