@@ -1,21 +1,18 @@
 """MLP-H: one hidden layer of tanh on velocity, hysteresis state and its derivative."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
 from hesr_model.equations.memory import Discretisation
-from hesr_model.fitting.estimator import Estimator, register
+from hesr_model.fitting.estimator import register
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.law import FrictionLaw, LawForm
-from hesr_model.laws.networks.inputs import Inputs, candidates, first_tame, size, sizes
+from hesr_model.laws.networks.inputs import Costs, Inputs, NetworkEstimator
 from hesr_model.laws.networks.training import Network, path
 from hesr_model.laws.parfam import evolve, family
-from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array, Mask
-from hesr_model.support.progress import counted, step
 
 MAX_HIDDEN = 16
 """Largest hidden layer."""
@@ -28,7 +25,7 @@ _TINY = 1e-12
 
 
 @register
-class MlpH(Estimator):
+class MlpH(NetworkEstimator):
     """tau = c_0 + sum_k c_k tanh(theta_k . (1, dq, h, h')).
 
     For each (alpha, beta) of stage 1 and each size, Levenberg-Marquardt with weight decay trains
@@ -45,6 +42,8 @@ class MlpH(Estimator):
     name = "mlp_h"
     title = "MLP-H"
     order = 110
+    key = "hidden"
+    sizes = (1, MAX_HIDDEN)
     typical: ClassVar[Mapping[str, Any]] = {"hidden": 1}
 
     def __init__(
@@ -55,46 +54,31 @@ class MlpH(Estimator):
         starts: int = 2,
         discretisation: Discretisation = "exact",
     ) -> None:
-        self.hidden = sizes(self.name, "hidden", hidden, 1, MAX_HIDDEN)
-        self.cells = cells
+        super().__init__(hidden, cells, discretisation)
         self.starts = starts
-        self.discretisation = discretisation
 
-    @staticmethod
-    def form(structure: Mapping[str, Any]) -> LawForm:
+    @classmethod
+    def form(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions of {"hidden": size}: those of ParFam with as many units."""
-        units = size("mlp_h", structure, "hidden", MAX_HIDDEN)
         unit = {"g": "tanh", "arguments": list(family.FEATURES)}
-        return family.form({"linear": ["1"], "units": [unit] * units})
+        return family.form({"linear": ["1"], "units": [unit] * cls.size(structure)})
 
-    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Train every choice with each log left out in turn, then the best (starts by `rng`)."""
-        samples = JointRows.of(records, coefficients=3 + 5 * max(self.hidden))
-        features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
-        inputs = candidates(features, self.cells)
-        return first_tame(self._best_first(inputs, samples, rng), records)
-
-    def _best_first(
-        self, inputs: Sequence[Inputs], samples: JointRows, rng: np.random.Generator
-    ) -> Iterator[FrictionLaw]:
+    def _search(
+        self, samples: JointRows, rng: np.random.Generator
+    ) -> tuple[Costs, Callable[..., FrictionLaw]]:
         level, scale = float(samples.tau.mean()), max(float(samples.tau.std()), _TINY)
-        y = (samples.tau - level) / scale
+        y, folds = (samples.tau - level) / scale, samples.folds
         starts = {
             hidden: [evolve.starting_points(rng, hidden, 4).T for _ in range(self.starts)]
-            for hidden in self.hidden
+            for hidden in self.tried
         }
-        choices = [(cell, hidden) for cell in inputs for hidden in self.hidden]
-        costs = np.array(
-            [
-                left_out(cell.z, y, samples.folds, starts[hidden])
-                for cell, hidden in counted(choices, step)
-            ]
-        )
-        for place in np.argsort(costs, axis=None):
-            i, decay = np.unravel_index(place, costs.shape)
-            cell, hidden = choices[i]
-            found = [path(cell.z, y, theta, DECAYS[: decay + 1])[-1] for theta in starts[hidden]]
-            yield self._law(cell, min(found, key=lambda network: network.cost), level, scale)
+
+        def law(inputs: Inputs, hidden: int, decay: int) -> FrictionLaw:
+            decays = DECAYS[: decay + 1]
+            found = [path(inputs.z, y, theta, decays)[-1] for theta in starts[hidden]]
+            return self._law(inputs, min(found, key=lambda network: network.cost), level, scale)
+
+        return lambda inputs, hidden: left_out(inputs.z, y, folds, starts[hidden]), law
 
     def _law(self, inputs: Inputs, network: Network, level: float, scale: float) -> FrictionLaw:
         gains, theta = network.gains, network.theta
@@ -113,14 +97,7 @@ class MlpH(Estimator):
             values[family.gain_name(k)] = float(scale * gains[unit])
             for x, value in zip(family.FEATURES, arguments[:, unit], strict=True):
                 values[family.argument_name(k, x)] = float(value)
-        structure = {"hidden": len(gains)}
-        return FrictionLaw(
-            name=self.name,
-            structure=structure,
-            form=self.form(structure),
-            values=values,
-            discretisation=self.discretisation,
-        )
+        return self._of(len(gains), values)
 
 
 def left_out(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[Array]) -> Array:

@@ -1,14 +1,18 @@
-"""Inputs of networks: velocity, hysteresis state and its derivative, standardised."""
+"""Networks of velocity, hysteresis state and its derivative: standardised inputs and selection."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
-from typing import Any
+from itertools import islice, product
+from typing import Any, ClassVar
 
 import numpy as np
 
 from hesr_model.audit.audit import explodes
+from hesr_model.equations.memory import Discretisation
 from hesr_model.errors import ArtifactError, FitError
+from hesr_model.fitting.estimator import Estimator
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.parfam import calibrate
@@ -16,6 +20,7 @@ from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
+from hesr_model.support.progress import counted, step
 
 TRIED = 30  # maximum number of networks tried for a torque in bounds
 _TINY = 1e-12
@@ -38,6 +43,73 @@ class Inputs:
         return cls(cell=cell, z=(x - mean) / spread, mean=mean, spread=spread)
 
 
+Costs = Callable[[Inputs, int], Array]
+"""Errors on left-out rows of a network's further choices, for inputs and a size."""
+
+
+class NetworkEstimator(Estimator):
+    """Networks of several sizes at the best (alpha, beta), chosen by cross-validation."""
+
+    key: ClassVar[str]  # of the size in structures and options
+    sizes: ClassVar[tuple[int, int]]  # smallest fitted and largest one
+
+    def __init__(self, tried: Sequence[int], cells: int, discretisation: Discretisation) -> None:
+        least, largest = self.sizes
+        if not tried or any(type(x) is not int or not least <= x <= largest for x in tried):
+            raise FitError(
+                f"law '{self.name}': '{self.key}' is {list(tried)}; needed are whole numbers from "
+                f"{least} to {largest}."
+            )
+        self.tried = tuple(tried)
+        self.cells = cells
+        self.discretisation = discretisation
+
+    @classmethod
+    def size(cls, structure: Mapping[str, Any]) -> int:
+        """Return the size from a structure {key: size}; raises ArtifactError if it is invalid."""
+        found, largest = structure.get(cls.key), cls.sizes[1]
+        if set(structure) != {cls.key} or type(found) is not int or not 1 <= found <= largest:
+            raise ArtifactError(
+                f"law '{cls.name}': structure is {dict(structure)}; needed is only '{cls.key}', a "
+                f"whole number from 1 to {largest}."
+            )
+        return found
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Cross-validate every choice and fit the best one (seeded by `rng`)."""
+        largest = self.form({self.key: max(self.tried)})
+        samples = JointRows.of(records, coefficients=len(largest.coefficients))
+        features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
+        inputs = candidates(features, self.cells)
+        return first_tame(self._best_first(inputs, samples, rng), records)
+
+    def _best_first(
+        self, inputs: Sequence[Inputs], samples: JointRows, rng: np.random.Generator
+    ) -> Iterator[FrictionLaw]:
+        costs_of, law_of = self._search(samples, rng)
+        choices = list(product(inputs, self.tried))
+        costs = np.array([costs_of(*choice) for choice in counted(choices, step)])
+        for place in np.argsort(costs, axis=None):
+            i, *more = map(int, np.unravel_index(place, costs.shape))
+            yield law_of(*choices[i], *more)
+
+    @abstractmethod
+    def _search(
+        self, samples: JointRows, rng: np.random.Generator
+    ) -> tuple[Costs, Callable[..., FrictionLaw]]:
+        """Return the costs of inputs and a size, and the law of these and indices of a cost."""
+
+    def _of(self, size: int, values: Mapping[str, float]) -> FrictionLaw:
+        structure = {self.key: size}
+        return FrictionLaw(
+            name=self.name,
+            structure=structure,
+            form=self.form(structure),
+            values=values,
+            discretisation=self.discretisation,
+        )
+
+
 def candidates(features: HysteresisFeatures, count: int) -> list[Inputs]:
     """Return the inputs at the best `count` distinct (alpha, beta) of stage 1."""
     cells = calibrate.distinct(calibrate.profile(features), count)
@@ -54,24 +126,3 @@ def first_tame(laws: Iterable[FrictionLaw], records: Sequence[FrictionRecord]) -
         f"joint '{records[0].joint}': the torque of the best networks explodes just outside "
         "the trained speeds; more training motion is needed."
     )
-
-
-def size(law: str, structure: Mapping[str, Any], key: str, largest: int) -> int:
-    """Return the size from a structure {key: size}; raises ArtifactError if it is invalid."""
-    found = structure.get(key)
-    if set(structure) != {key} or type(found) is not int or not 1 <= found <= largest:
-        raise ArtifactError(
-            f"law '{law}': structure is {dict(structure)}; needed is only '{key}', a whole number "
-            f"from 1 to {largest}."
-        )
-    return found
-
-
-def sizes(law: str, key: str, tried: Sequence[int], least: int, largest: int) -> tuple[int, ...]:
-    """Return the candidate sizes of an estimator; raises FitError if one is invalid."""
-    if not tried or any(type(x) is not int or not least <= x <= largest for x in tried):
-        raise FitError(
-            f"law '{law}': '{key}' is {list(tried)}; needed are whole numbers from {least} to "
-            f"{largest}."
-        )
-    return tuple(tried)

@@ -1,7 +1,7 @@
 """RBFNN-H: network of the paper, Gaussians of velocity, hysteresis state and derivative."""
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,16 +10,13 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial.distance import cdist
 
 from hesr_model.equations.memory import Discretisation
-from hesr_model.fitting.estimator import Estimator, register
+from hesr_model.fitting.estimator import register
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.laws.networks.inputs import Inputs, candidates, first_tame, size, sizes
+from hesr_model.laws.networks.inputs import Costs, Inputs, NetworkEstimator
 from hesr_model.laws.parfam.family import hysteresis_state
-from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
-from hesr_model.support.progress import counted, step
 
 MAX_CENTRES = 40  # such a network runs in microseconds
 FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # widths, in mean distances of the centres
@@ -33,7 +30,7 @@ _INPUTS = (("dq", "rad/s"), ("h", "1"), ("dh", "1/s"))
 
 
 @register
-class RbfnnH(Estimator):
+class RbfnnH(NetworkEstimator):
     """tau = w_0 + sum_k w_k exp(-1/2 sum_i ((x_i - m_ki) / s_i)^2), x = (dq, h, h').
 
     For each of the best `cells` (alpha, beta) of stage 1 and each number of `centres`, k-means
@@ -46,6 +43,8 @@ class RbfnnH(Estimator):
     title = "RBFNN-H"
     order = 120
     paper = 3
+    key = "centres"
+    sizes = (2, MAX_CENTRES)
     typical: ClassVar[Mapping[str, Any]] = {"centres": 1}
 
     def __init__(
@@ -55,14 +54,11 @@ class RbfnnH(Estimator):
         cells: int = 3,
         discretisation: Discretisation = "exact",
     ) -> None:
-        self.centres = sizes(self.name, "centres", centres, 2, MAX_CENTRES)
-        self.cells = cells
-        self.discretisation = discretisation
+        super().__init__(centres, cells, discretisation)
 
-    @staticmethod
-    def form(structure: Mapping[str, Any]) -> LawForm:
+    @classmethod
+    def form(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions of a structure {"centres": number of Gaussians}."""
-        count = size("rbfnn_h", structure, "centres", MAX_CENTRES)
         hysteresis, own = hysteresis_state("paper")
         inputs = (DQ, hysteresis.state, hysteresis.derivative)
         widths = [
@@ -71,7 +67,7 @@ class RbfnnH(Estimator):
         ]
         bias = Coefficient(name="w_0", unit="N.m", description="offset")
         coefficients, output = [*widths, bias], bias.symbol
-        for k in range(1, count + 1):
+        for k in range(1, cls.size(structure) + 1):
             weight = Coefficient(name=f"w_{k}", unit="N.m", description=f"weight of Gaussian {k}")
             centre = [
                 Coefficient(name=f"m{k}_{x}", unit=unit, description=f"{x} at Gaussian {k}")
@@ -85,47 +81,28 @@ class RbfnnH(Estimator):
             coefficients += [weight, *centre]
         return LawForm(coefficients=(*coefficients, *own), memory=(hysteresis,), output=output)
 
-    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Cross-validate every choice and fit the best one (seeded by `rng`)."""
-        samples = JointRows.of(records, coefficients=6 + 4 * max(self.centres))
-        features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
-        inputs = candidates(features, self.cells)
-        return first_tame(self._best_first(inputs, samples, rng), records)
-
-    def _best_first(
-        self, inputs: Sequence[Inputs], samples: JointRows, rng: np.random.Generator
-    ) -> Iterator[FrictionLaw]:
-        choices = [(cell, count) for cell in inputs for count in self.centres]
-        costs = np.array(
-            [left_out(cell.z, samples, count, rng) for cell, count in counted(choices, step)]
-        )
-        for place in np.argsort(costs, axis=None):
-            i, factor, ridge = np.unravel_index(place, costs.shape)
-            cell, count = choices[i]
-            centres, spacing = clustered(cell.z, count, rng)
+    def _search(
+        self, samples: JointRows, rng: np.random.Generator
+    ) -> tuple[Costs, Callable[..., FrictionLaw]]:
+        def law(inputs: Inputs, count: int, factor: int, ridge: int) -> FrictionLaw:
+            centres, spacing = clustered(inputs.z, count, rng)
             width = FACTORS[factor] * spacing
-            bias, weights = ridge_weights(
-                gaussians(cell.z, centres, width), samples.tau, (RIDGES[ridge],)
-            )
-            yield self._law(cell, centres, width, float(bias[0]), weights[:, 0])
+            columns = gaussians(inputs.z, centres, width)
+            bias, weights = ridge_weights(columns, samples.tau, (RIDGES[ridge],))
+            return self._law(inputs, centres, width, float(bias[0]), weights[:, 0])
+
+        return lambda inputs, count: left_out(inputs.z, samples, count, rng), law
 
     def _law(
         self, inputs: Inputs, centres: Array, width: float, bias: float, weights: Array
     ) -> FrictionLaw:
-        structure = {"centres": len(weights)}
         values = {"w_0": bias, "alpha": inputs.cell.alpha, "beta": inputs.cell.beta}
         values |= {f"w_{k}": float(w) for k, w in enumerate(weights, start=1)}
         places = inputs.mean + inputs.spread * centres
         for i, (x, _) in enumerate(_INPUTS):
             values[f"s_{x}"] = float(inputs.spread[i] * width)
             values |= {f"m{k}_{x}": float(m) for k, m in enumerate(places[:, i], start=1)}
-        return FrictionLaw(
-            name=self.name,
-            structure=structure,
-            form=self.form(structure),
-            values=values,
-            discretisation=self.discretisation,
-        )
+        return self._of(len(weights), values)
 
 
 def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator) -> Array:
