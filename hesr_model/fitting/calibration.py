@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hesr_model.fitting.joint_rows import log_of_rows
 from hesr_model.friction.band import LEVEL, Band, shapes
 from hesr_model.friction.inputs import MOVING
 from hesr_model.friction.law import FrictionLaw
@@ -81,14 +82,11 @@ def with_band(law: FrictionLaw, records: Sequence[FrictionRecord]) -> FrictionLa
 
 def _left_out(law: FrictionLaw, records: Sequence[FrictionRecord]) -> tuple[Array, Array]:
     """Return the (N,) errors of fits without the row's log, and their predicted variance."""
-    errors = np.concatenate([r.tau - predict_record(law, r) for r in records])
+    errors = np.concatenate([r.tau for r in records]) - _predicted(law, records)
     if law.covariance is None:
         return errors, np.zeros_like(errors)
     jacobian = _sensitivities(law, records)
-    logs = list(dict.fromkeys(r.log for r in records))
-    labels = blocks_of_time(
-        np.repeat([logs.index(r.log) for r in records], [len(r.t) for r in records])
-    )
+    labels = blocks_of_time(log_of_rows(records))
     hessian, found = jacobian.T @ jacobian, errors.copy()
     for k in range(int(labels[-1]) + 1):
         rows = labels == k
@@ -111,19 +109,16 @@ def _sensitivities(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array
     for name in covariance.names:
         value = law.values[name]
         step = min(_STEP * max(abs(value), 1e-3), 0.5 * abs(value)) if value else _STEP * 1e-3
-        sides = [
-            np.concatenate(
-                [
-                    predict_record(
-                        replace(law, values={**law.values, name: value + sign * step}), r
-                    )
-                    for r in records
-                ]
-            )
-            for sign in (1.0, -1.0)
-        ]
-        columns.append((sides[0] - sides[1]) / (2.0 * step))
+        after, before = (
+            _predicted(replace(law, values={**law.values, name: moved}), records)
+            for moved in (value + step, value - step)
+        )
+        columns.append((after - before) / (2.0 * step))
     return np.asarray(np.stack(columns, axis=1) @ ways)
+
+
+def _predicted(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:
+    return np.concatenate([predict_record(law, r) for r in records])
 
 
 def _shares(columns: Array, squares: Array, known: Array) -> Array:

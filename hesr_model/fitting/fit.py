@@ -1,8 +1,9 @@
 """Fit laws to all joints of a robot, with one process per joint and law."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from hesr_model.errors import FitError
 from hesr_model.fitting.calibration import with_band
 from hesr_model.fitting.checkpoint import key_of, read_checkpoint, write_checkpoint
-from hesr_model.fitting.day_offsets import Nuisance, OwnOfLog, own_of_logs, without_own
+from hesr_model.fitting.day_offsets import Nuisance, own_of_logs, without_own
 from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.uncertainty import with_pooled_errors, with_standard_errors
 from hesr_model.friction.law import FrictionLaw
@@ -25,7 +26,6 @@ from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support import parallel
 from hesr_model.support.progress import Progress, into_file, silent, steps_told, watched
 from hesr_model.support.provenance import provenance as source_of
-from hesr_model.support.typed_json import to_json
 
 
 def fit_joint(
@@ -105,7 +105,7 @@ def fit_models(
     kept: Path | None = None,
     per_log: Sequence[Nuisance] = (),
 ) -> dict[str, FrictionModel]:
-    """Return models by name of the law or variant, independent of `workers`.
+    """Fit several laws to every joint; return models by name of the law or variant.
 
     Parameters
     ----------
@@ -113,90 +113,92 @@ def fit_models(
     records : records of each joint, one per training log.
     options : hyper-parameters by law or variant.
     variants : name in the registry of each variant, a law with other options.
-    workers : number of processes; one per core by default, no extra process for 1.
+    workers : number of processes; one per core by default.
     progress : callback with `progress.PARTS` for each fit.
-    left_out : callback for each law that the records do not determine, with the reason; other laws
-        are still fitted. By default the first such law raises FitError.
+    left_out : callback for each law that the records do not determine; by default the first one
+        raises FitError.
     kept : folder of checkpoints, so that a killed run can continue.
     per_log : nuisances of each log that are removed first (`hesr_model.fitting.day_offsets`); they
         are part of the provenance, and training errors are without them.
     """
-    registered = {law: (variants or {}).get(law, law) for law in laws}
     coupling = records[0][0].coupling
     records = all_at_friction(records)
-    own = {of_joint[0].joint: own_of_logs(of_joint, per_log) for of_joint in records}
     if per_log:
-        records = [without_own(of_joint, own[of_joint[0].joint]) for of_joint in records]
-        provenance = {**(provenance or {}), "per_log": to_json(_Own(joints=own))["joints"]}
-    done: dict[tuple[str, int], FrictionLaw] = {}
-    failed: dict[str, FitError] = {}
+        own = [own_of_logs(of_joint, per_log) for of_joint in records]
+        known = {
+            r[0].joint: {log: asdict(n) for log, n in o.items()}
+            for r, o in zip(records, own, strict=True)
+        }
+        records = [without_own(r, o) for r, o in zip(records, own, strict=True)]
+        provenance = {**(provenance or {}), "per_log": known}
     with TemporaryDirectory(prefix="hesr-") as folder:
         jobs = {
-            (law, joint): partial(
-                _fitted,
-                registered[law],
-                of_joint,
-                kept=kept,
-                progress=Path(folder, f"{law}.{joint}"),
-                seed=seed,
-                options=(options or {}).get(law),
-            )
+            law: [
+                partial(
+                    _fitted,
+                    (variants or {}).get(law, law),
+                    of_joint,
+                    kept=kept,
+                    progress=Path(folder, f"{law}.{joint}"),
+                    seed=seed,
+                    options=(options or {}).get(law),
+                )
+                for joint, of_joint in enumerate(records)
+            ]
             for law in laws
-            for joint, of_joint in enumerate(records)
         }
-        files = [Path(folder, f"{law}.{joint}") for law, joint in jobs]
-        with (
-            watched(files, progress),
-            parallel.results_of(list(jobs.values()), workers) as results,
-        ):
-            for law, joint in jobs:
-                result = next(results)
-                if isinstance(result, FrictionLaw):
-                    done[law, joint] = result
-                else:
-                    failed.setdefault(law, result)
-                    if left_out is None:
-                        raise result
-    for law, reason in failed.items():
-        if left_out is None or len(failed) == len(laws):
-            raise reason
-        left_out(law, reason)
-    fitted = {
-        law: with_pooled_errors([done[law, joint] for joint in range(len(records))])
-        for law in laws
-        if law not in failed
-    }
+        plain = _run(jobs, workers, progress, left_out)
+    pooled = {law: with_pooled_errors(of_joints) for law, of_joints in plain.items()}
     banded = [
-        partial(with_band, own, r)
-        for of in fitted.values()
-        for own, r in zip(of, records, strict=True)
+        partial(with_band, law, of_joint)
+        for of_joints in pooled.values()
+        for law, of_joint in zip(of_joints, records, strict=True)
     ]
     with parallel.results_of(banded, workers) as results:
-        fitted = {law: [next(results) for _ in records] for law in fitted}
-    joints = tuple(of_joint[0].joint for of_joint in records)
+        fitted = {law: tuple(next(results) for _ in records) for law in pooled}
     periods = [float(np.median(np.diff(r.t))) for of_joint in records for r in of_joint]
     return {
         law: FrictionModel(
             law=law,
             robot=robot,
-            joints=joints,
-            laws=tuple(fitted[law]),
+            joints=tuple(of_joint[0].joint for of_joint in records),
+            laws=fitted[law],
             sliding=tuple(of_joint[0].sliding for of_joint in records),
             coupling=coupling,
             sample_time=round(float(np.median(periods)), 9),
             trained=tuple(TrainedRange.of(of_joint) for of_joint in records),
-            training_rmse=tuple(
-                training_error(done[law, joint], of_joint) for joint, of_joint in enumerate(records)
-            ),
+            training_rmse=tuple(map(training_error, plain[law], records)),
             provenance=dict(provenance or {}),
         )
         for law in fitted
     }
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Own:
-    joints: Mapping[str, Mapping[str, OwnOfLog]]
+def _run(
+    jobs: Mapping[str, Sequence["partial[FrictionLaw | FitError]"]],
+    workers: int | None,
+    progress: Progress,
+    left_out: Callable[[str, FitError], None] | None,
+) -> dict[str, list[FrictionLaw]]:
+    """Run jobs by law; return the laws of all joints that the records determine."""
+    every = [job for of_law in jobs.values() for job in of_law]
+    done: dict[str, list[FrictionLaw]] = {law: [] for law in jobs}
+    failed: dict[str, FitError] = {}
+    files = [job.keywords["progress"] for job in every]
+    with watched(files, progress), parallel.results_of(every, workers) as results:
+        for law, of_law in jobs.items():
+            for result in islice(results, len(of_law)):
+                if isinstance(result, FrictionLaw):
+                    done[law].append(result)
+                elif left_out is None:
+                    raise result
+                else:
+                    failed.setdefault(law, result)
+    for law, reason in failed.items():
+        if left_out is None or len(failed) == len(jobs):
+            raise reason
+        left_out(law, reason)
+    return {law: of_joints for law, of_joints in done.items() if law not in failed}
 
 
 def _fitted(

@@ -49,17 +49,16 @@ class JointRows:
                 f"joint '{joint}': {rows} rows for {coefficients} coefficients; more data needed."
             )
         require_reversals(records)
-        logs = list(dict.fromkeys(r.log for r in records))
-        groups = [logs.index(r.log) for r in records] if len(logs) > 1 else range(len(records))
+        begins = np.concatenate([np.arange(len(r.t)) == 0 for r in records])
+        logs = log_of_rows(records)
+        names = ("dq", "q", "tau_load", "tau")
+        joined = {n: np.concatenate([getattr(r, n) for r in records]) for n in names}
         return cls(
             dt=np.concatenate([np.diff(r.t, prepend=r.t[0]) for r in records]),
-            begins=np.concatenate([np.arange(len(r.t)) == 0 for r in records]),
-            record=np.repeat(groups, [len(r.t) for r in records]),
-            dq=np.concatenate([r.dq for r in records]),
-            q=np.concatenate([r.q for r in records]),
-            tau_load=np.concatenate([r.tau_load for r in records]),
-            tau=np.concatenate([r.tau for r in records]),
+            begins=begins,
+            record=logs if logs.any() else np.cumsum(begins) - 1,
             gear_ratio=records[0].gear_ratio,
+            **joined,
         )
 
     @cached_property
@@ -74,6 +73,12 @@ class JointRows:
 
 
 _settling = lowered((DQ,), (SETTLING,))
+
+
+def log_of_rows(records: Sequence[FrictionRecord]) -> Integers:
+    """Return the (N,) index of each row's log."""
+    logs = list(dict.fromkeys(r.log for r in records))
+    return np.repeat([logs.index(r.log) for r in records], [len(r.t) for r in records])
 
 
 def in_one_piece(rows: Mask) -> Mask | slice:

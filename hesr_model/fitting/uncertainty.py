@@ -13,13 +13,20 @@ import numpy as np
 import sympy
 
 from hesr_model.errors import SimulationError
+from hesr_model.fitting.joint_rows import log_of_rows
 from hesr_model.fitting.separable import LEAST, SearchSpace
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.friction.records import record_start
-from hesr_model.inference.covariance import blocks_of_time, covariance, left_out, pooled
+from hesr_model.inference.covariance import (
+    Covariance,
+    blocks_of_time,
+    covariance,
+    left_out,
+    pooled,
+)
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.support.arrays import Array
+from hesr_model.support.arrays import Array, Integers
 
 MOST_COEFFICIENTS = 64  # larger laws are networks, whose coefficients have no meaning
 _STEP = 1e-6
@@ -50,67 +57,72 @@ def with_standard_errors(
     moved = _searched(law, space) if space and not law.structure else _every(law)
     # The initial states are measured, not coefficients, so they are constant.
     starts = [record_start(law, r) for r in records]
-    size = np.abs(moved.point)
-    steps = _STEP * np.maximum(size, 1e-3)
-    # Laws divide by some coefficients, so none may become zero.
-    steps = np.where(size > 0.0, np.minimum(steps, 0.5 * size), steps)
-    columns, slopes, names = [], [], list(law.values)
-    for k, step in enumerate(steps):
-        sides = []
-        for sign in (1.0, -1.0):
-            point = moved.point.copy()
-            point[k] += sign * step
-            values = moved.values(point)
-            there = replace(law, values=values)
-            sides.append((_predicted(there, records, starts), np.array([values[n] for n in names])))
-        columns.append((sides[0][0] - sides[1][0]) / (2.0 * step))
-        slopes.append((sides[0][1] - sides[1][1]) / (2.0 * step))
-    jacobian, slope = np.stack(columns, axis=1), np.stack(slopes, axis=1)
+
+    def at(point: Array) -> tuple[Array, Array]:
+        values = moved.values(point)
+        torque = _predicted(replace(law, values=values), records, starts)
+        return torque, np.array([values[name] for name in law.values])
+
+    jacobian, slope = _derivatives(at, moved.point)
     used = np.abs(jacobian).max(axis=0) > _NONE
     jacobian, slope = jacobian[:, used], slope[:, used]
     torque = _predicted(law, records, starts)
-    residual = np.concatenate([r.tau for r in records]) - torque
-    logs = list(dict.fromkeys(r.log for r in records))
-    own = np.repeat([logs.index(r.log) for r in records], [len(r.t) for r in records])
-    labels = blocks_of_time(own)
-    spreads = [r.tau_load_spread for r in records]
-    carried = (
-        None
-        if any(s is None for s in spreads)
-        else jacobian.T @ np.concatenate([s for s in spreads if s is not None])
-    )
-    found = covariance(
-        [str(k) for k in np.flatnonzero(used)],
-        jacobian * left_out(jacobian, residual, jacobian.T @ jacobian)[:, None],
-        [jacobian[labels == k].T @ jacobian[labels == k] for k in range(int(labels[-1]) + 1)],
-        labels,
-        carried=carried,
-    )
-    moves = np.any(slope != 0.0, axis=1)
-    own_names = [name for name, m in zip(names, moves, strict=True) if m]
-    whole = found.mapped(own_names, slope[moves])
-    whole_law = replace(law, covariance=whole)
+    found = _covariance(np.flatnonzero(used), jacobian, torque, records)
+    # Coefficients with a slope, in their order.
+    moves = dict(zip(law.values, slope, strict=True))
+    moves = {name: own for name, own in moves.items() if np.any(own != 0.0)}
+    whole = replace(law, covariance=found.mapped(list(moves), np.array(list(moves.values()))))
     if law.structure:
-        return _stated(whole_law, {})
+        return _stated(whole, {})
     q, r = np.linalg.qr(jacobian)
 
-    def moved_by(name: str, step: Array) -> tuple[float, Array]:
+    def moved_by(index: int, step: Array) -> tuple[float, Array]:
         point = moved.point.copy()
         point[used] += step
         with np.errstate(all="ignore"):  # the law may be undefined there
-            values = moved.values(point)
             try:
-                there = _predicted(replace(law, values=values), records, starts)
+                there, values = at(point)
             except SimulationError:  # Euler's step may be unstable
                 return 0.0, np.zeros_like(torque)
-        return values[name] - law.values[name], there - torque
+        return values[index] - list(law.values.values())[index], there - torque
 
     wider = {
-        name: wider_side(slope[names.index(name)], found.matrix, q, r, partial(moved_by, name))
-        for name in own_names
+        name: wider_side(own, found.matrix, q, r, partial(moved_by, list(law.values).index(name)))
+        for name, own in moves.items()
         if name not in moved.held
     }
-    return _stated(whole_law, wider)
+    return _stated(whole, wider)
+
+
+def _derivatives(
+    function: Callable[[Array], tuple[Array, Array]], point: Array
+) -> tuple[Array, Array]:
+    """Return central differences of two functions, (N, P) and (M, P)."""
+    size = np.abs(point)
+    steps = _STEP * np.maximum(size, 1e-3)
+    # Laws divide by some coefficients, so none may become zero.
+    steps = np.where(size > 0.0, np.minimum(steps, 0.5 * size), steps)
+    columns = []
+    for step in np.diag(steps):
+        sides = zip(function(point + step), function(point - step), strict=True)
+        columns.append([(after - before) / (2.0 * step.sum()) for after, before in sides])
+    first, second = (np.stack(part, axis=1) for part in zip(*columns, strict=True))
+    return first, second
+
+
+def _covariance(
+    used: Integers, jacobian: Array, torque: Array, records: Sequence[FrictionRecord]
+) -> Covariance:
+    residual = np.concatenate([r.tau for r in records]) - torque
+    labels = blocks_of_time(log_of_rows(records))
+    spreads = [r.tau_load_spread for r in records if r.tau_load_spread is not None]
+    return covariance(
+        [str(k) for k in used],
+        jacobian * left_out(jacobian, residual, jacobian.T @ jacobian)[:, None],
+        [jacobian[labels == k].T @ jacobian[labels == k] for k in range(int(labels[-1]) + 1)],
+        labels,
+        carried=jacobian.T @ np.concatenate(spreads) if len(spreads) == len(records) else None,
+    )
 
 
 def with_pooled_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
@@ -131,10 +143,8 @@ def _stated(law: FrictionLaw, wider: Mapping[str, float]) -> FrictionLaw:
     """Return the law with standard errors of some coefficients, each multiplied by a factor."""
     if law.covariance is None:
         return law
-    errors = dict(
-        zip(law.covariance.names, map(float, law.covariance.standard_errors), strict=True)
-    )
-    return replace(law, standard_errors={n: errors[n] * factor for n, factor in wider.items()})
+    errors = dict(zip(law.covariance.names, law.covariance.standard_errors, strict=True))
+    return replace(law, standard_errors={n: float(errors[n]) * wider[n] for n in wider})
 
 
 def wider_side(
