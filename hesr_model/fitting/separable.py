@@ -16,11 +16,7 @@ from scipy.optimize import least_squares as minimise_squares
 
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Discretisation
-from hesr_model.fitting.joint_rows import (
-    JointRows,
-    in_one_piece,
-    non_negative_least_squares,
-)
+from hesr_model.fitting.joint_rows import JointRows, in_one_piece, non_negative_least_squares
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import LawForm
 from hesr_model.support.arrays import Array, Mask

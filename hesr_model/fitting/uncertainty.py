@@ -18,13 +18,7 @@ from hesr_model.fitting.separable import LEAST, SearchSpace
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.friction.records import record_start
-from hesr_model.inference.covariance import (
-    Covariance,
-    blocks_of_time,
-    covariance,
-    left_out,
-    pooled,
-)
+from hesr_model.inference.covariance import Covariance, blocks_of_time, covariance, left_out, pooled
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array, Integers
 
@@ -208,9 +202,7 @@ def _searched(law: FrictionLaw, space: SearchSpace) -> Coordinates:
         return {name: known[name] for name in law.values}
 
     return Coordinates(
-        point=np.array([numbers[name] for name in names]),
-        values=values,
-        held=frozenset(held),
+        point=np.array([numbers[name] for name in names]), values=values, held=frozenset(held)
     )
 
 

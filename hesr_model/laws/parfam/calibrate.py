@@ -28,10 +28,7 @@ def bounds(features: HysteresisFeatures) -> tuple[tuple[float, float], tuple[flo
     """Return the bounds of alpha [1/s] and beta [s/rad] that the data can resolve."""
     s = features.samples
     speed = float(np.sqrt(np.mean(s.dq**2)))
-    return (
-        (1.0 / MEMORY, features.alpha_limit),
-        (STEEPNESS[0] / speed, STEEPNESS[1] / speed),
-    )
+    return ((1.0 / MEMORY, features.alpha_limit), (STEEPNESS[0] / speed, STEEPNESS[1] / speed))
 
 
 def profile(features: HysteresisFeatures) -> list[Cell]:

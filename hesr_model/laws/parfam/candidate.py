@@ -78,9 +78,5 @@ class Candidate:
         form = family.form(structure)
         kept = {c.name: float(values[c.name]) for c in form.coefficients}
         return FrictionLaw(
-            name=name,
-            structure=structure,
-            form=form,
-            values=kept,
-            discretisation=discretisation,
+            name=name, structure=structure, form=form, values=kept, discretisation=discretisation
         )

@@ -28,14 +28,7 @@ STATES = ("paper", "generalised", "bristle")  # of eq. 9; with position memory; 
 
 FUNCTIONS = {"tanh": sympy.tanh, "sin": sympy.sin, "cos": sympy.cos, "exp": sympy.exp}
 
-_UNIT = {
-    "1": "N.m",
-    "dq": "N.m.s/rad",
-    "h": "N.m",
-    "dh": "N.m.s",
-    "h_load": "1",
-    "h_bump": "N.m",
-}
+_UNIT = {"1": "N.m", "dq": "N.m.s/rad", "h": "N.m", "dh": "N.m.s", "h_load": "1", "h_bump": "N.m"}
 _ARGUMENT_UNIT = {"1": "1", "dq": "s/rad", "h": "1", "dh": "s"}
 
 

@@ -52,10 +52,7 @@ class ParFamV(Described):
         rows = slice(None, None, max(1, len(x) // _ROWS))
         found = []
         for g in self.functions:
-            structure = {
-                "linear": list(FEATURES),
-                "units": [{"g": g, "arguments": list(FEATURES)}],
-            }
+            structure = {"linear": list(FEATURES), "units": [{"g": g, "arguments": list(FEATURES)}]}
             problem = Separable(family.form(structure), _space(samples), samples)
             starts = evolve.starting_points(rng, 2 * self.starts, 2)
             if g == "tanh":

@@ -57,9 +57,7 @@ class _Stops(Estimator):
             if chosen.frequencies:
                 step = float(np.median(samples.dt[~samples.begins]))
                 structure = replace(
-                    structure,
-                    ripple=chosen.frequencies,
-                    window=float(f"{WINDOW * step:.3g}"),
+                    structure, ripple=chosen.frequencies, window=float(f"{WINDOW * step:.3g}")
                 )
                 lag = chosen.lag
                 columns = np.hstack([columns, waves.waves(chosen.frequencies, lag, samples)])
