@@ -50,11 +50,8 @@ class DahlBasis(OneForm):
             Relaxation(name=f"x{i}", unit="1", drive=k.symbol * DQ, rate=k.symbol * absolute(DQ))
             for i, k in zip(_ELEMENTS, _KAPPA, strict=True)
         )
-        factors = [f.symbol for f in _FORCE]
-        if cls.load:
-            factors = [
-                f + m.symbol * absolute(TAU_LOAD) for f, m in zip(factors, _LOAD, strict=True)
-            ]
+        load = absolute(TAU_LOAD) if cls.load else 0
+        factors = [f.symbol + m.symbol * load for f, m in zip(_FORCE, _LOAD, strict=True)]
         torque = sum(f * x.state for f, x in zip(factors, elements, strict=True))
         return LawForm(
             coefficients=(*_KAPPA, *_FORCE, *(_LOAD if cls.load else ()), SIGMA_2, TAU_0),

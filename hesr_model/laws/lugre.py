@@ -32,21 +32,18 @@ def bristle() -> Relaxation:
     return Relaxation(name="z", unit="rad", drive=DQ, rate=rate)
 
 
-def bristle_space(linear: tuple[str, ...], non_negative: int) -> SearchSpace:
-    """Search the sliding deflection, F_s / F_c and v_s.
+def bristle_space(
+    linear: tuple[str, ...], non_negative: int, **bounds: tuple[float, float]
+) -> SearchSpace:
+    """Search the sliding deflection, F_s / F_c and v_s, within other `bounds` if given.
 
     With sigma_0 = F_c / deflection and F_s = ratio F_c the rate of z does not depend on F_c, so the
     torque is linear in F_c and the other coefficients of eq. 1.
     """
-    f_c, deflection, ratio = (
-        sympy.Symbol(name, real=True) for name in ("F_c", "deflection", "ratio")
-    )
+    f_c, deflection, ratio = sympy.symbols("F_c deflection ratio", real=True)
+    usual = {"deflection": DEFLECTION_BOUNDS, "ratio": STATIC_RATIO_BOUNDS, "v_s": VELOCITY_BOUNDS}
     return SearchSpace(
-        bounds=(
-            ("deflection", DEFLECTION_BOUNDS),
-            ("ratio", STATIC_RATIO_BOUNDS),
-            ("v_s", VELOCITY_BOUNDS),
-        ),
+        bounds=tuple((usual | bounds).items()),
         linear=linear,
         non_negative=non_negative,
         values=(("sigma_0", f_c / deflection), ("F_s", ratio * f_c)),
@@ -69,8 +66,7 @@ COEFFICIENTS = (SIGMA_0, SIGMA_1, SIGMA_2, F_C, F_S, V_S, TAU_0)
 
 def _with(form: LawForm, term: sympy.Expr, *own: Coefficient) -> LawForm:
     """Return a form with an additional term and its coefficients."""
-    coefficients = (*form.coefficients, *own)
-    return replace(form, coefficients=coefficients, output=form.output + term)
+    return replace(form, coefficients=(*form.coefficients, *own), output=form.output + term)
 
 
 @register
@@ -157,9 +153,8 @@ class LuGreTextbook(LuGre):
 
     def space(self) -> SearchSpace:
         """Search the bristle and the speed of thinning; everything else is linear."""
-        plain = bristle_space(("F_c", "sigma_1", "sigma_2", "sigma_t", "tau_0"), non_negative=4)
-        bounds = dict(plain.bounds) | {"ratio": RATIO_TEXTBOOK, "v_t": THINNING_BOUNDS}
-        return replace(plain, bounds=tuple(bounds.items()))
+        linear = ("F_c", "sigma_1", "sigma_2", "sigma_t", "tau_0")
+        return bristle_space(linear, 4, ratio=RATIO_TEXTBOOK, v_t=THINNING_BOUNDS)
 
 
 @register
@@ -185,6 +180,4 @@ class LuGrePassive(LuGre):
 
     def space(self) -> SearchSpace:
         """Search the bristle; everything else is linear, since F_s/F_c is searched."""
-        plain = bristle_space(("F_c", "sigma_1", "s_2", "tau_0"), non_negative=3)
-        bounds = dict(plain.bounds) | {"ratio": RATIO_TEXTBOOK}
-        return replace(plain, bounds=tuple(bounds.items()))
+        return bristle_space(("F_c", "sigma_1", "s_2", "tau_0"), 3, ratio=RATIO_TEXTBOOK)

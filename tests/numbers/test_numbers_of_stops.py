@@ -15,7 +15,8 @@ from hesr_model.laws.networks.inputs import Inputs, candidates
 from hesr_model.laws.networks.training import path as trained_along
 from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.laws.stops import passive, terms, waves
+from hesr_model.laws.stops import passive, waves
+from hesr_model.laws.stops import search as terms
 from hesr_model.laws.stops.estimator import ParFamS
 from hesr_model.laws.stops.form import Structure, viscous_at
 from hesr_model.laws.stops.search import dictionary, search

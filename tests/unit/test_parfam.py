@@ -481,7 +481,7 @@ def test_a_function_that_is_not_of_the_family_is_refused() -> None:
         ({"cells": 0}, "ParFam option 'cells' is 0; needed is at least 1."),
         ({"starts": 0}, "ParFam option 'starts' is 0; needed is at least 1."),
         ({"candidates": 0}, "ParFam option 'candidates' is 0; needed is at least 1."),
-        ({"units": 3}, "ParFam option 'units' is 3; allowed are 1 and 2."),
+        ({"units": 3}, "ParFam option 'units' is 3; allowed are 1, 2."),
         (
             {"search": "paper", "functions": ()},
             "ParFam option 'functions' is empty; the paper's search needs one.",

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -66,14 +67,13 @@ class Candidate:
 
     def law(self, name: str, discretisation: Discretisation) -> FrictionLaw:
         """Return the candidate as a friction law."""
-        linear = [x for x, on in zip(family.FEATURES, self.c_active, strict=True) if on]
-        arguments = [x for x, on in zip(family.FEATURES, self.theta_active, strict=True) if on]
+        linear = [*compress(family.FEATURES, self.c_active)]
+        arguments = [*compress(family.FEATURES, self.theta_active)]
         units = [] if self.g is None else [{"g": self.g, "arguments": arguments}]
         structure = {"linear": linear, "units": units}
-        values = dict(zip(map(family.linear_name, family.FEATURES), self.c, strict=True))
-        values |= {
-            family.argument_name(1, x): v for x, v in zip(family.FEATURES, self.theta, strict=True)
-        }
+        values: dict[str, float] = {}
+        for x, c, theta in zip(family.FEATURES, self.c, self.theta, strict=True):
+            values |= {family.linear_name(x): c, family.argument_name(1, x): theta}
         values |= {family.gain_name(1): self.gain, "alpha": self.alpha, "beta": self.beta}
         form = family.form(structure)
         kept = {c.name: float(values[c.name]) for c in form.coefficients}

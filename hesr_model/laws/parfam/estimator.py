@@ -74,16 +74,16 @@ class ParFamH(Estimator):
         for option, found, allowed in (
             ("search", search, ("projection", "paper")),
             ("discretisation", discretisation, ("exact", "euler")),
+            ("units", units, (1, 2)),
         ):
             if found not in allowed:
                 raise FitError(
-                    f"ParFam option '{option}' is '{found}'; allowed are {', '.join(allowed)}."
+                    f"ParFam option '{option}' is {found!r}; allowed are "
+                    f"{', '.join(map(str, allowed))}."
                 )
         for option, count in (("cells", cells), ("starts", starts), ("candidates", candidates)):
             if count < 1:
                 raise FitError(f"ParFam option '{option}' is {count}; needed is at least 1.")
-        if units not in (1, 2):
-            raise FitError(f"ParFam option 'units' is {units}; allowed are 1 and 2.")
         self.units = units
         self.denominator = denominator
         self.search = search
@@ -102,11 +102,9 @@ class ParFamH(Estimator):
         """Run the three stages, with starts and hops drawn from `rng`."""
         samples = JointRows.of(records, coefficients=COEFFICIENTS)
         features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
-        found = (
-            self._paper(features, rng) if self.search == "paper" else self._evolve(features, rng)
-        )
+        search = self._paper if self.search == "paper" else self._evolve
         trained = TrainedRange.of(records)
-        chosen = refine.select(features, found, samples.folds, trained)
+        chosen = refine.select(features, search(features, rng), samples.folds, trained)
         law = chosen.canonical().law(self.name, self.discretisation)
         return self._enlarged(law, features, trained, rng)
 
@@ -146,13 +144,9 @@ class ParFamH(Estimator):
                 step(i * len(self.functions) + k, 2 * searches)  # the second half is stage 3
                 starts = evolve.starting_points(rng, self.starts, 4)
                 found += evolve.search(cell, g, columns, tau[rows], starts, keep=3)
-        return [
-            candidate
-            for g in (None, *self.functions)
-            for candidate in sorted((f for f in found if f.g == g), key=lambda f: f.cost)[
-                : self.candidates
-            ]
-        ]
+        found.sort(key=lambda f: f.cost)
+        of_each = ([f for f in found if f.g == g] for g in (None, *self.functions))
+        return [candidate for of_g in of_each for candidate in of_g[: self.candidates]]
 
     def _paper(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
         alpha, beta = calibrate.geometric(features)

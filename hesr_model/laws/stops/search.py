@@ -1,22 +1,76 @@
 """Selection of bounds and viscous terms by errors on left-out logs."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
 
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.nonnegative import Normal, Products, blocks_of, pays
+from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.fitting.ties import first_best, no_worse
-from hesr_model.laws.stops.form import Structure
-from hesr_model.laws.stops.terms import VISCOUS, columns, every, fixed, weights
+from hesr_model.friction.law import LawForm
+from hesr_model.laws.stops.form import (
+    DEFLECTIONS,
+    LOAD_SCALE,
+    SHARES,
+    THINNING,
+    Structure,
+    start_at_rest,
+)
 from hesr_model.support.arrays import Array
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)  # Stribeck velocities, relative to the largest speed
 TIMES = (0.05, 0.1, 0.2, 0.4)  # [s] ageing times T
 MORE = ("root", "plus", "minus")  # candidate bounds in addition to those of the skeleton
 LEAST = 2e-3  # smallest relative force of a stop
+_ANY = (1e-12, 1e12)
+VISCOUS = ("1", "v", *SHARES)  # terms of f
+
+
+def every(kind: str) -> Structure:
+    """Return all stops with one bound."""
+    return Structure(stops=tuple((kind, node) for node in range(len(DEFLECTIONS))))
+
+
+def fixed(samples: JointRows) -> dict[str, float]:
+    """Return the coefficients that follow from the largest load and speed of a joint."""
+    load = float(np.max(np.abs(samples.tau_load)))
+    speed = float(np.max(np.abs(samples.dq)))
+    thin = {THINNING[k].name: share * speed for k, share in SHARES.items()}
+    return {LOAD_SCALE.name: load if load > 0.0 else 1.0, **thin}
+
+
+def weights(samples: JointRows) -> Array:
+    """Return (N,) weights: 0 while the unknown initial deflections of a record matter, then 1.
+
+    A displacement of twice the widest deflection erases them.
+    """
+    found = np.empty(len(samples.q))
+    first = np.flatnonzero(samples.begins)
+    for start, end in zip(first, [*first[1:], len(found)], strict=True):
+        q = samples.q[start:end]
+        way = np.maximum.accumulate(q) - np.minimum.accumulate(q)
+        forgotten = way > 2.0 * DEFLECTIONS[-1]
+        found[start:end] = forgotten if forgotten.any() else 1.0
+    return found
+
+
+def columns(structure: Structure, numbers: Mapping[str, float], samples: JointRows) -> Array:
+    """Return the (N, K) columns [N.m per unit] of a structure's forces and waves."""
+    form, space = _posed(structure)
+    problem = Separable(form, space, samples, start=start_at_rest(form))
+    return problem.columns(problem.point({name: numbers[name] for name in space.names}))[:, :-1]
+
+
+@lru_cache(maxsize=64)
+def _posed(structure: Structure) -> tuple[LawForm, SearchSpace]:
+    form = structure.form()
+    linear = (*structure.forces, *structure.waves, "tau_0")
+    others = tuple((c.name, _ANY) for c in form.coefficients if c.name not in linear)
+    return form, SearchSpace(bounds=others, linear=linear)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,22 +141,20 @@ class Terms:
 def dictionary(samples: JointRows, *, load: bool) -> Terms:
     """Return the baseline: bounds of the skeleton with the best v_s and T."""
     speed = float(np.max(np.abs(samples.dq)))
-    bounds = ("1", "p", "load") if load else ("1", "p")
     counted = weights(samples)
     first = Terms(
-        bounds=bounds,
+        bounds=("1", "p", "load") if load else ("1", "p"),
         numbers=fixed(samples),
         samples=samples,
         weights=counted,
         products=Products(samples.tau, samples.folds, counted),
     )
-    trials = []
+    trials, costs = [], []
     for share, time in product(SPEEDS, TIMES):
         trials.append(first.at(share * speed, time))
-        first.cache.update({k: c for k, c in trials[-1].cache.items() if k == "1"})
-        trials[-1].cost  # noqa: B018 - fills the cache
+        costs.append(trials[-1].cost)  # fills the cache
         first.cache.update({k: c for k, c in trials[-1].cache.items() if k != "p"})
-    return trials[first_best([trial.cost for trial in trials])]
+    return trials[first_best(costs)]
 
 
 def search(baseline: Terms, *, load: bool) -> Terms:
