@@ -8,8 +8,9 @@ quarter turn at 0.5 rad/s, for 3 ms). The smoothing is the time constant that at
 in the logged torque, such as a servo's bandwidth.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -33,11 +34,8 @@ CHANCE = 18.0  # the same in mean squares per row: the best of many orders gains
 LAG = Coefficient(name="lag", unit="s", description="lag behind the position")
 SMOOTHING = Coefficient(name="smoothing", unit="s", description="time constant over fast ripple")
 Times = tuple[float, float]  # lag and smoothing [s]
-_TIMES: list[Times] = [
-    (float(lag), smoothing)
-    for lag in np.linspace(*LAG_BOUNDS, 25)
-    for smoothing in (0.0, 1e-3, 2e-3, 4e-3, 8e-3)
-]
+_SMOOTHINGS = (0.0, 1e-3, 2e-3, 4e-3, 8e-3)
+_TIMES: list[Times] = [*product(map(float, np.linspace(*LAG_BOUNDS, 25)), _SMOOTHINGS)]
 _NEAR = 2e-3
 _ATTEMPTS = 3
 
@@ -66,22 +64,17 @@ class Ripple:
 
     def extend(self, form: LawForm) -> LawForm:
         """Return a form with the ripple added to its output."""
-        coefficients = [
-            Coefficient(name=name, unit="N.m", description="amplitude of ripple")
-            for name in self.names
-        ]
         angle = self.gear_ratio * (Q - LAG.symbol * DQ)
         fast = self.gear_ratio * SMOOTHING.symbol * DQ
-        waves = [
-            wave(k * angle) / (1 + (k * fast) ** 2)
-            for k in self.orders
-            for wave in (sympy.cos, sympy.sin)
-        ]
-        torque = sum(c.symbol * w for c, w in zip(coefficients, waves, strict=True))
+        coefficients, torque = list(form.coefficients), sympy.Integer(0)
+        for name, (k, wave) in zip(
+            self.names, product(self.orders, (sympy.cos, sympy.sin)), strict=True
+        ):
+            amplitude = Coefficient(name=name, unit="N.m", description="amplitude of ripple")
+            coefficients.append(amplitude)
+            torque += amplitude.symbol * (wave(k * angle) / (1 + (k * fast) ** 2))
         return replace(
-            form,
-            coefficients=(*form.coefficients, *coefficients, LAG, SMOOTHING),
-            output=form.output + torque,
+            form, coefficients=(*coefficients, LAG, SMOOTHING), output=form.output + torque
         )
 
     def extend_space(self, space: SearchSpace) -> SearchSpace:
@@ -97,14 +90,19 @@ class Ripple:
         lag, smoothing = times
         angle = self.gear_ratio * (samples.q - lag * samples.dq)
         fast = self.gear_ratio * smoothing * samples.dq
-        turn, waves = np.exp(1j * angle), dict[int, NDArray[Any]]()
-        rotated = np.ones_like(turn)
-        for k in range(1, max(self.orders, default=0) + 1):  # powers avoid further sines
-            rotated *= turn
-            if k in self.orders:
-                waves[k] = rotated / (1.0 + (k * fast) ** 2)
+        waves = {k: wave / (1.0 + (k * fast) ** 2) for k, wave in _powers(angle, self.orders)}
         parts = [part for k in self.orders for part in (waves[k].real, waves[k].imag)]
         return np.stack(parts, axis=1)
+
+
+def _powers(angle: Array, orders: Collection[int]) -> Iterator[tuple[int, NDArray[Any]]]:
+    """Yield orders k and exp(i k angle); powers avoid further sines."""
+    turn = np.exp(1j * angle)
+    rotated = np.ones_like(turn)
+    for k in range(1, max(orders, default=0) + 1):
+        rotated *= turn
+        if k in orders:
+            yield k, rotated
 
 
 def select(
@@ -128,17 +126,14 @@ def select(
         # All orders share the times of the first one.
         near = [t for t in _TIMES if abs(t[0] - times[0]) < _NEAR] if chosen.orders else _TIMES
         ranked = _ranking(samples, residual, chosen, [times] if chosen.orders else _TIMES)
-        better = (
-            extended
-            for order, at in ranked[:_ATTEMPTS]
-            for extended in [replace(chosen, orders=(*chosen.orders, order))]
-            if left_out(extended, at) < (1.0 - gain) * cost
-        )
-        extended = next(better, None)
-        if extended is None:
+        for order, at in ranked[:_ATTEMPTS]:
+            extended = replace(chosen, orders=(*chosen.orders, order))
+            if left_out(extended, at) < (1.0 - gain) * cost:
+                break
+        else:
             break
         chosen = extended
-        times = min(near, key=lambda at: left_out(chosen, at)) if chosen.orders else times
+        times = min(near, key=lambda at: left_out(chosen, at))
         cost = left_out(chosen, times)
         columns = np.hstack([base, chosen.columns(samples, times)])
     return (chosen, times) if chosen.orders else None
@@ -152,12 +147,8 @@ def _ranking(
     orders = [order for order in ORDERS if order not in chosen.orders]
     weights = {order: _weights(samples, chosen.gear_ratio, order, candidates) for order in orders}
     for lag in dict.fromkeys(lag for lag, _ in candidates):
-        turn = np.exp(1j * chosen.gear_ratio * (samples.q - lag * samples.dq))
-        rotated = np.ones_like(turn)
-        for order in ORDERS:  # powers avoid further sines
-            rotated *= turn
-            if order not in weights:
-                continue
+        angle = chosen.gear_ratio * (samples.q - lag * samples.dq)
+        for order, rotated in _powers(angle, weights):
             smoothings, plain, squared = weights[order]
             # Cosine and sine, also of the doubled angle for their squares.
             moments = (plain * residual) @ rotated.view(float).reshape(-1, 2)
