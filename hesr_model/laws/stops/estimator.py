@@ -55,9 +55,9 @@ class _Stops(Estimator):
         if self.ripple and samples.gear_ratio is not None:
             chosen = waves.select(columns, samples, best.weights, samples.gear_ratio)
             if chosen.frequencies:
-                step = float(np.median(samples.dt[~samples.begins]))
+                window = WINDOW * float(np.median(samples.dt[~samples.begins]))
                 structure = replace(
-                    structure, ripple=chosen.frequencies, window=float(f"{WINDOW * step:.3g}")
+                    structure, ripple=chosen.frequencies, window=float(f"{window:.3g}")
                 )
                 lag = chosen.lag
                 columns = np.hstack([columns, waves.waves(chosen.frequencies, lag, samples)])

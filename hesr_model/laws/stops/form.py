@@ -10,6 +10,7 @@ bound projects the deflection on a smaller set that contains 0, which only dissi
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Self
 
 import numpy as np
@@ -124,17 +125,10 @@ class Structure:
 
     def form(self) -> LawForm:
         """Return the expressions."""
-        bounds = {kind: BOUNDS[kind] for kind, _ in self.stops}
-        ages = any(AGE.state in s.free_symbols for s in bounds.values())
-        loaded = any(TAU_LOAD in s.free_symbols for s in bounds.values())
-        coefficients: list[Coefficient] = []
-        elements: list[Element] = [AGE] if ages else []
-        torque: sympy.Expr = TAU_0.symbol
+        terms: list[tuple[Coefficient, sympy.Expr]] = []
+        stops: list[Element] = []
         for kind, node in self.stops:
             name = force(kind, node)
-            coefficients.append(
-                Coefficient(name=name, unit="N.m", description="torque of a stop at bound 1")
-            )
             x = Stop(
                 name=name.replace("F", "x", 1),
                 unit="1",
@@ -142,38 +136,33 @@ class Structure:
                 deflection=float(f"{DEFLECTIONS[node]:.4g}"),
                 bound=BOUNDS[kind],
             )
-            elements.append(x)
-            torque += coefficients[-1].symbol * x.state
-        for kind in self.viscous:
-            coefficient, factor = _VISCOUS[kind]
-            coefficients.append(coefficient)
-            torque += coefficient.symbol * DQ * factor
+            stops.append(x)
+            terms.append((_torque(name, "torque of a stop at bound 1"), x.state))
+        terms += [(c, DQ * factor) for c, factor in (_VISCOUS[kind] for kind in self.viscous)]
         # The mean of a wave over the part of a step beyond `window` certifies any step.
         beyond = positive(DT - sympy.Float(self.window))
         angle = Q - (LAG.symbol + beyond / 2) * DQ
-        for name, n in zip(self.waves[::2], self.ripple, strict=True):
+        waves = product(self.ripple, (sympy.cos, sympy.sin))
+        for name, (n, wave) in zip(self.waves, waves, strict=True):
             mean = cardinal_sine(n * DQ * beyond / 2)
-            for part, wave in (("cos", sympy.cos), ("sin", sympy.sin)):
-                amplitude = Coefficient(
-                    name=f"{name.removesuffix('cos')}{part}",
-                    unit="N.m",
-                    description="amplitude of torque ripple",
-                )
-                coefficients.append(amplitude)
-                torque += amplitude.symbol * wave(n * angle) * mean
-        thin = tuple(THINNING[kind] for kind in self.viscous if kind in THINNING)
+            terms.append((_torque(name, "amplitude of torque ripple"), wave(n * angle) * mean))
+        used = set().union(*(BOUNDS[kind].free_symbols for kind, _ in self.stops))
         return LawForm(
             coefficients=(
-                *coefficients,
+                *(coefficient for coefficient, _ in terms),
                 TAU_0,
-                *thin,
-                *((V_S, REST) if ages else ()),
-                *((LOAD_SCALE,) if loaded else ()),
+                *(THINNING[kind] for kind in self.viscous if kind in THINNING),
+                *((V_S, REST) if AGE.state in used else ()),
+                *((LOAD_SCALE,) if TAU_LOAD in used else ()),
                 *((LAG,) if self.ripple else ()),
             ),
-            memory=tuple(elements),
-            output=torque,
+            memory=(AGE, *stops) if AGE.state in used else tuple(stops),
+            output=sum((c.symbol * factor for c, factor in terms), TAU_0.symbol),
         )
+
+
+def _torque(name: str, description: str) -> Coefficient:
+    return Coefficient(name=name, unit="N.m", description=description)
 
 
 def force(kind: str, node: int) -> str:
@@ -192,6 +181,7 @@ def viscous_at(structure: Structure, numbers: Mapping[str, float], speeds: Array
     known = {v.symbol: numbers[v.name] for k, v in THINNING.items() if k in structure.viscous}
     terms = [_VISCOUS[kind][1].subs(known) for kind in structure.viscous]
     found = lowered([DQ], terms)(speeds)
-    return np.stack([np.broadcast_to(e, speeds.shape) for e in found], axis=1).reshape(
-        len(speeds), len(terms)
-    )
+    columns = np.empty((len(speeds), len(terms)))
+    for k, term in enumerate(found):
+        columns[:, k] = term
+    return columns

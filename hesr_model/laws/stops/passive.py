@@ -46,16 +46,23 @@ def constrained(
     first = len(x) - free
     f, a = slice(first - viscous.shape[1], first), slice(len(x) - 2 * waves.shape[1], len(x))
 
+    def sides(y: Array) -> tuple[Array, Array]:
+        return viscous @ y[f], waves @ np.hypot(*y[a].reshape(-1, 2).T)
+
     def margin(y: Array) -> Array:
-        return np.asarray(viscous @ y[f] - waves @ np.hypot(*y[a].reshape(-1, 2).T))
+        found, required = sides(y)
+        return found - required
+
+    def share(y: Array) -> float:
+        found, required = sides(y)
+        return max(float(np.min(found / np.maximum(required, 1e-300))), 0.0)
 
     if margin(x).min() >= 0.0:
         return x
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     # Start at half the allowed ripple, where the root is differentiable.
-    share = np.min((viscous @ x[f]) / np.maximum(waves @ np.hypot(*x[a].reshape(-1, 2).T), 1e-300))
     start = x.copy()
-    start[a] *= 0.5 * max(float(share), 0.0)
+    start[a] *= 0.5 * share(x)
 
     def slope(y: Array) -> Array:
         found = np.zeros((len(viscous), len(y)))
@@ -82,6 +89,5 @@ def constrained(
     y = np.asarray(scale * best.x)
     y[:first] = np.maximum(y[:first], 0.0)
     # Reduce the ripple by any violation from round-off.
-    least = np.min((viscous @ y[f]) / np.maximum(waves @ np.hypot(*y[a].reshape(-1, 2).T), 1e-300))
-    y[a] *= min(1.0, max(0.0, float(least))) * (1.0 - 1e-9)
+    y[a] *= min(1.0, share(y)) * (1.0 - 1e-9)
     return y
