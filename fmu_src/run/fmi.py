@@ -61,8 +61,8 @@ class Fmi2:
         """Return the arguments that pass values."""
         return (pointer,)
 
-    def set_slopes(self, call: Call, references: list[int], slopes: list[float]) -> None:
-        """Set the slopes of inputs [unit/s]."""
+    def set_slopes(self, call: Call, references: list[int], slopes: list[float]) -> str:
+        """Set the slopes of inputs [unit/s]; return why it is impossible, or ""."""
         n = len(references)
         call(
             self.functions["set_slopes"],
@@ -71,6 +71,7 @@ class Fmi2:
             (fmi2.fmi2Integer * n)(*[1] * n),
             (fmi2.fmi2Real * n)(*slopes),
         )
+        return ""
 
     def step(self, call: Call, time: float, size: float) -> str:
         """Step from a time [s] by a size [s]; return why the simulation must end, or ""."""
@@ -114,9 +115,9 @@ class Fmi3(Fmi2):
         """Return the arguments that pass values."""
         return pointer, count
 
-    def set_slopes(self, call: Call, references: list[int], slopes: list[float]) -> None:  # noqa: ARG002 - FMI 3.0 has no such function
+    def set_slopes(self, _call: Call, _references: list[int], _slopes: list[float]) -> str:
         """Refuse slopes of inputs."""
-        raise ValueError("inputs have no derivatives in FMI 3.0")
+        return "inputs have no derivatives in FMI 3.0"
 
     def step(self, call: Call, time: float, size: float) -> str:
         """Step from a time [s] by a size [s]; return why the simulation must end, or ""."""

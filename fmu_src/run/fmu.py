@@ -118,7 +118,7 @@ class FmuInstance:
         with ExitStack() as cleanup:
             if self._unpacked:
                 folder, trusted = self._unpacked, True
-                self.description, self.declared = description_of(folder)
+                self.description, self.declared = description_of(folder, self.fmu)
             else:
                 folder = cleanup.enter_context(scratch_folder())
                 trusted = self._unpack(folder)

@@ -14,14 +14,9 @@ from fmu_src.run.fmi import VERSIONS, Tell
 from fmu_src.run.variables import Declared, element_of
 from hesr_model.support.arrays import Array
 
-PLATFORM: str = fmpy.platform
-"""This platform as FMI 2.0 names it."""
-
+PLATFORM: str = fmpy.platform  # in FMI 2.0
 SUFFIX: str = fmpy.sharedLibraryExtension
-"""Suffix of a binary's name."""
-
-WARNING = 1
-"""Highest status of a call that has succeeded; OK is 0."""
+WARNING = 1  # highest status of a call that has succeeded; OK is 0
 
 Failure = Callable[[Exception], Exception]
 """Turns a `CallError` or `DiedError` into the error that is raised."""
@@ -36,10 +31,7 @@ class DiedError(Exception):
 
 
 class CallError(Exception):
-    """A function of an FMU has failed with a status, or its instance cannot be made.
-
-    Without a status, `function` is the message.
-    """
+    """A function of an FMU has failed; without a status, `function` is the message."""
 
     def __init__(self, function: str, status: int | None = None) -> None:
         super().__init__(
@@ -78,9 +70,8 @@ class Buffer(Protocol):
 class Instance:
     """An FMU in this process, called through FMPy's class for its version and kind.
 
-    `held` has the values last set of FMI 3.0 arrays by value reference; arrays are always set
-    whole. Raises LoadError if the binary cannot be loaded, CallError or the error made from it by
-    `failure` if a function fails.
+    `held` are the last values of FMI 3.0 arrays, which are always set whole, by value reference.
+    Raises LoadError if the binary cannot be loaded, and `failure` of a CallError if a call fails.
     """
 
     def __init__(
@@ -161,10 +152,8 @@ class Instance:
 
     def set_slopes(self, references: Sequence[int], slopes: Sequence[float]) -> None:
         """Set the slopes of Real inputs [unit/s] for the next step."""
-        try:
-            self.fmi.set_slopes(self.call, list(references), list(slopes))
-        except ValueError as error:
-            raise self._failure(CallError(str(error))) from error
+        if why := self.fmi.set_slopes(self.call, list(references), list(slopes)):
+            raise self._failure(CallError(why))
 
     def step(self, time: float, size: float) -> None:
         """Step from a time [s] by a size [s]."""
@@ -195,8 +184,7 @@ class Instance:
 class LocalBuffer:
     """Values of Real variables of an `Instance`; see `Buffer`.
 
-    `is_plain` means that `values` are passed as they are; otherwise they are elements of arrays,
-    whose value references are `references` (m,).
+    Unless `is_plain`, they are elements of the arrays with the value `references` (m,).
     """
 
     def __init__(self, instance: Instance, references: Sequence[int], values: Array) -> None:
@@ -226,7 +214,7 @@ class LocalBuffer:
         )
 
     def write(self) -> None:
-        """Set the variables to `values`; other elements of their arrays keep their values."""
+        """Set the variables; other elements of their arrays keep their values."""
         held = self.instance.held
         if not self.is_plain:
             self._whole[:] = [value for array in self._arrays for value in held[array]]

@@ -1,7 +1,7 @@
 """Model descriptions: read, checked, and searched by variable name.
 
-FMI 3.0 variables become FMI 2.0 ones: a scalar per array element, in four types. The reference of
-an element is the value reference of its array with the position of the element above bit 32.
+Variables of FMI 3.0 become those of FMI 2.0: a scalar per array element, in four types. Its
+reference is the value reference of the array with the position of the element above bit 32.
 """
 
 import re
@@ -35,12 +35,8 @@ _IDENTIFIER = re.compile(r"[A-Za-z_][0-9A-Za-z_]{0,199}")
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
 _CHOICE = re.compile(r"\b(\d+) = (\w+)")
 
-_CLOSE = 0.6
-"""Similarity above which a name is suggested in place of an unknown one."""
-
-_POSITION = 32
-"""Lowest bit of an element's position in a reference."""
-
+_CLOSE = 0.6  # similarity of names that are suggested
+_POSITION = 32  # lowest bit of an element's position in a reference
 _MOST_ELEMENTS = 100_000
 _TYPES = {"Float64": "Real", "Enumeration": "Integer"} | {
     f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)
@@ -62,20 +58,18 @@ def description_in(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
     Raises ArtifactError if it is missing or damaged, SimulationError if it cannot be read or its
     model identifier cannot be a file name.
     """
-    text, fmu = archive.read(DESCRIPTION, MOST_TEXT), archive.path
+    text = archive.read(DESCRIPTION, MOST_TEXT)
     with TemporaryDirectory(prefix="hesr-") as folder:
         Path(folder, DESCRIPTION).write_bytes(text)
-        return _read(folder, str(fmu))
+        return description_of(Path(folder), archive.path)
 
 
-def description_of(folder: Path) -> tuple[ModelDescription, list[Declared]]:
+def description_of(folder: Path, fmu: Path) -> tuple[ModelDescription, list[Declared]]:
     """Read the description in the folder of an unpacked FMU; see `description_in`."""
-    return _read(str(folder), str(folder))
-
-
-def _read(folder: str, fmu: str) -> tuple[ModelDescription, list[Declared]]:
     try:
-        about = read_model_description(folder, validate=False)
+        about, declared = read_model_description(str(folder), validate=False), list[Declared]()
+        if about.fmiVersion.startswith("3."):
+            about, declared = _with_scalars(about)
     except Exception as error:  # FMPy raises bare exceptions
         raise SimulationError(f"{fmu}: not a readable FMU ({plain(str(error))}).") from error
     for kind in (about.coSimulation, about.modelExchange):
@@ -85,20 +79,7 @@ def _read(folder: str, fmu: str) -> tuple[ModelDescription, list[Declared]]:
                 f"{fmu}: its modelIdentifier is {quoted(str(kind.modelIdentifier))}; needed is an "
                 "identifier of C with at most 200 characters."
             )
-    if not about.fmiVersion.startswith("3."):
-        return about, []
-    try:
-        return _with_scalars(about)
-    except ValueError as error:
-        raise SimulationError(f"{fmu}: not a readable FMU ({plain(str(error))}).") from error
-
-
-# --- arrays of FMI 3.0 ------------------------------------------------------------------------
-
-
-def reference_of(array: int, position: int) -> int:
-    """Return the reference of an array element."""
-    return array | position << _POSITION
+    return about, declared
 
 
 def element_of(reference: int) -> tuple[int, int]:
@@ -106,20 +87,8 @@ def element_of(reference: int) -> tuple[int, int]:
     return reference & (1 << _POSITION) - 1, reference >> _POSITION
 
 
-def arrays_of(about: Any, declared: Sequence[Declared]) -> dict[str, tuple[str, ...]]:
-    """Return the element names of each array by array name."""
-    found: dict[int, list[str]] = {}
-    for variable in about.modelVariables:
-        found.setdefault(element_of(variable.valueReference)[0], []).append(variable.name)
-    return {name: tuple(found[array]) for array, name, _, _ in declared if name not in found[array]}
-
-
 def _with_scalars(about: Any) -> tuple[Any, list[Declared]]:
-    """Replace each FMI 3.0 array by its elements; a dependency on an array is one on each element.
-
-    Raises ValueError if a size, value reference or start value is invalid, or there are too many
-    elements.
-    """
+    """Replace each FMI 3.0 array by its elements, also in dependencies; raise ValueError."""
     _require_sizes(about.modelVariables)
     elements = {id(v): _elements(v) for v in about.modelVariables}
     declared = [(v.valueReference, v.name, v.type, _starts(v)) for v in about.modelVariables]
@@ -150,8 +119,7 @@ def _with_scalars(about: Any) -> tuple[Any, list[Declared]]:
 
 def _changed(one: Any, **values: Any) -> Any:
     other = copy(one)
-    for name, value in values.items():
-        setattr(other, name, value)
+    vars(other).update(values)
     return other
 
 
@@ -178,7 +146,7 @@ def _elements(variable: Any) -> list[Any]:
             variable,
             name=f"{variable.name}[{','.join(str(i + 1) for i in index)}]",
             type=kind,
-            valueReference=reference_of(variable.valueReference, position),
+            valueReference=variable.valueReference | position << _POSITION,
             start=starts[position if len(starts) > 1 else 0] if starts else None,
             dimensions=[],
             shape=(),
@@ -199,11 +167,8 @@ def _number(text: str) -> float:
     return float(text == "true") if text in ("true", "false") else float(text)
 
 
-# --- look-up by name --------------------------------------------------------------------------
-
-
 def suggestion(name: str, known: Iterable[str], most: int) -> str:
-    """Return "did you mean a, b or c?" with the closest names first; empty if none is close."""
+    """Return "did you mean a, b or c?" with the closest names first, or ""."""
     shares = {other: SequenceMatcher(None, other, name).ratio() for other in known}
     # A stable sort keeps the order of equally close names.
     near = sorted((o for o, s in shares.items() if s >= _CLOSE), key=lambda o: -shares[o])[:most]

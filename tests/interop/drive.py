@@ -8,7 +8,7 @@ from interop.case import Alone
 
 from cosim.systems.system import Value
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.variables import arrays_of
+from fmu_src.run.variables import element_of
 from hesr_model.support.arrays import Array
 
 _AMPLITUDE, _RATE, _PHASE = 0.5, 2.0 * np.pi, 0.7
@@ -40,7 +40,10 @@ def driven(
         about, variables = component.description, component.variables
         given = variables.expanded(start or {})
     fmi = int(about.fmiVersion[0])
-    arrays = arrays_of(about, component.declared)
+    parts: dict[int, list[str]] = {}
+    for variable in about.modelVariables:
+        parts.setdefault(element_of(variable.valueReference)[0], []).append(variable.name)
+    arrays = {n: tuple(parts[a]) for a, n, *_ in component.declared if n not in parts[a]}
     for elements in arrays.values():
         if any(name in given for name in elements):
             whole: dict[str, float | str] = {n: float(variables[n].start or 0) for n in elements}
