@@ -18,9 +18,7 @@ from hesr_model.support.text import listed, plain
 FMPY_SECONDS = 120.0
 VDMCHECK_SECONDS = 300.0
 
-DEFAULT_VDMCHECK = Path(".tools/vdmcheck2")
-"""Default folder, below the current one."""
-
+DEFAULT_VDMCHECK = Path(".tools/vdmcheck2")  # default folder, below the current one
 JAR = "vdmcheck2.jar"
 
 _LONGEST = 1000  # characters of a message: FMPy lists all unknowns in one

@@ -28,12 +28,8 @@ from fmu_src.run.sandbox import NONSENSE, Sandbox
 from hesr_model.support.arrays import Array
 from hesr_model.support.text import plain, quoted
 
-SECONDS = 300.0
-"""Time limit of a scenario [s]."""
-
-STEPS = 200
-"""Number of steps of the nominal run."""
-
+SECONDS = 300.0  # time limit of a scenario [s]
+STEPS = 200  # number of steps of the nominal run
 _SCENARIO = "fmu_src.check.hostile_scenarios:outcome"
 _STEP = 0.01  # [s], unless the FMU prefers one
 _ERRORS = 5.0  # threshold of a jump, in step errors of the nominal run

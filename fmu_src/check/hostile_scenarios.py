@@ -8,12 +8,8 @@ from typing import Any, cast
 
 from fmu_src.run.instance import WARNING, CallError, Instance, LoadError, UnpackedFmu
 
-MOST_REPEATS = 20
-"""Most repetitions of a discarded step, and most events at one instant."""
-
-ROUNDING = 1e-14
-"""Step [s] left by the round-off of summed times."""
-
+MOST_REPEATS = 20  # most repetitions of a discarded step, and most events at one instant
+ROUNDING = 1e-14  # step [s] left by the round-off of summed times
 _DISCARD = 2
 _OUTCOMES = {2: "is discarded", 3: "ends in an error", 4: "ends in a fatal error"}
 

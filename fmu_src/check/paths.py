@@ -10,9 +10,7 @@ from pathlib import Path
 from fmu_src.check.archive import Contents
 from hesr_model.support.text import plain, quoted
 
-MOST_PATHS = 100
-"""Maximum number of paths per file; the first one and the number are reported."""
-
+MOST_PATHS = 100  # maximum number of paths per file; the first one and the number are reported
 _NAME = rb"[A-Za-z0-9_.+@-]{1,100}"
 # Folders of users or for temporary files, with two names in them.
 _OF_USERS = re.compile(

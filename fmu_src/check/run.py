@@ -36,8 +36,7 @@ _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
 _OTHER_XML = (terminals.FILE, _BUILD)
 
-MOST_PROBLEMS = 1000
-"""Largest number of findings per check."""
+MOST_PROBLEMS = 1000  # largest number of findings per check
 
 
 @dataclass(frozen=True)

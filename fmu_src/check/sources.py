@@ -8,9 +8,7 @@ from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription
 from hesr_model.support.text import plain, quoted
 
-MOST_BYTES = 8 << 20
-"""Largest source file that is searched [B]; larger ones are data."""
-
+MOST_BYTES = 8 << 20  # largest source file that is searched [B]; larger ones are data
 _OFFICIAL = {
     *("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     *("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -22,9 +20,7 @@ assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp 
 stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar
 wchar wctype direct dlfcn io malloc process pthread unistd windows
 """
-_SYSTEM = frozenset(_SYSTEM_NAMES.split())
-"""System headers that may be included in quotes."""
-
+_SYSTEM = frozenset(_SYSTEM_NAMES.split())  # system headers that may be included in quotes
 _SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".inc")
 
 # Strings are matched first, because they may contain comment markers. Unclosed comments end with

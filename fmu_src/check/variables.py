@@ -153,8 +153,6 @@ def _settable(v: ParsedVariable) -> bool:
     return started or v.causality == "input"
 
 
-RULES = (_structured_names, _ranges, _types, _units, _derivatives)
-"""Rules of every version."""
-
+RULES = (_structured_names, _ranges, _types, _units, _derivatives)  # rules of every version
 RULES_2 = (_independent, _inputs, _aliases)
 RULES_3 = (_sizes,)

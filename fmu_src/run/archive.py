@@ -15,19 +15,11 @@ from hesr_model.errors import ArtifactError
 from hesr_model.support.text import plain, quoted
 
 MOST_ENTRIES = 20_000
-MOST_BYTES = 512 << 20
-"""Largest unpacked size of an entry."""
-
+MOST_BYTES = 512 << 20  # of an entry, unpacked
 MOST_BYTES_IN_ALL = 1 << 30
-MOST_DIRECTORY = 16 << 20
-"""Largest size of the table of contents, which is held in memory."""
-
-MOST_RATIO = 200
-"""Largest compression ratio of a large entry; text has 5 to 20, a zip bomb 1000."""
-
-MOST_TEXT = 32 << 20
-"""Largest size of XML and JSON; a parser needs twenty times as much memory."""
-
+MOST_DIRECTORY = 16 << 20  # of the table of contents, which is held in memory
+MOST_RATIO = 200  # compression of a large entry; text has 5 to 20, a zip bomb 1000
+MOST_TEXT = 32 << 20  # of XML and JSON; a parser needs twenty times as much memory
 _LARGE = 10 << 20
 _CHUNK = 1 << 20
 _DRIVE = re.compile(r"[A-Za-z]:")
@@ -40,18 +32,15 @@ DAMAGED = (
     EOFError,
     LookupError,
     MemoryError,
-    NotImplementedError,
     OSError,
     RuntimeError,
     TypeError,
     ValueError,
 )
-"""Errors that the standard library raises for damaged archives."""
+"""Errors of the standard library for damaged archives."""
 
 
 class _Bounded:
-    """A file that limits the size of each read."""
-
     def __init__(self, file: BufferedReader, size: int) -> None:
         self._file = file
         self._size = size
@@ -83,11 +72,7 @@ def entries(file: BufferedReader) -> zipfile.ZipFile:
 
 
 class Archive:
-    """An FMU or SSP for reading; a context manager.
-
-    Archives with paths out of their folder, links, special files, encryption, or too many entries
-    or bytes raise ArtifactError, as does any failing method.
-    """
+    """An FMU or SSP for reading; a context manager that raises ArtifactError for hazards."""
 
     def __init__(self, path: Path, kind: str = "FMU") -> None:
         self.path, self._kind = path, kind
@@ -124,15 +109,15 @@ class Archive:
         return list(self._entries)
 
     def digest(self) -> str:
-        """Return the SHA-256 of the open file, even if its path now leads to another one."""
+        """Return the SHA-256 of the open file, even if its path has been replaced."""
         self._file.seek(0)
         return hashlib.file_digest(self._file, "sha256").hexdigest()
 
     def read(self, name: str, most: int = MOST_BYTES) -> bytes:
-        """Return the content of a file of at most `most` bytes."""
+        """Return the content of a file with at most `most` bytes."""
         entry = self._entries.get(name)
         if entry is None:
-            raise self._refusal(f"there is no {plain(name)} in it")
+            raise self._refusal(f"its {plain(name)} is missing")
         if entry.file_size > most:
             raise self._refusal(
                 f"its {plain(name)} has {entry.file_size} bytes; at most {most} are read"
@@ -169,7 +154,6 @@ def copy_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -
 
 
 def _pieces(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]:
-    """Yield the content of an entry and verify its size and checksum."""
     found = 0
     source: IO[bytes]
     with archive.open(entry) as source:

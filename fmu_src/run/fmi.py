@@ -129,5 +129,4 @@ class Fmi3(Fmi2):
         return "fmi3DoStep ended early, unasked" if early.value else ""
 
 
-VERSIONS: Mapping[int, Fmi2] = {2: Fmi2(), 3: Fmi3()}
-"""Versions of FMI by their major number."""
+VERSIONS: Mapping[int, Fmi2] = {2: Fmi2(), 3: Fmi3()}  # versions of FMI by their major number

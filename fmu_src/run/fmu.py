@@ -34,9 +34,7 @@ from hesr_model.support.files import scratch_folder, sha256
 if TYPE_CHECKING:
     from fmu_src.run.sandbox import SandboxedInstance
 
-SECONDS = 60.0
-"""Default time limit of a call of an untrusted FMU [s]."""
-
+SECONDS = 60.0  # for a call of an untrusted FMU
 _MOST_HASHES = 20_000
 _log = logging.getLogger(__name__)
 
@@ -83,13 +81,8 @@ def _forget_some(place: Path) -> None:
 class FmuInstance:
     """A co-simulation slave; a context manager that frees instance and files on every exit.
 
-    Trusted FMUs run in this process, others in a sandbox with `seconds` [s] for each call.
-    `unpacked` is the folder of a trusted FMU, in place of the file. Methods raise SimulationError.
-
-    >>> with FmuInstance(Path("Friction.fmu")) as friction:
-    ...     friction.initialise(start={"dq[1]": 0.2})
-    ...     friction.step(0.0, 0.005)
-    ...     friction.get(["tau[1]"])
+    Trusted FMUs run in this process, others in a sandbox with `seconds` [s] for each call;
+    `unpacked` is the folder of a trusted one. Methods raise SimulationError.
     """
 
     description: ModelDescription
@@ -132,7 +125,7 @@ class FmuInstance:
         self._cleanup.__exit__(*ended)
 
     def _unpack(self, folder: Path) -> bool:
-        """Unpack what this platform needs; return whether the FMU is trusted."""
+        """Unpack the files of this platform; return whether the FMU is trusted."""
         own = (*(fmi.folder for fmi in VERSIONS.values()), "resources/")
         try:
             with Archive(self.fmu) as archive:
@@ -185,7 +178,6 @@ class FmuInstance:
 
     def _failure(self, error: Exception) -> SimulationError:
         self._stepping, self.failed = False, True
-        # Messages of earlier calls do not explain this failure.
         reason, self._complaint = self._complaint or str(error), None
         if isinstance(error, DiedError):  # messages do not explain it
             reason = f"{error}."
@@ -201,10 +193,7 @@ class FmuInstance:
         start: Mapping[str, float | str] | None = None,
         inputs: Buffer | None = None,
     ) -> None:
-        """Set parameters, start values and inputs, and initialise the experiment [s].
-
-        `start` has values by name; `inputs` is written in initialisation mode.
-        """
+        """Set `start` by name and, in initialisation mode, `inputs`; initialise [s]."""
         self.enter_initialisation(time=time, stop=stop, start=start)
         if inputs is not None:
             inputs.write()
@@ -217,7 +206,7 @@ class FmuInstance:
         stop: float | None = None,
         start: Mapping[str, float | str] | None = None,
     ) -> None:
-        """Enter the initialisation; afterwards inputs can be set and outputs read."""
+        """Set `start` by name and enter the initialisation of an experiment [s]."""
         self.time = time
         self.used = True
         self._instance.setup(time, stop)
@@ -225,12 +214,12 @@ class FmuInstance:
         self._instance.enter_initialisation()
 
     def exit_initialisation(self) -> None:
-        """Exit the initialisation; steps may follow."""
+        """Exit the initialisation."""
         self._instance.exit_initialisation()
         self._stepping = True
 
     def step(self, time: float, step: float) -> None:
-        """Step from `time` by `step` [s]."""
+        """Step from a time [s] by a step [s]."""
         self.time = time
         self._instance.step(time, step)
         self.time = time + step
@@ -263,10 +252,7 @@ class FmuInstance:
         return self.buffer(list(names)).read()
 
     def buffer(self, names: Sequence[str], values: Array | None = None) -> Buffer:
-        """Return a buffer to set and read the same Real variables repeatedly.
-
-        `values` (n,) is its contiguous memory, new by default.
-        """
+        """Return a buffer of Real variables in `values` (n,), contiguous and new by default."""
         return self._instance.buffer(self.variables.references(names, "Real"), values)
 
     def slopes(self, names: Sequence[str]) -> Callable[[Array], None]:
@@ -279,14 +265,11 @@ class FmuInstance:
         return set_slopes
 
 
-# --- pool -------------------------------------------------------------------------------------
-
-_Key = tuple[Path, int, int, int, str]
-"""Identity of a file and name of the instance."""
+_Key = tuple[Path, int, int, int, str]  # identity of a file and name of the instance
 
 
 class FmuPool:
-    """At most `most` instances that are kept for their next use, because loading is slow."""
+    """Instances kept for their next use, because loading is slow."""
 
     def __init__(self, most: int = 48) -> None:
         self._most = most
@@ -294,10 +277,7 @@ class FmuPool:
 
     @contextmanager
     def lend(self, fmu: Path, *, name: str) -> Iterator[FmuInstance]:
-        """Yield an instance, a kept one if the file has not changed.
-
-        Afterwards it is reset and kept, unless a call has failed.
-        """
+        """Yield a new or kept instance; afterwards it is reset and kept unless a call failed."""
         key = _key(fmu, name)
         instance = self._idle.pop(key, None) if key else None
         if instance is None:
@@ -321,7 +301,6 @@ class FmuPool:
 
 
 POOL = FmuPool()
-"""Pool of this process."""
 
 
 def _key(fmu: Path, name: str) -> _Key | None:
@@ -333,7 +312,6 @@ def _key(fmu: Path, name: str) -> _Key | None:
 
 
 def _ready(instance: FmuInstance) -> bool:
-    """Reset an instance; return whether it can be used again."""
     if instance.failed:
         return False
     try:

@@ -61,10 +61,10 @@ class Buffer(Protocol):
     values: Array
 
     def write(self) -> None:
-        """Set the variables to `values`; a failure may surface at the next call."""
+        """Set the variables; a failure may surface at the next call."""
 
     def read(self) -> Array:
-        """Read the variables into `values` and return these."""
+        """Read and return the variables."""
 
 
 class Instance:
@@ -228,7 +228,7 @@ class LocalBuffer:
                 at += size
 
     def read(self) -> Array:
-        """Read the variables into `values` and return these."""
+        """Read and return the variables."""
         self.instance.call(self._read, *self._arguments)
         if not self.is_plain:
             self._whole.take(self._places, out=self.values)

@@ -20,8 +20,7 @@ Places = NDArray[np.intp]
 Order = Literal["gauss_seidel", "jacobi"]
 """Order of the calls of a communication step; see `ExchangeScheme`."""
 
-Element = tuple[str, str]
-"""Component and variable."""
+Element = tuple[str, str]  # component and variable
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -81,7 +81,7 @@ def _is_native(buffer: Buffer) -> TypeGuard[LocalBuffer]:
 
 
 class NativeStepper:
-    """Steps in C with the compiled master.c, from the buffers of the components."""
+    """Steps in C with the compiled master.c and the buffers of the components."""
 
     def __init__(
         self,

@@ -30,9 +30,7 @@ FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
 EXPERIMENTS = f"{FOLDER}/experiments.xml"
 
-ROWS = 100
-"""Number of steps of the stimuli."""
-
+ROWS = 100  # number of steps of the stimuli
 ORDERS: Mapping[str, str] = {
     "hold": "co-simulation: inputs hold over each step, outputs are read after it",
     "shown": "the same, outputs read once the inputs of the next step are set",

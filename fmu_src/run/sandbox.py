@@ -1,7 +1,7 @@
 """A process with limits on time, memory and files, for untrusted FMUs and files.
 
-Each step of an FMU is one message: it carries pending writes, and its answer carries the buffers
-that were read after the previous step. No answer is trusted.
+Each step of an FMU is one message with the pending writes; its answer has the buffers that were
+read after the previous step.
 """
 
 import json
@@ -39,20 +39,18 @@ _PIECE = 1 << 16  # bytes received at once
 _MOST_PREFETCHED = 8  # buffers
 _MOST_RESULT = 64 << 20  # bytes
 NONSENSE = "gave an answer that makes no sense and was ended"
-"""End of the sentence on an answer that makes no sense."""
 
 
 class Sandbox:
-    """A child process in an empty folder that answers requests; it is ended at its first offence.
+    """A child process in an empty folder that answers requests within `seconds` [s] each.
 
-    Each request has `seconds` [s]. DiedError is raised if the process cannot be started, ends,
-    exceeds the time limit, or gives an invalid answer; its text is the end of a sentence. `reached`
-    is then the position of the last call within its request.
+    DiedError, with the end of a sentence, is raised if it cannot be started, ends, is too slow, or
+    gives an invalid answer; `reached` is then the position of the last call within its request.
     """
 
     def __init__(self, folder: Path, seconds: float) -> None:
         self.seconds, self.reached = seconds, 0
-        # Kept open: the FMU may replace the file of this name.
+        # Kept open, because the FMU may replace the file.
         self._position = (folder / POSITION).open("w+b", buffering=0)
         self._position.write(b"\0")
         self._socket, theirs = socket.socketpair()
@@ -87,10 +85,7 @@ class Sandbox:
             raise self.died(self._how_it_ended()) from error
 
     def run(self, function: str, *arguments: Any) -> Any:
-        """Return the result of "module:function", called in the process with JSON data.
-
-        An exception of the function is a `DiedError`.
-        """
+        """Return the result of "module:function", called in the process with JSON data."""
         request = WORDS + json.dumps(["run", [function, *arguments]]).encode()
         data = self.ask(request, _MOST_RESULT)
         try:
@@ -172,7 +167,7 @@ def run_in_sandbox(function: str, *arguments: Any, folder: Path, seconds: float)
 class SandboxedInstance:
     """An FMU in a sandbox, with the methods of `Instance`.
 
-    A failed write surfaces at the next call. DiedError is raised if the process has ended.
+    A failed write surfaces at the next call.
     """
 
     def __init__(
@@ -325,10 +320,10 @@ class SandboxedBuffer:
         self._instance = instance
 
     def write(self) -> None:
-        """Set the variables to `values` with the next message."""
+        """Set the variables with the next message."""
         self._instance.write(self)
 
     def read(self) -> Array:
-        """Read the variables into `values` and return these."""
+        """Read and return the variables."""
         self._instance.read(self)
         return self.values

@@ -2,9 +2,9 @@
 
 python -m fmu_src.run.sandbox_child SOCKET
 
-A message is its length and bytes. Requests and answers are JSON, except for packed ones of steps
-(`Exchange`). The first byte of the file `POSITION` is the position of the running call within its
-request, in case that call never returns. The process ends with its parent.
+Messages are JSON, except for packed ones of steps (`Exchange`), after their length. The first byte
+of the file `POSITION` is the position of the running call within its request, in case it never
+returns. The process ends with its parent.
 """
 
 import importlib
@@ -28,16 +28,12 @@ if TYPE_CHECKING:
 
 MOST_MEMORY = 4 << 30
 MOST_IN_A_FILE = 1 << 30
-MOST_FILES = 256
-"""Limits of the process [bytes, bytes, open at a time]."""
-
+MOST_FILES = 256  # limits of the process [bytes, bytes, open at a time]
 MOST_MESSAGES = 100
 LONGEST_MESSAGE = 2000
 """Number and size [characters] of the last messages of an FMU that are forwarded."""
 
-LONGEST_TEXT = 4 * MOST_MESSAGES * LONGEST_MESSAGE
-"""Largest text of an answer of an FMU [bytes]."""
-
+LONGEST_TEXT = 4 * MOST_MESSAGES * LONGEST_MESSAGE  # largest text of an answer of an FMU [bytes]
 POSITION = "position"
 
 EXCHANGE, WORDS = b"X", b"W"
@@ -73,10 +69,7 @@ class Exchange:
 
 
 def unpacked_answer(data: bytes) -> tuple[int, int, bytes]:
-    """Return status and position of the failed call, and the rest, of an answer to an exchange.
-
-    Raises ValueError if it is too short.
-    """
+    """Return status and position of the failed call, and the rest of the answer to an exchange."""
     if len(data) < _ANSWER.size:
         raise ValueError(f"{len(data)} bytes are not an answer")
     status, position = _ANSWER.unpack_from(data)
