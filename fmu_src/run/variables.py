@@ -119,7 +119,8 @@ def _with_scalars(about: Any) -> tuple[Any, list[Declared]]:
 
 def _changed(one: Any, **values: Any) -> Any:
     other = copy(one)
-    vars(other).update(values)
+    for name, value in values.items():
+        setattr(other, name, value)
     return other
 
 
