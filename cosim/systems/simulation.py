@@ -19,9 +19,8 @@ from fmu_src.run.master import (
     Link,
     PythonStepper,
     Station,
-    SystemStepper,
 )
-from fmu_src.run.native import native_stepper
+from fmu_src.run.native import NativeStepper, native_stepper
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.progress import Progress, silent
 
@@ -105,7 +104,7 @@ class Master:
             high=high,
         )
         stepper = native_stepper(self._layout) if self._native else None
-        self._stepper: SystemStepper = stepper or PythonStepper(self._layout)
+        self._stepper: PythonStepper | NativeStepper = stepper or PythonStepper(self._layout)
 
     def _links(self, place: Mapping[Element, int]) -> Iterator[Link]:
         """Yield connected inputs and their sources in the order of known values."""

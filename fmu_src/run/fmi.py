@@ -14,7 +14,15 @@ Tell = Callable[[int, str], None]
 """Receives status and text of a message."""
 
 
-class Fmi2:
+def _logger(tell: Tell) -> Callable[..., None]:
+    def log(*arguments: Any) -> None:
+        status, _category, text = arguments[-3:]
+        tell(status, (text or b"").decode("utf-8", errors="replace"))
+
+    return log
+
+
+class _Fmi2:
     """FMI 2.0; `functions` maps each method of `Instance` and `Buffer` to its function."""
 
     folder = f"binaries/{fmpy.platform}/"
@@ -34,23 +42,16 @@ class Fmi2:
     models, slaves = fmi2.FMU2Model, fmi2.FMU2Slave
 
     def instantiate(self, slave: Any, tell: Tell) -> None:
-        """Instantiate an FMU and pass on its messages."""
-
-        def log(_environment: Any, _name: bytes, status: int, _kind: bytes, text: bytes) -> None:
-            tell(status, (text or b"").decode("utf-8", errors="replace"))
-
         callbacks = fmi2.fmi2CallbackFunctions()
-        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(_logger(tell))
         callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
         callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
         slave.instantiate(callbacks=callbacks)
 
     def setup(self, call: Call, time: float, stop: float | None) -> None:
-        """Announce start and end of the experiment [s]."""
         call(self.functions["setup"], False, 0.0, time, stop is not None, stop or 0.0)
 
     def enter(self, call: Call, _time: float, _stop: float | None) -> None:
-        """Enter the initialisation of an experiment [s]."""
         call(self.functions["enter_initialisation"])
 
     def kind(self, kind: str, _declared: str | None) -> tuple[str, Any]:
@@ -79,48 +80,38 @@ class Fmi2:
         return ""
 
 
-class Fmi3(Fmi2):
+class _Fmi3(_Fmi2):
     """FMI 3.0, where it differs; it passes the experiment on entering the initialisation."""
 
     folder = f"binaries/{fmpy.platform_tuple}/"
-    functions = {name: text.replace("fmi2", "fmi3") for name, text in Fmi2.functions.items()} | {
+    functions = {name: text.replace("fmi2", "fmi3") for name, text in _Fmi2.functions.items()} | {
         "write": "fmi3SetFloat64",
         "read": "fmi3GetFloat64",
     }
     models, slaves = fmi3.FMU3Model, fmi3.FMU3Slave
 
     def instantiate(self, slave: Any, tell: Tell) -> None:
-        """Instantiate an FMU and pass on its messages."""
-
-        def log(_environment: Any, status: int, _kind: bytes, text: bytes) -> None:
-            tell(status, (text or b"").decode("utf-8", errors="replace"))
-
-        slave.instantiate(logMessage=log)
+        slave.instantiate(logMessage=_logger(tell))
 
     def setup(self, call: Call, time: float, stop: float | None) -> None:
         """Do nothing."""
 
     def enter(self, call: Call, time: float, stop: float | None) -> None:
-        """Enter the initialisation of an experiment [s]."""
         more = (c_bool(False), 0.0, time, c_bool(stop is not None), stop or 0.0)
         call(self.functions["enter_initialisation"], *more)
 
     def kind(self, kind: str, declared: str | None) -> tuple[str, Any]:
-        """Return suffix of the functions and C type for a type of variable."""
         default = {"Integer": "Int32"}.get(kind, kind)
         own = {None: default, "Enumeration": "Int64"}.get(declared, declared)
         return str(own), getattr(fmi3, f"fmi3{own}")
 
     def values(self, pointer: Any, count: int) -> tuple[Any, ...]:
-        """Return the arguments that pass values."""
         return pointer, count
 
     def set_slopes(self, _call: Call, _references: list[int], _slopes: list[float]) -> str:
-        """Refuse slopes of inputs."""
         return "inputs have no derivatives in FMI 3.0"
 
     def step(self, call: Call, time: float, size: float) -> str:
-        """Step from a time [s] by a size [s]; return why the simulation must end, or ""."""
         event, end, early, last = c_bool(), c_bool(), c_bool(), c_double()
         results = [byref(result) for result in (event, end, early, last)]
         call("fmi3DoStep", time, size, c_bool(True), *results)
@@ -129,4 +120,4 @@ class Fmi3(Fmi2):
         return "fmi3DoStep ended early, unasked" if early.value else ""
 
 
-VERSIONS: Mapping[int, Fmi2] = {2: Fmi2(), 3: Fmi3()}  # versions of FMI by their major number
+VERSIONS: Mapping[int, _Fmi2] = {2: _Fmi2(), 3: _Fmi3()}

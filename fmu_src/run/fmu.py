@@ -34,6 +34,7 @@ from hesr_model.support.files import scratch_folder, sha256
 if TYPE_CHECKING:
     from fmu_src.run.sandbox import SandboxedInstance
 
+Starts = Mapping[str, float | str]
 SECONDS = 60.0  # for a call of an untrusted FMU
 _MOST_HASHES = 20_000
 _log = logging.getLogger(__name__)
@@ -190,7 +191,7 @@ class FmuInstance:
         *,
         time: float = 0.0,
         stop: float | None = None,
-        start: Mapping[str, float | str] | None = None,
+        start: Starts | None = None,
         inputs: Buffer | None = None,
     ) -> None:
         """Set `start` by name and, in initialisation mode, `inputs`; initialise [s]."""
@@ -200,11 +201,7 @@ class FmuInstance:
         self.exit_initialisation()
 
     def enter_initialisation(
-        self,
-        *,
-        time: float = 0.0,
-        stop: float | None = None,
-        start: Mapping[str, float | str] | None = None,
+        self, *, time: float = 0.0, stop: float | None = None, start: Starts | None = None
     ) -> None:
         """Set `start` by name and enter the initialisation of an experiment [s]."""
         self.time = time
@@ -230,7 +227,7 @@ class FmuInstance:
         self._instance.reset()
         self.used = False
 
-    def set(self, values: Mapping[str, float | str]) -> None:
+    def set(self, values: Starts) -> None:
         """Set variables of any type by name."""
         kinds: dict[str, list[str]] = {}
         for name in values:

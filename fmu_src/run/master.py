@@ -5,7 +5,7 @@
 """
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from hesr_model.support.arrays import Array
 Places = NDArray[np.intp]
 
 Order = Literal["gauss_seidel", "jacobi"]
-"""Order of the calls of a communication step; see `ExchangeScheme`."""
 
 Element = tuple[str, str]  # component and variable
 
@@ -103,10 +102,7 @@ class Layout:
     high: Array
 
     def propagate(self, time: float) -> None:
-        """Set each input to its source at a time [s], along direct feedthrough.
-
-        Raises SimulationError if a source is not finite.
-        """
+        """Set inputs along direct feedthrough [s]; raise SimulationError if one is not finite."""
         for link in self.links:
             if link.is_input:
                 link.buffer.values[0] = self.values[link.place]
@@ -122,7 +118,7 @@ class Layout:
         return SimulationError(f"at t = {time:.9g} s {name} is not a finite number.")
 
     def require_limits(self, shown: Array, time: float) -> None:
-        """Raise SimulationError if one of the values (m,) at a time [s] is outside its limits."""
+        """Raise SimulationError if a value (m,) at a time [s] is outside its limits."""
         values = shown.take(self.limited, mode="clip")
         outside = (values < self.low) | (values > self.high)
         if np.count_nonzero(outside):
@@ -134,25 +130,8 @@ class Layout:
             )
 
 
-class SystemStepper(Protocol):
-    """Steps of a system."""
-
-    @property
-    def done(self) -> int:
-        """Number of recorded rows."""
-
-    def begin(self, kept: Array) -> None:
-        """Begin a run that is recorded in an array (steps + 1, n)."""
-
-    def advance(self, stop: int) -> None:
-        """Step until `stop` rows are recorded or a value is not finite.
-
-        Raises SimulationError if a component fails or a value leaves its limits.
-        """
-
-
 class PythonStepper:
-    """Steps in Python."""
+    """Steps of a system in Python; `done` is the number of recorded rows."""
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
@@ -161,11 +140,14 @@ class PythonStepper:
         self.begin(np.empty((0, len(layout.rows))))
 
     def begin(self, kept: Array) -> None:
-        """See `SystemStepper`."""
+        """Begin a run that is recorded in an array (steps + 1, n)."""
         self._kept, self.done = kept, 0
 
     def advance(self, stop: int) -> None:
-        """See `SystemStepper`."""
+        """Step until `stop` rows are recorded or a value is not finite.
+
+        Raises SimulationError if a component fails or a value leaves its limits.
+        """
         layout = self._layout
         for k in range(self.done, stop):
             if k > 0:

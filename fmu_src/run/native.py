@@ -55,13 +55,10 @@ class _System(ctypes.Structure):
         ("size", ctypes.c_int64),
         ("rows", ctypes.c_void_p),
         ("width", ctypes.c_int64),
-        ("limited", ctypes.c_void_p),
-        ("low", ctypes.c_void_p),
-        ("high", ctypes.c_void_p),
+        *((name, ctypes.c_void_p) for name in ("limited", "low", "high")),
         ("limits", ctypes.c_int64),
         ("kept", ctypes.c_void_p),
-        ("done", ctypes.c_int64),
-        ("failed", ctypes.c_int64),
+        *((name, ctypes.c_int64) for name in ("done", "failed")),
         ("status", ctypes.c_int),
     )
 
@@ -125,12 +122,12 @@ class NativeStepper:
         return int(self._system.done)
 
     def begin(self, kept: Array) -> None:
-        """See `SystemStepper`."""
+        """See `PythonStepper`."""
         self._kept = kept
         self._system.kept, self._system.done = kept.ctypes.data, 0
 
     def advance(self, stop: int) -> None:
-        """See `SystemStepper`."""
+        """See `PythonStepper`."""
         layout, system = self._layout, self._system
         end = _End(self._advance(ctypes.byref(system), ctypes.c_int64(stop)))
         failing = int(system.failed) if end in _FUNCTIONS else -1
@@ -174,7 +171,19 @@ def through(
     """
     found = np.empty((len(rows), outputs.values.size))
     if _is_native(inputs) and _is_native(outputs) and (library := _library()):
-        _through(library["through"], component, (inputs, outputs), times, sizes, rows, found)
+        at, done, status = _Station(), ctypes.c_int64(0), ctypes.c_int(0)
+        _connect(at, inputs, outputs)
+        arrays = [np.ascontiguousarray(part, dtype=float) for part in (times, sizes, rows)]
+        places = [ctypes.c_void_p(part.ctypes.data) for part in (*arrays, found)]
+        while done.value < len(rows):
+            stop = ctypes.c_int64(min(done.value + _AT_ONCE, len(rows)))
+            results = ctypes.byref(done), ctypes.byref(status)
+            end = _End(library["through"](ctypes.byref(at), *places, stop, *results))
+            k = done.value - (end is _End.DONE)
+            over = end in (_End.DONE, _End.GET_FAILED)
+            component.time = float(times[k] + sizes[k]) if over else float(times[k])
+            if end is not _End.DONE:
+                inputs.instance.fail(_FUNCTIONS[end], status.value)
         return found
     for k, (time, size) in enumerate(zip(times.tolist(), sizes.tolist(), strict=True)):
         inputs.values[:] = rows[k]
@@ -182,25 +191,6 @@ def through(
         component.step(time, size)
         found[k] = outputs.read()
     return found
-
-
-def _through(
-    function: Any, component: FmuInstance, buffers: tuple[LocalBuffer, LocalBuffer],
-    times: Array, sizes: Array, rows: Array, found: Array,
-) -> None:  # fmt: skip
-    at, done, status = _Station(), ctypes.c_int64(0), ctypes.c_int(0)
-    _connect(at, *buffers)
-    arrays = [np.ascontiguousarray(part, dtype=float) for part in (times, sizes, rows)]
-    places = [ctypes.c_void_p(part.ctypes.data) for part in (*arrays, found)]
-    while done.value < len(rows):
-        stop = min(done.value + _AT_ONCE, len(rows))
-        end = _End(function(ctypes.byref(at), *places, ctypes.c_int64(stop), ctypes.byref(done),
-                            ctypes.byref(status)))  # fmt: skip
-        k = done.value - (end is _End.DONE)
-        over = end in (_End.DONE, _End.GET_FAILED)
-        component.time = float(times[k] + sizes[k]) if over else float(times[k])
-        if end is not _End.DONE:
-            buffers[0].instance.fail(_FUNCTIONS[end], status.value)
 
 
 @cache

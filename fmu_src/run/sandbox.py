@@ -197,7 +197,7 @@ class SandboxedInstance:
         self._asked.clear()
         self._exchange(begin=time, size=size, prefetch=prefetch)
 
-    def buffer(self, references: Sequence[int], values: Array | None = None) -> "SandboxedBuffer":
+    def buffer(self, references: Sequence[int], values: Array | None = None) -> "_SandboxedBuffer":
         """Return a buffer of Real variables; see `Instance`."""
         key = tuple(references)
         if key not in self._numbers:
@@ -205,14 +205,14 @@ class SandboxedInstance:
             self._numbers[key] = len(self._sizes)
             self._sizes.append(8 * len(key))
         own = np.zeros(len(key)) if values is None else values
-        return SandboxedBuffer(self, self._numbers[key], own)
+        return _SandboxedBuffer(self, self._numbers[key], own)
 
-    def write(self, buffer: "SandboxedBuffer") -> None:
+    def write(self, buffer: "_SandboxedBuffer") -> None:
         """Set the variables of a buffer with the next message."""
         self._written.append((buffer.number, buffer.values.tobytes()))
         self._known.clear()
 
-    def read(self, buffer: "SandboxedBuffer") -> None:
+    def read(self, buffer: "_SandboxedBuffer") -> None:
         """Read the variables of a buffer."""
         self._asked[buffer.number] = None
         if buffer.number not in self._known:
@@ -312,18 +312,14 @@ class SandboxedInstance:
         return self._failure(DiedError(f"{function} {error}"))
 
 
-class SandboxedBuffer:
-    """Values of Real variables of a `SandboxedInstance`; see `Buffer`."""
-
+class _SandboxedBuffer:
     def __init__(self, instance: SandboxedInstance, number: int, values: Array) -> None:
         self.values, self.number = values, number
         self._instance = instance
 
     def write(self) -> None:
-        """Set the variables with the next message."""
         self._instance.write(self)
 
     def read(self) -> Array:
-        """Read and return the variables."""
         self._instance.read(self)
         return self.values
