@@ -8,12 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.logs.tables import write_table
-from hesr_model.motions.excitation import (
-    Excitation,
-    ExcitationSettings,
-    condition,
-    random_motions,
-)
+from hesr_model.motions.excitation import Excitation, ExcitationSettings, condition, random_motions
 from hesr_model.motions.excitation import design as design_excitation
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -37,11 +32,7 @@ class ExcitationDesign:
 
 
 def design(
-    robot: Path,
-    output: Path,
-    settings: Path | None = None,
-    *,
-    progress: Progress = silent,
+    robot: Path, output: Path, settings: Path | None = None, *, progress: Progress = silent
 ) -> ExcitationDesign:
     """Design an excitation; write setpoints `output`, ``<name>_reversed`` and ``<name>.png``.
 

@@ -99,11 +99,7 @@ class StudyLoop:
         if law == StandIn.BODY_ONLY:
             scheme = replace(scheme, friction_gain=0.0)
         return Setting(
-            fmus=fmus,
-            scheme=scheme,
-            gains=self.tracking.gains,
-            step=self.step,
-            noise=self.noise,
+            fmus=fmus, scheme=scheme, gains=self.tracking.gains, step=self.step, noise=self.noise
         )
 
     def rows(self) -> Iterator[LoopRow]:

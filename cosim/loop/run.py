@@ -52,13 +52,7 @@ def run_loop(
     )
     build(fmus, robot, body, plant, oracle=truth)
     loop = assemble(
-        fmus,
-        robot,
-        tracking=tracking,
-        friction=friction,
-        plant=plant,
-        kept=kept,
-        progress=progress,
+        fmus, robot, tracking=tracking, friction=friction, plant=plant, kept=kept, progress=progress
     )
     write_system(example(loop), folder / "closed_loop.toml")
     progress("building the loop", 1, 1)

@@ -105,11 +105,7 @@ def _refined(
 
 
 def _judged(
-    driven: bool,
-    largest: float | None,
-    predicted: float | None,
-    slope: float,
-    shown: Array,
+    driven: bool, largest: float | None, predicted: float | None, slope: float, shown: Array
 ) -> PropertyResult:
     measured = figures(
         ("largest step without chatter", None if driven else largest, "s"),

@@ -44,10 +44,7 @@ def simulate_laws(
 
 
 def simulate_tests(
-    models: Mapping[str, FrictionModel],
-    tests: Mapping[str, Records],
-    robot: Robot,
-    body: RigidBody,
+    models: Mapping[str, FrictionModel], tests: Mapping[str, Records], robot: Robot, body: RigidBody
 ) -> dict[str, PositionErrors]:
     """Score laws as simulators on test sets; those that cannot be simulated are left out.
 

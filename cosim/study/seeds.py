@@ -132,10 +132,7 @@ def errors_on(
         return by_joint([friction_records(logs[name], robot, body) for name in names])
 
     models = fit(
-        laws,
-        of_logs(study.logs.training),
-        robot=robot.description.name,
-        options=study.options,
+        laws, of_logs(study.logs.training), robot=robot.description.name, options=study.options
     )
     errors: dict[str, dict[str, list[float]]] = {}
     for test, names in study.logs.test.items():

@@ -31,10 +31,7 @@ from fmu_src.run.master import Element
 from fmu_src.run.reference_results import Stimuli, result_files
 from hesr_model.errors import ConfigError, ExportError
 
-_RUNTIMES = {
-    "linux64": ("x86_64-linux", ".so"),
-    "win64": ("x86_64-windows", ".dll"),
-}
+_RUNTIMES = {"linux64": ("x86_64-linux", ".so"), "win64": ("x86_64-windows", ".dll")}
 """Folder and suffix of FMPy's runtime; FMI 2.0 has one folder for its two macOS binaries."""
 
 _RUNTIME = "container_fmu"

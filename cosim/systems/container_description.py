@@ -161,10 +161,7 @@ def _unknowns(structure: ET.Element, contents: SystemContents, exposed: list[Exp
         for element in elements:
             known = sorted(index[e] for e in _known(contents, element, needs) if e in index)
             ET.SubElement(
-                parent,
-                "Unknown",
-                index=str(index[element]),
-                dependencies=" ".join(map(str, known)),
+                parent, "Unknown", index=str(index[element]), dependencies=" ".join(map(str, known))
             )
 
 

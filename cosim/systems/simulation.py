@@ -120,10 +120,7 @@ class Master:
                 )
 
     def run(
-        self,
-        progress: Progress = silent,
-        *,
-        start: Mapping[str, Mapping[str, Value]] | None = None,
+        self, progress: Progress = silent, *, start: Mapping[str, Mapping[str, Value]] | None = None
     ) -> Signals:
         """Run the system after a reset; a failure ends the run and is part of the result.
 
