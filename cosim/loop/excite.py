@@ -55,7 +55,10 @@ def excite(
     for recording in recordings(motions, plant, seed=seed, fmu=fmu):
         path = folder / f"{recording.log.name}.csv"
         recording.log.write(path)
-        _write_truth(truth_of(path), recording)
+        columns = {"t": recording.log.t}
+        columns |= {f"tau_f{k}": f for k, f in enumerate(recording.truth.tau_f_true.T, start=1)}
+        with written_whole(truth_of(path)) as temporary:
+            write_table(temporary, columns)
         paths[recording.log.name] = path
         worst = np.abs(recording.tracking_error).max() * 1e3
         _log.info("%s: %d samples, at most %.0f mrad off", path, len(recording.log.t), worst)
@@ -122,13 +125,6 @@ def record(
 def truth_of(log: Path) -> Path:
     """Return the file of the true friction of a log: t, tau_f1.."""
     return log.parent / "truth" / log.name
-
-
-def _write_truth(path: Path, recording: Recording) -> None:
-    columns = {"t": recording.log.t}
-    columns |= {f"tau_f{k}": f for k, f in enumerate(recording.truth.tau_f_true.T, start=1)}
-    with written_whole(path) as temporary:
-        write_table(temporary, columns)
 
 
 def _seed_of_log(seed: int, name: str) -> int:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -70,32 +71,25 @@ def track(
     A run ends early outside `limits` (n, 2) [rad]. `traced` keeps the first motion's positions,
     `kept` finished rows for a resumed study.
     """
+    about = ([asdict(motion) for motion in motions], duration, limits.tolist(), traced)
+    files = [kept / f"{key}.json" for key in _keys(rows, about)] if kept else []
     done: dict[int, Tracked] = {}
-    left: list[int] = []
-    keys = _keys(rows, motions, duration, limits, traced) if kept else [""] * len(rows)
-    for i, key in enumerate(keys):
-        file = kept / f"{key}.json" if kept else None
-        if file and file.is_file():
+    for i, file in enumerate(files):
+        if file.is_file():
             found = from_json(_Kept, read_json(file), file, "a finished row")
             done[i] = replace(found.tracked, trace=found.trace)
-        else:
-            left.append(i)
-
-    def keep(i: int, result: Tracked) -> None:
-        done[i] = result
-        if kept:
-            kept.mkdir(parents=True, exist_ok=True)
-            row = _Kept(tracked=result, trace=result.trace)
-            with written_whole(kept / f"{keys[i]}.json") as temporary:
-                temporary.write_text(to_text(row), encoding="utf-8")
-        progress(len(done), len(rows))
-
+    left = [i for i in range(len(rows)) if i not in done]
     progress(len(done), len(rows))
     jobs = [partial(_tracked, rows[i], motions, duration, limits, traced) for i in left]
     try:
         with parallel.results_of(jobs, workers) as results:
             for i, result in zip(left, results, strict=True):
-                keep(i, result)
+                done[i] = result
+                if kept:
+                    row = _Kept(tracked=result, trace=result.trace)
+                    with written_whole(files[i]) as temporary:
+                        temporary.write_text(to_text(row), encoding="utf-8")
+                progress(len(done), len(rows))
     finally:
         POOL.clear()  # for runs in this process
     return [done[i] for i in range(len(rows))]
@@ -129,24 +123,16 @@ def _tracked(
     )
 
 
-def _keys(
-    rows: Sequence[LoopRow],
-    motions: Sequence[LoopMotion],
-    duration: float,
-    limits: Array,
-    traced: bool,
-) -> list[str]:
+def _keys(rows: Sequence[LoopRow], about: Sequence[Any]) -> list[str]:
     """Return a name for each row's result: a hash of everything it depends on."""
     hashes: dict[Path, str] = {}  # by FMU; rows share them
-    moved = [asdict(motion) for motion in motions]
     keys = []
     for row in rows:
         setting = asdict(row.setting) | {"gains": row.setting.gains.model_dump()}
         paths = {name: path for name, path in setting["fmus"].items() if path}
         hashes |= {path: sha256(path) for path in paths.values() if path not in hashes}
         files = {name: hashes[path] for name, path in paths.items()}
-        run = (moved, duration, limits.tolist(), traced)
-        data = [row.scheme.name, row.law, setting | {"fmus": files}, *run]
+        data = [row.scheme.name, row.law, setting | {"fmus": files}, *about]
         text = json.dumps(data, default=list, sort_keys=True)
         keys.append(hashlib.sha256(text.encode()).hexdigest()[:24])
     return keys
