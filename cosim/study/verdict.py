@@ -152,17 +152,15 @@ def _improve(
             resting.append(name)
         if np.std(load) < _LOADED * np.std(tau):
             loaded.append(name)
-    for names, advice in (
-        (faster, "the test is faster than the training logs; record faster motion."),
-        (resting, "hardly any standstill in the training logs; record rests."),
-        (
-            loaded,
-            "the load hardly changes; record a log with a payload to model load-dependent "
-            "friction.",
-        ),
-    ):
+    advice = {
+        "the test is faster than the training logs; record faster motion.": faster,
+        "hardly any standstill in the training logs; record rests.": resting,
+        "the load hardly changes; record a log with a payload to model load-dependent "
+        "friction.": loaded,
+    }
+    for sentence, names in advice.items():
         if names:
-            yield f"{', '.join(names)}: {advice}"
+            yield f"{', '.join(names)}: {sentence}"
     if not gear_ratio:
         yield "Add gear_ratio to the robot file to also fit motor ripple."
 

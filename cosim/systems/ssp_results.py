@@ -6,6 +6,7 @@ experiment of its own scheme. The results are computed by the FMUs.
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -31,20 +32,12 @@ from hesr_model.errors import HesrError, SimulationError
 TOLERANCE = 1e-9
 """Tolerance relative to the largest value of a signal: round-off that a loop amplifies."""
 
-_SCHEMES: Mapping[str, tuple[ExchangeScheme, str]] = {
-    "hold": (
-        ExchangeScheme(order="jacobi"),
-        "all FMUs step with the inputs of the step's beginning",
-    ),
-    "shown": (
-        ExchangeScheme(order="jacobi", refreshed="shown"),
-        "the same, outputs shown once the inputs of the next step are set",
-    ),
-    "refreshed": (
-        ExchangeScheme(order="jacobi", refreshed="all"),
-        "the same, outputs passed on once the inputs of the next step are set",
-    ),
+_SCHEMES: Mapping[str, tuple[Literal["none", "shown", "all"], str]] = {
+    "hold": ("none", "all FMUs step with the inputs of the step's beginning"),
+    "shown": ("shown", "the same, outputs shown once the inputs of the next step are set"),
+    "refreshed": ("all", "the same, outputs passed on once the inputs of the next step are set"),
 }
+"""Refreshed outputs and description by exchange scheme."""
 _STEM = "extra/results/system"
 _README = """\
 Reference results of the system, in files that the manifest of FMI-LS-REF in
@@ -78,11 +71,17 @@ def result_files(contents: SystemContents) -> dict[str, bytes]:
     files |= {f"{_STEM}_{name}.csv": table({"time": t, **rows}, 14) for name, rows in found.items()}
     own = [
         ExperimentFiles(
-            name=name, description=text, start=0.0, stop=float(t[-1]), step=spec.step,
-            tolerance=TOLERANCE, stimuli=f"{_STEM}_in.csv", references=f"{_STEM}_{name}.csv",
+            name=name,
+            description=text,
+            start=0.0,
+            stop=float(t[-1]),
+            step=spec.step,
+            tolerance=TOLERANCE,
+            stimuli=f"{_STEM}_in.csv",
+            references=f"{_STEM}_{name}.csv",
         )
         for name, (_, text) in _SCHEMES.items()
-    ]  # fmt: skip
+    ]
     return files | manifest_files(own, files)
 
 
@@ -115,7 +114,8 @@ def _judge(spec: SystemSpec, experiment: ReferenceExperiment, found: Verified) -
 def _run(spec: SystemSpec, signals: list[str], t: np.ndarray, way: str) -> dict[str, np.ndarray]:
     """Return the signals (len(t),) of a system under one exchange scheme."""
     update = {"stop": spec.step * (len(t) - 1), "observe": tuple(signals), "limits": {}}
-    with Master(spec.model_copy(update=update), scheme=_SCHEMES[way][0]) as master:
+    scheme = ExchangeScheme(order="jacobi", refreshed=_SCHEMES[way][0])
+    with Master(spec.model_copy(update=update), scheme=scheme) as master:
         found = master.run().require_success().signals
     for signal in signals:
         if signal not in found:
