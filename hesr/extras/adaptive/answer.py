@@ -28,18 +28,15 @@ class Monitoring(FollowedLogs, Answer):
         count = len(self.alarms)
         lines = [f"{count} change{'s' * (count != 1)} of friction found."]
         lines += [
-            f"{one.log}, {one.joint}, {one.time:.1f} s: {'more' if one.sign > 0 else 'less'} than "
-            f"known ({one.kind}); likely cause: {one.points_to}"
+            f"{one.log}, {one.joint}, {one.time:.1f} s: {one.change} than known ({one.kind}); "
+            f"likely cause: {one.points_to}"
             for one in self.alarms[:_MOST_ALARMS]
         ]
         if count > _MOST_ALARMS:
             lines.append(f"{count - _MOST_ALARMS} more alarms: --verbose lists them.")
-        lines += [
-            f"{one.joint}: level {one.level:.3f} ± {2 * one.level_sd:.3f}, viscous factor "
-            f"{one.viscosity:.3f} ± {2 * one.viscosity_sd:.3f}, offset {one.offset:.3g} ± "
-            f"{2 * one.offset_sd:.2g}"
-            for one in self.states[-len(self.model.joints) :]
-        ]
+        for one in self.states[-len(self.model.joints) :]:
+            level, viscosity, offset = one.intervals()
+            lines.append(f"{one.joint}: level {level}, viscous factor {viscosity}, offset {offset}")
         return shortened(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:

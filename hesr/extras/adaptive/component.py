@@ -23,13 +23,7 @@ from dataclasses import replace
 import sympy
 
 from hesr.extras.adaptive.tuning import Tuning
-from hesr_model.equations.component import (
-    Component,
-    Equation,
-    Parameter,
-    Quantity,
-    previous,
-)
+from hesr_model.equations.component import Component, Equation, Parameter, Quantity, previous
 from hesr_model.equations.functions import absolute, clip, exceeds, larger, positive
 from hesr_model.equations.memory import DT
 from hesr_model.friction.factors import parts
@@ -48,47 +42,46 @@ ADAPT = Quantity(name="adapt", unit="1", description="1 where factors follow, 0 
 INPUTS = (MEASURED, RIGID, ADAPT)
 """Inputs of an adaptive law in addition to those of every law."""
 
-HEALTH = (
-    "factors follow",
-    "switched off",
-    "at rest: nothing to learn from",
-    "the motor saturates",
-    "outlier, or shortly after one",
-    "a factor is at its limit",
-)
-"""Meaning of the values of `health`, from 0."""
-
 _FACTORS = (
     ("level", "1", "factor on Coulomb and static friction of {joint}"),
     ("viscosity", "1", "factor on viscous friction of {joint}"),
-    ("offset", "N.m", "offset of {joint}, beside that of the law"),
+    ("offset", "N.m", "offset of {joint} in addition to that of the law"),
 )
+_PLACES = range(len(_FACTORS))
+_ALARMS = {
+    "drift": "alarm of {joint}: friction has risen (1) or fallen (-1)",
+    "shift": "alarm of {joint}: load, gravity or sensor, up (1) or down (-1)",
+}
 _HUGE = sympy.Float(1e6)  # limit of regressors, in standard deviations of the noise
 _MIXED = sympy.Float(1e-7)  # share of correlations lost per sample, which keeps round-off harmless
 _LEAST_NOISE = sympy.Float(1e-9)  # [N.m]: densities divide by it
 _TINY = sympy.Float(1e-200)
 
+_Limits = dict[str, tuple[float, float]]
+
 
 def own_parameters(tuning: Tuning, noise: float, speed: float) -> tuple[Parameter, ...]:
     """Return a joint's parameters beyond its law from `noise` [N.m] and top `speed` [rad/s]."""
-
-    def one(name: str, unit: str, text: str, start: float) -> Parameter:
-        return Parameter(name=name, unit=unit, description=text, start=start)
-
-    return (
-        one("noise", "N.m", "what the law does not explain, standard deviation", noise),
-        one("speed_least", "rad/s", "below it nothing is learned", tuning.rest * speed),
-        one("torque_limit", "N.m", "measured torque where the motor saturates; 0: unknown", 0.0),
-        one("level_start", "1", "level to start from", 1.0),
-        one("viscosity_start", "1", "viscous factor to start from", 1.0),
-        one("offset_start", "N.m", "offset to start from", 0.0),
-    )  # fmt: skip
+    rows = (
+        ("noise", "N.m", "standard deviation of the torque that the law leaves unexplained", noise),
+        ("speed_least", "rad/s", "below it nothing is learned", tuning.rest * speed),
+        ("torque_limit", "N.m", "measured torque where the motor saturates; 0: unknown", 0.0),
+        ("level_start", "1", "level to start from", 1.0),
+        ("viscosity_start", "1", "viscous factor to start from", 1.0),
+        ("offset_start", "N.m", "offset to start from", 0.0),
+    )
+    return tuple(Parameter(name=n, unit=u, description=d, start=x) for n, u, d, x in rows)
 
 
 def adaptive_component(
-    law: FrictionLaw, tuning: Tuning, *, noise: float, speed: float, viscosity_least: float = 0.0,
+    law: FrictionLaw,
+    tuning: Tuning,
+    *,
+    noise: float,
+    speed: float,
+    viscosity_least: float = 0.0,
     thermal: Thermal | None = None,
-) -> Component:  # fmt: skip
+) -> Component:
     """Return the equations of a joint with an adaptive law.
 
     `noise` is the standard deviation of the unexplained torque [N.m], `speed` the largest speed of
@@ -97,113 +90,21 @@ def adaptive_component(
     """
     own = own_parameters(tuning, noise, speed)
     sigma = larger(own[0].symbol, _LEAST_NOISE)
-    slowest, limit = own[1].symbol, own[2].symbol
     warm = warmth(previous(TORQUE)) if thermal else None
     law_parts = parts(law, previous("level"), warm.coulomb if warm else sympy.S.One)
-    viscous = law_parts.viscous * (warm.viscous if warm else sympy.S.One)
-    # The factor after temperature still covers the ripple.
-    thickness = (
-        larger(previous("viscosity") * warm.viscous, viscosity_least)
-        if warm
-        else previous("viscosity")
-    )
-    low, high = tuning.level
-    thin, thick = max(tuning.viscosity[0], viscosity_least), tuning.viscosity[1]
-    deviations = (tuning.level_sd, tuning.viscosity_sd, tuning.offset_sd * sigma)
-    phi = [_named("phi_level"), _named("phi_viscosity"), sympy.Integer(1)]
-    error, gain, learns = _named("innovation"), _named("gain"), _named("learns")
-    # Names for sums that are used in several places.
-    g = [_named(f"g_{i}") for i in range(3)]
-    p = {(i, j): previous(_p(i, j)) for i in range(3) for j in range(3)}
-    spread, density = _named("spread"), 2 * tuning.correlation_time * sigma**2
-    expected = sympy.sqrt(sigma**2 + spread)
-    fits = exceeds(tuning.outlier * expected, absolute(_named("raw")))
-    saturates = exceeds(absolute(MEASURED.symbol), limit) * exceeds(limit, 0)
-    moving = exceeds(absolute(DQ), slowest)
-    calm = _named("calm")
-    looks = exceeds(ADAPT.symbol, 0.5) * moving * (1 - saturates)
-    net = _named("net")
-    forgets = learns * DT / ((tuning.forgetting_time + DT) * (spread + _TINY))
-    factors = tuple(
-        Equation(name=name, unit=unit, description=text, output=True, expression=e, start=start)
-        for (name, unit, text), e, start in zip(
-            _FACTORS,
-            (
-                _between(previous("level") + g[0] * gain * error, low, high),
-                _between(previous("viscosity") + g[1] * gain * error, thin, thick),
-                clip(
-                    previous("offset") + clip(g[2] * gain * error, tuning.offset_rate * sigma * DT),
-                    tuning.offset * sigma,
-                ),
-            ),
-            (
-                _between(own[3].symbol, low, high),
-                _between(own[4].symbol, thin, thick),
-                clip(own[5].symbol, tuning.offset * sigma),
-            ),
-            strict=True,
-        )
-    )
-    cut = [_named(f"cut_{i}") for i in range(3)]
-    grown = {(i, j): p[i, j] - g[i] * g[j] * net for i in range(3) for j in range(i, 3)}
-    covariance = [
-        Equation(
-            name=_p(i, j),
-            expression=(
-                larger(grown[i, i] * cut[i] ** 2, (1e-6 * deviations[i]) ** 2)
-                if i == j
-                else grown[i, j] * cut[i] * cut[j] * (1 - _MIXED * learns)
-            ),
-            start=sympy.S.Zero + (deviations[i] ** 2 if i == j else 0),
-        )
-        for i, j in grown
-    ]
-    cuts = [
-        Equation(
-            name=f"cut_{i}",
-            expression=deviations[i] / larger(deviations[i], sympy.sqrt(positive(grown[i, i]))),
-        )
-        for i in range(3)
-    ]
-    friction = phi[0] + phi[1]
-    weight = _named("weight")
-    sums = {
-        "friction": (friction, sympy.Float(tuning.change)),
-        "offset": (sympy.Integer(1), tuning.change_of_offset * sigma),
+    viscous, viscosity = law_parts.viscous, previous("viscosity")
+    if warm:  # the factor after temperature still covers the ripple
+        viscous *= warm.viscous
+        viscosity = larger(viscosity * warm.viscous, viscosity_least)
+    limits = {
+        "level": tuning.level,
+        "viscosity": (max(tuning.viscosity[0], viscosity_least), tuning.viscosity[1]),
     }
-    cusum = [
-        _cusum(f"{name}_{way}", sign * d, regressor, weight, error, tuning.alarm)
-        for name, (regressor, d) in sums.items()
-        for way, sign in (("up", 1), ("down", -1))
-    ]
-    alarm = [
-        Equation(
-            name=name,
-            unit="1",
-            description=text,
-            output=True,
-            expression=exceeds(_named(f"{of}_up"), tuning.alarm)
-            - exceeds(_named(f"{of}_down"), tuning.alarm),
-        )
-        for name, of, text in (
-            ("drift", "friction", "alarm of {joint}: friction has risen (1) or fallen (-1)"),
-            ("shift", "offset", "alarm of {joint}: load, gravity or sensor, up (1) or down (-1)"),
-        )
-    ]
-    at_limit = sum(
-        exceeds(_named(name), b - 1e-9) + exceeds(a + 1e-9, _named(name))
-        for name, a, b in (("level", low, high), ("viscosity", thin, thick))
-    )
-    reasons = (
-        (5, exceeds(at_limit, 0.5)),
-        (4, 1 - _named("settled")),
-        (3, saturates),
-        (2, 1 - moving),
-        (1, 1 - exceeds(ADAPT.symbol, 0.5)),
-    )
-    health = sympy.Integer(0)
-    for number, so in reasons:  # the last true one wins
-        health = so * number + (1 - so) * health
+    deviations = (tuning.level_sd, tuning.viscosity_sd, tuning.offset_sd * sigma)
+    torque = law_parts.hysteresis + viscosity * law_parts.viscous + law_parts.rest
+    moving = exceeds(absolute(DQ), own[1].symbol)
+    saturates = exceeds(absolute(MEASURED.symbol), own[2].symbol) * exceeds(own[2].symbol, 0)
+    alarms, sums = _alarms(tuning, sigma)
     base = law.form.component
     return replace(
         base,
@@ -211,59 +112,188 @@ def adaptive_component(
         parameters=(*base.parameters, *own, *(thermal_parameters(thermal) if thermal else ())),
         memory=(*((warm.memory,) if warm else ()), *law_parts.memory),
         equations=(
-            Equation(
-                name=TORQUE, unit="N.m", description="friction {effort} of {joint}", output=True,
-                expression=law_parts.hysteresis + thickness * law_parts.viscous
-                + law_parts.rest + previous("offset"),
-                start=sympy.S.Zero if warm else None,
+            _output(
+                TORQUE,
+                "N.m",
+                "friction {effort} of {joint}",
+                torque + previous("offset"),
+                sympy.S.Zero if warm else None,
             ),
-            *factors,
-            *(
-                Equation(
-                    name=f"{name}_sd", unit=unit, output=True,
-                    description=f"standard deviation of {name}[{{number}}]",
-                    expression=sympy.sqrt(positive(_named(_p(i, i)))),
-                )
-                for i, (name, unit, _) in enumerate(_FACTORS)
-            ),
-            *alarm,
-            Equation(name="health", unit="1", output=True, expression=health,
-                     description="of {joint}, 0 where factors follow, else why they do not"),
+            *_factors(tuning, sigma, own, limits),
+            *alarms,
+            _health(limits, moving, saturates),
             *law_parts.sensitivities,
-            Equation(name="raw", expression=MEASURED.symbol - RIGID.symbol - _named(TORQUE)),
+            _hidden("raw", MEASURED.symbol - RIGID.symbol - _named(TORQUE)),
             # NaN counts as 0; large values are clipped to the usual tail of the noise.
-            Equation(name="innovation", expression=clip(_number(_named("raw")),
-                                                        tuning.clipped * expected)),
+            _hidden("innovation", clip(_number(_named("raw")), tuning.clipped * _expected(sigma))),
             *(
-                Equation(name=f"phi_{name}", expression=moving * clip(_number(e), _HUGE * sigma))
+                _hidden(f"phi_{name}", moving * clip(_number(e), _HUGE * sigma))
                 for name, e in (("level", law_parts.along), ("viscosity", viscous))
             ),
-            *(
-                Equation(name=f"g_{i}", expression=sum(p[min(i, j), max(i, j)] * phi[j]
-                                                       for j in range(3)))
-                for i in range(3)
-            ),
-            Equation(name="spread", expression=positive(sum(phi[i] * g[i] for i in range(3)))),
-            Equation(name="calm", start=sympy.Float(tuning.hold),
-                     expression=fits * _at_most(previous("calm") + DT, tuning.hold)),
-            Equation(name="settled", expression=1 - exceeds(tuning.hold, calm)),
-            Equation(name="learns", expression=looks * _named("settled")),
-            Equation(name="weight", expression=looks * DT / (density + spread * DT)),
-            Equation(name="gain", expression=weight * _named("settled")),
-            Equation(name="net", expression=gain - forgets),
-            *cuts,
-            *covariance,
-            *cusum,
+            *_gains(tuning, sigma, moving, saturates),
+            *_covariance(deviations),
+            *sums,
         ),
-    )  # fmt: skip
+    )
 
 
 def _named(name: str) -> sympy.Symbol:
     return sympy.Symbol(name, real=True)
 
 
+_PHI = (_named("phi_level"), _named("phi_viscosity"), sympy.Integer(1))
+_G = tuple(_named(f"g_{i}") for i in _PLACES)
+
+
 def _p(i: int, j: int) -> str:
     return f"P_{min(i, j)}{max(i, j)}"
+
+
+def _output(
+    name: str, unit: str, text: str, expression: sympy.Expr, start: sympy.Expr | None = None
+) -> Equation:
+    return Equation(
+        name=name, unit=unit, description=text, output=True, expression=expression, start=start
+    )
+
+
+def _hidden(name: str, expression: sympy.Expr, start: sympy.Expr | None = None) -> Equation:
+    return Equation(name=name, expression=expression, start=start)
+
+
+def _factors(
+    tuning: Tuning,
+    sigma: sympy.Expr,
+    own: tuple[Parameter, ...],
+    limits: _Limits,
+) -> list[Equation]:
+    """Return the factors, then their standard deviations."""
+
+    def limited(name: str, x: sympy.Expr) -> sympy.Expr:
+        return _between(x, *limits[name]) if name in limits else clip(x, tuning.offset * sigma)
+
+    steps = [g * _named("gain") * _named("innovation") for g in _G]
+    steps[2] = clip(steps[2], tuning.offset_rate * sigma * DT)
+    factors = [
+        _output(name, unit, text, limited(name, previous(name) + x), limited(name, first.symbol))
+        for (name, unit, text), x, first in zip(_FACTORS, steps, own[3:], strict=True)
+    ]
+    spreads = [
+        _output(
+            f"{name}_sd",
+            unit,
+            f"standard deviation of {name}[{{number}}]",
+            sympy.sqrt(positive(_named(_p(i, i)))),
+        )
+        for i, (name, unit, _) in enumerate(_FACTORS)
+    ]
+    return factors + spreads
+
+
+def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equation]]:
+    """Return the alarms, and the sums that they compare."""
+    rows = (
+        ("drift", "friction", _PHI[0] + _PHI[1], sympy.Float(tuning.change)),
+        ("shift", "offset", _PHI[2], tuning.change_of_offset * sigma),
+    )
+    alarms, sums = [], []
+    for name, of, regressor, change in rows:
+        up, down = (exceeds(_named(f"{of}_{way}"), tuning.alarm) for way in ("up", "down"))
+        alarms.append(_output(name, "1", _ALARMS[name], up - down))
+        sums += [
+            _cusum(f"{of}_{way}", sign * change, regressor, tuning.alarm)
+            for way, sign in (("up", 1), ("down", -1))
+        ]
+    return alarms, sums
+
+
+def _cusum(name: str, d: sympy.Expr, regressor: sympy.Expr, alarm: float) -> Equation:
+    """Return the log-likelihood ratio of a shift d of a factor, not below 0.
+
+    It saturates above the alarm and falls again once the innovations fit.
+    """
+    weight, error = _named("weight"), _named("innovation")
+    change = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
+    limited = _at_most(positive(previous(name) + change), 1.5 * alarm)
+    return _hidden(name, limited, sympy.S.Zero)
+
+
+def _health(limits: _Limits, moving: sympy.Expr, saturates: sympy.Expr) -> Equation:
+    at_limit = sum(
+        exceeds(_named(name), high - 1e-9) + exceeds(low + 1e-9, _named(name))
+        for name, (low, high) in limits.items()
+    )
+    reasons = (
+        (5, exceeds(at_limit, 0.5)),
+        (4, 1 - _named("settled")),  # outlier, or shortly after one
+        (3, saturates),
+        (2, 1 - moving),
+        (1, 1 - exceeds(ADAPT.symbol, 0.5)),  # switched off
+    )
+    health = sympy.Integer(0)
+    for number, so in reasons:  # the last true one wins
+        health = so * number + (1 - so) * health
+    return _output(
+        "health", "1", "of {joint}, 0 where factors follow, else why they do not", health
+    )
+
+
+def _expected(sigma: sympy.Expr) -> sympy.Expr:
+    """Return the standard deviation of the innovation [N.m]."""
+    return sympy.sqrt(sigma**2 + _named("spread"))
+
+
+def _gains(
+    tuning: Tuning, sigma: sympy.Expr, moving: sympy.Expr, saturates: sympy.Expr
+) -> tuple[Equation, ...]:
+    """Return P phi, and the weights of the innovation after the gates of learning."""
+    spread, learns, settled, weight, gain = map(
+        _named, ("spread", "learns", "settled", "weight", "gain")
+    )
+    looks = exceeds(ADAPT.symbol, 0.5) * moving * (1 - saturates)
+    fits = exceeds(tuning.outlier * _expected(sigma), absolute(_named("raw")))
+    density = 2 * tuning.correlation_time * sigma**2
+    forgets = learns * DT / ((tuning.forgetting_time + DT) * (spread + _TINY))
+    return (
+        *(
+            _hidden(g.name, sum(previous(_p(i, j)) * _PHI[j] for j in _PLACES))
+            for i, g in enumerate(_G)
+        ),
+        _hidden("spread", positive(sum(x * g for x, g in zip(_PHI, _G, strict=True)))),
+        _hidden(
+            "calm", fits * _at_most(previous("calm") + DT, tuning.hold), sympy.Float(tuning.hold)
+        ),
+        _hidden("settled", 1 - exceeds(tuning.hold, _named("calm"))),
+        _hidden("learns", looks * settled),
+        _hidden("weight", looks * DT / (density + spread * DT)),
+        _hidden("gain", weight * settled),
+        _hidden("net", gain - forgets),
+    )
+
+
+def _covariance(deviations: tuple[sympy.Expr, ...]) -> list[Equation]:
+    """Return the cuts to the largest standard deviations, then the covariance."""
+    cut = [_named(f"cut_{i}") for i in _PLACES]
+    grown = {
+        (i, j): previous(_p(i, j)) - _G[i] * _G[j] * _named("net")
+        for i in _PLACES
+        for j in _PLACES[i:]
+    }
+    cuts = [
+        _hidden(x.name, d / larger(d, sympy.sqrt(positive(grown[i, i]))))
+        for i, (x, d) in enumerate(zip(cut, deviations, strict=True))
+    ]
+    own = [
+        _hidden(
+            _p(i, j),
+            larger(e * cut[i] ** 2, (1e-6 * deviations[i]) ** 2)
+            if i == j
+            else e * cut[i] * cut[j] * (1 - _MIXED * _named("learns")),
+            sympy.S.Zero + (deviations[i] ** 2 if i == j else 0),
+        )
+        for (i, j), e in grown.items()
+    ]
+    return cuts + own
 
 
 def _number(x: sympy.Expr) -> sympy.Expr:
@@ -277,18 +307,3 @@ def _at_most(x: sympy.Expr, most: float) -> sympy.Expr:
 
 def _between(x: sympy.Expr, low: float, high: float) -> sympy.Expr:
     return larger(_at_most(x, high), low)
-
-
-def _cusum(
-    name: str, d: sympy.Expr, regressor: sympy.Expr, weight: sympy.Expr, error: sympy.Expr,
-    alarm: float,
-) -> Equation:  # fmt: skip
-    """Return the log-likelihood ratio of a shift d of a factor, not below 0.
-
-    It saturates above the alarm and falls again once the innovations fit.
-    """
-    change = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
-    top = 1.5 * alarm
-    return Equation(
-        name=name, expression=_at_most(positive(previous(name) + change), top), start=sympy.S.Zero
-    )

@@ -19,10 +19,11 @@ from hesr_model.support.arrays import Array
 
 _SHARED = 0.5
 """Share of the joints above which a change of friction counts as shared."""
+_ESTIMATES = ("level", "level_sd", "viscosity", "viscosity_sd", "offset", "offset_sd")
 
 POINTS_TO = {
     "drift": "wear or damage of this joint, or heat of it alone",
-    "shared drift": "temperature or lubrication: most joints change alike",
+    "shared drift": "temperature or lubrication: most joints change in the same way",
     "shift": "a payload, an error of gravity, or a sensor",
 }
 """Likely cause by kind of alarm."""
@@ -37,6 +38,11 @@ class Alarm:
     time: float
     kind: str
     sign: int
+
+    @property
+    def change(self) -> str:
+        """Direction of the change: "more" or "less"."""
+        return "more" if self.sign > 0 else "less"
 
     @property
     def points_to(self) -> str:
@@ -63,6 +69,14 @@ class State:
     learning: float
     rmse_fixed: float
     rmse: float
+
+    def intervals(self) -> tuple[str, str, str]:
+        """Return level, viscous factor and offset with two standard deviations."""
+        return (
+            f"{self.level:.3f} ± {2 * self.level_sd:.3f}",
+            f"{self.viscosity:.3f} ± {2 * self.viscosity_sd:.3f}",
+            f"{self.offset:.3g} ± {2 * self.offset_sd:.2g}",
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,13 +109,11 @@ def _state(one: Followed) -> State:
     return State(
         log=one.record.log,
         joint=one.record.joint,
-        **{name: last[name] for name in (
-            "level", "level_sd", "viscosity", "viscosity_sd", "offset", "offset_sd"
-        )},
+        **{name: last[name] for name in _ESTIMATES},
         learning=float(np.mean(one.outputs["health"] == 0.0)),
         rmse_fixed=rmse((one.fixed - one.record.tau)[known]),
         rmse=rmse((one.outputs["tau"] - one.record.tau)[known]),
-    )  # fmt: skip
+    )
 
 
 def _alarms(log: Sequence[Followed]) -> Iterator[Alarm]:

@@ -11,11 +11,7 @@ from cosim.report.markup import Pictures, Section, joined, paragraph, table, wri
 from cosim.report.tables.table import ResultTable, row_of
 from hesr.extras.adaptive.monitor import FollowedLogs
 
-_TRENDS = (
-    ("level", "level", 1.0),
-    ("viscosity", "viscous factor", 1.0),
-    ("offset", "offset [N.m; N]", 0.0),
-)
+_TRENDS = {"level": "level", "viscosity": "viscous factor", "offset": "offset [N.m; N]"}
 
 
 def write_monitor(path: Path, watched: FollowedLogs) -> None:
@@ -41,12 +37,9 @@ def write_monitor(path: Path, watched: FollowedLogs) -> None:
 def alarm_table(watched: FollowedLogs) -> ResultTable:
     """Return the table of alarms."""
     rows = [
-        row_of(
-            f"{alarm.log}: {alarm.joint}", f"{alarm.time:.1f}", alarm.kind,
-            "more" if alarm.sign > 0 else "less", alarm.points_to,
-        )
-        for alarm in watched.alarms
-    ]  # fmt: skip
+        row_of(f"{a.log}: {a.joint}", f"{a.time:.1f}", a.kind, a.change, a.points_to)
+        for a in watched.alarms
+    ]
     head = ("log: joint", "time in s", "alarm", "torque", "points to")
     return ResultTable(caption="Changes of friction", head=head, rows=rows)
 
@@ -55,15 +48,15 @@ def _trends(watched: FollowedLogs, pictures: Pictures) -> Markup:
     """Draw every factor of every joint with its band, logs one after the other."""
     ends = np.cumsum([float(np.ptp(log[0].record.t)) for log in watched.followed])
     begins = np.concatenate([[0.0], ends[:-1]])
-    marks = tuple((float(at), log[0].record.log)
-                  for at, log in zip(begins, watched.followed, strict=True))  # fmt: skip
+    names = (log[0].record.log for log in watched.followed)
+    marks = tuple(zip(begins.tolist(), names, strict=True))
     drawings = []
     for j, joint in enumerate(watched.model.joints):
         logs = [log[j] for log in watched.followed]
-        t = np.concatenate([at + one.record.t - one.record.t[0]
-                            for at, one in zip(begins, logs, strict=True)])  # fmt: skip
+        times = (at + one.record.t - one.record.t[0] for at, one in zip(begins, logs, strict=True))
+        t = np.concatenate(list(times))
         rows: list[tuple[Panel, ...]] = []
-        for name, title, _ in _TRENDS:
+        for name, title in _TRENDS.items():
             value, sd = (
                 np.concatenate([one.outputs[key] for one in logs]) for key in (name, f"{name}_sd")
             )
@@ -75,11 +68,9 @@ def _trends(watched: FollowedLogs, pictures: Pictures) -> Markup:
             )
             rows.append((Panel(title=title, y="", lines=lines, marks=marks if not rows else ()),))
         chart = Chart(x="t [s], logs one after the other", rows=tuple(rows), height=1.2)
-        drawings.append(pictures.shown(
-            f"trend-{j + 1}", drawn(chart),
-            f"Joint {joint}: factors on its Coulomb and viscous friction, and its offset.",
-            alt=f"Level, viscous factor and offset of {joint} over time, with bands.",
-        ))  # fmt: skip
+        text = f"Joint {joint}: factors on its Coulomb and viscous friction, and its offset."
+        alt = f"Level, viscous factor and offset of {joint} over time, with bands."
+        drawings.append(pictures.shown(f"trend-{j + 1}", drawn(chart), text, alt=alt))
     return joined(*drawings)
 
 
@@ -88,14 +79,14 @@ def state_table(watched: FollowedLogs) -> ResultTable:
     rows = [
         row_of(
             f"{s.log}: {s.joint}",
-            f"{s.level:.3f} ± {2 * s.level_sd:.3f}",
-            f"{s.viscosity:.3f} ± {2 * s.viscosity_sd:.3f}",
-            f"{s.offset:.3g} ± {2 * s.offset_sd:.2g}",
-            f"{s.rmse_fixed:.3g}", f"{s.rmse:.3g}", f"{100 * s.learning:.0f}",
+            *s.intervals(),
+            f"{s.rmse_fixed:.3g}",
+            f"{s.rmse:.3g}",
+            f"{100 * s.learning:.0f}",
         )
         for s in watched.states
-    ]  # fmt: skip
-    head = ("log: joint", "level", "viscous factor", "offset", "error of the law", "followed",
-            "learning in %")  # fmt: skip
+    ]
+    factors = ("level", "viscous factor", "offset")
+    head = ("log: joint", *factors, "error of the law", "followed", "learning in %")
     caption = "Factors with two standard deviations, and errors (RMSE) in N.m, or N"
     return ResultTable(caption=caption, head=head, rows=rows)

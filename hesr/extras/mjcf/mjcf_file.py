@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from importlib.metadata import version
+from itertools import zip_longest
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from fmu_src.friction.validity import require_exportable
-from hesr.extras.mjcf.parts import JointFriction, NoCounterpartError, Wave, parts_of
+from hesr.extras.mjcf.parts import JointFriction, NoCounterpartError, parts_of
 from hesr.extras.mjcf.projection import Misfit, projected, records
 from hesr_model.errors import ExportError, HesrError
 from hesr_model.friction.model import FrictionModel
@@ -153,18 +154,13 @@ def _actuators(parts: JointFriction) -> Iterator[str]:
 
     All attributes are written because the defaults of the robot may differ.
     """
-    count = max(len(parts.bristles), len(parts.waves), 1)
-    for k in range(count):
-        bristle = parts.bristles[k] if k < len(parts.bristles) else None
-        wave = parts.waves[k] if k < len(parts.waves) else Wave(amplitude=0.0, poles=0.0, phase=0.0)
+    pairs = list(zip_longest(parts.bristles, parts.waves)) or [(None, None)]
+    for k, (bristle, wave) in enumerate(pairs):
         numbers = {
-            "lugre": (
-                bristle.stiffness, bristle.damping, bristle.coulomb, bristle.static,
-                bristle.stribeck,
-            ) if bristle else (0.0,) * 5,
-            "damping": (parts.viscous if k == 0 else 0.0,),
-            "cogging": (wave.amplitude, wave.poles, wave.phase),
-        }  # fmt: skip
+            "lugre": astuple(bristle) if bristle else (0.0,) * 5,
+            "damping": (0.0 if k else parts.viscous,),
+            "cogging": astuple(wave) if wave else (0.0,) * 3,
+        }
         yield " ".join(
             f'{name}="{" ".join(f"{x:.17g}" for x in values)}"' for name, values in numbers.items()
         )

@@ -90,9 +90,9 @@ def parts_of(law: FrictionLaw) -> JointFriction:
         raise NoCounterpartError(
             "it is run with Euler's steps, and MuJoCo relaxes a bristle exactly"
         )
-    torque = _Torque(values)
+    torque = _Torque(values, {s for r in form.relaxations for s in (r.state, r.derivative)})
     for term in sympy.Add.make_args(sympy.expand_mul(form.output.subs(zeros))):
-        torque.add(term, form.relaxations)
+        torque.add(term)
     bristles = [
         _bristle(r, motion, torque.forces.get(r.state), torque.forces.get(r.derivative), values)
         for r, motion in zip(form.relaxations, motions, strict=True)
@@ -160,17 +160,21 @@ class _Torque:
     """Terms of a law's torque, collected one by one."""
 
     values: Values
+    states: set[sympy.Symbol]
     viscous: float = 0.0
     forces: dict[sympy.Symbol, sympy.Expr] = field(default_factory=dict)
     waves: list[Wave] = field(default_factory=list)
 
-    def add(self, term: sympy.Expr, relaxations: tuple[Relaxation, ...]) -> None:
+    def add(self, term: sympy.Expr) -> None:
         """Add a term: a factor of a state, viscous, constant or a wave in the angle."""
-        states = {s for r in relaxations for s in (r.state, r.derivative)} & term.free_symbols
+        states = self.states & term.free_symbols
         for symbol in states or {DQ}:
             factor = term / symbol
             if not _uses_inputs(factor) and not states & factor.free_symbols:
-                self._add_linear(symbol, factor)
+                if states:
+                    self.forces[symbol] = self.forces.get(symbol, sympy.Integer(0)) + factor
+                else:
+                    self.viscous += _number(factor, self.values, "its viscous friction")
                 return
         if not states and not _uses_inputs(term):
             torque = _number(term, self.values, "a term of its torque")
@@ -184,12 +188,6 @@ class _Torque:
                 f"its torque has the term {shown(term)}, which is neither a bristle's nor viscous "
                 "nor a ripple in the joint's angle alone"
             )
-
-    def _add_linear(self, symbol: sympy.Symbol, factor: sympy.Expr) -> None:
-        if symbol == DQ:
-            self.viscous += _number(factor, self.values, "its viscous friction")
-        else:
-            self.forces[symbol] = self.forces.get(symbol, sympy.Integer(0)) + factor
 
 
 def _wave(term: sympy.Expr, values: Values) -> Wave | None:

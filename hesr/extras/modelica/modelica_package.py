@@ -34,7 +34,6 @@ _KEYWORDS = """
 """
 _WORDS = frozenset(_KEYWORDS.split())
 _LIBRARIES = frozenset({"Modelica", "ModelicaServices", "Complex"})
-_TAKEN = _WORDS | _LIBRARIES
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
 _FREQUENCY = 0.25
@@ -95,15 +94,20 @@ def package(model: FrictionModel, name: str) -> str:
 
 
 def _check_name(path: Path) -> None:
-    name = path.stem
     if path.suffix != ".mo":
         raise ExportError(f"{path}: a Modelica package ends in .mo, found '{path.suffix}'.")
-    if not _IDENTIFIER.fullmatch(name) or name in _TAKEN:
-        odd = "taken by Modelica" if name in _TAKEN else "no name in Modelica"
+    if odd := _oddity(path.stem, _WORDS | _LIBRARIES):
         raise ExportError(
-            f"{path}: the package gets the name of its file, but '{name}' is {odd}; needed are "
-            "letters, digits and underscores, a letter first."
+            f"{path}: the package has the name of its file, but '{path.stem}' is {odd}; use "
+            "letters, digits and underscores, starting with a letter."
         )
+
+
+def _oddity(name: str, taken: frozenset[str]) -> str:
+    """Return why a name is not usable in Modelica; empty if it is."""
+    if name in taken:
+        return "taken by Modelica"
+    return "" if _IDENTIFIER.fullmatch(name) else "not a valid name in Modelica"
 
 
 def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
@@ -115,7 +119,7 @@ def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
         "".join(part.capitalize() for part in re.findall(r"[A-Za-z0-9]+", law.name))
         for law in first.values()
     ]
-    stems = [s if s[:1].isalpha() and s not in _TAKEN else f"Law{s}" for s in stems]
+    stems = [s if s[:1].isalpha() and s not in _WORDS | _LIBRARIES else f"Law{s}" for s in stems]
     return {
         stem if stems.count(stem) == 1 else f"{stem}_{stems[:i].count(stem) + 1}": law
         for i, (stem, law) in enumerate(zip(stems, first.values(), strict=True))
@@ -145,16 +149,11 @@ def _check_names(law: FrictionLaw, found: Equations) -> None:
     names = [*law.values, *found.signs]
     names += [n for m in law.form.memory for n in (m.name, start_of(m.name))]
     for name in names:
-        odd = (
-            "used twice" if name in seen
-            else "taken by Modelica" if name in _WORDS or name in FUNCTIONS
-            else "no name in Modelica" if not _IDENTIFIER.fullmatch(name)
-            else ""
-        )  # fmt: skip
+        odd = "used twice" if name in seen else _oddity(name, _WORDS | set(FUNCTIONS))
         if odd:
             raise ExportError(
-                f"law '{law.name}': the name '{name}' is {odd}; needed are distinct names of "
-                "letters, digits and underscores."
+                f"law '{law.name}': the name '{name}' is {odd}; use distinct names of letters, "
+                "digits and underscores."
             )
         seen.add(name)
 

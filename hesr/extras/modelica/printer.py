@@ -19,10 +19,8 @@ from hesr_model.equations.program import Jumps, initial_state, initial_symbol
 from hesr_model.errors import ExportError
 from hesr_model.friction.law import SETTLING, LawForm
 
-FUNCTIONS = (
-    "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "der", "exp", "log", "sign", "sin",
-    "sinh", "sqrt", "tan", "tanh",
-)  # fmt: skip
+_NAMES = "abs acos asin atan atan2 cos cosh der exp log sign sin sinh sqrt tan tanh"
+FUNCTIONS = tuple(_NAMES.split())
 """Functions and operators of Modelica in use."""
 
 _HALF = sympy.Rational(1, 2)
@@ -32,7 +30,6 @@ _WIDTH = 96
 class _Printer(LanguagePrinter):
     """Modelica with our functions; the derivative of a state is its `der`."""
 
-    printmethod = "_modelica"
     language = "Modelica"
 
     def __init__(self, derivatives: Mapping[sympy.Symbol, str]) -> None:

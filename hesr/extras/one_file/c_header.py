@@ -35,8 +35,8 @@ def export_c(model: FrictionModel, path: Path) -> Path:
         raise ExportError(f"{path}: a C header ends in .h, found '{path.suffix}'.")
     if not _IDENTIFIER.fullmatch(path.stem):
         raise ExportError(
-            f"{path}: the functions get the name of the file, but '{path.stem}' is no name in C; "
-            "needed are letters, digits and underscores, a letter first."
+            f"{path}: the functions have the name of the file, but '{path.stem}' is not a name in "
+            "C; use letters, digits and underscores, starting with a letter."
         )
     return write_beside(path, header(model, path.stem), model)
 
@@ -48,20 +48,16 @@ def header(model: FrictionModel, name: str) -> str:
     distinct = list(dict.fromkeys(j.component for j in joints))
     functions = [Functions(c, f"{name}_law_{i}") for i, c in enumerate(distinct, start=1)]
     euler = any(law.discretisation == "euler" for law in model.laws)
-    texts = [
-        text
-        for own in functions
-        for text in (
-            own.read(),
-            own.invariants(),
-            own.step(),
-            *([] if euler else [own.lanes()]),
-            *([own.begin()] if own.component.memory else []),
-            *([own.switches()] if own.jumps.expressions else []),
-            *([own.rates()] if euler and own.component.memory else []),
-        )
-    ]
-    text = code_templates(TEMPLATES).get_template("law.h.j2").render(
+    texts = []
+    for own in functions:
+        memory = own.component.memory
+        texts += [own.read(), own.invariants(), own.step()]
+        texts += [] if euler else [own.lanes()]
+        texts += [own.begin()] if memory else []
+        texts += [own.switches()] if own.jumps.expressions else []
+        texts += [own.rates()] if euler and memory else []
+    template = code_templates(TEMPLATES).get_template("law.h.j2")
+    text = template.render(
         name=name,
         title=_comment(f"Friction of {model.robot} by {model.law}"),
         version=version("hesr"),
@@ -73,7 +69,7 @@ def header(model: FrictionModel, name: str) -> str:
         lanes=_LANES,
         shared=max(len(joint.component.shared) for joint in joints),
         coefficients=sum(len(law.values) for law in model.laws),
-    )  # fmt: skip
+    )
     return _with_prefix(text, name)
 
 

@@ -66,6 +66,6 @@ def _motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
         if np.all(np.isfinite(torque)):
             return motion, torque
     raise ExportError(
-        f"friction model '{model.law}': it has no finite torque on a motion of up to "
-        f"{np.abs(motion.dq).max():g} rad/s, so there are no test data for its code."
+        f"friction model '{model.law}': its torque is not finite on a motion of up to "
+        f"{np.abs(motion.dq).max():g} rad/s, so its code gets no test data."
     )

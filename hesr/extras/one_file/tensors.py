@@ -50,7 +50,8 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
         _law(f"_law_{n}", form, joints, [model.laws[i] for i in joints])
         for n, (form, joints) in enumerate(groups.items(), start=1)
     ]
-    return code_templates(TEMPLATES).get_template(f"law_{library}.py.j2").render(
+    template = code_templates(TEMPLATES).get_template(f"law_{library}.py.j2")
+    rendered: str = template.render(
         title=_text(f"Friction of {model.robot} by {model.law}"),
         library=_TITLES[library],
         version=version("hesr"),
@@ -59,7 +60,8 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
         sample_time=model.sample_time,
         euler=discretisation == "euler",
         laws=laws,
-    )  # fmt: skip
+    )
+    return rendered
 
 
 def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -> dict[str, Any]:

@@ -36,6 +36,16 @@ LEAST_TIME = 300.0
 _TIMES = (60.0, 14_400.0)
 """Bounds of the thermal time constant [s]."""
 
+_UNKNOWNS = {
+    "coulomb_scale": (-1.0, 1.0, 0.1),  # logarithm
+    "viscous_scale": (-1.5, 1.5, 0.1),  # logarithm
+    "coulomb": (-0.5, 0.5, 0.01),
+    "viscous": (-0.5, 0.5, 0.01),
+    "offset": (-np.inf, np.inf, 1.0),
+    "time_constant": (*np.log(_TIMES), 0.3),  # logarithm
+}
+"""Bounds and scale of each unknown; the last one is optional."""
+
 _WIDTH = 1.96
 """Half width of a 95 % interval in standard errors."""
 
@@ -124,7 +134,7 @@ def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit
         if high - low < LEAST_SPREAD:
             raise FitError(
                 f"joint '{records[0].joint}': its temperature varies by {high - low:.2g} K over "
-                f"the logs; at least {LEAST_SPREAD:g} K tell what it does to friction."
+                f"the logs; at least {LEAST_SPREAD:g} K are needed."
             )
         start = Thermal(coulomb=0.0, viscous=0.0, reference=round(float(np.mean(every)), 1))
         fitted = problem.solved(start, lambda _: measured)
@@ -140,10 +150,8 @@ def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit
     )
     fitted = problem.solved(start, problem.by_heat, searched=True)
     thermal = fitted.thermal
-    if (
-        abs(thermal.coulomb) < _WIDTH * fitted.coulomb_error
-        and abs(thermal.viscous) < _WIDTH * fitted.viscous_error
-    ):
+    found = ((thermal.coulomb, fitted.coulomb_error), (thermal.viscous, fitted.viscous_error))
+    if all(abs(value) < _WIDTH * error for value, error in found):
         raise FitError(
             f"joint '{fitted.joint}': its friction does not change with the heat of the logs; "
             "longer ones from a cold start are needed."
@@ -160,42 +168,48 @@ class _Problem:
         self._steps = [np.diff(r.t, prepend=r.t[0]) for r in records]
 
     def solved(
-        self, start: Thermal, temperatures: Callable[[Thermal], Sequence[Array]], *,
+        self,
+        start: Thermal,
+        temperatures: Callable[[Thermal], Sequence[Array]],
+        *,
         searched: bool = False,
-    ) -> ThermalFit:  # fmt: skip
+    ) -> ThermalFit:
         """Return the best numbers; `temperatures` of each record may depend on them.
 
         The time constant is one of them if `searched`.
         """
 
         def thermal_of(x: Array) -> Thermal:
-            time = float(np.exp(x[5])) if searched else start.time_constant
             return replace(
-                start, coulomb_scale=float(np.exp(x[0])), viscous_scale=float(np.exp(x[1])),
-                coulomb=float(x[2]), viscous=float(x[3]), time_constant=time,
-            )  # fmt: skip
+                start,
+                coulomb_scale=float(np.exp(x[0])),
+                viscous_scale=float(np.exp(x[1])),
+                coulomb=float(x[2]),
+                viscous=float(x[3]),
+                time_constant=float(np.exp(x[5])) if searched else start.time_constant,
+            )
 
         def left(thermal: Thermal, offset: float) -> Array:
             torques = self._torques(thermal, temperatures(thermal))
             rows = zip(torques, self._records, self._known, strict=True)
             return np.concatenate([(tau + offset - r.tau)[known] for tau, r, known in rows])
 
-        count = 6 if searched else 5
-        low = np.array([-1.0, -1.5, -0.5, -0.5, -np.inf, np.log(_TIMES[0])])[:count]
-        high = np.array([1.0, 1.5, 0.5, 0.5, np.inf, np.log(_TIMES[1])])[:count]
-        first = np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.log(start.time_constant)])[:count]
-        scale = np.array([0.1, 0.1, 0.01, 0.01, 1.0, 0.3])[:count]
+        low, high, scale = np.array(list(_UNKNOWNS.values())[: 6 if searched else 5]).T
+        first = np.zeros(len(scale))
         if searched:  # without heat dependence the time constant has no slope
-            first[2:4] = 1e-3
+            first[2:] = 1e-3, 1e-3, 0.0, np.log(start.time_constant)
         found = least_squares(
             lambda x: left(thermal_of(x), x[4]), first, bounds=(low, high), x_scale=scale
         )
         errors = self._errors(found.jac, found.fun)
         return ThermalFit(
-            joint=self._records[0].joint, thermal=thermal_of(found.x),
-            coulomb_error=float(errors[2]), viscous_error=float(errors[3]),
-            rmse_fixed=rmse(left(start, 0.0)), rmse=rmse(found.fun),
-        )  # fmt: skip
+            joint=self._records[0].joint,
+            thermal=thermal_of(found.x),
+            coulomb_error=float(errors[2]),
+            viscous_error=float(errors[3]),
+            rmse_fixed=rmse(left(start, 0.0)),
+            rmse=rmse(found.fun),
+        )
 
     def _torques(self, thermal: Thermal, temperatures: Sequence[Array]) -> list[Array]:
         return [
@@ -204,14 +218,13 @@ class _Problem:
         ]
 
     def _errors(self, jacobian: Array, residual: Array) -> Array:
-        labels = blocks_of_time(np.repeat(
-            np.arange(len(self._records)), [int(known.sum()) for known in self._known]
-        ))  # fmt: skip
+        rows = [int(known.sum()) for known in self._known]
+        labels = blocks_of_time(np.repeat(np.arange(len(rows)), rows))
         own = [jacobian[labels == k] for k in range(int(labels.max()) + 1)]
         hessians = [j.T @ j for j in own]
         gradients = jacobian * left_out(jacobian, residual, np.sum(hessians, axis=0))[:, None]
-        names = ("coulomb_scale", "viscous_scale", "coulomb", "viscous", "offset", "time_constant")
-        return covariance(names[: len(jacobian.T)], gradients, hessians, labels).standard_errors
+        names = tuple(_UNKNOWNS)[: len(jacobian.T)]
+        return covariance(names, gradients, hessians, labels).standard_errors
 
     def by_heat(self, thermal: Thermal) -> list[Array]:
         """Return the temperature of each record from its friction and the ambient [degC]."""
@@ -235,13 +248,13 @@ class _Problem:
         def mass(time: float) -> tuple[Array, float]:
             """Return resistance, ambient and first temperature of each log, and their error."""
             rows = []
-            for k, (power, dt, r) in enumerate(
-                zip(powers, self._steps, self._records, strict=True)
-            ):
+            body = replace(thermal, resistance=1.0, time_constant=time)
+            logs = zip(powers, self._steps, self._records, np.eye(len(powers)), strict=True)
+            for power, dt, r, own in logs:
                 left = np.exp(-(r.t - r.t[0]) / time)
-                firsts = np.outer(left, np.arange(len(powers)) == k)
-                heat = replace(thermal, resistance=1.0, time_constant=time).rise(power, dt)
-                rows.append(np.column_stack([heat, 1.0 - left, firsts]))
+                rows.append(
+                    np.column_stack([body.rise(power, dt), 1.0 - left, np.outer(left, own)])
+                )
             columns = np.concatenate(rows)
             x = np.linalg.lstsq(columns, measured, rcond=None)[0]
             return x, float(np.sum((columns @ x - measured) ** 2))
@@ -250,7 +263,7 @@ class _Problem:
             lambda x: mass(float(np.exp(x)))[1], bounds=np.log(_TIMES), method="bounded"
         )
         time = float(np.exp(best.x))
-        x, _ = mass(time)
+        resistance, ambient = map(float, mass(time)[0][:2])
         return replace(
-            thermal, resistance=max(float(x[0]), 0.0), time_constant=time, ambient=float(x[1])
+            thermal, resistance=max(resistance, 0.0), time_constant=time, ambient=ambient
         )

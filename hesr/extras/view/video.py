@@ -179,10 +179,9 @@ def _animating(file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
     frames: list[PIL.Image.Image] = []
     size = (WIDTH // _PAGE, HEIGHT // _PAGE)
     yield lambda image: frames.append(PIL.Image.fromarray(image).resize(size))
-    frames[0].save(
-        file, format="WEBP", save_all=True, append_images=frames[1:], loop=0, quality=60, method=4,
-        duration=round(1000 * _PAGE / RATE),
-    )  # fmt: skip
+    options = {"save_all": True, "loop": 0, "quality": 60, "method": 4}
+    options["duration"] = round(1000 * _PAGE / RATE)
+    frames[0].save(file, "WEBP", append_images=frames[1:], **options)
 
 
 def _send(pipe: IO[bytes], image: Image) -> None:
