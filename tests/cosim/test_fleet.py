@@ -193,7 +193,7 @@ def test_broken_logs_stop_nobody(copied: Path, command: Command, capsys) -> None
     (logs / "robot=R4" / "day=2026-01-01" / "log.csv").write_text("t,q1\n0,0\n", encoding="utf-8")
     assert command("monitor", copied / "fleet.toml", "-o", copied / "out", "--workers", 1) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert "robot 'R3': there is no log in its folders" in said
+    assert "robot 'R3': its folders contain no log" in said
     assert "none of its 1 logs can be used, the first: " in said
     one, other, *_ = (read_result(copied / "out" / "robots" / r) for r in ("R0", "R1"))
     assert (one.logs, other.logs) == (3, 5)
@@ -376,7 +376,7 @@ def test_logs_are_found_in_folders_and_partitions(tmp_path: Path) -> None:
     ("old", "new", "said"),
     [
         ('"logs/robot=*"', '"logs/rob*t"', "type 'arm': no folder matches 'logs/rob*t'."),
-        *(('"logs/robot=*"', f'"{bad}"', f"type 'arm': folders like '{bad}' cannot be looked for.")
+        *(('"logs/robot=*"', f'"{bad}"', f"type 'arm': '{bad}' is not a valid pattern of folders.")
           for bad in (".", "/")),
         ('logs = "logs/robot=*"', "", "key 'types.arm.logs' is missing."),
         ("fmu = false", "seed = -1", "key 'seed' is -1: "),
@@ -409,7 +409,7 @@ def test_a_link_that_leads_back_is_refused(tmp_path: Path) -> None:
     (arm,) = members(*study_of(tmp_path, two="b/*"))
     assert [name for name, _ in arm.logs] == ["arm2/far/arm3/run3", "arm2/run2"]
     (tmp_path / "b/arm2/loop").symlink_to("..")
-    with pytest.raises(ConfigError, match="b/arm2/loop: is a link to a folder in which it stands"):
+    with pytest.raises(ConfigError, match="b/arm2/loop: is a link to a folder that contains it"):
         members(*study_of(tmp_path, two="b/*"))
 
 

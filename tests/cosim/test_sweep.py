@@ -133,11 +133,11 @@ def test_sensitivities_of_a_known_function():
     from hesr.extras.sweep.sensitivity import sensitivities
 
     inputs = [{"variables": [f"a.{n}"], "low": -np.pi, "high": np.pi} for n in "pqr"]
-    x = chosen(of(design="sobol", runs=2048, inputs=inputs))
+    outputs = [{"name": name, "signal": f"a.{name}"} for name in ("y", "failed")]
+    study = of(design="sobol", runs=2048, inputs=inputs, outputs=outputs)
+    x = chosen(study)
     y = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
-    (one,) = sensitivities(
-        np.column_stack([y, np.full(len(y), np.nan)]), ("y", "failed"), inputs=3, runs=2048, seed=0
-    )
+    (one,) = sensitivities(np.column_stack([y, np.full(len(y), np.nan)]), study)
     np.testing.assert_allclose(one.first, [0.3139, 0.4424, 0.0], atol=0.02)
     np.testing.assert_allclose(one.total, [0.5576, 0.4424, 0.2437], atol=0.02)
     assert np.all(one.total_interval[:, 0] <= one.total)
@@ -268,15 +268,15 @@ def test_the_command_sums_up_and_replays(study: Path, tmp_path: Path, monkeypatc
         ('"a.u"', '"a.y"', "'a.y' cannot be varied: its FMU calculates it."),
         ("low = 1.0", "low = 4.0", "'a.u' has a range from 4 to 3."),
         ("low = 1.0", "mean = 4.0", "'a.u' needs one of 'values', 'low' and 'high', or 'mean'"),
-        ('["a.T", "b.T"]', '["a.T", "a.T"]', "'a.T' stands there twice."),
+        ('["a.T", "b.T"]', '["a.T", "a.T"]', "'a.T' is listed twice."),
         ('["a.T", "b.T"]', '["a.T", "a.u"]', "'a.u' is varied or measured twice."),
         ('["a.T", "b.T"]', '["b.refused"]',
-         "'b.refused' is varied by a factor, and the system gives it no start value"),
+         "'b.refused' is varied by a factor, so the system must give it"),
         ("runs = 12", "", "the design 'monte_carlo' needs the key 'runs'."),
         ('"monte_carlo"', '"sobol"', "the design 'sobol' needs a power of 2 as 'runs', not 12."),
         ('"monte_carlo"', '"grid"', "a grid has as many runs as its inputs have values"),
         ("start = 0.2", "start = 2.0",
-         "output 'difference' counts from 2 s on, and a run ends at 1 s."),
+         "output 'difference' starts at 2 s, but a run ends at 1 s."),
         ('"b.y"\nmeasure = "max"', '"b.z"\nmeasure = "max"', "observed 'b.z'"),
         ("seed = 3", "sed = 3", "unknown key 'sed'; allowed here: chunk,"),
     ],
@@ -340,13 +340,13 @@ def test_folders_of_others(study: Path, tmp_path: Path):
 def test_where_every_run_fails_the_first_reason_is_said(study: Path, tmp_path: Path):
     text = STUDY.replace('variables = ["a.u"]\nlow = 1.0\nhigh = 3.0',
                          'variables = ["b.refused"]\nvalues = [0.5]')  # fmt: skip
-    with pytest.raises(SimulationError, match="every one of the 12 runs failed, the first one bec"):
+    with pytest.raises(SimulationError, match="all 12 runs failed, the first because"):
         run_sweep(written(tmp_path, text), tmp_path / "out", workers=1)
 
 
 def test_replays_that_cannot_be(study: Path, tmp_path: Path, monkeypatch, capsys):
     assert command("simulate", study, "--only", 12, monkeypatch=monkeypatch) == 2
-    assert "there is no run 12; its runs are 0 to 11." in capsys.readouterr().err
+    assert "run 12 is not one of 0 to 11." in capsys.readouterr().err
     assert command("simulate", study, "--only", 1, "-o", "x.txt", monkeypatch=monkeypatch) == 2
     assert "x.txt: results are written as .csv or .parquet." in capsys.readouterr().err
 

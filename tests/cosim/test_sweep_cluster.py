@@ -77,9 +77,9 @@ def test_what_cannot_be_a_cluster(study: Path, tmp_path: Path, monkeypatch: pyte
         pytest.raises(ConfigError, match=r"the scheduler at .* has no worker\."),
     ):
         run_sweep(study, tmp_path / "out", cluster=address)
-    with pytest.raises(ConfigError, match=r"there is no scheduler at tcp://127\.0\.0\.1:9\."):
+    with pytest.raises(ConfigError, match=r"found no scheduler at tcp://127\.0\.0\.1:9\."):
         run_sweep(study, tmp_path / "out", cluster="tcp://127.0.0.1:9")
-    with pytest.raises(ConfigError, match=r"there is no scheduler at nonsense\."):
+    with pytest.raises(ConfigError, match=r"found no scheduler at nonsense\."):
         run_sweep(study, tmp_path / "out", cluster="nonsense")
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=r"--cluster needs dask\.distributed; install it with"):

@@ -12,7 +12,7 @@ Key = tuple[str, str, str, str]
 """Robot, law, joint, and name of a number."""
 
 _KINDS = {"level": "drift", "offset": "shift", "error": "error"}
-_POINTS_TO = POINTS_TO | {"error": "what no law of friction explains: play, damage, or a sensor"}
+_POINTS_TO = POINTS_TO | {"error": "play, damage, or a sensor: no friction law explains it"}
 _ERROR = "rmse"
 
 
@@ -37,17 +37,15 @@ def compared(
             for (robot, *_), apart in zip(of, each, strict=True):
                 found[robot.robot, law, joint, name] = type_, apart
     p = holm({key: apart.p for key, (_, apart) in found.items()})
-    deviants = [
-        Deviant(
-            robot=key[0], type=type_, law=key[1], joint=key[2], name=key[3],
-            value=apart.value, median=apart.median, z=apart.z, p=p[key],
-        )
-        for key, (type_, apart) in found.items()
-        if p[key] < level
-    ]  # fmt: skip
+    deviants = []
     z: dict[tuple[str, str, str], dict[str, float]] = {}
-    for (*place, name), (_, apart) in found.items():
-        z.setdefault((place[0], place[1], place[2]), {})[name] = apart.z
+    for (name, law, joint, what), (type_, apart) in found.items():
+        z.setdefault((name, law, joint), {})[what] = apart.z
+        numbers = vars(apart) | {"p": p[name, law, joint, what]}
+        if numbers["p"] < level:
+            deviants.append(
+                Deviant(robot=name, type=type_, law=law, joint=joint, name=what, **numbers)
+            )
     return z, sorted(deviants, key=lambda d: (-abs(d.z), d.robot, d.law, d.joint, d.name))
 
 
@@ -72,9 +70,9 @@ def changed(robots: Sequence[RobotResult], level: float, least: float) -> list[C
     }
     p = holm({key: found.p for key, (_, found) in trends.items()})
     counting = {
-        key: robot_and_trend
-        for key, robot_and_trend in trends.items()
-        if p[key] < level and abs(robot_and_trend[1].change) >= least
+        key: (robot, found)
+        for key, (robot, found) in trends.items()
+        if p[key] < level and abs(found.change) >= least
     }
     drifts: dict[tuple[str, str], list[tuple[str, int]]] = {}
     for (name, law, joint, what), (_, found) in counting.items():
@@ -88,11 +86,18 @@ def changed(robots: Sequence[RobotResult], level: float, least: float) -> list[C
             kind = "shared drift"
         changes.append(
             Change(
-                robot=name, type=robot.type, law=law, joint=joint, kind=kind,
-                change=found.change, per_day=found.slope, p=p[key],
-                worse=what == "offset" or found.change > 0.0, points_to=_POINTS_TO[kind],
+                robot=name,
+                type=robot.type,
+                law=law,
+                joint=joint,
+                kind=kind,
+                change=found.change,
+                per_day=found.slope,
+                p=p[key],
+                worse=what == "offset" or found.change > 0.0,
+                points_to=_POINTS_TO[kind],
             )
-        )  # fmt: skip
+        )
     return sorted(
         changes, key=lambda c: (not c.worse, -abs(c.change), c.robot, c.law, c.joint, c.kind)
     )

@@ -14,9 +14,9 @@ def write_page(fleet: Fleet, path: Path) -> None:
     rows = sum(robot.rows for robot in fleet.robots)
     logs = sum(robot.logs for robot in fleet.robots)
     text = (
-        f"{len(fleet.robots)} robots, {logs} logs of {rows} rows. Everything is in fleet.parquet, "
-        "a row for each robot, law and joint; robots/ holds the rigid body, the laws and the "
-        "parameter sets of each robot, types/ the FMUs that they are for."
+        f"{len(fleet.robots)} robots, {logs} logs, {rows} rows. fleet.parquet has a row for each "
+        "robot, law and joint; robots/ has the rigid body, laws and parameter sets of each robot, "
+        "types/ the FMUs."
     )
     write_sections(
         path,

@@ -122,7 +122,7 @@ class _Robot:
         """Identify and fit, and write rigid body and laws."""
         member, study = self._member, self._study
         if not member.logs:
-            raise LogError(f"{self._where}: there is no log in its folders.")
+            raise LogError(f"{self._where}: its folders contain no log.")
         stream, sample = self._collected(None)
         if not stream.fits:  # a joint that is always slow
             stream, sample = self._collected(stream.slow)

@@ -111,7 +111,7 @@ def _matching(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
         return [(root, f) for f in sorted(root.glob("/".join(parts[wild:]))) if f.is_dir()]
     except (OSError, ValueError, NotImplementedError) as error:  # names that no folder can have
         raise ConfigError(
-            f"{path}: type '{type_}': folders like {quoted(pattern)} cannot be looked for."
+            f"{path}: type '{type_}': {quoted(pattern)} is not a valid pattern of folders."
         ) from error
 
 
@@ -119,7 +119,7 @@ def _logs_in(folder: Path, above: tuple[Path, ...] = ()) -> list[Path]:
     found: list[Path] = []
     own = Path(os.path.realpath(folder))
     if any(other.is_relative_to(own) for other in above):  # its logs would count repeatedly
-        raise ConfigError(f"{folder}: is a link to a folder in which it stands; remove it.")
+        raise ConfigError(f"{folder}: is a link to a folder that contains it; remove it.")
     for entry in sorted(folder.iterdir()):
         if entry.name.startswith((".", "_")):
             continue

@@ -46,13 +46,11 @@ def types(fleet: "Fleet") -> ResultTable:
 
 def deviants(fleet: "Fleet") -> ResultTable:
     """Return the numbers that deviate from the type of the robot."""
-    rows = [
-        row_of(
-            d.robot, "rigid body" if d.law == BODY else d.law, d.joint or "–", d.name,
-            number(d.value, 4), number(d.median, 4), fixed(d.z, 1), _p(d.p),
-        )
-        for d in fleet.deviants[:_MOST]
-    ]  # fmt: skip
+    rows = []
+    for d in fleet.deviants[:_MOST]:
+        law = "rigid body" if d.law == BODY else d.law
+        numbers = (number(d.value, 4), number(d.median, 4), fixed(d.z, 1), _p(d.p))
+        rows.append(row_of(d.robot, law, d.joint or "–", d.name, *numbers))
     return ResultTable(
         caption="Robots that deviate from their type",
         head=("robot", "law", "joint", "number", "value", "median", "z", "p"),
@@ -65,13 +63,11 @@ def deviants(fleet: "Fleet") -> ResultTable:
 
 def changes(fleet: "Fleet") -> ResultTable:
     """Return the changes over days, worse ones first."""
-    rows = [
-        row_of(
-            c.robot, c.law, c.joint, c.kind, _share(c.change, 1), _share(c.per_day, 2), _p(c.p),
-            "yes" if c.worse else "no", c.points_to,
-        )
-        for c in fleet.changes[:_MOST]
-    ]  # fmt: skip
+    rows = []
+    for c in fleet.changes[:_MOST]:
+        numbers = (_share(c.change, 1), _share(c.per_day, 2), _p(c.p))
+        worse = "yes" if c.worse else "no"
+        rows.append(row_of(c.robot, c.law, c.joint, c.kind, *numbers, worse, c.points_to))
     return ResultTable(
         caption="Robots that have changed",
         head=("robot", "law", "joint", "what", "change", "per day", "p", "worse", "points to"),

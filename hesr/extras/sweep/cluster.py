@@ -43,7 +43,7 @@ def results_of(
     try:
         client = Client(address, timeout=_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"--cluster: there is no scheduler at {address}.") from error
+        raise ConfigError(f"--cluster: found no scheduler at {address}.") from error
     with client:
         try:
             client.wait_for_workers(1, timeout=_SECONDS)
@@ -81,7 +81,7 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
     if left:
         raise WorkerError(
             f"workers of the cluster died {_ROUNDS} times; {len(left)} chunks of runs are left; "
-            "the same command goes on with them."
+            "repeat the command to continue."
         )
 
 

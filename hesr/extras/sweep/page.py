@@ -34,8 +34,8 @@ def write_page(swept: "SweepRuns", path: Path, study: Path) -> None:
     plan = swept.plan
     text = (
         f"{len(plan.values)} runs of {plan.task.spec.stop:g} s, {_DESIGNS[plan.study.design]} over "
-        f"{len(plan.study.names)} inputs, seed {plan.study.seed}. The runs stand in runs/, a "
-        "Parquet data set with the inputs of each."
+        f"{len(plan.study.names)} inputs, seed {plan.study.seed}. The Parquet "
+        "data set runs/ has inputs and outputs of each run."
     )
     write_sections(
         path,
@@ -60,7 +60,7 @@ def _outputs(swept: "SweepRuns", pictures: Pictures) -> Markup:
 def _worst(swept: "SweepRuns", study: Path) -> Markup:
     count = len(swept.plan.study.outputs)
     return joined(
-        paragraph("Largest magnitude first, runs that failed before all others."),
+        paragraph("Largest magnitude first, failed runs before all others."),
         *(table(tables.worst(swept, k, study)) for k in range(count)),
     )
 
@@ -68,9 +68,8 @@ def _worst(swept: "SweepRuns", study: Path) -> Markup:
 def _sensitivities(swept: "SweepRuns", pictures: Pictures) -> Markup:
     parts = [
         paragraph(
-            "First order is what an input explains by itself, total what it explains with all of "
-            "its interactions. Of correlated inputs it is the independent normal numbers that they "
-            "are made from."
+            "First order: share of an input alone; total: with all of its interactions. Shares of "
+            "correlated inputs are those of their independent normal numbers."
         )
     ]
     found = zip(swept.sensitivities, tables.sensitivities(swept), strict=True)

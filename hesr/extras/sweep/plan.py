@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,7 @@ def planned(path: Path) -> Plan:
     for output in study.outputs:
         if output.start > spec.stop:
             raise ConfigError(
-                f"{path}: output '{output.name}' counts from {output.start:g} s on, and a run ends "
+                f"{path}: output '{output.name}' starts at {output.start:g} s, but a run ends "
                 f"at {spec.stop:g} s."
             )
     targets = tuple(_targets(study, spec, path))
@@ -68,7 +68,7 @@ def planned(path: Path) -> Plan:
         for output in study.outputs:
             if output.reference:
                 master.require_alike(output.signal, output.reference, path)
-    task = Task(key=_key(study, spec, digests), spec=spec, targets=targets, outputs=study.outputs)
+    task = replace(task, key=_key(study, spec, digests))
     return Plan(study=study, task=task, values=values, digests=digests)
 
 
@@ -88,12 +88,9 @@ def _targets(study: SweepStudy, spec: SystemSpec, path: Path) -> list[VariedVari
                     integer=one.integer or whole,
                 )
             )
-    column = len(study.inputs)
-    for group in study.correlated:
-        for name in group.variables:
-            component, _, variable = name.partition(".")
-            found.append(VariedVariable(component=component, variable=variable, column=column))
-            column += 1
+    for column in range(len(study.inputs), len(study.names)):
+        component, _, variable = study.names[column].partition(".")
+        found.append(VariedVariable(component=component, variable=variable, column=column))
     return found
 
 
@@ -102,8 +99,8 @@ def _base(spec: SystemSpec, component: str, variable: str, path: Path) -> tuple[
     value: Value | None = starts.get(component, {}).get(variable)
     if value is None or isinstance(value, str | bool):
         raise ConfigError(
-            f"{path}: '{component}.{variable}' is varied by a factor, and the system gives it no "
-            "start value that is a number."
+            f"{path}: '{component}.{variable}' is varied by a factor, so the system must give it a "
+            "numeric start value."
         )
     return tuple(map(float, value)) if isinstance(value, tuple) else (float(value),)
 

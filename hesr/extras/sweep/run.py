@@ -7,10 +7,11 @@ from pathlib import Path
 
 from cosim.systems.signals import Signals
 from cosim.systems.simulation import Master
+from cosim.systems.system import SystemSpec
 from hesr.extras.sweep.plan import Plan, planned
 from hesr.extras.sweep.result import SweepRuns
-from hesr.extras.sweep.sensitivity import Sensitivity, sensitivities
-from hesr.extras.sweep.store import ABOUT, RUNS, RunTable, Store, taken
+from hesr.extras.sweep.sensitivity import sensitivities
+from hesr.extras.sweep.store import ABOUT, RUNS, Store, taken
 from hesr.extras.sweep.work import RunOutputs, release, run_rows
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support import parallel
@@ -38,19 +39,21 @@ def run_sweep(
         store = Store(output, plan.study.names, outputs)
         with taken(output, RUNS, ABOUT, plan.about()):
             left = [k for k in plan.firsts if not store.has(k, plan.chunk(k))]
-            reused = len(plan.values) - sum(len(plan.chunk(k)) for k in left)
-            _run(plan, store, left, workers, cluster, partial(progress, plan.study.name))
+            count = len(plan.values)
+            done = reused = count - sum(len(plan.chunk(k)) for k in left)
+            progress(plan.study.name, done, count)
+            with _results(plan, left, workers, cluster) as results:
+                for first, rows in results:
+                    store.write(first, plan.chunk(first), rows)
+                    done += len(plan.chunk(first))
+                    progress(plan.study.name, done, count)
             table = store.read(plan.firsts)
-            swept = SweepRuns(
-                plan=plan,
-                table=table,
-                sensitivities=_sensitivities(plan, table),
-                reused=reused,
-            )
+            found = sensitivities(table.outputs, plan.study)
+            swept = SweepRuns(plan=plan, table=table, sensitivities=found, reused=reused)
             if all(table.failures):
                 raise SimulationError(
-                    f"{path}: every one of the {len(table.failures)} runs failed, the first one "
-                    f"because {table.failures[0]}"
+                    f"{path}: all {len(table.failures)} runs failed, the first because "
+                    f"{table.failures[0]}"
                 )
             from hesr.extras.sweep.page import write_page  # slow to import: it draws
 
@@ -58,23 +61,6 @@ def run_sweep(
     finally:
         release()
     return swept
-
-
-def _run(
-    plan: Plan,
-    store: Store,
-    left: list[int],
-    workers: int | None,
-    cluster: str | None,
-    progress: "partial[None]",
-) -> None:
-    done, count = len(plan.values) - sum(len(plan.chunk(k)) for k in left), len(plan.values)
-    progress(done, count)
-    with _results(plan, left, workers, cluster) as results:
-        for first, rows in results:
-            store.write(first, plan.chunk(first), rows)
-            done += len(plan.chunk(first))
-            progress(done, count)
 
 
 @contextmanager
@@ -93,26 +79,12 @@ def _results(
         yield zip(left, found, strict=True)
 
 
-def _sensitivities(plan: Plan, table: RunTable) -> list[Sensitivity]:
-    study = plan.study
-    if study.design != "sobol" or study.runs is None:
-        return []
-    names = tuple(one.name for one in study.outputs)
-    return sensitivities(
-        table.outputs, names, inputs=len(study.names), runs=study.runs, seed=study.seed
-    )
-
-
 def replay(path: Path, run: int) -> tuple[Plan, Signals]:
     """Repeat one run with all measured signals and those that its system observes."""
     try:
         plan = planned(path)
         if not 0 <= run < len(plan.values):
-            raise ConfigError(
-                f"{path}: there is no run {run}; its runs are 0 to {len(plan.values) - 1}."
-            )
-        from cosim.systems.system import SystemSpec
-
+            raise ConfigError(f"{path}: run {run} is not one of 0 to {len(plan.values) - 1}.")
         own = SystemSpec.read(plan.study.system).observe
         spec = plan.task.spec
         spec = spec.model_copy(update={"observe": tuple(dict.fromkeys((*spec.observe, *own)))})

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hesr.extras.sweep.study import SweepStudy
 from hesr_model.support.arrays import Array
 
 _CONFIDENCE = 0.95
@@ -23,36 +24,35 @@ class Sensitivity:
     total_interval: Array
 
 
-def sensitivities(
-    outputs: Array, names: tuple[str, ...], *, inputs: int, runs: int, seed: int
-) -> list[Sensitivity]:
-    """Return first- and total-order indices of each output (m,) in the order of `design.chosen`.
+def sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity]:
+    """Return first- and total-order indices of the outputs (runs, m) of a "sobol" design.
 
-    Outputs that failed in some runs, or do not vary, are left out. `runs` is the size of each
-    block.
+    Outputs that failed in some runs, or do not vary, are left out.
     """
+    if study.design != "sobol" or study.runs is None:
+        return []
     from scipy.stats import bootstrap  # slow to import
 
     found = []
-    for name, values in zip(names, outputs.T, strict=True):
+    for one, values in zip(study.outputs, outputs.T, strict=True):
         if not np.isfinite(values).all() or np.ptp(values) == 0.0:
             continue
-        blocks = values.reshape(inputs + 2, runs)
+        blocks = values.reshape(len(study.names) + 2, study.runs)
         blocks = blocks - blocks[:2].mean()  # reduces the error of the estimates
         # The bootstrap of scipy's `sobol_indices` takes no seed.
         spread = bootstrap(
-            [np.arange(runs)],
+            [np.arange(study.runs)],
             lambda chosen, of=blocks: _shares(of[:, chosen]),
             vectorized=False,
             confidence_level=_CONFIDENCE,
             n_resamples=499,
-            rng=np.random.default_rng(seed),
+            rng=np.random.default_rng(study.seed),
         )
         first, total = _shares(blocks)
         intervals = np.stack(spread.confidence_interval, axis=-1)
         found.append(
             Sensitivity(
-                output=name,
+                output=one.name,
                 first=first,
                 total=total,
                 first_interval=intervals[0],

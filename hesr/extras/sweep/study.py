@@ -16,7 +16,7 @@ _SYMMETRIC = 1e-9  # relative
 def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
     for name, count in Counter(names).items():
         if count > 1:
-            raise ValueError(f"'{name}' stands there twice")
+            raise ValueError(f"'{name}' is listed twice")
     return names
 
 

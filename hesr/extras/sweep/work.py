@@ -62,14 +62,13 @@ class Task:
         """Return the measured numbers of a run (m,); NaN if it failed."""
         if result.failure:
             return np.full(len(self.outputs), np.nan)
-        return np.array([self._measured(output, result) for output in self.outputs])
-
-    @staticmethod
-    def _measured(output: Measured, result: Signals) -> float:
-        values = result.vector(output.signal)
-        if output.reference:
-            values = values - result.vector(output.reference)
-        return _MEASURES[output.measure](values[result.t >= output.start])
+        found = []
+        for output in self.outputs:
+            values = result.vector(output.signal)
+            if output.reference:
+                values = values - result.vector(output.reference)
+            found.append(_MEASURES[output.measure](values[result.t >= output.start]))
+        return np.array(found)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,16 +86,13 @@ _held: tuple[str, Master] | None = None
 
 def run_rows(task: Task, values: Array) -> RunOutputs:
     """Do the runs with these values of the varied numbers (n, d)."""
-    with _LOCK:  # a worker of a cluster may have several threads
-        return _run_rows(_master(task), task, values)
-
-
-def _run_rows(master: Master, task: Task, values: Array) -> RunOutputs:
     outputs, failures = np.empty((len(values), len(task.outputs))), []
-    for k, row in enumerate(values):
-        result = master.run(start=task.start(row))
-        outputs[k] = task.measured(result)
-        failures.append(str(result.failure or ""))
+    with _LOCK:  # a worker of a cluster may have several threads
+        master = _master(task)
+        for k, row in enumerate(values):
+            result = master.run(start=task.start(row))
+            outputs[k] = task.measured(result)
+            failures.append(str(result.failure or ""))
     return RunOutputs(outputs=outputs, failures=tuple(failures))
 
 
