@@ -186,7 +186,9 @@ SETTINGS = {
     ),
     "fleet": Reader(suffix=".toml", write=_write_fleet, read=_fleet),
     "arena": Reader(
-        suffix=".toml", write=text(ARENA), read=toml("hesr.extras.leaderboard.board_file", "Arena")
+        suffix=".toml",
+        write=text(ARENA),
+        read=toml("hesr.extras.leaderboard.board_file", "BoardFile"),
     ),
     "signals": Reader(
         suffix=".toml",

@@ -34,7 +34,7 @@ CLASSES: Mapping[str, tuple[Connector, ...]] = {
 """Default classes of inputs."""
 
 
-class ArenaRobot(Config):
+class BoardRobot(Config):
     """A robot and its rigid body (result of `hesr identify`), with the hash of the body's file."""
 
     name: PrintableName = Field(min_length=1)
@@ -43,7 +43,7 @@ class ArenaRobot(Config):
     rigid_body_sha256: Hash
 
 
-class ArenaLog(Config):
+class BoardLog(Config):
     """A log with its hash, origin and licence; `robot` is optional with a single robot."""
 
     file: RelativePath
@@ -53,7 +53,7 @@ class ArenaLog(Config):
     licence: PrintableName = Field(min_length=1)
 
 
-class Arena(Config):
+class BoardFile(Config):
     """Content of a leaderboard file.
 
     `warm_up` is the unscored start of each log [s], since the initial state of friction is unknown;
@@ -62,8 +62,8 @@ class Arena(Config):
     """
 
     name: PrintableName = Field(min_length=1)
-    robots: tuple[ArenaRobot, ...] = Field(min_length=1)
-    logs: tuple[ArenaLog, ...] = Field(min_length=1)
+    robots: tuple[BoardRobot, ...] = Field(min_length=1)
+    logs: tuple[BoardLog, ...] = Field(min_length=1)
     warm_up: float = Field(default=2.0, ge=0.0)
     block: float = Field(default=8.0, gt=0.0)
     classes: Mapping[PrintableName, tuple[Connector, ...]] = Field(default=CLASSES, min_length=1)
@@ -81,7 +81,7 @@ class Arena(Config):
         if idle := [name for name in names if name not in of_robots]:
             raise ValueError(f"robot '{idle[0]}' has no log")
         if "all" not in self.scores:
-            raise ValueError("'scores' lacks 'all', by which entries are ranked")
+            raise ValueError("'scores' lacks 'all', which ranks the entries")
         return self
 
 
@@ -94,26 +94,27 @@ class Ground:
     records: Sequence[Sequence[FrictionRecord]] = field(repr=False)
 
 
-def read_grounds(arena: Arena) -> dict[str, Ground]:
+def read_grounds(rules: BoardFile) -> dict[str, Ground]:
     """Read robots, bodies and logs, by robot; raises ConfigError for a missing or changed file."""
     grounds = {}
-    for robot in arena.robots:
+    for robot in rules.robots:
         _require_same(robot.rigid_body, robot.rigid_body_sha256, "")
         model = Robot(RobotDescription.read(robot.file))
         body = RigidBody.read(robot.rigid_body)
         logs = []
-        for log in arena.logs:
+        for log in rules.logs:
             if log.robot in ("", robot.name):
-                whence = f" It can be had from {log.source} ({log.licence})."
+                whence = f" Its source is {log.source} ({log.licence})."
                 _require_same(log.file, log.sha256, whence)
                 logs.append(Log.read(log.file, model.description))
-        examined(logs, model, arena.accept)
+        examined(logs, model, rules.accept)
         records = [friction_records(part, model, body) for part in parts_of(logs)]
         for part in records:
-            if part[0].t[-1] - part[0].t[0] <= arena.warm_up:
+            seconds = part[0].t[-1] - part[0].t[0]
+            if seconds <= rules.warm_up:
                 raise ConfigError(
-                    f"log '{part[0].log}' lasts {part[0].t[-1] - part[0].t[0]:.3g} s, of which a "
-                    f"warm-up of {arena.warm_up:g} s leaves nothing to score."
+                    f"log '{part[0].log}' lasts {seconds:.3g} s, not longer than the warm-up of "
+                    f"{rules.warm_up:g} s."
                 )
         grounds[robot.name] = Ground(model=model, body=body, records=records)
     return grounds
@@ -123,10 +124,6 @@ def _require_same(file: Path, expected: str, whence: str) -> None:
     try:
         found = sha256(file)
     except OSError as error:
-        raise ConfigError(f"{file}: no such file of the arena ({error.strerror}).{whence}") from (
-            error
-        )
+        raise ConfigError(f"{file}: cannot be read ({error.strerror}).{whence}") from error
     if found != expected:
-        raise ConfigError(
-            f"{file}: its SHA-256 is {found}, but the arena's file has {expected}.{whence}"
-        )
+        raise ConfigError(f"{file}: its SHA-256 is {found}, not {expected}.{whence}")

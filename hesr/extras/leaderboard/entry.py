@@ -42,6 +42,7 @@ class Tried:
     marks FMUs exported here, which run in this process.
     """
 
+    entry: Entry
     inputs: tuple[str, ...]
     torques: Sequence[Array]
     seconds: float
@@ -77,6 +78,7 @@ def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
     # The torque of a foreign FMU need not be that of its embedded law.
     model = embedded_model(entry.fmu) if ours else None
     return Tried(
+        entry=entry,
         inputs=tuple(used),
         torques=torques,
         seconds=seconds / steps,

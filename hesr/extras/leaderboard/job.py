@@ -8,8 +8,8 @@ from typing import Any
 
 from cosim.report.tables.table import ResultTable
 from cosim.workflow.answer import Answer, shortened
-from hesr.extras.leaderboard.board_file import Arena
-from hesr.extras.leaderboard.leaderboard import FORMAT, Leaderboard, entries_of, run_arena
+from hesr.extras.leaderboard.board_file import BoardFile
+from hesr.extras.leaderboard.leaderboard import FORMAT, Leaderboard, entries_of, run_leaderboard
 from hesr.extras.leaderboard.tables import standings
 from hesr_model.support.progress import Stages, silent
 from hesr_model.support.typed_json import to_json
@@ -20,9 +20,9 @@ class LeaderboardJob:
 
     verb, key = "test", "robots"
 
-    def read(self, path: Path) -> Arena:
+    def read(self, path: Path) -> BoardFile:
         """Read and validate the file."""
-        return Arena.read(path)
+        return BoardFile.read(path)
 
     def run(
         self,
@@ -36,10 +36,10 @@ class LeaderboardJob:
         """Score FMUs, given as FILE or ROBOT=FILE, and write the page to `output`."""
         from cosim.workflow.arguments import remember_trust
 
-        arena = self.read(path)
-        entries = entries_of([str(fmu) for fmu in fmus], arena)
+        rules = self.read(path)
+        entries = entries_of([str(fmu) for fmu in fmus], rules)
         remember_trust((entry.fmu for entry in entries), trust=trust)
-        board = run_arena(arena, entries, progress=partial(progress, "scoring entries"))
+        board = run_leaderboard(rules, entries, progress=partial(progress, "scoring entries"))
         if output is not None:
             from hesr.extras.leaderboard.page import write_page  # loads the drawing libraries
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.workflow.arguments import telling_apart
-from hesr.extras.leaderboard.board_file import KINDS, Arena, Kind, read_grounds
+from hesr.extras.leaderboard.board_file import KINDS, BoardFile, Kind, read_grounds
 from hesr.extras.leaderboard.entry import Entry, Tried, tried
 from hesr.extras.leaderboard.score import Interval, Judge
 from hesr_model.audit.properties import Properties
@@ -83,16 +83,16 @@ class Leaderboard:
     standings: tuple[Standing, ...]
 
 
-def entries_of(given: Sequence[str], arena: Arena) -> list[Entry]:
+def entries_of(given: Sequence[str], rules: BoardFile) -> list[Entry]:
     """Return entries given as FILE or ROBOT=FILE; raises ConfigError if one lacks its robot."""
-    robots = [robot.name for robot in arena.robots]
+    robots = [robot.name for robot in rules.robots]
     found = []
     for text in given:
         robot, equals, file = text.partition("=")
         if not (equals and robot in robots):
             if len(robots) > 1:
                 raise ConfigError(
-                    f"'{text}': the arena has {len(robots)} robots; needed is ROBOT=FILE with one "
+                    f"'{text}': the leaderboard has {len(robots)} robots; give ROBOT=FILE with one "
                     f"of {', '.join(robots)}."
                 )
             robot, file = robots[0], text
@@ -102,8 +102,8 @@ def entries_of(given: Sequence[str], arena: Arena) -> list[Entry]:
     return [Entry(name=n, fmu=fmu, robot=r) for n, (r, fmu) in zip(names, found, strict=True)]
 
 
-def run_arena(
-    arena: Arena,
+def run_leaderboard(
+    rules: BoardFile,
     entries: Sequence[Entry],
     *,
     workers: int | None = None,
@@ -114,26 +114,25 @@ def run_arena(
     Raises ConfigError if a file differs from the leaderboard file or an entry fits no class.
     """
     if not entries:
-        raise ConfigError("nobody has entered the arena; needed is at least one FMU.")
-    grounds = read_grounds(arena)
-    wanted = "properties" in arena.scores
+        raise ConfigError("the leaderboard has no entries; give at least one FMU.")
+    grounds = read_grounds(rules)
+    wanted = "properties" in rules.scores
     jobs = [partial(tried, e, grounds[e.robot], properties=wanted) for e in entries]
     with parallel.results_of(jobs, workers) as results:
         done = [next(results) for _ in counted(jobs, progress)]
     judges = {
-        name: Judge(ground, warm_up=arena.warm_up, block=arena.block)
+        name: Judge(ground, warm_up=rules.warm_up, block=rules.block)
         for name, ground in grounds.items()
     }
-    groups: dict[tuple[str, str], list[tuple[Entry, Tried]]] = {}
-    for entry, of_entry in zip(entries, done, strict=True):
-        key = entry.robot, _group(arena, entry, of_entry)
-        groups.setdefault(key, []).append((entry, of_entry))
-    order = [(robot.name, name) for robot in arena.robots for name in arena.classes]
+    groups: dict[tuple[str, str], list[Tried]] = {}
+    for one in done:
+        groups.setdefault((one.entry.robot, _group(rules, one)), []).append(one)
+    order = [(robot.name, name) for robot in rules.robots for name in rules.classes]
     return Leaderboard(
-        arena=arena.name,
-        warm_up=arena.warm_up,
-        block=arena.block,
-        classes=dict(arena.classes),
+        arena=rules.name,
+        warm_up=rules.warm_up,
+        block=rules.block,
+        classes=dict(rules.classes),
         robots=tuple(
             ScoredRobot(
                 name=name,
@@ -147,66 +146,63 @@ def run_arena(
         logs=tuple(
             ScoredLog(
                 name=log.file.stem,
-                robot=log.robot or arena.robots[0].name,
+                robot=log.robot or rules.robots[0].name,
                 sha256=log.sha256,
                 source=log.source,
                 licence=log.licence,
             )
-            for log in arena.logs
+            for log in rules.logs
         ),
         standings=tuple(
             standing
             for key in order
             if key in groups
-            for standing in _ranked(arena, key[1], groups[key], judges[key[0]])
+            for standing in _ranked(rules, key[1], groups[key], judges[key[0]])
         ),
     )
 
 
-def _group(arena: Arena, entry: Entry, of_entry: Tried) -> str:
+def _group(rules: BoardFile, one: Tried) -> str:
     """Return the smallest class that allows the inputs of an entry; the first if equal."""
-    holding = [n for n, may in arena.classes.items() if set(of_entry.inputs) <= {*may, "dq"}]
+    holding = [n for n, may in rules.classes.items() if set(one.inputs) <= {*may, "dq"}]
     if not holding:
         raise ConfigError(
-            f"{entry.fmu}: its torque depends on {', '.join(of_entry.inputs)}, which no class of "
-            f"the arena allows; its classes are {'; '.join(arena.classes)}."
+            f"{one.entry.fmu}: its torque depends on {', '.join(one.inputs)}, which no class "
+            f"allows; the classes are {'; '.join(rules.classes)}."
         )
-    return min(holding, key=lambda name: len(arena.classes[name]))
+    return min(holding, key=lambda name: len(rules.classes[name]))
 
 
-def _ranked(
-    arena: Arena, group: str, members: Sequence[tuple[Entry, Tried]], judge: Judge
-) -> list[Standing]:
+def _ranked(rules: BoardFile, group: str, members: Sequence[Tried], judge: Judge) -> list[Standing]:
     """Return the standings of a class, the smallest error first."""
-    errors = {entry.name: judge.errors(of_entry.torques) for entry, of_entry in members}
+    errors = {one.entry.name: judge.errors(one.torques) for one in members}
     size = {
         name: float(np.mean(np.square(np.vstack(of_entry) / judge.tau_std)))
         for name, of_entry in errors.items()
     }
-    ranked = sorted(members, key=lambda member: size[member[0].name])
-    leader = ranked[0][0].name
-    kinds = [kind for kind in KINDS if kind in arena.scores]
+    ranked = sorted(members, key=lambda one: size[one.entry.name])
+    leader = ranked[0].entry
+    kinds = [kind for kind in KINDS if kind in rules.scores]
     found = []
-    for entry, of_entry in ranked:
-        own = errors[entry.name]
-        ratio = None
-        if entry.name != leader:
-            ratio = judge.ratio(own, errors[leader], len(members) - 1)
+    for one in ranked:
+        entry, own, ratio = one.entry, errors[one.entry.name], None
+        if entry != leader:
+            ratio = judge.ratio(own, errors[leader.name], len(members) - 1)
         found.append(
             Standing(
                 name=entry.name,
                 robot=entry.robot,
                 sha256=sha256(entry.fmu),
-                law=of_entry.model.law if of_entry.model else "",
+                law=one.model.law if one.model else "",
                 group=group,
-                inputs=of_entry.inputs,
+                inputs=one.inputs,
                 relative={kind: judge.relative(own, kind) for kind in kinds},
                 joints={kind: judge.by_joint(own, kind) for kind in kinds},
                 ratio=ratio,
                 leads=ratio is None or ratio.low <= 1.0,
-                properties=of_entry.properties,
-                step=of_entry.seconds if "time" in arena.scores else None,
-                foreign=not of_entry.ours,
+                properties=one.properties,
+                step=one.seconds if "time" in rules.scores else None,
+                foreign=not one.ours,
             )
         )
     return found

@@ -23,12 +23,12 @@ def write_page(board: Leaderboard, path: Path) -> None:
     count, logs = len(board.standings), len(board.logs)
     write_sections(
         path,
-        title=f"HESR arena: {board.arena}",
-        heading=f"Arena ‘{board.arena}’",
+        title=f"HESR leaderboard: {board.arena}",
+        heading=f"Leaderboard ‘{board.arena}’",
         summary=paragraph(
             f"{count} friction {'FMUs' if count != 1 else 'FMU'} on {logs} "
             f"{'logs' if logs != 1 else 'log'}. An entry is any FMU with the connectors of a "
-            "friction FMU, fitted by whoever made it."
+            "friction FMU."
         ),
         sections=sections,
     )
@@ -49,7 +49,7 @@ def _rules(board: Leaderboard) -> Markup:
     return paragraph(
         f"The first {board.warm_up:g} s of each log are replayed but not scored. Errors are "
         "measured less predicted friction torque over its standard deviation, over all rows and "
-        f"joints. Intervals: bootstrap of blocks of {board.block:g} s within these logs; they say "
-        "nothing of other logs. An entry stands in the smallest class that allows the inputs on "
-        f"which its torque was found to depend ({classes})."
+        f"joints. Intervals: bootstrap of blocks of {board.block:g} s within these logs; they do "
+        "not cover other logs. The class of an entry is the smallest that allows the inputs with "
+        f"an effect on its torque ({classes})."
     )

@@ -1,4 +1,4 @@
-"""The arena: FMUs of anybody on the twin's logs, ranked in classes, with intervals."""
+"""Leaderboards: FMUs on the twin's logs, ranked in classes, with intervals."""
 
 import json
 import shutil
@@ -22,9 +22,9 @@ from cosim.workflow.test import test as test_laws
 from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant
 from fmu_src.friction.embedded_model import embedded_model
-from hesr.extras.leaderboard.board_file import Arena, read_grounds
+from hesr.extras.leaderboard.board_file import BoardFile, read_grounds
 from hesr.extras.leaderboard.entry import Entry, tried
-from hesr.extras.leaderboard.leaderboard import Leaderboard, run_arena
+from hesr.extras.leaderboard.leaderboard import Leaderboard, run_leaderboard
 from hesr.extras.leaderboard.page import write_page
 from hesr.extras.leaderboard.score import Judge
 from hesr_model.errors import ConfigError, HesrError, SimulationError
@@ -39,7 +39,7 @@ from hesr_model.support.files import models_folder, sha256
 Shared = Callable[[str, Callable[[Path], object]], Path]
 TWIN = models_folder() / "uf850"
 
-ARENA = """
+BOARD = """
 name = "twin"
 warm_up = 0.5
 block = 1.0
@@ -60,7 +60,7 @@ licence = "MIT"
 
 
 def lay(folder: Path) -> None:
-    """Lay an arena of one log of the twin, a fitted law, Table I and a foreign FMU."""
+    """Write a leaderboard file with a log of the twin, a fitted law, Table I and a foreign FMU."""
     (folder / "motions.toml").write_text(MOTIONS, encoding="utf-8")
     motions = Motions.read(folder / "motions.toml")
     kept = tuple(m for m in motions.motions if m.name in ("excitation", "trial"))
@@ -73,15 +73,15 @@ def lay(folder: Path) -> None:
     law = fit("stribeck", friction_records(training, model, body), robot="uf850")
     export_fmu(law, folder / "stribeck.fmu")
     FmuBuilder.build_FMU(Path(__file__).with_name("coulomb_slave.py"), dest=folder)
-    text = ARENA.format(
+    text = BOARD.format(
         robot=TWIN / "robot.toml", body=sha256(folder / "body.json"), log=sha256(logs["trial"])
     )
-    (folder / "arena.toml").write_text(text, encoding="utf-8")
+    (folder / "board.toml").write_text(text, encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
 def laid(shared: Shared, table1_fmu: Path) -> Path:
-    return shared("arena", lay)
+    return shared("leaderboard", lay)
 
 
 @pytest.fixture(scope="module")
@@ -91,9 +91,9 @@ def entries(laid: Path, table1_fmu: Path) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def board(laid: Path, entries: list[Path]) -> Leaderboard:
-    arena = Arena.read(laid / "arena.toml")
+    rules = BoardFile.read(laid / "board.toml")
     named = [Entry(name=fmu.stem, fmu=fmu, robot="uf850") for fmu in entries]
-    return run_arena(arena, named, workers=1)
+    return run_leaderboard(rules, named, workers=1)
 
 
 def called(file: Path, fmus: object, page: Path | None = None) -> Any:
@@ -107,15 +107,15 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 
 def changed(laid: Path, to: Path, *changes: tuple[str, str]) -> Path:
-    """Write the arena with other text, its files beside it."""
+    """Write the leaderboard file with other text, its files next to it."""
     for name in ("body.json", "trial.csv"):
         shutil.copy(laid / name, to / name)
-    text = (laid / "arena.toml").read_text(encoding="utf-8")
+    text = (laid / "board.toml").read_text(encoding="utf-8")
     for before, after in changes:
         assert before in text
         text = text.replace(before, after)
-    (to / "arena.toml").write_text(text, encoding="utf-8")
-    return to / "arena.toml"
+    (to / "board.toml").write_text(text, encoding="utf-8")
+    return to / "board.toml"
 
 
 def test_entries_stand_in_the_class_of_what_they_use(board: Leaderboard) -> None:
@@ -130,7 +130,7 @@ def test_entries_stand_in_the_class_of_what_they_use(board: Leaderboard) -> None
 
 
 def test_errors_are_those_of_an_evaluation(board: Leaderboard, laid: Path) -> None:
-    (ground,) = read_grounds(Arena.read(laid / "arena.toml")).values()
+    (ground,) = read_grounds(BoardFile.read(laid / "board.toml")).values()
     columns = ("t", "dq", "q", "tau_load", "tau")
     late = [
         [replace(r, **{n: getattr(r, n)[r.t - r.t[0] >= 0.5] for n in columns}) for r in part]
@@ -167,7 +167,7 @@ def test_intervals_hold_their_values(board: Leaderboard) -> None:
 
 def test_an_interval_covers_what_is_true(laid: Path) -> None:
     """Of white errors of known size the relative error is known."""
-    (ground,) = read_grounds(Arena.read(laid / "arena.toml")).values()
+    (ground,) = read_grounds(BoardFile.read(laid / "board.toml")).values()
     judge = Judge(ground, warm_up=0.5, block=0.05)
     rows, n = len(ground.records[0][0].t), ground.model.n
     covered = 0
@@ -186,7 +186,7 @@ def test_a_command_writes_page_and_json(
 ) -> None:
     page, answer = tmp_path / "board.html", tmp_path / "board.json"
     said = hesr(
-        "test", *entries[1:], "--on", laid / "arena.toml", "--verbose", "-o", page, "--json", answer
+        "test", *entries[1:], "--on", laid / "board.toml", "--verbose", "-o", page, "--json", answer
     )
     assert said.code == 0, said.err
     assert "Coulomb (foreign)" in said.out
@@ -198,7 +198,7 @@ def test_a_command_writes_page_and_json(
         assert standing["sha256"] in text
         assert str(standing["relative"]["all"]["value"]) in text  # behind the rounded figure
     assert "the digital twin, motion" in text
-    again = called(laid / "arena.toml", entries[1], tmp_path / "again.html")
+    again = called(laid / "board.toml", entries[1], tmp_path / "again.html")
     (own,) = again.standings
     assert own.relative["all"] is not None
     assert own.relative["all"].value == data["standings"][0]["relative"]["all"]["value"]
@@ -207,7 +207,7 @@ def test_a_command_writes_page_and_json(
 def test_properties_are_those_of_the_battery(
     laid: Path, table1_fmu: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (ground,) = read_grounds(Arena.read(laid / "arena.toml")).values()
+    (ground,) = read_grounds(BoardFile.read(laid / "board.toml")).values()
     asked = []
     monkeypatch.setattr("hesr.extras.leaderboard.entry.measure", asked.append)
     entry = Entry(name="Friction", fmu=table1_fmu, robot="uf850")
@@ -234,20 +234,20 @@ def test_the_battery_stands_on_the_page(laid: Path, table1_fmu: Path, tmp_path: 
         (
             'file = "trial.csv"',
             'file = "gone.csv"',
-            r"gone\.csv: no such file of the arena \(No such file or directory\)\. It can be had "
-            r"from the digital twin, motion 'trial' \(MIT\)\.",
+            r"gone\.csv: cannot be read \(No such file or directory\)\. Its source is the digital "
+            r"twin, motion 'trial' \(MIT\)\.",
         ),
-        ("warm_up = 0.5", "warm_up = 9.0", "of which a warm-up of 9 s leaves nothing to score"),
-        ('"all", ', "", "'scores' lacks 'all', by which entries are ranked"),
+        ("warm_up = 0.5", "warm_up = 9.0", "s, not longer than the warm-up of 9 s"),
+        ('"all", ', "", "'scores' lacks 'all', which ranks the entries"),
         ("[[logs]]", '[[logs]]\nrobot = "ur5"', "a log is of the robot 'ur5'; known are uf850"),
         (
             "block = 1.0",
             'block = 1.0\nclasses = { v = ["dq"] }',
-            "depends on dq, tau_load, which no class of the arena allows; its classes are v.",
+            "depends on dq, tau_load, which no class allows; the classes are v.",
         ),
     ],
 )
-def test_arenas_that_cannot_be_used_are_refused(
+def test_unusable_leaderboard_files_are_refused(
     laid: Path, tmp_path: Path, before: str, after: str, sentence: str
 ) -> None:
     path = changed(laid, tmp_path, (before, after))
@@ -256,13 +256,13 @@ def test_arenas_that_cannot_be_used_are_refused(
 
 
 def test_robots_are_told_apart(laid: Path, tmp_path: Path, table1_fmu: Path) -> None:
-    text = (laid / "arena.toml").read_text(encoding="utf-8")
+    text = (laid / "board.toml").read_text(encoding="utf-8")
     robot = text[text.index("[[robots]]") : text.index("[[logs]]")]
     log = text[text.index("[[logs]]") :]
     other = robot.replace('"uf850"', '"other"', 1)
     named = log.replace("[[logs]]", '[[logs]]\nrobot = "uf850"')
     path = changed(laid, tmp_path, (log, f"{other}{named}{named.replace('uf850', 'other', 1)}"))
-    with pytest.raises(ConfigError, match="the arena has 2 robots; needed is ROBOT=FILE with one"):
+    with pytest.raises(ConfigError, match="the leaderboard has 2 robots; give ROBOT=FILE with one"):
         called(path, table1_fmu)
     board = called(path, [f"uf850={table1_fmu}", f"other={table1_fmu}"])
     assert [s.robot for s in board.standings] == ["uf850", "other"]
@@ -278,17 +278,17 @@ def test_a_log_that_is_another_one_is_refused(laid: Path, tmp_path: Path, table1
     path = changed(laid, tmp_path)
     with (tmp_path / "trial.csv").open("a", encoding="utf-8") as file:
         file.write("\n")
-    with pytest.raises(ConfigError, match=r"its SHA-256 is [0-9a-f]{64}, but the arena's file has"):
+    with pytest.raises(ConfigError, match=r"its SHA-256 is [0-9a-f]{64}, not [0-9a-f]{64}"):
         called(path, table1_fmu)
 
 
 def test_entries_that_cannot_compete_are_refused(
     laid: Path, lag_fmu: Path, table1: FrictionModel, tmp_path: Path
 ) -> None:
-    path = laid / "arena.toml"
+    path = laid / "board.toml"
     one = export_fmu(replace(table1, joints=("j",), laws=table1.laws[:1]), tmp_path / "One.fmu")
     for given, error, sentence in [
-        ([], ConfigError, "nobody has entered the arena; needed is at least one FMU"),
+        ([], ConfigError, "the leaderboard has no entries; give at least one FMU"),
         ([lag_fmu], SimulationError, r"not a friction FMU: 'tau\[1\]' is missing"),
         ([one], SimulationError, r"One\.fmu: is for 1 joints; the robot 'uf850' has 3\."),
         ([one, one], ConfigError, r"'uf850=.*One\.fmu' is entered twice\."),
@@ -304,7 +304,7 @@ def test_an_entry_that_gives_no_number_is_refused(laid: Path, tmp_path: Path) ->
     members[script] = members[script].replace(b"level += ", b"level += math.nan + ")
     bad = archived(members, tmp_path / "Bad.fmu")
     with pytest.raises(HesrError, match=r"Bad\.fmu: at t = .* s tau\[1\] is not a finite number"):
-        called(laid / "arena.toml", bad)
+        called(laid / "board.toml", bad)
     assert not (tmp_path / "board.html").exists()
 
 
