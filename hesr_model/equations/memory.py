@@ -10,16 +10,7 @@ from typing import Literal, Self, TypeAlias
 
 import sympy
 
-from hesr_model.equations.functions import (
-    absolute,
-    clip,
-    decay,
-    larger,
-    over,
-    positive,
-    sgn,
-    share,
-)
+from hesr_model.equations.functions import absolute, clip, decay, larger, over, positive, sgn, share
 
 DT = sympy.Symbol("dt", real=True)
 """Length of the current step [s]."""
