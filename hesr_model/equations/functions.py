@@ -11,8 +11,7 @@ import numpy as np
 import sympy
 from sympy.printing.latex import LatexPrinter
 
-_SERIES_BELOW = 1e-3
-"""Argument below which series are exact to double precision, unlike quotients."""
+_SERIES_BELOW = 1e-3  # argument below which series are exact to double precision, unlike quotients
 
 
 class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed

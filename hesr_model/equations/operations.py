@@ -24,15 +24,13 @@ NAMES = (
     "MULTIPLY_SAME",
 )
 """Operations of `rows.c` by number."""
-STOPS = 4
-"""Stops moved together, as in `rows.c`."""
+STOPS = 4  # stops moved together, as in `rows.c`
 
 _FUNCTIONS: Mapping[Any, str] = {sympy.exp: "EXP"} | {
     name.lower(): name for name in NAMES[NAMES.index("LOG") : NAMES.index("CARRIED")]
 }
 _MOVES = ("CARRIED", "RELAX", "STOP", "STOP_BESIDE")
-_MOST_FACTORS = 8
-"""Largest integer power written as a product."""
+_MOST_FACTORS = 8  # largest integer power written as a product
 
 
 class Dependence(IntEnum):

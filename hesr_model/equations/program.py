@@ -29,8 +29,7 @@ def step(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
     return after
 
 
-_SEARCH = 60
-"""Steps of the search for the settled state; about thirty bridge a factor of 1e9."""
+_SEARCH = 60  # steps of the search for the settled state; about thirty bridge a factor of 1e9
 
 
 def initial_symbol(element: Element) -> sympy.Symbol:

@@ -21,21 +21,15 @@ from hesr_model.rigid_body.residual import motion_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
-WINDOW = 0.5
-"""Length of the windows [s]."""
-MOST_TORQUE = 1.02
-"""Largest allowed ratio of a joint's torque error to that before."""
-
+WINDOW = 0.5  # length of the windows [s]
+MOST_TORQUE = 1.02  # largest allowed ratio of a joint's torque error to that before
 _STEP = 1e-3  # finite-difference step, relative
 _TORQUE = 0.5  # weight of the mean square torque error
 _DAMPING = (1e-3, 1e-2, 1e-1, 1.0, 1e1)  # damping of each round, relative to the curvature
 _MOST = 0.7  # largest change of a parameter, relative or logarithmic
 _SPREAD = 0.15  # relative spread of further starts
 _LEAST = 1e-3  # smallest relative gain of a round
-
-
-_SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
-"""Shares of the way to the optimum tried at the end."""
+_SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)  # shares of the way to the optimum tried at the end
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,9 +22,7 @@ from hesr_model.friction.stepper import LawStepper
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
-SUBSTEP = 2.5e-3
-"""Longest inner step [s]."""
-
+SUBSTEP = 2.5e-3  # longest inner step [s]
 _SWEEPS = 2  # sweeps over joints, coupled by the mass matrix
 _ITERATIONS = 12  # iterations of a root
 _ROUNDING = 1e-6  # round-off of time differences, in inner steps

@@ -13,13 +13,9 @@ from hesr_model.friction.predict import states_over
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.support.arrays import Array
 
-RUN_IN = 1.0
-"""Run-in of friction states before a log's first window [s]."""
-
+RUN_IN = 1.0  # run-in of friction states before a log's first window [s]
 _SIGNALS = ("t", "q", "dq", "tau")
-
-Logs = Sequence[Sequence[FrictionRecord]]
-"""Records of each part of each log, [part][joint]."""
+Logs = Sequence[Sequence[FrictionRecord]]  # records of each part of each log, [part][joint]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -27,20 +27,11 @@ from hesr_model.equations.program import initial_state, initial_symbol
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, MOVING, TAU_LOAD, TORQUE
 
-LEVEL = 0.95
-"""Probability of the stored half-widths."""
-
-REST = 0.005
-"""v_rest, the speed [rad/s, m/s] that ends the width of rest."""
-
-LEAST, GREATEST = 0.5, 0.999
-"""Limits of the probability."""
-
-LOWER, UPPER = "tau_lower", "tau_upper"
-"""Names of the outputs."""
-
-_TINY = sympy.Float(1e-24)
-"""[(N.m)^2], keeps the root differentiable if all numbers are 0."""
+LEVEL = 0.95  # probability of the stored half-widths
+REST = 0.005  # v_rest, the speed [rad/s, m/s] that ends the width of rest
+LEAST, GREATEST = 0.5, 0.999  # limits of the probability
+LOWER, UPPER = "tau_lower", "tau_upper"  # names of the outputs
+_TINY = sympy.Float(1e-24)  # [(N.m)^2], keeps the root differentiable if all numbers are 0
 
 COVERAGE = Parameter(
     name="coverage",

@@ -23,12 +23,10 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.scales import scaled_bound
 
-CHANGE = 0.1
-"""Smallest relative change of friction to detect."""
+CHANGE = 0.1  # smallest relative change of friction to detect
 CHANGE_OF_OFFSET = 0.5
 """Smallest change of the offset to detect, in standard deviations of the unexplained torque."""
-_CLIPPED = 1.0 - 1e-9
-"""Share of its bound above which a stop is clipped, up to round-off."""
+_CLIPPED = 1.0 - 1e-9  # share of its bound above which a stop is clipped, up to round-off
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,23 +10,11 @@ _LOAD = Quantity(
     description="load {effort} on {joint}: rigid-body {effort} of the motion",
 )
 
-DQ = _VELOCITY.symbol
-"""Joint velocity [rad/s]."""
-Q = _POSITION.symbol
-"""Joint position [rad]."""
-TAU_LOAD = _LOAD.symbol
-"""Load on the joint [N.m]: rigid-body torque of the motion."""
-
-QUANTITIES = (_VELOCITY, _POSITION, _LOAD)
-"""Inputs of laws, in the order used everywhere."""
-
+DQ = _VELOCITY.symbol  # joint velocity [rad/s]
+Q = _POSITION.symbol  # joint position [rad]
+TAU_LOAD = _LOAD.symbol  # load on the joint [N.m]: rigid-body torque of the motion
+QUANTITIES = (_VELOCITY, _POSITION, _LOAD)  # inputs of laws, in the order used everywhere
 INPUTS = tuple(quantity.symbol for quantity in QUANTITIES)
-
-INPUT_UNITS = {quantity.name: quantity.unit for quantity in QUANTITIES}
-"""Units for revolute joints."""
-
-TORQUE = "tau"
-"""Name of a law's output."""
-
-MOVING = 0.02
-"""Smallest initial speed [rad/s, m/s] of a steady start."""
+INPUT_UNITS = {quantity.name: quantity.unit for quantity in QUANTITIES}  # units for revolute joints
+TORQUE = "tau"  # name of a law's output
+MOVING = 0.02  # smallest initial speed [rad/s, m/s] of a steady start

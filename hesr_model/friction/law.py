@@ -32,8 +32,7 @@ SETTLING = _SPEED**2 * (3 - 2 * _SPEED)
 At rest the state depends on an unknown history; motion erases it quickly.
 """
 
-_LARGEST = 1e100
-"""Largest allowed coefficient; a product of three stays finite."""
+_LARGEST = 1e100  # largest allowed coefficient; a product of three stays finite
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,8 +21,7 @@ from hesr_model.friction.inputs import INPUTS, TORQUE
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.support.arrays import Array
 
-_PIECE = 2048
-"""Rows run for all joints before the next ones, to stay in the processor's cache."""
+_PIECE = 2048  # rows run for all joints before the next ones, to stay in the processor's cache
 
 
 @lru_cache(maxsize=256)

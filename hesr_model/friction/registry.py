@@ -7,8 +7,7 @@ from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.fitting.estimator import Estimator, registered
 from hesr_model.support import plugins
 
-GROUP = "hesr.laws"
-"""Entry points with a law's name and the module that registers it."""
+GROUP = "hesr.laws"  # entry points with a law's name and the module that registers it
 
 
 @cache

@@ -28,11 +28,8 @@ COULOMB = Coefficient(
 VISCOUS = Coefficient(
     name="viscous_scale", unit="1", description="factor on the viscous friction of {joint}"
 )
-SCALES = (COULOMB, VISCOUS)
-"""Factors of every law: 1 by default, 0 removes the part."""
-
-LEAST = 1e-9
-"""Smallest factor used as a divisor; at 0 the state of a bristle is undefined."""
+SCALES = (COULOMB, VISCOUS)  # factors of every law: 1 by default, 0 removes the part
+LEAST = 1e-9  # smallest factor used as a divisor; at 0 the state of a bristle is undefined
 
 
 def scaled(form: LawForm) -> LawForm:

@@ -22,13 +22,8 @@ from hesr_model.friction.inputs import DQ
 from hesr_model.support.arrays import Array
 
 TEMPERATURE = Quantity(name="temperature", unit="degC", description="temperature of {joint}")
-
-COULOMB_RANGE = 0.5
-"""Largest relative change of the Coulomb factor."""
-
-VISCOUS_RANGE = 1.5
-"""Largest logarithm of the viscous factor: 0.22 to 4.5."""
-
+COULOMB_RANGE = 0.5  # largest relative change of the Coulomb factor
+VISCOUS_RANGE = 1.5  # largest logarithm of the viscous factor: 0.22 to 4.5
 _LEAST_TIME = 1e-3  # [s], rates divide by it
 _LEAST_SCALE = 1e-3  # bounds stay positive
 
@@ -86,9 +81,7 @@ _UNITS = {
 }
 
 RISE = "rise"
-
-THERMOMETER = "thermometer"
-"""Parameter that selects the temperature input."""
+THERMOMETER = "thermometer"  # parameter that selects the temperature input
 
 
 def thermal_parameters(thermal: Thermal) -> tuple[Parameter, ...]:

@@ -11,8 +11,7 @@ from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import INPUT_UNITS
 from hesr_model.rigid_body.residual import FrictionRecord
 
-Range = tuple[float, float]
-"""Least and greatest value."""
+Range = tuple[float, float]  # least and greatest value
 
 
 @dataclass(frozen=True, kw_only=True)

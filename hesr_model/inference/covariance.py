@@ -22,26 +22,13 @@ from hesr_model.errors import ArtifactError
 from hesr_model.support.arrays import Array, Integers
 from hesr_model.support.typed_json import Numbers, to_json
 
-ENOUGH = 20
-"""Minimum number of logs for a covariance from their scatter."""
-
-BLOCKS = 4
-"""Blocks of time that replace the logs of a single log."""
-
-_MOST_MEMORY = 0.995
-"""Largest autoregression coefficient; above is a drift."""
-
-_MOST_LEVERAGE = 0.9
-"""Largest leverage: a row that determines an unknown alone has no residual."""
-
-_UPPER = 0.975
-"""Upper end of a 95 % interval."""
-
-_BY_CHANCE = 0.05
-"""Significance level of the difference between logs."""
-
-_RANK = 1e-13
-"""Relative rank tolerance of a scaled Hessian."""
+ENOUGH = 20  # minimum number of logs for a covariance from their scatter
+BLOCKS = 4  # blocks of time that replace the logs of a single log
+_MOST_MEMORY = 0.995  # largest autoregression coefficient; above is a drift
+_MOST_LEVERAGE = 0.9  # largest leverage: a row that determines an unknown alone has no residual
+_UPPER = 0.975  # upper end of a 95 % interval
+_BY_CHANCE = 0.05  # significance level of the difference between logs
+_RANK = 1e-13  # relative rank tolerance of a scaled Hessian
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

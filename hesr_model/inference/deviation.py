@@ -12,17 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtr
 
-ENOUGH = 5
-"""Minimum sample size."""
-
-_NORMAL = 1.4826
-"""Standard deviation of a normal distribution over its MAD."""
-
-_EFFICIENCY = 0.37
-"""Statistical efficiency of the MAD."""
-
-_ALIKE = 1e-3
-"""Values within this fraction of the median are never outliers."""
+ENOUGH = 5  # minimum sample size
+_NORMAL = 1.4826  # standard deviation of a normal distribution over its MAD
+_EFFICIENCY = 0.37  # statistical efficiency of the MAD
+_ALIKE = 1e-3  # values within this fraction of the median are never outliers
 
 
 @dataclass(frozen=True, kw_only=True)

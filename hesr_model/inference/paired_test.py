@@ -16,16 +16,9 @@ from hesr_model.inference.correlation import correlation_length
 from hesr_model.support.arrays import Array
 
 Key = TypeVar("Key")
-
-ENOUGH = 8
-"""Minimum number of logs for one unit per log."""
-
-SHORTEST = 8.0
-"""Minimum length of a block [s]; errors at rest are correlated over 2.4 to 2.8 s."""
-
-_LENGTHS = 4.0
-"""Minimum length of a block in correlation times."""
-
+ENOUGH = 8  # minimum number of logs for one unit per log
+SHORTEST = 8.0  # minimum length of a block [s]; errors at rest are correlated over 2.4 to 2.8 s
+_LENGTHS = 4.0  # minimum length of a block in correlation times
 _MOST_UNITS = 256
 
 DRAWS = 20_000

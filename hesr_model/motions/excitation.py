@@ -20,15 +20,11 @@ from hesr_model.support.progress import Progress, counted, silent
 _SAMPLES = 400
 """Samples per period; with 100 or more the condition number of W_b changes by a per cent."""
 
-_COARSE, _FINE = 1e2, 1e4
-"""Weights of exceeded limits, in the first descents and the last one."""
-
+_COARSE, _FINE = 1e2, 1e4  # weights of exceeded limits, in the first descents and the last one
 _COARSE_STEPS, _FINE_STEPS = 100, 300
 
 _USUAL_RATE = 200.0
-
-_LARGE = 100.0
-"""Size of a random motion before it is shrunk, relative to the joint's speed."""
+_LARGE = 100.0  # size of a random motion before it is shrunk, relative to the joint's speed
 
 
 class ExcitationSettings(Config):

@@ -16,15 +16,9 @@ from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
-_INSTANTS = 12
-"""Instants per cycle of the highest harmonic; at least 120 per period."""
-
-_STEP = 1e-6
-"""Step of finite differences; the regressor is linear in ddq and quadratic in dq."""
-
-_ORDER = 8.0
-"""Order of the eigenvalue norms, smooth bounds of the extreme eigenvalues."""
-
+_INSTANTS = 12  # instants per cycle of the highest harmonic; at least 120 per period
+_STEP = 1e-6  # step of finite differences; the regressor is linear in ddq and quadratic in dq
+_ORDER = 8.0  # order of the eigenvalue norms, smooth bounds of the extreme eigenvalues
 _SINGULAR = 1e-14
 
 

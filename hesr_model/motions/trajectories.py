@@ -15,9 +15,7 @@ from hesr_model.support.arrays import Array
 _AT_REST = 1e-9
 """Start values [rad/s, rad/s2] that count as rest, relative to the largest coefficient."""
 
-_ROUNDING = 1e-9
-"""Round-off of the end of a motion [s]."""
-
+_ROUNDING = 1e-9  # round-off of the end of a motion [s]
 _POINTS_PER_CYCLE = 256
 """Points per cycle of the highest harmonic; peaks on this grid are low by at most 8e-5."""
 
