@@ -16,8 +16,8 @@ from hesr_model.support.arrays import Array
 class Kernel:
     """Programs for `rows.c`: `wanted` as functions of `numbers`, equal for all rows, and `inputs`.
 
-    States and derivatives in `wanted` are those at the end of a step. Expressions of `names` use
-    earlier names only. With `once`, values of inputs alone are not cached between runs.
+    States and derivatives in `wanted` are those at the end of a step; `names` are intermediate
+    values. With `once`, values of inputs alone are not cached between runs.
     """
 
     def __init__(

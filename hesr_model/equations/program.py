@@ -107,8 +107,8 @@ def change_of(symbol: sympy.Symbol) -> sympy.Symbol:
 class Jumps:
     """Solver events: sign changes that make a component jump; signs are held in between.
 
-    A magnitude bends but does not jump; bends of reversing inputs are still events. Signs of states
-    alone are not held, since only outputs depend on them.
+    Bends of magnitudes are events for reversing inputs only. Signs of states alone are not held,
+    since only outputs depend on them.
     """
 
     component: Component

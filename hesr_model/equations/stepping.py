@@ -74,8 +74,7 @@ class Steps:
     ) -> Array:
         """Return the observed equations (observed, N) over a log at times `t` (N,) [s].
 
-        `columns` has (N,) values by input, and possibly others. With `settled`, the first row
-        settles the states.
+        `columns` has (N,) values by input. With `settled`, the first row settles the states.
         """
         used = {q.name: columns[q.name] for q in self.component.inputs if q.name in columns}
         run = self.run(values, start, list(used))

@@ -1,10 +1,10 @@
 """Joint refinement of body and friction by output error.
 
-Base parameters and coefficients are refined by the position error over short windows. The torque
-error keeps directions that the windows do not show (DIDIM: Gautier, Janot and Vandanjon 2013, "A
+The cost is the position error over short windows, and the torque error for directions that these do
+not show (DIDIM: Gautier, Janot and Vandanjon 2013, "A
 new closed-loop output error method for parameter identification of robot dynamics", IEEE Trans.
-Control Syst. Technol. 21(2); here with friction that has a state). Finite differences vary all
-parameters at once, each in a copy of all windows.
+Control Syst. Technol. 21(2); here with friction that has a state). Each parameter is varied in its
+own copy of all windows.
 """
 
 from collections.abc import Sequence

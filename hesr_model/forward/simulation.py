@@ -2,8 +2,8 @@
 
     M(q) ddq + c(q, dq) + g(q) + tau_f = tau
 
-Presliding friction is far stiffer than a log's sample rate, so friction is implicit in each inner
-step, as in a drive: with A = M^-1 the velocity v+ after a step h solves
+Presliding friction is too stiff for a log's sample rate, so it is implicit in each inner step, as
+in a drive: with A = M^-1 the velocity v+ after a step h solves
 
     v+ + h A tau_f(v+) = v + h A (tau - c - g),  q+ = q + h v+.
 
@@ -138,7 +138,7 @@ class Simulator:
         now.q = now.q + h[:, None] * now.v
 
     def _explicit(self, now: _Moving, h: Array, tau: Array, inverse: Array, load: Array) -> None:
-        """Do one explicit Euler step as MuJoCo does, with the forces and rates before it."""
+        """Do one Euler step as MuJoCo does, with the forces and rates before it."""
         x, (forward, loads) = now.x, self._at_friction(load)
         p, u = now.q @ forward.T, now.v @ forward.T
         force, still = np.empty_like(u), np.zeros_like(h)
@@ -168,8 +168,7 @@ def _root(
 ) -> Array:
     """Return the velocity s with s + gain F(s) = target, (W,) [rad/s], by the Illinois method.
 
-    Friction hardly falls within a step, so the slope of the left side is at least about 1 and the
-    root is within twice the first residual.
+    Friction hardly falls within a step, so the root is within twice the first residual.
     """
 
     def residual(s: Array) -> Array:

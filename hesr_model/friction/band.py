@@ -5,11 +5,8 @@
     r   = (1 - min((v/v_rest)^2, 1))^2, 1 at rest and 0 in motion
 
 In motion tau - w and tau + w bound friction. At rest friction is any torque that holds the joint,
-so the band spans both break-away torques, those of the law creeping at `MOVING`, and beyond them
-the floor; if the calibration logs contain rests, their width is used instead.
-
-Probabilities follow from a Weibull tail of the standardised error, whose exponent is 0.65 for a
-normal distribution.
+so the band spans the torques of the law creeping at `MOVING` both ways, and the floor, unless the
+calibration logs contain rests. The tail of the standardised error is Weibull's.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -104,8 +104,8 @@ def rmse_ratio_interval(
     """Return the interval, of probability `level`, of the ratio of two RMSEs over the same rows.
 
     Circular block bootstrap: the same blocks of rows are drawn with replacement from each log's
-    errors (N,) [N.m], because errors of neighbouring rows are correlated. A `block` has a few
-    correlation lengths [rows]; with less the interval is too narrow.
+    errors (N,) [N.m]. A `block` has a few correlation lengths [rows]; with less the interval is too
+    narrow.
     """
     above, below = np.zeros(resamples), np.zeros(resamples)
     for error, other in zip(errors, reference, strict=True):

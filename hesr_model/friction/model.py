@@ -235,8 +235,7 @@ class FrictionModel:
         """Return the friction torque of all joints, (N, n) [N.m].
 
         A motion that starts at speed has steady initial states. A thermal model takes the
-        temperature of the records, or computes the heat of friction; for arrays it takes the
-        reference temperature of the fit.
+        temperature of the records, or computes it; for arrays it takes the reference temperature.
 
         Parameters
         ----------

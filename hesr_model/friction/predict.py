@@ -172,8 +172,8 @@ def estimated_start(
     """Return the start of the states that best explains the first `law.start_samples` torques.
 
     A relaxation is searched within its reachable limits in the log (N,) [s, rad/s, rad, N.m, N.m];
-    stops share one number, their deflection as a share of their bounds. Otherwise, or if the parts
-    of a relaxation depend on its state, the law's own start is returned.
+    stops share one number, their deflection as a share of their bounds. For other memories, or if
+    the parts of a relaxation depend on its state, the law's own start is returned.
     """
     first = slice(0, law.start_samples)
 

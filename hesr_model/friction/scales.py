@@ -4,10 +4,9 @@
     bristle    x' = drive - rate / c x
     torque     c T(x / c) + n v f(v) + ripple + offset
 
-Viscous terms have the velocity as a factor and no memory; ripple and offset have neither velocity
-nor memory; all others are Coulomb friction. Terms linear in stops and bristles are scaled by their
-bounds alone: stiffness at rest stays, level and break-away deflection grow, and changing the factor
-under load adds no energy. Without a bound the factor scales the torque.
+Viscous terms have the velocity as a factor and no memory; ripple and offset have neither; all
+others are Coulomb friction. Terms linear in stops and bristles are scaled by their bounds alone:
+stiffness at rest stays, and changing the factor under load adds no energy.
 """
 
 from collections.abc import Collection
@@ -77,7 +76,7 @@ def _states(form: LawForm) -> set[sympy.Symbol]:
 
 
 def _terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
-    """Return the common factor of all terms, such as a denominator, and the terms."""
+    """Return the common factor of all terms, and the terms."""
     factors = sympy.Mul.make_args(output)
     sums = [f for f in factors if f.is_Add]
     if len(sums) != 1:

@@ -2,14 +2,14 @@
 
 An estimate errs by the sum of the influences of its rows, psi_t = H^-1 g_t, with the gradient g_t
 of row t and the Hessian H of half the sum of squares. Neighbouring rows are correlated, and logs
-differ by more than their rows show (day, temperature, unmodelled effects):
+differ by more than their rows show:
 
     cov = factor^2 sum over logs S_log + carried,    S = long-run covariance of the influences.
 
-S is prewhitened by a first-order autoregression of each unknown and weighted by Bartlett's kernel,
-with the bandwidth of Andrews and Monahan (1992). The factor measures how estimates with each log
-left out differ beyond that. With at least `ENOUGH` logs the influences of whole logs are summed
-(cluster-robust, Liang and Zeger 1986) without a factor. `carried` is from earlier estimates.
+S is prewhitened by a first-order autoregression and weighted by Bartlett's kernel (Andrews and
+Monahan 1992). The factor measures how estimates with each log left out differ beyond that. With
+`ENOUGH` logs the influences of whole logs are summed instead (cluster-robust, Liang and Zeger
+1986). `carried` is from earlier estimates.
 """
 
 from collections.abc import Sequence
@@ -150,7 +150,7 @@ def covariance(
 
 
 def long_run(influences: Sequence[Array]) -> list[Array]:
-    """Return for each log the (P, P) covariance of the sum of its (N, P) rows."""
+    """Return each log's covariance (P, P) of the sum of its rows (N, P)."""
     memory = _memory(influences)
     white = [np.concatenate([psi[:1], psi[1:] - memory * psi[:-1]]) for psi in influences]
     bandwidth = _bandwidth(white)
@@ -179,8 +179,8 @@ def _between(
 ) -> tuple[float, float]:
     """Compare each log's estimate with that of the others by one Gauss-Newton step each.
 
-    Returns the mean square of the differences over their variance by `parts`, and the number of
-    independent differences.
+    Returns the mean square difference over its variance by `parts`, and the number of independent
+    differences.
     """
     if len(influences) < 2:
         return 1.0, 0.0
@@ -199,7 +199,7 @@ def _between(
 
 
 def _inverse(hessian: Array, whole: Array) -> Array:
-    """Return the pseudo-inverse on the scale of `whole`, zero for undetermined directions."""
+    """Return the pseudo-inverse on the scale of `whole`."""
     size = np.sqrt(np.where(np.diag(whole) > 0.0, np.diag(whole), 1.0))
     scaled = np.linalg.pinv(hessian / np.outer(size, size), hermitian=True, rcond=_RANK)
     return np.asarray(scaled / np.outer(size, size))

@@ -1,7 +1,7 @@
 """Paired test of two predictions of the same logs; it says nothing on other days or motions.
 
-Errors of neighbouring rows are correlated, so rows are summed in units: whole logs if there are at
-least `ENOUGH`, else blocks of time of at least 8 s, longer if residuals are correlated for longer.
+Errors of neighbouring rows are correlated, so rows are summed in units: whole logs if there are
+`ENOUGH`, else blocks of time, longer if residuals are correlated for longer.
 """
 
 from collections.abc import Mapping, Sequence
@@ -71,8 +71,8 @@ def compare_errors(
 ) -> Paired:
     """Compare two predictions by their errors; see `units`.
 
-    The interval is a bootstrap over units, widened by Student's t for few units. The probability is
-    that of the sign-flip test: if both are equally good, the errors of each unit can be exchanged.
+    The interval is a bootstrap over units, widened by Student's t. The probability is that of the
+    sign-flip test: the errors of each unit can be exchanged if both are equally good.
     """
     a, b = units(above, below, periods)
     flips, seen, drawn = _resamples(len(a))
