@@ -1,22 +1,6 @@
 """The science of HESR: logs, rigid bodies, friction laws and their fits.
 
-Names for notebooks; `docs/tutorial.ipynb` is the long form of::
-
-    from pathlib import Path
-
-    from fmu_src import export_fmu
-    from hesr_model import Log, Robot, fit, friction_records, identify
-
-    robot = Robot("robot.toml")
-    excitation, sweep, test = (
-        Log.read(f"{name}.csv", robot) for name in ("excitation", "sweep", "test")
-    )
-    body = identify([excitation], robot)
-    model = fit("lugre", friction_records(sweep, robot, body))
-    tau_f = model.predict(friction_records(test, robot, body))  # (N, n) [N.m]
-    export_fmu(model, Path("Friction.fmu"))
-
-Names are imported on first use, so `import hesr_model` takes no time.
+Names for notebooks (`docs/tutorial.ipynb`), imported on first use.
 """
 
 from hesr_model.support.lazy import lazy_stub

@@ -165,9 +165,7 @@ def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> t
         return 1.0, 0.0
     by_joint = left.reshape(len(joints), -1, len(_SCALES))
     squares = np.sum(by_joint**2, axis=1)
-    independent = np.array(
-        [len(rows_of) / correlation_length(rows_of[:, best]) for rows_of in by_joint]
-    )
+    independent = np.array([len(own) / correlation_length(own[:, best]) for own in by_joint])
     now = int(np.argmin(np.abs(np.log(_SCALES))))
     sure = independent @ np.log(squares[:, now] / squares[:, best])
     return float(1.0 / np.sqrt(_SCALES[best])), float(sure)

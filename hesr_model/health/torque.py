@@ -22,8 +22,7 @@ _SEEN = 0.5  # minimum gravity torque over the residual to judge its sign
 _WEIGHTLESS = 0.1  # share of the model's gravity below which a torque contains none
 _ABOVE_LIMIT, _BELOW_OTHERS = 10.0, 30.0  # peak torque over the model's limit; others' use over own
 
-Explained = Mapping[int, JointTorque]
-"""Regression of the torque of each moving joint, by its index."""
+Explained = Mapping[int, JointTorque]  # regression of the torque of each moving joint, by its index
 
 
 def explained(motion: Motionwise, torques: Torques) -> Explained:

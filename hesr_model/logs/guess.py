@@ -84,7 +84,7 @@ def guess(table: LogTable, joints: Sequence[str] = ()) -> Guess:
         fitting = [g for _, g in groups if _quantity(g[0]) == quantity and len(g) >= count > 0]
         if fitting:
             best = min(
-                fitting, key=lambda g: (not _MEASURED & set(_tokens(g[0])), len(g), len(g[0]))
+                fitting, key=lambda g: (_MEASURED.isdisjoint(_tokens(g[0])), len(g), len(g[0]))
             )
             columns[quantity] = tuple(best[:count])
             reasons[quantity] = f"named so: {best[0]}"

@@ -4,11 +4,8 @@ import numpy as np
 
 from hesr_model.support.arrays import Array, Integers, Mask
 
-MOVING = 0.02
-"""Speed [rad/s] below which a joint rests."""
-
-REVERSAL_WINDOW = 0.1
-"""Half width [s] of the window around a reversal."""
+MOVING = 0.02  # speed [rad/s] below which a joint rests
+REVERSAL_WINDOW = 0.1  # half width [s] of the window around a reversal
 
 
 def moving(dq: Array) -> Mask:

@@ -19,12 +19,9 @@ from hesr_model.logs.phases import MOVING, near_reversals
 from hesr_model.logs.signals import Motion
 from hesr_model.support.arrays import Array
 
-Stratum = tuple[int, str, int]
-"""Joint, kind of condition, and octave."""
+Stratum = tuple[int, str, int]  # joint, kind of condition, and octave
 
-WINDOW = 1.0
-"""Length of a window [s]; friction forgets its initial state."""
-
+WINDOW = 1.0  # length of a window [s]; friction forgets its initial state
 _FASTEST = 8  # octaves of speed above `MOVING`; the last one is open
 _LEAST, _MOST = -3, 5  # octaves of torque around the root mean square of the first motion
 
@@ -92,19 +89,15 @@ class Sample:
         torque = (np.sign(motion.tau) * octave).astype(int)
         ends = [0, *(np.flatnonzero(np.diff(places)) + 1).tolist(), len(t)]
         for first, last in pairwise(ends):
-            rows: Counter[Stratum] = Counter()
+            rows: dict[Stratum, int] = {}
             for joint in range(n):
                 for kind, codes in (("speed", speed), ("torque", torque), ("near", near)):
-                    found, counts = np.unique(codes[first:last, joint], return_counts=True)
-                    rows.update(
-                        {
-                            (joint, kind, int(code)): int(k)
-                            for code, k in zip(found, counts, strict=True)
-                            if kind != "near" or code
-                        }
-                    )
+                    found = np.unique(codes[first:last, joint], return_counts=True)
+                    for code, k in zip(*found, strict=True):
+                        if kind != "near" or code:
+                            rows[joint, kind, int(code)] = int(k)
             # A view would keep the whole log in memory.
-            yield _joined([motion.rows(slice(first, last))]), dict(rows)
+            yield _joined([motion.rows(slice(first, last))]), rows
 
     def _shrink(self) -> None:
         if sum(len(window.motion.t) for window in self._windows) <= self._most:

@@ -96,7 +96,11 @@ def identify_payload_motions(
     """Identify the payload on the last link; raises RobotError, or FitError, also without one."""
     name = "log " + ", ".join(motion.name for motion in motions)
     segments = _segments(motions)
-    _require_length(name, motions, segments)
+    if len(np.unique(segments)) < _LEAST_SEGMENTS:
+        raise FitError(
+            f"{name}: lasts {sum(motion.t[-1] - motion.t[0] for motion in motions):.3g} s; a "
+            f"payload needs at least {_LEAST_SEGMENTS * _SEGMENT:g} s."
+        )
     added = [replace(motion, tau=motion.tau - unloaded.torque(model, motion)) for motion in motions]
     columns = _last_link(model)
     friction = friction_columns(model, columns)
@@ -145,14 +149,6 @@ def loaded(unloaded: RigidBody, payload: Payload, model: Robot) -> RigidBody:
         rows=payload.rows,
         logs=(*unloaded.logs, *payload.logs),
     )
-
-
-def _require_length(name: str, motions: Sequence[Motion], segments: Integers) -> None:
-    if len(np.unique(segments)) < _LEAST_SEGMENTS:
-        raise FitError(
-            f"{name}: lasts {sum(motion.t[-1] - motion.t[0] for motion in motions):.3g} s; a "
-            f"payload needs at least {_LEAST_SEGMENTS * _SEGMENT:g} s."
-        )
 
 
 def _require_mass(name: str, payload: Payload) -> None:

@@ -91,25 +91,20 @@ def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, .
             raise RobotError(
                 f"{path}: joint '{name}' follows another (mimic); only driven joints can be used."
             )
-        if joints[name].freedom > 1:
-            raise _many_axes(name, joints[name].freedom, path)
+        require_one_axis(name, joints[name].freedom, path)
     found = tuple(j for j in joints.values() if (j.name in wanted if wanted else j.freedom == 1))
     if not found:
         raise RobotError(f"{path}: has no revolute or prismatic joint; at least one is needed.")
     return found
 
 
-def require_one_axis(joint: Any, name: str, path: Path) -> None:
+def require_one_axis(name: str, freedom: int, path: Path) -> None:
     """Raise RobotError unless a joint has one degree of freedom."""
-    if joint.nv != 1:
-        raise _many_axes(name, joint.nv, path)
-
-
-def _many_axes(name: str, freedom: int, path: Path) -> RobotError:
-    return RobotError(
-        f"{path}: joint '{name}' has {freedom} degrees of freedom; "
-        "only revolute and prismatic joints can be used."
-    )
+    if freedom != 1:
+        raise RobotError(
+            f"{path}: joint '{name}' has {freedom} degrees of freedom; "
+            "only revolute and prismatic joints can be used."
+        )
 
 
 def set_joint(joint: Any, states: Array, position: Array) -> None:

@@ -183,12 +183,12 @@ class Robot:
         neutral = self._pin.neutral(model)
         for name, value in self.description.locked.items():
             joint = model.joints[model.getJointId(name)]
-            require_one_axis(joint, name, path)
+            require_one_axis(name, joint.nv, path)
             set_joint(joint, neutral, np.array(value))
         others = [model.getJointId(name) for name in known if name not in wanted]
         reduced = self._pin.buildReducedModel(model, others, neutral)
         for joint, name in zip(list(reduced.joints)[1:], wanted, strict=True):
-            require_one_axis(joint, name, path)
+            require_one_axis(name, joint.nv, path)
         return reduced
 
     def __repr__(self) -> str:

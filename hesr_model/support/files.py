@@ -21,8 +21,7 @@ _LOCK = f"{_TEMPORARY}lock"
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the writer; others may come from files that the block reads."""
 
-PathArg = str | os.PathLike[str]
-"""A path argument of the public API."""
+PathArg = str | os.PathLike[str]  # a path argument of the public API
 
 _log = logging.getLogger(__name__)
 
