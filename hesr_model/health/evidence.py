@@ -37,6 +37,11 @@ class Motionwise:
         speed = np.max(np.abs(self.v), axis=0)
         return np.asarray((np.ptp(self.q, axis=0) > _LEAST_TRAVEL) & (speed > LEAST_PEAK))
 
+    @property
+    def period(self) -> float:
+        """Median time between rows [s]."""
+        return float(np.median(np.diff(self.t)))
+
     def thinned(self, rows: int) -> "Motionwise":
         """Return at most `rows` rows, evenly spread."""
         every = slice(None, None, -(-len(self.t) // rows))

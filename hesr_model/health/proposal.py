@@ -267,11 +267,7 @@ def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
         for j in np.flatnonzero(part.moves):
             fit = fits.get(int(j))
             v = part.v[:, j]
-            found = (
-                None
-                if part.dq is None
-                else match(v, part.dq[:, j], float(np.median(np.diff(part.t))))
-            )
+            found = None if part.dq is None else match(v, part.dq[:, j], part.period)
             yield (
                 part.log.name if whole else f"{part.log.name} from {part.t[0]:.3g} s",
                 proposal.robot.joints[j],

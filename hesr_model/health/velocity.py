@@ -65,8 +65,7 @@ def check_velocity(
         return
     dq = motion.dq
     joints = np.array([j for j in np.flatnonzero(motion.moves) if robot.joints[j] not in without])
-    period = float(np.median(np.diff(motion.t)))
-    matches = {int(j): match(motion.v[:, j], dq[:, j], period) for j in joints}
+    matches = {int(j): match(motion.v[:, j], dq[:, j], motion.period) for j in joints}
     places = _places(motion, joints)
     for j, found in matches.items():
         name = robot.joints[j]
@@ -83,7 +82,7 @@ def check_velocity(
             yield _unlike(robot, j, found, places)
         else:
             yield from _scale(robot, j, matches, motion)
-            if abs(found.lag) > max(_LATE, 2.0 * period):
+            if abs(found.lag) > max(_LATE, 2.0 * motion.period):
                 yield _late(name, found.lag)
 
 

@@ -1,6 +1,6 @@
 """A motion and its time-reversed counterpart, matched by position (section III-B)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,15 +14,7 @@ _LONGEST_SHIFT = 0.5  # latency of command and measurement, which reversal does 
 _LARGEST_MISMATCH = 0.1  # mean position mismatch [rad]; tracking errors of 20 mrad are harmless
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Pair:
-    """A motion and its counterpart at the same positions, row by row."""
-
-    forward: Motion
-    backward: Motion
-
-
-def matched(forward: Motion, backward: Motion) -> Pair:
+def matched(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:
     """Match a motion with its counterpart at mirrored and best shifted time; raises FitError."""
     period = float(np.median(np.diff(forward.t)))
     count = int(_LONGEST_SHIFT / period)
@@ -47,7 +39,7 @@ def matched(forward: Motion, backward: Motion) -> Pair:
         )
     times = mirror + shifts[best]
     rows = _covered(times, backward.t)
-    return Pair(forward=forward.rows(rows), backward=_at(backward, times[rows]))
+    return forward.rows(rows), _at(backward, times[rows])
 
 
 def _covered(times: Array, t: Array) -> Mask:

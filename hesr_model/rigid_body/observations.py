@@ -101,18 +101,13 @@ def averaged(
             "the paper's method needs one for each."
         )
     pairs = [matched(*pair) for pair in zip(motions, counterparts, strict=True)]
-    columns = list(base)
-    matrices = [
-        0.5 * (_regressor(model, pair.forward) + _regressor(model, pair.backward))[:, :, columns]
-        for pair in pairs
-    ]
-    matrix = np.concatenate(matrices)
-    target = np.concatenate([0.5 * (pair.forward.tau + pair.backward.tau) for pair in pairs])
+    matrix = np.concatenate([0.5 * (_regressor(model, a) + _regressor(model, b)) for a, b in pairs])
+    matrix = matrix[:, :, list(base)]
+    target = np.concatenate([0.5 * (a.tau + b.tau) for a, b in pairs])
     coupling = model.description.coupling
     if coupling is not None:
         matrix, target = coupling.torque(matrix), coupling.torque(target)
-    forward = rubbing_speeds([pair.forward for pair in pairs], model)
-    backward = rubbing_speeds([pair.backward for pair in pairs], model)
+    forward, backward = (rubbing_speeds(each, model) for each in zip(*pairs, strict=True))
     slow = slow_speeds(peak_speeds([*motions, *counterparts], model))
     kept = (np.minimum(np.abs(forward), np.abs(backward)) > slow) & (forward * backward < 0)
     for joint, rows in zip(model.description.joints, kept.T, strict=True):
@@ -124,8 +119,8 @@ def averaged(
     first = np.cumsum([0, *(len(motion.t) for motion in motions)])
     samples = np.concatenate(
         [
-            start + np.flatnonzero(np.isin(motion.t, pair.forward.t))
-            for start, motion, pair in zip(first, motions, pairs, strict=False)
+            start + np.flatnonzero(np.isin(motion.t, forwards.t))
+            for start, motion, (forwards, _) in zip(first, motions, pairs, strict=False)
         ]
     )
     return [

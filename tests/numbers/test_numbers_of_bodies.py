@@ -68,7 +68,8 @@ def test_with_reversed_logs(
     forward = noisy(make_motion(name="run", seconds=5.0, friction=2.0), 1)
     backward = noisy(make_motion(name="back", seconds=5.0, friction=2.0, reverse=True), 2)
     body = identify_motions([forward], arm_model, method=method, reversed_motions=[backward])
-    unchanged({"body": body, "pair": matched(forward, backward)})
+    there, back = matched(forward, backward)
+    unchanged({"body": body, "pair": {"forward": there, "backward": back}})
 
 
 def test_in_a_stream(motions: list[Motion], arm_model: Robot, unchanged: Unchanged) -> None:

@@ -181,7 +181,11 @@ def test_a_motion_is_matched_with_its_reverse(
     late = replace(backward, t=backward.t[:-20], **{
         name: getattr(backward, name)[20:] for name in ("q", "dq", "ddq", "tau", "q_raw")
     })  # fmt: skip
-    unchanged({"pair": matched(forward, late), "whole": matched(forward, backward)})
+
+    def pair(back: Motion) -> dict[str, Motion]:
+        return dict(zip(("forward", "backward"), matched(forward, back), strict=True))
+
+    unchanged({"pair": pair(late), "whole": pair(backward)})
 
 
 # --- simulation -------------------------------------------------------------------------------

@@ -106,19 +106,19 @@ def test_raw_signals_are_read_linearly_between_samples(late: float) -> None:
     rng = np.random.default_rng(0)
     forward = one_joint("forward", t, t, rng.normal(size=21))
     backward = one_joint("backward", times, run, np.sign(rng.normal(size=44)))
-    pair = matched(forward, backward)
-    rows = np.isin(forward.t, pair.forward.t)
+    there, back = matched(forward, backward)
+    rows = np.isin(forward.t, there.t)
     read = times[-1] - t + (0.0 if late == 0.0 else -late)
     np.testing.assert_array_equal(rows, (read >= 7.0) & (read <= times[-1]))
-    np.testing.assert_allclose(pair.backward.t, read[rows], atol=1e-12)
+    np.testing.assert_allclose(back.t, read[rows], atol=1e-12)
     for name in ("tau", "q_raw"):
         expected = np.interp(read[rows], times, getattr(backward, name)[:, 0])
-        np.testing.assert_allclose(getattr(pair.backward, name)[:, 0], expected, atol=1e-12)
+        np.testing.assert_allclose(getattr(back, name)[:, 0], expected, atol=1e-12)
     # The smooth ones are cubic, so these are exact.
-    np.testing.assert_allclose(pair.backward.q, pair.forward.q, atol=1e-12)
-    np.testing.assert_allclose(pair.backward.ddq, pair.forward.ddq, atol=1e-12)
+    np.testing.assert_allclose(back.q, there.q, atol=1e-12)
+    np.testing.assert_allclose(back.ddq, there.ddq, atol=1e-12)
     for name in ("t", "q", "dq", "ddq", "tau", "q_raw"):
-        np.testing.assert_array_equal(getattr(pair.forward, name), getattr(forward, name)[rows])
+        np.testing.assert_array_equal(getattr(there, name), getattr(forward, name)[rows])
 
 
 def test_how_far_positions_are_apart_is_said_of_the_best_shift() -> None:
