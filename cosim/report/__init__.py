@@ -1,1 +1,1 @@
-"""The report of a run: one page that needs nothing but itself, made from saved results alone."""
+"""Report of a run, a page made from saved results alone."""

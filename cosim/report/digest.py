@@ -21,18 +21,7 @@ _INTRODUCTION = (
 
 
 def write_digest(folders: Sequence[Path], output: Path) -> Path:
-    """Write the tables of runs to a page of Markdown and return its path.
-
-    Parameters
-    ----------
-    folders : results of `hesr run`.
-    output : the page to write.
-
-    Raises
-    ------
-    ArtifactError, LogError
-        If a folder has no results, or the page cannot be written.
-    """
+    """Write the tables of result folders to a page of Markdown and return its path."""
     runs = [Results.read(folder) for folder in folders]
     parts = ["# Results\n", _INTRODUCTION, *(part for results in runs for part in _run(results))]
     with written_whole(output) as temporary:
@@ -41,7 +30,6 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
 
 
 def _run(results: Results) -> list[str]:
-    """Return the parts of a run's chapter."""
     run, found = results.run, read_verdict(results.folder)
     parts = [
         f"## {run.study}: {run.robot}\n",

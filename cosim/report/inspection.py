@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from cosim.report.figures.chart import Line
 from cosim.report.figures.motions import JointView, joints
 from cosim.report.figures.style import MEASURED, SERIES, Stroke, write_svg
-from cosim.report.markup import Pictures, Section, listing, paragraph, render, table, write_sections
+from cosim.report.markup import Pictures, Section, render, table, write_sections
 from cosim.report.tables.table import ResultTable, row_of
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.examine import Examination
@@ -22,50 +22,61 @@ _POINTS = 700
 
 
 def write_inspection(path: Path, proposal: Proposal) -> None:
-    """Write the page, or only its figure if the suffix is ``.svg``.
-
-    Raises
-    ------
-    ArtifactError
-        If it cannot be written.
-    """
+    """Write the page, or only its figure if the suffix is ``.svg``."""
     if path.suffix.lower() == ".svg":
         write_svg(joints(_views(proposal)), path)
         return
-    sections = [
-        ("joints", "Joints", _joints(proposal)),
-        ("pictures", "Motion and torque", _figure(proposal, Pictures(folder=path.parent))),
-        ("unseen", "What this log cannot show", _unseen(proposal)),
-        ("robot", "Proposed robot file", _file(proposal, path)),
-    ]
+    values = _values(proposal, path)
+    titles = {
+        "joints": "Joints",
+        "pictures": "Motion and torque",
+        "unseen": "What this log cannot show",
+        "robot": "Proposed robot file",
+    }
+    parts = {part: render("sections/inspection.html.j2", part=part, **values) for part in titles}
     write_sections(
         path,
         title=f"HESR: logs of {proposal.robot.name}",
         heading=f"Logs of {proposal.robot.name}",
-        summary=_summary(proposal),
-        sections=[Section(key=key, title=title, html=html) for key, title, html in sections],
+        summary=render("sections/inspection.html.j2", part="summary", **values),
+        sections=[Section(key=key, title=titles[key], html=html) for key, html in parts.items()],
     )
 
 
-def _summary(proposal: Proposal) -> Markup:
+def _values(proposal: Proposal, path: Path) -> dict[str, Any]:
+    """Return the values of the template of all sections."""
+    views = _views(proposal)
+    gaps: dict[str, list[str]] = {}
+    for joint, gap in unseen(proposal.examination, proposal.robot.joints):
+        gaps.setdefault(gap, []).append(joint)
+    return {
+        "first": proposal.first,
+        "after": proposal.examination.findings,
+        "errors": sum(f.severity == "error" for f in proposal.first),
+        "mended": bool(proposal.reasons),
+        "logs": _logs(proposal),
+        "joints": _joints(proposal),
+        "table": table,
+        "figure": Pictures(folder=path.parent).shown,
+        "picture": joints(views) if views else None,
+        "log": _longest(proposal)[1].log.name if views else "",
+        "usable": bool(proposal.examination.parts),
+        "gaps": gaps,
+        "file": robot_file(proposal, path) if proposal.robot.model.is_file() else "",
+    }
+
+
+def _logs(proposal: Proposal) -> ResultTable:
     rows = []
     for log in proposal.logs:
         numbers = (f"{log.t[-1] - log.t[0]:.1f}", f"{log.rate:.4g}", f"{100 * log.jitter:.0f}")
         gaps, dropped = str(len(log.gaps)), str(log.dropped)
         rows.append(row_of(log.name, str(len(log.t)), *numbers, gaps, dropped))
     head = ("log", "rows", "length in s", "rate in Hz", "jitter in %", "gaps", "rows left out")
-    return render(
-        "sections/inspection.html.j2",
-        first=proposal.first,
-        after=proposal.examination.findings,
-        errors=sum(f.severity == "error" for f in proposal.first),
-        mended=bool(proposal.reasons),
-        logs=ResultTable(caption="Logs", head=head, rows=rows),
-        table=table,
-    )
+    return ResultTable(caption="Logs", head=head, rows=rows)
 
 
-def _joints(proposal: Proposal) -> Markup:
+def _joints(proposal: Proposal) -> ResultTable:
     rows = [row_of(f"{log}: {joint}", *cells) for log, joint, *cells in summary_rows(proposal)]
     caption = (
         "Moving joints with the proposed robot file. ‘dq slope’: velocity from the position over "
@@ -73,24 +84,7 @@ def _joints(proposal: Proposal) -> Markup:
         "‘friction’: torque in phase with the velocity in N.m, and its distance from zero in "
         "standard errors"
     )
-    return table(ResultTable(caption=caption, head=("log: joint", *HEAD[2:]), rows=rows))
-
-
-def _figure(proposal: Proposal, pictures: Pictures) -> Markup:
-    """Draw the longest part of the logs, and the range of all of them."""
-    if not proposal.examination.parts:
-        return paragraph("No figure: the time stamps are unusable.")
-    if not (views := _views(proposal)):
-        return paragraph("No joint moves.")
-    return pictures.shown(
-        "joints",
-        joints(views),
-        f"Log {_longest(proposal)[1].log.name} by joint: velocity as logged and from the smoothed "
-        "position; friction (torque not explained by the model) over velocity, which increases "
-        "from left to right; and histograms of velocity and gravity torque over all logs. Friction "
-        "is learned only where there are rows.",
-        alt="For each joint velocity over time, friction over velocity, and two histograms.",
-    )
+    return ResultTable(caption=caption, head=("log: joint", *HEAD[2:]), rows=rows)
 
 
 def _longest(proposal: Proposal) -> tuple[int, Motionwise]:
@@ -118,7 +112,7 @@ def _views(proposal: Proposal) -> list[JointView]:
 
 
 def _loads(examination: Examination, j: int) -> Array | None:
-    """Return the model's gravity torque (N,) of all rows without its mean; None without a model."""
+    """Return the model's gravity torque (N,) without its mean; None without a model."""
     if not examination.torques:
         return None
     return np.concatenate([torques.gravity[:, j] for torques in examination.torques])
@@ -146,22 +140,3 @@ def _friction(examination: Examination, k: int, j: int) -> Line | None:
             left -= estimate.value * torque[:, j]
     stroke = Stroke(colour=SERIES[0], width=0.6)
     return _line("friction", part.v[:, j], left - left.mean(), stroke)
-
-
-def _unseen(proposal: Proposal) -> Markup:
-    """List properties that these logs cannot show."""
-    by_gap: dict[str, list[str]] = {}
-    for joint, gap in unseen(proposal.examination, proposal.robot.joints):
-        by_gap.setdefault(gap, []).append(joint)
-    if not by_gap:
-        return paragraph("The logs have rests, reversals, slow motion and loads of every joint.")
-    return listing(
-        Markup("<strong>{}:</strong> {}.").format(", ".join(names), gap)
-        for gap, names in by_gap.items()
-    )
-
-
-def _file(proposal: Proposal, path: Path) -> Markup:
-    if not proposal.robot.model.is_file():
-        return paragraph("A robot file can be proposed only with the robot's model (--robot).")
-    return Markup('<pre style="white-space: pre-wrap">{}</pre>').format(robot_file(proposal, path))

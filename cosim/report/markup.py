@@ -1,7 +1,7 @@
-"""Pages of sections, and the HTML of tables, figures and text in them."""
+"""Pages of sections; HTML of tables, figures and text."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 _FOLDERS = (Path(__file__).parent / "templates", TEMPLATES)
 
 _NUMBER = "\ue000"
-"""Placeholder of a figure's number, because sections may be made in any order."""
+"""Placeholder of a figure's number; sections may be made in any order."""
 
 TABLES = "tables"
-"""Folder of the CSV files, next to the page."""
+"""Folder of CSV files next to the page."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,46 +41,55 @@ class Section:
 
 @dataclass
 class Pictures:
-    """Figures of a page, also written to `folder` as PDF and PNG; data of zooming views by key."""
+    """Figures of a page, also written as PDF and PNG; data of zooming views by key."""
 
     folder: Path
     zooms: dict[str, str] = field(default_factory=dict)
 
-    def figure(self, key: str, picture: "Figure", caption: str, **texts: Any) -> Markup:
-        """Write a figure and return its HTML; see `drawing`."""
+    def figure(
+        self, key: str, picture: "Figure", *, file: "Figure | None" = None, **texts: Any
+    ) -> Markup:
+        """Write a figure, or another one of its key, and return its HTML; see `drawing`."""
         from cosim.report.figures.style import write
 
-        write(picture, self.folder / key)
-        return self.shown(key, picture, caption, **texts)
+        write(file or picture, self.folder / key)
+        return self.shown(key, picture, **texts)
 
-    def shown(self, key: str, picture: "Figure", caption: str, **texts: Any) -> Markup:
+    def shown(self, key: str, picture: "Figure", caption: str = "", **texts: Any) -> Markup:
         """Return the HTML of a figure without writing files; see `drawing`."""
         from cosim.report.figures.style import svg
 
         return self.drawing(key, Markup(svg(picture, key)), caption, **texts)
 
-    def chart(self, key: str, chart: "Chart", caption: str, *, alt: str) -> Markup:
+    def chart(self, key: str, chart: "Chart", **texts: Any) -> Markup:
         """Write a chart with a zooming view and return its HTML; see `drawing`."""
         from cosim.report.figures.chart import drawn
 
         self.zooms[key] = zoom_data(chart)
-        return self.figure(key, drawn(chart), caption, alt=alt)
+        return self.figure(key, drawn(chart), **texts)
 
     def drawing(
-        self, key: str, svg: Markup, caption: str, *, alt: str, small: bool = False
+        self,
+        key: str,
+        svg: Markup,
+        caption: str = "",
+        *,
+        alt: str,
+        small: bool = False,
+        caller: Callable[[], str] = str,
     ) -> Markup:
-        """Return the HTML of a figure in SVG.
+        """Return the HTML of a figure in SVG; `caller` is the caption in a template's call block.
 
-        `alt` describes it to readers who cannot see it; a `small` one fits a phone.
+        `alt` describes the figure in words; a `small` one fits a phone.
         """
-        texts = {"caption": caption, "alt": alt, "number": _NUMBER}
+        texts = {"caption": caption or caller().strip(), "alt": alt, "number": _NUMBER}
         zoom = key in self.zooms
         return render("figure.html.j2", key=key, svg=svg, zoom=zoom, small=small, **texts)
 
 
 @dataclass
 class Tables:
-    """Tables of a page, all written to `folder` as CSV; captions and notes by file name."""
+    """Tables of a page, all written as CSV; caption and note by file name."""
 
     folder: Path
     written: dict[str, tuple[str, str]] = field(default_factory=dict)
@@ -94,13 +103,13 @@ class Tables:
         return ""
 
     def table(self, shown: ResultTable, name: str, *, brief: bool = False) -> Markup:
-        """Write a table as CSV and return its HTML; `brief` ones are also printed."""
+        """Write a table as CSV and return its HTML."""
         self.csv(shown, name)
         return table(shown, brief=brief)
 
 
 def render(template: str, **values: Any) -> Markup:
-    """Return HTML from a template; all values except markup are escaped."""
+    """Return HTML from a template; values except markup are escaped."""
     return Markup(rendered(template, _FOLDERS, **values))
 
 
@@ -133,18 +142,13 @@ def write_sections(
 
 
 def table(what: ResultTable, *, brief: bool = False) -> Markup:
-    """Return a table with a button that copies it; `brief` ones are also printed."""
+    """Return a table with a button that copies it; `brief` ones are printed."""
     return render("table.html.j2", table=what, symbols=MARKS, brief=brief)
 
 
 def paragraph(text: str | Markup, *, note: bool = False) -> Markup:
     """Return a paragraph."""
     return Markup('<p class="note">{}</p>' if note else "<p>{}</p>").format(text)
-
-
-def listing(items: Iterable[str | Markup]) -> Markup:
-    """Return a list of items."""
-    return Markup("<ul>{}</ul>").format(joined(*(Markup("<li>{}</li>").format(i) for i in items)))
 
 
 def details(summary: str, *parts: Markup) -> Markup:

@@ -23,20 +23,16 @@ REPORT, FIGURES = "report.html", "figures"
 
 @dataclass(frozen=True)
 class Chapter:
-    """Part of a section.
-
-    Its template is ``sections/KEY.html.j2``; `values` returns the template's values, or None
-    without data. The first part of a section may have no title.
-    """
+    """Part of a section: `values` for template ``sections/KEY.html.j2``, None without data."""
 
     key: str
     title: str
-    values: Callable[[Results, Pictures], dict[str, Any] | None]
+    values: Callable[[Results], dict[str, Any] | None]
 
 
 @dataclass(frozen=True)
 class Made:
-    """HTML of a part, and what it puts into the page and the folder of tables."""
+    """HTML of a chapter, its zooming views and CSV files."""
 
     part: Chapter
     html: Markup
@@ -70,7 +66,7 @@ SECTIONS = {
     ),
     ("settings", "Settings"): (Chapter("provenance", "", inputs.provenance),),
 }
-"""Parts of each folded section by its key and title."""
+"""Chapters of each section by key and title; the first may have no title."""
 _SUMMARY = Chapter("summary", "Summary", summary)
 
 
@@ -81,22 +77,9 @@ def write_report(
     audits: Mapping[str, ModelAudit] | None = None,
     progress: Stages = silent,
 ) -> Path:
-    """Write the report of a run and return its path.
+    """Write the report, its figures (PDF, PNG) and tables (CSV); return its path.
 
-    Its figures (PDF, PNG) and tables (CSV) are written into the folder of the results.
-
-    Parameters
-    ----------
-    folder : results of `hesr run`.
-    output : the page to write; by default report.html in the folder.
-    audits : audits of the laws, if already known.
-    progress : receives the stage, its state and its size.
-
-    Raises
-    ------
-    ArtifactError, LogError
-        If the folder has no results, a file of it is missing or damaged, or the page cannot be
-        written.
+    `output` is the page, by default report.html in `folder`; `audits` are those already known.
     """
     results = replace(Results.read(folder), audited=audits)
     path = output or folder / REPORT
@@ -127,18 +110,13 @@ def write_report(
 
 
 def _made(part: Chapter, results: Results, folder: Path) -> Made | None:
-    """Return a part, if it has data."""
     pictures, tables = Pictures(folder / FIGURES), Tables(folder / TABLES)
-    values = part.values(results, pictures)
+    values = part.values(results)
     if values is None:
         return None
-    html = render(
-        f"sections/{part.key}.html.j2",
-        table=tables.table,
-        csv=tables.csv,
-        unit=results.unit,
-        **values,
-    )
+    values |= {"unit": results.unit, "table": tables.table, "csv": tables.csv}
+    values |= {"figure": pictures.figure, "chart": pictures.chart, "drawing": pictures.drawing}
+    html = render(f"sections/{part.key}.html.j2", **values)
     return Made(part, html, pictures.zooms, tables.written)
 
 

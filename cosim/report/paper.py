@@ -1,6 +1,10 @@
-"""What the paper reports of its robot, a UFACTORY 850: Tables II and III."""
+"""Tables II and III of the paper, for a UFACTORY 850."""
+
+from collections.abc import Sequence
 
 from cosim.loop.closed_loop import StandIn
+from cosim.report.tables.loop import mrad
+from cosim.report.tables.table import ResultTable, named, number, row_of
 
 ROBOT = "uf850"
 
@@ -20,3 +24,21 @@ TABLE_III = {
     "parfam_h": (0.0177, 0.0377, 0.0233),
 }
 """RMSE of tracking by law and joint [rad]."""
+
+
+def table_ii(joints: Sequence[str]) -> ResultTable:
+    """Return Table II."""
+    return ResultTable(
+        caption="Table II of the paper: RMSE of the predicted torque [N.m] on the measured robot",
+        head=("law", *joints),
+        rows=[row_of(named(law), *(number(v, 4) for v in row)) for law, row in TABLE_II.items()],
+    )
+
+
+def table_iii(joints: Sequence[str]) -> ResultTable:
+    """Return Table III."""
+    return ResultTable(
+        caption="Table III of the paper: RMSE of tracking [mrad] on the measured robot",
+        head=("torque model", *joints),
+        rows=[row_of(named(law), *(mrad(v, 1) for v in row)) for law, row in TABLE_III.items()],
+    )

@@ -29,22 +29,9 @@ from hesr_model.units import unit_of_joints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Results:
-    """Saved results of a run.
+    """Saved results of a run; mappings are by law, test set or (scheme, law), empty if not saved.
 
-    Attributes
-    ----------
-    folder : folder of the results.
-    run : description of the run.
-    body : rigid body.
-    models : laws by name.
-    comparisons : scores by test set and band.
-    properties : results of the physics checks by law; empty if they were not run.
-    simulated : position errors by test set; empty in results of earlier versions.
-    truths : errors on alternative plants of a twin, by plant, test set and law.
-    loop : closed loop, if any.
-    paths : paths in the closed loop by (scheme, law); empty if they were not saved.
-    provenance : provenance of the rigid body and the laws.
-    audited : audits of the laws, if already known.
+    `audited` are audits that are already known.
     """
 
     folder: Path
@@ -104,7 +91,7 @@ class Results:
 
     @cached_property
     def best(self) -> str:
-        """Law with the lowest error over that of the first law, on the first test set."""
+        """Law with the lowest error over the first law's, on the first test set."""
         scores = self.comparisons[self.tests[0]].laws
         relative = {
             law: sum(map(truediv, row.rmse, next(iter(scores.values())).rmse))
@@ -147,18 +134,13 @@ class Results:
 
     @classmethod
     def read(cls, folder: Path) -> "Results":
-        """Read a folder written by `hesr run`.
-
-        Raises
-        ------
-        ArtifactError, LogError
-            If the folder has no results, or a file is missing or damaged.
-        """
+        """Read a folder written by `hesr run`, or raise ArtifactError or LogError."""
         if not (folder / RUN).is_file():
             what = f"'{RUN}' is missing in it" if folder.is_dir() else "there is no such folder"
             raise ArtifactError(f"{folder}: no results of 'hesr run'; {what}.")
         run = SavedRun.read(folder / RUN)
         body, battery = RigidBody.read(folder / "rigid_body.json"), folder / "properties.json"
+        positions = folder / SIMULATION
         return cls(
             folder=folder,
             run=run,
@@ -166,7 +148,9 @@ class Results:
             models={law: FrictionModel.read(folder / "laws" / f"{law}.json") for law in run.inputs},
             comparisons=_comparisons(folder / "evaluation.json"),
             properties=read_properties(battery) if battery.is_file() and not run.quick else {},
-            simulated=_simulated(folder / SIMULATION),
+            simulated=_by_test(PositionErrors, positions, "the simulations of a run")
+            if positions.is_file()
+            else {},
             truths=_truths(folder / TRUTHS),
             provenance=body.provenance,
             **(_loop(folder) if run.controller else {}),
@@ -174,20 +158,14 @@ class Results:
 
 
 def _comparisons(path: Path) -> dict[str, Comparison]:
-    scores = read_json(path)
-    if not scores:
-        raise ArtifactError(f"{path}: not the scores of a run (there is no test set in it).")
-    return {
-        name: from_json(Comparison, of_test, path, f"the scores of a run on {name!r}")
-        for name, of_test in scores.items()
-    }
+    if found := _by_test(Comparison, path, "the scores of a run"):
+        return found
+    raise ArtifactError(f"{path}: not the scores of a run (there is no test set in it).")
 
 
-def _simulated(path: Path) -> dict[str, PositionErrors]:
-    return {
-        name: from_json(PositionErrors, of_test, path, f"the simulations of a run on {name!r}")
-        for name, of_test in (read_json(path) if path.is_file() else {}).items()
-    }
+def _by_test(kind: Any, path: Path, what: str) -> dict[str, Any]:
+    found = read_json(path).items()
+    return {name: from_json(kind, one, path, f"{what} on {name!r}") for name, one in found}
 
 
 def _truths(path: Path) -> dict[str, Errors]:

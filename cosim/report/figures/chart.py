@@ -1,4 +1,4 @@
-"""Charts of lines over a common axis: one description for the figure and the zooming view."""
+"""Charts of lines over a common axis, for figures and zooming views."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,19 +14,12 @@ from cosim.report.figures.style import INK, SOFT, Stroke, style_axis, styled
 from hesr_model.support.arrays import Array
 
 _COLUMNS, _ROWS = 520, 4
-"""Columns of a line over the whole width, each with its extreme values; fewer in more rows."""
+"""Columns of a line over the whole width in up to this many rows, each with its extreme values."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """A line.
-
-    Attributes
-    ----------
-    name : name in legends.
-    x, y : (N,) points, in the units of the axes.
-    stroke : style of the line.
-    """
+    """Line of points (N,)."""
 
     name: str
     x: Array
@@ -36,14 +29,7 @@ class Line:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Panel:
-    """Axes with lines.
-
-    Attributes
-    ----------
-    title, y : heading, and name of the vertical axis with its unit.
-    lines : lines in drawing order.
-    marks : marked places on the horizontal axis, with labels.
-    """
+    """Axes with lines; `marks` are labelled places on the horizontal axis."""
 
     title: str
     y: str
@@ -53,15 +39,7 @@ class Panel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
-    """Rows of panels over a common horizontal axis.
-
-    Attributes
-    ----------
-    x : name of the axis with its unit.
-    rows : rows of panels, equally long.
-    height : height of a row [in].
-    window : part of the axis in the figure; by default all.
-    """
+    """Rows of panels [in] over a common axis; `window` is its part in the figure."""
 
     x: str
     rows: tuple[tuple[Panel, ...], ...]
@@ -87,14 +65,14 @@ def drawn(chart: Chart, width: float = 9.0) -> Figure:
 
 def legend(figure: Figure, lines: Sequence[Line]) -> None:
     """Name all lines above a figure, each once."""
-    first = {line.name: line for line in reversed(lines)}
-    named = [first[name] for name in dict.fromkeys(line.name for line in lines)]
+    named: dict[str, Stroke] = {}
+    for line in lines:
+        named.setdefault(line.name, line.stroke)
     if len(named) < 2:
         return
-    handles = [proxy(line.stroke) for line in named]
     figure.legend(
-        handles,
-        [line.name for line in named],
+        list(map(proxy, named.values())),
+        list(named),
         loc="outside upper left",
         ncols=min(len(named), 6),
         borderaxespad=0.0,
@@ -118,7 +96,7 @@ def plot(axis: Axes, line: Line, columns: int = _COLUMNS) -> None:
 
 
 def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
-    """Keep the extreme values in each column of a long line (N,) whose x increases."""
+    """Keep the extreme values in each column of a long line (N,) with increasing x."""
     if len(x) <= 2 * columns or np.any(np.diff(x) < 0.0):
         return x, y
     edges = np.linspace(0, len(x), columns + 1).astype(int)

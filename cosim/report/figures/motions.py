@@ -22,15 +22,9 @@ _DESIGN_ROW, _WIDTH, _DPI = 1.8, 9.0, 120
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointView:
-    """Data of a joint's row.
+    """Row of a joint: velocity over time, friction over velocity, rows of all logs (N,).
 
-    Attributes
-    ----------
-    name, unit : name of the joint, and unit of its velocity.
-    velocities : velocities over time [s].
-    friction : torque not explained by the model [N.m; N] over velocity; None without a model.
-    covered : (N,) velocities of all logs.
-    loads : (N,) gravity torques [N.m; N] of all logs; None without a model.
+    Friction and gravity loads are None without a model.
     """
 
     name: str
@@ -42,7 +36,7 @@ class JointView:
 
 
 def joints(views: Sequence[JointView]) -> Figure:
-    """Draw velocity over time, friction over it, and histograms of velocity and load by joint."""
+    """Draw velocity, friction, and histograms of velocity and load by joint."""
     height = _ROW * len(views) + 0.75
     with styled():
         figure = Figure(figsize=(9.0, height))
@@ -91,26 +85,13 @@ def joints(views: Sequence[JointView]) -> Figure:
 
 
 def _note(axis: Axes, why: str) -> None:
-    """Write why a panel is empty."""
     axis.set_xticks([])
     axis.set_yticks([])
     axis.text(0.5, 0.5, why, ha="center", fontsize=8, transform=axis.transAxes)
 
 
 def excitation(path: Path, motion: Excitation, joints: Sequence[str]) -> None:
-    """Write a picture of position and velocity of a designed motion, with their limits.
-
-    Parameters
-    ----------
-    path : picture to write; the suffix selects the format.
-    motion : the designed motion.
-    joints : names, from base to tip.
-
-    Raises
-    ------
-    ArtifactError
-        If the picture cannot be written.
-    """
+    """Write a picture of position and velocity of a designed motion, with their limits."""
     t, q, dq, _ = motion.setpoints()
     limits = motion.limits
     figure = Figure(figsize=(_WIDTH, _DESIGN_ROW * len(joints)), layout="constrained")

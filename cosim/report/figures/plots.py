@@ -1,4 +1,4 @@
-"""Figures other than time series: hysteresis state, friction loops, ratios with intervals."""
+"""Hysteresis state, friction loops, and ratios with intervals."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -118,7 +118,7 @@ def loops(
 
 
 def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str) -> Figure:
-    """Draw a dot with its interval for each law and joint, on a logarithmic axis around 1."""
+    """Draw a dot with its interval for each law and joint, on a logarithmic axis."""
     with styled():
         figure = Figure(figsize=(9.0, 0.34 * len(laws) + 1.1), layout="constrained")
         axis = figure.subplots()

@@ -1,8 +1,7 @@
 """Colours and lines of figures, and their output as SVG, PDF and PNG.
 
-The colours are safe for colour-blind readers (after Okabe and Ito, darkened to a contrast of at
-least 3 to white), and lines also differ in their dashes. In a page each colour is a CSS variable,
-so that dark pages have lighter colours.
+The colours suit colour-blind readers (after Okabe and Ito, contrast to white at least 3); dashes
+also differ. In a page each colour is a CSS variable for light and dark.
 """
 
 import io
@@ -71,14 +70,7 @@ _RC: "dict[RcKeyType, Any]" = {
 
 @dataclass(frozen=True, kw_only=True)
 class Stroke:
-    """Style of a line.
-
-    Attributes
-    ----------
-    colour : one of `VARIABLES`.
-    width : width in points.
-    dash : lengths of dashes and gaps in points; empty for a solid line.
-    """
+    """Style of a line; width and lengths of dashes and gaps in points, no dashes if solid."""
 
     colour: str
     width: float = 1.2
@@ -98,7 +90,7 @@ _DASHES: tuple[tuple[float, ...], ...] = (
 
 
 def strokes(names: Sequence[str]) -> dict[str, Stroke]:
-    """Return a style for each name, with different colours and dashes."""
+    """Return a style for each name."""
     return {
         name: Stroke(colour=SERIES[k % len(SERIES)], dash=_DASHES[k % len(_DASHES)])
         for k, name in enumerate(names)
@@ -117,54 +109,41 @@ def style_axis(axis: Axes) -> None:
     axis.tick_params(length=0)
 
 
-def settled(figure: Figure) -> None:
+def _settle(figure: Figure) -> None:
     """Lay out a figure once for all formats."""
     if figure.get_layout_engine() is not None:
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
 
 
-def svg(figure: Figure, key: str) -> str:
-    """Return a figure as SVG for a page, with the page's colours and fonts.
-
-    `key` is a prefix of identifiers, unique in the page.
-    """
-    settled(figure)
+def _drawn(figure: Figure, salt: str, **options: Any) -> str:
+    _settle(figure)
     text = io.StringIO()
-    with rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
-        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": salt}):
+        figure.savefig(text, format="svg", metadata={"Date": None}, **options)
+    return text.getvalue()
+
+
+def svg(figure: Figure, key: str) -> str:
+    """Return a figure as SVG with the page's colours and fonts; `key` prefixes its identifiers."""
+    drawn = _drawn(figure, key, transparent=True)
     width, height = 72.0 * figure.get_size_inches()
     return (
         '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
-        f'viewBox="0 0 {width:g} {height:g}" aria-hidden="true">{_inner(text.getvalue(), key)}'
+        f'viewBox="0 0 {width:g} {height:g}" aria-hidden="true">{_inner(drawn, key)}'
     )
 
 
 def write_svg(figure: Figure, path: Path) -> None:
-    """Write a figure as a standalone SVG with reproducible bytes.
-
-    Raises
-    ------
-    ArtifactError
-        If it cannot be written.
-    """
-    settled(figure)
-    text = io.StringIO()
-    with rc_context({"svg.fonttype": "none", "svg.hashsalt": path.stem}):
-        figure.savefig(text, format="svg", facecolor="white", metadata={"Date": None})
+    """Write a figure as a standalone SVG with reproducible bytes."""
     with written_whole(path) as temporary:
-        temporary.write_text(_short(text.getvalue()), encoding="utf-8")
+        drawn = _short(_drawn(figure, path.stem, facecolor="white"))
+        temporary.write_text(drawn, encoding="utf-8")
 
 
 def write(figure: Figure, stem: Path) -> None:
-    """Write a figure as PDF and PNG with reproducible bytes.
-
-    Raises
-    ------
-    ArtifactError
-        If they cannot be written.
-    """
-    settled(figure)
+    """Write a figure as PDF and PNG with reproducible bytes."""
+    _settle(figure)
     for suffix, metadata in ((".pdf", {"CreationDate": None}), (".png", {"Software": None})):
         with written_whole(stem.with_name(f"{stem.name}{suffix}")) as temporary:
             figure.savefig(temporary, dpi=_DPI, metadata=metadata)

@@ -17,7 +17,7 @@ _PIXELS = 105
 _MOST_VALUES = 50_000
 """Maximum number of values of a chart; more are thinned."""
 _ROUNDING = np.uint32(0xFFFFE000)
-"""Mask of the bits of a value that are kept, since the others do not compress."""
+"""Mask of the kept bits of a value; the others hardly compress."""
 
 
 def zoom_data(chart: "Chart") -> str:
@@ -26,14 +26,14 @@ def zoom_data(chart: "Chart") -> str:
     from bokeh.layouts import gridplot
 
     values = sum(len(line.y) for row in chart.rows for p in row for line in p.lines)
-    sources = _Sources(every=values // _MOST_VALUES + 1)
+    every, sources = values // _MOST_VALUES + 1, dict[int, Any]()
     plots = [[_plot(panel, chart.height) for panel in row] for row in chart.rows]
     names: dict[str, Any] = {}
     for row, of_row in zip(plots, chart.rows, strict=True):
         for plot, panel in zip(row, of_row, strict=True):
             plot.x_range = plots[0][0].x_range
             for line in panel.lines:
-                sources.line(plot, line)
+                _draw(plot, line, sources, every)
                 style = {"colour": line.stroke.colour, "dash": line.stroke.dash}
                 names.setdefault(line.name, style)
     for plot in plots[-1]:
@@ -44,13 +44,12 @@ def zoom_data(chart: "Chart") -> str:
         sizing_mode="stretch_width",
         toolbar_options={"logo": None},
     )
-    # The legend of the page has buttons that hide the lines of a name in all panels.
     data = {"item": json_item(grid), "names": names}
     return packed(_renumbered(json.dumps(data, separators=(",", ":"))))
 
 
 def _renumbered(text: str) -> str:
-    """Renumber Bokeh's models from 1, so that a page is reproducible."""
+    """Renumber Bokeh's models from 1 for a reproducible page."""
     numbers: dict[str, str] = {}
     return _MODEL.sub(lambda m: numbers.setdefault(m[0], f'"p{len(numbers) + 1}"'), text)
 
@@ -69,34 +68,26 @@ def packed(text: str) -> str:
     return base64.b64encode(zlib.compress(text.encode(), 9)).decode()
 
 
-class _Sources:
-    """Data sources; lines over the same x share one."""
+def _draw(plot: Any, line: "Line", sources: dict[int, Any], every: int) -> None:
+    """Draw a line into a plot; lines over the same x share one of the data sources."""
+    from bokeh.models import ColumnDataSource
 
-    def __init__(self, every: int) -> None:
-        self._every = every
-        self._by_axis: dict[int, Any] = {}
-
-    def line(self, plot: Any, line: "Line") -> None:
-        """Draw a line into a plot."""
-        from bokeh.models import ColumnDataSource
-
-        if id(line.x) not in self._by_axis:
-            x = line.x[:: self._every].astype(np.float32)
-            self._by_axis[id(line.x)] = ColumnDataSource({"x": x})
-        source = self._by_axis[id(line.x)]
-        name = f"y{len(source.data)}"
-        y = line.y[:: self._every].astype(np.float32).view(np.uint32) & _ROUNDING
-        source.add(y.view(np.float32), name)
-        dash = [max(round(length), 1) for length in line.stroke.dash]
-        plot.line(
-            "x",
-            name,
-            source=source,
-            name=line.name,
-            color=line.stroke.colour,
-            width=max(line.stroke.width, 1.2),
-            line_dash=dash or "solid",
-        )
+    if id(line.x) not in sources:
+        x = line.x[::every].astype(np.float32)
+        sources[id(line.x)] = ColumnDataSource({"x": x})
+    source = sources[id(line.x)]
+    name = f"y{len(source.data)}"
+    y = line.y[::every].astype(np.float32).view(np.uint32) & _ROUNDING
+    source.add(y.view(np.float32), name)
+    plot.line(
+        "x",
+        name,
+        source=source,
+        name=line.name,
+        color=line.stroke.colour,
+        width=max(line.stroke.width, 1.2),
+        line_dash=[max(round(length), 1) for length in line.stroke.dash] or "solid",
+    )
 
 
 def _plot(panel: "Panel", inches: float) -> Any:

@@ -1,1 +1,1 @@
-"""Sections of a report: functions from saved results to the values of their templates."""
+"""Sections of a report: functions from saved results to values of their templates."""

@@ -1,4 +1,4 @@
-"""Inputs of a run: robot, logs and their checks; rigid body (Fig. 3); provenance."""
+"""Robot, logs and their checks; rigid body (Fig. 3); provenance."""
 
 from importlib.metadata import version
 from typing import Any
@@ -7,7 +7,6 @@ from markupsafe import Markup
 
 from cosim.report.figures.chart import Chart, Line, Panel
 from cosim.report.figures.style import MEASURED, strokes
-from cosim.report.markup import Pictures
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, number, rounded, row_of
 from cosim.study.results import HEALTH, SavedLog, read_findings
@@ -18,14 +17,14 @@ _INTERVAL = 1.96
 """Half width of a 95 % interval in standard errors."""
 _ROLES = {"identification": "rigid body", "training": "training of the laws"}
 _FILES = ("evaluation.json", "rigid_body.json", VERDICT, HEALTH)
-"""Files of a run that the report links to, in addition to FMUs."""
+"""Linked files of a run, in addition to FMUs."""
 _METHODS = {
     "stacked": "stacked least squares with friction columns",
     "paper": "averaging of the motion and its reverse",
 }
 
 
-def data(results: Results, _: Pictures) -> dict[str, Any]:
+def data(results: Results) -> dict[str, Any]:
     """Return robot, logs and findings."""
     run = results.run
     # Findings about logs come first.
@@ -56,8 +55,8 @@ def data(results: Results, _: Pictures) -> dict[str, Any]:
     }
 
 
-def body(results: Results, pictures: Pictures) -> dict[str, Any]:
-    """Return the identified parameters, and the torque next to the measured one."""
+def body(results: Results) -> dict[str, Any]:
+    """Return the identified parameters, and their torque with the measured one."""
     found, log = results.body, results.log_of("identification")
     weighted = ", weighted by the noise of each joint" if found.weighting == "wls" else ""
     return {
@@ -66,12 +65,13 @@ def body(results: Results, pictures: Pictures) -> dict[str, Any]:
         "method": _METHODS[found.method] + weighted,
         "condition": rounded(found.condition),
         "errors": ", ".join(map(rounded, found.rmse)),
-        "figure": _torques(results, pictures, log) if log else "",
+        "log": log,
+        "torques": _torques(results, log) if log else None,
         "parameters": _parameters(found),
     }
 
 
-def _torques(results: Results, pictures: Pictures, log: SavedLog) -> Markup:
+def _torques(results: Results, log: SavedLog) -> Chart:
     torques = results.torques(log)
     t, blue = torques["t"], strokes(["rigid body"])["rigid body"]
     panels = [
@@ -85,14 +85,7 @@ def _torques(results: Results, pictures: Pictures, log: SavedLog) -> Markup:
         )
         for k, short, name in results.numbered
     ]
-    return pictures.chart(
-        "rigid_body",
-        Chart(x="t [s]", rows=tuple((panel,) for panel in panels), height=1.35),
-        f"Measured torque and torque of the identified rigid body on {log.name} (Fig. 3 of the "
-        "paper). The difference is friction, which changes sign with the velocity, and noise.",
-        alt=f"Torque over time of each joint on {log.name}: the rigid body follows the slow course "
-        "of the measured torque, which is above or below it by the friction.",
-    )
+    return Chart(x="t [s]", rows=tuple((panel,) for panel in panels), height=1.35)
 
 
 def _parameters(body: RigidBody) -> ResultTable:
@@ -107,8 +100,8 @@ def _parameters(body: RigidBody) -> ResultTable:
     )
 
 
-def provenance(results: Results, _: Pictures) -> dict[str, Any]:
-    """Return the command, the versions, and the hashes of the input files."""
+def provenance(results: Results) -> dict[str, Any]:
+    """Return command, versions, and hashes of the input files."""
     run = results.run
     files = dict.fromkeys((log.file, log.sha256) for log in run.logs)
     logs = {log.sha256 for log in run.logs}

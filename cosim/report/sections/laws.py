@@ -1,8 +1,8 @@
-"""Laws of a run: equations (Table I), hysteresis state (Fig. 2), ablation, interactive plots."""
+"""Equations (Table I), hysteresis state (Fig. 2), ablation and interactive plots of laws."""
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from markupsafe import Markup
 from cosim.report.figures.chart import Line
 from cosim.report.figures.plots import Sheet, sheets
 from cosim.report.figures.style import Stroke, strokes
-from cosim.report.markup import Pictures
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, TableCell, number, row_of, title
 from cosim.study.scores import MEASURED_START, REFERENCE
@@ -27,7 +26,6 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import papers_law, registry
-from hesr_model.support.arrays import Array
 
 _INTERVAL = 1.96
 """Half width of a 95 % interval in standard errors."""
@@ -43,7 +41,7 @@ _PAGE = "documentation/index.html"
 _DATA = re.compile(r'<script type="application/json">(.*?)</script>', re.DOTALL)
 
 
-def equations(results: Results, _: Pictures) -> dict[str, Any]:
+def equations(results: Results) -> dict[str, Any]:
     """Typeset the recommended law and the paper's; return the coefficients of all."""
     entries = [
         {
@@ -67,11 +65,9 @@ def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
     coefficients = {c.name: c for law in model.laws for c in law.form.coefficients}
 
     def cell(law: FrictionLaw, name: str) -> TableCell:
-        if name not in law.values:
-            return TableCell(text="–")
         error = law.standard_errors.get(name)
         notes = () if error is None else (f"± {_INTERVAL * error:.2g}",)
-        return number(law.values[name], 4, notes=notes)
+        return number(law.values.get(name), 4, notes=notes)
 
     return ResultTable(
         caption=f"Coefficients of {title(model.law)}; ± 1.96 standard errors of linearised "
@@ -89,8 +85,8 @@ def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
     )
 
 
-def hysteresis(results: Results, pictures: Pictures) -> dict[str, Any] | None:
-    """Draw the effect of alpha and beta, at the values fitted to the first joint."""
+def hysteresis(results: Results) -> dict[str, Any] | None:
+    """Draw the effect of alpha and beta at the values fitted to the first joint."""
     model = results.models.get(papers_law())
     if model is None or not {"alpha", "beta"} <= set(model.laws[0].values):
         return None
@@ -98,23 +94,19 @@ def hysteresis(results: Results, pictures: Pictures) -> dict[str, Any] | None:
     alpha, beta = first.values["alpha"], first.values["beta"]
     speed = model.trained[0].speed if model.trained else _SPEED
     near = np.linspace(-4.0 / beta, 4.0 / beta, 201)
-    three = list(zip(_FACTORS.items(), strokes(list(_FACTORS.values())).values(), strict=True))
-
-    def loop(law: FrictionLaw, name: str, stroke: Stroke) -> Line:
-        dq, h = _loop(law, speed)
-        return Line(name=name, x=dq, y=h, stroke=stroke)
+    styles = strokes(list(_FACTORS.values()))
 
     slopes = tuple(
-        Line(name=name, x=1e3 * near, y=np.tanh(f * beta * near), stroke=stroke)
-        for (f, name), stroke in three
+        Line(name=name, x=1e3 * near, y=np.tanh(f * beta * near), stroke=styles[name])
+        for f, name in _FACTORS.items()
     )
     widths = tuple(
-        loop(replace(first, values={**first.values, "alpha": f * alpha}), name, stroke)
-        for (f, name), stroke in three
+        _loop(replace(first, values={**first.values, "alpha": f * alpha}), speed, name, styles)
+        for f, name in _FACTORS.items()
     )
-    colours = strokes(list(results.joints))
     pairs = list(zip(results.joints, model.laws, strict=True))
-    fitted = tuple(loop(law, short, colours[short]) for short, law in pairs)
+    styles = strokes(results.joints)
+    fitted = tuple(_loop(law, speed, short, styles) for short, law in pairs)
     dq = f"dq [{results.unit('rad/s', 0)}]"
     slow = f"dq [{results.unit('mrad/s', 0)}]"
     picture = sheets(
@@ -128,30 +120,23 @@ def hysteresis(results: Results, pictures: Pictures) -> dict[str, Any] | None:
         "values": "; ".join(
             f"{short} ({law.values['alpha']:.4g}, {law.values['beta']:.4g})" for short, law in pairs
         ),
-        "figure": pictures.figure(
-            "hysteresis",
-            picture,
-            f"The state (Fig. 2 of the paper) over a sine of {_FREQUENCY:g} Hz. (a) β sets the "
-            "slope at rest, shown at a quarter, one and four times the value of J1; (b) α sets the "
-            "memory of the state, and so the width of its loop; (c) the fitted loops. The delay is "
-            "in time: at rest the state decays.",
-            alt="Three panels: tanh of beta times velocity at three slopes; loops of h over "
-            "velocity that are wider the smaller alpha is; the fitted loop of each joint.",
-        ),
+        "picture": picture,
+        "frequency": f"{_FREQUENCY:g}",
     }
 
 
-def _loop(law: FrictionLaw, speed: float) -> tuple[Array, Array]:
-    """Return velocity and state over one settled period of a sine."""
+def _loop(law: FrictionLaw, speed: float, name: str, styles: Mapping[str, Stroke]) -> Line:
+    """Return the state over velocity in one settled period of a sine."""
     relaxation = next(r for r in law.form.relaxations if r.name == "h")
     only = replace(law, form=replace(law.form, output=relaxation.state), discretisation="exact")
     t = np.linspace(0.0, 2.0 / _FREQUENCY, 2 * _ROWS - 1)
     dq = speed * np.sin(2.0 * np.pi * _FREQUENCY * t)
-    return dq[-_ROWS:], predict(only, t=t, dq=dq)[-_ROWS:]
+    h = predict(only, t=t, dq=dq)
+    return Line(name=name, x=dq[-_ROWS:], y=h[-_ROWS:], stroke=styles[name])
 
 
-def ablation(results: Results, _: Pictures) -> dict[str, Any] | None:
-    """Return the change of the error when one part is added."""
+def ablation(results: Results) -> dict[str, Any] | None:
+    """Return the change of the error with each added part."""
     test = results.tests[0]
     laws = results.comparisons[test].laws
     steps = [(a, b, part) for a, b, part in _steps() if a in laws and b in laws]
@@ -180,7 +165,7 @@ def ablation(results: Results, _: Pictures) -> dict[str, Any] | None:
 
 
 def _steps() -> Iterator[tuple[str, str, str]]:
-    """Yield law, extended law and the part that it adds."""
+    """Yield law, extended law and added part."""
     for name, law in registry().items():
         if law.adds is not None:
             yield law.adds[0], name, law.adds[1]
@@ -193,8 +178,8 @@ def _changes(before: Sequence[float], after: Sequence[float]) -> list[str]:
     return [f"{c:+.0f} %".replace("-", "−") if round(c) else "0 %" for c in changes]
 
 
-def live(results: Results, _: Pictures) -> dict[str, Any] | None:
-    """Return the interactive plots of the best law, the paper's and the reference law."""
+def live(results: Results) -> dict[str, Any] | None:
+    """Return the interactive plots of the recommended, the paper's and the reference law."""
     laws = results.shown(results.recommended, papers_law(), REFERENCE)
     found = {law: _live_data(results.folder / "fmus" / f"{law}.fmu") for law in laws}
     lives = [
@@ -206,7 +191,6 @@ def live(results: Results, _: Pictures) -> dict[str, Any] | None:
 
 
 def _live_data(fmu: Path) -> dict[str, Any] | None:
-    """Return the data of the interactive plot in an FMU's documentation, if any."""
     try:
         with Archive(fmu) as archive:
             page = archive.read(_PAGE).decode("utf-8")

@@ -4,7 +4,6 @@ from typing import Any
 
 from markupsafe import Markup
 
-from cosim.report.markup import Pictures
 from cosim.report.results import Results
 from cosim.report.tables.laws import audit as audit_table
 from cosim.report.tables.properties import properties as properties_table
@@ -23,7 +22,7 @@ def passive(found: Audit) -> bool:
     return found.generated < _ROUNDING
 
 
-def audit(results: Results, _: Pictures) -> dict[str, Any] | None:
+def audit(results: Results) -> dict[str, Any] | None:
     """Return the figures of the audit of every law."""
     found = results.audits
     if not found:
@@ -71,7 +70,7 @@ def audit(results: Results, _: Pictures) -> dict[str, Any] | None:
     }
 
 
-def properties(results: Results, _: Pictures) -> dict[str, Any] | None:
+def properties(results: Results) -> dict[str, Any] | None:
     """Return the results of the checks, and plots of the recommended law."""
     if not results.properties:
         return None

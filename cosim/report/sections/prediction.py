@@ -1,20 +1,18 @@
-"""Prediction of torque on unseen motions (Table II, Fig. 4 and 5), and friction loops."""
+"""Torque on unseen motions (Table II, Fig. 4 and 5), and friction loops."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from cosim.report import paper
 from cosim.report.figures.chart import Chart, Line, Panel
 from cosim.report.figures.plots import loops as loop_panels
 from cosim.report.figures.plots import ratios
-from cosim.report.figures.style import MEASURED, SOFT, Stroke, strokes, write
-from cosim.report.markup import Pictures
+from cosim.report.figures.style import MEASURED, SOFT, Stroke, strokes
 from cosim.report.results import Results
 from cosim.report.tables.scores import MEASURES, bands, errors, other_truths, position_errors
-from cosim.report.tables.table import ResultTable, named, number, row_of, title
+from cosim.report.tables.table import ResultTable, title
 from cosim.study.results import SavedLog
 from cosim.study.scores import BASELINE, ORACLE, input_classes
 from hesr_model.friction.predict import predict_band
@@ -22,7 +20,7 @@ from hesr_model.friction.registry import papers_law
 from hesr_model.support.arrays import Array
 
 _NETWORK = "rbfnn_h"
-"""Law that Fig. 5 of the paper compares with its own."""
+"""Law compared with the paper's in its Fig. 5."""
 WINDOW = 10.0
 """Time span of a static figure [s]; the zooming view shows all."""
 MOVING = 0.25
@@ -30,70 +28,53 @@ MOVING = 0.25
 _LOOPS = 20.0
 """Time span of friction loops [s]."""
 _POINTS = 400
-"""Maximum number of points of a friction loop in the page, fewer for more than 3 joints."""
+"""Maximum number of points of a loop in the page, fewer for more than 3 joints."""
 _EDGE = Stroke(colour=SOFT, width=0.6, dash=(1.5, 1.5))
 
 
-def errors_of_tests(results: Results, pictures: Pictures) -> dict[str, Any]:
+def errors_of_tests(results: Results) -> dict[str, Any]:
     """Compare all laws on every test set."""
-    split = {band.test for band in results.run.bands}
-    tests = []
-    for k, test in enumerate(results.tests):
-        scores, log = results.comparisons[test], results.log_of(test)
-        simulated = results.simulated.get(test)
-        whole, *parts = (_errors(results, test, measure) for measure in MEASURES)
-        tests.append(
-            {
-                "name": test,
-                "errors": whole,
-                "parts": parts,
-                "traces": _traces(results, pictures, test, log)
-                if log and (k == 0 or test not in split)
-                else None,
-                "simulated": simulated and position_errors(test, simulated, results.sliding),
-                "bands": bands(test, scores) if scores.bands else None,
-            }
-        )
-    truths, run = results.truths, results.run
+    run, truths, test = results.run, results.truths, results.tests[0]
+    found = results.comparisons[test].ratios
+    reference = "its reference" if found.references else title(found.reference)
+    laws = {title(law): row for law, row in found.laws.items()}
+    axis = f"RMSE / RMSE of {reference}"
     return {
-        "ratios": _ratios(results, pictures),
-        "tests": tests,
+        "test": test,
+        "reference": reference,
+        "ratios": ratios(laws, results.joints, x=axis) if laws else None,
+        "moving": f"{MOVING:g}",
+        "window": f"{WINDOW:g}",
+        "tests": [_test(results, test) for test in results.tests],
         "truths": truths and other_truths(results.comparisons, truths, run.truth),
-        "paper": _paper(results) if run.robot == paper.ROBOT else None,
+        "paper": paper.table_ii(results.joints) if run.robot == paper.ROBOT else None,
     }
 
 
-def _ratios(results: Results, pictures: Pictures) -> Markup:
-    test = results.tests[0]
-    scores = results.comparisons[test].ratios
-    if not scores.laws:
-        return Markup()
-    laws = {title(law): row for law, row in scores.laws.items()}
-    reference = "its reference" if scores.references else title(scores.reference)
-    return pictures.figure(
-        "ratios",
-        ratios(laws, results.joints, x=f"RMSE / RMSE of {reference}"),
-        f"Error of every law over that of {reference} on ‘{test}’, with 95 % intervals (bootstrap "
-        "of blocks of time). Left of the line is better. The reference of a law is the strongest "
-        "classic law of the same inputs or fewer; the claim is about these logs.",
-        alt=f"For each law and joint, a dot at its error relative to {reference} and its interval.",
-    )
+def _test(results: Results, test: str) -> dict[str, Any]:
+    """Return tables and traces of a test set; those of a split one are part of the chirp."""
+    scores, log = results.comparisons[test], results.log_of(test)
+    simulated = results.simulated.get(test)
+    split = test != results.tests[0] and test in {band.test for band in results.run.bands}
+    whole, *parts = (_errors(results, test, measure) for measure in MEASURES)
+    laws = _key_laws(results)
+    window = (0.0, WINDOW) if log and log.duration > 1.5 * WINDOW else None
+    return {
+        "name": test,
+        "errors": whole,
+        "parts": parts,
+        "log": log,
+        "laws": ", ".join(map(title, laws)),
+        "window": window,
+        "traces": _chart(results, log, laws, window=window) if log and not split else None,
+        "simulated": simulated and position_errors(test, simulated, results.sliding),
+        "bands": bands(test, scores) if scores.bands else None,
+    }
 
 
 def _errors(results: Results, name: str, measure: str = "rmse") -> ResultTable:
     scores, inputs = results.comparisons[name], input_classes(results.models)
     return errors(name, scores, measure, inputs, results.sliding)
-
-
-def _paper(results: Results) -> ResultTable:
-    return ResultTable(
-        caption="Table II of the paper: RMSE of the predicted torque [N.m] on the measured robot",
-        head=("law", *results.joints),
-        rows=[
-            row_of(named(law), *(number(v, 4) for v in values))
-            for law, values in paper.TABLE_II.items()
-        ],
-    )
 
 
 def _key_laws(results: Results) -> list[str]:
@@ -102,52 +83,26 @@ def _key_laws(results: Results) -> list[str]:
     return laws if len(laws) > 1 else results.key_laws[:3]
 
 
-def _traces(results: Results, pictures: Pictures, test: str, log: SavedLog) -> Markup:
-    window = (0.0, WINDOW) if log.duration > 1.5 * WINDOW else None
-    laws = _key_laws(results)
-    what = f"the first {WINDOW:g} s of {log.name}" if window else log.name
-    names = ", ".join(map(title, laws))
-    return pictures.chart(
-        f"torque_{results.tests.index(test) + 1}",
-        _chart(results, log, laws, window=window),
-        f"Friction torque on {what} (left) and the RMS error of the laws over {MOVING:g} s "
-        "(right), as Fig. 4 of the paper. Laws without memory have the largest errors near "
-        f"reversals. The zooming view shows the whole log. Shown: {names}.",
-        alt=f"Friction torque over time on {log.name} for each joint, measured and predicted by "
-        f"{names}; next to it the moving error, with peaks at velocity reversals.",
-    )
-
-
-def chirp(results: Results, pictures: Pictures) -> dict[str, Any] | None:
+def chirp(results: Results) -> dict[str, Any] | None:
     """Compare the laws on both sides of a chirp's middle frequency."""
     bands_of = results.run.bands
-    tests = [
-        {
-            "name": test,
-            "traces": _split(results, pictures, test),
-            "errors": [_errors(results, band.name) for band in bands_of if band.test == test],
-        }
-        for test in dict.fromkeys(band.test for band in bands_of)
-    ]
-    return {"tests": tests} if tests else None
-
-
-def _split(results: Results, pictures: Pictures, test: str) -> Markup:
-    log = results.log_of(test)
-    if log is None:
-        return Markup()
-    starts = [band.start for band in results.run.bands if band.test == test]
     laws = results.shown(_NETWORK, papers_law(), results.best)
     laws = laws if len(laws) > 1 else _key_laws(results)
-    names = ", ".join(map(title, laws))
-    return pictures.chart(
-        f"split_{results.tests.index(test) + 1}",
-        _chart(results, log, laws, marks=tuple((at, "split") for at in starts if at > 0.0)),
-        f"Friction torque and RMS error over {MOVING:g} s on {log.name}, with its split "
-        f"(Fig. 5 of the paper). Shown: {names}.",
-        alt=f"Friction torque over time on {log.name} for each joint, measured and by "
-        f"{names}, with a dashed line at the split; next to it the moving error.",
-    )
+    tests = []
+    for test in dict.fromkeys(band.test for band in bands_of):
+        log, parts = results.log_of(test), [band for band in bands_of if band.test == test]
+        marks = tuple((band.start, "split") for band in parts if band.start > 0.0)
+        tests.append(
+            {
+                "name": test,
+                "key": f"split_{results.tests.index(test) + 1}",
+                "log": log,
+                "traces": _chart(results, log, laws, marks=marks) if log else None,
+                "errors": [_errors(results, band.name) for band in parts],
+            }
+        )
+    shown = ", ".join(map(title, laws))
+    return {"tests": tests, "laws": shown, "moving": f"{MOVING:g}"} if tests else None
 
 
 def _chart(
@@ -158,10 +113,7 @@ def _chart(
     marks: tuple[tuple[float, str], ...] = (),
     window: tuple[float, float] | None = None,
 ) -> Chart:
-    """Return friction torque and moving error of the laws, one row per joint.
-
-    The best law also has its 95 % band, if it is shown.
-    """
+    """Return friction torque and moving error of the laws by joint, with the best law's band."""
     torques, styles = results.torques(log), strokes(results.key_laws)
     t, rows = torques["t"], []
     for k, short, name in results.numbered:
@@ -188,7 +140,7 @@ def _chart(
 
 
 def moving_rms(t: Array, error: Array) -> Array:
-    """Return the RMS error (N,) within a window of `MOVING` around each of the times t (N,)."""
+    """Return the RMS error (N,) within a window of `MOVING` around each time."""
     total = np.concatenate([[0.0], np.cumsum(error**2)])
     first, last = (np.searchsorted(t, t + way * 0.5 * MOVING) for way in (-1.0, 1.0))
     return np.asarray(np.sqrt((total[last] - total[first]) / np.maximum(last - first, 1)))
@@ -211,36 +163,34 @@ def band(results: Results, law: str, joint: int, torques: Mapping[str, Array]) -
     return tuple(Line(name=name, x=torques["t"], y=end, stroke=_EDGE) for end in ends)
 
 
-def loops(results: Results, pictures: Pictures) -> dict[str, Any] | None:
-    """Draw torque over velocity, one figure per joint: of key laws, and of all laws in files."""
+def loops(results: Results) -> dict[str, Any] | None:
+    """Draw torque over velocity by joint: key laws in the page, all laws in files."""
     test = results.tests[0]
     log = results.log_of(test)
     if log is None:
         return None
     torques = results.torques(log)
     rows = torques["t"] - torques["t"][0] <= _LOOPS
-    figures = []
     points = min(_POINTS, 3 * _POINTS // len(results.joints))
+    figures = []
     for k, short, name in results.numbered:
         dq = torques[f"dq{k}"][rows]
         measured = (torques[f"tau{k}"] - torques[f"tau_rb{k}"])[rows]
         laws = {
-            title(law): (dq, torques[f"{law}.tau_f{k}"][rows])
+            law: (dq, torques[f"{law}.tau_f{k}"][rows])
             for law in (*results.laws, ORACLE)
             if f"{law}.tau_f{k}" in torques
         }
-        x = f"dq of {short} [{results.unit('rad/s', k - 1)}]"
-        y = f"friction [{results.unit('N.m', k - 1)}]"
-        write(loop_panels((dq, measured), laws, x=x, y=y), pictures.folder / f"loops_{k}")
-        few = {name: laws[name] for name in map(title, (*results.key_laws, ORACLE)) if name in laws}
-        drawn = pictures.shown(
-            f"loops_{k}",
-            loop_panels((dq, measured), few, x=x, y=y, points=points),
-            f"Friction of {name} over its velocity near reversals on {log.name}: measured (grey) "
-            "and predicted (blue). A law of velocity alone is one curve; laws with memory open "
-            "into loops, and the best follow the measured ones.",
-            alt=f"For each law a small panel of friction torque over velocity of {name}; laws "
-            "without memory are a single curve, the others are loops like the measured friction.",
+        key_laws = {law: laws[law] for law in (*results.key_laws, ORACLE) if law in laws}
+        few, whole = (
+            loop_panels(
+                (dq, measured),
+                {title(law): line for law, line in chosen.items()},
+                x=f"dq of {short} [{results.unit('rad/s', k - 1)}]",
+                y=f"friction [{results.unit('N.m', k - 1)}]",
+                points=most,
+            )
+            for chosen, most in ((key_laws, points), (laws, None))
         )
-        figures.append((f"{short}: {name}", drawn))
-    return {"test": test, "span": f"{_LOOPS:g}", "figures": figures}
+        figures.append({"joint": name, "heading": f"{short}: {name}", "few": few, "whole": whole})
+    return {"test": test, "log": log, "span": f"{_LOOPS:g}", "figures": figures}

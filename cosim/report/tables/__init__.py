@@ -1,1 +1,1 @@
-"""What is shown of results: each table is described once, and drawn for a terminal or a page."""
+"""Tables of results, described once for terminal, HTML, Markdown and CSV."""

@@ -1,4 +1,4 @@
-"""Tables as CSV: values with all digits, notes and row groups in columns of their own."""
+"""Tables as CSV: all digits; notes and row groups in columns of their own."""
 
 import csv
 from io import StringIO

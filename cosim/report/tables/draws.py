@@ -1,4 +1,4 @@
-"""Tables of scores over draws of noise, motions and true friction."""
+"""Tables of scores over draws."""
 
 from collections.abc import Iterator
 

@@ -26,7 +26,7 @@ def laws() -> ResultTable:
 
 
 def audit(name: str, audits: Sequence[Audit], sliding: Sequence[bool] = ()) -> ResultTable:
-    """Return the audit of a friction model by joint; `sliding` is empty if all joints turn."""
+    """Return the audit of a friction model by joint."""
     from fmu_src.pages.datasheet import audit_rows
 
     return ResultTable(
@@ -63,14 +63,7 @@ def convention(name: str, found: "Convention") -> ResultTable:
 def leaving(
     names: Sequence[str], found: Sequence[Mapping[str, Excess]], sliding: Sequence[bool] = ()
 ) -> str:
-    """Return one line per joint and input that leaves the trained range in the logs.
-
-    Parameters
-    ----------
-    names : names of the joints.
-    found : excess of the inputs by joint.
-    sliding : whether each joint slides; empty if all turn.
-    """
+    """Return one line per joint and input that leaves the trained range."""
     slides = sliding or (False,) * len(names)
     return "\n".join(
         f"{joint}: {name} leaves the trained range in {100.0 * excess.rows:.1f} % of the rows, by "
@@ -81,7 +74,7 @@ def leaving(
 
 
 def rigid_body(found: RigidBody, sliding: Sequence[bool] = ()) -> str:
-    """Return a summary of the rigid body; `sliding` is empty if all joints turn."""
+    """Return a summary of the rigid body."""
     rotors = sum(name.endswith(".Ir") for name in found.names)
     more = f" ({rotors} of them rotor inertias)" if rotors else ""
     errors = ", ".join(f"{e:.3g}" for e in found.rmse)

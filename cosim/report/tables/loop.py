@@ -50,7 +50,7 @@ def tracking(caption: str, rows: Sequence[Tracked]) -> ResultTable:
 
 
 def sweeps(rows: Sequence[Tracked]) -> list[ResultTable]:
-    """Return a table per scheme: the error of the worst joint by change and law."""
+    """Return a table per scheme: error of the worst joint by change and law."""
     tables = []
     for scheme in dict.fromkeys(replace(row.scheme, change="") for row in rows):
         found = {
@@ -73,7 +73,7 @@ def sweeps(rows: Sequence[Tracked]) -> list[ResultTable]:
 
 
 def overcompensation(found: Sequence[Overcompensation]) -> ResultTable:
-    """Return the factor on friction at which an arm at rest begins to cycle."""
+    """Return the friction factor above which an arm at rest cycles."""
     return ResultTable(
         caption="Minimum factor on the friction torque at which the arm at rest begins to cycle",
         head=("law and scheme", "factor"),

@@ -14,7 +14,6 @@ def markdown(table: ResultTable) -> str:
         (f"**{row.head}**" if not row.cells else str(row.head), *map(_text, row.cells))
         for row in table.rows
     ]
-    # Markdown needs all cells of a row.
     whole = [(*row, *[""] * (len(table.head) - len(row))) for row in rows]
     lines = [_line(row) for row in (table.head, sides, *whole)]
     shown = table.caption.replace("; small: ", "; in brackets: ")

@@ -12,11 +12,11 @@ from hesr_model.units import unit_of_joints
 _DIGITS = 4
 """Maximum length of a figure without its sign."""
 _LITTLE = 1e-4
-"""Passing figures below this are shown as 0, in the units of the table."""
+"""Passing figures below this are shown as 0."""
 
 
 def properties(found: Mapping[str, Properties], *, full: bool = False) -> ResultTable:
-    """Return the figure and the verdict of each joint, by law and check; `full` names checks."""
+    """Return figure and verdict of each joint, by law and check; `full` names checks."""
     return ResultTable(
         caption="Physics checks by law, one mark per joint: ✓ pass, ✗ fail",
         head=("law", *(e.title if full else e.short for e in EXPECTATIONS.values())),
@@ -28,7 +28,7 @@ def properties(found: Mapping[str, Properties], *, full: bool = False) -> Result
 
 
 def legend(sliding: Sequence[bool] = ()) -> ResultTable:
-    """Return the meaning of each column of `properties`; `sliding` is empty if all turn."""
+    """Return the meaning of the columns of `properties`."""
     rows = []
     for e in EXPECTATIONS.values():
         who = "; ".join(f"{s.who} {s.year}" for s in e.sources)
@@ -38,7 +38,7 @@ def legend(sliding: Sequence[bool] = ()) -> ResultTable:
 
 
 def reasons(found: Mapping[str, Properties]) -> ResultTable:
-    """Return the reasons of failures and other remarks by law."""
+    """Return reasons of failures and other remarks by law."""
     rows = []
     for name, of_law in found.items():
         rows.append(row_of(title(name)))

@@ -33,18 +33,10 @@ def errors(
     inputs: Mapping[str, str] | None = None,
     sliding: Sequence[bool] = (),
 ) -> ResultTable:
-    """Return one measure of laws and joints on one test set, the lowest error first.
+    """Return one of `MEASURES` by law and joint, the lowest error first.
 
-    The best law of a joint is bold if it is significantly better than all others. The true friction
-    and starts from measured torque are not candidates, since no user can run them.
-
-    Parameters
-    ----------
-    name : name of the test set.
-    scores : scores of the laws.
-    measure : one of `MEASURES`; the first one comes with the ratio to the reference.
-    inputs : inputs of each law; if given, laws are grouped by inputs.
-    sliding : whether each joint slides; empty if all turn.
+    Laws are grouped by `inputs` if given. Bold: significantly better than all others. The true
+    friction and starts from measured torque are no candidates, since users cannot run them.
     """
     values = {law: getattr(of_law, measure) for law, of_law in scores.laws.items()}
     places = [decimals(column) for column in zip(*values.values(), strict=True)]
@@ -58,7 +50,7 @@ def errors(
         rows.append(row_of("(std of friction)", *cells, quiet=True))
 
     def cell(law: str, k: int, value: float | None) -> TableCell:
-        notes = _notes(ratios[law][k]) if law in ratios else ()
+        notes = ratio_notes(ratios[law][k]) if law in ratios else ()
         return fixed(value, places[k], best=law == best[k], notes=notes)
 
     ranked = sorted(values, key=lambda law: _relative(scores, law))
@@ -86,10 +78,9 @@ def errors(
 
 
 def bands(name: str, scores: Comparison) -> ResultTable:
-    """Return the share of test rows within each law's 95 % band, by law and joint.
+    """Return the share of test rows within each law's 95 % band.
 
-    Notes are the share of moving rows, that near reversals, and the width of the band over that of
-    a constant band with the same coverage.
+    Notes: share of moving rows, share near reversals, width over that of an equal constant band.
     """
 
     def cell(band: BandScore) -> TableCell:
@@ -110,14 +101,7 @@ def bands(name: str, scores: Comparison) -> ResultTable:
 def other_truths(
     comparisons: Mapping[str, Comparison], others: Mapping[str, Errors], own: str = ""
 ) -> ResultTable:
-    """Return errors over the reference's by plant of a twin, over all joints and tests.
-
-    Parameters
-    ----------
-    comparisons : scores of the run itself, by test set.
-    others : RMSE on each alternative plant, by test set and law.
-    own : friction of the run; empty for that of the MJCF.
-    """
+    """Return errors over the reference's by plant of a twin; `own` is the run's, "" the MJCF's."""
     first = next(iter(others.values()))
     laws = list(dict.fromkeys(law for of_test in first.values() for law in of_test))
     scores = {test: comparisons[test].laws for test in first}
@@ -150,7 +134,7 @@ def other_truths(
 
 
 def leading(errors: Errors) -> str:
-    """Return the law with the lowest error over all joints and tests (geometric mean)."""
+    """Return the law with the lowest geometric mean error."""
     laws = [law for law in next(iter(errors.values())) if law != ORACLE]
     return min(laws, key=lambda law: _mean_ratio(errors, law, laws[0]) or math.inf)
 
@@ -166,14 +150,7 @@ def _mean_ratio(errors: Errors, law: str, reference: str) -> float | None:
 
 
 def position_errors(name: str, found: PositionErrors, sliding: Sequence[bool] = ()) -> ResultTable:
-    """Return position errors of laws as simulators over windows of a test set.
-
-    Parameters
-    ----------
-    name : name of the test set.
-    found : errors of the laws.
-    sliding : whether each joint slides; empty if all turn.
-    """
+    """Return position errors of laws as simulators over windows of a test set."""
     parts = [
         (f"windows of {length:g} s", {law: of_law[k] for law, of_law in found.windows.items()})
         for k, length in enumerate(found.lengths)
@@ -198,7 +175,6 @@ def position_errors(name: str, found: PositionErrors, sliding: Sequence[bool] = 
 
 
 def _fitted(per_log: Sequence[str] | None) -> str:
-    """Return whether the scores are blind, in a study with `per_log`."""
     if per_log is None:
         return ""
     if not per_log:
@@ -207,12 +183,13 @@ def _fitted(per_log: Sequence[str] | None) -> str:
 
 
 def _relative(scores: Comparison, law: str) -> tuple[bool, float]:
-    """Return the sort key of laws: error over the size of friction, the true friction last."""
+    """Return error over the size of friction, the true friction last."""
     pairs = zip(scores.laws[law].rmse, scores.tau_std, strict=True)
     return law == ORACLE, sum(error / max(size, 1e-300) for error, size in pairs)
 
 
-def _notes(ratio: Ratio) -> tuple[str, str]:
+def ratio_notes(ratio: Ratio) -> tuple[str, str]:
+    """Return a ratio and its interval."""
     if ratio.low is None or ratio.high is None:
         return f"{ratio.value:.2f}", "too short"
     return f"{ratio.value:.2f}", f"{ratio.low:.2f}–{ratio.high:.2f}"
@@ -221,11 +198,10 @@ def _notes(ratio: Ratio) -> tuple[str, str]:
 def _by_inputs(
     laws: Sequence[str], inputs: Mapping[str, str] | None
 ) -> dict[str | None, list[str]]:
-    """Group laws by inputs, the fewest inputs first."""
+    """Group laws by inputs, the fewest first."""
     if inputs is None:
         return {None: list(laws)}
     classes: dict[str | None, list[str]] = {}
     for law in laws:
         classes.setdefault(inputs.get(law, ""), []).append(law)
-    # Rows without inputs, as the true friction, are last.
     return dict(sorted(classes.items(), key=lambda c: (not c[0], str(c[0]).count(","))))

@@ -13,16 +13,7 @@ from hesr_model.friction.registry import papers_law, registry
 
 @dataclass(frozen=True, kw_only=True)
 class TableCell:
-    """A cell of a table.
-
-    Attributes
-    ----------
-    text : text in one or more lines.
-    value : number with all digits, for the CSV.
-    best : whether it is bold.
-    notes : small text next to or below it.
-    marks : verdicts, one per line of the text.
-    """
+    """Cell of a table: text in lines, value with all digits, small notes, and a mark per line."""
 
     text: str
     value: float | None = None
@@ -45,7 +36,7 @@ class TableCell:
 
 @dataclass(frozen=True, kw_only=True)
 class TableRow:
-    """A row of a table; without cells it is a heading of the rows below."""
+    """Row of a table; without cells it is a heading of the rows below."""
 
     head: str | Markup
     cells: Sequence[TableCell | str | Markup] = ()
@@ -53,23 +44,13 @@ class TableRow:
 
 
 def row_of(head: str | Markup, *cells: TableCell | str | Markup, quiet: bool = False) -> TableRow:
-    """Return a row; without cells it is a heading of the rows below."""
+    """Return a row."""
     return TableRow(head=head, cells=cells, quiet=quiet)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResultTable:
-    """A table.
-
-    Attributes
-    ----------
-    caption : title of the table.
-    head : names of the columns, that of the row heads first.
-    rows : rows of the body.
-    numeric : whether cells are aligned to the right.
-    words : columns, from 1, that are aligned to the left in a numeric table.
-    note : remark below the table.
-    """
+    """A table; `words` are columns, from 1, aligned to the left in a numeric table."""
 
     caption: str
     head: Sequence[str]
@@ -90,12 +71,12 @@ class ResultTable:
 
 
 def joints(count: int) -> tuple[str, ...]:
-    """Return short names of joints for column heads."""
+    """Return short names of joints."""
     return tuple(f"J{k}" for k in range(1, count + 1))
 
 
 def title(law: str) -> str:
-    """Return the title of a law or its stand-in; a variant keeps its name."""
+    """Return the title of a law; a variant keeps its name."""
     if law in set(StandIn):
         return StandIn(law).words
     known, name = registry(), law.removesuffix(MEASURED_START)
@@ -119,7 +100,7 @@ def number(value: float | None, digits: int = 3, *, notes: tuple[str, ...] = ())
 def fixed(
     value: float | None, decimals: int, *, best: bool = False, notes: tuple[str, ...] = ()
 ) -> TableCell:
-    """Return the cell of a number with fixed decimals, to align a column."""
+    """Return the cell of a number with fixed decimals."""
     if value is None or value != value:
         return TableCell(text="–")
     text = f"{value:.{decimals}f}".replace("-", "−")
