@@ -1,6 +1,7 @@
 """Default signals of an MJCF: every control, sensor and joint position."""
 
 from collections.abc import Iterator
+from itertools import chain, count
 from typing import Any
 
 import mujoco
@@ -12,24 +13,18 @@ _S, _J = mujoco.mjtSensor, mujoco.mjtJoint
 SINGLE = (_J.mjJNT_HINGE, _J.mjJNT_SLIDE)
 """Types of joints with a scalar position."""
 
-_UNITS = {
-    _S.mjSENS_ACCELEROMETER: "m/s2",
-    _S.mjSENS_VELOCIMETER: "m/s",
-    _S.mjSENS_GYRO: "rad/s",
-    _S.mjSENS_FORCE: "N",
-    _S.mjSENS_TORQUE: "N.m",
-    _S.mjSENS_RANGEFINDER: "m",
-    _S.mjSENS_FRAMEPOS: "m",
-    _S.mjSENS_FRAMELINVEL: "m/s",
-    _S.mjSENS_FRAMEANGVEL: "rad/s",
-    _S.mjSENS_FRAMELINACC: "m/s2",
-    _S.mjSENS_FRAMEANGACC: "rad/s2",
-    _S.mjSENS_SUBTREECOM: "m",
-    _S.mjSENS_SUBTREELINVEL: "m/s",
-    _S.mjSENS_CLOCK: "s",
-    _S.mjSENS_E_POTENTIAL: "J",
-    _S.mjSENS_E_KINETIC: "J",
+_SENSORS = {
+    "m": (_S.mjSENS_RANGEFINDER, _S.mjSENS_FRAMEPOS, _S.mjSENS_SUBTREECOM),
+    "m/s": (_S.mjSENS_VELOCIMETER, _S.mjSENS_FRAMELINVEL, _S.mjSENS_SUBTREELINVEL),
+    "m/s2": (_S.mjSENS_ACCELEROMETER, _S.mjSENS_FRAMELINACC),
+    "rad/s": (_S.mjSENS_GYRO, _S.mjSENS_FRAMEANGVEL),
+    "rad/s2": (_S.mjSENS_FRAMEANGACC,),
+    "N": (_S.mjSENS_FORCE,),
+    "N.m": (_S.mjSENS_TORQUE,),
+    "s": (_S.mjSENS_CLOCK,),
+    "J": (_S.mjSENS_E_POTENTIAL, _S.mjSENS_E_KINETIC),
 }
+_UNITS = {sensor: unit for unit, sensors in _SENSORS.items() for sensor in sensors}
 _UNITS_AT_JOINT = {
     _S.mjSENS_JOINTPOS: ("rad", "m"),
     _S.mjSENS_JOINTVEL: ("rad/s", "m/s"),
@@ -42,19 +37,15 @@ def everything(model: Any) -> ArmSignals:
     names = _Names()
     inputs = tuple(one for i in range(model.nactuator) for one in _inputs(model, i, names))
     outputs = tuple(output for i in range(model.nsensor) for output in _outputs(model, i, names))
-    starts = tuple(
-        ArmStart(
-            name=names.of(f"start_{model.joint(i).name or f'joint{i + 1}'}", ""),
-            unit="rad" if kind == _J.mjJNT_HINGE else "m",
-            position=int(model.jnt_qposadr[i]),
-            value=float(model.qpos0[model.jnt_qposadr[i]]),
-        )
-        for i, kind in enumerate(map(_J, model.jnt_type))
-        if kind in SINGLE
-    )
-    return ArmSignals(
-        model=model, inputs=inputs, outputs=outputs, starts=starts, step=float(model.opt.timestep)
-    )
+    starts = []
+    for i, kind in enumerate(map(_J, model.jnt_type)):
+        if kind in SINGLE:
+            name = names.of(f"start_{model.joint(i).name or f'joint{i + 1}'}", "")
+            unit = "rad" if kind == _J.mjJNT_HINGE else "m"
+            place = int(model.jnt_qposadr[i])
+            starts.append(ArmStart(name, unit, place, float(model.qpos0[place])))
+    step = float(model.opt.timestep)
+    return ArmSignals(model=model, inputs=inputs, outputs=outputs, starts=tuple(starts), step=step)
 
 
 class _Names:
@@ -67,10 +58,8 @@ class _Names:
         """Replace characters that FMI forbids by underscores, and number duplicates."""
         plain = "".join(c if c.isalnum() and c.isascii() else "_" for c in name) or otherwise
         plain = f"_{plain}" if plain[0].isdigit() else plain
-        free, k = plain, 1
-        while free in self._used:
-            k += 1
-            free = f"{plain}_{k}"
+        numbered = chain([plain], (f"{plain}_{k}" for k in count(2)))
+        free = next(name for name in numbered if name not in self._used)
         self._used.add(free)
         return free
 
@@ -79,18 +68,15 @@ def _inputs(model: Any, actuator: int, names: _Names) -> Iterator[ArmInput]:
     size, address = int(model.actuator_ctrlnum[actuator]), int(model.actuator_ctrladr[actuator])
     name = names.of(model.actuator(actuator).name, f"control{actuator + 1}") if size else ""
     for k in range(size):
-        yield ArmInput(name=name + _index(k, size), unit="1", controls=(address + k,))
+        yield ArmInput(name + _index(k, size), "1", (address + k,))
 
 
 def _outputs(model: Any, sensor: int, names: _Names) -> Iterator[ArmOutput]:
     name = names.of(model.sensor(sensor).name, f"sensor{sensor + 1}")
     size, address = int(model.sensor_dim[sensor]), int(model.sensor_adr[sensor])
     for k in range(size):
-        yield ArmOutput(
-            name=name + _index(k, size),
-            unit=_unit(model, sensor),
-            reads=((address + k, 1.0, False),),
-        )
+        reads = ((address + k, 1.0, False),)
+        yield ArmOutput(name + _index(k, size), _unit(model, sensor), reads)
 
 
 def _index(k: int, size: int) -> str:

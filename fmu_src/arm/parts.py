@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ArmInput:
     """One input: its controls in the model."""
 
@@ -16,7 +16,7 @@ class ArmInput:
     controls: tuple[int, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ArmOutput:
     """One output: its reads are sensor addresses, factors, and whether the friction scale applies.
 
@@ -31,7 +31,7 @@ class ArmOutput:
     stream: int = 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ArmStart:
     """Start value: address of a position, and of an activation that balances forces at rest.
 
@@ -101,14 +101,13 @@ class ArmSignals:
         """None also if actuators have different delays."""
         model = self.model
         delayed = np.flatnonzero(np.asarray(model.actuator_delay) > 0)
-        usual = np.unique(model.actuator_delay[delayed])
-        if len(usual) != 1:
+        times = set(model.actuator_delay[delayed].tolist())
+        if len(times) != 1:
             return None
-        step = float(model.opt.timestep)
+        time, step = times.pop(), float(model.opt.timestep)
         samples, interpolation = model.actuator_history[delayed].T
-        time = float(usual[0])
         if not interpolation.any():
             time = float(np.ceil(time / step - 1e-6)) * step
         return Delay(
-            usual=time, longest=float(samples.min()) * step, actuators=tuple(map(int, delayed))
+            usual=time, longest=float(samples.min()) * step, actuators=tuple(delayed.tolist())
         )

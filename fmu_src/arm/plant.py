@@ -94,23 +94,15 @@ def servo_signals(
     """
     joint_limits(plant)  # rejects files that MuJoCo's specification reader accepts
     spec = mujoco.MjSpec.from_file(str(plant.model))
+    force, of = mujoco.mjtSensor.mjSENS_ACTUATORFRC, mujoco.mjtObj
     for i, actuator in enumerate(spec.actuators):
-        actuator.name = actuator.name or f"/actuator{i}"
-        spec.add_sensor(
-            name=f"/{actuator.name}",
-            type=mujoco.mjtSensor.mjSENS_ACTUATORFRC,
-            objtype=mujoco.mjtObj.mjOBJ_ACTUATOR,
-            objname=actuator.name,
-        )
+        actuator.name = own = actuator.name or f"/actuator{i}"
+        spec.add_sensor(name=f"/{own}", type=force, objtype=of.mjOBJ_ACTUATOR, objname=own)
     for joint in plant.joints:
         spec.joint(joint).actgravcomp = True
         for suffix, kind in _SENSORS.items():
-            spec.add_sensor(
-                name=f"/{joint}/{suffix}",
-                type=kind,
-                objtype=mujoco.mjtObj.mjOBJ_JOINT,
-                objname=joint,
-            )
+            name = f"/{joint}/{suffix}"
+            spec.add_sensor(name=name, type=kind, objtype=of.mjOBJ_JOINT, objname=joint)
     model = spec.compile()
     for sensor in plant.servo.torque:
         _require(model, "sensor", sensor, plant)
@@ -136,38 +128,28 @@ def _table(model: Any, plant: Plant, elements: Sequence[Sequence[int]]) -> Signa
 
     forces = [{f"/{name}": -1.0 for name in own} for own in friction]
     tau = tuple(one | own for one, own in zip(joints("tau"), forces, strict=True))
-    lost = tuple(
-        own | {f"/{joint}/dq": rate}
-        for joint, own, rate in zip(plant.joints, forces, damping, strict=True)
-    )
-    streams = range(2 * len(plant.joints))
-    noise = plant.noise
+    speeds = tuple(f"/{joint}/dq" for joint in plant.joints)
+    rows = zip(forces, speeds, damping, strict=True)
+    lost = tuple(own | {speed: rate} for own, speed, rate in rows)
+    streams = tuple(range(2 * len(plant.joints)))
+    noise, servo, q = plant.noise, plant.servo, joints("q")
+    start = StartTable(unit="rad", joints=plant.joints, integrals=servo.integral, hold=True)
     return SignalTable(
         seed=noise.seed % 2**64,
         step=1.0 / plant.sample_rate,
         friction=tuple(name for own in friction for name in own),
-        inputs={"dq_cmd": InputTable(unit="rad/s", actuators=plant.servo.commanded)},
+        inputs={"dq_cmd": InputTable(unit="rad/s", actuators=servo.commanded)},
         outputs={
-            "q": OutputTable(
-                unit="rad", sensors=joints("q"), noise=noise.encoder, streams=tuple(streams[1::2])
-            ),
+            "q": OutputTable(unit="rad", sensors=q, noise=noise.encoder, streams=streams[1::2]),
             "tau_meas": OutputTable(
-                unit="N.m", sensors=tau, noise=noise.torque, streams=tuple(streams[::2])
+                unit="N.m", sensors=tau, noise=noise.torque, streams=streams[::2]
             ),
-            "q_true": OutputTable(unit="rad", sensors=joints("q")),
+            "q_true": OutputTable(unit="rad", sensors=q),
             "dq_true": OutputTable(unit="rad/s", sensors=joints("dq")),
             "tau_true": OutputTable(unit="N.m", sensors=tau),
-            "tau_f_true": OutputTable(
-                unit="N.m",
-                sensors=lost,
-                scaled=tuple(f"/{joint}/dq" for joint in plant.joints),
-            ),
+            "tau_f_true": OutputTable(unit="N.m", sensors=lost, scaled=speeds),
         },
-        start={
-            "q0": StartTable(
-                unit="rad", joints=plant.joints, integrals=plant.servo.integral, hold=True
-            )
-        },
+        start={"q0": start},
     )
 
 

@@ -93,31 +93,20 @@ class _Lookup:
     def signals(self, table: SignalTable) -> ArmSignals:
         model = self._model
         losing = table.losses.joints if table.losses else ()
-        outputs = [
-            output
-            for name, vector in table.outputs.items()
-            for output in self._outputs(name, vector, losing)
+        outputs = [o for name, v in table.outputs.items() for o in self._outputs(name, v, losing)]
+        inputs = [
+            ArmInput(f"{name}[{i}]", vector.unit, tuple(map(self._control, actuators)))
+            for name, vector in table.inputs.items()
+            for i, actuators in enumerate(vector.actuators, start=1)
         ]
         return ArmSignals(
             model=model,
-            inputs=tuple(
-                ArmInput(
-                    name=f"{name}[{i}]",
-                    unit=vector.unit,
-                    controls=tuple(self._control(actuator) for actuator in actuators),
-                )
-                for name, vector in table.inputs.items()
-                for i, actuators in enumerate(vector.actuators, start=1)
-            ),
+            inputs=tuple(inputs),
             outputs=tuple(
                 o if o.stream >= 0 else replace(o, stream=k) for k, o in enumerate(outputs)
             ),
-            starts=tuple(
-                start
-                for name, vector in table.start.items()
-                for start in self._starts(name, vector)
-            ),
-            friction=tuple(self._motor(name) for name in table.friction),
+            starts=tuple(s for name, v in table.start.items() for s in self._starts(name, v)),
+            friction=tuple(map(self._motor, table.friction)),
             losses=tuple(self._losses(table.losses)) if table.losses else (),
             payload=None if table.payload is None else self._find("body", table.payload),
             step=table.step or float(model.opt.timestep),
@@ -132,13 +121,10 @@ class _Lookup:
             if lost and lost[0] not in losing:
                 raise self._error(f"joint '{lost[0]}' of 'outputs.{name}.losses' has no losses.")
             yield ArmOutput(
-                name=f"{name}[{i + 1}]",
-                unit=vector.unit,
-                reads=tuple(
-                    (self._sensor(sensor), factor, sensor in vector.scaled)
-                    for sensor, factor in sensors.items()
-                ),
-                losses=tuple(losing.index(joint) for joint in lost),
+                f"{name}[{i + 1}]",
+                vector.unit,
+                tuple((self._sensor(s), k, s in vector.scaled) for s, k in sensors.items()),
+                losses=tuple(map(losing.index, lost)),
                 noise=vector.noise[i] if vector.noise else None,
                 stream=vector.streams[i] if vector.streams else -1,
             )
@@ -148,12 +134,8 @@ class _Lookup:
             raise self._error(f"key 'start.{name}.hold' needs 'integrals' that hold it.")
         for i, joint in enumerate(vector.joints):
             position = self._position(joint)
-            start = ArmStart(
-                name=f"{name}[{i + 1}]",
-                unit=vector.unit,
-                position=position,
-                value=float(self._model.qpos0[position]),
-            )
+            value = float(self._model.qpos0[position])
+            start = ArmStart(f"{name}[{i + 1}]", vector.unit, position, value)
             if vector.integrals:
                 activation, gain = self._activation(vector.integrals[i])
                 start = replace(start, activation=activation, gain=gain)
@@ -178,17 +160,19 @@ class _Lookup:
 
     def _control(self, name: str) -> int:
         actuator = self._find("actuator", name)
-        size = int(self._model.actuator_ctrlnum[actuator])
-        if size != 1:
-            raise self._error(f"actuator '{name}' takes {size} controls; needed is one with one.")
+        size = self._model.actuator_ctrlnum[actuator]
+        self._require_one(size, f"actuator '{name}' takes {size} controls")
         return int(self._model.actuator_ctrladr[actuator])
 
     def _sensor(self, name: str) -> int:
         sensor = self._find("sensor", name)
-        size = int(self._model.sensor_dim[sensor])
-        if size != 1:
-            raise self._error(f"sensor '{name}' has {size} numbers; needed is one with one.")
+        size = self._model.sensor_dim[sensor]
+        self._require_one(size, f"sensor '{name}' has {size} numbers")
         return int(self._model.sensor_adr[sensor])
+
+    def _require_one(self, size: int, found: str) -> None:
+        if size != 1:
+            raise self._error(f"{found}; needed is one with one.")
 
     def _position(self, name: str) -> int:
         joint = self._find("joint", name)

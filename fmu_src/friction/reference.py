@@ -122,7 +122,7 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     step, motion, torque = found
     shown = torques(model, motion, SHOWN)
     # In motion from the start, so that no row coincides with a reversal, where laws may jump.
-    smooth = _rounded(_motion(model, step))
+    smooth = _motion(model, step)
     fine = torques(model, smooth, CONTINUOUS, substeps=_SUBSTEPS)
     text = _README.format(
         name=identifier,
@@ -132,41 +132,44 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
         substeps=_SUBSTEPS,
         units=_units(model.sliding),
     )
-    stepped, solved = (f"extra/{kind}/{identifier}" for kind in ("co_simulation", "model_exchange"))
-    members = {
-        "extra/README.txt": text.encode(),
-        **_members(stepped, motion, torque, 14, step, _SAME),
-        f"{stepped}_shown.csv": _table(motion, {"tau": shown}, 14),
-        **_members(solved, smooth, fine, 8, 0.0, _CLOSE),
-    }
-    experiments = [
-        _experiment(order, ORDERS[order], motion, step, _SAME, stepped, references)
-        for order, references in (("hold", "ref"), ("shown", "shown"))
-    ]
-    continuous = "model exchange: inputs linear between the rows"
-    experiments.append(_experiment("continuous", continuous, smooth, 0.0, _CLOSE, solved, "ref"))
-    return members | manifest_files(experiments, members)
+    held = [("hold", ORDERS["hold"], "ref", torque), ("shown", ORDERS["shown"], "shown", shown)]
+    stepped, experiments = _files(f"co_simulation/{identifier}", motion, step, _SAME, 14, held)
+    linear = ("continuous", "model exchange: inputs linear between the rows", "ref", fine)
+    solved, last = _files(f"model_exchange/{identifier}", smooth, 0.0, _CLOSE, 8, [linear])
+    members = {"extra/README.txt": text.encode(), **stepped, **solved}
+    return members | manifest_files([*experiments, *last], members)
 
 
-def _experiment(
+def _files(
     name: str,
-    text: str,
     motion: ReferenceMotion,
     step: float,
     tolerance: float,
-    stem: str,
-    references: str,
-) -> ExperimentFiles:
-    return ExperimentFiles(
-        name=name,
-        description=text,
-        start=float(motion.t[0]),
-        stop=float(motion.t[-1]),
-        step=step,
-        tolerance=tolerance,
-        stimuli=f"{stem}_in.csv",
-        references=f"{stem}_{references}.csv",
-    )
+    digits: int,
+    runs: Sequence[tuple[str, str, str, Array]],
+) -> tuple[dict[str, bytes], list[ExperimentFiles]]:
+    """Return files and experiments of runs on a motion: name, text, suffix of the file, torque."""
+    stem = f"extra/{name}"
+    inputs = {symbol.name: getattr(motion, symbol.name) for symbol in INPUTS}
+    members = {
+        f"{stem}_in.csv": _table(motion, inputs, 12),
+        f"{stem}_ref.opt": options(motion.t, step, tolerance),
+        **{f"{stem}_{end}.csv": _table(motion, {"tau": tau}, digits) for *_, end, tau in runs},
+    }
+    experiments = [
+        ExperimentFiles(
+            name=run,
+            description=text,
+            start=float(motion.t[0]),
+            stop=float(motion.t[-1]),
+            step=step,
+            tolerance=tolerance,
+            stimuli=f"{stem}_in.csv",
+            references=f"{stem}_{end}.csv",
+        )
+        for run, text, end, _ in runs
+    ]
+    return dict(sorted(members.items())), experiments
 
 
 def _units(sliding: Sequence[bool]) -> str:
@@ -180,43 +183,28 @@ def _units(sliding: Sequence[bool]) -> str:
 
 
 def _motion(model: FrictionModel, step: float, lead_in: float = 0.0) -> ReferenceMotion:
-    return reference_motion(
-        model, frequency=1.0 / (_ROWS * step), periods=1.0, rows=_ROWS, phase=_PHASE,
-        lead_in=lead_in,
-    )  # fmt: skip
-
-
-def _co_simulation(model: FrictionModel) -> tuple[float, ReferenceMotion, Array] | None:
-    """Return step [s], motion and torque, with a shorter step if Euler is unstable otherwise."""
-    for halved in range(_HALVINGS):
-        step = model.sample_time / 2**halved
-        motion = _rounded(_motion(model, step, lead_in=0.25 * _ROWS * step))
-        try:
-            torque = torques(model, motion, "hold")
-        except SimulationError:
-            continue
-        return (step, motion, torque) if np.all(np.isfinite(torque)) else None
-    return None
-
-
-def _rounded(motion: ReferenceMotion) -> ReferenceMotion:
-    """Return the motion with inputs rounded towards zero to few digits."""
-    inputs = {
+    frequency = 1.0 / (_ROWS * step)
+    motion = reference_motion(
+        model, frequency=frequency, periods=1.0, rows=_ROWS, phase=_PHASE, lead_in=lead_in
+    )
+    inputs = {  # rounded towards zero to few digits
         name: np.trunc(10.0**decimals * getattr(motion, name)) / 10.0**decimals
         for name, decimals in _DECIMALS.items()
     }
     return ReferenceMotion(t=motion.t, **inputs)
 
 
-def _members(
-    stem: str, motion: ReferenceMotion, torque: Array, digits: int, step: float, tolerance: float
-) -> Mapping[str, bytes]:
-    inputs = {symbol.name: getattr(motion, symbol.name) for symbol in INPUTS}
-    return {
-        f"{stem}_in.csv": _table(motion, inputs, 12),
-        f"{stem}_ref.csv": _table(motion, {"tau": torque}, digits),
-        f"{stem}_ref.opt": options(motion.t, step, tolerance),
-    }
+def _co_simulation(model: FrictionModel) -> tuple[float, ReferenceMotion, Array] | None:
+    """Return step [s], motion and torque, with a shorter step if Euler is unstable otherwise."""
+    for halved in range(_HALVINGS):
+        step = model.sample_time / 2**halved
+        motion = _motion(model, step, lead_in=0.25 * _ROWS * step)
+        try:
+            torque = torques(model, motion, "hold")
+        except SimulationError:
+            continue
+        return (step, motion, torque) if np.all(np.isfinite(torque)) else None
+    return None
 
 
 def _table(motion: ReferenceMotion, values: Mapping[str, Array], digits: int) -> bytes:

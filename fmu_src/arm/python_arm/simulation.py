@@ -32,14 +32,13 @@ class LossState:
     def __init__(self, losses: Sequence[Loss], scale: float) -> None:
         self._scale = scale
         rows = np.array([astuple(loss) for loss in losses], dtype=float)
-        dof, carrier, *numbers = rows.reshape(len(losses), len(fields(Loss))).T
-        self._dof = dof.astype(int)
-        self._carrier = np.maximum(carrier, 0).astype(int)
-        self._constant, self._load, self._direct, self._speed = numbers[:4]
-        self._evolution, self._age, self._slip, self._longest = numbers[4:]
-        self._load = self._load * (carrier >= 0)
-        self.levels: Array = self._constant.copy()
-        self.ages: Array = np.zeros(len(self._dof))
+        columns = rows.reshape(len(losses), len(fields(Loss))).T
+        self._of = {f.name: column for f, column in zip(fields(Loss), columns, strict=True)}
+        self._dof = self._of["dof"].astype(int)
+        self._carrier = np.maximum(self._of["carrier"], 0).astype(int)
+        self._load = self._of["load"] * (self._of["carrier"] >= 0)
+        self.levels: Array = self._of["constant"].copy()
+        self.ages: Array = np.zeros(len(losses))
 
     def start(self, model: Any, data: Any) -> None:
         """Start with new contacts at the evaluated instant."""
@@ -48,20 +47,18 @@ class LossState:
 
     def advance(self, model: Any, data: Any) -> None:
         """Advance by the last step of the simulation."""
-        rate = np.abs(data.qvel[self._dof]) / self._slip + 1.0 / self._longest
+        rate = np.abs(data.qvel[self._dof]) / self._of["slip"] + 1.0 / self._of["longest"]
         exponent = -rate * float(model.opt.timestep)
         self.ages = self.ages * np.exp(exponent) - np.expm1(exponent) / rate
         self._update(model, data)
 
     def _update(self, model: Any, data: Any) -> None:
+        of = self._of
         load = data.qfrc_spring[self._carrier] + data.qfrc_gravcomp[self._carrier]
         speed = np.abs(data.qvel[self._dof])
-        self.levels = (
-            self._constant
-            + self._load * np.abs(load)
-            + self._direct * np.log1p(speed / self._speed)
-            + self._evolution * np.log1p(self.ages / self._age)
-        )
+        levels = of["constant"] + self._load * np.abs(load)
+        levels = levels + of["direct"] * np.log1p(speed / of["speed"])
+        self.levels = levels + of["evolution"] * np.log1p(self.ages / of["age"])
         self.apply(model)
 
     def apply(self, model: Any) -> None:
