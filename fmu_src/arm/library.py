@@ -32,13 +32,13 @@ class _Wheel:
     flags: tuple[str, ...] = ()
 
 
-_BESIDE = ("-Wl,-rpath,$ORIGIN",)
+def _linux(processor: str) -> _Wheel:
+    tags = tuple(f"manylinux_2_{glibc}_{processor}" for glibc in (27, 28))
+    return _Wheel(tags=tags, pattern="libmujoco.so.*", flags=("-Wl,-rpath,$ORIGIN",))
+
+
 _WHEELS = {
-    "linux64": _Wheel(
-        tags=("manylinux_2_27_x86_64", "manylinux_2_28_x86_64"),
-        pattern="libmujoco.so.*",
-        flags=_BESIDE,
-    ),
+    "linux64": _linux("x86_64"),
     "win64": _Wheel(tags=("win_amd64",), pattern="mujoco.dll"),
     "darwin64": _Wheel(
         tags=("macosx_11_0_arm64",),  # universal binary
@@ -46,11 +46,14 @@ _WHEELS = {
         place="mujoco.framework/Versions/A/",  # its install name
         flags=("-Wl,-rpath,@loader_path",),
     ),
-    "aarch64-linux": _Wheel(
-        tags=("manylinux_2_27_aarch64", "manylinux_2_28_aarch64"),
-        pattern="libmujoco.so.*",
-        flags=_BESIDE,
-    ),
+    "aarch64-linux": _linux("aarch64"),
+}
+_PLATFORMS = {
+    "linux x86_64": "linux64",
+    "linux aarch64": "aarch64-linux",
+    "win32 AMD64": "win64",
+    "darwin x86_64": "darwin64",
+    "darwin arm64": "darwin64",
 }
 
 
@@ -58,16 +61,9 @@ def library(platform: str) -> Binary:
     """Return MuJoCo for a platform, to compile against and to ship; ExportError if unavailable."""
     wheel = _WHEELS[platform]
     own = installed() if platform == _own_platform() else []
-    if own:
-        name, content = own[-1].name, own[-1].read_bytes()
-    else:
-        name, content = _downloaded(platform, wheel)
-    return Binary(
-        name=wheel.place + name,
-        content=content,
-        flags=(f"-isystem{_package() / 'include'}",),
-        link=wheel.flags,
-    )
+    name, content = (own[-1].name, own[-1].read_bytes()) if own else _downloaded(platform, wheel)
+    include = (f"-isystem{_package() / 'include'}",)
+    return Binary(name=wheel.place + name, content=content, flags=include, link=wheel.flags)
 
 
 def installed() -> list[Path]:
@@ -82,24 +78,16 @@ def _package() -> Path:
 
 def _own_platform() -> str:
     """Return the folder of this machine's binaries; empty if FMI defines none."""
-    own = f"{sys.platform} {machine()}"
-    return {
-        "linux x86_64": "linux64",
-        "linux aarch64": "aarch64-linux",
-        "win32 AMD64": "win64",
-        "darwin x86_64": "darwin64",
-        "darwin arm64": "darwin64",
-    }.get(own, "")
+    return _PLATFORMS.get(f"{sys.platform} {machine()}", "")
 
 
 def _downloaded(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
     """Return name and content of the library in a wheel of the registry."""
     wanted = f"{_PACKAGE}=={version(_PACKAGE)}"
     options = [option for tag in wheel.tags for option in ("--platform", tag)]
+    options += ["--no-deps", "--only-binary", ":all:", "--quiet", "--disable-pip-version-check"]
     with TemporaryDirectory(prefix="hesr-") as folder:
-        download = ["-m", "pip", "download", "--no-deps", "--only-binary", ":all:", "--quiet"]
-        options += ["--disable-pip-version-check", "--dest", folder]
-        command = [sys.executable, *download, wanted, *options]
+        command = [sys.executable, "-m", "pip", "download", wanted, *options, "--dest", folder]
         try:
             ended = subprocess.run(
                 command, capture_output=True, text=True, check=False, timeout=_SECONDS

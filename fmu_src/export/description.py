@@ -57,6 +57,16 @@ OFFSETS: Mapping[str, float] = {"degC": 273.15}
 DEGREES = 180.0 / math.pi
 _EXPERIMENT = 1000
 
+_KINDS: Mapping[str, dict[str, str]] = {
+    "ModelExchange": {"completedIntegratorStepNotNeeded": "false"},
+    "CoSimulation": {
+        "canHandleVariableCommunicationStepSize": "true",
+        "canInterpolateInputs": "true",
+        "maxOutputDerivativeOrder": "0",
+        "canRunAsynchronuously": "false",
+    },
+}
+
 RUNNING: tuple[Role, ...] = ("input", "state")
 STARTING: tuple[Role, ...] = ("input", "fixed", "tunable")
 """Roles of the knowns of unknowns, during simulation and at initialisation."""
@@ -139,14 +149,7 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
         "canSerializeFMUstate": "true",
         "providesDirectionalDerivative": str(table.directional_derivatives).lower(),
     }
-    kinds = {"ModelExchange": {"completedIntegratorStepNotNeeded": "false"}}
-    kinds["CoSimulation"] = {
-        "canHandleVariableCommunicationStepSize": "true",
-        "canInterpolateInputs": "true",
-        "maxOutputDerivativeOrder": "0",
-        "canRunAsynchronuously": "false",
-    }
-    for name, own in kinds.items():
+    for name, own in _KINDS.items():
         if name == "CoSimulation" or table.model_exchange:
             kind = ET.SubElement(root, name, common | own)
             files = ET.SubElement(kind, "SourceFiles") if about.sources else kind
@@ -237,13 +240,8 @@ def common_attributes(variable: Variable, name: str, place: int, text: str) -> d
         # Tools display the choices here, and `fmu_src.run.variables` reads their names here.
         names = (f"{i} = {name}" for i, (name, _) in enumerate(variable.enumeration.items, 1))
         text = f"{text}: {', '.join(names)}"
-    found = {
-        "name": name,
-        "valueReference": str(place),
-        "description": text,
-        "causality": causality,
-        "variability": variability,
-    }
+    found = {"name": name, "valueReference": str(place), "description": text}
+    found |= {"causality": causality, "variability": variability}
     return found | ({"initial": initial} if initial else {})
 
 
@@ -251,11 +249,8 @@ def values(elements: Sequence[Variable]) -> dict[str, str]:
     """Return the attributes for start values and limits of a variable or an array."""
     first = elements[0]
     if first.enumeration:
-        return {
-            "min": "1",
-            "max": str(len(first.enumeration.items)),
-            "start": str(int(first.start)),
-        }
+        count = len(first.enumeration.items)
+        return {"min": "1", "max": str(count), "start": str(int(first.start))}
     found = {}
     if not (first.computed or first.role == "state"):
         found["start"] = " ".join(repr(float(v.start)) for v in elements)
@@ -290,18 +285,12 @@ def _unknowns(
     *,
     initially: bool = False,
 ) -> None:
-    if not unknowns:
-        return
-    parent = ET.SubElement(structure, kind)
+    parent = ET.SubElement(structure, kind) if unknowns else structure
     for variable in unknowns:
         names = table.made_of(variable, known, initially=initially)
-        numbers = sorted({table.places[name] + 1 for name in names})
-        ET.SubElement(
-            parent,
-            "Unknown",
-            index=_index(table, variable.name),
-            dependencies=" ".join(map(str, numbers)),
-        )
+        numbers = " ".join(map(str, sorted({table.places[name] + 1 for name in names})))
+        index = _index(table, variable.name)
+        ET.SubElement(parent, "Unknown", index=index, dependencies=numbers)
 
 
 def _index(table: Interface, name: str) -> str:

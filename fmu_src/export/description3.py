@@ -71,10 +71,9 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
     }
     if table.model_exchange:
         ET.SubElement(root, "ModelExchange", common, needsCompletedIntegratorStep="true")
-    ET.SubElement(
-        root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true",
-        hasEventMode="true", mightReturnEarlyFromDoStep=str(table.inner_steps).lower(),
-    )  # fmt: skip
+    common |= {"canHandleVariableCommunicationStepSize": "true", "hasEventMode": "true"}
+    early = str(table.inner_steps).lower()
+    ET.SubElement(root, "CoSimulation", common, mightReturnEarlyFromDoStep=early)
     add_units(root, table)
     # Units and nominal values belong to types, because fmi-sim does not read them from variables.
     types = ET.SubElement(root, "TypeDefinitions")
@@ -88,17 +87,14 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
     variables = ET.SubElement(root, "ModelVariables")
     for array in arrays.all:
         variables.append(_variable(array, arrays))
-    time = len(table.variables)
-    ET.SubElement(
-        variables, "Float64", name="time", valueReference=str(time), causality="independent",
-        variability="continuous", description="simulation time",
-    )  # fmt: skip
+    time = {"name": "time", "valueReference": str(len(table.variables))}
+    time |= {"causality": "independent", "variability": "continuous"}
+    ET.SubElement(variables, "Float64", time, description="simulation time")
     if table.indicators and table.model_exchange:
-        indicator = ET.SubElement(
-            variables, "Float64", name=_INDICATORS, valueReference=str(time + 1),
-            causality="local", variability="continuous", initial="calculated",
-            description="positive while the signs that are held agree with the inputs",
-        )  # fmt: skip
+        about_signs = {"name": _INDICATORS, "valueReference": str(len(table.variables) + 1)}
+        about_signs |= {"causality": "local", "variability": "continuous", "initial": "calculated"}
+        text = "positive while the signs that are held agree with the inputs"
+        indicator = ET.SubElement(variables, "Float64", about_signs, description=text)
         ET.SubElement(indicator, "Dimension", start=str(table.indicators))
     _structure(root, arrays)
     return to_bytes(root)
@@ -171,10 +167,8 @@ def _unknowns(
             for v in array.elements
             for name in arrays.table.made_of(v, known, initially=initially)
         }
-        ET.SubElement(
-            structure, kind, valueReference=str(array.place),
-            dependencies=" ".join(map(str, sorted(places))),
-        )  # fmt: skip
+        about = {"valueReference": str(array.place)}
+        ET.SubElement(structure, kind, about, dependencies=" ".join(map(str, sorted(places))))
 
 
 def build_description(about: Description) -> bytes:

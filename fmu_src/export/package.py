@@ -41,7 +41,7 @@ _ALL_C = """\
 """
 
 _INSIDE = """\
-/* The glue of FMI 3.0 calls that of FMI 2.0, which nobody else sees. */
+/* The glue of FMI 3.0 calls that of FMI 2.0, which is not exported. */
 #define FMI2_EXPORT static __attribute__((unused))
 
 """
@@ -111,7 +111,12 @@ def write_fmu(
     Raises ExportError if a binary cannot be built or the FMU is invalid.
     """
     wanted = check_request(path, platforms)
-    _require_libraries(content, wanted)
+    missing = [t.folder for t in wanted if content.libraries and t.folder not in content.libraries]
+    if missing:
+        raise ExportError(
+            f"platform '{missing[0]}': this FMU needs a library, which is given for "
+            f"{', '.join(content.libraries)} only."
+        )
     table, about = content.table, content.about
     guid, sources = translation_unit(content, fmi)
     members: dict[str, bytes] = {
@@ -126,15 +131,14 @@ def write_fmu(
             members[ICON] = picture
         if connected := to_terminals(table, content.terminals, icon=picture is not None):
             members[TERMINALS] = connected
+    folders = _FOLDERS if fmi == 3 else {}
     with scratch_folder() as home:
         for name, text in sources.items():
             (home / name).write_text(text, encoding="utf-8")
         for target in counted(wanted, progress):
             own = content.libraries.get(target.folder)
             library = _built(home / "all.c", about.identifier, target, own)
-            for folder in (
-                _FOLDERS.get(target.folder, (target.folder,)) if fmi == 3 else (target.folder,)
-            ):
+            for folder in folders.get(target.folder, (target.folder,)):
                 members[f"binaries/{folder}/{about.identifier}{target.suffix}"] = library
                 if own:
                     members[f"binaries/{folder}/{own.name}"] = own.content
@@ -171,15 +175,6 @@ def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
     return targets(platforms)
 
 
-def _require_libraries(content: Content, wanted: Sequence[Target]) -> None:
-    missing = [t.folder for t in wanted if content.libraries and t.folder not in content.libraries]
-    if missing:
-        raise ExportError(
-            f"platform '{missing[0]}': this FMU needs a library, which is given for "
-            f"{', '.join(content.libraries)} only."
-        )
-
-
 def _built(source: Path, identifier: str, target: Target, own: Binary | None) -> bytes:
     """Compile a component, linked to the library it needs, and return its binary."""
     if own is None:
@@ -198,10 +193,8 @@ def _sources(own: Mapping[str, str], fmi: Version) -> dict[str, str]:
     glue = [file.name for pattern in patterns for file in sorted(_C.glob(pattern))]
     text = "".join(own.values())
     files = {n: own_source(n) for n in glue if n not in _OPTIONAL or f'"{n}"' in text} | dict(own)
-    parts = [name for name in files if name.endswith(".c")]
-    files["all.c"] = (
-        (_INSIDE if fmi == 3 else "") + _ALL_C + "".join(f'#include "{name}"\n' for name in parts)
-    )
+    includes = "".join(f'#include "{name}"\n' for name in files if name.endswith(".c"))
+    files["all.c"] = (_INSIDE if fmi == 3 else "") + _ALL_C + includes
     return files
 
 

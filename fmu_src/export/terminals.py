@@ -1,6 +1,6 @@
 """terminalsAndIcons.xml of FMI 3.0: terminals and an icon."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 from xml.etree import ElementTree as ET
@@ -46,26 +46,16 @@ def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool)
         parent = ET.SubElement(root, "Terminals")
         names = [array.name for array in Arrays(table).all]
         for terminal in terminals:
-            for index in _indices(terminal, names):
-                _add(parent, terminal, index)
+            first, _ = next(iter(terminal.members.values()))
+            for name in names:
+                if name.startswith(f"{first}["):
+                    _add(parent, terminal, name.removeprefix(first))
     return to_bytes(root)
 
 
-def _indices(terminal: Terminal, names: Sequence[str]) -> Iterator[str]:
-    """Yield the index suffix of each terminal, such as [1]."""
-    first, _ = next(iter(terminal.members.values()))
-    for name in names:
-        if name.startswith(f"{first}["):
-            yield name.removeprefix(first)
-
-
 def _add(parent: ET.Element, terminal: Terminal, index: str) -> None:
-    element = ET.SubElement(
-        parent, "Terminal", name=terminal.name + index, matchingRule="plug",
-        terminalKind=terminal.kind, description=terminal.description,
-    )  # fmt: skip
+    about = {"name": terminal.name + index, "matchingRule": "plug", "terminalKind": terminal.kind}
+    element = ET.SubElement(parent, "Terminal", about, description=terminal.description)
     for member, (variable, kind) in terminal.members.items():
-        ET.SubElement(
-            element, "TerminalMemberVariable", variableName=variable + index, memberName=member,
-            variableKind=kind,
-        )  # fmt: skip
+        about = {"variableName": variable + index, "memberName": member, "variableKind": kind}
+        ET.SubElement(element, "TerminalMemberVariable", about)

@@ -10,21 +10,15 @@ from hesr_model.errors import ExportError
 from hesr_model.support.compiler import compile_c
 from hesr_model.support.files import scratch_folder
 
+# Contracted multiply-adds would make results differ between targets.
 CFLAGS = (
-    "-std=c99",
-    "-O2",
-    # Contracted multiply-adds would make results differ between targets.
-    "-ffp-contract=off",
-    "-fvisibility=hidden",
-    "-Wall",
-    "-Wextra",
-    "-Wpedantic",
-    "-Werror",
+    *("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden"),
+    *("-Wall", "-Wextra", "-Wpedantic", "-Werror"),
 )
 _LINK = ("-shared", "-g0", "-s")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Target:
     """Target of a binary: its folder under binaries/ and the suffix of the shared library.
 
@@ -35,53 +29,37 @@ class Target:
     folder: str
     suffix: str
     triples: tuple[str, ...]
-    flags: tuple[str, ...] = ()
+    flags: tuple[str, ...]
 
 
 # glibc 2.17 is the oldest one that tools still support. FMI 2.0 has no folder for 64-bit ARM Linux;
 # this one is that of FMI 3.0, as FMI 2.0.5 recommends. Nothing unwinds through C, and unwind tables
-# are a tenth of a binary.
+# are a tenth of a binary. Every loader supports GNU hash tables; the old ones are 1 %. The
+# compiler's runtime library takes seconds to build, and plain C does not need it.
 _ELF = (
-    "-fPIC",
-    "-Wl,--build-id=none",
-    "-Wl,--hash-style=gnu",  # supported by every loader; the old table is 1 %
-    # The compiler's runtime library takes seconds to build, and plain C does not need it.
-    "-nostdlib",
-    "-lc",
-    "-lm",
-    "-fno-unwind-tables",
-    "-fno-asynchronous-unwind-tables",
+    *("-fPIC", "-Wl,--build-id=none", "-Wl,--hash-style=gnu", "-nostdlib", "-lc", "-lm"),
+    *("-fno-unwind-tables", "-fno-asynchronous-unwind-tables"),
 )
 # The compiler's own C library for Windows takes 100 s to build, for start-up code that plain C does
 # not need. Its headers and the system's import libraries remain available.
 _PRINTF = ("snprintf", "vsnprintf", "__local_stdio_printf_options")
 _PE = (
-    "-nostdlib",
-    "-Wl,--no-entry",
-    "-D_UCRT=",
-    "-isystem",
-    "{compiler}/lib/libc/include/any-windows-any",
+    *("-nostdlib", "-Wl,--no-entry", "-D_UCRT="),
+    *("-isystem", "{compiler}/lib/libc/include/any-windows-any"),
     *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in ("math", "heap", "stdio", "string", "private")),
-    "-lkernel32",
-    "-lcompiler_rt",
+    *("-lkernel32", "-lcompiler_rt"),
     *(f"{{compiler}}/lib/libc/mingw/stdio/ucrt_{name}.c" for name in _PRINTF),
     str(files("fmu_src") / "c" / "windows.c"),
 )
 _MACH_O = ("-fPIC", "-Wl,-install_name,@rpath/{library}")
+_MACS = ("x86_64-macos.11.0", "aarch64-macos.11.0")
 TARGETS: Mapping[str, Target] = {
     target.folder: target
     for target in (
-        Target(folder="linux64", suffix=".so", triples=("x86_64-linux-gnu.2.17",), flags=_ELF),
-        Target(folder="win64", suffix=".dll", triples=("x86_64-windows-gnu",), flags=_PE),
-        Target(
-            folder="darwin64",
-            suffix=".dylib",
-            triples=("x86_64-macos.11.0", "aarch64-macos.11.0"),
-            flags=_MACH_O,
-        ),
-        Target(
-            folder="aarch64-linux", suffix=".so", triples=("aarch64-linux-gnu.2.17",), flags=_ELF
-        ),
+        Target("linux64", ".so", ("x86_64-linux-gnu.2.17",), _ELF),
+        Target("win64", ".dll", ("x86_64-windows-gnu",), _PE),
+        Target("darwin64", ".dylib", _MACS, _MACH_O),
+        Target("aarch64-linux", ".so", ("aarch64-linux-gnu.2.17",), _ELF),
     )
 }
 
@@ -99,9 +77,9 @@ def targets(platforms: Sequence[str]) -> tuple[Target, ...]:
 
 
 def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = ()) -> bytes:
-    """Compile one translation unit to a shared library and return its bytes.
+    """Compile one translation unit, with these flags last, to a library and return its bytes.
 
-    `link` holds the flags of libraries to link. Raises ExportError with the compiler's first line.
+    Raises ExportError with the compiler's first line.
     """
     library = identifier + target.suffix
     with scratch_folder() as folder:
@@ -120,20 +98,11 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
 # library takes 15 s; only its headers and the parts of pow() are used. `wasm.c` provides the rest.
 _WASM = ("-target", "wasm32-wasi", "-nostdlib", "-Wl,--no-entry", *CFLAGS, "-Oz", "-g0", "-s")
 _MUSL = "{compiler}/lib/libc/musl"
-_POW = tuple(
-    f"{_MUSL}/src/math/{name}.c"
-    for name in (
-        "pow",
-        "pow_data",
-        "exp_data",
-        *(f"__math_{n}" for n in ("invalid", "oflow", "uflow", "xflow")),
-    )
-)
+_ERRORS = (f"__math_{name}" for name in ("invalid", "oflow", "uflow", "xflow"))
+_POW = tuple(f"{_MUSL}/src/math/{n}.c" for n in ("pow", "pow_data", "exp_data", *_ERRORS))
+_HEADERS = "{compiler}/lib/libc/include"
 _WASM_LAST = (
-    *(
-        f"-isystem{{compiler}}/lib/libc/include/{name}"
-        for name in ("wasm-wasi-musl", "generic-musl")
-    ),
+    *(f"-isystem{_HEADERS}/{name}" for name in ("wasm-wasi-musl", "generic-musl")),
     *(f"-isystem{_MUSL}/{name}" for name in ("src/internal", "arch/generic")),
     "-Dhidden=",
     str(files("fmu_src") / "c" / "wasm.c"),

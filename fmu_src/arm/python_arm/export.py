@@ -4,8 +4,6 @@ import hashlib
 import json
 import sys
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -82,17 +80,10 @@ def _built(folder: Path, parts: list[Path]) -> Path:
     script = folder / "slave" / f"{_MODULE}.py"
     script.parent.mkdir()
     script.write_bytes(Path(__file__).with_name("slave.py").read_bytes())
-    with _modules_restored():
-        FmuBuilder.build_FMU(script, dest=folder / "built.fmu", project_files=parts)
-    return folder / "built.fmu"
-
-
-@contextmanager
-def _modules_restored() -> Iterator[None]:
-    """Undo the builder's changes to the module path and the loaded modules."""
     places = list(sys.path)
     try:
-        yield
-    finally:
+        FmuBuilder.build_FMU(script, dest=folder / "built.fmu", project_files=parts)
+    finally:  # undo the builder's changes to the module path and the loaded modules
         sys.path[:] = places
         sys.modules.pop(_MODULE, None)
+    return folder / "built.fmu"
