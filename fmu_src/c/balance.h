@@ -10,14 +10,12 @@
 #include "coupling.h"
 #include "equations.h"
 
-/* Motion of a motor and the states of its friction. */
 typedef struct {
     double q, dq; /* of the motor */
     double ddq, tau_f, tau_link;
     double x[MAX_STATES];
 } Motion;
 
-/* Constants within a step. */
 typedef struct {
     const Joint *joint;
     const double *k;      /* coefficients */
@@ -28,7 +26,6 @@ typedef struct {
     double euler;
 } Step;
 
-/* Consequences of a trial speed. */
 typedef struct {
     double v, residual, slope;
     double size; /* scale of the residual's terms */
@@ -99,7 +96,6 @@ static void attempt(const Step *step, const Motion *from, double v, Trial *trial
     trial->slope = slope[0] + step->stiffness * du[1] + step->damping * du[0];
 }
 
-/* The same, with the residual of the torque balance. */
 static void balance(const Step *step, const Motion *from, double v, Trial *trial) {
     attempt(step, from, v, trial);
     const double rate = step->inertia / step->h;

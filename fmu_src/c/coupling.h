@@ -12,12 +12,10 @@
 /* Inputs of a joint that a coupling mixes: velocity, position and load torque. */
 enum { LOAD = 2, MIXED = 3 };
 
-/* Coefficient of joint m in coordinate i, for motions or torques. */
 static inline double share_of(bool torque, int i, int m) {
     return torque ? backward[i][m] : forward[i][m];
 }
 
-/* Input j of coordinate i, from the values v of all variables. */
 static inline double input_of(const double *v, int i, int j) {
     double sum = 0.0;
     if (!COUPLED || j >= MIXED) {
@@ -29,14 +27,12 @@ static inline double input_of(const double *v, int i, int j) {
     return sum;
 }
 
-/* Add the torque of coordinate i to the torques of the joints. */
 static inline void add_torque(double *v, int vector, int i, double torque) {
     for (int m = 0; m < JOINTS; m++) {
         v[vector + m] += (COUPLED ? forward[i][m] : (double)(i == m)) * torque;
     }
 }
 
-/* Zero the torques of all joints before coordinates add theirs. */
 static inline void clear_torques(double *v) {
     for (int m = 0; COUPLED && m < JOINTS; m++) {
         v[joints[m].output[0]] = 0.0;

@@ -24,7 +24,6 @@
 #include "equations.h"
 #include "root.h"
 
-/* The component's own memory. */
 enum { STARTED = 0 /* whether initialisation has ended */ };
 
 /* Maximum number of inner steps in a step. */
@@ -93,7 +92,6 @@ static void put(Component *component, int i, const Step *step, const Motion *mot
     joint->solved_derivatives(step->k, u, x, x + joint->states);
 }
 
-/* Start the friction states from the first speed and angle of the motor. */
 static void begin(const Component *component, const Step *step, Motion *motion) {
     const Joint *joint = step->joint;
     double u[MAX_INPUTS];

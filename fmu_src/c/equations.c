@@ -14,7 +14,6 @@
 #include "coupling.h"
 #include "equations.h"
 
-/* The component's own memory. */
 enum {
     STARTED = 0,                         /* whether initialisation has ended */
     LAST_STEP = 1,                       /* length of the last step [s], 0 before the first */
@@ -35,7 +34,6 @@ enum {
 /* Maximum number of samples in a step. */
 #define MOST_SAMPLES 1e7
 
-/* Arguments of the equations. */
 typedef struct {
     const Joint *joint;
     const double *k; /* parameters */
@@ -73,7 +71,6 @@ static double *latest_of(Component *component, int i) {
     return &component->own[LATEST + i * MAX_REMEMBERED];
 }
 
-/* Whether the states start in the steady state of the first inputs. */
 static bool begins_steady(const Component *component, const Joint *joint) {
     return joint->states > 0 && START_MODE >= 0 && component->v[START_MODE] == STEADY;
 }
@@ -175,7 +172,6 @@ SELDOM static void update_invariants(Component *component, double step, double e
     component->changed = finite ? 0.0 : 1.0;
 }
 
-/* Advance the memory of all joints and compute the outputs. */
 static void sample(Component *component, double step) {
     const double euler = DISCRETISATION >= 0 && component->v[DISCRETISATION] == EULER;
     update_invariants(component, step, euler);
@@ -204,7 +200,6 @@ static void sample(Component *component, double step) {
     }
 }
 
-/* Take the samples that fall within a step. */
 static bool samples(Component *component, double step, Message *why) {
     double *own = component->own;
     const double time = component->v[SAMPLE_TIME_PLACE];

@@ -34,7 +34,6 @@ FMI2_STATUS(fmi2SetDebugLogging)
     return fmi2OK;
 }
 
-/* Report a failed instantiation to the host, without an instance. */
 static fmi2Component not_instantiated(const fmi2CallbackFunctions *host, const char *name,
                                       const char *reason) {
     if (host && host->logger) {

@@ -95,7 +95,6 @@ static void tell(const Instance *instance, fmi2Status status, const char *catego
     }
 }
 
-/* Report why a call failed. */
 SELDOM static void complain(const Instance *instance, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);
@@ -112,7 +111,6 @@ SELDOM static fmi2Status refuse(const Instance *instance, const char *format, ..
     return fmi2Discard;
 }
 
-/* Report an event if the host has enabled logging. */
 SELDOM static void report(const Instance *instance, const char *format, ...) {
     va_list arguments;
     if (instance->telling_events) {
@@ -155,7 +153,6 @@ static fmi2Status failed(Instance *instance) {
     return fmi2Error;
 }
 
-/* Whether all computed values are finite. */
 static bool all_finite(const Memory *memory, Message *why) {
     const bool derived = memory->type == fmi2ModelExchange;
     for (int i = 0; i < WATCHED + (derived ? STATES : 0); i++) {
@@ -169,13 +166,12 @@ static bool all_finite(const Memory *memory, Message *why) {
     return true;
 }
 
-/* Threshold below which a value counts as zero. */
 static double rest_of(const Memory *memory) {
     return memory->type == fmi2ModelExchange ? REST : 0.0;
 }
 
-/* Update the outputs from the inputs if the results are finite. Between the events of model
- * exchange, held values are not updated. */
+/* Update the outputs if the results are finite. Between the events of model exchange, held values
+ * are not updated. */
 static bool refresh(Instance *instance, Message *why) {
     Memory *memory = &instance->memory;
     if (!memory->stale) {
@@ -189,8 +185,8 @@ static bool refresh(Instance *instance, Message *why) {
     return !memory->stale;
 }
 
-/* The same before reading: fmi2Discard, with a message, if the values are not finite. After a
- * failure or termination the last values are returned. */
+/* The same before reading: fmi2Discard if the values are not finite. After a failure or termination
+ * the last values are returned. */
 static fmi2Status refreshed(Instance *instance) {
     Message why;
     if (!(instance->memory.mode & RUNNING) || refresh(instance, &why)) {

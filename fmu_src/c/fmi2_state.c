@@ -28,7 +28,6 @@ static uint64_t sum_of(const Saved *saved) {
     return sum;
 }
 
-/* Whether an instance of a type can be in a mode. */
 static bool is_mode(int mode, int type) {
     const int own = type == fmi2ModelExchange ? AT_EVENT | CONTINUOUS : STEPPING;
     const int known = INSTANTIATED | INITIALISING | TERMINATED | FAILED | own;

@@ -1,7 +1,6 @@
 /* FMI 2.0: getting and setting variables; a call processes all of its values or none. */
 #include "fmi2_instance.h"
 
-/* States of the instance in which a variable of a role may be set. */
 static int settable(Role role) {
     switch (role) {
     case INPUT:
@@ -17,7 +16,6 @@ static int settable(Role role) {
     }
 }
 
-/* Index of a variable; without arrays, that of its value reference. */
 static int first_of(fmi2ValueReference vr) {
     return references[vr].first;
 }
@@ -26,7 +24,6 @@ static const Variable *variable_of(fmi2ValueReference vr) {
     return &variables[first_of(vr)];
 }
 
-/* Check that all value references have a type; report the first that does not. */
 static bool known(const Instance *instance, const char *function, Type type,
                   const fmi2ValueReference vr[], size_t n, const void *value) {
     if (n > 0 && (!vr || !value)) {
@@ -55,8 +52,7 @@ static bool all_settable(const Instance *instance, const char *function,
     return true;
 }
 
-/* Index of the first non-finite number, or `n`. Such numbers are refused; the previous values
- * remain. */
+/* Index of the first non-finite number, which is refused, or `n`. */
 static size_t first_odd(const fmi2Real value[], size_t n) {
     size_t i = 0;
     while (i < n && isfinite(value[i])) {
@@ -71,7 +67,7 @@ static fmi2Status refuse_number(const Instance *instance, const char *function,
                   variable_of(vr)->name, value);
 }
 
-/* Check that the on-demand variables are finite. After a failure or termination the last values are
+/* On-demand variables must be finite; after a failure or termination the last values are
  * returned. */
 static fmi2Status demanded_are_finite(const Instance *instance, const fmi2ValueReference vr[],
                                       size_t n) {
@@ -97,7 +93,6 @@ static void derive(Instance *instance) {
     }
 }
 
-/* Common part of the getters. */
 static fmi2Status read(fmi2Component c, const char *function, Type type,
                        const fmi2ValueReference vr[], size_t n, const void *value) {
     Instance *instance = entered(c, MAY_GET, function);
@@ -149,7 +144,6 @@ static void set_one(Memory *memory, fmi2ValueReference vr, double value) {
     memory->stale |= variable->used;
 }
 
-/* Return the instance if these variables can be set now, else NULL. */
 static Instance *settable_in(fmi2Component c, const char *function, Type type,
                              const fmi2ValueReference vr[], size_t n, const void *value) {
     Instance *instance = entered(c, MAY_SET, function);
@@ -272,8 +266,7 @@ FMI2_STATUS(fmi2GetRealOutputDerivatives)
     return none(c, MAY_GET_SLOPES, "fmi2GetRealOutputDerivatives", n);
 }
 
-/* Whether these derivatives are available. Until initialisation ends, states are computed from
- * their start values. */
+/* Whether these derivatives exist. Until initialisation ends, states follow from start values. */
 static bool differentiable(const Instance *instance, const char *function,
                            const fmi2ValueReference unknowns[], size_t n_unknown,
                            const fmi2ValueReference knowns[], size_t n_known) {

@@ -3,7 +3,7 @@
  * Nothing is computed at an event: values held between events follow the inputs. */
 #include "fmi3_instance.h"
 
-/* Return the inner instance if it is in step mode, or in event mode; else NULL, with a message. */
+/* Return the inner instance if it is in step or event mode; else NULL, with a message. */
 static Instance *in_mode(fmi3Instance c, bool paused, const char *function) {
     Instance *instance = entered(INNER(c), STEPPING, function);
     if (instance && instance->memory.paused != paused) {

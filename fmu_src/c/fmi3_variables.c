@@ -8,7 +8,7 @@
 
 enum { TIME = VARIABLES };
 
-/* Total number of elements; SIZE_MAX if a reference is unknown. */
+/* SIZE_MAX if a reference is unknown. */
 static size_t elements(const fmi3ValueReference vr[], size_t n) {
     size_t sum = 0;
     for (size_t i = 0; i < n; i++) {
@@ -37,7 +37,6 @@ static bool fits(fmi3Instance c, const char *function, const fmi3ValueReference 
     return false;
 }
 
-/* List the references of all elements of some variables. */
 static void spread(const fmi3ValueReference vr[], size_t n, fmi2ValueReference place[]) {
     for (size_t i = 0, k = 0; i < n; i++) {
         for (int j = 0; j < extents[vr[i]]; j++) {

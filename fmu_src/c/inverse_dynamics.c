@@ -39,7 +39,6 @@ static Vector turned(Vector axis, double c, double s, Vector a) {
                scaled((1.0 - c) * dot(axis, a), axis));
 }
 
-/* Product of a row-major matrix and a vector, and of its transpose. */
 static Vector times(const double *m, Vector a) {
     return (Vector){dot(vector(m), a), dot(vector(m + 3), a), dot(vector(m + 6), a)};
 }
@@ -48,7 +47,6 @@ static Vector times_transposed(const double *m, Vector a) {
     return sum(sum(scaled(a.x, vector(m)), scaled(a.y, vector(m + 3))), scaled(a.z, vector(m + 6)));
 }
 
-/* Motion of a joint frame, and the force and moment on its link. */
 typedef struct {
     double cosine, sine; /* of the joint angle */
     Vector position;     /* in the parent frame */

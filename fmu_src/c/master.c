@@ -19,7 +19,6 @@ typedef fmi2Status SetReal(fmi2Component, const fmi2ValueReference *, size_t, co
 typedef fmi2Status GetReal(fmi2Component, const fmi2ValueReference *, size_t, fmi2Real *);
 typedef fmi2Status DoStep(fmi2Component, fmi2Real, fmi2Real, fmi2Boolean);
 
-/* A component and its connections in the system. */
 typedef struct {
     fmi2Component component;
     SetReal *set;
@@ -126,7 +125,6 @@ static End jacobi(System *s, int64_t k) {
     return DONE;
 }
 
-/* Continue until `stop` rows are recorded, or a failure. */
 PUBLIC int advance(System *s, int64_t stop) {
     while (s->done < stop) {
         const int64_t k = s->done;

@@ -38,7 +38,6 @@ typedef struct {
     double state[AGES + LOSSES + STATE_SIZE - LEVELS];
 } Workspace;
 
-/* A call of one of the component's functions. */
 typedef struct {
     Component *component;
     Workspace *workspace;
@@ -94,7 +93,6 @@ static void *component_open(const char *resources, Message *why) {
     return call.workspace;
 }
 
-/* Apply the parameters that modify the model. */
 static void change(Workspace *w, Changes changes) {
     mjModel *m = w->model;
     if (w->changed && memcmp(&w->changes, &changes, sizeof changes) == 0) {
@@ -125,7 +123,6 @@ static void save(Component *component, const Workspace *w) {
     mj_getState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
 }
 
-/* Restore the model and the scratch memory from the component. */
 static void restore(const Component *component, Workspace *w) {
     change(w, changes_of(component->v));
     memset(w->data->warning, 0, sizeof w->data->warning); /* warnings of a discarded future */
@@ -138,7 +135,6 @@ static void restore(const Component *component, Workspace *w) {
     mj_setState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
 }
 
-/* Evaluate the forces at the current instant and read the sensors. */
 static void evaluate(const Component *component, Workspace *w) {
     if (w->evaluated) {
         return;
@@ -255,8 +251,7 @@ static bool drive(const Component *component, const Workspace *w, Message *why) 
     return true;
 }
 
-/* Whether MuJoCo abandoned part of the motion: it restarts on divergence, and drops contacts that
- * exceed its memory. */
+/* Whether MuJoCo restarted on divergence or dropped contacts that exceed its memory. */
 static bool given_up(const mjData *data, Message *why) {
     for (int i = mjWARN_CONTACTFULL; i < mjNWARNING; i++) {
         const mjWarningStat *warning = &data->warning[i];
@@ -280,7 +275,6 @@ static bool out_of_bounds(const mjModel *m, const mjData *data) {
     return bad;
 }
 
-/* Set the losses to the levels that follow from the last step. */
 static void age(Component *component, Workspace *w) {
     double *levels = &component->own[LEVELS], *ages = &component->own[AGES];
     for (int i = 0; i < LOSSES; i++) {

@@ -10,7 +10,6 @@
 #include "mujoco_library.h"
 #include "signals.h"
 
-/* Parameters that modify the model. */
 typedef struct {
     double scale, payload, latency;
 } Changes;

@@ -20,7 +20,6 @@ enum { MOST_TRIALS = 200, PIECES = 16 };
 /* Largest relative deviation of the residual from a straight line over a stride. */
 #define STRAIGHT 0.1
 
-/* Whether a trial is a root to within round-off. */
 static bool balanced(const Trial *trial) {
     const double grain = 4.0 * DBL_EPSILON * trial->size;
     const double step = 2.0 * DBL_EPSILON * fabs(trial->v);
@@ -45,8 +44,8 @@ static double seeing_zero(const Search *search, double next) {
     return fabs(from) <= BESIDE_ZERO && from < BESIDE_ZERO ? search->outward * BESIDE_ZERO : next;
 }
 
-/* The next trial speed: Newton's if it stays in the bracket and makes progress, else a bisection or
- * a stride outwards. */
+/* Newton's next speed if it stays in the bracket and makes progress, else a bisection or a
+ * stride. */
 static double next_speed(Search *search, const Trial *trial, bool jumps) {
     const double newton = trial->v - trial->residual / trial->slope;
     if (!isnan(search->far)) {
@@ -111,7 +110,6 @@ static void retrace(const Step *step, const Motion *from, Search *search, Trial 
     }
 }
 
-/* Find the speed that balances the torques; false, with the reason, if there is none. */
 static bool solve(const Step *step, const Motion *from, Trial *trial, const char *name,
                   Message *why) {
     const bool jumps = step->joint->switches_of_joint > 0;

@@ -97,7 +97,6 @@ static void sweep(const double *v, int i, double t, double *q, double *dq, doubl
     *ddq = slow * v[SWING + i] * cos(swell) * sin(phase) + peak * (rate + slope * t) * cos(phase);
 }
 
-/* Highest harmonic of any joint. */
 static int harmonics_of(const double *v) {
     for (int k = HARMONICS; k > 0; k--) {
         for (int i = 0; i < JOINTS; i++) {
@@ -109,7 +108,6 @@ static int harmonics_of(const double *v) {
     return 0;
 }
 
-/* Evaluate all joints, which share the angles. */
 static void fourier(const double *v, double t, double *q, double *dq, double *ddq) {
     const int harmonics = harmonics_of(v);
     for (int i = 0; i < JOINTS; i++) {
