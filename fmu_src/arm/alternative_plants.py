@@ -32,8 +32,7 @@ from hesr_model.errors import ConfigError
 from hesr_model.support.config import Config
 from hesr_model.support.files import written_whole
 
-_FIRM = "0.9999 0.9999 0.001 0.5 2"
-"""Highest impedance of dry friction, to avoid creep under load."""
+_FIRM = "0.9999 0.9999 0.001 0.5 2"  # highest impedance of dry friction, to avoid creep under load
 
 _LIGHT = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-6 1e-6 1e-6"}
 """Mass [kg] and inertia [kg.m2] of a rotor's body; the armature of its joint is the inertia."""

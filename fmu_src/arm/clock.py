@@ -39,7 +39,6 @@ def untimed() -> Iterator[None]:
 
 @cache
 def _clock() -> Any:
-    """Return MuJoCo's pointer to its clock; None if its library is missing."""
     from fmu_src.arm.library import installed
 
     try:

@@ -10,8 +10,7 @@ from fmu_src.arm.parts import ArmInput, ArmOutput, ArmSignals, ArmStart
 
 _S, _J = mujoco.mjtSensor, mujoco.mjtJoint
 
-SINGLE = (_J.mjJNT_HINGE, _J.mjJNT_SLIDE)
-"""Types of joints with a scalar position."""
+SINGLE = (_J.mjJNT_HINGE, _J.mjJNT_SLIDE)  # types of joints with a scalar position
 
 _SENSORS = {
     "m": (_S.mjSENS_RANGEFINDER, _S.mjSENS_FRAMEPOS, _S.mjSENS_SUBTREECOM),

@@ -82,7 +82,6 @@ def _own_platform() -> str:
 
 
 def _downloaded(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
-    """Return name and content of the library in a wheel of the registry."""
     wanted = f"{_PACKAGE}=={version(_PACKAGE)}"
     options = [option for tag in wheel.tags for option in ("--platform", tag)]
     options += ["--no-deps", "--only-binary", ":all:", "--quiet", "--disable-pip-version-check"]

@@ -85,8 +85,6 @@ def signals_of(path: Path, table: Path | SignalTable | None = None) -> ArmSignal
 
 
 class _Lookup:
-    """Finder of the parts that a table names."""
-
     def __init__(self, model: Any, file: Path) -> None:
         self._model, self._file = model, file
 

@@ -45,7 +45,6 @@ def to_h(signals: ArmSignals, table: Interface, *, state: int, digest: str) -> s
 
 
 def _row(values: tuple[object, ...]) -> str:
-    """Return an initialiser: a struct, or a single number."""
     texts = [literal(v) if isinstance(v, float) else str(v) for v in values]
     return f"{{{', '.join(texts)}}}" if len(texts) > 1 else texts[0]
 

@@ -62,7 +62,6 @@ def inverse_dynamics(
 
 
 def _tree(robot: Robot) -> str:
-    """Return tree.h: joint placements, rotors and gravity."""
     rows = []
     motors, gravity = robot.description.motors, robot.description.gravity
     for joint in robot.tree:

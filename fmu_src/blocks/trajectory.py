@@ -9,8 +9,7 @@ from fmu_src.run.reference_results import ROWS
 from hesr_model.errors import ExportError
 from hesr_model.motions.trajectories import Fourier, Sine, Sweep, Trajectory
 
-HARMONICS = 10
-"""Maximum number of harmonics of a Fourier motion."""
+HARMONICS = 10  # maximum number of harmonics of a Fourier motion
 
 _SWEEP = (
     "dq = (amplitude + swing sin(2 pi t / swing_period + swing_phase)) sin(phi), the frequency "

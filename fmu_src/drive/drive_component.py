@@ -26,8 +26,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.transmission import Coupling
 from hesr_model.units import unit_of_joint
 
-SUBSTEP = 1e-3
-"""Default of the longest inner step [s]."""
+SUBSTEP = 1e-3  # default of the longest inner step [s]
 
 
 @dataclass(frozen=True, kw_only=True)

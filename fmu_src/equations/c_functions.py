@@ -198,7 +198,6 @@ class Functions:
 
     @cached_property
     def _invariants(self) -> Invariants:
-        """The step without its invariants."""
         program = self.jumps.held(sampled(self.component))
         return Invariants.of(program, self._step_targets.values(), {*self._parameters, DT, EULER})
 

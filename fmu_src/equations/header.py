@@ -151,7 +151,6 @@ def _texts(own: Functions, needed: Sequence[str]) -> dict[str, str]:
 
 
 def _coupling(coupling: Coupling | None, joints: int) -> str:
-    """Return the matrices of a coupling, identities without one."""
     lines = []
     for name in ("forward", "backward"):
         matrix = getattr(coupling, name) if coupling else np.eye(joints)

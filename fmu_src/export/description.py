@@ -51,8 +51,7 @@ DISPLAY: Mapping[str, str] = {"rad": "deg", "rad/s": "deg/s", "rad/s2": "deg/s2"
 RELEASED = "2026-11-22T00:00:00Z"
 """Date of this version, and of FMUs without newer content; the same as in CITATION.cff."""
 
-OFFSETS: Mapping[str, float] = {"degC": 273.15}
-"""Offset of a unit in SI, if not zero."""
+OFFSETS: Mapping[str, float] = {"degC": 273.15}  # offset of a unit in SI, if not zero
 
 DEGREES = 180.0 / math.pi
 _EXPERIMENT = 1000

@@ -101,7 +101,6 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
 
 
 def _type_of(unit: str, nominal: float) -> str:
-    """Return the type name of all variables with a unit and a nominal value."""
     name = "number" if unit == "1" else f"number in {unit}"
     return name if nominal == 1.0 else f"{name} of about {nominal:g}"
 

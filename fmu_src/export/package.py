@@ -176,7 +176,6 @@ def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
 
 
 def _built(source: Path, identifier: str, target: Target, own: Binary | None) -> bytes:
-    """Compile a component, linked to the library it needs, and return its binary."""
     if own is None:
         return build(source, identifier, target)
     flags = own.flags

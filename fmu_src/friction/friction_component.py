@@ -37,8 +37,7 @@ DISCRETISATION = Enumeration(
     ),
 )
 
-_NONE = 1e-12
-"""Round-off of the inverse of a coupling; smaller coefficients count as zero."""
+_NONE = 1e-12  # round-off of the inverse of a coupling; smaller coefficients count as zero
 _STEADY = (
     "in the steady state of the first inputs, faded in from the start values at rest up to "
     f"{MOVING:g} rad/s or m/s"
@@ -47,14 +46,11 @@ START = Enumeration(name="Start", items=(("steady", _STEADY), ("given", "at thei
 
 STEADY, GIVEN = 1.0, 2.0
 
-START_MODE = "start_mode"
-"""Name of the parameter that selects the initial state."""
+START_MODE = "start_mode"  # name of the parameter that selects the initial state
 
-_CRAWL = 0.1
-"""Speed of the steady state that defines the nominal value of a state [rad/s]."""
+_CRAWL = 0.1  # speed of the steady state that defines the nominal value of a state [rad/s]
 
 _EFFORT = {False: "torque", True: "force"}
-"""Verbs for revolute and prismatic joints."""
 
 POWER = Equation(
     name="power",
@@ -63,7 +59,6 @@ POWER = Equation(
     expression=sympy.Symbol(TORQUE, real=True) * DQ,
     output=True,
 )
-"""An optional output of friction FMUs."""
 
 SLOPE = Quantity(
     name=f"d{TORQUE}_d{DQ.name}",
@@ -71,7 +66,6 @@ SLOPE = Quantity(
     description="slope of tau[{number}] over dq[{number}] held over the last step, the states "
     "following; in model exchange that at the last event, the states at rest",
 )
-"""Slope of the torque over the velocity."""
 
 
 def component(law: FrictionLaw, more: Iterable[Equation] = (), *, band: bool = False) -> Component:
@@ -158,7 +152,6 @@ def _mixed_inputs(coupling: Coupling | None, coordinate: int) -> dict[str, tuple
 def _output_dependencies(
     model: FrictionModel, joints: tuple[Joint, ...], joint: int, output: Equation
 ) -> tuple[str, ...]:
-    """Return the variables that an output depends on; the torque is a sum over coordinates."""
     torque = output.symbol == joints[0].component.outputs[0].symbol
     coordinates = adding(joint, model.coupling) if torque else (joint,)
     found = [

@@ -128,7 +128,6 @@ def content(
 def _component(
     model: FrictionModel, more: tuple[Equation, ...] = (), *, band: bool = False
 ) -> Content:
-    """Return a model's FMU without pages."""
     require_numbers(model)
     if band:
         model.require_band()

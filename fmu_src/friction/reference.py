@@ -17,8 +17,7 @@ from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joint
 
-UNKNOWN_SPEED = 1.2
-"""Velocity amplitude [rad/s] if the trained range is unknown: that of Table I."""
+UNKNOWN_SPEED = 1.2  # velocity amplitude [rad/s] if the trained range is unknown: that of Table I
 
 _ROWS = 100
 _PHASE = 0.35

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.scales import SCALES
 
-MAX_PARAMETERS = 64
-"""Laws with more coefficients than this show only their factors."""
+MAX_PARAMETERS = 64  # laws with more coefficients than this show only their factors
 
 
 @dataclass(frozen=True, kw_only=True)

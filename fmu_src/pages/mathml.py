@@ -15,8 +15,7 @@ from hesr_model.equations.memory import Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 
-MOST_TERMS = 12
-"""Longer sums, such as those of networks, show their first terms and the last one."""
+MOST_TERMS = 12  # longer sums, such as those of networks, show their first terms and the last one
 
 _DIGITS = 4
 

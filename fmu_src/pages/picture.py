@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from PIL.Image import Image
 
-Loop = tuple[Array, Array]
-"""Velocity and torque over one period, each (K,)."""
+Loop = tuple[Array, Array]  # velocity and torque over one period, each (K,)
 
 _SIZE, _DPI = (4.0, 3.0), 100  # 400 by 300 pixels
 _ROW = 3  # maximum panels per row
@@ -80,7 +79,6 @@ def _indexed(pixels: NDArray[np.uint8]) -> "Image":
 
 
 def _loops(model: FrictionModel) -> list[list[Loop]]:
-    """Return the loops of each joint, the smallest first."""
     motion = reference_motion(
         model, frequency=_FREQUENCY, periods=_PERIODS, rows=_PERIODS * _PERIOD
     )

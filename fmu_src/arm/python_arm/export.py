@@ -19,8 +19,7 @@ from fmu_src.export.package import check_request, write_archive
 from fmu_src.run.fmu import remember
 from hesr_model.errors import ConfigError
 
-MODEL, ABOUT = "model.xml", "about.json"
-"""Names of the FMU's resources."""
+MODEL, ABOUT = "model.xml", "about.json"  # names of the FMU's resources
 
 _MODULE = "hesr_python_arm"  # unique: all Python FMUs of a process share the list of modules
 
@@ -51,7 +50,6 @@ def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path
 
 
 def _about(mjcf: Path, table: Path | SignalTable | None) -> dict[str, Any]:
-    """Return identifier, model description and table of signals."""
     named = SignalTable.read(table) if isinstance(table, Path) else table
     signals = signals_of(mjcf, table)
     about = description(signals, model_name(signals.model, mjcf))
@@ -74,7 +72,6 @@ def _about(mjcf: Path, table: Path | SignalTable | None) -> dict[str, Any]:
 
 
 def _built(folder: Path, parts: list[Path]) -> Path:
-    """Let PythonFMU assemble the parts and a copy of the slave."""
     from pythonfmu.builder import FmuBuilder  # slow to import
 
     script = folder / "slave" / f"{_MODULE}.py"

@@ -224,7 +224,6 @@ class Simulation:
             )
 
     def _adapt(self) -> None:
-        """Apply the parameters to a copy of the model."""
         given, signals = self.parameters, self.signals
         self._model = model = copy.copy(signals.model)
         scale = given.get(SCALE, 1.0)

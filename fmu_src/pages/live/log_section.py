@@ -11,8 +11,7 @@ from hesr_model.logs.log_format import LogFormat
 from hesr_model.units import OTHERS, SLIDING, TURNING
 
 _LOAD = ("load", "rigid", "gravity")
-_FRICTION = ("friction", "fric")
-"""Words in the names of columns that exist only in processed logs."""
+_FRICTION = ("friction", "fric")  # words in the names of columns that exist only in processed logs
 
 
 def log_section(model: FrictionModel, body: PageBody | None = None, key: str = "live") -> str:

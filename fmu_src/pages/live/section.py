@@ -19,8 +19,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.units import unit_of_joint
 
-_FACTOR = 5.0
-"""Range of a coefficient's slider, as a factor in both directions."""
+_FACTOR = 5.0  # range of a coefficient's slider, as a factor in both directions
 _SLOWEST, _FASTEST = 0.05, 5.0  # [Hz]
 _FEWEST = 20  # rows of a cycle
 _USUAL = 0.25  # [Hz], as in the FMU's picture
