@@ -313,8 +313,7 @@ def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) ->
     With `measured_start` the model inside the FMU estimates the initial state.
     """
     from fmu_src.friction.embedded_model import embedded_model
-    from fmu_src.friction.friction_component import GIVEN, START_MODE
-    from fmu_src.friction.variable_names import place
+    from fmu_src.friction.friction_component import GIVEN, START_MODE, place
     from fmu_src.run.replay import replay
 
     model = embedded_model(fmu) if measured_start else None

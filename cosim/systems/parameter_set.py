@@ -16,9 +16,8 @@ from xml.etree import ElementTree as ET
 
 from cosim.systems.markup import NAMESPACES, add_units, to_bytes
 from fmu_src.export.description import si_exponents
-from fmu_src.friction.friction_component import scales
+from fmu_src.friction.friction_component import exposed, place, scales
 from fmu_src.friction.validity import require_numbers
-from fmu_src.friction.variable_names import exposed, place
 from fmu_src.run.variables import SI
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel

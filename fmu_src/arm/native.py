@@ -11,11 +11,10 @@ from typing import Any
 import mujoco
 
 from fmu_src.arm.library import library
-from fmu_src.arm.parts import ArmSignals
+from fmu_src.arm.parts import ArmSignals, variables
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.signals_h import to_h
 from fmu_src.arm.table import SignalTable
-from fmu_src.arm.variables import variables
 from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Interface
 from fmu_src.export.package import Content, check_request, own_source, write_fmu

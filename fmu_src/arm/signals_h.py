@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import astuple
 
-from fmu_src.arm.parts import ArmSignals
-from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name
+from fmu_src.arm.parts import LATENCY, PAYLOAD, SCALE, SEED, ArmSignals, noise_name
 from fmu_src.export.interface import Interface, literal
 
 # Type, size constant and placeholder element of each table; C has no empty arrays.

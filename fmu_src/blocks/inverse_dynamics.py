@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu_src.blocks.table import content, places, vector
+from fmu_src.blocks.block import content, places, vector
 from fmu_src.export.interface import Interface, Variable, literal
 from fmu_src.export.package import Content, own_source
 from hesr_model.robots.robot import LINK_PARAMETERS, Robot

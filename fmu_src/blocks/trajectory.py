@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fmu_src.blocks.table import content, places, vector
+from fmu_src.blocks.block import content, places, vector
 from fmu_src.export.interface import Enumeration, Interface, Variable
 from fmu_src.export.package import Content, own_source
 from fmu_src.run.reference_results import ROWS

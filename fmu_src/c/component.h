@@ -32,8 +32,7 @@ typedef struct {
     double may_end_early; /* whether a step may end at an event, maintained by the glue */
     double done;          /* completed length of the last step [s] */
     double event;         /* whether the last step ended at an event */
-    double
-        changed; /* whether more than inputs has been set since the component cleared this flag */
+    double changed; /* whether more than inputs was set since the component cleared this flag */
 } Component;
 
 /* One sentence for the user: the reason of a refusal, or an event. */

@@ -1,20 +1,221 @@
-"""Export of a friction model and its motors as an FMU: torque in, speed and angle out."""
+"""Drive FMU: a friction model and its motors; torque in, speed and angle out."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
+import sympy
 
-from fmu_src.drive.drive_component import SUBSTEP, Motors, equations_to_c, interface, motors
+from fmu_src.blocks.block import vector
+from fmu_src.equations.header import SOLVER, Joint, equations_header
+from fmu_src.export.description3 import Terminal
+from fmu_src.export.interface import Interface, Variable
 from fmu_src.export.package import Content, Version, check_request, own_source, write_fmu
-from fmu_src.export.terminals import Terminal
 from fmu_src.friction.embedded_model import embedding
+from fmu_src.friction.friction_component import (
+    adding,
+    dependencies,
+    discretisation,
+    joints_of,
+    law_variables,
+    mixed,
+    scales,
+    start_mode,
+)
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.drive_page import to_html
 from fmu_src.run.reference_results import ROWS, Stimuli, waves
+from hesr_model.errors import ExportError
+from hesr_model.friction.inputs import TORQUE
 from hesr_model.friction.model import FrictionModel
+from hesr_model.robots.transmission import Coupling
 from hesr_model.support.progress import Progress, silent
+from hesr_model.units import unit_of_joint
+
+SUBSTEP = 1e-3  # default of the longest inner step [s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motors:
+    """Motor and gear of each joint (n,).
+
+    The inertia [kg.m2] is that of the rotor and everything fixed to it; the ratio is motor turns
+    per joint turn. Stiffness [N.m/rad], 0 for a rigid gear, and damping [N.m.s/rad] are those of
+    the flexspline, on the joint side of the gear.
+    """
+
+    inertia: tuple[float, ...]
+    stiffness: tuple[float, ...]
+    damping: tuple[float, ...]
+    ratio: tuple[float, ...]
+
+
+_NEEDED: dict[str, tuple[str, str, float, Callable[[float], bool]]] = {
+    "inertia": ("kg.m2", "a positive number", 0.0, lambda value: value > 0.0),
+    "stiffness": ("N.m/rad", "a number that is not negative", 0.0, lambda value: value >= 0.0),
+    "damping": ("N.m.s/rad", "a number that is not negative", 0.0, lambda value: value >= 0.0),
+    "ratio": ("turns", "a number other than zero", 1.0, lambda value: value != 0.0),
+}
+"""Unit, requirement in words, default value, and test."""
+
+
+def motors(
+    joints: int,
+    *,
+    inertia: Sequence[float],
+    stiffness: Sequence[float] | None = None,
+    damping: Sequence[float] | None = None,
+    ratio: Sequence[float] | None = None,
+) -> Motors:
+    """Return the motors of a number of joints, by default rigid and without a gear."""
+    found = {}
+    given = (inertia, stiffness, damping, ratio)
+    for numbers, (name, (unit, text, usual, sound)) in zip(given, _NEEDED.items(), strict=True):
+        values = (usual,) * joints if numbers is None else tuple(map(float, numbers))
+        if len(values) != joints:
+            raise ExportError(
+                f"drive: '{name}' has {len(values)} values; {joints} are needed, one per joint."
+            )
+        for joint, value in enumerate(values, start=1):
+            if not (isfinite(value) and sound(value)):
+                raise ExportError(
+                    f"drive: '{name}' of joint {joint} is {value:g} {unit}; needed is {text}."
+                )
+        found[name] = values
+    return Motors(**found)
+
+
+_INPUTS = (
+    ("tau_motor", "N.m", "motor torque"),
+    ("q_link", "rad", "angle of the link, for the flexspline"),
+    ("dq_link", "rad/s", "speed of the link, for the flexspline"),
+    ("tau_load", "N.m", "load torque, for friction that depends on it"),
+)
+_PARAMETERS = (
+    ("inertia", "kg.m2", "inertia at the motor"),
+    ("stiffness", "N.m/rad", "stiffness of the flexspline; 0: none"),
+    ("damping", "N.m.s/rad", "damping of the flexspline"),
+    ("ratio", "1", "turns of the motor for one turn of the joint"),
+    ("q_start", "rad", "angle at which the motor starts"),
+    ("dq_start", "rad/s", "speed at which the motor starts"),
+)
+_AT_LINK = (
+    *("q_link[{}]", "dq_link[{}]", "q_start[{}]", "dq_start[{}]"),
+    *("stiffness[{}]", "damping[{}]", "ratio[{}]"),
+)
+_OUTPUTS = (
+    ("q", "rad", "motor angle", ("q_start[{}]",)),
+    ("dq", "rad/s", "motor speed", ("dq_start[{}]",)),
+    ("tau_link", "N.m", "torque on the link at the end of the last step", _AT_LINK),
+    ("ddq", "rad/s2", "motor acceleration over the last inner step; 0 before the first", ()),
+)
+
+
+def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) -> Interface:
+    """Return the variables of a drive FMU; `substep` is the longest inner step [s]."""
+    zeros = (0.0,) * len(model.laws)
+    laws = _joints(model)
+    torque = sympy.Symbol(TORQUE, real=True)
+    friction: list[Variable] = []
+    own_laws: list[Variable] = []
+    for joint, (name, law, own_law) in enumerate(
+        zip(model.joints, model.laws, laws, strict=True), start=1
+    ):
+        sources = _sources(joint, model.coupling)
+        made_of = dependencies(own_law, torque, sources)
+        text = f"friction torque of {name} over the last inner step, on its side of the gear"
+        friction.append(
+            Variable(f"tau_f[{joint}]", "output", text, unit="N.m", dependencies=made_of)
+        )
+        own_laws += law_variables(law, joint, own_law, sources)
+    choice = discretisation(model, "how the states of the friction are relaxed over an inner step")
+    found = [v for n, unit, text in _INPUTS for v in vector(n, "input", unit, text, zeros)]
+    for n, unit, text, deps in _OUTPUTS:
+        found += _coupled(model.coupling, list(vector(n, "output", unit, text, zeros, deps)))
+    found += friction
+    for n, unit, text in _PARAMETERS:
+        found += vector(n, "fixed", unit, text, getattr(own, n, zeros))
+    found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=substep))
+    found += [choice, start_mode(), *scales(model), *own_laws]
+    variables = [_at_joint(v, model.slides) for v in found]
+    inputs = {v.name for v in variables if v.role == "input"}
+    return Interface(
+        variables=tuple(_of_the_last_step(v, inputs) for v in variables),
+        own=1,  # STARTED of drive.c
+        model_exchange=False,
+        directional_derivatives=False,
+        inner_steps=True,
+        # FMPy requires inputs of one shape. Flange inputs are scalars, so no input is an array.
+        connected=frozenset({*(name for name, _, _ in _INPUTS), "tau_link"}),
+    )
+
+
+def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
+    """Return a variable with the units of a prismatic joint; C does not depend on them."""
+    joint = re.search(r"\[(\d+)\]", variable.name)
+    if joint is None or not slides[int(joint[1]) - 1]:
+        return variable
+    text = variable.description
+    for turning, sliding in _WORDS.items():
+        text = re.sub(rf"\b{turning}\b", sliding, text)
+    unit = variable.unit and unit_of_joint(variable.unit, slides=True)
+    return replace(variable, unit=unit, description=text)
+
+
+_WORDS = {"torque": "force", "angle": "position", "inertia": "mass", "flexspline": "spring"}
+
+
+def _of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:
+    """Return a variable whose inputs act only at the start and by steps."""
+    at_once = tuple(name for name in variable.dependencies if name in inputs)
+    others = tuple(name for name in variable.dependencies if name not in inputs)
+    return replace(variable, dependencies=others, initial_dependencies=at_once)
+
+
+def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]]:
+    """Return the variables that determine the inputs of laws before the first step."""
+    return {
+        "dq": (f"dq_start[{joint}]", f"ratio[{joint}]"),
+        "q": (f"q_start[{joint}]", f"ratio[{joint}]"),
+        "tau_load": mixed("tau_load", joint, coupling),
+    }
+
+
+def _coupled(coupling: Coupling | None, outputs: Sequence[Variable]) -> Iterator[Variable]:
+    """Yield one output of all joints, with the dependencies of a coupling for those at links."""
+    for link, variable in enumerate(outputs, start=1):
+        if coupling is None or not variable.name.startswith("tau_link["):
+            yield variable
+            continue
+        found = [
+            name
+            for motor in adding(link, coupling)
+            for dependency in outputs[motor - 1].dependencies
+            for name in (
+                mixed(dependency.partition("[")[0], motor, coupling)
+                if dependency.startswith(("q_link[", "dq_link["))
+                else (dependency,)
+            )
+        ]
+        yield replace(variable, dependencies=tuple(dict.fromkeys(found)))
+
+
+def _joints(model: FrictionModel) -> tuple[Joint, ...]:
+    return joints_of(model, names={TORQUE: "tau_f"})
+
+
+def equations_to_c(model: FrictionModel, table: Interface) -> str:
+    """Return equations.h: functions of the distinct laws and indices of the joints' variables."""
+    vectors = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *(n for n, *_ in _PARAMETERS)]
+    places = {name.upper(): f"{name}[1]" for name in vectors}
+    places |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}
+    own = _joints(model)
+    return equations_header(own, table, places, wanted=SOLVER, coupling=model.coupling)
+
 
 FLANGE = Terminal(
     name="flange",

@@ -9,8 +9,8 @@ import numpy as np
 
 from fmu_src.equations.c_functions import SIGNATURES, Functions
 from fmu_src.equations.c_printer import declared
+from fmu_src.export.cache import software
 from fmu_src.export.interface import Interface, literal
-from fmu_src.export.software import software
 from hesr_model.equations.component import Component
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.cache import kept

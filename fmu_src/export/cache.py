@@ -1,15 +1,38 @@
-"""Cache of exported FMUs, by model and options."""
+"""Cache of exported FMUs, by model, options and the software that makes them."""
 
+import hashlib
 import json
 import os
+import sys
 from collections.abc import Callable, Mapping
+from functools import cache
+from importlib.metadata import requires, version
 from pathlib import Path
+from re import match
 
-from fmu_src.export.software import software
 from hesr_model.support import plugins
 from hesr_model.support.cache import kept
 from hesr_model.support.files import written_whole
 from hesr_model.support.untrusted_text import read_text
+
+_ROOT = Path(__file__).parents[2]
+_OURS = tuple(_ROOT / folder for folder in ("fmu_src", "hesr_model", "hesr/extras"))
+
+
+@cache
+def software() -> str:
+    """Return a hash of HESR's modules below the export, its extras and its dependencies."""
+    key = hashlib.sha256(sys.version.encode())
+    for requirement in requires("hesr") or ():
+        name = match(r"[\w.-]+", requirement)
+        if name and "extra ==" not in requirement:
+            key.update(f"{name[0]} {version(name[0])}\n".encode())
+    for home in _OURS:
+        for file in sorted(home.rglob("*")):
+            if file.is_file() and file.suffix != ".pyc":
+                key.update(f"{file.relative_to(home).as_posix()}\n".encode())
+                key.update(hashlib.sha256(file.read_bytes()).digest())
+    return key.hexdigest()
 
 
 def exported(

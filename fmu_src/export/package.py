@@ -13,9 +13,16 @@ from pathlib import Path
 from typing import Literal
 
 from fmu_src.export.description import Description, to_xml
-from fmu_src.export.description3 import Arrays, build_description, to_xml3
+from fmu_src.export.description3 import (
+    ICON,
+    TERMINALS,
+    Arrays,
+    Terminal,
+    build_description,
+    to_terminals,
+    to_xml3,
+)
 from fmu_src.export.interface import Interface, to_c
-from fmu_src.export.terminals import ICON, TERMINALS, Terminal, to_terminals
 from fmu_src.export.toolchain import Target, build, targets
 from fmu_src.run.fmu import remember
 from fmu_src.run.reference_results import Stimuli, result_files

@@ -14,10 +14,10 @@ from fmu_src.friction.friction_component import (
     dependencies,
     law_variables,
     of_joint,
+    place,
     scales,
     start_mode,
 )
-from fmu_src.friction.variable_names import place
 from hesr_model.equations.component import Component, Parameter, Quantity
 from hesr_model.equations.memory import Slow
 from hesr_model.friction.model import FrictionModel

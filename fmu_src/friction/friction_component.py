@@ -1,7 +1,7 @@
 """Friction component: its variables and its equations, from a friction model."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
 
@@ -11,7 +11,6 @@ import sympy
 from fmu_src.equations.header import Joint, equations_header, indicators, own_size
 from fmu_src.export.interface import Enumeration, Interface, Role, Variable
 from fmu_src.friction.validity import discretisation_of
-from fmu_src.friction.variable_names import exposed, place
 from hesr_model.equations.component import Component, Equation, Quantity
 from hesr_model.equations.memory import Element, Relaxation
 from hesr_model.equations.program import initial_state, initial_symbol, sources
@@ -66,6 +65,39 @@ SLOPE = Quantity(
     description="slope of tau[{number}] over dq[{number}] held over the last step, the states "
     "following; in model exchange that at the last event, the states at rest",
 )
+
+
+MAX_PARAMETERS = 64  # laws with more coefficients than this show only their factors
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Names of one joint's variables in the order of the C code."""
+
+    states: tuple[str, ...]
+    derivatives: tuple[str, ...]
+    starts: tuple[str, ...]
+    parameters: tuple[str, ...]
+
+
+def exposed(law: FrictionLaw) -> bool:
+    """Whether the coefficients of a law are parameters of the FMU."""
+    return len(law.values) <= MAX_PARAMETERS
+
+
+def place(law: FrictionLaw, joint: int) -> Place:
+    """Return the names of a joint's variables; joints count from 1."""
+    return Place(
+        states=tuple(f"{r.name}[{joint}]" for r in law.form.memory),
+        derivatives=tuple(f"der({r.name}[{joint}])" for r in law.form.memory),
+        starts=tuple(f"{r.name}_start[{joint}]" for r in law.form.memory),
+        parameters=tuple(f"joint[{joint}].{name}" for name in law.values) if exposed(law) else (),
+    )
+
+
+def scales_of(joint: int) -> tuple[str, ...]:
+    """Return the names of a joint's factors on Coulomb and viscous friction."""
+    return tuple(f"{scale.name}[{joint}]" for scale in SCALES)
 
 
 def component(law: FrictionLaw, more: Iterable[Equation] = (), *, band: bool = False) -> Component:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
-from fmu_src.drive.drive_component import motors as motors_of
 from fmu_src.drive.drive_fmu import content as drive
+from fmu_src.drive.drive_fmu import motors as motors_of
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_component import friction_equations
 from fmu_src.friction.friction_fmu import export_bare

@@ -13,8 +13,8 @@ from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.blocks.velocity import velocity
-from fmu_src.drive.drive_component import motors
 from fmu_src.drive.drive_fmu import content as drive
+from fmu_src.drive.drive_fmu import motors
 from fmu_src.export.package import Version, write_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from hesr.extras.adaptive.adaptive_fmu import adaptive_content, export_adaptive

@@ -9,8 +9,8 @@ from typing import Any
 import sympy
 
 from fmu_src.export.interface import Interface
+from fmu_src.friction.friction_component import place, scales_of
 from fmu_src.friction.reference import trained_speed
-from fmu_src.friction.variable_names import place, scales_of
 from fmu_src.pages.live.wasm import packed
 from fmu_src.pages.mathml import symbol
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD, Q

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from cosim.study.scores import by_joint
 from cosim.systems.parameter_set import export_ssv
-from fmu_src.friction.variable_names import exposed
+from fmu_src.friction.friction_component import exposed
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.study import FleetStudy, Member
 from hesr_model.errors import ArtifactError, FitError, HesrError, LogError

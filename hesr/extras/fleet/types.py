@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu_src import export_fmu
-from fmu_src.friction.variable_names import exposed
+from fmu_src.friction.friction_component import exposed
 from hesr.extras.fleet.result import RobotResult
 from hesr.extras.fleet.study import FleetStudy
 from hesr_model.friction.model import FrictionModel

@@ -8,8 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from fmu_src.friction.friction_component import exposed
 from fmu_src.friction.reference import UNKNOWN_SPEED
-from fmu_src.friction.variable_names import exposed
 from fmu_src.pages import datasheet
 from fmu_src.pages.datasheet import figure, spelled
 from fmu_src.pages.friction_page import title, training

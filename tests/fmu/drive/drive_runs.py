@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu_src.drive.drive_component import motors
-from fmu_src.drive.drive_fmu import content
+from fmu_src.drive.drive_fmu import content, motors
 from fmu_src.export.package import write_fmu
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.friction.law import FrictionLaw
