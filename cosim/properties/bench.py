@@ -29,6 +29,7 @@ class _Bench:
             component.buffer([f"{name}[{i}]" for name in names for i in range(1, joints + 1)])
             for names in (inputs, outputs)
         )
+        self._rows = self._inputs.values.reshape(len(inputs), joints)
         self._time = 0.0
 
     def _start(self, start: Mapping[str, float]) -> None:
@@ -87,21 +88,18 @@ class FrictionBench(_Bench):
         In motion friction starts in its steady state if the FMU has one, except with `unmoved`. The
         load [N.m] is held until the next start; `exact` overrides the discretisation of the law.
         """
-        n = self.joints
         chosen = {DISCRETISATION: _EXACT} if exact and self.exact else {}
         if unmoved and self._settles:
             chosen[START_MODE] = GIVEN
-        self._inputs.values[:n] = 0.0 if dq is None else dq
-        self._inputs.values[n : 2 * n] = self.places
-        self._inputs.values[2 * n :] = load
+        self._rows[0] = 0.0 if dq is None else dq
+        self._rows[1] = self.places
+        self._rows[2] = load
         self._start(chosen)
         return self._outputs.read().copy()
 
     def step(self, dt: float, dq: Array, q: Array) -> Array:
         """Hold dq (n,) [rad/s] at q (n,) [rad]; return the torque (n,), valid for one step."""
-        n = self.joints
-        self._inputs.values[:n] = dq
-        self._inputs.values[n : 2 * n] = q
+        self._rows[:2] = dq, q
         return self._step(dt)
 
     def move(
@@ -111,9 +109,8 @@ class FrictionBench(_Bench):
 
         The position q (K, n) [rad] is constant by default, to exclude effects of position.
         """
-        n = self.joints
         q = np.broadcast_to(self.places, dq.shape) if q is None else q
-        held = np.broadcast_to(self._inputs.values[2 * n :], dq.shape) if load is None else load
+        held = np.broadcast_to(self._rows[2], dq.shape) if load is None else load
         parts = np.ones(len(dt), dtype=int)
         if not self.exact:
             parts = np.maximum(np.ceil(dt / _SUBSTEP).astype(int), 1)
@@ -128,6 +125,7 @@ class DriveBench(_Bench):
         self.places = places
         inputs = ("tau_motor", "q_link", "dq_link", "tau_load")
         super().__init__(component, len(places), inputs, ("q", "dq", "tau_f"))
+        self.torque = self._rows[0]  # motor torque (n,) [N.m], set in place
 
     def start(
         self,
@@ -142,29 +140,23 @@ class DriveBench(_Bench):
         Load [N.m], `stiffness` (n,) of the flexsplines [N.m/rad] and the longest inner step [s] are
         held.
         """
-        n = self.joints
         start = {
-            f"{name}[{i}]": float(values[i - 1])
+            f"{name}[{i}]": float(value)
             for name, values in (("q_start", self.places), ("stiffness", stiffness))
             if values is not None
-            for i in range(1, n + 1)
+            for i, value in enumerate(values, start=1)
         }
         if substep is not None:
             start["substep"] = substep
-        self._inputs.values[:] = 0.0
-        self._inputs.values[:n] = torque
-        self._inputs.values[n : 2 * n] = self.places
-        self._inputs.values[3 * n :] = load
+        self._rows[0] = torque
+        self._rows[1] = self.places
+        self._rows[2] = 0.0
+        self._rows[3] = load
         self._start(start)
 
     def step(self, dt: float) -> Array:
         """Step; return q, dq and friction torque (3, n) in SI units, valid for one step."""
         return self._step(dt).reshape(3, self.joints)
-
-    @property
-    def torque(self) -> Array:
-        """Motor torque (n,) [N.m], to be set in place."""
-        return self._inputs.values[: self.joints]
 
     def run(
         self,
@@ -178,9 +170,9 @@ class DriveBench(_Bench):
 
         Motor torque [N.m], link position [rad] and load [N.m] are (K, n); unchanged if None.
         """
-        n = self.joints
-        rows = np.tile(self._inputs.values, (len(dt), 1))
-        for values, first in ((torque, 0), (link, n), (load, 3 * n)):
+        rows = np.tile(self._rows, (len(dt), 1, 1))
+        for row, values in enumerate((torque, link, None, load)):
             if values is not None:
-                rows[:, first : first + n] = values
-        return np.moveaxis(self._through(dt, rows).reshape(len(dt), 3, n), 1, 0)
+                rows[:, row] = values
+        found = self._through(dt, rows.reshape(len(dt), -1))
+        return np.moveaxis(found.reshape(len(dt), 3, self.joints), 1, 0)
