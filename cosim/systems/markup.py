@@ -87,11 +87,6 @@ def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponen
     return found
 
 
-def differ(one: str, other: str, defined: Mapping[str, UnitExponents]) -> bool:
-    """Whether two units of one file are defined and not equal."""
-    return one in defined and other in defined and defined[one] != defined[other]
-
-
 def in_unit_of(variables: Variables, name: str, given: ValueWithUnit, where: str) -> float:
     """Return a number in the unit of an FMU's variable; unchanged if that has none.
 

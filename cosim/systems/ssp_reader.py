@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 from pydantic import TypeAdapter, ValidationError
 
 from cosim.systems.contents import UnitExponents, description_of
-from cosim.systems.markup import NAMESPACES, SSD, ValueWithUnit, differ, in_unit_of, read_units
+from cosim.systems.markup import NAMESPACES, SSD, ValueWithUnit, in_unit_of, read_units
 from cosim.systems.system import Name, SystemSpec
 from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
 from fmu_src.run.variables import Variables
@@ -212,7 +212,9 @@ class _Reader:
                 units.get((node.get(f"{end}Element"), node.get(f"{end}Connector")), "")
                 for end in ("end", "start")
             )
-            if differ(taken, given, defined) and node.get("suppressUnitConversion") not in _TRUE:
+            known = taken in defined and given in defined
+            differ = known and defined[taken] != defined[given]
+            if differ and node.get("suppressUnitConversion") not in _TRUE:
                 raise self.error(
                     f"connection '{into}' = '{out}': the input is in {taken}, the output in "
                     f"{given}."
