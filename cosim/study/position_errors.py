@@ -1,8 +1,8 @@
 """Position errors of laws as simulators: measured torque in, position out, over windows of logs."""
 
 import logging
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 
@@ -36,13 +36,6 @@ class PositionErrors:
     open_loop: Mapping[str, _Errors]
 
 
-def simulate_laws(
-    models: Mapping[str, FrictionModel], records: Records, robot: Robot, body: RigidBody
-) -> PositionErrors | None:
-    """Score laws as simulators on records [joint][log]; warn and return None if impossible."""
-    return simulate_tests(models, {"": records}, robot, body).get("")
-
-
 def simulate_tests(
     models: Mapping[str, FrictionModel], tests: Mapping[str, Records], robot: Robot, body: RigidBody
 ) -> dict[str, PositionErrors]:
@@ -71,20 +64,21 @@ def simulate_tests(
             _warn(errors)
             return {}
         parts[law] = iter(errors)
-    found = {
-        test: PositionErrors(
-            joints=tuple(robot.description.joints),
-            lengths=LENGTHS,
-            windows={law: tuple(islice(part, len(LENGTHS))) for law, part in parts.items()},
-            open_loop={},
-        )
+    of_windows = {
+        test: {law: tuple(islice(part, len(LENGTHS))) for law, part in parts.items()}
         for test in windows
     }
-    for test, of_test in logs.items():
-        rows = [w.t.shape[1] for w in of_test]
-        free = {law: _over_all(list(islice(p, len(rows))), rows) for law, p in parts.items()}
-        found[test] = replace(found[test], open_loop=free)
-    return found
+    of_logs = {
+        test: {law: _over_all(part, of_test) for law, part in parts.items()}
+        for test, of_test in logs.items()
+    }
+    joints = tuple(robot.description.joints)
+    return {
+        test: PositionErrors(
+            joints=joints, lengths=LENGTHS, windows=errors, open_loop=of_logs.get(test, {})
+        )
+        for test, errors in of_windows.items()
+    }
 
 
 def _warn(reason: SimulationError) -> None:
@@ -122,11 +116,12 @@ def _weightless(logs: Logs, robot: Robot, body: RigidBody) -> bool:
     return bool(np.abs(weight).max() <= _WEIGHTLESS * largest)
 
 
-def _over_all(errors: Sequence[_Errors], rows: Sequence[int]) -> _Errors:
+def _over_all(errors: Iterator[_Errors], logs: Sequence[Windows]) -> _Errors:
     """Return the RMS over all rows of several logs."""
+    rows = [log.t.shape[1] for log in logs]
     return tuple(
         None
         if None in of_joint
         else float(np.sqrt(np.average(np.square(np.array(of_joint, dtype=float)), weights=rows)))
-        for of_joint in zip(*errors, strict=True)
+        for of_joint in zip(*islice(errors, len(logs)), strict=True)
     )

@@ -19,7 +19,8 @@ _BEYOND = 0.02  # share trained beyond a joint's first reversal
 def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     """Return a study file at `path`: the last log, or the end of a single log, is the test."""
     folder = path.resolve().parent
-    files = [Path(relpath(_file(log.path), folder)).as_posix() for log in proposal.logs]
+    paths = [log.path.resolve() for log in proposal.logs if log.path]
+    files = [Path(relpath(path, folder)).as_posix() for path in paths]
     lines = [
         "# Proposed by 'hesr inspect'; 'hesr run' runs it. Paths are relative to this file.",
         "",
@@ -59,11 +60,6 @@ def _share(log: Log) -> float:
     whole, first = log.t[-1] - log.t[0], [rows[0] for rows in found if len(rows)]
     late = float(np.max(log.t[first] - log.t[0], initial=0.0) / whole)
     return min(max(_TRAINED, late + _BEYOND), _MOST_TRAINED)
-
-
-def _file(path: Path | None) -> Path:
-    assert path is not None  # logs of a proposal come from files
-    return path.resolve()
 
 
 def _name(path: Path) -> str:

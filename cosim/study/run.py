@@ -250,12 +250,9 @@ def unfinished(output: Path) -> Path:
 def _command(study: Path, platforms: Sequence[str], *, quick: bool) -> str:
     """Return the command that repeats the run, without folders of the machine."""
     default = models_folder() / "studies" / "default.toml"
-    given = [study.name if study.is_absolute() else study.as_posix()]
-    return " ".join(
-        [
-            "hesr run",
-            *(given if study.resolve() != default.resolve() else []),
-            *(f"--platform {platform}" for platform in platforms if list(platforms) != ["linux64"]),
-            *(["--quick"] if quick else []),
-        ]
-    )
+    words = ["hesr run"]
+    if study.resolve() != default.resolve():
+        words.append(study.name if study.is_absolute() else study.as_posix())
+    if list(platforms) != ["linux64"]:
+        words += [f"--platform {platform}" for platform in platforms]
+    return " ".join([*words, "--quick"] if quick else words)

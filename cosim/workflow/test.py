@@ -256,7 +256,7 @@ def _predicted(
     progress: Stages,
 ) -> LawReport:
     """Add the scores of the laws on logs: FMUs are replayed, models computed."""
-    from cosim.study.position_errors import simulate_laws
+    from cosim.study.position_errors import simulate_tests
     from cosim.study.results import log_findings
     from cosim.study.scores import (
         by_joint,
@@ -287,7 +287,7 @@ def _predicted(
     positions = None
     if models:
         progress("simulating", 0, 1)
-        positions = simulate_laws(models, records, read.robot, body)
+        positions = simulate_tests(models, {"": records}, read.robot, body).get("")
     return replace(report, scores=scores, positions=positions, records=records, findings=findings)
 
 
