@@ -12,7 +12,7 @@ _LONGEST = 2000  # characters of a sentence; a file may contain millions
 
 
 class HesrError(Exception):
-    """Base of every error that a user can cause and fix; quoted files are shortened and escaped."""
+    """Base of errors that users can cause and fix; quoted files are shortened and escaped."""
 
     def __init__(self, sentence: str) -> None:
         if len(sentence) > _LONGEST:
@@ -37,7 +37,7 @@ class LogError(HesrError):
 
 
 class TableError(HesrError, ValueError, TypeError):
-    """A table in memory cannot be used; a ValueError and TypeError, as scikit-learn expects."""
+    """A table in memory cannot be used; also a ValueError and TypeError, as of scikit-learn."""
 
 
 class RobotError(HesrError):

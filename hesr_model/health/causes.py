@@ -19,7 +19,7 @@ from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Mask
 
-_ROWS = 450  # of all logs together
+_ROWS = 450  # total
 _BETTER = 2.0  # minimum reduction factor of the unexplained torque on a corrected joint
 _NO_WORSE = 1.25  # largest growth of the unexplained torque of other joints
 _EXPLAINED = 0.6  # minimum R^2 after the correction
@@ -28,7 +28,7 @@ _MOST = 8  # mistakes searched one after another
 
 
 def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> CandidateRows:
-    """Take the same number of rows from each log; `gravity` is (3,) [m/s2]."""
+    """Take equally many rows from each log."""
     each = [motion.thinned(max(_ROWS // len(motions), 60)) for motion in motions]
     q, v, a, tau = (
         np.concatenate([getattr(motion, name) for motion in each])
@@ -38,7 +38,7 @@ def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> Candidate
 
 
 def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
-    """Find the mistakes that best explain all logs together, the best one first."""
+    """Find the mistakes that explain all logs best, the best one first."""
     if not motions:
         return []
     moves = np.any([motion.moves for motion in motions], axis=0)

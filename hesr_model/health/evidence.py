@@ -14,7 +14,7 @@ from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array, Mask, some_rows
 
-_LEAST_TRAVEL = 5e-3  # of a joint that moves [rad or m]
+_LEAST_TRAVEL = 5e-3  # minimum travel of a moving joint [rad or m]
 _ROWS = 4000  # per log
 _KNEE = 0.1  # smoothing speed of the velocity's sign [rad/s, m/s]; at most a quarter of the peak
 
@@ -75,7 +75,7 @@ def motionwise(log: Log, cutoff: float) -> list[Motionwise]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Torques:
-    """Torques of the model along a motion (N, n); the mean of `gravity` may be an offset."""
+    """Torques of the model along a motion (N, n); gravity without its mean."""
 
     gravity: Array
     inertial: Array
@@ -106,7 +106,7 @@ def as_logged(
 
 
 def rubbing(v: Array) -> Array:
-    """Return Coulomb and viscous friction over `v` (N,) [rad/s], equally weighted."""
+    """Return Coulomb and viscous friction over `v` (N,), equally weighted."""
     peak = float(np.max(np.abs(v))) or 1.0
     return np.asarray(np.tanh(v / min(_KNEE, 0.25 * peak)) + v / peak)
 
@@ -148,13 +148,13 @@ class JointTorque:
 
     @property
     def bears_gravity(self) -> bool:
-        """Whether gravity, modelled or estimated, is well above the residual."""
+        """Whether gravity is well above the residual."""
         size = self.gravity_size * max(1.0, abs(self.gravity.value))
         return self.gravity_size > 1e-6 and size > 2.0 * self.residual
 
 
 def explain(tau: Array, gravity: Array, inertial: Array, v: Array) -> JointTorque:
-    """Regress `tau` on `gravity`, `inertial` [N.m] and friction over `v` [rad/s], (N,) each."""
+    """Regress `tau` (N,) on `gravity`, `inertial` and friction over `v`."""
     shape = rubbing(v)
     columns = np.column_stack([gravity, inertial, shape, np.ones_like(v)])
     size = np.linalg.norm(columns, axis=0) / np.sqrt(len(v))

@@ -34,7 +34,7 @@ CHECKS = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Examination:
-    """Findings, errors first, with torques and their regression by part, empty without a model."""
+    """Findings, and torques of the model and regressions of each part."""
 
     findings: tuple[Finding, ...]
     parts: tuple[Motionwise, ...]

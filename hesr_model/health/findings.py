@@ -26,7 +26,7 @@ def _said(findings: Sequence[Finding]) -> str:
 
 
 def of_log(log: Log, findings: Iterable[Finding]) -> list[Finding]:
-    """Return findings with the name of the log that they are about."""
+    """Return findings with the name of their log."""
     return [replace(finding, logs=(log.name,)) for finding in findings]
 
 
@@ -51,7 +51,7 @@ def _merged(findings: Iterable[Finding], key: Callable[[Finding], object]) -> li
 
 
 def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> list[Finding]:
-    """Return all findings, or raise HealthError with errors that are not accepted."""
+    """Return all findings, or raise HealthError with the errors not accepted."""
     refused = [f for f in findings if f.severity == "error" and f.check not in accepted]
     if refused:
         raise HealthError(_said(refused), refused)

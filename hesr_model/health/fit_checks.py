@@ -20,7 +20,7 @@ _NEGATIVE = 0.5  # share of the residual below which negative Coulomb friction m
 
 
 def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
-    """Check that a body's mass matrix is positive definite and that its friction brakes."""
+    """Check that a mass matrix is positive definite and friction brakes."""
     joints = model.description.joints
     lowest, q, joint = _least_inertia(body, model)
     if lowest <= 0.0:
@@ -60,7 +60,7 @@ def _least_inertia(body: RigidBody, model: Robot) -> tuple[float, Array, int]:
 def check_laws(
     models: Mapping[str, FrictionModel], records: Sequence[Sequence[FrictionRecord]]
 ) -> Iterator[Finding]:
-    """Check laws fitted to records [joint][log] for large errors and coefficients at bounds."""
+    """Check laws fitted to records [joint][log]."""
     records = all_at_friction(records)
     for name, model in models.items():
         for j, joint in enumerate(model.joints):

@@ -19,13 +19,13 @@ _HALF_WAY = 0.2  # share of the slowest interval in which friction changes its s
 
 
 def share_of_long_steps(log: Log) -> float:
-    """Return the share of steps between gaps that are longer than 1.8 median periods."""
+    """Return the share of steps between gaps above 1.8 median periods."""
     steps = np.diff(log.t)
     return float(np.mean(steps[steps <= log.longest_step] > 1.8 * log.period))
 
 
 def loses_rows(log: Log) -> bool:
-    """Return whether rows are missing throughout a log, not only in a few gaps."""
+    """Return whether rows are missing throughout a log."""
     return share_of_long_steps(log) > _SKIPPED
 
 

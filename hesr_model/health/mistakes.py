@@ -33,7 +33,7 @@ class CandidateRows:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mistake:
-    """A hypothesis, the changes of the robot file that it needs, and the corrected rows."""
+    """A hypothesis, its changes of the robot file, and the corrected rows."""
 
     check: str
     joint: int

@@ -43,7 +43,7 @@ class Proposal:
 
 
 def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal:
-    """Inspect logs of a known robot, or by their columns alone; see `propose`."""
+    """Inspect logs of a known robot, or by their columns alone."""
     if robot is not None:
         return propose(paths, description_of(robot), known=True)
     table = open_table(paths[0], "t")
@@ -84,7 +84,7 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
 
 
 def open_table(path: Path, time: str) -> LogTable | None:
-    """Open a log as a table of named columns; None for formats without names."""
+    """Open a log as a table of named columns, if its format has names."""
     if format_of(path) is not COLUMNS or not path.is_file():
         return None
     return read_matlab(path, time=time) if path.suffix.lower() == ".mat" else read_table(path)
@@ -205,7 +205,7 @@ def _value(robot: RobotDescription, key: str) -> Any:
 
 
 def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescription:
-    """Return a validated description with new values for some keys, as ``log.units.q``."""
+    """Return a description with new values for keys such as ``log.units.q``."""
     data = robot.model_dump()
     for key, value in changes.items():
         place = data
@@ -217,7 +217,7 @@ def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescrip
 
 
 def robot_file(proposal: Proposal, path: Path) -> str:
-    """Return the text of a robot file at `path`, with a reason for each line."""
+    """Return the text of a robot file at `path`, with reasons."""
     robot = proposal.robot
     plain = RobotDescription(name=robot.name, model=robot.model, joints=robot.joints)
     lines = ["# Proposed by 'hesr inspect'. Comments give certainty and reason.", ""]
@@ -258,7 +258,7 @@ def _toml(value: Any) -> str:
 
 
 def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of a table of all moving joints of all logs."""
+    """Yield a table of all moving joints of all logs."""
     examination = proposal.examination
     names = [part.log.name for part in examination.parts]
     for k, part in enumerate(examination.parts):

@@ -10,7 +10,7 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array, Mask
 
-_WINDOW = 0.1  # for the speed of a raw position [s]
+_WINDOW = 0.1  # averaging window of a speed [s]
 _MOVES = 0.05  # speed of a moving joint [rad/s; m/s]
 _LEVELS = 200  # distinct values of a finely quantised signal
 _HELD = 0.3  # share of rows equal to the row before
@@ -21,7 +21,7 @@ _TOO_FAST = 1.3  # speed over the model's limit; drives exceed it slightly
 
 
 def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:
-    """Check raw signals of a log for held samples, stuck values and single outliers."""
+    """Check raw signals for held samples, stuck values and single outliers."""
     if len(log.t) < 2 * _STUCK_ROWS:
         return
     speed = _speeds(log)

@@ -32,7 +32,7 @@ _EARLY, _ALONE = 0.1, 0.1
 
 On measured logs friction alone looks early by .05 s on most joints, and late by .06 s on one.
 """
-_SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)  # of the inertial torque: squared rates of stamps
+_SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)  # factors of inertial torque: squared stamp rates
 _OFF = 1.4  # reported factor of a wrong time-stamp rate
 _SURE = 25.0  # threshold for twice the log-likelihood ratio: five standard errors
 _SHORTEST = 8.0  # minimum duration of a log over the largest delay

@@ -22,7 +22,7 @@ _SEEN = 0.5  # minimum gravity torque over the residual to judge its sign
 _WEIGHTLESS = 0.1  # share of the model's gravity below which a torque contains none
 _ABOVE_LIMIT, _BELOW_OTHERS = 10.0, 30.0  # peak torque over the model's limit; others' use over own
 
-Explained = Mapping[int, JointTorque]  # regression of the torque of each moving joint, by its index
+Explained = Mapping[int, JointTorque]  # by index of the joint
 
 
 def explained(motion: Motionwise, torques: Torques) -> Explained:
@@ -38,7 +38,7 @@ def explained(motion: Motionwise, torques: Torques) -> Explained:
 def check_torque(
     motion: Motionwise, found: Explained, model: Robot, late: Collection[int] = ()
 ) -> Iterator[Finding]:
-    """Check the torques of one part of a log; skip the scale of `late` joints."""
+    """Check the torques of a part of a log, but the scale of `late` joints."""
     for j, fit in found.items():
         yield from _sign(fit, j, model)
         if j not in late:
@@ -91,7 +91,7 @@ def _sign(fit: JointTorque, j: int, model: Robot) -> Iterator[Finding]:
 def sign_change(
     robot: RobotDescription, j: int | None, *, position: bool
 ) -> tuple[str, dict[str, object]]:
-    """Return the change that reverses a torque or a position, of all joints if `j` is None."""
+    """Return the change that reverses a torque or a position, of all joints without `j`."""
     n = len(robot.joints)
 
     def turned(key: str) -> tuple[str | float, ...]:

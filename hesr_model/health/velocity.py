@@ -33,7 +33,7 @@ class Match:
 
 
 def match(v: Array, dq: Array, period: float) -> Match:
-    """Compare `v`, the derivative of a position, with `dq`, (N,) [rad/s], `period` [s] apart."""
+    """Compare `v`, the derivative of a position, with `dq` (N,), `period` [s] apart."""
     correlation = _correlation(v, dq)
     slope = float(np.std(v)) / max(float(np.std(dq)), 1e-300) * (-1.0 if correlation < 0 else 1.0)
     error = float(standard_errors(dq[:, None], v - slope * dq)[0]) if np.any(dq) else np.inf
@@ -60,7 +60,7 @@ def _lag(v: Array, dq: Array, period: float) -> float:
 def check_velocity(
     motion: Motionwise, robot: RobotDescription, without: Collection[str] = ()
 ) -> Iterator[Finding]:
-    """Check one part of a log; skip resting joints and those in `without`."""
+    """Check a part of a log; skip resting joints and those in `without`."""
     if motion.dq is None:
         return
     dq = motion.dq

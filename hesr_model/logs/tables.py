@@ -20,17 +20,17 @@ _LONGEST_NAME = 60  # characters of a name
 _MOST_CSV = 2**31 - 2  # bytes of a single block
 _LONGEST_LINE = 2**24  # characters
 _DELIMITERS = ",;\t "
-_MARKS = "#%"  # of comments, sometimes of a header
+_MARKS = "#%"  # marks of comments, sometimes of a header
 _SEARCHED = 500  # lines searched for data; those above the header are a preamble
 _UNIT_CELL = re.compile(r"[(\[].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad/s|deg/s|-|")
 _SINCE_1970 = 1e8  # stamps above [s] (three years) count from an epoch
-_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # with a decimal comma
+_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # decimal comma
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d[T ][\d:.]+Z?")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogTable:
-    """An open table file; `others` are mentioned if a column is missing."""
+    """An open table file; messages on missing columns mention `others`."""
 
     path: Path
     names: tuple[str, ...]
@@ -124,7 +124,7 @@ def listed(names: Sequence[str]) -> str:
 
 
 def most_bytes(path: Path) -> int:
-    """Return the allowed memory [B] of a packed file's data, to refuse bombs."""
+    """Return the allowed memory [B] of a packed file, to refuse bombs."""
     return 10 * path.stat().st_size + 300 * 2**20
 
 
@@ -296,7 +296,7 @@ def _read_parquet(path: Path) -> Any:
             return file.read()
     except LogError:
         raise
-    except Exception as error:  # of many kinds
+    except Exception as error:  # many kinds
         raise LogError(f"{path}: cannot be read as Parquet.") from error
 
 

@@ -57,7 +57,7 @@ class Streamed:
 
     @property
     def fits(self) -> bool:
-        """Whether those rows were dropped; if not, add the motions again with these speeds."""
+        """Whether those rows were dropped; otherwise add the motions again."""
         return np.array_equal(self.slow, self._used)
 
     def add(self, motion: Motion) -> None:

@@ -142,7 +142,7 @@ class RigidBody:
         return model.torque(self.parameters_for(model), motion.q, motion.dq, motion.ddq)
 
     def parameters_for(self, model: Robot) -> Array:
-        """Return the parameters (P,), or raise RobotError if they belong to another robot."""
+        """Return the parameters (P,), or raise RobotError for another robot."""
         if self.names != model.parameter_names:
             raise RobotError(
                 f"the rigid body of '{self.robot}' with {len(self.names)} parameters does not fit "
@@ -320,7 +320,7 @@ def body_of(
     method: Method,
     weighting: Weighting,
 ) -> RigidBody:
-    """Return the rigid body of a solution; its first unknowns are the base parameters."""
+    """Return the rigid body of a solution that begins with the base parameters."""
     # Drop the friction columns.
     covariance = covariance.mapped(
         [model.parameter_names[k] for k in base], np.eye(len(base), len(solution.x))
@@ -368,7 +368,7 @@ def require_samples(where: str, rows: int, unknowns: int) -> None:
 
 
 def require_speed(where: str, peaks: Array, model: Robot) -> None:
-    """Raise FitError if the peak speed (n,) of a joint is too small."""
+    """Raise FitError if a joint's peak speed is too small."""
     for joint, peak in zip(model.description.joints, peaks, strict=True):
         if not peak > LEAST_PEAK:
             raise FitError(

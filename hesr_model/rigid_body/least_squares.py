@@ -10,8 +10,8 @@ from hesr_model.inference.covariance import Covariance, blocks_of_time, covarian
 from hesr_model.support.arrays import Array, Integers
 
 _REWEIGHTINGS = 2
-_HUGE_CONDITION = 1e3  # above it a ridge is needed; identification motions have some hundreds
-_RIDGE = 3e-3  # over the largest singular value; best on short and poorly exciting measured logs
+_HUGE_CONDITION = 1e3  # threshold of a ridge; identification motions have some hundreds
+_RIDGE = 3e-3  # ridge over the largest singular value; best on poor measured logs
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,7 +31,7 @@ class Factor:
     rows: int = 0
 
     def with_rows(self, block: Block) -> "Factor":
-        """Return the factor of the present rows and those of a block."""
+        """Return the factor with further rows."""
         below = np.column_stack([block.matrix, block.target])
         (factor,) = qr(np.concatenate([self.triangle, below]), mode="r", check_finite=False)
         return Factor(
@@ -72,7 +72,7 @@ def solve(blocks: Sequence[Block], *, scale: Array, weighted: bool) -> Solution:
 
 
 def solve_factors(factors: Sequence[Factor], *, scale: Array, weighted: bool) -> Solution:
-    """Solve as `solve` does, from the factors of the blocks."""
+    """Solve as `solve` does, from factors."""
     weights = np.ones(len(factors))
     solution = _solve(factors, weights, scale)
     for _ in range(_REWEIGHTINGS if weighted else 0):

@@ -47,7 +47,7 @@ def logs_of(motions: Sequence[Motion]) -> Integers:
 
 
 def per_joint(found: Array, friction: Mask) -> Array:
-    """Return coefficients `found` of the columns `friction` (n, 3) by joint, (n, 3), else 0."""
+    """Return coefficients of the columns `friction` (n, 3) by joint, else 0."""
     coefficients = np.zeros(friction.shape)
     coefficients[friction] = found
     return coefficients

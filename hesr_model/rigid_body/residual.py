@@ -119,7 +119,7 @@ def motion_records(motion: Motion, model: Robot, rigid_body: RigidBody) -> list[
 
 
 def require_reversals(records: Sequence[FrictionRecord]) -> None:
-    """Raise LogError if the velocity of one joint reverses in none of its records."""
+    """Raise LogError if the velocity of a joint reverses in no record."""
     if not any(len(reversals(record.dq)) for record in records):
         unit = unit_of_joint("rad/s", slides=records[0].sliding)
         raise LogError(

@@ -27,7 +27,7 @@ def load(path: Path, *, mimic: bool = False) -> Any:
         return pinocchio.buildModelFromUrdf(str(path), mimic=mimic)
     except RobotError:
         raise
-    except Exception as error:  # of many kinds
+    except Exception as error:  # many kinds
         kind = "an MJCF" if is_mjcf else "a URDF"
         reason = " ".join(str(error).split()).rstrip(".")
         raise RobotError(f"{path}: cannot be parsed as {kind} ({reason}).") from error
@@ -82,7 +82,7 @@ def _slides(joint: Any) -> bool:
 
 
 def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
-    """Return the wanted or all usable joints; raises RobotError if one is unusable."""
+    """Return the wanted or all usable joints, or raise RobotError."""
     joints = {joint.name: joint for joint in joints_of(path)}
     for name in wanted:
         if name not in joints:

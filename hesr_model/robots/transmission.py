@@ -23,7 +23,7 @@ from hesr_model.support.config import Config
 
 Side = Literal["motor", "joint"]
 
-_MOST_CONDITION = 1e8  # of the matrix with rows divided by the gear ratios
+_MOST_CONDITION = 1e8  # matrix with rows divided by gear ratios
 
 
 class Transmission(Config):

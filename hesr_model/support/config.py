@@ -49,7 +49,7 @@ def _beside_the_toml(path: Path, info: ValidationInfo) -> Path:
     return Path(os.path.realpath(folder / path))
 
 
-RelativePath = Annotated[Path, AfterValidator(_beside_the_toml)]  # a path relative to its TOML file
+RelativePath = Annotated[Path, AfterValidator(_beside_the_toml)]  # to its TOML file
 
 PrintableName = Annotated[str, AfterValidator(require_printable)]
 """A name without control characters, which an FMU's description cannot contain."""

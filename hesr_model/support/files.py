@@ -21,7 +21,7 @@ _LOCK = f"{_TEMPORARY}lock"
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the writer; others may come from files that the block reads."""
 
-PathArg = str | os.PathLike[str]  # a path argument of the public API
+PathArg = str | os.PathLike[str]
 
 _log = logging.getLogger(__name__)
 
@@ -36,7 +36,7 @@ def path_of(value: object, what: str) -> Path:
 
 
 def models_folder() -> Path:
-    """Return the folder of the shipped robots and studies, for every kind of installation."""
+    """Return the folder of the shipped robots and studies."""
     installed = Path(__file__).parents[1] / "_models"
     return installed if installed.is_dir() else Path(__file__).parents[2] / "models"
 
@@ -85,13 +85,13 @@ def _room_for(path: Path) -> Iterator[None]:
 
 
 def is_empty(folder: Path) -> bool:
-    """Return whether a folder contains at most leftovers of a killed run."""
+    """Return whether a folder has at most leftovers of a killed run."""
     return all(entry.name.startswith(_TEMPORARY) for entry in folder.iterdir())
 
 
 @contextmanager
 def folder_made(path: Path) -> Iterator[None]:
-    """Make a folder and its parents; new ones are removed again if they stay empty."""
+    """Make a folder and its parents; new ones are removed if they stay empty."""
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     with ExitStack() as cleanup:
         for folder in reversed(missing):

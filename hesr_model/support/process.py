@@ -74,7 +74,7 @@ def new_mark() -> str:
 
 
 def end_marked(mark: str) -> None:
-    """Kill all processes, except this one, that have a mark in their environment."""
+    """Kill all other processes with a mark in their environment."""
     import psutil
 
     for _ in range(_ROUNDS):
@@ -92,7 +92,7 @@ def end_marked(mark: str) -> None:
 
 
 def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
-    """Run a program in a folder, or raise FailedError if that fails or takes too long."""
+    """Run a program in a folder; raises FailedError, also after `seconds`."""
     with tempfile.TemporaryFile(dir=folder) as output:
         child = ChildProcess(
             command,
@@ -112,7 +112,7 @@ def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
 
 
 def how_it_ended(code: int) -> str:
-    """Return how a program ended, by its exit code or negative signal, for messages."""
+    """Return how a program ended, by exit code or negative signal, for messages."""
     if code >= 0:
         return f"ended its process with exit code {code}"
     with contextlib.suppress(ValueError):

@@ -19,7 +19,7 @@ def silent(*_told: object) -> None:
 
 
 def counted(items: Collection[Item], progress: Progress) -> Iterator[Item]:
-    """Yield items; report the number of finished ones before each and after the last."""
+    """Yield items; report the number of finished ones."""
     for done, item in enumerate(items):
         progress(done, len(items))
         yield item
@@ -33,7 +33,7 @@ _LOOKED = 0.3  # [s] between two polls of workers
 
 
 def step(done: int, total: int) -> None:
-    """Report finished starts or candidates of a search to `steps_told`, if active."""
+    """Report finished starts or candidates of a search to `steps_told`."""
     _steps.get()(done, total)
 
 
@@ -48,7 +48,7 @@ def steps_told(to: Progress) -> Iterator[None]:
 
 
 def into_file(path: Path) -> Progress:
-    """Return a progress that writes the largest share into a file, for another process."""
+    """Return a progress that writes the largest share into a file."""
     most = 0
 
     def tell(done: int, total: int) -> None:

@@ -46,7 +46,7 @@ def write_json(path: Path, data: Mapping[str, Any], *, indent: int | None = 2) -
 
 
 def read_json(path: Path, expected_format: str | None = None) -> Any:
-    """Read a JSON object without its 'format'; raises ArtifactError, also for another format."""
+    """Read a JSON object of the expected format; raises ArtifactError."""
     try:
         data = parse_json(read_text(path))
     except FileNotFoundError as error:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 Data = TypeVar("Data")
 
 MOST_BYTES = 256 * 2**20  # the largest results have a tenth of it
-_MOST_DIGITS = 300  # of an integer; floating-point numbers end at 1.8e308
+_MOST_DIGITS = 300  # floating-point numbers end at 1.8e308
 _DEEPEST_KEY = 100  # dots
 _LONGEST_NAME = 1000
 

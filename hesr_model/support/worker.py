@@ -77,12 +77,12 @@ def _answer(file: Path, k: int) -> bytes:
         answer = error, None, USED - before
     try:
         return bytes(cloudpickle.dumps(answer))
-    except Exception:  # of a class that cannot be pickled
+    except Exception:  # its class cannot be pickled
         return bytes(cloudpickle.dumps((RuntimeError(repr(answer[0])), None, answer[2])))
 
 
 def read_answer(answers: IO[bytes]) -> JobAnswer:
-    """Read one answer in the parent; raise EOFError if the worker has ended."""
+    """Read one answer in the parent; raises EOFError if the worker has ended."""
     size = answers.readline()
     data = answers.read(int(size or 0))
     if not size or len(data) < int(size):

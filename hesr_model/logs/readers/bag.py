@@ -113,7 +113,7 @@ def _messages(path: Path, topic: str) -> Iterator[_Message]:
                 )
     except LogError:
         raise
-    except Exception as error:  # of many kinds
+    except Exception as error:  # many kinds
         reason = " ".join(str(error).split()).rstrip(".")
         raise LogError(f"{path}: cannot be read as a ROS bag ({reason}).") from error
 

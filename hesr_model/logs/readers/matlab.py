@@ -57,7 +57,7 @@ def _classic(path: Path) -> Iterator[tuple[str, Array]]:
         content = loadmat(path, simplify_cells=True)
     except OverflowError as error:
         raise _too_large(path) from error
-    except Exception as error:  # of many kinds
+    except Exception as error:  # many kinds
         raise LogError(f"{path}: cannot be read as a MATLAB file.") from error
     return _numeric({k: v for k, v in content.items() if not k.startswith("__")}, "")
 
@@ -111,6 +111,6 @@ def _hdf5(path: Path) -> Iterator[tuple[str, Array]]:
             file.visititems(visit)
     except LogError:
         raise
-    except Exception as error:  # of many kinds
+    except Exception as error:  # many kinds
         raise LogError(f"{path}: cannot be read as a MATLAB file.") from error
     return iter(found)
