@@ -36,16 +36,8 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
     "tau": {"mnm": "mN.m"},
     "current": {"ma": "mA"},
     "temperature": {"kelvin": "K"},
-    "t": {
-        "ms": "ms",
-        "msec": "ms",
-        "us": "us",
-        "usec": "us",
-        "ns": "ns",
-        "nsec": "ns",
-        "nanoseconds": "ns",
-        "milliseconds": "ms",
-    },
+    "t": {word: word[:2] for word in ("ms", "msec", "us", "usec", "ns", "nsec")}
+    | {"nanoseconds": "ns", "milliseconds": "ms"},
 }
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
 _NUMBER = re.compile(r"(?<!\d)\d{1,9}(?!\d)")  # a joint number; longer ones are slow to parse

@@ -50,7 +50,7 @@ class LogTable:
         try:
             rows = islice(_csv_rows(self.path, self._dialect), index + 1, None)
             return next(number for number, _ in rows)
-        except (csv.Error, UnicodeDecodeError, StopIteration):  # Arrow reads more than Python
+        except (LogError, StopIteration):  # Arrow reads more than Python
             return index + 2
 
     def numbers(self, names: Sequence[str], *, missing: bool = False) -> Array:
@@ -159,9 +159,7 @@ def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = (
 
 def write_table(path: Path, columns: Mapping[str, Array]) -> None:
     """Write columns (N,) as CSV or Parquet, by the suffix, with all digits."""
-    import pyarrow
-
-    table = pyarrow.table({name: np.ascontiguousarray(column) for name, column in columns.items()})
+    table = table_of(path, columns)._arrow
     if _is_parquet(path):
         import pyarrow.parquet
 
@@ -199,7 +197,7 @@ def _dialect(path: Path) -> _Dialect:
                 for cell in line.split(delimiter)
             )
     except (UnicodeDecodeError, csv.Error) as error:
-        raise LogError(f"{path}: cannot be read as CSV text.") from error
+        raise _no_csv(path) from error
     return _Dialect(delimiter=delimiter, decimal="," if commas else ".", header=header, data=data)
 
 
@@ -253,13 +251,20 @@ def _lines(file: TextIO) -> Iterator[str]:
 
 def _csv_rows(path: Path, dialect: _Dialect) -> Iterator[tuple[int, list[str]]]:
     """Yield header and rows of a CSV, without comments, with their lines from 1."""
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.reader(_lines(file), delimiter=dialect.delimiter)
-        for cells in reader:
-            number = reader.line_num
-            is_row = number >= dialect.data and not _is_comment(cells)
-            if cells and (number == dialect.header or is_row):
-                yield number, cells
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(_lines(file), delimiter=dialect.delimiter)
+            for cells in reader:
+                number = reader.line_num
+                is_row = number >= dialect.data and not _is_comment(cells)
+                if cells and (number == dialect.header or is_row):
+                    yield number, cells
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise _no_csv(path) from error
+
+
+def _no_csv(path: Path) -> LogError:
+    return LogError(f"{path}: cannot be read as CSV text.")
 
 
 def _is_comment(cells: Sequence[str]) -> bool:
@@ -311,10 +316,7 @@ def _read_csv(path: Path, dialect: _Dialect) -> Any:
     import pyarrow
     import pyarrow.csv
 
-    try:
-        _, header = next(_csv_rows(path, dialect), (0, []))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise LogError(f"{path}: cannot be read as CSV text.") from error
+    _, header = next(_csv_rows(path, dialect), (0, []))
     if not header:
         raise LogError(f"{path}: is empty; a log needs a header and rows of data.")
     names = _names(header)
@@ -350,14 +352,9 @@ def _names(header: Sequence[str]) -> list[str]:
 
 def _ragged(path: Path, dialect: _Dialect, width: int) -> LogError:
     """Return the error at the first row of another length."""
-    try:
-        rows = _csv_rows(path, dialect)
-        next(rows)
-        for number, cells in rows:
-            if len(cells) != width:
-                return LogError(
-                    f"{path}: row {number} has {len(cells)} cells; the header has {width} columns."
-                )
-    except (UnicodeDecodeError, csv.Error):
-        pass
-    return LogError(f"{path}: cannot be read as CSV text.")
+    for number, cells in islice(_csv_rows(path, dialect), 1, None):
+        if len(cells) != width:
+            return LogError(
+                f"{path}: row {number} has {len(cells)} cells; the header has {width} columns."
+            )
+    return _no_csv(path)
