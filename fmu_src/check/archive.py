@@ -34,10 +34,7 @@ class Contents:
 
 
 def unpack(path: Path, folder: Path) -> Contents:
-    """Read an archive into numbered files of an empty folder.
-
-    Raises ArtifactError if the archive cannot be opened.
-    """
+    """Read an archive into numbered files of an empty folder; raise ArtifactError."""
     with opened(path) as file:
         try:
             archive = entries(file)
@@ -81,7 +78,6 @@ def _read_all(archive: zipfile.ZipFile, folder: Path) -> Contents:
 
 
 def _oddities(entry: zipfile.ZipInfo) -> Iterator[str]:
-    """Yield a sentence for each hazard of an entry, and for each difference between systems."""
     yield from hazards(entry)
     if "\\" in entry.filename:
         yield (

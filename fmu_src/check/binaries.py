@@ -192,7 +192,6 @@ def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[str]:
 
 
 def _place(name: str) -> str:
-    """Return the run path to the library's own folder; macOS names folders explicitly."""
     for start in ("@rpath/", "@loader_path/"):
         if name.startswith(start):
             return name.removeprefix(start)
@@ -200,7 +199,6 @@ def _place(name: str) -> str:
 
 
 def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Iterator[str]:
-    """Yield dependencies that are missing when the library is loaded."""
     python = [name for name in part["imports"] if _PYTHON.fullmatch(name)]
     others = []
     for name in part["libraries"]:

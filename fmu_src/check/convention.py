@@ -1,8 +1,7 @@
-"""Results of an FMU for one motion under different input conventions.
+"""Errors of an FMU for one motion under different input conventions.
 
 Importers differ in when they set the inputs of a step (`fmu_src.friction.settings`), which matters
-for laws that change fast around reversals. The FMU is run in each way and compared with its law as
-logs are replayed, and with its law in continuous time.
+for laws that change fast around reversals.
 """
 
 from collections.abc import Mapping
@@ -25,27 +24,21 @@ from hesr_model.support.arrays import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Convention:
-    """Errors of an FMU's torque by setting and joint.
-
-    `replay` compares with the law as logs are replayed (the direct setting, which is off by
-    round-off only), `continuous` with the law in continuous time and inputs linear between samples.
-    """
+    """Errors of an FMU's torque by setting and joint, against its law."""
 
     joints: tuple[str, ...]
     sliding: tuple[bool, ...] = ()  # empty if all joints turn
     step: float  # sample time of the model [s]
     frequency: float  # of the sinusoidal velocity [Hz]
     speeds: tuple[float, ...]  # amplitudes of the velocity [rad/s]
-    replay: Mapping[str, tuple[Error, ...]]
-    continuous: Mapping[str, tuple[Error, ...]]
+    replay: Mapping[str, tuple[Error, ...]]  # in the direct setting, as logs are replayed
+    continuous: Mapping[str, tuple[Error, ...]]  # with inputs linear between samples
 
 
 def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Convention:
-    """Run a friction FMU on the reference motion in every setting, at its model's sample time.
+    """Run a friction FMU on sinusoids of `frequency` [Hz] in every setting, with its sample time.
 
-    All joints make the same motion, from rest at the middle of a sinusoid with `frequency` [Hz].
-    Raises ArtifactError if the FMU or its model is damaged, SimulationError if `judge` refuses it
-    or it fails.
+    Raises ArtifactError if it or its model is damaged, SimulationError if it is refused or fails.
     """
     model = judge(fmu)
     motion = reference_motion(model, frequency=frequency, periods=periods)
@@ -67,10 +60,7 @@ def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Conv
 
 
 def judge(fmu: Path) -> FrictionModel:
-    """Return the model in a friction FMU, without running the FMU.
-
-    Raises SimulationError if there is none, it is adaptive or thermal, or connectors are missing.
-    """
+    """Return the model in a friction FMU; raise SimulationError unless it can be measured."""
     model = embedded_model(fmu)
     if model is None:
         raise SimulationError(f"{fmu}: contains no friction model to compare with.")

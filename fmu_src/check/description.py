@@ -1,7 +1,4 @@
-"""modelDescription.xml of FMI 2.0 or 3.0 as plain data, read without assuming that it is valid.
-
-Invalid numbers are None here: the schema check reports them.
-"""
+"""modelDescription.xml of FMI 2.0 or 3.0 as plain data; invalid numbers are None."""
 
 import math
 import re
@@ -22,13 +19,13 @@ _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?INF|
 
 
 def integer(text: str | None) -> int | None:
-    """Return an integer, or None if the text is invalid."""
+    """Return an integer, None if invalid."""
     text = (text or "").strip()
     return int(text) if _INTEGER.fullmatch(text) else None
 
 
 def real(text: str | None) -> float | None:
-    """Return a number, or None if the text is invalid or NaN."""
+    """Return a number, None if invalid or NaN."""
     text = (text or "").strip()
     value = float(text) if _REAL.fullmatch(text) else math.nan
     return None if math.isnan(value) else value
@@ -101,7 +98,7 @@ class Unknown:
 
 @dataclass(frozen=True, kw_only=True)
 class ParsedDescription:
-    """All data of the rules; `lists` maps names of `structure`, those of FMI 2.0, to elements."""
+    """All data of the rules; `lists` maps the keys of `structure` to elements."""
 
     fmi: int
     lists: Mapping[str, str]

@@ -1,7 +1,4 @@
-"""External validators: FMPy and VDMCheck2.
-
-They get a copy of the FMU with the same names, in which only checked XML files have content.
-"""
+"""FMPy and VDMCheck2, run on a copy of the FMU in which only checked XML files have content."""
 
 import re
 import shutil
@@ -18,7 +15,7 @@ from hesr_model.support.text import listed, plain
 FMPY_SECONDS = 120.0
 VDMCHECK_SECONDS = 300.0
 
-DEFAULT_VDMCHECK = Path(".tools/vdmcheck2")  # default folder, below the current one
+DEFAULT_VDMCHECK = Path(".tools/vdmcheck2")
 JAR = "vdmcheck2.jar"
 
 _LONGEST = 1000  # characters of a message: FMPy lists all unknowns in one
@@ -28,7 +25,7 @@ _LINE = re.compile(r" at \w+\.xml:(\d+)$")
 
 
 def write_copy(contents: Contents, readable: Iterable[str], path: Path) -> None:
-    """Write an archive with the same names, and with the content of readable files only."""
+    """Write an archive with the same names and the content of readable files."""
     readable = set(readable)
     with zipfile.ZipFile(path, "w") as archive:
         for name in contents.names:
@@ -48,7 +45,7 @@ def fmpy(copy: Path, folder: Path) -> tuple[list[str], list[str]]:
 
 
 def _with_difference(text: str) -> str:
-    """Return a sentence of FMPy; if it compares two sets of names, with their difference."""
+    """Return a sentence of FMPy with the difference of the two sets that it compares."""
     sentence, sets = _sentence(text), _SETS.search(text)
     if not sets:
         return sentence

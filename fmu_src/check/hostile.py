@@ -1,9 +1,9 @@
 """Behaviour of an FMU under adverse masters: odd step sizes, unusual calls.
 
 The reference is the same FMU at an eighth of its preferred step, and at half of it with inputs held
-for twice that step, as masters may do. An output jumps if it leaves the range of the reference
-around its time by several step errors. The step error is its distance from this range at the
-preferred step, with outputs included that follow new inputs before the step.
+for twice that step. An output jumps if it leaves the range of the reference around its time by
+several step errors. The step error is its distance from this range at the preferred step, including
+outputs that follow new inputs before the step.
 """
 
 import math
@@ -28,8 +28,8 @@ from fmu_src.run.sandbox import NONSENSE, Sandbox
 from hesr_model.support.arrays import Array
 from hesr_model.support.text import plain, quoted
 
-SECONDS = 300.0  # time limit of a scenario [s]
-STEPS = 200  # number of steps of the nominal run
+SECONDS = 300.0  # for a scenario
+STEPS = 200  # of the nominal run
 _SCENARIO = "fmu_src.check.hostile_scenarios:outcome"
 _STEP = 0.01  # [s], unless the FMU prefers one
 _ERRORS = 5.0  # threshold of a jump, in step errors of the nominal run
@@ -72,10 +72,7 @@ class _Run:
 def problems(
     about: ParsedDescription, contents: Contents, folder: Path
 ) -> tuple[list[str], list[str]]:
-    """Return the findings of a hostile master, and reasons for scenarios that were not run.
-
-    It runs the binary of an FMU of FMI 2.0; `folder` is for temporary files.
-    """
+    """Run an FMU of FMI 2.0; return findings, and reasons for scenarios that were not run."""
     own = f"binaries/{PLATFORM}/"
     kinds = {
         kind.element: kind
@@ -176,8 +173,6 @@ class _Master:
                 sandbox.kill()
         return found
 
-    # --- jumps --------------------------------------------------------------------------------
-
     def _jumps(self, runs: Mapping[str, _Run]) -> Iterator[str]:
         nominal = runs.get("nominal")
         if nominal is None or nominal.refused:
@@ -245,7 +240,7 @@ def _excitation(variable: ParsedVariable) -> dict[str, Any]:
 
 
 def _run(outcome: Any, outputs: int) -> _Run:
-    """Return an outcome; raise ValueError, TypeError or AttributeError if it is nonsense."""
+    """Return an outcome; raise ValueError, TypeError or AttributeError."""
     times = np.array(outcome.get("times", []), dtype=float)
     fresh, refused = outcome.get("fresh", []), outcome.get("refused", "")
     if not isinstance(refused, str):

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from fmu_src.run.instance import WARNING, CallError, Instance, LoadError, UnpackedFmu
 
-MOST_REPEATS = 20  # most repetitions of a discarded step, and most events at one instant
+MOST_REPEATS = 20  # of a discarded step, and of events at one instant
 ROUNDING = 1e-14  # step [s] left by the round-off of summed times
 _DISCARD = 2
 _OUTCOMES = {2: "is discarded", 3: "ends in an error", 4: "ends in a fatal error"}
@@ -23,7 +23,7 @@ class RefusedError(Exception):
 
 
 def outcome(plan: Mapping[str, Any], scenario: str) -> dict[str, Any]:
-    """Run a scenario of a plan (see `fmu_src.check.hostile`) and return its times and values."""
+    """Run a scenario of a plan of `fmu_src.check.hostile` and return its times and values."""
     run: _Run | None = None
     try:
         run = _Run(plan, exchange=scenario in _EXCHANGES)
@@ -119,9 +119,6 @@ class _Run:
         self.record()
 
 
-# --- co-simulation ----------------------------------------------------------------------------
-
-
 def _stepped(run: _Run, scenario: str) -> None:
     for step in _steps(scenario, run.step, run.plan["steps"]):
         run.advance(step)
@@ -147,7 +144,7 @@ def _steps(scenario: str, step: float, count: int) -> Iterator[float]:
 
 
 def _held(run: _Run, _scenario: str) -> None:
-    """Hold inputs for twice the preferred step, and read outputs twice within each."""
+    """Hold inputs for twice the preferred step."""
     for _ in range(run.plan["steps"] // 2 + 2):
         run.set_inputs(run.time)
         for _ in range(4):
@@ -156,7 +153,7 @@ def _held(run: _Run, _scenario: str) -> None:
 
 
 def _refreshed(run: _Run, _scenario: str) -> None:
-    """Read outputs twice once the inputs are set, as masters with direct feedthrough do."""
+    """Read outputs twice once inputs are set, as for direct feedthrough."""
     run.found["fresh"] = []
     for _ in range(run.plan["steps"]):
         run.set_inputs(run.time)
@@ -167,7 +164,7 @@ def _refreshed(run: _Run, _scenario: str) -> None:
 
 
 def _repeated(run: _Run, _scenario: str) -> None:
-    """Take steps back repeatedly, as masters with iteration or step control do."""
+    """Take steps back, as masters with iteration or step control do."""
     longer = run.step * (2.0 if run.plan["variable"] else 1.0)
     for k in range(run.plan["steps"]):
         if k % 5 == 0:
@@ -184,8 +181,6 @@ def _repeated(run: _Run, _scenario: str) -> None:
 
 _SIMULATIONS = {"refreshed": _refreshed, "repeated": _repeated, "held": _held}
 """Scenarios that do more than step."""
-
-# --- model exchange ---------------------------------------------------------------------------
 
 
 class _Stale:
@@ -274,7 +269,7 @@ def _events(run: _Run) -> None:
 
 
 def _sizes(run: _Run, _scenario: str) -> None:
-    """Pass one state too many, as solvers do that need at least one state."""
+    """Pass one state too many, as solvers that need at least one state do."""
     _events(run)
     size = run.plan["states"] + 1
     try:

@@ -1,4 +1,4 @@
-"""Untrusted XML: no DTD, no entities, bounded in size; then the schema of FMI."""
+"""Untrusted XML: without DTD and entities, bounded in size, and valid by the schema of FMI."""
 
 import re
 from dataclasses import dataclass
@@ -84,7 +84,6 @@ def parse(name: str, file: Path) -> tuple[etree._Element | None, list[str]]:
 
 
 def _not_utf8(data: bytes) -> int | None:
-    """Return the index of the first byte that is not valid UTF-8."""
     try:
         data.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -94,10 +93,7 @@ def _not_utf8(data: bytes) -> int | None:
 
 
 def schema_problems(name: str, file: Path, folder: Path) -> list[str]:
-    """Return the schema violations of XML that can be read.
-
-    Validation time grows with the square of the number of errors, so it is limited.
-    """
+    """Return the schema violations of an XML file; time is limited, being quadratic in errors."""
     try:
         reader = "fmu_src.check.readers:compare"
         found = run_in_sandbox(reader, str(file), folder=folder, seconds=SECONDS)

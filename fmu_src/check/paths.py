@@ -10,13 +10,13 @@ from pathlib import Path
 from fmu_src.check.archive import Contents
 from hesr_model.support.text import plain, quoted
 
-MOST_PATHS = 100  # maximum number of paths per file; the first one and the number are reported
+MOST_PATHS = 100  # per file; the first one and the number are reported
 _NAME = rb"[A-Za-z0-9_.+@-]{1,100}"
-# Folders of users or for temporary files, with two names in them.
+# Folders of users or temporary files.
 _OF_USERS = re.compile(
     rb"/(?:home|Users|tmp|builds|var/tmp|var/folders)/%(n)s/%(n)s" % {b"n": _NAME}
 )
-# "root" is also a common name of an XML element, so a dot is required in the rest.
+# A dot is required in the rest, because "root" is a common name of XML elements.
 _OF_ROOT = re.compile(rb"/root/[A-Za-z0-9_.+@/-]{0,100}\.[A-Za-z0-9_+-]{1,50}")
 _PART = rb"[^\x00-\x1f\\/:*?\"<>|]{1,100}"
 _OF_WINDOWS = re.compile(

@@ -1,4 +1,4 @@
-"""Readers of untrusted files that run in the sandbox, so that no file can stall a check."""
+"""Readers of untrusted files, run in the sandbox so that no file can stall a check."""
 
 from collections.abc import Iterable
 from itertools import islice
@@ -26,7 +26,7 @@ def validate(file: str) -> list[str]:
 
 
 def compare(file: str) -> list[tuple[int, str]]:
-    """Return line and message of each schema violation; the file has no DTD or entities."""
+    """Return line and message of each schema violation of a file without DTD and entities."""
     import fmpy
     from lxml import etree
 
@@ -63,12 +63,10 @@ def _word(value: object) -> str:
 
 
 def _exports(names: Iterable[object]) -> list[str]:
-    """Return names that may belong to FMI."""
     return list(islice((str(n) for n in names if n and "fmi" in str(n)), MOST_SYMBOLS))
 
 
 def _imports(names: Iterable[object]) -> list[str]:
-    """Return names that may belong to Python."""
     return list(islice((str(n) for n in names if n and "Py" in str(n)), MOST_SYMBOLS))
 
 

@@ -1,7 +1,4 @@
-"""All checks of one untrusted FMU, in order of dependence.
-
-The rules are those of FMI 2.0 and 3.0. FMI 1.0 is checked by archive, XML, schema and FMPy only.
-"""
+"""All checks of one untrusted FMU, in order of dependence; of FMI 1.0 only those without rules."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -36,7 +33,7 @@ _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
 _OTHER_XML = (terminals.FILE, _BUILD)
 
-MOST_PROBLEMS = 1000  # largest number of findings per check
+MOST_PROBLEMS = 1000  # per check
 
 
 @dataclass(frozen=True)
@@ -63,11 +60,9 @@ class Report:
 
 
 def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) -> Report:
-    """Check an FMU; return all findings, and the validators that were not run.
+    """Check an FMU; `hostile` also runs it under an adverse master.
 
-    VDMCheck2 is looked for in `.tools/vdmcheck2` by default; `hostile` runs the FMU under an
-    adverse master. Raises ArtifactError if the file is missing or unreadable, ConfigError if
-    VDMCheck2 is not in its folder.
+    Raises ArtifactError if the file is unreadable, ConfigError if VDMCheck2 is not in its folder.
     """
     if vdmcheck is not None and not (vdmcheck / external.JAR).is_file():
         raise ConfigError(f"--vdmcheck is '{vdmcheck}', which does not contain {external.JAR}.")
@@ -104,13 +99,11 @@ class _Found:
         self.skipped: list[str] = []
 
     def _add(self, check: str, texts: Iterable[str]) -> bool:
-        """Add findings of a check; return whether there were any."""
         problems = problems_of(check, texts)
         self.problems += problems
         return bool(problems)
 
     def _add_run(self, check: str, found: tuple[list[str], list[str]]) -> None:
-        """Add findings and skipped parts of a check that runs a program."""
         self._add(check, found[0])
         self.skipped += found[1]
 

@@ -8,7 +8,7 @@ from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription
 from hesr_model.support.text import plain, quoted
 
-MOST_BYTES = 8 << 20  # largest source file that is searched [B]; larger ones are data
+MOST_BYTES = 8 << 20  # of a source file; larger ones are data
 _OFFICIAL = {
     *("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     *("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -23,8 +23,8 @@ wchar wctype direct dlfcn io malloc process pthread unistd windows
 _SYSTEM = frozenset(_SYSTEM_NAMES.split())  # system headers that may be included in quotes
 _SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".inc")
 
-# Strings are matched first, because they may contain comment markers. Unclosed comments end with
-# the file: searching for an end from each beginning would be quadratic.
+# Strings may contain comment markers. Unclosed comments end with the file: searching for an end
+# from each beginning would be quadratic.
 _COMMENT = re.compile(rb'/\*.*?(?:\*/|\Z)|//[^\n]*|"(?:\\.|[^"\\\n])*"?', re.DOTALL)
 _INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]{1,500})"', re.MULTILINE)
 _FOLDER = "sources/"

@@ -1,7 +1,7 @@
 """FMUs as co-simulation slaves: variables by name, trusted or not, pooled, freed on every exit.
 
-An FMU is trusted if it was exported here or the user trusts it. Empty files in the user's cache
-folder are named after the hashes of these FMUs; writing there already takes the user's rights.
+Exported and trusted FMUs have empty files in the user's cache folder, named after their hashes;
+writing there already takes the user's rights.
 """
 
 import logging
@@ -46,7 +46,7 @@ def hash_folder() -> Path:
 
 
 def remember(fmu: Path) -> None:
-    """Trust an FMU, unless the cache folder cannot be written: then it runs in a sandbox."""
+    """Trust an FMU, if the cache folder can be written."""
     try:
         place = hash_folder()
         place.mkdir(parents=True, exist_ok=True)
@@ -222,7 +222,7 @@ class FmuInstance:
         self.time = time + step
 
     def reset(self) -> None:
-        """Return to the state before the initialisation, with all start values."""
+        """Return to the state before the initialisation."""
         self._stepping = False
         self._instance.reset()
         self.used = False
@@ -245,7 +245,7 @@ class FmuInstance:
                 self._instance.set(own, references, given)
 
     def get(self, names: Iterable[str]) -> Array:
-        """Return Real variables, (n,) in their units, in the order of their names."""
+        """Return Real variables (n,) in their units."""
         return self.buffer(list(names)).read()
 
     def buffer(self, names: Sequence[str], values: Array | None = None) -> Buffer:

@@ -101,7 +101,7 @@ class Instance:
             raise failure(CallError(str(error))) from error
 
     def call(self, function: str, *arguments: Any) -> None:
-        """Call a function of the FMU; every status except OK and warning is an error."""
+        """Call a function of the FMU; raise unless its status is OK or warning."""
         try:
             status = getattr(self.slave, function)(self.slave.component, *arguments)
         except FMICallException as error:
@@ -166,11 +166,10 @@ class Instance:
         return LocalBuffer(self, references, own)
 
     def close(self, *, stepping: bool) -> None:
-        """Terminate the simulation if it is stepping, free the instance, unload the binary."""
+        """Terminate and free the instance, and unload the binary."""
         try:
             if stepping:
-                # An instance must be freed even if it refuses to terminate.
-                with suppress(FMICallException):
+                with suppress(FMICallException):  # it must be freed anyway
                     getattr(self.slave, self.fmi.functions["terminate"])(self.slave.component)
             getattr(self.slave, self.fmi.functions["free"])(self.slave.component)
         finally:

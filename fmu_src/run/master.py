@@ -1,6 +1,5 @@
 """Communication steps of a system of initialised FMUs.
 
-`PythonStepper` steps any FMUs, through FMPy's slaves for those in this process. The stepper of
 `fmu_src.run.native` does the same in C, equal bit for bit, for FMUs of FMI 2.0 in this process.
 """
 
@@ -86,8 +85,8 @@ class Link:
 class Layout:
     """A system, prepared for its steps.
 
-    The values (m,) are all outputs in use, grouped by component; `rows` (n,) are the indices of
-    those that are recorded, `limited` (l,) of those with limits.
+    Its values (m,) are all outputs in use, by component; `rows` (n,) are the indices of recorded
+    ones, `limited` (l,) of those with limits.
     """
 
     stations: tuple[Station, ...]  # in stepping order

@@ -64,7 +64,7 @@ class _System(ctypes.Structure):
 
 
 def native_stepper(layout: Layout) -> "NativeStepper | None":
-    """Return the steps in C; None if an FMU is foreign, outputs are refreshed, or no compiler."""
+    """Return the steps in C; None for foreign FMUs or refreshed outputs, or without compiler."""
     if layout.scheme.refreshed != "none":
         return None
     buffers = [b for station in layout.stations for b in (station.inputs, station.outputs)]
@@ -166,8 +166,7 @@ def through(
 ) -> Array:
     """Set inputs (K, m), step from `times` by `sizes` (K,) [s], and return the outputs (K, n).
 
-    It runs in C if the FMU is in this process and there is a compiler, with the same results.
-    Raises SimulationError if the FMU fails.
+    FMUs in this process run in C, with the same results. Raises SimulationError if the FMU fails.
     """
     found = np.empty((len(rows), outputs.values.size))
     if _is_native(inputs) and _is_native(outputs) and (library := _library()):

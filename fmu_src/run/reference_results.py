@@ -1,9 +1,8 @@
-"""Reference results of FMI-LS-REF in the folder `extra/` of an FMU or SSP: written and verified.
+"""Reference results in the folder `extra/` of an FMU or SSP, written and verified.
 
-A friction FMU carries results of its law in Python (`friction.reference`), others those of their
-binary on the exporting machine. The files follow the FMI cross-check, the manifest FMI-LS-REF
-1.0.0-alpha.1. That standard does not fix the order of setting inputs, stepping and reading outputs:
-all known orders are tried until one gives the results, unless the experiment is named after one.
+Friction FMUs carry results of their law in Python (`friction.reference`), others those of their
+binary. The files follow the FMI cross-check, the manifest FMI-LS-REF 1.0.0-alpha.1. The latter does
+not fix the order of setting inputs, stepping and reading outputs, so all known orders are tried.
 """
 
 import csv
@@ -30,37 +29,33 @@ FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
 EXPERIMENTS = f"{FOLDER}/experiments.xml"
 
-ROWS = 100  # number of steps of the stimuli
+ROWS = 100  # steps of the stimuli
 ORDERS: Mapping[str, str] = {
     "hold": "co-simulation: inputs hold over each step, outputs are read after it",
     "shown": "the same, outputs read once the inputs of the next step are set",
     "direct": "inputs of its end are set before a step",
 }
-"""Orders of setting inputs, stepping and reading outputs; our files have the first two."""
+"""Orders of setting inputs, stepping and reading outputs; our files use the first two."""
 
-TOLERANCE = 1e-9
-"""Tolerance of our results relative to the largest value: differences between platforms."""
-
+TOLERANCE = 1e-9  # relative to the largest value: differences between platforms
 _TOLERANCE = 1e-3  # of results that name none
 _MOST_ROWS = 100_000
 _DECIMALS = 6  # of stimuli, so that files hold the exact inputs
 _PHASE = 0.35  # [rad] lead of each input over the one before it
 
 _README = """\
-Reference results, in the file style of the FMI cross-check; the manifest of FMI-LS-REF in
-org.fmi-standard.fmi-ls-ref/ names them by their roles. They are the outputs of this FMU's binary
-for {platform} at the export. Units are those of the variables.
+Reference results in the files of the FMI cross-check and FMI-LS-REF: outputs of this FMU's binary
+for {platform} at the export, in the units of the variables.
 
 co_simulation/{name}_in.csv, _ref.csv, _ref.opt
-    Start with the parameters of {name}_parameters.csv, if present, set before the initialisation
-    and the inputs of row 0 set before its end; row 0 of the reference is read after it. Then for
-    each row k: set its inputs, step by {step:.9g} s, and compare with row k + 1 of the reference.
-    Nothing is interpolated: inputs hold over the step. RelTol {tolerance:g} is relative to the
-    largest value of an output.
+    Initialise with the inputs of row 0 and the parameters of {name}_parameters.csv, if present, and
+    compare with row 0 of the reference. Then for each row k: set its inputs, step by {step:.9g} s,
+    and compare with row k + 1. Inputs hold over the step, without interpolation. RelTol
+    {tolerance:g} is relative to the largest value of an output.
 
 co_simulation/{name}_shown.csv
-    The same run for tools that read or refresh outputs once the inputs of the next step are set:
-    row k holds the outputs after step k with the inputs of row k.
+    The same run for tools that read outputs once the inputs of the next step are set: row k holds
+    the outputs after step k with the inputs of row k.
 """
 
 _LAYER = "http://fmi-standard.org/fmi-ls-manifest"
@@ -71,9 +66,6 @@ _ABOUT = {
         "Layered Standard providing information on related files included in an FMU."
     ),
 }
-
-
-# --- written ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,10 +92,7 @@ def waves(amplitudes: Mapping[str, float], middle: float = 0.0) -> dict[str, Arr
 
 
 def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, bytes]:
-    """Return the members of the folder `extra/` of an FMU for co-simulation, which is run here.
-
-    The result is empty without a binary for this machine, or if a run fails.
-    """
+    """Run an FMU for co-simulation and return its folder `extra/`; empty if it cannot be run."""
     root = ET.fromstring(members["modelDescription.xml"])
     kind = root.find("CoSimulation")
     assert kind is not None, "no FMU for co-simulation"
@@ -206,10 +195,7 @@ class ExperimentFiles:
 def manifest_files(
     experiments: Sequence[ExperimentFiles], members: Mapping[str, bytes]
 ) -> dict[str, bytes]:
-    """Return the manifest and the experiments file by path.
-
-    `members` are the files of the experiments and related ones, such as a README.
-    """
+    """Return the manifest and the experiments file of all `members` of the folder `extra/`."""
     root = ET.Element("Experiments")
     for own in experiments:
         numbers = {"startTime": own.start, "stopTime": own.stop, "tolerance": own.tolerance}
@@ -253,9 +239,6 @@ def _manifest(related: Iterable[tuple[str, ...]], members: Mapping[str, bytes]) 
     return to_bytes(root)
 
 
-# --- verified -----------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Verified:
     """Problems and skipped experiments in sentences; order of calls of each that agrees."""
@@ -278,10 +261,7 @@ class ReferenceExperiment:
 
 
 def verify(fmu: Path) -> Verified:
-    """Run the experiments in an FMU and compare with its reference results.
-
-    Raises ArtifactError if the file cannot be read at all.
-    """
+    """Run the experiments in an FMU and compare with its reference results."""
     found = Verified()
     with Archive(fmu) as archive:
         stored = experiments(archive, found)
@@ -331,11 +311,7 @@ def judged(
     played: Callable[[str], Array],
     found: Verified,
 ) -> None:
-    """Note whether one of several orders of calls gives the results of an experiment.
-
-    An experiment named after an order is played in it alone; `played` returns the values
-    (N, outputs) of an order.
-    """
+    """Note whether `played` (N, outputs) gives the results in one order, or the one of its name."""
     own = experiment.name
     worst: list[tuple[float, str]] = []
     for order in [own] if own in orders else orders:
@@ -356,7 +332,6 @@ def judged(
 
 
 def _difference(experiment: ReferenceExperiment, rows: Array) -> tuple[float, str]:
-    """Return the largest relative difference and its location."""
     expected = np.column_stack(list(experiment.outputs.values()))
     size = np.maximum(np.abs(expected).max(axis=0), np.finfo(float).tiny)
     off = np.nan_to_num(np.abs(rows - expected) / size, nan=np.inf)

@@ -29,9 +29,8 @@ def replay(
 
     Sample 0 is set before the initialisation and read after it. Then each sample is set, the FMU
     steps from the previous time [s] to its own, and the output is read. `q` [rad] and `tau_load`
-    [N.m] are zero by default, `start` has parameters by name, and `temperature` [degC] is for a
-    thermal FMU; by default friction heats it. Raises SimulationError if the log does not fit the
-    FMU or the FMU fails.
+    [N.m] are zero by default; without `temperature` [degC], friction heats a thermal FMU. Raises
+    SimulationError if the log does not fit or the FMU fails.
     """
     if isinstance(fmu, Path):
         with FmuInstance(fmu) as component:

@@ -1,7 +1,6 @@
 """A process with limits on time, memory and files, for untrusted FMUs and files.
 
-Each step of an FMU is one message with the pending writes; its answer has the buffers that were
-read after the previous step.
+The message of a step has pending writes; its answer has the buffers read after the previous step.
 """
 
 import json
@@ -44,8 +43,8 @@ NONSENSE = "gave an answer that makes no sense and was ended"
 class Sandbox:
     """A child process in an empty folder that answers requests within `seconds` [s] each.
 
-    DiedError, with the end of a sentence, is raised if it cannot be started, ends, is too slow, or
-    gives an invalid answer; `reached` is then the position of the last call within its request.
+    Otherwise it raises DiedError with the end of a sentence; `reached` is then the position of the
+    last call within its request.
     """
 
     def __init__(self, folder: Path, seconds: float) -> None:
@@ -220,7 +219,7 @@ class SandboxedInstance:
         buffer.values[:] = np.frombuffer(self._known[buffer.number])
 
     def close(self, *, stepping: bool) -> None:
-        """Terminate the simulation if it is stepping, free the instance, end the process."""
+        """Terminate and free the instance, and end the process."""
         self._sandbox.seconds = min(self._sandbox.seconds, _FAREWELL)
         self._failure = lambda error: error
         try:

@@ -69,7 +69,7 @@ class Exchange:
 
 
 def unpacked_answer(data: bytes) -> tuple[int, int, bytes]:
-    """Return status and position of the failed call, and the rest of the answer to an exchange."""
+    """Return status and position of the failed call, and the rest of an answer."""
     if len(data) < _ANSWER.size:
         raise ValueError(f"{len(data)} bytes are not an answer")
     status, position = _ANSWER.unpack_from(data)

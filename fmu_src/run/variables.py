@@ -55,8 +55,7 @@ def model_description(fmu: Path) -> ModelDescription:
 def description_in(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
     """Read the description in an FMU, and the variables of FMI 3.0 as declared.
 
-    Raises ArtifactError if it is missing or damaged, SimulationError if it cannot be read or its
-    model identifier cannot be a file name.
+    Raises ArtifactError if it is missing or damaged, SimulationError if it is not readable.
     """
     text = archive.read(DESCRIPTION, MOST_TEXT)
     with TemporaryDirectory(prefix="hesr-") as folder:
@@ -180,7 +179,7 @@ def suggestion(name: str, known: Iterable[str], most: int) -> str:
 
 
 class Variables:
-    """Variables of an FMU by name; methods raise SimulationError with the missing variable."""
+    """Variables of an FMU by name; methods raise SimulationError."""
 
     def __init__(self, fmu: Path, description: Any) -> None:
         self._fmu, self._description = fmu, description
@@ -280,10 +279,7 @@ class Variables:
         return value
 
     def _choice(self, name: str, value: str) -> int:
-        """Return the value of a named choice.
-
-        An Enumeration declares them; an Integer may be described as "1 = fourier, 2 = sine".
-        """
+        """Return the value of a choice; an Integer may be described as "1 = fourier, 2 = sine"."""
         variable = self[name]
         declared = variable.declaredType
         items = {
