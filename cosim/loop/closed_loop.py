@@ -165,8 +165,7 @@ def system(
 ) -> SystemSpec:
     """Return the loop as a system that steps the arm first, with the commands of the last sample.
 
-    A run of `duration` [s] ends early outside `limits` (n, 2) [rad]; `motion` starts the
-    trajectory.
+    A run of `duration` [s] ends early outside `limits` (n, 2) [rad].
     """
     fmus, scheme, gains = setting.fmus, setting.scheme, setting.gains
     measured = scheme.source != "desired"

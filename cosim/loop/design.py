@@ -36,8 +36,8 @@ def design(
 ) -> ExcitationDesign:
     """Design an excitation; write setpoints `output`, ``<name>_reversed`` and ``<name>.png``.
 
-    Columns are ``t, q1.., dq1.., ddq1..`` [s, rad, rad/s, rad/s2; m for prismatic joints], from
-    rest to rest. Collisions are not checked: position limits must exclude them.
+    Columns are ``t, q1.., dq1.., ddq1..`` [s, rad, rad/s, rad/s2; m for prismatic joints].
+    Collisions are not checked: position limits must exclude them.
     """
     from cosim.report.figures.motions import excitation
 

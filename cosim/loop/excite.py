@@ -48,8 +48,7 @@ def excite(
 ) -> dict[str, Path]:
     """Run the arm along every motion; return the CSV files of the logs by name.
 
-    The true friction is written next to each log. Noise seed and FMU are those of `plant` by
-    default.
+    The true friction is written next to each log. Noise seed and FMU default to those of `plant`.
     """
     paths = {}
     for recording in recordings(motions, plant, seed=seed, fmu=fmu):

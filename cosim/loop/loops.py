@@ -103,7 +103,7 @@ class StudyLoop:
         )
 
     def rows(self) -> Iterator[LoopRow]:
-        """Yield the rows of the tables: every law in every scheme, and rows without a law."""
+        """Yield the rows of the tables: every law in every scheme, and no law."""
         outer = self.tracking.Kx
         for Kx in (0.0, outer):
             yield self.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none", Kx=Kx))
@@ -146,7 +146,7 @@ class StudyLoop:
 def build(
     folder: Path, robot: Robot, body: RigidBody, plant: Plant, *, oracle: FrictionModel
 ) -> None:
-    """Write the FMUs of a loop, without arm and laws; `oracle` is the true friction.
+    """Write the FMUs of a loop, without arm and laws, for the true friction `oracle`.
 
     The true rigid body is that of the robot's model file.
     """
@@ -225,7 +225,7 @@ def example(
 
 
 def run_tracking(loop: StudyLoop) -> tuple[list[Tracked], list[Tracked]]:
-    """Run the rows of the tables on all motions, and selected ones on a long motion."""
+    """Run all rows on all motions, and selected ones on a long motion."""
     tracking = loop.tracking
     long = motions(tracking, int(np.ceil(tracking.drift / tracking.duration)))[:1]
     return (

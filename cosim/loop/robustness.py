@@ -1,4 +1,4 @@
-"""Robustness of the loop to payloads, changed friction, noise, latency and wrong servo gains."""
+"""Robustness to payloads, changed friction, noise, latency and wrong servo gains."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

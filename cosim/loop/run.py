@@ -71,7 +71,7 @@ def run_loop(
 def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[Finding]:
     """Step one loop in the Python and the native master; return a finding if they disagree.
 
-    The arm is a PythonFMU under a PD controller of the torque error, and in a third run native.
+    The arm is a PythonFMU under a PD controller, in a third run native.
     """
     gains = loop.tracking.gains
     Kd = tuple(kd or _DERIVATIVE * kp for kp, kd in zip(gains.Kp, gains.Kd, strict=True))

@@ -68,8 +68,7 @@ def track(
 ) -> list[Tracked]:
     """Run every row along every motion for `duration` [s]; return one result per row.
 
-    A run ends early outside `limits` (n, 2) [rad]. `traced` keeps the first motion's positions,
-    `kept` finished rows for a resumed study.
+    A run ends early outside `limits` (n, 2) [rad]. `traced` keeps the first motion's positions.
     """
     about = ([asdict(motion) for motion in motions], duration, limits.tolist(), traced)
     files = [kept / f"{key}.json" for key in _keys(rows, about)] if kept else []

@@ -82,8 +82,8 @@ class TwinArm:
     def run(self, q0: ArrayLike, commands: Array, *, seed: int, unlogged: int = 0) -> ArmRun:
         """Start at rest at `q0` (n,) [rad], hold each command (N, n) [rad/s] for a sample, and log.
 
-        Returns the arm at the start of each command, without the first `unlogged` ones. `seed` of
-        the noise has 64 bit. The servo's integral holds gravity and ripple at `q0`.
+        Returns the arm at the start of each command, without the first `unlogged` ones. The servo's
+        integral holds gravity and ripple at `q0`.
         """
         fmu, noise = self._component, self.plant.noise
         if fmu.used:

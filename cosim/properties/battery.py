@@ -101,8 +101,7 @@ def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties
 def measure(subject: Subject, *, load: float = 0.0) -> Properties:
     """Examine one model or FMU; see `run_battery`.
 
-    Coupled joints move one friction coordinate at a time; thermal laws keep the temperature of the
-    fit.
+    Coupled joints move one friction coordinate at a time; thermal laws stay at their fit.
     """
     model = subject.model and replace(subject.model, coupling=None, thermal=())
     with TemporaryDirectory(prefix="hesr-") as folder:

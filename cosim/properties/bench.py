@@ -85,8 +85,8 @@ class FrictionBench(_Bench):
     ) -> Array:
         """Restart at rest or at dq (n,) [rad/s]; return the torque (n,) [N.m].
 
-        In motion friction starts in its steady state if the FMU has one, except with `unmoved`. The
-        load [N.m] is held until the next start; `exact` overrides the discretisation of the law.
+        In motion friction starts in its steady state if the FMU has one, except with `unmoved`.
+        `exact` overrides the discretisation of the law.
         """
         chosen = {DISCRETISATION: _EXACT} if exact and self.exact else {}
         if unmoved and self._settles:
@@ -137,8 +137,7 @@ class DriveBench(_Bench):
     ) -> None:
         """Restart at rest under a motor torque (n,) [N.m], the link at the joint's position.
 
-        Load [N.m], `stiffness` (n,) of the flexsplines [N.m/rad] and the longest inner step [s] are
-        held.
+        `stiffness` (n,) is that of the flexsplines [N.m/rad], `substep` the longest inner step [s].
         """
         start = {
             f"{name}[{i}]": float(value)
@@ -155,7 +154,7 @@ class DriveBench(_Bench):
         self._start(start)
 
     def step(self, dt: float) -> Array:
-        """Step; return q, dq and friction torque (3, n) in SI units, valid for one step."""
+        """Step; return q, dq and friction torque (3, n), valid for one step."""
         return self._step(dt).reshape(3, self.joints)
 
     def run(
@@ -166,7 +165,7 @@ class DriveBench(_Bench):
         link: Array | None = None,
         load: Array | None = None,
     ) -> Array:
-        """Return q, dq and tau_f (3, K, n) in SI units over steps dt (K,) [s].
+        """Return q, dq and tau_f (3, K, n) over steps dt (K,) [s].
 
         Motor torque [N.m], link position [rad] and load [N.m] are (K, n); unchanged if None.
         """

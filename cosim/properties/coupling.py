@@ -16,7 +16,7 @@ _HALVINGS = 5
 _STEPS = 400  # minimum
 _SLIDES = 5.0  # in stopping times at the friction level
 _LONGEST = 2.0  # [s] run time
-_QUIET, _STOPPED = 1e-3, 0.2  # shares of the first speed: rest, and a stop at the finest step
+_QUIET, _STOPPED = 1e-3, 0.2  # shares of the first speed: rest, stop
 _SMALL = 1e-6  # [rad/s]
 _TURNS = 8  # sign changes in a row; a true stop has fewer
 

@@ -1,4 +1,4 @@
-"""Pre-sliding: position loop at small amplitude, and memory of reversals at two kinds of load."""
+"""Pre-sliding: position loop, and memory of reversals at two kinds of load."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -47,10 +47,7 @@ def presliding(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
 def memory(
     bench: FrictionBench, scale: Scale, states: Sequence[int | None]
 ) -> list[PropertyResult]:
-    """Reverse on the rising branch of a loop too slow for memory of time, return and continue.
-
-    `states` is the number of states of each law; None if unknown.
-    """
+    """Reverse on the rising branch of a loop too slow for memory of time, return and continue."""
     return _reversed(bench, scale, states, _INNER)
 
 
@@ -190,8 +187,7 @@ def _remembered(
     """Judge inner loops and the branch `on` after them by the outer loop.
 
     `way` (K,) has the positions of `inner` (K,), in amplitudes below the turning point; `innermost`
-    is the gap of the innermost loop, `loaded` the height of the outer loop at the largest load
-    [N.m].
+    is the gap of the innermost loop, `loaded` the height at the largest load [N.m].
     """
     height = max(float(np.ptp(loop)), _LITTLE)
     outer = loop[-len(_BRANCH) :]

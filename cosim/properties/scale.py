@@ -93,8 +93,7 @@ def standing_inertia(
 ) -> tuple[float, ...] | None:
     """Return the inertia of each joint at the middle of the trained range [kg.m2].
 
-    It is that of `INERTIA`, else the diagonal of the identified mass matrix; None if not positive,
-    as with too little data.
+    It is that of `INERTIA`, else the diagonal of the identified mass matrix if positive.
     """
     if body.robot in INERTIA:
         return INERTIA[body.robot]

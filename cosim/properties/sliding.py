@@ -1,4 +1,4 @@
-"""Sliding and rest without a plant: first torque, lag, chatter under noise, work over cycles."""
+"""Sliding and rest without a plant: first torque, lag, chatter, work over cycles."""
 
 import numpy as np
 
@@ -33,7 +33,7 @@ _NO_FRICTION = 1e-6  # [N.m]
 
 
 def start(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
-    """Start in motion at several speeds in both directions and slide on to the steady state."""
+    """Start at several speeds in both directions and slide on to the steady state."""
     dt = np.array([bench.forever, _LAST])
     ends = []
     for speed in _STARTS[:, None] * scale.speed:

@@ -19,7 +19,7 @@ _LASTS = 0.8  # ratio of the last two quarters' amplitudes
 
 
 def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
-    """Pull the joints by springs at the speed of steepest fall of their steady curve."""
+    """Pull the joints by springs at the speed where their steady curve falls most."""
     stiffness = scale.level / STRETCH
     pulls, falls = zip(*(_weakest(scale, j) for j in range(bench.joints)), strict=True)
     pull = np.array(pulls)

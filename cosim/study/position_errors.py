@@ -1,4 +1,4 @@
-"""Position errors of laws as simulators: measured torque in, position out, over windows of logs."""
+"""Position errors of laws as simulators: measured torque in, position out."""
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
@@ -41,7 +41,7 @@ def simulate_tests(
 ) -> dict[str, PositionErrors]:
     """Score laws as simulators on test sets; those that cannot be simulated are left out.
 
-    Under gravity an upright arm diverges with any friction, so there are no errors over whole logs.
+    Whole logs are scored without gravity only: an upright arm diverges with any friction.
     """
     windows: dict[str, list[Windows]] = {}
     logs: dict[str, list[Windows]] = {}
@@ -90,7 +90,7 @@ def _errors(
 ) -> list[_Errors] | SimulationError:
     """Return the errors over each set of windows, or the error.
 
-    Sets with the same number of steps run together, which takes little longer than the largest.
+    Sets with the same number of steps run together, which is faster.
     """
     simulator = Simulator(robot=robot, parameters=body.parameters, friction=model)
     found: dict[int, _Errors] = {}

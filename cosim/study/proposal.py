@@ -12,7 +12,7 @@ from hesr_model.logs.phases import reversals
 from hesr_model.logs.robot_log import Log
 
 _TRAINED, _MOST_TRAINED = 0.6, 0.8
-"""Share of a single log used for training, and its maximum if a joint reverses late."""
+"""Share of a single log for training, and its maximum if a joint reverses late."""
 _BEYOND = 0.02  # share trained beyond a joint's first reversal
 
 

@@ -159,7 +159,7 @@ def _roles(study: Study, name: str) -> tuple[str, ...]:
 
 
 def _save_torques(folder: Path, run: Scored) -> dict[str, str]:
-    """Write the torques of the first log of each role, up to a gap; return their files by log."""
+    """Write the torques of the first log of each role, up to a gap; return their files."""
     logs = run.study.logs
     first: dict[str, dict[str, list[Array]]] = {logs.identification[0]: {}}
     for test, names in logs.test.items():
@@ -179,8 +179,7 @@ def write_torques(
 ) -> None:
     """Write the torques [N.m] of one log to Parquet: measured, rigid body, and every law.
 
-    Columns are t, and q{k}, dq{k}, tau{k} (measured), tau_rb{k} (rigid body), {law}.tau_f{k}
-    (friction) for joint k of 1..n.
+    Columns are t, and for joint k of 1..n q{k}, dq{k}, tau{k}, tau_rb{k} and {law}.tau_f{k}.
     """
     rows = slice(0, MOST_ROWS)
     columns: dict[str, Array] = {"t": records[0].t[rows] - records[0].t[0]}

@@ -1,4 +1,4 @@
-"""Run of a study: identify the rigid body, fit laws, export FMUs, score them, judge them."""
+"""Run of a study: identify the rigid body, fit laws, export FMUs, score and judge them."""
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -72,12 +72,9 @@ def run_study(
 ) -> Outcome:
     """Run a study and write all results into a folder, or nothing on an error.
 
-    Finished parts of long work (laws of single joints, rows of the closed loop, physics checks) are
-    kept next to the folder for an interrupted run. FMUs are scored by replaying the test logs in
-    FMPy.
-
-    `quick` runs the `quick` laws only, without variants, refinement, closed loop and physics
-    checks. The log checks in `accepted` only warn.
+    Finished parts of long work are kept next to the folder for an interrupted run. FMUs are scored
+    by replaying the test logs in FMPy. `quick` runs the `quick` laws only, without variants,
+    refinement, closed loop and physics checks; log checks in `accepted` only warn.
     """
     study = Study.read(path)
     if quick:

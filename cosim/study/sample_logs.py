@@ -31,7 +31,7 @@ _CANDIDATES = 8  # random motions; the best conditioned one is for training
 _FINER = 10  # steps of simulated friction per sample
 _NO_LIMIT = 1e12  # [N.m] because effort limits of model files are often invented
 
-# Relative to the largest rigid-body torque of the joint, at least to that of the robot / 20.
+# Shares of the joint's largest rigid-body torque, at least that of the robot / 20.
 _COULOMB, _VISCOUS, _TORQUE_NOISE = 0.15, 0.15, 0.005
 _STATIC = 1.3  # ratio to Coulomb friction
 _STRIBECK = 0.05  # share of the peak velocity
@@ -67,7 +67,7 @@ def sample_settings(model: Robot, period: float = _PERIOD) -> ExcitationSettings
 
 
 def mark_samples(files: Sequence[Path]) -> None:
-    """Record next to log files that they are samples, so that no report calls them measured."""
+    """Mark log files as samples, so that no report calls them measured."""
     lines = [f"{sha256(file)}  {file.name}\n" for file in files]
     (files[0].parent / _MARK).write_text("".join(lines), encoding="utf-8")
 

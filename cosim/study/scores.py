@@ -88,8 +88,8 @@ class LawScores:
 class Comparison:
     """Scores of several laws on the same logs; defaults are those of earlier versions.
 
-    `leading` has for each joint the law with the lowest error and all that are not significantly
-    worse (Holm over the joint).
+    `leading` has for each joint the law with the lowest error and all not significantly worse
+    (Holm).
     """
 
     joints: tuple[str, ...]
@@ -131,8 +131,7 @@ def compare(
 ) -> Comparison:
     """Score predictions [law][joint][log], (N,) [N.m] each, on records [joint][log].
 
-    The `inputs` of each law (see `inputs_of`) decide the references. Bands of `models` are also
-    scored.
+    The `inputs` of each law decide the references. Bands of `models` are also scored.
     """
     errors = {
         law: [
@@ -235,7 +234,7 @@ def within(
 ) -> tuple[list[list[FrictionRecord]], list[list[Array]]]:
     """Return the rows of records and torques [joint][log] with start <= t < stop [s] in each log.
 
-    Logs without such rows are left out; ConfigError if all are.
+    Raises ConfigError if no log has such rows.
     """
     kept_records, kept_torques = [], []
     for of_joint, predicted in zip(records, torques, strict=True):

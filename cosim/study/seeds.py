@@ -1,7 +1,6 @@
 """Prediction part of a twin's study over random draws, which give the intervals of tables.
 
-Each draw has its own noise, Fourier motions, amplitudes of other motions, and friction level and
-viscosity of each joint. Rigid body and laws are fitted as in the study.
+Each draw has its own noise, motions, and friction level and viscosity of each joint.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -114,10 +113,7 @@ def errors_on(
     laws: Sequence[str],
     fit: Callable[..., dict[str, FrictionModel]],
 ) -> Errors:
-    """Return the errors of laws and true friction on the test sets of a twin's logs.
-
-    `fit` is `fit_models` with the settings of the run.
-    """
+    """Return the errors of laws and true friction on the test sets of a twin's logs."""
     logs = {found.log.name: found.log for found in recordings}
     truths = {found.log.name: found.truth.tau_f_true for found in recordings}
     robot = Robot(RobotDescription.read(study.robot))

@@ -1,4 +1,4 @@
-"""Project folders: a copy of the robot's model, a robot file, a study and sample logs."""
+"""Project folders: robot model and file, study, and sample logs."""
 
 import json
 import re

@@ -120,7 +120,7 @@ class Job:
         return list(dict.fromkeys((*logs.identification, *logs.reversed, *logs.training)))
 
     def log_files(self, folder: Path) -> dict[str, Path]:
-        """Return the file of every log of the study; those of the twin are simulated."""
+        """Return the file of every log; those of the twin are simulated."""
         tested = (name for logs in self.study.logs.test.values() for name in logs)
         names = dict.fromkeys((*self.trained_on, *tested))
         if self.study.twin is None:
@@ -227,10 +227,7 @@ class Job:
     def rigid_body(
         self, logs: Mapping[str, Log], model: Robot
     ) -> tuple[RigidBody, dict[str, FrictionModel]]:
-        """Identify the rigid body, and refine it with fitted friction if configured.
-
-        Returns the body and the law that was refined together with it, if any.
-        """
+        """Identify the rigid body, refine it if configured, and return the refined law, if any."""
         forward = [logs[name] for name in self.study.logs.identification]
         backward = [logs[name] for name in self.study.logs.reversed]
         self.progress("identifying the rigid body", 0, 1)
@@ -306,11 +303,10 @@ class Job:
         fmus: Path,
         runs: LogRecords,
     ) -> tuple[dict[str, Comparison], Predictions]:
-        """Score the FMUs on every test set and its bands; for a twin also the true friction.
+        """Score the FMUs on every test set and its bands; return scores and torques.
 
         With `per_log`, a second comparison has the offsets of each test log fitted. FMUs replay all
-        rows of `runs`, which end with those of `records`. Returns the scores, and the torques on
-        the test sets.
+        rows of `runs`, which end with those of `records`.
         """
         comparisons, predictions = {}, {}
         inputs = input_classes(models)

@@ -39,7 +39,7 @@ class Part(Config):
 
 
 class StudyLogs(Config):
-    """Uses of the logs: files relative to the study, or names of the twin's motions."""
+    """Uses of the logs: files in the study's folder, or motions of the twin."""
 
     identification: tuple[str, ...] = Field(min_length=1)
     reversed: tuple[str, ...] = ()  # time-reversed counterparts, same order
@@ -83,8 +83,7 @@ class TimeBand(Config):
 class RefinementStudy(Config):
     """Refinement of the rigid body with fitted friction.
 
-    "in_turn" identifies the body again without friction; "output_error" fits both to the simulated
-    position.
+    "in_turn" identifies the body again; "output_error" fits both to the simulated position.
     """
 
     kind: Literal["in_turn", "output_error"] = "in_turn"

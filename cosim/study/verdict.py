@@ -1,4 +1,4 @@
-"""Verdict of a run: the recommended FMU, its weaknesses, and data that would improve it."""
+"""Verdict of a run: the recommended FMU, its weaknesses, and helpful data."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,13 +1,13 @@
 """Systems of FMUs inside one FMU of FMI 2.0, run by FMPy's container runtime.
 
-The runtime reads container.json, steps all components at the system's step, and then passes values
-along the connections in the order of known values. Outputs with direct feedthrough use the newest
-inputs; states use those at the beginning of the step. The runtime accepts only multiples of its
-step; our library in front of it accepts any step and holds the outputs.
+The runtime steps all components at the system's step, then passes values along the connections in
+the order of known values. Outputs with direct feedthrough use the newest inputs; states use those
+at the beginning of the step. The runtime accepts only multiples of its step; our library in front
+of it accepts any step and holds the outputs.
 
 FMPy's builder cannot be used. For FMI 2.0 it writes connections of type Real, which the runtime
-refuses, and value references from 0, which is the time; it packs the unfinished archive into
-itself, writes today's date, and adds runtimes of platforms without binaries of the components.
+refuses, and value reference 0, which is the time. It also packs the unfinished archive, today's
+date, and runtimes of platforms without binaries of the components.
 """
 
 import hashlib
@@ -42,8 +42,8 @@ _TYPES = {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int32"}
 def write_container(contents: SystemContents, path: Path) -> Path:
     """Write a system as one FMU and return the path; the bytes are reproducible.
 
-    If all FMUs are trusted, it contains reference results with inputs at their start values. Raises
-    ConfigError if a component has its own step or no platform has binaries of all components.
+    If all FMUs are trusted, it contains reference results. Raises ConfigError if a component has
+    its own step or no platform has binaries of all components.
     """
     if path.suffix != ".fmu":
         raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
@@ -177,7 +177,7 @@ def _variable(
         "mappings": [{"component": place[name], "valueReference": described.valueReference}],
     }
     start = contents.wiring.start[name].get(own)
-    if start is not None and variable.start is not None:  # not for connected inputs
+    if start is not None and variable.start is not None:  # connected inputs have none
         data["start"] = [text_of(contents.type_of(variable.element), start)]
     return data
 

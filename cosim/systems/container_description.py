@@ -29,7 +29,7 @@ def exposed_variables(contents: SystemContents) -> Iterator[Exposed]:
     """Yield the exposed variables.
 
     Outputs are the observed signals, or all outputs if none is observed; the others are local.
-    Unconnected inputs, parameters, and variables with a start value in the system are also exposed.
+    Unconnected inputs, parameters, and variables with a start value are also exposed.
     """
     wiring = contents.wiring
     observed = set(wiring.observed)

@@ -54,7 +54,7 @@ def text_of(kind: str, value: float | str) -> str:
 def add_units(
     parent: ET.Element, tag: str, units: Mapping[str, UnitExponents], prefix: str = "ssc:"
 ) -> None:
-    """Add the definitions of units, if any; FMI has the same elements without a prefix."""
+    """Add the definitions of units, if any; those of FMI have no prefix."""
     if not units:
         return
     definitions = ET.SubElement(parent, tag)

@@ -28,7 +28,7 @@ COVARIANCE = "urn:hesr:covariance:1"
 
 
 def export_ssv(model: FrictionModel, path: Path) -> Path:
-    """Write the coefficients of a friction model and their covariance as .ssv, and return the path.
+    """Write coefficients and covariance of a friction model as .ssv, and return the path.
 
     The names are those of its FMU. Laws without exposed coefficients have their scales instead.
     """

@@ -31,8 +31,7 @@ class Master:
     """A loaded and checked system; a context manager that frees all FMUs.
 
     It steps in C if all FMUs are in this process and `native` is true; the results are equal.
-    Values are exchanged in the order of the system by default. Entering raises ConfigError if the
-    system does not fit its FMUs (see `Wiring`).
+    Entering raises ConfigError if the system does not fit its FMUs (see `Wiring`).
     """
 
     def __init__(

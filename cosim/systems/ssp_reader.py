@@ -33,8 +33,8 @@ _NAME: TypeAdapter[str] = TypeAdapter(Name)
 def opened_system(path: Path) -> Iterator[SystemSpec]:
     """Yield the system of a file; the FMUs of an SSP are unpacked meanwhile.
 
-    An SSP is read as one level of components with connections, start values and steps; all outputs
-    with a connector are observed. Component names and units of start values are made to fit.
+    An SSP is read as one level of components; all outputs with a connector are observed. Component
+    names and units of start values are made to fit.
     """
     if path.suffix.lower() != ".ssp":
         yield SystemSpec.read(path)
@@ -254,8 +254,7 @@ def _all(node: ET.Element, path: str) -> list[ET.Element]:
 def safe_names(names: Iterable[str]) -> dict[str, str]:
     """Map names of components to unique names that a system allows.
 
-    Other names get `_` for everything except ASCII letters and digits, and a number if they
-    collide.
+    Other names get `_` for all but ASCII letters and digits, and a number if they collide.
     """
     names = list(dict.fromkeys(names))
     found = {name: name for name in names if _allowed(name)}

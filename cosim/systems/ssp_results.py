@@ -1,7 +1,6 @@
 """Reference results of a system in an SSP, one experiment for each exchange scheme of engines.
 
-An SSP defines connections, but not when values are exchanged. An engine is compared with the
-experiment of its own scheme. The results are computed by the FMUs.
+An SSP does not define when values are exchanged, so an engine is compared with its own scheme.
 """
 
 from collections.abc import Mapping
@@ -52,8 +51,7 @@ there are results for each:
 def result_files(contents: SystemContents) -> dict[str, bytes]:
     """Return the members of an SSP's folder `extra/`.
 
-    There are none if an FMU is not trusted or has a step of its own, nothing is connected or
-    observed, or a run fails.
+    There are none if an FMU is not trusted or has its own step, without outputs, or if a run fails.
     """
     spec = contents.spec
     signals = [f"{component}.{output}" for component, output in contents.used]

@@ -91,7 +91,7 @@ def _multiple_of(time: float, step: float, what: str) -> None:
 
 
 def write_system(spec: SystemSpec, path: Path) -> Path:
-    """Write a system as TOML, with paths of FMUs relative to the file, and return the path."""
+    """Write a system as TOML with relative paths of FMUs, and return the path."""
     with written_whole(path) as temporary:
         text = "\n".join(_lines(spec, path.parent.resolve()))
         temporary.write_text(f"{text}\n", encoding="utf-8")

@@ -15,8 +15,7 @@ from hesr_model.errors import ConfigError, SimulationError
 class Wiring:
     """Signals of a system; `slaves` holds the variables of its components.
 
-    Raises ConfigError if signals do not exist or fit, an input has no value, or there is an
-    algebraic loop.
+    Raises ConfigError if signals do not fit, an input has no value, or there is an algebraic loop.
     """
 
     def __init__(self, spec: SystemSpec, slaves: Mapping[str, Variables], path: Path) -> None:
