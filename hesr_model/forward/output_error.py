@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hesr_model.forward.simulation import Simulator
-from hesr_model.forward.windows import windows_of
+from hesr_model.forward.windows import joined, windows_of
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import RigidBody
@@ -157,7 +157,7 @@ class _Problem:
             friction=self._friction,
         )
         found = simulator.run(
-            windows.times(many),
+            joined([windows] * many),
             values=[
                 np.repeat(np.array(of_law).T, count, axis=1)
                 for of_law in zip(*numbers, strict=True)

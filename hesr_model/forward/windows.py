@@ -1,9 +1,8 @@
 """Windows of measured motions as starts of a simulation."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import accumulate
-from typing import Any
 
 import numpy as np
 
@@ -43,11 +42,6 @@ class Windows:
             for i, (law, record) in enumerate(zip(model.laws, at_friction(log), strict=True)):
                 found[i].append(states_over(law, **record.motion)[:, rows])
         return [np.concatenate(parts, axis=1) for parts in found]
-
-    def times(self, count: int) -> "Windows":
-        """Repeat the windows `count` times."""
-        signals: dict[str, Any] = {s: np.concatenate([getattr(self, s)] * count) for s in _SIGNALS}
-        return replace(self, **signals, places=self.places * count)
 
 
 def windows_of(logs: Logs, length: float) -> Windows:
