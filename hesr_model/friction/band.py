@@ -33,7 +33,7 @@ _TINY = sympy.Float(1e-24)  # [(N.m)^2], keeps the root differentiable if all nu
 COVERAGE = Parameter(
     name="coverage",
     unit="1",
-    description="share of measured torques that the band holds, from 0.5 to 0.999",
+    description="share of measured torques within the band, from 0.5 to 0.999",
     start=LEVEL,
 )
 
@@ -43,14 +43,14 @@ def _number(name: str, unit: str, description: str) -> Quantity:
 
 
 NUMBERS = (
-    _number("floor", "N.m", "half-width at 95 % that is there always"),
-    _number("slow", "N.m", "half-width at 95 % that slow motion adds"),
-    _number("slow_speed", "rad/s", "speed at which half of its square is left"),
-    _number("rest", "N.m", "half-width at 95 % that rest adds"),
-    _number("fast", "N.m.s/rad", "half-width at 95 % that speed adds, over the speed"),
-    _number("load", "1", "half-width at 95 % that load adds, over the load"),
+    _number("floor", "N.m", "constant half-width at 95 %"),
+    _number("slow", "N.m", "half-width at 95 % added by slow motion"),
+    _number("slow_speed", "rad/s", "speed that halves the square of the half-width of slow motion"),
+    _number("rest", "N.m", "half-width at 95 % added at rest"),
+    _number("fast", "N.m.s/rad", "half-width at 95 % added by speed, per speed"),
+    _number("load", "1", "half-width at 95 % added by load, per load"),
     _number("tail", "1", "exponent of the error's tail, 0.65 for a normal distribution"),
-    _number("envelope", "1", "1 where the band at rest reaches to both break-away torques, else 0"),
+    _number("envelope", "1", "1 if the band at rest spans both break-away torques, else 0"),
 )
 """Numbers of a joint's band, in the order of the fields of `Band`."""
 

@@ -70,8 +70,8 @@ class Thermal:
 
 
 _UNITS = {
-    "coulomb": ("1/K", "by which Coulomb friction falls with temperature"),
-    "viscous": ("1/K", "exponent by which viscous friction falls with temperature"),
+    "coulomb": ("1/K", "relative decrease of Coulomb friction with temperature"),
+    "viscous": ("1/K", "exponent of the decrease of viscous friction with temperature"),
     "coulomb_scale": ("1", "factor on Coulomb friction at the reference temperature"),
     "viscous_scale": ("1", "factor on viscous friction at the reference temperature"),
     "reference": ("degC", "reference temperature"),
@@ -96,7 +96,7 @@ def thermal_parameters(thermal: Thermal) -> tuple[Parameter, ...]:
         name=THERMOMETER,
         unit="1",
         start=float(thermal.measured),
-        description="1 where the input temperature is read, 0 where friction power gives it",
+        description="1 if the input temperature is used, 0 if friction power determines it",
     )
     return (*own, read)
 
