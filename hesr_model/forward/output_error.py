@@ -1,7 +1,7 @@
 """Joint refinement of body and friction by output error.
 
-The cost is the position error over short windows, and the torque error for directions that these do
-not show (DIDIM: Gautier, Janot and Vandanjon 2013, "A
+The cost is the position error over short windows; the torque error determines the other directions
+(DIDIM: Gautier, Janot and Vandanjon 2013, "A
 new closed-loop output error method for parameter identification of robot dynamics", IEEE Trans.
 Control Syst. Technol. 21(2); here with friction that has a state). Each parameter is varied in its
 own copy of all windows.
@@ -62,7 +62,7 @@ def refine(
     problem = _Problem(robot, body, friction, motions)
     rng = np.random.default_rng(seed)
     moved = rng.normal(scale=_SPREAD, size=(starts - 1, problem.size))
-    # Least squares determine the body far better than by 15 %, so only friction varies.
+    # Only friction varies: least squares determine the body much better than to 15 %.
     moved[:, : len(problem.columns)] = 0.0
     theta = np.vstack([np.zeros((1, problem.size)), moved])
     found = problem.costs(theta)

@@ -32,10 +32,7 @@ class Windows:
     logs: Logs = field(repr=False)
 
     def states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
-        """Return the states (m, W) of each law, run in along the logs, at the windows' starts.
-
-        They are those `delay` rows earlier.
-        """
+        """Return each law's states (m, W) `delay` rows before the windows, run in along the logs."""
         found: list[list[Array]] = [[] for _ in model.laws]
         for number, log in enumerate(self.logs):
             rows = [max(row - delay, 0) for place, row in self.places if place == number]

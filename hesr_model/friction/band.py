@@ -57,7 +57,7 @@ NUMBERS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Numbers of one joint's band; ArtifactError if one is negative or not finite, or the speed 0.
+    """Numbers of one joint's band; ArtifactError if one is negative or not finite, or speed 0.
 
     `envelope` is 1 if the band at rest spans the break-away torques, 0 if rests were measured.
     """

@@ -40,7 +40,7 @@ def papers_law() -> str:
 
 
 def laws_with(fact: str) -> tuple[str, ...]:
-    """Return the laws with a true fact, such as `quick` or `classic`."""
+    """Return the laws for which a fact such as `quick` or `classic` is true."""
     return tuple(name for name, law in registry().items() if getattr(law, fact))
 
 

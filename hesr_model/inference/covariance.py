@@ -9,7 +9,7 @@ differ by more than their rows show:
 S is prewhitened by a first-order autoregression and weighted by Bartlett's kernel (Andrews and
 Monahan 1992). The factor measures how estimates with each log left out differ beyond that. With
 `ENOUGH` logs the influences of whole logs are summed instead (cluster-robust, Liang and Zeger
-1986). `carried` is from earlier estimates.
+1986). `carried` is the covariance of earlier estimates.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Paired test of two predictions of the same logs; it says nothing on other days or motions.
+"""Paired test of two predictions of the same logs, not of other days or motions.
 
 Errors of neighbouring rows are correlated, so rows are summed in units: whole logs if there are
 `ENOUGH`, else blocks of time, longer if residuals are correlated for longer.
