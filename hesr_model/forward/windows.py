@@ -32,7 +32,7 @@ class Windows:
     logs: Logs = field(repr=False)
 
     def states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
-        """Return each law's states (m, W) `delay` rows before the windows, run in along the logs."""
+        """Return each law's states (m, W), run in along the logs, `delay` rows before windows."""
         found: list[list[Array]] = [[] for _ in model.laws]
         for number, log in enumerate(self.logs):
             rows = [max(row - delay, 0) for place, row in self.places if place == number]
