@@ -9,12 +9,12 @@ import numpy as np
 
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.friction.inputs import INPUTS
-from hesr_model.friction.metrics import BandScore, score, score_band, time_band
+from hesr_model.friction.metrics import BandScore, Score, score, score_band, time_band
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import first_states, predict_band
 from hesr_model.friction.records import record_start
 from hesr_model.friction.registry import laws_with
-from hesr_model.inference.paired_test import compare_errors, holm
+from hesr_model.inference.comparison import LEAST_SECONDS, SIGNIFICANCE, LawErrors, holm, law_errors
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.support.arrays import Array
 from hesr_model.support.frames import pandas_frame
@@ -36,24 +36,27 @@ MEASURED_START = " + start"
 Errors = Mapping[str, Mapping[str, Sequence[float]]]  # RMSE by test set, law, joint [N.m]
 ORACLE = "true friction"
 """Row of the twin's own friction; its error is noise and the error of the rigid body."""
-SIGNIFICANCE = 0.05  # adjusted for all comparisons of a table
+RECORDED = 1.1  # ratio of errors for which the needed duration of tests is stated
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ratio:
-    """RMSE of a law over that of its reference, and 95 % interval; None for a short log."""
+    """RMSE of a law over that of its reference, and 95 % interval; None for short logs.
+
+    p is adjusted for the laws of the joint (Holm) and multiplied by `CALIBRATION`.
+    """
 
     value: float
     low: float | None
     high: float | None
-    p: float | None = None  # adjusted (Holm); None in earlier versions
+    p: float | None = None  # None in earlier versions
 
     @property
     def verdict(self) -> str:
         """Comparison with the reference: "better", "worse" or "alike"."""
         if self.p is not None:
             sure = self.p < SIGNIFICANCE
-        else:  # rule of earlier versions
+        else:  # short logs; rule of earlier versions
             low, high = self.low, self.high
             sure = low is not None and high is not None and (high < 1.0 or low > 1.0)
         if not sure:
@@ -67,10 +70,18 @@ class Ratios:
 
     reference: str  # fallback
     laws: Mapping[str, tuple[Ratio, ...]]
-    references: Mapping[str, str] = field(default_factory=dict)
+    references: Mapping[str, str] = field(default_factory=dict)  # in earlier versions
+    by_joint: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # references of laws
 
-    def of(self, law: str) -> str:
-        """Return the reference of a law."""
+    @property
+    def fair(self) -> bool:
+        """Whether each law has a reference of the same inputs or fewer."""
+        return bool(self.references or self.by_joint)
+
+    def of(self, law: str, joint: int) -> str:
+        """Return the reference of a law on a joint."""
+        if law in self.by_joint:
+            return self.by_joint[law][joint]
         return self.references.get(law, self.reference)
 
 
@@ -88,8 +99,9 @@ class LawScores:
 class Comparison:
     """Scores of several laws on the same logs; defaults are those of earlier versions.
 
-    `leading` has for each joint the law with the lowest error and all not significantly worse
-    (Holm).
+    For each joint, `leading` has the law with the lowest error and all laws that are not
+    significantly worse (Holm over the joint), `detectable` the smallest ratio to the lowest error
+    at which each other law would be found worse; it is empty if the logs are too short.
     """
 
     joints: tuple[str, ...]
@@ -99,6 +111,13 @@ class Comparison:
     leading: tuple[tuple[str, ...], ...] = ()
     per_log: tuple[str, ...] | None = None  # fitted to each test log
     bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)  # coverage of 95 %
+    detectable: tuple[Mapping[str, float], ...] = ()
+    seconds: tuple[float, ...] = ()  # [s] duration of tests that finds `RECORDED`, median of laws
+
+    @property
+    def too_short(self) -> tuple[bool, ...]:
+        """Whether the logs are too short to find any law worse, by joint."""
+        return tuple(len(self.laws) > 1 and not of_joint for of_joint in self.detectable)
 
     def to_pandas(self) -> Any:
         """Return a DataFrame of all measures [N.m; `r2` has none] by law and joint."""
@@ -133,48 +152,21 @@ def compare(
 
     The `inputs` of each law decide the references. Bands of `models` are also scored.
     """
-    errors = {
-        law: [
-            [p - r.tau for r, p in zip(*of_joint, strict=True)]
-            for of_joint in zip(records, predicted, strict=True)
-        ]
-        for law, predicted in predictions.items()
-    }
     scores = {
         law: [score(r, p) for r, p in zip(records, predicted, strict=True)]
         for law, predicted in predictions.items()
     }
     fallback = REFERENCE if REFERENCE in predictions else next(iter(predictions))
-    size = {
-        law: float(np.mean([s.rmse / max(s.tau_std, 1e-300) for s in of]))
-        for law, of in scores.items()
-    }
-    references = {law: _reference(law, size, inputs or {}, fallback) for law in predictions}
-    periods = [[float(np.median(np.diff(r.t))) for r in of_joint] for of_joint in records]
-
-    def paired(pairs: Iterable[tuple[str, str, int]]) -> dict[tuple[str, str, int], Ratio]:
-        """Compare pairs of laws on joints, as one family."""
-        found = {
-            (law, other, j): compare_errors(errors[law][j], errors[other][j], periods[j])
-            for law, other, j in pairs
-        }
-        adjusted = holm({key: one.p for key, one in found.items()})
-        return {
-            key: Ratio(value=one.value, low=one.low, high=one.high, p=adjusted[key])
-            for key, one in found.items()
-        }
-
-    numbered = range(len(records))
-    others = [law for law in predictions if references[law] != law]
-    ratios = paired((law, references[law], j) for law in others for j in numbered)
     ranked = [law for law in predictions if law != ORACLE and not law.endswith(MEASURED_START)]
-    leading = []
-    for j in numbered if ranked else ():
-        best = min(ranked, key=lambda law: scores[law][j].rmse)
-        rest = [law for law in ranked if law != best]
-        # One family per joint: a family over all joints has no power with few blocks.
-        apart = paired((law, best, j) for law in rest)
-        leading.append((best, *(law for law in rest if apart[law, best, j].verdict == "alike")))
+    tables = [_table(of_joint, predictions, j, ranked) for j, of_joint in enumerate(records)]
+    references = [
+        {law: _reference(law, j, scores, inputs or {}, models or {}, fallback) for law in scores}
+        for j in range(len(records))
+    ]
+    ratios = [_ratios(*pair) for pair in zip(tables, references, strict=True)]
+    others = [law for law in scores if any(law in of_joint for of_joint in ratios)]
+    itself = Ratio(value=1.0, low=1.0, high=1.0, p=1.0)
+    against = [_against_best(table, ranked) for table in tables if ranked]
     return Comparison(
         joints=tuple(of_joint[0].joint for of_joint in records),
         tau_std=tuple(s.tau_std for s in scores[fallback]),
@@ -184,12 +176,58 @@ def compare(
         },
         ratios=Ratios(
             reference=fallback,
-            laws={law: tuple(ratios[law, references[law], j] for j in numbered) for law in others},
-            references={law: references[law] for law in others} if inputs else {},
+            laws={law: tuple(of.get(law, itself) for of in ratios) for law in others},
+            by_joint={law: tuple(of[law] for of in references) for law in others if inputs},
         ),
-        leading=tuple(leading),
+        leading=tuple(leading for leading, *_ in against),
         bands=_band_scores(models or {}, records, predictions),
+        detectable=tuple(detectable for _, detectable, _ in against),
+        seconds=tuple(seconds for *_, seconds in against),
     )
+
+
+def _table(
+    of_joint: Sequence[FrictionRecord],
+    predictions: Mapping[str, Sequence[Sequence[Array]]],
+    joint: int,
+    ranked: Sequence[str],
+) -> LawErrors:
+    """Return the errors of all rows on a joint."""
+    errors = {
+        law: [p - r.tau for r, p in zip(of_joint, predicted[joint], strict=True)]
+        for law, predicted in predictions.items()
+    }
+    return law_errors(errors, [float(np.median(np.diff(r.t))) for r in of_joint], ranked)
+
+
+def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, Ratio]:
+    """Return the ratio of each law to its reference on a joint, as one family."""
+    others = [law for law in table.laws if references[law] != law]
+    found = {law: table.ratios(references[law])[law] for law in others}
+    adjusted = holm({law: one.p for law, one in found.items() if one.p is not None})
+    return {
+        law: Ratio(value=one.value, low=one.low, high=one.high, p=adjusted.get(law))
+        for law, one in found.items()
+    }
+
+
+def _against_best(
+    table: LawErrors, ranked: Sequence[str]
+) -> tuple[tuple[str, ...], dict[str, float], float]:
+    """Return the laws that are not worse than the best, what can be found, and in which time.
+
+    One family per joint: a family over all joints would have little power.
+    """
+    best = min(ranked, key=lambda law: table.log_rmse[table.laws.index(law)])
+    others = [law for law in ranked if law != best]
+    if not others or table.too_short:
+        return (best, *others), {}, LEAST_SECONDS
+    found = table.ratios(best, len(others))
+    adjusted = holm({law: p for law in others if (p := found[law].p) is not None})
+    tied = (law for law in others if adjusted[law] >= SIGNIFICANCE)
+    detectable = {law: x for law in others if (x := found[law].detectable) is not None}
+    seconds = float(np.median([table.seconds_for(law, best, RECORDED) for law in others]))
+    return (best, *tied), detectable, seconds
 
 
 def _band_scores(
@@ -215,18 +253,36 @@ def _band_scores(
 
 
 def _reference(
-    law: str, size: Mapping[str, float], inputs: Mapping[str, str], fallback: str
+    law: str,
+    joint: int,
+    scores: Mapping[str, Sequence[Score]],
+    inputs: Mapping[str, str],
+    models: Mapping[str, FrictionModel],
+    fallback: str,
 ) -> str:
-    """Return the strongest classic law without further inputs."""
+    """Return the strongest classic law on a joint without further inputs.
+
+    It is chosen by errors on left-out training logs; where these are unknown, as for FMUs of other
+    tools, by the error on the test.
+    """
     if law not in inputs:
         return fallback
-    own, classic = set(inputs[law].split(", ")), laws_with("classic")
-    fair = [
-        k
-        for k in size
-        if k.removesuffix(MEASURED_START) in classic and set(inputs.get(k, "v").split(", ")) <= own
+    own, suffix = set(inputs[law].split(", ")), MEASURED_START * law.endswith(MEASURED_START)
+
+    def error(row: str) -> float:
+        model = models.get(row.removesuffix(MEASURED_START))
+        if model is None or model.coupling or not model.left_out_rmse:
+            return scores[row][joint].rmse
+        return model.left_out_rmse[joint]
+
+    classic = [
+        row
+        for row in scores
+        if row.removesuffix(MEASURED_START) in laws_with("classic")
+        and set(inputs.get(row, "v").split(", ")) <= own
     ]
-    return min(fair, key=lambda k: size[k]) if fair else fallback
+    with_start = [row for row in classic if suffix and row.endswith(suffix)]
+    return min(with_start or classic, key=error, default=fallback)
 
 
 def within(

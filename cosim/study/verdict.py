@@ -1,6 +1,6 @@
 """Verdict of a run: the recommended FMU, its weaknesses, and helpful data."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.report.tables.table import joints as short_names
 from cosim.report.tables.table import title
-from cosim.study.scores import ORACLE, Comparison, Records
+from cosim.study.scores import RECORDED, Comparison, Records, inputs_of
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import outside
@@ -22,11 +22,27 @@ if TYPE_CHECKING:
 
 VERDICT, VERDICT_FORMAT = "verdict.json", "hesr-verdict-1"
 
-_MUCH = 25.0  # [%] of friction unexplained
-_AT_REVERSALS = 1.5  # error near reversals over that of all rows
-_BEYOND = 0.02  # share of test rows outside the trained speeds
+CLOSE = 1.05  # ratio of errors below which a difference is one of coefficients, not of laws
+_SHORT = "the test is too short to compare laws"
+_MUCH = 25.0  # [%] unexplained friction of a poorly modelled joint
+_AT_REVERSALS = 1.5  # error near reversals over that of all rows, above which reversals are weak
+_BEYOND = 0.02  # share of test rows outside the trained speeds to report
 _RESTS = 0.02  # share of training rows at rest that shows stiction
 _LOADED = 0.5  # spread of the load over that of friction
+
+
+@dataclass(frozen=True, kw_only=True)
+class Separation:
+    """Laws that a test cannot distinguish on a joint.
+
+    `tied` are not significantly worse than the law with the lowest error, `best`; any law whose
+    error were `detectable` times the lowest would have been found worse, None for a short test.
+    """
+
+    best: str
+    tied: tuple[str, ...]
+    detectable: float | None
+    seconds: float  # [s] duration of a test that would find `RECORDED`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +56,8 @@ class Verdict:
     unexplained: Mapping[str, float]  # error over the size of friction by joint [%]
     weak: tuple[str, ...]
     improve: tuple[str, ...]
+    joints: tuple[Separation, ...] = ()  # empty in earlier versions
+    limits: tuple[str, ...] = ()  # what the test cannot tell
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -48,6 +66,7 @@ class Verdict:
         left = ", ".join(f"{joint} {share:.0f} %" for joint, share in shares)
         return (
             f"Recommended: {self.fmu} ({title(self.law)}): {self.why}",
+            *self.limits,
             f"Unexplained friction on '{self.test}': {left}.",
             *self.weak,
             *self.improve,
@@ -65,50 +84,139 @@ def verdict(
 ) -> Verdict:
     """Judge a run by its first test set; records are [joint][log].
 
-    Candidates are the laws that lead on most joints, where no other law is significantly better.
-    The law that passes most physics checks is taken, then the one with the lowest error.
+    The recommended law is the simplest of those that no other law beats on any joint; see
+    `recommend`. A test that is too short decides nothing; then the errors on left-out training logs
+    decide.
     """
     test, scores = next(iter(comparisons.items()))
-    names = [law for law in scores.laws if law != ORACLE]
-    leads = {law: sum(law in of_joint for of_joint in scores.leading) for law in names}
-    most = max(leads.values())
-    candidates = [law for law in names if leads[law] == most]
-    passed = {law: properties[law].passed for law in candidates if law in properties}
-    error = {law: _relative(scores, law) for law in names}
-    law = min(candidates, key=lambda name: (-passed.get(name, 0), error[name]))
+    law, why = recommend(scores, models)
     percent = {
         joint: 100.0 * rmse / std
         for joint, rmse, std in zip(
             scores.joints, scores.laws[law].rmse, scores.tau_std, strict=True
         )
     }
-    equals = [name for name in candidates if name != law]
+    joints = tuple(separation(scores))
     return Verdict(
         law=law,
         fmu=f"fmus/{law}.fmu",
         test=test,
-        why=_why(law, f"on {most} of {len(scores.joints)} joints", equals, passed),
+        why=why,
         unexplained=percent,
         weak=tuple(_weak(scores, law, percent, properties)),
         improve=tuple(_improve(models[law], trained, tested, gear_ratio=gear_ratio)),
+        joints=joints,
+        limits=tuple(limits(f"'{test}'", law, joints)),
     )
 
 
-def _relative(scores: Comparison, law: str) -> float:
-    ratios = np.divide(scores.laws[law].rmse, np.maximum(scores.tau_std, 1e-300))
-    return float(np.mean(ratios))
+def separation(scores: Comparison) -> Iterator[Separation]:
+    """Yield which laws the test cannot distinguish, by joint."""
+    for of_joint, detectable, seconds in zip(
+        scores.leading, scores.detectable, scores.seconds, strict=True
+    ):
+        best, *tied = of_joint
+        among = [detectable[law] for law in tied if law in detectable] or [*detectable.values()]
+        yield Separation(
+            best=best,
+            tied=tuple(tied),
+            detectable=max(among) if among else None,
+            seconds=seconds,
+        )
 
 
-def _why(law: str, on: str, equals: Sequence[str], passed: Mapping[str, int]) -> str:
-    if not equals:
-        return f"{on} no other law is significantly better, and each other law is on fewer."
-    others = ", ".join(map(title, equals))
-    reason = (
-        f"it passes more physics checks ({passed[law]} of {len(EXPECTATIONS)})"
-        if law in passed and passed[law] > max((passed.get(name, 0) for name in equals), default=0)
-        else "it has the lowest error"
+def recommend(scores: Comparison, models: Mapping[str, FrictionModel]) -> tuple[str, str]:
+    """Return the recommended law and the reason, which is the rule that decided.
+
+    On a test of sufficient length: of the laws that lead on most joints, those within `CLOSE` of
+    the lowest error of each joint, or else the one nearest to it; of these the simplest, with the
+    fewest inputs, then the fewest states and coefficients.
+    """
+    names = [law for law in scores.laws if law in models]
+    joints = range(len(scores.joints))
+    if all(scores.too_short):
+        known = [law for law in names if models[law].left_out_rmse]
+        if not known:
+            law = min(names, key=lambda name: _mean(scores.laws[name].rmse, scores.tau_std))
+            return law, f"{_SHORT}; it has the lowest error."
+        law = min(known, key=lambda name: _mean(models[name].left_out_rmse, scores.tau_std))
+        return law, f"{_SHORT}; it has the lowest error on left-out training logs."
+    led = {law: sum(law in scores.leading[j] for j in joints) for law in names}
+    most = max(led.values())
+    candidates = [law for law in names if led[law] == most]
+    lowest = [scores.laws[scores.leading[j][0]].rmse[j] for j in joints]
+    above = {
+        law: max(
+            rmse / max(least, 1e-300)
+            for j, rmse, least in zip(joints, scores.laws[law].rmse, lowest, strict=True)
+            if law in scores.leading[j]
+        )
+        for law in candidates
+    }
+    close = [law for law in candidates if above[law] <= CLOSE]
+    where = f"on {most} of {len(joints)} joints no other law is significantly better"
+    if most < len(joints):
+        where += f"; no law leads on all joints ({_better(scores, candidates[0])})"
+    if len(candidates) == 1:
+        return candidates[0], f"{where}, which holds for this law alone."
+    if not close:
+        law = min(candidates, key=lambda name: above[name])
+        return law, (
+            f"{where}; of {len(candidates)} such laws its error is nearest to the lowest of each "
+            "joint."
+        )
+    law = min(close, key=lambda name: (*simplicity(models[name]), above[name]))
+    if len(close) == 1:
+        return law, (
+            f"{where}; of {len(candidates)} such laws it alone is within "
+            f"{100 * (CLOSE - 1):.0f} % of the lowest error of each joint."
+        )
+    return law, (
+        f"{where}; of the {len(close)} such laws within {100 * (CLOSE - 1):.0f} % of the lowest "
+        f"error of each joint it is the simplest (inputs {inputs_of(models[law])})."
     )
-    return f"{on} no law is significantly better (tied with {others}); {reason}."
+
+
+def simplicity(model: FrictionModel) -> tuple[int, int, int]:
+    """Return numbers of inputs, states and coefficients, the largest of all joints."""
+    states = max(len(law.start) for law in model.laws)
+    return inputs_of(model).count(",") + 1, states, max(len(law.values) for law in model.laws)
+
+
+def _mean(errors: Sequence[float], sizes: Sequence[float]) -> float:
+    return float(np.mean(np.divide(errors, np.maximum(sizes, 1e-300))))
+
+
+def _better(scores: Comparison, law: str) -> str:
+    """Return where another law is significantly better."""
+    return ", ".join(
+        f"{title(leading[0])} is better on {short}"
+        for short, leading in zip(short_names(len(scores.joints)), scores.leading, strict=True)
+        if law not in leading
+    )
+
+
+def limits(test: str, law: str, joints: Sequence[Separation]) -> Iterator[str]:
+    """Yield what a test cannot tell about a law."""
+    short = short_names(len(joints))
+    if all(one.detectable is None for one in joints):
+        if any(one.tied for one in joints):
+            seconds = max(one.seconds for one in joints)
+            yield f"{test} is too short to compare laws; record at least {seconds:.0f} s."
+        return
+    parts = []
+    for name, one in zip(short, joints, strict=True):
+        others = {one.best, *one.tied} - {law}
+        if one.detectable is not None and others and law in (one.best, *one.tied):
+            laws = f"{len(others)} law{'s' if len(others) > 1 else ''}"
+            parts.append(f"{laws} on {name} ({100 * (one.detectable - 1):.0f} %)")
+    if parts:
+        longest = max(one.seconds for one in joints)
+        yield (
+            f"{test} does not separate it from {', '.join(parts)}; in brackets the smallest "
+            "difference that would show."
+        )
+        yield f"To find {100 * (RECORDED - 1):.0f} %, record tests of about {longest:.0f} s."
 
 
 def _weak(

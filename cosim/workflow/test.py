@@ -356,7 +356,9 @@ def _checked(
 
 
 def _scores_lines(scores: Comparison) -> list[str]:
-    """Return the best law, its error, and whether the logs separate it from the others."""
+    """Return the best law, its error, and what the logs cannot tell."""
+    from cosim.study.verdict import limits, separation
+
     size = {
         name: sum(e / max(t, 1e-300) for e, t in zip(law.rmse, scores.tau_std, strict=True))
         for name, law in scores.laws.items()
@@ -367,12 +369,10 @@ def _scores_lines(scores: Comparison) -> list[str]:
         f"{joint} {100 * e / max(t, 1e-300):.0f} %"
         for joint, e, t in zip(scores.joints, rmse, scores.tau_std, strict=True)
     )
-    tied = [name for name in size if name != best and all(name in led for led in scores.leading)]
-    lines = [f"Best: {best}. Unexplained friction: {shares}."]
-    if len(size) > 1:
-        apart = "On at least one joint the logs separate it from every other law."
-        lines.append(f"The logs do not separate it from {', '.join(tied)}." if tied else apart)
-    return lines
+    return [
+        f"Best: {best}. Unexplained friction: {shares}.",
+        *limits("The logs", best, tuple(separation(scores))),
+    ]
 
 
 def _failed(found: Properties) -> str:

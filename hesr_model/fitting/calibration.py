@@ -39,13 +39,21 @@ _NONE = 1e-30
 
 
 def with_band(law: FrictionLaw, records: Sequence[FrictionRecord]) -> FrictionLaw:
-    """Return the law with the band of its torque, or the law itself if its torque is not finite.
+    """Return the law with the band of its torque; see `calibrated`."""
+    return calibrated(law, records)[0]
 
-    Without a covariance its coefficients are taken as exact.
+
+def calibrated(
+    law: FrictionLaw, records: Sequence[FrictionRecord]
+) -> tuple[FrictionLaw, float | None]:
+    """Return the law with its band, and its RMSE on logs left out in turn [N.m].
+
+    The law itself and None if its torque is not finite. Without a covariance its coefficients are
+    taken as exact.
     """
     errors, certain = _left_out(law, records)
     if not np.all(np.isfinite(errors) & np.isfinite(certain)):
-        return law
+        return law, None
     dq, load = (np.concatenate([getattr(r, name) for r in records]) for name in ("dq", "tau_load"))
     seen = sum(_rests(r) for r in records) >= RESTS
     some = slice(None, None, -(-len(errors) // _ENOUGH))
@@ -65,19 +73,17 @@ def with_band(law: FrictionLaw, records: Sequence[FrictionRecord]) -> FrictionLa
     standard = np.abs(errors) / np.sqrt(variance + _NONE)
     at_level = float(np.quantile(standard, LEVEL))
     floor, slow, rest, fast, share = map(float, at_level * np.sqrt(found))
-    return replace(
-        law,
-        band=Band(
-            floor=floor,
-            slow=slow,
-            slow_speed=speed,
-            rest=rest,
-            fast=fast,
-            load=share,
-            tail=_tail(standard, at_level),
-            envelope=0.0 if seen else 1.0,
-        ),
+    band = Band(
+        floor=floor,
+        slow=slow,
+        slow_speed=speed,
+        rest=rest,
+        fast=fast,
+        load=share,
+        tail=_tail(standard, at_level),
+        envelope=0.0 if seen else 1.0,
     )
+    return replace(law, band=band), float(np.sqrt(np.mean(errors**2)))
 
 
 def _left_out(law: FrictionLaw, records: Sequence[FrictionRecord]) -> tuple[Array, Array]:

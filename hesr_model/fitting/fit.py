@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import FitError
-from hesr_model.fitting.calibration import with_band
+from hesr_model.fitting.calibration import calibrated
 from hesr_model.fitting.checkpoint import key_of, read_checkpoint, write_checkpoint
 from hesr_model.fitting.day_offsets import Nuisance, own_of_logs, without_own
 from hesr_model.fitting.declarative import OneForm
@@ -150,7 +150,7 @@ def fit_models(
         plain = _run(jobs, workers, progress, left_out)
     pooled = {law: with_pooled_errors(of_joints) for law, of_joints in plain.items()}
     banded = [
-        partial(with_band, law, of_joint)
+        partial(calibrated, law, of_joint)
         for of_joints in pooled.values()
         for law, of_joint in zip(of_joints, records, strict=True)
     ]
@@ -162,16 +162,22 @@ def fit_models(
             law=law,
             robot=robot,
             joints=tuple(of_joint[0].joint for of_joint in records),
-            laws=fitted[law],
+            laws=tuple(own for own, _ in fitted[law]),
             sliding=tuple(of_joint[0].sliding for of_joint in records),
             coupling=coupling,
             sample_time=round(float(np.median(periods)), 9),
             trained=tuple(TrainedRange.of(of_joint) for of_joint in records),
             training_rmse=tuple(map(training_error, plain[law], records)),
+            left_out_rmse=_all_known([error for _, error in fitted[law]]),
             provenance=dict(provenance or {}),
         )
-        for law in fitted
+        for law, of_joints in bands.items()
     }
+
+
+def _all_known(errors: Sequence[float | None]) -> tuple[float, ...]:
+    known = tuple(error for error in errors if error is not None)
+    return known if len(known) == len(errors) else ()
 
 
 def _run(

@@ -45,6 +45,7 @@ class FrictionModel:
     sample_time : sample period of the training data [s].
     trained : ranges of each law's training records; empty if unknown.
     training_rmse : error of each law on those records [N.m]; empty if unknown.
+    left_out_rmse : the same on logs left out in turn [N.m]; empty if unknown.
     thermal : thermal model of each joint; empty if unknown.
     provenance : JSON data on the origin of the model (files with hashes, seed, versions).
 
@@ -63,6 +64,7 @@ class FrictionModel:
     sample_time: float
     trained: tuple[TrainedRange, ...] = ()
     training_rmse: tuple[float, ...] = ()
+    left_out_rmse: tuple[float, ...] = ()
     thermal: tuple[Thermal, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -85,6 +87,7 @@ class FrictionModel:
             (self.sliding, "flags of prismatic joints for"),
             (self.trained, "trained ranges for"),
             (self.training_rmse, "training errors for"),
+            (self.left_out_rmse, "errors on left-out logs for"),
             (self.thermal, "thermal models for"),
         ):
             if found and len(found) != len(self.joints):
@@ -171,6 +174,7 @@ class FrictionModel:
                 sample_time=file.sample_time,
                 trained=tuple(j.trained for j in joints if j.trained),
                 training_rmse=tuple(j.training_rmse for j in joints if j.training_rmse is not None),
+                left_out_rmse=tuple(j.left_out_rmse for j in joints if j.left_out_rmse is not None),
                 thermal=tuple(j.thermal for j in joints if j.thermal),
                 provenance=file.provenance,
             )
@@ -187,6 +191,7 @@ class FrictionModel:
             "sliding": [slides or None for slides in self.slides],
             "trained": self.trained or unknown,
             "training_rmse": self.training_rmse or unknown,
+            "left_out_rmse": self.left_out_rmse or unknown,
             "thermal": self.thermal or unknown,
         }
         file = ModelFile(

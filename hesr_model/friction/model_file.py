@@ -48,6 +48,7 @@ class JointEntry:
     band: Band | None = None
     trained: TrainedRange | None = None
     training_rmse: float | None = None
+    left_out_rmse: float | None = None
     thermal: Thermal | None = None
 
     @classmethod

@@ -36,7 +36,7 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
     """Compare all laws on every test set."""
     run, truths, test = results.run, results.truths, results.tests[0]
     found = results.comparisons[test].ratios
-    reference = "its reference" if found.references else title(found.reference)
+    reference = "its reference" if found.fair else title(found.reference)
     laws = {title(law): row for law, row in found.laws.items()}
     axis = f"RMSE / RMSE of {reference}"
     return {

@@ -59,7 +59,7 @@ def errors(results: Results, law: str) -> ResultTable:
     own = scores.laws[law].rmse
     places = decimals(own)
     head = ["joint", "RMSE", "unexplained"]
-    columns = [
+    columns: list[Sequence[TableCell | str]] = [
         [fixed(error, places) for error in own],
         [
             TableCell(text=f"{share:.0f} %", value=float(share))
@@ -68,26 +68,29 @@ def errors(results: Results, law: str) -> ResultTable:
     ]
     caption = f"Error of {title(law)} on ‘{test}’ [{results.unit('N.m')}]"
     if found := _reference(scores, law):
-        reference, ratios, role = found
-        head += ["reference", "ratio"]
-        caption += f" and of {title(reference)}, {role}; small: 95\u00a0% interval"
+        references, ratios, role = found
+        head += ["reference", "RMSE", "ratio"]
+        caption += f" and of {role}; small: 95\u00a0% interval"
         columns += [
-            [fixed(error, places) for error in scores.laws[reference].rmse],
+            list(map(title, references)),
+            [fixed(scores.laws[r].rmse[k], places) for k, r in enumerate(references)],
             [fixed(ratio.value, 2, notes=ratio_notes(ratio)[1:]) for ratio in ratios],
         ]
     rows = [row_of(*cells) for cells in zip(results.joints, *columns, strict=True)]
     return ResultTable(caption=caption, head=head, rows=rows)
 
 
-def _reference(scores: Comparison, law: str) -> tuple[str, Sequence[Ratio], str] | None:
-    """Return the law to compare with, the ratios to it, and its role."""
-    found = scores.ratios
+def _reference(scores: Comparison, law: str) -> tuple[list[str], Sequence[Ratio], str] | None:
+    """Return the law to compare with on each joint, the ratios to it and its role."""
+    found, joints = scores.ratios, range(len(scores.joints))
     if law in found.laws:
-        return found.of(law), found.laws[law], "the strongest reference"
+        return [found.of(law, k) for k in joints], found.laws[law], "the strongest reference"
     rivals = {
         other: float(np.mean([ratio.value for ratio in ratios]))
         for other, ratios in found.laws.items()
-        if found.of(other) == law and other != ORACLE and not other.endswith(MEASURED_START)
+        if all(found.of(other, k) == law for k in joints)
+        and other != ORACLE
+        and not other.endswith(MEASURED_START)
     }
     if not rivals:
         return None
@@ -101,7 +104,7 @@ def _reference(scores: Comparison, law: str) -> tuple[str, Sequence[Ratio], str]
         )
         for ratio in found.laws[rival]
     ]
-    return rival, inverse, f"the best law with {title(law)} as its reference"
+    return [rival] * len(inverse), inverse, f"the best law with {title(law)} as its reference"
 
 
 def _plot(results: Results, law: str) -> dict[str, Any] | None:

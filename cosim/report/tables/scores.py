@@ -64,7 +64,7 @@ def errors(
     unit, speed = (unit_of_joints(u, sliding) for u in ("N.m", "rad/s"))
     reference = (
         "the strongest classic law of the same inputs or fewer"
-        if scores.ratios.references
+        if scores.ratios.fair
         else title(scores.ratios.reference)
     )
     small = f"; small: ratio to {reference} with its 95\u00a0% interval" if ratios else ""
