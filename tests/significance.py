@@ -1,4 +1,4 @@
-"""Whether laws are significantly worse than another one: paired blocks, Holm over all joints."""
+"""Whether laws are significantly worse than another one; Holm over all joints."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -6,26 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.study.results import Scored
-from cosim.study.scores import SIGNIFICANCE, records_of
-from hesr_model.inference.paired_test import Paired, compare_errors, holm
+from cosim.study.scores import records_of
+from hesr_model.inference.comparison import SIGNIFICANCE, ErrorRatio, holm, law_errors
 
 
 @dataclass(frozen=True, kw_only=True)
 class Against:
-    """Laws against another one, by law and number of the joint.
+    """Laws against another one, by law and number of the joint; p is adjusted in `adjusted`."""
 
-    Attributes
-    ----------
-    found : ratio of errors with its own probability.
-    adjusted : probability adjusted for all of them (Holm).
-    """
-
-    found: Mapping[tuple[str, int], Paired]
+    found: Mapping[tuple[str, int], ErrorRatio]
     adjusted: Mapping[tuple[str, int], float]
 
     @property
     def worse(self) -> list[tuple[str, int]]:
-        """Laws and joints of which it is sure."""
+        """Laws and joints with a significantly larger error."""
         return [k for k, p in self.adjusted.items() if p < SIGNIFICANCE and self.found[k].value > 1]
 
     def mean(self, law: str) -> float:
@@ -36,22 +30,27 @@ class Against:
 
     def __str__(self) -> str:
         return "\n".join(
-            f"{law} J{joint + 1}: {ratio.value:.3f}, p = {self.adjusted[law, joint]:.3f}"
+            f"{law} J{joint + 1}: {ratio.value:.3f}, p = {self.adjusted.get((law, joint), 1.0):.3f}"
             for (law, joint), ratio in self.found.items()
         )
 
 
 def against(run: Scored, tests: str, laws: Iterable[str], other: str = "lugre") -> Against:
     """Compare laws with another one on a set of test logs, joint by joint."""
-    records = records_of(run.study.logs.test[tests], run.records)
-    torque = run.predictions[tests]
+    records, torque, laws = (
+        records_of(run.study.logs.test[tests], run.records),
+        run.predictions[tests],
+        tuple(laws),
+    )
     found = {}
-    for law in laws:
-        for j, of_joint in enumerate(records):
-            errors = [
-                [p - r.tau for p, r in zip(torque[name][j], of_joint, strict=True)]
-                for name in (law, other)
-            ]
-            periods = [float(np.median(np.diff(r.t))) for r in of_joint]
-            found[law, j] = compare_errors(errors[0], errors[1], periods)
-    return Against(found=found, adjusted=holm({key: one.p for key, one in found.items()}))
+    for j, of_joint in enumerate(records):
+        errors = {
+            law: [p - r.tau for p, r in zip(torque[law][j], of_joint, strict=True)]
+            for law in dict.fromkeys((*laws, other))
+        }
+        ratios = law_errors(errors, [float(np.median(np.diff(r.t))) for r in of_joint]).ratios(
+            other
+        )
+        found |= {(law, j): ratios[law] for law in laws}
+    known = {key: one.p for key, one in found.items() if one.p is not None}
+    return Against(found=found, adjusted=holm(known))

@@ -18,7 +18,7 @@ from hesr_model.friction import metrics
 from hesr_model.friction.inputs import DQ, Q
 from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.friction.registry import estimator, registry
-from hesr_model.inference import paired_test as paired
+from hesr_model.inference import comparison
 from hesr_model.laws import ripple
 from hesr_model.laws.parfam import trial
 from hesr_model.laws.stops import search
@@ -55,7 +55,10 @@ def test_limits_of_searches() -> None:
     assert (uncertainty.MOST_COEFFICIENTS, uncertainty._WIDTH, uncertainty._FLATTEST) == (
         64, 2.0, 0.25,
     )  # fmt: skip
-    assert (paired.ENOUGH, paired.SHORTEST, paired._MOST_UNITS) == (8, 8.0, 256)
+    assert (comparison.BIN, comparison.SECONDS_PER_DEGREE, comparison._TIMES_PER_DEGREE) == (
+        0.05, 8.0, 3.0,
+    )  # fmt: skip
+    assert (comparison.LEAST_DEGREES, comparison.CALIBRATION, comparison.POWER) == (4, 5.0, 0.8)
     assert (payload._SEGMENT, payload._LEAST_SEGMENTS, payload._SIGNIFICANT) == (1.0, 10, 4.0)
     assert (forward_reverse._LONGEST_SHIFT, forward_reverse._LARGEST_MISMATCH) == (0.5, 0.1)
     assert (identification.LEAST_PEAK, identification._MATTERS) == (0.02, 1e-2)

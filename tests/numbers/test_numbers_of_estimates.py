@@ -10,6 +10,7 @@ from unchanged import Unchanged
 
 from hesr_model.fitting import calibration, uncertainty
 from hesr_model.fitting.separable import SearchSpace
+from hesr_model.inference.comparison import holm, law_errors
 from hesr_model.inference.correlation import correlation_length, standard_errors
 from hesr_model.inference.covariance import (
     Covariance,
@@ -20,7 +21,6 @@ from hesr_model.inference.covariance import (
     pooled,
 )
 from hesr_model.inference.deviation import deviations, trend
-from hesr_model.inference.paired_test import _resamples, compare_errors, holm, units
 from hesr_model.rigid_body.residual import FrictionRecord
 
 LUGRE = {"sigma_0": 500.0, "sigma_1": 0.5, "sigma_2": 4.5, "F_c": 7.5, "F_s": 10.0, "v_s": 0.12,
@@ -106,31 +106,13 @@ def test_memory_of_residuals(unchanged: Unchanged) -> None:
 def test_a_comparison(logs: int, rows: int, unchanged: Unchanged) -> None:
     above = [0.9 * alike(k, rows, 0.9)[:, 0] for k in range(logs)]
     below = [alike(100 + k, rows, 0.8)[:, 0] for k in range(logs)]
+    third = [0.5 * (a + b) for a, b in zip(above, below, strict=True)]
     periods = [0.01 + 0.001 * k for k in range(logs)]
-    unchanged(
-        {"units": units(above, below, periods), "found": compare_errors(above, below, periods)}
-    )
-
-
-def test_resamples(unchanged: Unchanged) -> None:
-    found = {}
-    for count in (1, 3, 14, 15):
-        flips, seen, drawn = _resamples(count)
-        assert flips.shape == ((2**count if count < 15 else 20_000), count)
-        assert drawn.shape == (20_000, count)
-        found[str(count)] = {
-            "seen": seen, "flips": flips.mean(axis=0), "drawn": drawn[:200].std(axis=0),
-            "some": flips[:: max(1, len(flips) // 5)].sum(axis=1),
-        }  # fmt: skip
+    errors = law_errors({"above": above, "below": below, "third": third}, periods)
+    found = {"errors": errors, "ratios": errors.ratios("third")}
+    if not errors.too_short:
+        found["seconds"] = errors.seconds_for("above", "third", 1.1)
     unchanged(found)
-
-
-def test_many_short_pieces_are_put_together() -> None:
-    """No more than 256 units, however long the logs."""
-    one = [np.random.default_rng(0).normal(size=300_000)]
-    assert len(units(one, one, [0.01])[0]) == 256
-    whole = [np.random.default_rng(0).normal(size=10_000)]
-    assert len(units(whole, whole, [0.01])[0]) == 12
 
 
 def test_adjusted_probabilities() -> None:

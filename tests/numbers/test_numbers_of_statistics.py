@@ -5,10 +5,10 @@ from joint_data import along, law, path
 from unchanged import Unchanged
 
 from hesr_model.friction.metrics import rmse_ratio_interval, score, score_band
+from hesr_model.inference.comparison import holm
 from hesr_model.inference.correlation import correlation_length, standard_errors
 from hesr_model.inference.covariance import blocks_of_time, covariance, left_out, pooled
 from hesr_model.inference.deviation import deviations, trend
-from hesr_model.inference.paired_test import compare_errors, holm, units
 from hesr_model.logs.noise import standard_normal, words
 from hesr_model.logs.phases import moving, near_reversals, reversals
 
@@ -42,14 +42,8 @@ def test_covariances(unchanged: Unchanged) -> None:
 
 
 def test_comparisons(unchanged: Unchanged) -> None:
-    below = [RESIDUAL, 1.3 * RESIDUAL[:400]]
-    above = [0.9 * e + 0.1 * RNG.normal(size=len(e)) for e in below]
-    long = [np.tile(e, 30) for e in (*above, *below)]
     unchanged(
         {
-            "short": compare_errors(above, below, [0.01, 0.02]),
-            "long": compare_errors(long[:2], long[2:], [0.01, 0.02]),
-            "units": units(above, below, [0.1, 0.02]),
             "holm": holm({"a": 0.01, "b": 0.04, "c": 0.03, "d": 0.5}),
             "deviations": deviations([1.0, 1.1, 0.9, 1.05, 2.0], [0.1, None, 0.1, 0.2, 0.3]),
             "signed": deviations([-1.0, 1.1, 0.9, 1.05, 2.0], [None] * 5),

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from hesr.extras.adaptive.monitor import POINTS_TO, shared_signs
 from hesr.extras.fleet.result import BODY, Change, Deviant, JointResult, RobotResult
 from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
+from hesr_model.inference.comparison import holm
 from hesr_model.inference.deviation import ENOUGH, Deviation, deviations
-from hesr_model.inference.paired_test import holm
 
 Key = tuple[str, str, str, str]
 """Robot, law, joint, and name of a number."""
