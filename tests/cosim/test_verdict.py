@@ -1,15 +1,27 @@
 """What a run comes to, in words, and the marks in its tables: no more than the intervals say."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from registry_models import models_of_registry
 
 from cosim.report.tables.scores import errors
 from cosim.report.tables.table import TableCell
-from cosim.study.scores import ORACLE, Comparison, compare, predict_model
-from cosim.study.verdict import Verdict, read_verdict, verdict, write_verdict
+from cosim.study.scores import ORACLE, Comparison, LawScores, Ratios, compare, predict_model
+from cosim.study.verdict import (
+    Verdict,
+    limits,
+    read_verdict,
+    recommend,
+    separation,
+    verdict,
+    write_verdict,
+)
+from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.audit.properties import JointProperties, Properties, PropertyResult
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
@@ -127,3 +139,126 @@ def test_a_verdict_is_read_back(scores, models, trained, tested, tmp_path: Path)
     (tmp_path / "verdict.json").write_text('{"format": "hesr-verdict-1"}', encoding="utf-8")
     with pytest.raises(ArtifactError, match=r"verdict\.json"):
         read_verdict(tmp_path)
+
+
+# --- cases ------------------------------------------------------------------------------------
+
+
+registered = cache(lambda: list(models_of_registry()))
+
+
+def case(
+    rmse: dict[str, list[float]], leading: list[tuple[str, ...]], found: float | None = 1.1
+) -> Comparison:
+    """Scores with given errors [law][joint] and laws that the test cannot distinguish."""
+    joints = [f"j{k}" for k in range(1, len(leading) + 1)]
+    none = (None,) * len(joints)
+    return Comparison(
+        joints=tuple(joints),
+        tau_std=(10.0,) * len(joints),
+        laws={
+            law: LawScores(rmse=tuple(of), rmse_reversal=none, rmse_moving=none, r2=none)
+            for law, of in rmse.items()
+        },
+        ratios=Ratios(reference="lugre", laws={}),
+        leading=tuple(leading),
+        detectable=tuple(
+            {law: found for law in rmse if law != of_joint[0]} if found else {}
+            for of_joint in leading
+        ),
+        seconds=(120.0,) * len(joints),
+    )
+
+
+def model_of(law: str, joints: int, left_out: float = 1.0) -> FrictionModel:
+    own = next(model for model in registered() if model.law == law).laws[0]
+    return FrictionModel(
+        law=law,
+        robot="r",
+        joints=tuple(f"j{k}" for k in range(1, joints + 1)),
+        laws=(own,) * joints,
+        sample_time=0.01,
+        left_out_rmse=(left_out,) * joints,
+    )
+
+
+def test_the_simpler_of_two_equal_laws_is_recommended() -> None:
+    """Equal to four decimals: the law without load wins, although its error is larger."""
+    rmse = {"lugre_load": [1.00001, 1.0], "lugre": [1.00002, 1.00003], "stribeck": [2.0, 2.1]}
+    scores = case(rmse, [("lugre_load", "lugre"), ("lugre_load", "lugre")])
+    law, why = recommend(scores, {law: model_of(law, 2) for law in rmse})
+    assert law == "lugre"
+    assert "on 2 of 2 joints no other law is significantly better" in why
+    assert "the 2 such laws within 5 %" in why
+    assert "simplest (inputs v)" in why
+
+
+def test_a_law_that_is_better_on_two_of_six_joints_is_named_there() -> None:
+    rmse = {"lugre": [1.0] * 6, "lugre_load": [1.3, 1.3, 1.3, 1.3, 0.5, 0.5]}
+    leading = [("lugre",)] * 4 + [("lugre_load",)] * 2
+    law, why = recommend(case(rmse, leading), {law: model_of(law, 6) for law in rmse})
+    assert law == "lugre"
+    assert "on 4 of 6 joints" in why
+    assert "LuGre+load is better on J5, LuGre+load is better on J6" in why
+
+
+def test_a_short_test_decides_nothing() -> None:
+    """The law with the lowest error on left-out training logs, not on the test, is taken."""
+    rmse = {"stribeck": [1.0], "lugre": [1.2]}
+    scores = case(rmse, [("stribeck", "lugre")], found=None)
+    models = {"stribeck": model_of("stribeck", 1, 2.0), "lugre": model_of("lugre", 1, 1.5)}
+    law, why = recommend(scores, models)
+    assert (law, "too short" in why, "left-out training logs" in why) == ("lugre", True, True)
+    (limit,) = limits("'five seconds'", law, tuple(separation(scores)))
+    assert limit == "'five seconds' is too short to compare laws; record at least 120 s."
+
+
+def test_twice_the_error_is_not_recommended_even_if_the_test_cannot_show_it() -> None:
+    rmse = {"lugre_load": [1.0, 1.0], "stribeck": [2.0, 2.0]}
+    scores = case(rmse, [("lugre_load", "stribeck")] * 2, found=2.5)
+    law, why = recommend(scores, {law: model_of(law, 2) for law in rmse})
+    assert law == "lugre_load"
+    assert "it alone is within 5 % of the lowest error" in why
+    first, second = limits("'t'", law, tuple(separation(scores)))
+    assert "1 law on J1 (150 %), 1 law on J2 (150 %)" in first
+    assert "about 120 s" in second
+
+
+def test_a_failed_check_of_all_laws_is_stated(scores, models, trained, tested) -> None:
+    key = next(iter(EXPECTATIONS))
+    failed = {
+        law: Properties(
+            law=law,
+            robot="r",
+            tau_load=0.0,
+            joints=tuple(
+                JointProperties(
+                    joint=joint,
+                    speed=1.0,
+                    level=1.0,
+                    deflection=1.0,
+                    inertia=None,
+                    findings={
+                        k: PropertyResult(verdict="fail" if k == key else "pass", reason="")
+                        for k in EXPECTATIONS
+                    },
+                )
+                for joint in JOINTS
+            ),
+        )
+        for law in models
+    }
+    found = verdict(scores, models, trained, tested, failed, gear_ratio=True)
+    assert any(EXPECTATIONS[key].title in sentence for sentence in found.weak)
+
+
+def test_the_reason_is_true_of_the_scores(scores, models, trained, tested) -> None:
+    """Derived from the scores alone: the law leads on both joints, and no other one does."""
+    found = judged(scores, models, trained, tested)
+    assert all(found.law in of_joint for of_joint in scores["unseen"].leading)
+    others = set(models) - {found.law}
+    assert not any(law in of_joint for law in others for of_joint in scores["unseen"].leading)
+    assert "which holds for this law alone" in found.why
+    assert found.limits == ()
+    for one, of_joint in zip(found.joints, scores["unseen"].leading, strict=True):
+        assert (one.best, *one.tied) == of_joint
