@@ -51,7 +51,7 @@ class RunResult(Answer):
         """Return body, scores, closed loop, physics checks, findings and use of the cache."""
         from cosim.report.tables import loop, properties
         from cosim.report.tables.laws import rigid_body
-        from cosim.report.tables.scores import MEASURES, errors, other_truths
+        from cosim.report.tables.scores import MEASURES, errors, other_truths, separations
         from cosim.study.scores import input_classes
 
         outcome = self.outcome
@@ -60,6 +60,7 @@ class RunResult(Answer):
         shown: list[ResultTable | str] = [rigid_body(outcome.rigid_body, sliding)]
         for name, comparison in outcome.comparisons.items():
             shown += [errors(name, comparison, measure, inputs, sliding) for measure in MEASURES]
+            shown += filter(None, [separations(name, comparison)])
         if outcome.truths:
             shown.append(other_truths(outcome.comparisons, outcome.truths, outcome.truth))
         if outcome.loop:

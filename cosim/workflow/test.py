@@ -76,7 +76,13 @@ class LawReport(Answer):
         ]
 
     def _scores_tables(self) -> list[ResultTable | str]:
-        from cosim.report.tables.scores import MEASURES, bands, errors, position_errors
+        from cosim.report.tables.scores import (
+            MEASURES,
+            bands,
+            errors,
+            position_errors,
+            separations,
+        )
         from cosim.study.scores import input_classes
 
         if self.scores is None:
@@ -86,6 +92,7 @@ class LawReport(Answer):
         shown: list[ResultTable | str] = [
             errors("test", self.scores, measure, inputs, sliding) for measure in MEASURES
         ]
+        shown += filter(None, [separations("test", self.scores)])
         if self.scores.bands:
             shown.append(bands("test", self.scores))
         if self.positions is not None:

@@ -171,7 +171,7 @@ def fit_models(
             left_out_rmse=_all_known([error for _, error in fitted[law]]),
             provenance=dict(provenance or {}),
         )
-        for law, of_joints in bands.items()
+        for law in fitted
     }
 
 

@@ -11,7 +11,14 @@ from cosim.report.figures.plots import loops as loop_panels
 from cosim.report.figures.plots import ratios
 from cosim.report.figures.style import MEASURED, SOFT, Stroke, strokes
 from cosim.report.results import Results
-from cosim.report.tables.scores import MEASURES, bands, errors, other_truths, position_errors
+from cosim.report.tables.scores import (
+    MEASURES,
+    bands,
+    errors,
+    other_truths,
+    position_errors,
+    separations,
+)
 from cosim.report.tables.table import ResultTable, title
 from cosim.study.results import SavedLog
 from cosim.study.scores import BASELINE, ORACLE, input_classes
@@ -69,6 +76,7 @@ def _test(results: Results, test: str) -> dict[str, Any]:
         "traces": _chart(results, log, laws, window=window) if log and not split else None,
         "simulated": simulated and position_errors(test, simulated, results.sliding),
         "bands": bands(test, scores) if scores.bands else None,
+        "separations": separations(test, scores),
     }
 
 

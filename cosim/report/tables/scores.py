@@ -77,6 +77,30 @@ def errors(
     )
 
 
+def separations(name: str, scores: Comparison) -> ResultTable | None:
+    """Return which laws a test does not separate from the best, and what would show; or None."""
+    if not scores.detectable:
+        return None
+    rows = []
+    for short, leading, found, seconds in zip(
+        joints(len(scores.joints)), scores.leading, scores.detectable, scores.seconds, strict=True
+    ):
+        best, *tied = leading
+        sizes = [found[law] for law in tied or found if law in found]
+        detectable = f"{100 * (max(sizes) - 1):.0f} %" if sizes else "too short"
+        names = ", ".join(map(title, tied)) or "none"
+        rows.append(row_of(short, title(best), names, detectable, f"{seconds:.0f} s"))
+    return ResultTable(
+        caption=f"{name}: laws that the test does not separate from the one with the lowest error",
+        head=("joint", "lowest error", "not separated", "would show", "for 10 %"),
+        rows=rows,
+        numeric=False,
+        note="Student's t over cosines of the squared errors and differences between logs, Holm "
+        "over the laws of a joint; p is multiplied by 5 because the nominal level was calibrated. "
+        "The result holds for motions of this kind.",
+    )
+
+
 def bands(name: str, scores: Comparison) -> ResultTable:
     """Return the share of test rows within each law's 95 % band.
 
