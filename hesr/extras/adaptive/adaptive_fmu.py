@@ -1,7 +1,6 @@
-"""Adaptive friction FMUs: friction estimated from measured torques, for co-simulation only.
+"""Adaptive friction FMUs for co-simulation: friction estimated from measured torques.
 
-Additional inputs: `tau_meas[i]`, `tau_rigid[i]`, `adapt`. Additional outputs: factors with standard
-deviations, alarms and health.
+They add the inputs `tau_meas[i]`, `tau_rigid[i]`, `adapt` and outputs of factors and alarms.
 """
 
 from collections.abc import Sequence

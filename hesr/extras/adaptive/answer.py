@@ -24,7 +24,7 @@ class Monitoring(FollowedLogs, Answer):
     files: Sequence[Path] = ()
 
     def summary(self) -> str:
-        """Return alarms with their likely causes, and the last state of each joint."""
+        """Return the alarms and the last state of each joint."""
         count = len(self.alarms)
         lines = [f"{count} change{'s' * (count != 1)} of friction found."]
         lines += [
@@ -40,7 +40,7 @@ class Monitoring(FollowedLogs, Answer):
         return shortened(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
-        """Return alarms, and the state of each joint after each log."""
+        """Return alarms, and states after each log."""
         return [alarm_table(self), state_table(self)]
 
     def result(self) -> Any:

@@ -5,11 +5,10 @@
     theta+ = theta + g w e                  w = dt / (R + s dt)
     P+     = P - g g' (w - dt / (T_f s))    forgotten only along g, the observed direction
 
-theta holds level, viscous factor and offset. The unexplained torque is not white noise: R, its
-density from the correlation time T_c, makes the filter independent of the step. T_f is the
-memory. tau is known before the torque is measured, so no loop closes through an adaptive FMU.
-Forgetting along one direction: R. Kulhavy, Restricted exponential forgetting in real-time
-identification, Automatica 23 (1987).
+theta holds level, viscous factor and offset. R, the density of noise with the correlation time T_c,
+makes the filter independent of the step; T_f is its memory. tau is known before the torque is
+measured, so no loop closes through an adaptive FMU. Forgetting along one direction: R. Kulhavy,
+Restricted exponential forgetting in real-time identification, Automatica 23 (1987).
 
 CUSUM on the innovations over their density detects changes of friction and of the offset,
 
@@ -84,9 +83,8 @@ def adaptive_component(
 ) -> Component:
     """Return the equations of a joint with an adaptive law.
 
-    `noise` is the standard deviation of the unexplained torque [N.m], `speed` the largest speed of
-    the joint [rad/s]; `viscosity_least` keeps the passivity certificate of the ripple. Raises
-    ExportError if the law has neither stops nor bristles.
+    `noise` of the unexplained torque [N.m], largest `speed` [rad/s]; `viscosity_least` keeps the
+    passivity certificate of the ripple. Raises ExportError for a law without stops and bristles.
     """
     own = own_parameters(tuning, noise, speed)
     sigma = larger(own[0].symbol, _LEAST_NOISE)
@@ -167,7 +165,6 @@ def _factors(
     own: tuple[Parameter, ...],
     limits: _Limits,
 ) -> list[Equation]:
-    """Return the factors, then their standard deviations."""
 
     def limited(name: str, x: sympy.Expr) -> sympy.Expr:
         return _between(x, *limits[name]) if name in limits else clip(x, tuning.offset * sigma)
@@ -208,10 +205,7 @@ def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equ
 
 
 def _cusum(name: str, d: sympy.Expr, regressor: sympy.Expr, alarm: float) -> Equation:
-    """Return the log-likelihood ratio of a shift d of a factor, not below 0.
-
-    It saturates above the alarm and falls again once the innovations fit.
-    """
+    """Return the log-likelihood ratio of a shift d of a factor, from 0 to above the alarm."""
     weight, error = _named("weight"), _named("innovation")
     change = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
     limited = _at_most(positive(previous(name) + change), 1.5 * alarm)

@@ -20,10 +20,9 @@ from hesr_model.support.arrays import Array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
-    """Estimates of the friction of one joint in one log, before the torque of each row is used.
+    """Estimates of one joint in one log, before the torque of each row is used.
 
-    `fixed` is the torque of the law as fitted, (N,) [N.m]; `outputs` holds torque, factors with
-    standard deviations, alarms and health by name, (N,) each.
+    `fixed` is the torque of the law as fitted, (N,) [N.m]; `outputs` are (N,) by name.
     """
 
     record: FrictionRecord
@@ -32,9 +31,9 @@ class Followed:
 
 
 def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[Component, ...]:
-    """Return the adaptive equations of each joint of a model.
+    """Return the adaptive equations of each joint.
 
-    Raises SimulationError if the model lacks its training error or ranges, or motors are coupled.
+    Raises SimulationError for coupled motors or a model without training error and ranges.
     """
     if model.coupling is not None:
         raise SimulationError(
@@ -62,10 +61,7 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
 
 
 class Follower:
-    """Follows a friction model over logs; a share of the learned factors carries over to the next.
-
-    Each log starts with the initial standard deviations.
-    """
+    """Follows friction over logs; each starts from a share of the factors learned before."""
 
     def __init__(self, model: FrictionModel, tuning: Tuning = TUNING) -> None:
         self._model, self._tuning = model, tuning

@@ -1,8 +1,7 @@
 """Friction over days of logs: factors at the end of each log, alarms and their likely causes.
 
-Temperature and lubrication change all joints slowly; wear changes friction of one joint; a payload,
-a gravity error or a sensor moves offsets. Heat of a single joint looks like wear, and an offset
-like a gravity error.
+Temperature and lubrication change all joints slowly, wear a single joint; a payload, a gravity
+error or a sensor moves offsets. Heat of a single joint looks like wear or a gravity error.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -52,10 +51,9 @@ class Alarm:
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Factors and errors of one joint at the end of one log.
+    """One joint at the end of one log; `learning` is the share of rows with adaptation.
 
-    Offsets in [N.m] ([N] for a prismatic joint), errors of the fixed and the adapted law in [N.m];
-    `learning` is the share of rows with adaptation.
+    Offset and errors in [N.m; N].
     """
 
     log: str
@@ -143,6 +141,5 @@ def shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:
 
 
 def _begins(alarm: Array) -> list[int]:
-    """Return the first row of each alarm."""
     before = np.concatenate([[0.0], alarm[:-1]])
     return [int(row) for row in np.flatnonzero((alarm != 0.0) & (alarm != before))]

@@ -1,4 +1,4 @@
-"""Page of `hesr monitor`: alarms with their likely causes, and factors over days of logs."""
+"""Page of `hesr monitor`."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def write_monitor(path: Path, watched: FollowedLogs) -> None:
 
 
 def alarm_table(watched: FollowedLogs) -> ResultTable:
-    """Return the table of alarms."""
+    """Return the alarms."""
     rows = [
         row_of(f"{a.log}: {a.joint}", f"{a.time:.1f}", a.kind, a.change, a.points_to)
         for a in watched.alarms
@@ -45,7 +45,6 @@ def alarm_table(watched: FollowedLogs) -> ResultTable:
 
 
 def _trends(watched: FollowedLogs, pictures: Pictures) -> Markup:
-    """Draw every factor of every joint with its band, logs one after the other."""
     ends = np.cumsum([float(np.ptp(log[0].record.t)) for log in watched.followed])
     begins = np.concatenate([[0.0], ends[:-1]])
     names = (log[0].record.log for log in watched.followed)
@@ -75,7 +74,7 @@ def _trends(watched: FollowedLogs, pictures: Pictures) -> Markup:
 
 
 def state_table(watched: FollowedLogs) -> ResultTable:
-    """Return the table of the joints' states after each log."""
+    """Return the state of each joint after each log."""
     rows = [
         row_of(
             f"{s.log}: {s.joint}",

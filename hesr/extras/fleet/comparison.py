@@ -21,8 +21,8 @@ def compared(
 ) -> tuple[dict[tuple[str, str, str], dict[str, float]], list[Deviant]]:
     """Compare the numbers of each type and law structure with at least `ENOUGH` robots.
 
-    Returns robust z by (robot, law, joint), then by name, and the deviants at significance `level`
-    (adjusted by Holm), largest z first.
+    Returns robust z by (robot, law, joint), then by name, and deviants at significance `level`
+    (Holm).
     """
     groups: dict[tuple[str, ...], list[tuple[RobotResult, float, float | None]]] = {}
     for robot in robots:
@@ -57,11 +57,7 @@ def _numbers(one: JointResult) -> Iterator[tuple[str, float]]:
 
 
 def changed(robots: Sequence[RobotResult], level: float, least: float) -> list[Change]:
-    """Return changes over days, deteriorations first.
-
-    `level` is the significance (adjusted by Holm), `least` the smallest change as a share of
-    friction.
-    """
+    """Return changes of at least the share `least` of friction at significance `level` (Holm)."""
     trends = {
         (robot.robot, one.law, one.joint, name): (robot, found)
         for robot in robots

@@ -1,4 +1,4 @@
-"""The results of a fleet as one Parquet file, with a row for each robot, law and joint."""
+"""Results of a fleet as one Parquet file, with a row for each robot, law and joint."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,10 +12,7 @@ _TRENDS = ("level", "offset", "error")
 
 
 def write_table(path: Path, fleet: Fleet) -> None:
-    """Write the file; the same results give the same bytes.
-
-    Rows of the rigid body have no joint, rows of an unusable robot neither joint nor law.
-    """
+    """Write the file; rows of a rigid body lack the joint, those of a failed robot also the law."""
     import pyarrow as pa
     from pyarrow import parquet
 

@@ -15,9 +15,8 @@ BODY = "rigid_body"
 class JointResult:
     """Result of one joint and law, or of the rigid body (`BODY`, without a joint).
 
-    `structure` is JSON; `errors` are the known standard errors of `values`. RMSE and standard
-    deviation of friction over all logs are in [N.m; N]. `trends` over days (`level`, `offset`,
-    `error`) are relative to friction.
+    RMSE and standard deviation of friction over all logs [N.m; N]; `trends` over days of level,
+    offset and error, relative to friction.
     """
 
     law: str
@@ -32,10 +31,9 @@ class JointResult:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotResult:
-    """Result of one robot.
+    """Result of one robot, with reasons for omitted logs and laws or a missing result.
 
-    `key` hashes everything that affects the result; `refused` gives reasons for omitted logs and
-    laws, `failure` for a missing result.
+    `key` hashes everything that affects it.
     """
 
     key: str
@@ -64,7 +62,7 @@ class RobotResult:
         return [law for law in dict.fromkeys(one.law for one in self.joints) if law != BODY]
 
     def of_law(self, law: str) -> "list[JointResult]":
-        """Return the results of all joints for a law."""
+        """Return the results of a law by joint."""
         return [one for one in self.joints if one.law == law]
 
     def structure(self, law: str) -> str:
@@ -74,7 +72,7 @@ class RobotResult:
 
 @dataclass(frozen=True, kw_only=True)
 class Deviant:
-    """A number of a robot that deviates from its type: robust `z`, and adjusted probability `p`."""
+    """A number of a robot that deviates from its type; `p` is adjusted."""
 
     robot: str
     type: str
@@ -89,10 +87,7 @@ class Deviant:
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A change of a robot from the first to the last day, as a share of friction.
-
-    `p` is adjusted for all trends; `worse` means that friction, offset or error increased.
-    """
+    """A change from the first to the last day, as a share of friction; `p` is adjusted."""
 
     robot: str
     type: str
@@ -108,10 +103,9 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fleet:
-    """Result of a fleet.
+    """Result of a fleet; `reused` counts the robots that were complete before.
 
-    `z` is indexed by (robot, law, joint), then by name; `fmus` by (type, law, structure). `reused`
-    counts the robots that were complete before.
+    `z` is indexed by (robot, law, joint), then by name; `fmus` by (type, law, structure).
     """
 
     name: str

@@ -45,10 +45,7 @@ _VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
 
 
 def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
-    """Process one robot and write its folder; return whether it was complete before.
-
-    Errors of its logs are part of the result; ArtifactError means a file cannot be written.
-    """
+    """Process one robot and write its folder; return whether it was complete before."""
     key, file = _key(member, study), folder / RESULT
     try:
         if read_result(folder).key == key:
@@ -68,7 +65,7 @@ def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
 
 
 def read_result(folder: Path) -> RobotResult:
-    """Read the result of a robot; raises ArtifactError if it is missing or damaged."""
+    """Read the result of a robot; raises ArtifactError if missing or damaged."""
     file = folder / RESULT
     return from_json(RobotResult, read_json(file, RESULT_FORMAT), file, "a robot of a fleet")
 
@@ -99,8 +96,6 @@ def _hash(file: Path) -> str | None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Day:
-    """One joint in one log: rows, error, sum and squares of friction, level and offset."""
-
     rows: int
     rmse: float
     total: float
@@ -162,7 +157,6 @@ class _Robot:
         )
 
     def _collected(self, slow: Any) -> tuple[Streamed, list[Motion]]:
-        """Read all logs once, for the rigid body and the sample."""
         stream = Streamed(self._model, slow)
         sample = Sample(self._study.rows, self._study.seed)
         for parts in self._motions(check=slow is None):
@@ -201,7 +195,6 @@ class _Robot:
         self._findings = merged([*self._findings, *found])
 
     def _joints(self, models: Mapping[str, FrictionModel], body: RigidBody) -> list[JointResult]:
-        """Read all logs again for errors and trends."""
         plain = replace(body, covariance=None)  # unused here
         found: dict[tuple[str, int], dict[str, _Day]] = {}
         for parts in self._motions():

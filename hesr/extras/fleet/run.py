@@ -25,8 +25,7 @@ def run_fleet(
 ) -> Fleet:
     """Process the incomplete robots of a fleet, compare all robots, and write the results.
 
-    `workers` are processes, by default one per core; 1 runs in this process. It does not change
-    files. Errors of logs are part of the results.
+    `workers` are processes, by default one per core; 1 runs in this process.
     """
     study = FleetStudy.read(path)
     for law in study.laws:

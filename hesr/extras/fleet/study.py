@@ -27,9 +27,9 @@ _DAY = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
 class RobotType(Config):
     """A type of robots.
 
-    `logs` gives folders relative to the fleet file, with wildcards. Each folder is a robot of its
-    name with its logs in any subfolder; ``robot=R7`` (partitioned data) is ``R7``. Folders of one
-    name are one robot. `accept` names checks whose errors are accepted.
+    `logs` matches folders relative to the fleet file. Each folder is a robot of its name with logs
+    in any subfolder; ``robot=R7`` (partitioned data) is ``R7``, and folders of one name are one
+    robot.
     """
 
     robot: RelativePath
@@ -40,10 +40,9 @@ class RobotType(Config):
 class FleetStudy(Config):
     """Content of a fleet file.
 
-    `rows` limits the rows per robot in a fit (longer logs are sampled). `level` is the
-    significance, adjusted for the number of comparisons; `least_change` the smallest reported
-    change as a share of friction. With `fmu` each type gets an FMU of each law and each robot a
-    parameter set.
+    Longer logs than `rows` per robot are sampled. `level` is the significance (adjusted),
+    `least_change` a share of friction. With `fmu` each type gets FMUs and each robot a parameter
+    set.
     """
 
     name: Name = "fleet"
@@ -80,7 +79,7 @@ class Member:
 def members(study: FleetStudy, path: Path) -> list[Member]:
     """Find the robots of a fleet and their logs.
 
-    Raises ConfigError if a type has no robots, two types share one, or a link leads to a parent
+    Raises ConfigError for a type without robots, a robot of two types, or a link to a parent
     folder.
     """
     found: dict[str, Member] = {}

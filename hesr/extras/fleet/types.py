@@ -30,7 +30,7 @@ def write_types(
 ) -> dict[tuple[str, str, str], Path]:
     """Write an FMU per type and law with exposed coefficients, by (type, law, structure).
 
-    Its coefficients are the medians of its robots, whose parameter sets belong to it. Robots with
+    It has the median coefficients of its robots, whose parameter sets belong to it. Robots with
     other structures share an FMU of their own, numbered by decreasing frequency.
     """
     groups: dict[_Kind, list[RobotResult]] = {}

@@ -10,11 +10,10 @@ With e = exp(-|v/v_s|^alpha), alpha 1, 2 or 3, and the load L, the torque is sgn
     M5  M4 with separate mu, mu_e for the driving and the driven motor
     M6  M5 + e nu L^2, with separate nu
 
-plus viscous friction and an offset. BAM weighs the torque of the motor, K_m, against that of the
-load, K_e. The motor torque is load plus friction tau, which is no input of a friction law. Solved
-for tau, tau = F_c + |(K_m + K_e) L + K_m tau| is a level per load of (K_m + K_e)/(1 -+ K_m), with
-one value for the driving and one for the driven motor. These two are fitted. The single weight of
-M3 and M4 equals that to first order, in both directions.
+plus viscous friction and an offset. BAM weighs the motor torque, K_m, against the load, K_e. The
+motor torque is load plus friction tau, so tau = F_c + |(K_m + K_e) L + K_m tau|, solved for tau, is
+a level per load of (K_m + K_e)/(1 -+ K_m), for the driving and the driven motor. These two are
+fitted. The single weight of M3 and M4 equals that to first order, in both directions.
 """
 
 from collections.abc import Mapping, Sequence

@@ -4,15 +4,15 @@ Sources: V. Lampaert, F. Al-Bender, J. Swevers, A generalized Maxwell-slip frict
 appropriate for control purposes, 2003; F. Al-Bender, V. Lampaert, J. Swevers, The generalized
 Maxwell-slip model: a novel model for friction simulation and compensation, 2005.
 
-In the sources an element sticks, F_i' = k_i v, up to alpha_i s(v), and slides until v reverses,
+There an element sticks, F_i' = k_i v, up to alpha_i s(v), and slides until v reverses,
 
     F_i' = sgn(v) C (alpha_i - F_i / s(v))
 
 With F_i = sgn(v) alpha_i b this is b' = C (1 - b / s(v)), the same relaxation for all elements, and
-a sliding element is at the bound b. Here all elements follow x_i = clip(x_i + v dt / w_i, -b, b) at
-all times. They start to slide at the lagging b instead of s(v), and elements below b behave as
-stops. This avoids the switch of the sources, which is neither a relaxation nor a stop and generates
-energy in motions so small that s(v) rises while an element slides. A bound generates none.
+a sliding element is at the bound b. Here x_i = clip(x_i + v dt / w_i, -b, b) at all times: elements
+start to slide at the lagging b instead of s(v) and stick as stops. This avoids the switch, which is
+neither a relaxation nor a stop and generates energy in motions so small that s(v) rises while an
+element slides.
 """
 
 from collections.abc import Mapping

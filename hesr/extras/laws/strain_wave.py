@@ -24,9 +24,9 @@ DEFLECTION_BOUNDS = (1e-5, 0.1)
 class StrainWave(OneForm):
     """Meshing z' = (v - |v| z)/x_0 with friction mu_avg |tau_load| z + mu_dif tau_load z^2 + ...
 
-    Source: issue 3528 of the MuJoCo tracker, plus a Coulomb, a viscous and an offset term. While
-    sliding z^2 = 1, so mu_dif tau_load is collinear with the rigid-body torque: from motor currents
-    alone mu_dif is determined by reversals only, and poorly.
+    Source: issue 3528 of the MuJoCo tracker, plus Coulomb, viscous and offset terms. While sliding,
+    z^2 = 1 and mu_dif tau_load is collinear with the rigid-body torque: motor currents alone
+    determine mu_dif by reversals only, and poorly.
     """
 
     name = "strain_wave"
@@ -73,8 +73,7 @@ RISE_B = Coefficient(
 class StrainWaveBound(OneForm):
     """Meshing z' = (v - |v| z/b)/x_0, b = 1 + rise_d max(L sgn(v), 0) + rise_b max(-L sgn(v), 0).
 
-    The strain-wave law with the load L in the bound of its deflection, which generates no energy;
-    the driving and the driven gear have separate rises.
+    The load L in the bound of the deflection generates no energy, unlike the strain-wave law.
     """
 
     name = "strain_wave_bound"

@@ -35,7 +35,7 @@ CLASSES: Mapping[str, tuple[Connector, ...]] = {
 
 
 class BoardRobot(Config):
-    """A robot and its rigid body (result of `hesr identify`), with the hash of the body's file."""
+    """A robot and its rigid body (result of `hesr identify`)."""
 
     name: PrintableName = Field(min_length=1)
     file: RelativePath
@@ -44,7 +44,7 @@ class BoardRobot(Config):
 
 
 class BoardLog(Config):
-    """A log with its hash, origin and licence; `robot` is optional with a single robot."""
+    """A log; `robot` is optional with a single robot."""
 
     file: RelativePath
     sha256: Hash
@@ -56,9 +56,8 @@ class BoardLog(Config):
 class BoardFile(Config):
     """Content of a leaderboard file.
 
-    `warm_up` is the unscored start of each log [s], since the initial state of friction is unknown;
-    `block` the block length of the bootstrap [s]. `classes` gives the allowed inputs by class,
-    `scores` the columns, `accept` checks of logs whose errors are accepted.
+    `warm_up` [s] is not scored, since the initial state of friction is unknown; `block` [s] is that
+    of the bootstrap. `classes` gives the inputs by class, `accept` accepted checks of logs.
     """
 
     name: PrintableName = Field(min_length=1)

@@ -35,11 +35,10 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class Tried:
-    """Evaluation of an entry.
+    """Evaluation of an entry: `inputs` that change the torque, torques (N, n) [N.m] per part.
 
-    `inputs` are those that change the torque, found by replays without each. `torques` is (N, n)
-    [N.m] per part of a log, `seconds` the time per step, inputs and outputs included [s]. `ours`
-    marks FMUs exported here, which run in this process.
+    `seconds` per step include inputs and outputs; `ours` was exported here and runs in this
+    process.
     """
 
     entry: Entry
@@ -54,8 +53,7 @@ class Tried:
 def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
     """Replay an entry over all logs of its robot.
 
-    Raises SimulationError if it lacks a connector, has another number of joints, fails or gives
-    NaN.
+    Raises SimulationError for wrong connectors or joints, a failure or NaN.
     """
     ours = is_ours(entry.fmu) if entry.fmu.is_file() else False
     with FmuInstance(entry.fmu) as component:

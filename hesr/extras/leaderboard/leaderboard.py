@@ -46,10 +46,10 @@ class ScoredRobot:
 class Standing:
     """Scores of an entry.
 
-    `relative` is the error over the size of friction by kind of rows, `ratio` the ratio to the
-    leader of the class; both have 95 % intervals, simultaneous for `ratio`. `joints` holds RMSE
-    [N.m; N]. `leads` means that no entry of the class is significantly better. `step` is the time
-    per step [s], longer for `foreign` FMUs, which run in a separate process.
+    `relative` is the error over the size of friction by kind of rows, `ratio` that to the leader of
+    the class, with 95 % intervals (simultaneous for `ratio`). `joints` holds RMSE [N.m; N].
+    `leads`: no entry of the class is significantly better. `step` is the time per step [s], longer
+    for `foreign` FMUs, which run in a separate process.
     """
 
     name: str
@@ -69,10 +69,7 @@ class Standing:
 
 @dataclass(frozen=True, kw_only=True)
 class Leaderboard:
-    """Standings by robot and class of inputs, the smallest error first.
-
-    `warm_up` and `block` [s] are those of the leaderboard file.
-    """
+    """Standings by robot and class of inputs, the smallest error first."""
 
     arena: str
     warm_up: float
@@ -111,7 +108,7 @@ def run_leaderboard(
 ) -> Leaderboard:
     """Score entries, each in a separate process; `workers` changes measured times only.
 
-    Raises ConfigError if a file differs from the leaderboard file or an entry fits no class.
+    Raises ConfigError for a changed file or an entry without a class.
     """
     if not entries:
         raise ConfigError("the leaderboard has no entries; give at least one FMU.")
@@ -174,7 +171,6 @@ def _group(rules: BoardFile, one: Tried) -> str:
 
 
 def _ranked(rules: BoardFile, group: str, members: Sequence[Tried], judge: Judge) -> list[Standing]:
-    """Return the standings of a class, the smallest error first."""
     errors = {one.entry.name: judge.errors(one.torques) for one in members}
     size = {
         name: float(np.mean(np.square(np.vstack(of_entry) / judge.tau_std)))

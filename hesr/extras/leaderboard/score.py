@@ -1,8 +1,7 @@
 """Torque errors over all joints of a robot, with confidence intervals.
 
-Errors are relative to the standard deviation of each joint's measured friction and combined as a
-root mean square over rows and joints. One bootstrap draws the same stretches of time for all
-joints because their errors are correlated.
+Errors are relative to the standard deviation of the measured friction; the root mean square is
+over rows and joints. One bootstrap draws the same times for all joints: errors are correlated.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,10 +29,9 @@ class Interval:
 
 
 class Judge:
-    """Scores torques on the logs of one robot.
+    """Scores torques on the logs of one robot; `tau_std` (n,) is that of measured friction [N.m].
 
-    Rows before `warm_up` [s] are not scored; `block` is the block length of the bootstrap [s].
-    `tau_std` (n,) is the standard deviation of the measured friction [N.m].
+    Rows before `warm_up` [s] are not scored; `block` [s] is that of the bootstrap.
     """
 
     def __init__(self, ground: Ground, *, warm_up: float, block: float) -> None:
@@ -78,7 +76,6 @@ class Judge:
         return self._interval(self._sizes(errors, "all"), self._sizes(below, "all"), level)
 
     def _sizes(self, errors: Sequence[Array], kind: Kind) -> list[Array]:
-        """Return the root of the sum of squares over joints, (N,) per part."""
         return [
             np.sqrt(np.sum(mask * np.square(error / self.tau_std), axis=1))
             for error, mask in zip(errors, self._masks[kind], strict=True)

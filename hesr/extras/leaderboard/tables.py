@@ -113,7 +113,6 @@ def _cell(value: Interval | None, *, best: bool = False) -> TableCell:
 
 
 def _passed(standing: Standing) -> str:
-    """Return passed over run experiments of all joints."""
     found = standing.properties.joints if standing.properties else ()
     verdicts = [f.verdict for joint in found for f in joint.findings.values()]
     return f"{verdicts.count('pass')}/{verdicts.count('pass') + verdicts.count('fail')}"

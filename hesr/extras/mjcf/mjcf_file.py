@@ -30,10 +30,9 @@ _HEAD = """\
 
 @dataclass(frozen=True, kw_only=True)
 class JointProjection:
-    """Result of the export of one joint.
+    """Export of one joint; `missing` is the term without a counterpart in MuJoCo (None: exact).
 
-    `missing` is the term of the law without a counterpart in MuJoCo (None: exact); `fitted` and
-    `unseen` are errors of a projection on the fitted and on another motion.
+    `fitted` and `unseen` are errors of a projection on the fitted and on another motion.
     """
 
     joint: str
@@ -75,8 +74,7 @@ def export_mjcf_law(
 ) -> Projection:
     """Write a friction model as passive dcmotor actuators on joints of the same names in an MJCF.
 
-    The same model gives the same bytes, with all digits. `project` approximates a law without a
-    counterpart in MuJoCo; otherwise it raises ExportError.
+    `project` approximates a law without a counterpart in MuJoCo instead of raising ExportError.
     """
     if path.suffix.lower() != ".xml":
         raise ExportError(f"{path}: the name of an MJCF ends in .xml.")
@@ -150,10 +148,7 @@ def _document(
 
 
 def _actuators(parts: JointFriction) -> Iterator[str]:
-    """Yield the attributes of each actuator of a joint; the first has the viscous friction.
-
-    All attributes are written because the defaults of the robot may differ.
-    """
+    """Yield all attributes of each actuator, since the defaults of the robot may differ."""
     pairs = list(zip_longest(parts.bristles, parts.waves)) or [(None, None)]
     for k, (bristle, wave) in enumerate(pairs):
         numbers = {

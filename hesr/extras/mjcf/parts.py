@@ -1,15 +1,14 @@
-"""Friction laws as parts of MuJoCo, with their numbers.
+"""Friction laws as parts of MuJoCo.
 
-A passive dcmotor of MuJoCo (no input, no electrical branch) puts on its joint
+A passive dcmotor (no input, no electrical branch; XML reference of MuJoCo 4, actuator/dcmotor:
+lugre, damping, cogging) puts on its joint
 
     - (stiffness z + damping z') - viscous v + amplitude sin(poles q + phase)
     z' = v - stiffness |v| / g(v) z,    g = coulomb + (static - coulomb) exp(-(v / stribeck)^2)
 
-(XML reference of MuJoCo 4, actuator/dcmotor: lugre, damping, cogging). The expressions of a law,
-not
-its name, decide whether it is such a sum. With the state x = k z, a relaxation x' = k v - r x is a
-bristle whose stiffness is k times the torque per x; with a constant level g = stiffness |v| / r the
-bristle is a Dahl element. A constant torque is a cogging without poles.
+With the state x = k z, a relaxation x' = k v - r x is a bristle whose stiffness is k times the
+torque per x; with a constant level g = stiffness |v| / r it is a Dahl element. A constant torque is
+a cogging without poles.
 """
 
 import math
@@ -31,7 +30,7 @@ Values = Mapping[sympy.Symbol, float]
 
 
 class NoCounterpartError(ExportError):
-    """A law has a term without a counterpart in MuJoCo; the text names it, with `{unit}`."""
+    """A law has a term without a counterpart in MuJoCo, described with `{unit}`."""
 
     def __init__(self, text: str, unit: str = "1") -> None:
         super().__init__(text.replace("{unit}", unit))
@@ -55,7 +54,7 @@ class Bristle:
 
 @dataclass(frozen=True, kw_only=True)
 class Wave:
-    """Torque on the joint: amplitude [N.m] sin(poles q + phase [rad]), any number of poles."""
+    """Torque amplitude [N.m] sin(poles q + phase [rad]), any number of poles."""
 
     amplitude: float
     poles: float
@@ -64,7 +63,7 @@ class Wave:
 
 @dataclass(frozen=True, kw_only=True)
 class JointFriction:
-    """Friction of one joint in MuJoCo's terms; viscous in [N.m.s/rad]."""
+    """Friction of one joint; viscous in [N.m.s/rad]."""
 
     bristles: tuple[Bristle, ...]
     viscous: float
@@ -72,7 +71,7 @@ class JointFriction:
 
 
 def parts_of(law: FrictionLaw) -> JointFriction:
-    """Return the exact parts of MuJoCo for a law of one joint; raises NoCounterpartError."""
+    """Return the exact parts for a law of one joint; raises NoCounterpartError."""
     form = law.form
     if form.stops:
         raise NoCounterpartError(
@@ -106,10 +105,9 @@ def parts_of(law: FrictionLaw) -> JointFriction:
 
 @dataclass(frozen=True, kw_only=True)
 class _Motion:
-    """Differential equation of a bristle: x' = scale v - rate |v| x.
+    """Bristle x' = scale v - rate |v| x; scale of x against the deflection z.
 
-    `scale` is that of x against the deflection z; in `rate` the exponential `peak` = exp(-(v /
-    v_s)^2), if any, is replaced by `_PEAK`; `stribeck` is v_s [rad/s].
+    `rate` contains `_PEAK` for `peak` = exp(-(v / v_s)^2), if any; `stribeck` is v_s [rad/s].
     """
 
     scale: sympy.Expr
@@ -147,7 +145,7 @@ _PEAK = sympy.Symbol("_peak", positive=True)
 
 
 def _stribeck_velocity(peak: sympy.Expr, values: Values, own: str) -> float | None:
-    """Return v_s of exp(-(v / v_s)^2), None for another exponential; `own` names its state."""
+    """Return v_s of exp(-(v / v_s)^2), None for another exponential."""
     square = sympy.cancel(-(DQ**2) / peak.args[0])
     what = f"the Stribeck velocity of {own}"
     if _uses_inputs(square) or _number(square, values, what) <= 0.0:
@@ -191,7 +189,7 @@ class _Torque:
 
 
 def _wave(term: sympy.Expr, values: Values) -> Wave | None:
-    """Return a term F sin(n q + c) or F cos(n q + c) of a law as the torque on the joint."""
+    """Return a term F sin(n q + c) or F cos(n q + c) as the torque on the joint."""
     for function, lead in ((sympy.sin, 0.0), (sympy.cos, math.pi / 2.0)):
         for wave in term.atoms(function):
             factor, angle = term / wave, sympy.expand_mul(wave.args[0])
@@ -213,7 +211,7 @@ def _bristle(
     damping: sympy.Expr | None,
     values: Values,
 ) -> Bristle | None:
-    """Return the bristle of a relaxation; None if its state has no effect on the torque."""
+    """Return the bristle of a relaxation; None if the torque does not depend on its state."""
     stiffness = (force or sympy.Integer(0)) * motion.scale
     own = f"its state '{relaxation.name}'"
     found = _number(stiffness, values, f"the stiffness of {own}")
@@ -254,7 +252,6 @@ def _uses_inputs(expression: sympy.Expr) -> bool:
 
 
 def _number(expression: sympy.Expr, values: Values, what: str) -> float:
-    """Return the value of an expression; errors name it as `what`."""
     value = expression.subs(values)
     if not value.is_real:
         raise NoCounterpartError(f"its coefficients make {what} no number ({shown(expression)})")

@@ -3,9 +3,8 @@
     tau = sum_i F_i / x_i (z_i + T z_i') + sigma_2 v + tau_0 + sum_p a_p cos(p q) + b_p sin(p q)
     z_i' = v - |v| / (x_i s(v)) z_i,    s = 1 + (ratio - 1) exp(-(v / v_s)^2)
 
-The sliding deflections x_i are those of the Dahl basis; ratio, v_s and T are searched, the rest is
-least squares with non-negative F_i and sigma_2. The target is the torque of the law on a Fourier
-motion at trained speeds. Errors are given for this motion and for a faster, unseen one.
+The deflections x_i are those of the Dahl basis; ratio, v_s and T are searched, the rest is least
+squares with non-negative F_i and sigma_2, on the law along a Fourier motion at trained speeds.
 """
 
 from dataclasses import dataclass
@@ -45,7 +44,7 @@ _LOAD_FREQUENCY = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class Misfit:
-    """RMSE of a torque [N.m], and the largest error over the largest torque."""
+    """RMSE of a torque [N.m], and largest error over largest torque."""
 
     rmse: float
     relative: float
@@ -56,8 +55,8 @@ def projected(
 ) -> tuple[FrictionLaw, Misfit, Misfit]:
     """Return the nearest law from parts of MuJoCo, and its errors on the fitted and another motion.
 
-    The same law gives the same result, bit for bit on one machine. Raises ExportError if the torque
-    is not finite on the motions, SimulationError if the law is unstable at `sample_time` [s].
+    Reproducible bit for bit on one machine. Raises ExportError for a torque that is not finite,
+    SimulationError if the law is unstable at `sample_time` [s].
     """
     seen, unseen = records(law, trained, sample_time)
     form, space = _family(_poles(law))

@@ -1,6 +1,6 @@
 """Documentation of a Modelica package: equations, provenance and audit.
 
-Browsers in modelling tools are often old: plain HTML without style or MathML, ASCII only.
+Browsers in modelling tools are often old: plain HTML in ASCII, without style or MathML.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,11 +29,7 @@ def package_html(
     audits: Sequence[Audit],
     refused: str,
 ) -> str:
-    """Return the documentation of the package.
-
-    `joints` has `name`, `label` and `jumps` of each joint; `audits` is empty if refused for the
-    reason `refused`.
-    """
+    """Return the documentation of the package; `audits` is empty if refused for a reason."""
     return _page(
         "modelica.html.j2",
         model=model,

@@ -47,11 +47,9 @@ _STEADY = "steadyStart"
 def export_modelica(model: FrictionModel, path: Path) -> Path:
     """Write a friction model as a Modelica package in one file, NAME.mo with package NAME.
 
-    The package has the equations of each distinct form, a block for the law of each joint, the same
-    between rotational flanges, and examples. It uses the Modelica Standard Library 4.0. States
-    start
-    as in the FMUs. Raises ExportError if a joint slides, a name is not valid in Modelica, or an
-    expression has no counterpart.
+    It has the equations of each form, a block per joint, the same between rotational flanges, and
+    examples, with the Modelica Standard Library 4.0. States start as in the FMUs. Raises
+    ExportError for a prismatic joint, an invalid name or an expression without a counterpart.
     """
     _check_name(path)
     text = package(model, path.stem)
@@ -111,7 +109,7 @@ def _oddity(name: str, taken: frozenset[str]) -> str:
 
 
 def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
-    """Return the first law of each distinct form by a name of the form, such as `ParfamH`."""
+    """Return the first law of each form by a name of the form, such as `ParfamH`."""
     first: dict[LawForm, FrictionLaw] = {}
     for law in laws:
         first.setdefault(law.form, law)
@@ -127,7 +125,6 @@ def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
 
 
 def _form(name: str, law: FrictionLaw) -> dict[str, Any]:
-    """Return a form for the template."""
     form = law.form
     found = equations(form)
     _check_names(law, found)
@@ -161,7 +158,6 @@ def _check_names(law: FrictionLaw, found: Equations) -> None:
 def _joints(
     model: FrictionModel, names: Mapping[LawForm, str], audits: Sequence[Audit]
 ) -> list[dict[str, Any]]:
-    """Return each joint for the template."""
     motion = reference_motion(model, frequency=_FREQUENCY)
     found = []
     for i, law in enumerate(model.laws):
@@ -191,7 +187,6 @@ def _joints(
 
 
 def _modifications(law: FrictionLaw) -> list[str]:
-    """Return the numbers that make a form the law of a joint."""
     values = [f"{name}={value!r}" for name, value in law.values.items()]
     for element, start in zip(law.form.memory, law.start, strict=True):
         values.append(f"{start_of(element.name)}={start!r}")

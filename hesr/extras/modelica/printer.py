@@ -1,8 +1,8 @@
 """SymPy to Modelica: the equations of a friction law.
 
-`sign` and `abs` of Modelica trigger no events (they are defined with noEvent), but a solver must
-stop where a law jumps or bends, as at the event indicators of the FMU. So the signs of inputs are
-separate variables, written as `if` with relations, which tools hold between events.
+`sign` and `abs` of Modelica trigger no events (noEvent), but a solver must stop where a law jumps
+or bends. So the signs of inputs are variables, written as `if` with relations, which tools hold
+between events.
 """
 
 from collections.abc import Mapping
@@ -69,11 +69,9 @@ class _Printer(LanguagePrinter):
 
 @dataclass(frozen=True, kw_only=True)
 class Equations:
-    """A form in Modelica.
+    """A form in Modelica: signs of inputs held between events, equations and initial states.
 
-    `signs` gives the right side of each sign of an input, held between events. `lines` are the
-    equations, without semicolons. `beginning` is each state in the steady state of the first
-    inputs; empty if a rate depends on its state, so that no closed form exists.
+    `beginning` is empty if a rate depends on its state, so that no closed form exists.
     """
 
     signs: Mapping[str, str]
@@ -82,7 +80,7 @@ class Equations:
 
 
 def equations(form: LawForm) -> Equations:
-    """Return the equations of a form: `der(x) = drive - rate*x` of each state, and `tau`."""
+    """Return `der(x) = drive - rate*x` of each state, and `tau`."""
     bends = Jumps(form.component, every=True).expressions
     signs = [
         sympy.Dummy(f"sign_{e.name if e.is_Symbol else i}", real=True)
@@ -118,7 +116,7 @@ def equations(form: LawForm) -> Equations:
 
 
 def _beginning(form: LawForm) -> dict[str, sympy.Expr]:
-    """Return the initial value of each state, from inputs, start values and preceding states."""
+    """Return the initial value of each state from inputs, start values and preceding states."""
     if any(m.seeks for m in form.memory):
         return {}
     found = initial_state(form.memory, SETTLING)

@@ -27,9 +27,8 @@ _OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE) \w+ (\w+)\(", re.MULTIL
 def export_c(model: FrictionModel, path: Path) -> Path:
     """Write a friction model as the C99 header NAME.h, with the prefix NAME, and its test data.
 
-    The functions are those of the FMU: torques are equal bit for bit with the same compiler flags
-    and mathematical library. Raises ExportError if NAME is no identifier of C, or motors are
-    coupled.
+    Torques equal those of the FMU bit for bit with the same compiler flags and mathematical
+    library. Raises ExportError if NAME is no identifier of C, or motors are coupled.
     """
     if path.suffix != ".h":
         raise ExportError(f"{path}: a C header ends in .h, found '{path.suffix}'.")
@@ -76,7 +75,6 @@ def header(model: FrictionModel, name: str) -> str:
 def _rows(
     model: FrictionModel, joints: Sequence[Joint], functions: dict[Any, Functions], *, euler: bool
 ) -> list[dict[str, Any]]:
-    """Return each joint for the template."""
     rows: list[dict[str, Any]] = []
     states, coefficients = 0, 0
     for label, law, joint in zip(model.joints, model.laws, joints, strict=True):
@@ -108,12 +106,11 @@ def _rows(
 
 
 def _comment(text: str) -> str:
-    """Return a text that does not end a comment."""
     return text.replace("*/", "* /").replace("\\", "/")
 
 
 def _with_prefix(text: str, name: str) -> str:
-    """Rename our functions to avoid clashes with others and with other headers."""
+    """Rename our functions to avoid clashes."""
     text = re.sub(r"\bLANES\b", f"{name.upper()}_LANES", text)
     names = "|".join(_OWN_MATH.findall(own_source("law_math.h")))
     return re.sub(rf"\b({names})\(", r"law_\1(", text)

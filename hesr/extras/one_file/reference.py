@@ -30,8 +30,8 @@ def write_beside(path: Path, text: str, model: FrictionModel) -> Path:
 def reference_rows(model: FrictionModel) -> str:
     """Return the data as CSV: t, then dq[i], q[i], tau_load[i] and tau[i] of all joints.
 
-    Row 0 is read at the start values of the states; states move to each further row with its inputs
-    held. Inputs are single-precision numbers, so they are the same in each precision.
+    Row 0 is read at the start values of the states, which move to each further row with its inputs
+    held. Inputs are single-precision numbers, the same in each precision.
     """
     motion, torque = _motion(model)
     joints = range(1, len(model.joints) + 1)
@@ -43,7 +43,7 @@ def reference_rows(model: FrictionModel) -> str:
 
 
 def _motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
-    """Return inputs and torque; the step is shorter where Euler is unstable at that of the law."""
+    """Return inputs and torque, with a shorter step where Euler is unstable."""
     for halved in range(_HALVINGS):
         step = model.sample_time / 2**halved
         motion = reference_motion(

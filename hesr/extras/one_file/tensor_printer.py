@@ -1,6 +1,6 @@
 """SymPy to Python on batches of tensors: the step of a law for PyTorch and JAX.
 
-Functions with the same name in both are in the module `xp`; all others are in the template.
+The module `xp` has the functions with the same name in both; the template has all others.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,7 +35,7 @@ _DIGITS = 40
 
 
 class _turned(sympy.Function):  # type: ignore[misc] # noqa: N801 - SymPy is not typed
-    """factor * position minus whole turns; printed without loss of precision."""
+    """factor * position minus whole turns, without loss of precision."""
 
     nargs = 2
 
@@ -114,7 +114,6 @@ def _function(
     read: Sequence[sympy.Symbol],
     ends: Sequence[sympy.Symbol],
 ) -> str:
-    """Return a function of the inputs and `more` that returns what is read and the final states."""
     program = {symbol: _wrapped(e) for symbol, e in program.items()}
     lines, names = straight_line(program, (*read, *ends))
     states = [f"x_{i}" for i, _ in enumerate(form.memory)]

@@ -37,9 +37,8 @@ def _export(model: FrictionModel, path: Path, library: Library) -> Path:
 def tensor_code(model: FrictionModel, library: Library) -> str:
     """Return the text of a Python file that needs only PyTorch or JAX.
 
-    It steps any batch of robots at once and carries their hidden states, in the precision of its
-    numbers. Joints of one form are computed together. Raises ExportError if joints differ in their
-    integration.
+    It steps batches of robots with their hidden states, all joints of one form together. Raises
+    ExportError if joints differ in their integration.
     """
     require_exportable(model, "a file of tensors")
     discretisation = discretisation_of(model)
@@ -65,7 +64,6 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
 
 
 def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -> dict[str, Any]:
-    """Return the law of some joints for the template."""
     return {
         "name": name,
         "function": law_function(form, name),
@@ -78,5 +76,4 @@ def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -
 
 
 def _text(text: str) -> str:
-    """Return a text that does not end a string."""
     return text.replace("\\", "/").replace('"', "'")

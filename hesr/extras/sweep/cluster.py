@@ -1,8 +1,7 @@
 """The runs of a sweep on the workers of a dask.distributed scheduler.
 
-FMUs are identified by their content hash: each worker gets them once and stores them in the cache
-of its machine. dask reassigns the chunks of dead workers; an FMU whose last copy is lost is sent
-again.
+FMUs are identified by hash: each worker gets them once and stores them in the cache of its machine.
+dask reassigns the chunks of dead workers; an FMU whose last copy is lost is sent again.
 """
 
 from collections.abc import Iterator, Mapping
@@ -31,8 +30,7 @@ def results_of(
 ) -> Iterator[Iterator[tuple[int, RunOutputs]]]:
     """Yield an iterator of finished chunks with their first runs; `address` as tcp://host:8786.
 
-    Raises ConfigError if dask.distributed or the scheduler is missing; the iterator raises
-    WorkerError if workers die repeatedly.
+    Raises ConfigError without dask.distributed or scheduler; the iterator raises WorkerError.
     """
     try:
         from distributed import Client
@@ -86,7 +84,6 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
 
 
 def _require_lost(future: Any) -> None:
-    """Raise the error of a run; return if its worker died."""
     error = future.exception() if future.status == "error" else None
     if isinstance(error, HesrError):
         raise error
@@ -106,8 +103,8 @@ def run_there(
 ) -> RunOutputs:
     """Do runs (n, d) on a worker of a cluster, with FMUs that came as bytes.
 
-    `names` gives the hash of each FMU file in `task`; by hash, `ours` permits running as our own
-    code (trust comes with the FMU), and `contents` holds the bytes.
+    By file, `names` gives the hash; by hash, `ours` permits unsandboxed runs, and `contents` holds
+    the bytes.
     """
     folder = cache.folder() / "fmus"
     files = {}

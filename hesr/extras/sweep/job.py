@@ -55,7 +55,7 @@ class SweepResult(SweepRuns, Answer):
     files: Sequence[Path] = ()
 
     def summary(self) -> str:
-        """Return the numbers of runs and failures, and the commands to replay the worst runs."""
+        """Return the numbers of runs and failures, and commands to replay the worst runs."""
         failures = self.table.failures
         lines = [f"{len(failures)} runs, {sum(map(bool, failures))} failed."]
         if self.reused:

@@ -45,10 +45,7 @@ class Plan:
 
 
 def planned(path: Path) -> Plan:
-    """Read a sweep file and check it against its system.
-
-    Raises ConfigError for a variable or signal that the system lacks or that cannot be varied.
-    """
+    """Read a sweep file and check it against its system."""
     study = SweepStudy.read(path)
     spec = SystemSpec.read(study.system)
     signals = [s for o in study.outputs for s in (o.signal, o.reference) if s is not None]
@@ -106,7 +103,6 @@ def _base(spec: SystemSpec, component: str, variable: str, path: Path) -> tuple[
 
 
 def _key(study: SweepStudy, spec: SystemSpec, digests: dict[Path, str]) -> str:
-    """Return a hash of everything that affects results, except paths."""
     system = spec.model_dump(mode="json", exclude={"components"})
     components = [
         c.model_dump(mode="json", exclude={"fmu"}) | {"fmu": digests.get(c.fmu)}

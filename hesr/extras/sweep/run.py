@@ -30,8 +30,8 @@ def run_sweep(
 ) -> SweepRuns:
     """Do all missing runs of a sweep file, and write the page.
 
-    `workers` are processes, by default one per core; 1 runs in this process. It does not change
-    files. `cluster` is the address of a dask.distributed scheduler.
+    `workers` are processes, by default one per core; 1 runs in this process. `cluster` is the
+    address of a dask.distributed scheduler.
     """
     try:
         plan = planned(path)
@@ -67,7 +67,6 @@ def run_sweep(
 def _results(
     plan: Plan, left: list[int], workers: int | None, cluster: str | None
 ) -> Iterator[Iterator[tuple[int, RunOutputs]]]:
-    """Yield the iterator of finished chunks."""
     if cluster is not None:
         from hesr.extras.sweep.cluster import results_of
 

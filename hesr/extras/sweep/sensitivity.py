@@ -12,10 +12,7 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensitivity:
-    """Shares of the variance of one output by input (d,), with 95 % bootstrap intervals (d, 2).
-
-    `first` is the share of the input alone, `total` that with all of its interactions.
-    """
+    """Shares of the variance of an output by input (d,), with 95 % bootstrap intervals (d, 2)."""
 
     output: str
     first: Array

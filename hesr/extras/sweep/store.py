@@ -89,9 +89,8 @@ class Store:
 def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Iterator[None]:
     """Lock a folder of results for this run.
 
-    `within` is the folder of the parts, `file` the description of the results with the content
-    `about`. Raises ConfigError if the folder holds results of another "key", ArtifactError if
-    another run has the lock.
+    `within` holds the parts, `file` the description `about`. Raises ConfigError for results of
+    another "key", ArtifactError for a locked folder.
     """
     what = Path(file).stem
     with ExitStack() as cleanup:

@@ -26,9 +26,8 @@ DistinctSignals = Annotated[tuple[Signal, ...], Field(min_length=1), AfterValida
 class SweepInput(Config):
     """One varied number, set on variables `component.variable` (without index: all elements).
 
-    Its distribution is given by `values`, by `low` and `high` (uniform), or by `mean` and `std`
-    (normal). `factor` multiplies the start values of the system, `integer` rounds, `levels` is the
-    number of values in a grid.
+    Its values are `values`, uniform from `low` to `high`, or normal with `mean` and `std`. `factor`
+    multiplies the start values of the system; `levels` is the number of values in a grid.
     """
 
     variables: DistinctSignals
@@ -92,10 +91,10 @@ Measure = Literal["rms", "max", "mean", "final"]
 
 
 class Measured(Config):
-    """One measured number of each run, over all elements of a signal.
+    """One measured number of each run, over all elements of a signal, from `start` [s].
 
-    `measure` is root mean square, largest magnitude, mean, or mean magnitude at the end, from
-    `start` [s], after subtraction of `reference`.
+    `measure` is root mean square, largest magnitude, mean, or mean magnitude at the end, after
+    subtraction of `reference`.
     """
 
     name: str = Field(pattern=r"^[A-Za-z][\w ]*$")
@@ -111,9 +110,8 @@ Design = Literal["grid", "latin_hypercube", "monte_carlo", "sobol"]
 class SweepStudy(Config):
     """A study of many runs.
 
-    The design "sobol" gives first- and total-order sensitivities and takes `runs` x (inputs + 2)
-    runs (Saltelli's design); `runs` is a power of 2 for it and absent for "grid". The same `seed`
-    gives the same bytes. `chunk` runs share one file and one worker.
+    "sobol" gives first- and total-order sensitivities and takes `runs` x (inputs + 2) runs
+    (Saltelli's design), `runs` being a power of 2. `chunk` runs share one file and one worker.
     """
 
     name: str = Field(default="sweep", min_length=1)

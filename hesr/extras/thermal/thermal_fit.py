@@ -1,10 +1,10 @@
 """Temperature dependence of friction, from measured temperatures or the heat of long logs.
 
-For a fitted law, five numbers are found by least squares: both factors at the reference, both
-coefficients, and an offset. The factors act on bounds and on viscous friction as in the adaptive
-FMU. Without measured temperatures the thermal time constant is also searched, a log starts at the
-ambient, and R is 1 because temperatures are known up to a factor only. With them, R, T_th and the
-ambient are those whose frictional heat explains the temperatures best.
+Five numbers of a fitted law are found by least squares: both factors at the reference, both
+coefficients, and an offset; the factors act as in the adaptive FMU. Without measured temperatures
+the thermal time constant is also searched, a log starts at the ambient, and R is 1 because
+temperatures are known up to a factor only. With them, R, T_th and the ambient are those whose
+frictional heat explains the temperatures best.
 """
 
 from collections.abc import Callable, Sequence
@@ -75,11 +75,7 @@ class Factored:
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalFit:
-    """Dependence of the friction of one joint on temperature.
-
-    Standard errors of both coefficients in [1/K]; errors of the law without and with temperature in
-    [N.m].
-    """
+    """Temperature dependence of one joint, with errors [1/K] and RMSE [N.m] without and with it."""
 
     joint: str
     thermal: Thermal
@@ -92,10 +88,10 @@ class ThermalFit:
 def fit_thermal(
     model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, tuple[ThermalFit, ...]]:
-    """Fit the temperature dependence of a fitted model to logs [log][joint]; its own numbers stay.
+    """Fit the temperature dependence of a fitted model to logs [log][joint].
 
-    Temperatures are measured in all logs or in none. Raises FitError if they hardly vary, logs
-    without them are short, or friction does not follow.
+    Raises FitError if temperatures hardly vary, logs without them are short, or friction does not
+    follow.
     """
     if model.coupling is not None:
         raise FitError(
@@ -109,7 +105,7 @@ def fit_thermal(
 def add_temperature(
     model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, list[str]]:
-    """Return a fitted law with its temperature dependence, and a sentence per joint."""
+    """Return a law with its temperature dependence, and a sentence per joint."""
     warm, found = fit_thermal(model, logs)
     return warm, [
         f"{one.joint}: Coulomb friction falls by {100 * one.thermal.coulomb:.2g} ± "
@@ -174,10 +170,7 @@ class _Problem:
         *,
         searched: bool = False,
     ) -> ThermalFit:
-        """Return the best numbers; `temperatures` of each record may depend on them.
-
-        The time constant is one of them if `searched`.
-        """
+        """Return the best numbers, with `searched` also the time constant."""
 
         def thermal_of(x: Array) -> Thermal:
             return replace(
@@ -241,7 +234,7 @@ class _Problem:
         return [np.abs(tau * r.dq) for tau, r in zip(torques, self._records, strict=True)]
 
     def heated(self, thermal: Thermal, temperatures: Sequence[Array]) -> Thermal:
-        """Return the model with the lumped mass that explains measured temperatures best."""
+        """Return the model with the lumped mass that best explains measured temperatures."""
         powers = self._powers(thermal, temperatures)
         measured = np.concatenate(list(temperatures))
 

@@ -20,9 +20,9 @@ def show_arm(
 ) -> Written:
     """Show the arm of a closed loop next to its commanded pose.
 
-    `output` is a video (.mp4) or animation (.webp), a window if None. By default the rigid body
-    alone and the law that tracks best are shown, with the commands of ``servo_inversion``.
-    `magnify` is a factor on deviations from the commanded pose, `speed` one on the motion.
+    `output` is a video (.mp4), an animation (.webp), or None for a window. By default the rigid
+    body alone and the law that tracks best are shown, with the scheme ``servo_inversion``.
+    `magnify` scales deviations from the commanded pose, `speed` the motion.
     """
     from hesr.extras.view.runs import ViewOptions, choose
 

@@ -30,9 +30,8 @@ class Paint:
 def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
     """Return an arm as an MjSpec with only bodies, joints and shapes.
 
-    Shapes from files (meshes, height fields) are left out because the files are missing; without
-    other shapes capsules between the joints are drawn. Raises RobotError if MuJoCo cannot read the
-    model, or it lacks a joint.
+    Shapes from files (meshes, height fields) are missing and left out; without other shapes,
+    capsules between the joints are drawn. Raises RobotError for an unusable model.
     """
     try:
         spec = mujoco.MjSpec.from_string(mjcf)

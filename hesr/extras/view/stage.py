@@ -33,7 +33,7 @@ _FOVY = 40.0  # [degrees]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Placed:
-    """An arm with its ghost on the stage; positions of their joints in qpos."""
+    """An arm with its ghost; positions of their joints in qpos."""
 
     label: tuple[str, str]
     t: Array
@@ -179,7 +179,6 @@ def _camera(low: Array, high: Array, spots: Array) -> mujoco.MjvCamera:
 
 
 def _room() -> Any:
-    """Return a floor under a bright sky."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = WIDTH, HEIGHT
     spec.visual.global_.fovy = _FOVY

@@ -35,8 +35,7 @@ def write_video(
 ) -> float:
     """Write a video (.mp4) or an animation for a page (.webp); return its length [s].
 
-    Raises ConfigError if nothing can draw on this machine or the encoder is not installed,
-    ArtifactError if the file cannot be written or encoded.
+    Raises ConfigError without OpenGL or encoder, ArtifactError if the file cannot be written.
     """
     kind = path.suffix.lower()
     if kind not in (".mp4", ".webp"):
@@ -125,7 +124,6 @@ def _gl() -> Any:
 
 
 def _encoder() -> str:
-    """Return the path of the packaged ffmpeg."""
     try:
         import imageio_ffmpeg
 
@@ -140,7 +138,7 @@ def _encoder() -> str:
 
 @contextmanager
 def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
-    """Yield a function that adds an image to the video in a file, later `path`."""
+    """Yield a function that adds an image to the video in `file`, later `path`."""
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{WIDTH}x{HEIGHT}", "-r", str(RATE)]
     result = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
     command = [encoder, "-y", "-loglevel", "error", *source, "-i", "-", *result, str(file)]
@@ -172,7 +170,7 @@ def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image]
 
 @contextmanager
 def _animating(file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
-    """Yield a function that adds an image to an animated WebP, which pages play automatically."""
+    """Yield a function that adds an image to an animated WebP."""
     import PIL.Image
 
     del path
