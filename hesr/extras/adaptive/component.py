@@ -60,7 +60,7 @@ _Limits = dict[str, tuple[float, float]]
 
 
 def own_parameters(tuning: Tuning, noise: float, speed: float) -> tuple[Parameter, ...]:
-    """Return a joint's parameters beyond its law from `noise` [N.m] and top `speed` [rad/s]."""
+    """Return a joint's parameters beyond its law; `noise` [N.m], top `speed` [rad/s]."""
     rows = (
         ("noise", "N.m", "standard deviation of the torque that the law leaves unexplained", noise),
         ("speed_least", "rad/s", "below it nothing is learned", tuning.rest * speed),
@@ -188,7 +188,6 @@ def _factors(
 
 
 def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equation]]:
-    """Return the alarms, and the sums that they compare."""
     rows = (
         ("drift", "friction", _PHI[0] + _PHI[1], sympy.Float(tuning.change)),
         ("shift", "offset", _PHI[2], tuning.change_of_offset * sigma),
@@ -233,7 +232,6 @@ def _health(limits: _Limits, moving: sympy.Expr, saturates: sympy.Expr) -> Equat
 
 
 def _expected(sigma: sympy.Expr) -> sympy.Expr:
-    """Return the standard deviation of the innovation [N.m]."""
     return sympy.sqrt(sigma**2 + _named("spread"))
 
 
@@ -266,7 +264,6 @@ def _gains(
 
 
 def _covariance(deviations: tuple[sympy.Expr, ...]) -> list[Equation]:
-    """Return the cuts to the largest standard deviations, then the covariance."""
     cut = [_named(f"cut_{i}") for i in _PLACES]
     grown = {
         (i, j): previous(_p(i, j)) - _G[i] * _G[j] * _named("net")

@@ -73,7 +73,7 @@ class Follower:
         ]
 
     def follow(self, records: Sequence[FrictionRecord], *, adapt: bool = True) -> list[Followed]:
-        """Follow friction over the records of all joints in one log; `tau` may hold NaN."""
+        """Follow the records of all joints in one log; `tau` may hold NaN."""
         found = tuple(r.joint for r in records)
         if found != self._model.joints:
             raise SimulationError(

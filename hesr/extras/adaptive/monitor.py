@@ -30,7 +30,7 @@ POINTS_TO = {
 
 @dataclass(frozen=True, kw_only=True)
 class Alarm:
-    """A change of friction at a time [s]; `sign` is 1 for more friction or torque, -1 for less."""
+    """A change of friction at a time [s]; `sign` is 1 for more friction or torque."""
 
     log: str
     joint: str
@@ -69,7 +69,7 @@ class State:
     rmse: float
 
     def intervals(self) -> tuple[str, str, str]:
-        """Return level, viscous factor and offset with two standard deviations."""
+        """Return the factors with two standard deviations."""
         return (
             f"{self.level:.3f} ± {2 * self.level_sd:.3f}",
             f"{self.viscosity:.3f} ± {2 * self.viscosity_sd:.3f}",
@@ -79,7 +79,7 @@ class State:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FollowedLogs:
-    """Friction of a robot over days of logs, relative to its model; `followed` is [log][joint]."""
+    """Friction over days of logs, relative to its model; `followed` is [log][joint]."""
 
     model: FrictionModel
     followed: tuple[tuple[Followed, ...], ...]
@@ -134,7 +134,7 @@ def _alarms(log: Sequence[Followed]) -> Iterator[Alarm]:
 
 
 def shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:
-    """Return the signs of drifts (joint, sign) that more than half of `joints` share."""
+    """Return the signs of drifts (joint, sign) that most joints share."""
     found = set(drifts)
     most = max(1.0, _SHARED * joints)
     return [sign for sign in (1, -1) if sum(own == sign for _, own in found) > most]

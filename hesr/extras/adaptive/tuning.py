@@ -7,18 +7,18 @@ from hesr_model.friction.factors import CHANGE, CHANGE_OF_OFFSET
 
 @dataclass(frozen=True, kw_only=True)
 class Tuning:
-    """Speed, limits and gates of the adaptation, and thresholds of its alarms.
+    """Settings of the adaptation and thresholds of its alarms.
 
-    correlation_time : correlation time of the unexplained torque [s].
+    correlation_time : of the unexplained torque [s].
     forgetting_time : memory of the filter [s].
-    level_sd, viscosity_sd : initial and largest standard deviations of the factors.
-    offset, offset_sd : limit and standard deviation of the offset, relative to the noise.
-    offset_rate : largest rate of the offset, relative to the noise [1/s].
+    level_sd, viscosity_sd : initial and largest standard deviations.
+    offset, offset_sd : limit and standard deviation, relative to the noise.
+    offset_rate : largest rate, relative to the noise [1/s].
     rest : share of the largest speed below which nothing is learned.
-    outlier, clipped : rejection and clipping of innovations, in standard deviations.
+    outlier, clipped : limits of innovations in standard deviations.
     hold : time without learning after an outlier [s].
-    carried : share of the learned factors at the start of the next log.
-    change, change_of_offset : smallest change to detect, relative to friction and to the noise.
+    carried : share of the learned factors in the next log.
+    change, change_of_offset : smallest detected change, relative to friction and noise.
     alarm : threshold of the log-likelihood ratio.
     """
 

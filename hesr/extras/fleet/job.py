@@ -32,7 +32,7 @@ class FleetJob:
         workers: int | None = None,
         progress: Stages = silent,
     ) -> "FleetResult":
-        """Process all robots; by default results go to ``results/NAME``."""
+        """Process all robots, by default into ``results/NAME``."""
         from hesr.extras.fleet.run import PAGE, TABLE, run_fleet
 
         folder = output or Path("results") / self.read(path).name
@@ -49,14 +49,14 @@ JOB = FleetJob()
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FleetResult(Fleet, Answer):
-    """Result of a fleet, with an error for each robot whose logs could not all be used."""
+    """Result of a fleet; each robot with unused logs is an error."""
 
     format = "hesr-fleet-1"
     findings: Sequence[Finding] = ()
     files: Sequence[Path] = ()
 
     def summary(self) -> str:
-        """Return the numbers of robots, and the largest deviations and changes."""
+        """Return the largest deviations and changes."""
         deviating = {one.robot for one in self.deviants}
         worse = [one for one in self.changes if one.worse]
         lines = [

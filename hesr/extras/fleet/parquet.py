@@ -12,7 +12,7 @@ _TRENDS = ("level", "offset", "error")
 
 
 def write_table(path: Path, fleet: Fleet) -> None:
-    """Write the file; rows of a rigid body lack the joint, those of a failed robot also the law."""
+    """Write the file; a rigid body has no joint, a failed robot no law."""
     import pyarrow as pa
     from pyarrow import parquet
 

@@ -15,8 +15,7 @@ BODY = "rigid_body"
 class JointResult:
     """Result of one joint and law, or of the rigid body (`BODY`, without a joint).
 
-    RMSE and standard deviation of friction over all logs [N.m; N]; `trends` over days of level,
-    offset and error, relative to friction.
+    RMSE and standard deviation of friction [N.m; N]; `trends` are relative to friction.
     """
 
     law: str
@@ -31,10 +30,7 @@ class JointResult:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotResult:
-    """Result of one robot, with reasons for omitted logs and laws or a missing result.
-
-    `key` hashes everything that affects it.
-    """
+    """Result of one robot; `key` hashes everything that affects it."""
 
     key: str
     robot: str

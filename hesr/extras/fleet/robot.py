@@ -71,7 +71,7 @@ def read_result(folder: Path) -> RobotResult:
 
 
 def _key(member: Member, study: FleetStudy) -> str:
-    """Return a hash of everything that affects the results of a robot, except paths."""
+    """Return a hash of everything that affects the results, except paths."""
     kind = member.kind
     files = [kind.robot, *(path for _, path in member.logs)]
     if kind.robot.is_file():
@@ -87,7 +87,7 @@ def _key(member: Member, study: FleetStudy) -> str:
 
 
 def _hash(file: Path) -> str | None:
-    """Return the hash of a file; None if it is unreadable, which its reader reports."""
+    """Return the hash of a file; None if unreadable, which its reader reports."""
     try:
         return sha256(file)
     except OSError:
@@ -114,7 +114,6 @@ class _Robot:
         self._findings: list[Finding] = []
 
     def result(self, folder: Path) -> RobotResult:
-        """Identify and fit, and write rigid body and laws."""
         member, study = self._member, self._study
         if not member.logs:
             raise LogError(f"{self._where}: its folders contain no log.")
@@ -169,7 +168,6 @@ class _Robot:
         return stream, sample.motions()
 
     def _motions(self, *, check: bool = False) -> Iterator[list[Motion]]:
-        """Yield the parts of each usable log."""
         cutoff = self._description.log.filter_cutoff
         for name, path in self._member.logs:
             if name in self._refused:

@@ -23,7 +23,7 @@ ABOUT, TABLE, PAGE = "fleet.json", "fleet.parquet", "fleet.html"
 def run_fleet(
     path: Path, output: Path, *, workers: int | None = None, progress: Stages = silent
 ) -> Fleet:
-    """Process the incomplete robots of a fleet, compare all robots, and write the results.
+    """Process incomplete robots, compare all, and write the results.
 
     `workers` are processes, by default one per core; 1 runs in this process.
     """

@@ -59,7 +59,7 @@ class FleetStudy(Config):
 
 @dataclass(frozen=True, kw_only=True)
 class Member:
-    """A robot of a fleet; `logs` holds name (path without suffix) and file, sorted by name."""
+    """A robot of a fleet, with sorted names (paths without suffix) and files of its logs."""
 
     name: str
     type: str
@@ -102,7 +102,7 @@ def members(study: FleetStudy, path: Path) -> list[Member]:
 
 
 def _matching(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
-    """Return the folder before the first wildcard of a pattern, with each matching folder."""
+    """Return the part of a pattern without wildcards, with each matching folder."""
     parts = Path(pattern).parts
     wild = next((k for k, part in enumerate(parts) if _WILD.search(part)), len(parts) - 1)
     root = path.parent.joinpath(*parts[:wild])

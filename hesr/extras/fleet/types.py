@@ -30,8 +30,7 @@ def write_types(
 ) -> dict[tuple[str, str, str], Path]:
     """Write an FMU per type and law with exposed coefficients, by (type, law, structure).
 
-    It has the median coefficients of its robots, whose parameter sets belong to it. Robots with
-    other structures share an FMU of their own, numbered by decreasing frequency.
+    It has the median coefficients of its robots. Rarer structures of a type are numbered.
     """
     groups: dict[_Kind, list[RobotResult]] = {}
     for robot in robots:
@@ -55,7 +54,6 @@ def write_types(
 
 
 def _typical(kind: _Kind, robots: Sequence[RobotResult], output: Path) -> FrictionModel:
-    """Return the model of the first robot with the median coefficients of all."""
     first = FrictionModel.read(output / ROBOTS / robots[0].robot / f"{kind.law}.json")
     laws = []
     for joint, law in enumerate(first.laws):

@@ -95,7 +95,7 @@ class _Bam(OneForm):
         )
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Fit with each exponent (equal numbers of coefficients) and keep the least squares."""
+        """Fit with each exponent and keep the least squares."""
         if not self._falls():
             return super().fit(records, rng)
         samples = JointRows.of(records, coefficients=len(self.core({}).coefficients))

@@ -103,8 +103,8 @@ class MlpH(NetworkEstimator):
 def left_out(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[Array]) -> Array:
     """Return (decays,) mean squares on left-out rows, relative to the variance of the torque.
 
-    Standardised `z` (N, 3) and `y` (N,); `folds` mask left-out rows (N,); `starts` (4, H) are
-    initial hidden layers.
+    Standardised `z` (N, 3), `y` (N,); masks `folds` (N,) of left-out rows; hidden layers `starts`
+    (4, H).
     """
     stride = max(1, len(y) // SEARCHED_ROWS)
     total = np.zeros(len(DECAYS))

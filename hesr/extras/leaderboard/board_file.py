@@ -54,10 +54,9 @@ class BoardLog(Config):
 
 
 class BoardFile(Config):
-    """Content of a leaderboard file.
+    """Content of a leaderboard file; `accept` are accepted checks of logs.
 
-    `warm_up` [s] is not scored, since the initial state of friction is unknown; `block` [s] is that
-    of the bootstrap. `classes` gives the inputs by class, `accept` accepted checks of logs.
+    `warm_up` [s] is not scored: the initial state is unknown; `block` [s] is that of the bootstrap.
     """
 
     name: PrintableName = Field(min_length=1)
@@ -94,7 +93,7 @@ class Ground:
 
 
 def read_grounds(rules: BoardFile) -> dict[str, Ground]:
-    """Read robots, bodies and logs, by robot; raises ConfigError for a missing or changed file."""
+    """Read robots, bodies and logs; raises ConfigError for a missing or changed file."""
     grounds = {}
     for robot in rules.robots:
         _require_same(robot.rigid_body, robot.rigid_body_sha256, "")

@@ -51,10 +51,7 @@ class Tried:
 
 
 def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
-    """Replay an entry over all logs of its robot.
-
-    Raises SimulationError for wrong connectors or joints, a failure or NaN.
-    """
+    """Replay an entry over all logs; raises SimulationError for wrong connectors, failure or NaN."""
     ours = is_ours(entry.fmu) if entry.fmu.is_file() else False
     with FmuInstance(entry.fmu) as component:
         joints = FrictionBench(component).joints
@@ -87,7 +84,6 @@ def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
 
 
 def _columns(part: Sequence[FrictionRecord]) -> dict[str, Any]:
-    """Return t (N,) [s], and dq, q, tau_load (N, n) [rad/s, rad, N.m] of one part of a log."""
     names = ("dq", *_OPTIONAL)
     return {"t": part[0].t} | {x: np.column_stack([getattr(r, x) for r in part]) for x in names}
 

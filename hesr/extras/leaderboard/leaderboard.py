@@ -46,10 +46,9 @@ class ScoredRobot:
 class Standing:
     """Scores of an entry.
 
-    `relative` is the error over the size of friction by kind of rows, `ratio` that to the leader of
-    the class, with 95 % intervals (simultaneous for `ratio`). `joints` holds RMSE [N.m; N].
-    `leads`: no entry of the class is significantly better. `step` is the time per step [s], longer
-    for `foreign` FMUs, which run in a separate process.
+    `relative` is the error over the size of friction, `ratio` that to the leader of the class, with
+    95 % intervals (simultaneous for `ratio`); `joints` holds RMSE [N.m; N]. `leads`: no entry of
+    the class is significantly better. `step` [s] is longer for `foreign` FMUs in their own process.
     """
 
     name: str
@@ -81,7 +80,7 @@ class Leaderboard:
 
 
 def entries_of(given: Sequence[str], rules: BoardFile) -> list[Entry]:
-    """Return entries given as FILE or ROBOT=FILE; raises ConfigError if one lacks its robot."""
+    """Return entries given as FILE or ROBOT=FILE."""
     robots = [robot.name for robot in rules.robots]
     found = []
     for text in given:
@@ -106,10 +105,7 @@ def run_leaderboard(
     workers: int | None = None,
     progress: Progress = silent,
 ) -> Leaderboard:
-    """Score entries, each in a separate process; `workers` changes measured times only.
-
-    Raises ConfigError for a changed file or an entry without a class.
-    """
+    """Score entries in separate processes; `workers` changes measured times only."""
     if not entries:
         raise ConfigError("the leaderboard has no entries; give at least one FMU.")
     grounds = read_grounds(rules)
@@ -160,7 +156,7 @@ def run_leaderboard(
 
 
 def _group(rules: BoardFile, one: Tried) -> str:
-    """Return the smallest class that allows the inputs of an entry; the first if equal."""
+    """Return the smallest class that allows the inputs of an entry."""
     holding = [n for n, may in rules.classes.items() if set(one.inputs) <= {*may, "dq"}]
     if not holding:
         raise ConfigError(

@@ -49,29 +49,26 @@ class Judge:
         }
 
     def errors(self, torques: Sequence[Array]) -> list[Array]:
-        """Return the errors of torques, (N, n) [N.m] per part, on the scored rows."""
+        """Return the errors of torques, (N, n) [N.m] per part, on scored rows."""
         pairs = zip(torques, self._rows, self._tau, strict=True)
         return [torque[rows] - tau for torque, rows, tau in pairs]
 
     def by_joint(self, errors: Sequence[Array], kind: Kind) -> tuple[float | None, ...]:
-        """Return the RMSE of each joint [N.m] on rows of a kind; None without such rows."""
+        """Return the RMSE by joint [N.m] on rows of a kind; None without such rows."""
         error, mask = np.vstack(errors), np.vstack(self._masks[kind])
         return tuple(
             rmse(error[rows, j]) if np.any(rows) else None for j, rows in enumerate(mask.T)
         )
 
     def relative(self, errors: Sequence[Array], kind: Kind) -> Interval | None:
-        """Return the error over the size of friction of all joints; None without scored rows."""
+        """Return the error over the size of friction; None without scored rows."""
         counts = [np.sqrt(mask.sum(axis=1)) for mask in self._masks[kind]]
         if not any(map(np.any, counts)):
             return None
         return self._interval(self._sizes(errors, kind), counts, _LEVEL)
 
     def ratio(self, errors: Sequence[Array], below: Sequence[Array], compared: int) -> Interval:
-        """Return the ratio of two relative errors over all rows.
-
-        Its interval holds simultaneously for `compared` ratios (Bonferroni).
-        """
+        """Return the ratio of two errors, its interval simultaneous for `compared` ones (Bonferroni)."""
         level = 1.0 - (1.0 - _LEVEL) / max(1, compared)
         return self._interval(self._sizes(errors, "all"), self._sizes(below, "all"), level)
 
@@ -95,7 +92,7 @@ class Judge:
 
 
 def _kinds(part: Sequence[FrictionRecord], rows: Mask) -> dict[Kind, Mask]:
-    """Return masks (N, n) of the rows of each kind in one part of a log, after the warm-up."""
+    """Return masks (N, n) of the rows of each kind after the warm-up."""
     fast = np.column_stack([moving(r.dq) for r in part])[rows]
     near = np.column_stack([near_reversals(r.t, r.dq) for r in part])[rows]
     return {"all": np.ones_like(fast), "moving": fast, "reversals": near, "rests": ~fast}

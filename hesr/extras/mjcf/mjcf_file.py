@@ -30,7 +30,7 @@ _HEAD = """\
 
 @dataclass(frozen=True, kw_only=True)
 class JointProjection:
-    """Export of one joint; `missing` is the term without a counterpart in MuJoCo (None: exact).
+    """Export of one joint; `missing` is the term without a counterpart (None: exact).
 
     `fitted` and `unseen` are errors of a projection on the fitted and on another motion.
     """
@@ -148,7 +148,7 @@ def _document(
 
 
 def _actuators(parts: JointFriction) -> Iterator[str]:
-    """Yield all attributes of each actuator, since the defaults of the robot may differ."""
+    """Yield all attributes of each actuator: the defaults of the robot may differ."""
     pairs = list(zip_longest(parts.bristles, parts.waves)) or [(None, None)]
     for k, (bristle, wave) in enumerate(pairs):
         numbers = {

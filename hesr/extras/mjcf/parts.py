@@ -155,8 +155,6 @@ def _stribeck_velocity(peak: sympy.Expr, values: Values, own: str) -> float | No
 
 @dataclass
 class _Torque:
-    """Terms of a law's torque, collected one by one."""
-
     values: Values
     states: set[sympy.Symbol]
     viscous: float = 0.0
@@ -164,7 +162,7 @@ class _Torque:
     waves: list[Wave] = field(default_factory=list)
 
     def add(self, term: sympy.Expr) -> None:
-        """Add a term: a factor of a state, viscous, constant or a wave in the angle."""
+        """Add a term: linear in a state or the velocity, constant, or a wave in the angle."""
         states = self.states & term.free_symbols
         for symbol in states or {DQ}:
             factor = term / symbol
@@ -211,7 +209,6 @@ def _bristle(
     damping: sympy.Expr | None,
     values: Values,
 ) -> Bristle | None:
-    """Return the bristle of a relaxation; None if the torque does not depend on its state."""
     stiffness = (force or sympy.Integer(0)) * motion.scale
     own = f"its state '{relaxation.name}'"
     found = _number(stiffness, values, f"the stiffness of {own}")

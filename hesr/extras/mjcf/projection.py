@@ -96,7 +96,7 @@ def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
 def _record(
     law: FrictionLaw, trajectory: Trajectory, trained: TrainedRange | None, sample_time: float
 ) -> FrictionRecord:
-    """Return the law along a motion around the middle of the training range, under its loads."""
+    """Return the law along a motion in the training range, under its loads."""
     rows = np.arange(round(trajectory.duration / sample_time), dtype=np.float64)
     t = sample_time * rows
     q, dq, _ = (column[:, 0] for column in trajectory.sample(t))
@@ -116,7 +116,6 @@ def _record(
 
 
 def _poles(law: FrictionLaw) -> list[float]:
-    """Return the waves per radian of the joint in a law's torque."""
     values = {c.symbol: law.values[c.name] for c in law.form.coefficients}
     angles = [wave.args[0] for wave in law.form.output.atoms(sympy.sin, sympy.cos)]
     slopes = (sympy.diff(angle, Q).subs(values) for angle in angles)

@@ -29,7 +29,7 @@ def package_html(
     audits: Sequence[Audit],
     refused: str,
 ) -> str:
-    """Return the documentation of the package; `audits` is empty if refused for a reason."""
+    """Return the documentation of the package; without audits, `refused` is the reason."""
     return _page(
         "modelica.html.j2",
         model=model,

@@ -47,9 +47,9 @@ _STEADY = "steadyStart"
 def export_modelica(model: FrictionModel, path: Path) -> Path:
     """Write a friction model as a Modelica package in one file, NAME.mo with package NAME.
 
-    It has the equations of each form, a block per joint, the same between rotational flanges, and
-    examples, with the Modelica Standard Library 4.0. States start as in the FMUs. Raises
-    ExportError for a prismatic joint, an invalid name or an expression without a counterpart.
+    It has the equations of each form, a block and a bearing per joint, and examples, and needs the
+    Modelica Standard Library 4.0. States start as in the FMUs. Raises ExportError for a prismatic
+    joint, an invalid name or an expression without a counterpart.
     """
     _check_name(path)
     text = package(model, path.stem)
@@ -102,14 +102,13 @@ def _check_name(path: Path) -> None:
 
 
 def _oddity(name: str, taken: frozenset[str]) -> str:
-    """Return why a name is not usable in Modelica; empty if it is."""
     if name in taken:
         return "taken by Modelica"
     return "" if _IDENTIFIER.fullmatch(name) else "not a valid name in Modelica"
 
 
 def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
-    """Return the first law of each form by a name of the form, such as `ParfamH`."""
+    """Return the first law of each form by a name such as `ParfamH`."""
     first: dict[LawForm, FrictionLaw] = {}
     for law in laws:
         first.setdefault(law.form, law)

@@ -28,8 +28,6 @@ _WIDTH = 96
 
 
 class _Printer(LanguagePrinter):
-    """Modelica with our functions; the derivative of a state is its `der`."""
-
     language = "Modelica"
 
     def __init__(self, derivatives: Mapping[sympy.Symbol, str]) -> None:
@@ -116,7 +114,6 @@ def equations(form: LawForm) -> Equations:
 
 
 def _beginning(form: LawForm) -> dict[str, sympy.Expr]:
-    """Return the initial value of each state from inputs, start values and preceding states."""
     if any(m.seeks for m in form.memory):
         return {}
     found = initial_state(form.memory, SETTLING)
@@ -135,7 +132,6 @@ def _sign(argument: str) -> str:
 
 
 def _wrapped(line: str) -> str:
-    """Break a long line at spaces, which surround sums only."""
     return fill(
         line, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
     )

@@ -110,7 +110,6 @@ def _comment(text: str) -> str:
 
 
 def _with_prefix(text: str, name: str) -> str:
-    """Rename our functions to avoid clashes."""
     text = re.sub(r"\bLANES\b", f"{name.upper()}_LANES", text)
     names = "|".join(_OWN_MATH.findall(own_source("law_math.h")))
     return re.sub(rf"\b({names})\(", r"law_\1(", text)

@@ -19,7 +19,7 @@ _HALVINGS = 12
 
 
 def write_beside(path: Path, text: str, model: FrictionModel) -> Path:
-    """Write a code file and its test data with the suffix .csv; both or none."""
+    """Write a code file and its test data (.csv); both or none."""
     rows = reference_rows(model)
     with written_whole(path) as code, written_whole(path.with_suffix(".csv")) as data:
         code.write_text(text, encoding="utf-8", newline="\n")
@@ -30,8 +30,8 @@ def write_beside(path: Path, text: str, model: FrictionModel) -> Path:
 def reference_rows(model: FrictionModel) -> str:
     """Return the data as CSV: t, then dq[i], q[i], tau_load[i] and tau[i] of all joints.
 
-    Row 0 is read at the start values of the states, which move to each further row with its inputs
-    held. Inputs are single-precision numbers, the same in each precision.
+    Row 0 is at the start of the states, which move to each further row with its inputs held. Inputs
+    are single-precision numbers, the same in each precision.
     """
     motion, torque = _motion(model)
     joints = range(1, len(model.joints) + 1)

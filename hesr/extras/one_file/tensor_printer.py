@@ -41,8 +41,6 @@ class _turned(sympy.Function):  # type: ignore[misc] # noqa: N801 - SymPy is not
 
 
 class _Printer(LanguagePrinter):
-    """Python on tensors; the rate of a relaxation's step is known when the file is written."""
-
     language = "Python"
 
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
@@ -139,7 +137,7 @@ def _function(
 
 
 def _wrapped(expression: sympy.Expr) -> sympy.Expr:
-    """Reduce the arguments of sines of many turns of the position to one turn."""
+    """Reduce the arguments of sines to one turn of the position."""
 
     def wave(node: sympy.Expr) -> sympy.Expr:
         angle = sympy.expand(node.args[0])

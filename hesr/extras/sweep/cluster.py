@@ -101,10 +101,9 @@ def run_there(
     ours: Mapping[str, bool],
     contents: Mapping[str, bytes],
 ) -> RunOutputs:
-    """Do runs (n, d) on a worker of a cluster, with FMUs that came as bytes.
+    """Do runs (n, d) on a worker, with FMUs that came as bytes.
 
-    By file, `names` gives the hash; by hash, `ours` permits unsandboxed runs, and `contents` holds
-    the bytes.
+    By file, `names` gives the hash; by hash, `ours` permits unsandboxed runs.
     """
     folder = cache.folder() / "fmus"
     files = {}

@@ -30,8 +30,7 @@ def run_sweep(
 ) -> SweepRuns:
     """Do all missing runs of a sweep file, and write the page.
 
-    `workers` are processes, by default one per core; 1 runs in this process. `cluster` is the
-    address of a dask.distributed scheduler.
+    `workers` are processes, by default one per core; 1 runs in this process.
     """
     try:
         plan = planned(path)

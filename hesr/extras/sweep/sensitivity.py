@@ -22,10 +22,7 @@ class Sensitivity:
 
 
 def sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity]:
-    """Return first- and total-order indices of the outputs (runs, m) of a "sobol" design.
-
-    Outputs that failed in some runs, or do not vary, are left out.
-    """
+    """Return the indices of outputs (runs, m) that vary and never failed, for a "sobol" design."""
     if study.design != "sobol" or study.runs is None:
         return []
     from scipy.stats import bootstrap  # slow to import
@@ -60,7 +57,7 @@ def sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity]:
 
 
 def _shares(blocks: Array) -> Array:
-    """Return first- and total-order indices (2, d) by the estimators of Saltelli et al. (2010)."""
+    """Return (2, d) indices by the estimators of Saltelli et al. (2010)."""
     a, b, mixed = blocks[0], blocks[1], blocks[2:]
     first = np.mean(b * (mixed - a), axis=1)
     total = 0.5 * np.mean((a - mixed) ** 2, axis=1)

@@ -31,7 +31,7 @@ class RunTable:
 
 
 class Store:
-    """The folder of a sweep, once it is `taken`; `inputs` and `outputs` name the columns."""
+    """The folder of a sweep, once it is `taken`."""
 
     def __init__(self, folder: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
         self._folder, self._inputs, self._outputs = folder, inputs, outputs
@@ -87,10 +87,9 @@ class Store:
 
 @contextmanager
 def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Iterator[None]:
-    """Lock a folder of results for this run.
+    """Lock a folder with the parts in `within` and the description `about` in `file`.
 
-    `within` holds the parts, `file` the description `about`. Raises ConfigError for results of
-    another "key", ArtifactError for a locked folder.
+    Raises ConfigError for results of another "key", ArtifactError for a locked folder.
     """
     what = Path(file).stem
     with ExitStack() as cleanup:

@@ -26,8 +26,8 @@ DistinctSignals = Annotated[tuple[Signal, ...], Field(min_length=1), AfterValida
 class SweepInput(Config):
     """One varied number, set on variables `component.variable` (without index: all elements).
 
-    Its values are `values`, uniform from `low` to `high`, or normal with `mean` and `std`. `factor`
-    multiplies the start values of the system; `levels` is the number of values in a grid.
+    It is one of `values`, uniform from `low` to `high`, or normal with `mean` and `std`. `factor`
+    multiplies the start values; `levels` counts the values in a grid.
     """
 
     variables: DistinctSignals
@@ -93,8 +93,7 @@ Measure = Literal["rms", "max", "mean", "final"]
 class Measured(Config):
     """One measured number of each run, over all elements of a signal, from `start` [s].
 
-    `measure` is root mean square, largest magnitude, mean, or mean magnitude at the end, after
-    subtraction of `reference`.
+    RMS, largest magnitude, mean, or mean magnitude at the end, after subtraction of `reference`.
     """
 
     name: str = Field(pattern=r"^[A-Za-z][\w ]*$")
@@ -108,10 +107,10 @@ Design = Literal["grid", "latin_hypercube", "monte_carlo", "sobol"]
 
 
 class SweepStudy(Config):
-    """A study of many runs.
+    """A study of many runs, `chunk` of which share one file and one worker.
 
     "sobol" gives first- and total-order sensitivities and takes `runs` x (inputs + 2) runs
-    (Saltelli's design), `runs` being a power of 2. `chunk` runs share one file and one worker.
+    (Saltelli's design), `runs` being a power of 2.
     """
 
     name: str = Field(default="sweep", min_length=1)

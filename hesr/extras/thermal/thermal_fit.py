@@ -88,11 +88,7 @@ class ThermalFit:
 def fit_thermal(
     model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, tuple[ThermalFit, ...]]:
-    """Fit the temperature dependence of a fitted model to logs [log][joint].
-
-    Raises FitError if temperatures hardly vary, logs without them are short, or friction does not
-    follow.
-    """
+    """Fit the temperature dependence of a fitted model to logs [log][joint]."""
     if model.coupling is not None:
         raise FitError(
             f"friction model '{model.law}': its motors turn with several joints; a thermal model "
@@ -170,7 +166,6 @@ class _Problem:
         *,
         searched: bool = False,
     ) -> ThermalFit:
-        """Return the best numbers, with `searched` also the time constant."""
 
         def thermal_of(x: Array) -> Thermal:
             return replace(
@@ -234,12 +229,11 @@ class _Problem:
         return [np.abs(tau * r.dq) for tau, r in zip(torques, self._records, strict=True)]
 
     def heated(self, thermal: Thermal, temperatures: Sequence[Array]) -> Thermal:
-        """Return the model with the lumped mass that best explains measured temperatures."""
+        """Return the model with the lumped mass that best explains the temperatures."""
         powers = self._powers(thermal, temperatures)
         measured = np.concatenate(list(temperatures))
 
         def mass(time: float) -> tuple[Array, float]:
-            """Return resistance, ambient and first temperature of each log, and their error."""
             rows = []
             body = replace(thermal, resistance=1.0, time_constant=time)
             logs = zip(powers, self._steps, self._records, np.eye(len(powers)), strict=True)

@@ -72,7 +72,6 @@ def choose(folder: Path, choice: ViewOptions) -> Shown:
 
 
 def _telling(runs: Mapping[str, Trace]) -> list[str]:
-    """Return the rigid body alone and the best law."""
     errors = {
         law: float(np.sqrt(np.mean((trace.q - trace.q_d) ** 2)))
         for law, trace in runs.items()

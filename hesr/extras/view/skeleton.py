@@ -30,8 +30,8 @@ class Paint:
 def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
     """Return an arm as an MjSpec with only bodies, joints and shapes.
 
-    Shapes from files (meshes, height fields) are missing and left out; without other shapes,
-    capsules between the joints are drawn. Raises RobotError for an unusable model.
+    Shapes from files are missing; without other shapes, capsules between the joints are drawn.
+    Raises RobotError for an unusable model.
     """
     try:
         spec = mujoco.MjSpec.from_string(mjcf)
@@ -59,7 +59,6 @@ def reach(model: mujoco.MjModel) -> float:
 
 
 def _strip(spec: Any) -> None:
-    """Delete everything invisible, and shapes from files."""
     files = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
     elements = (
         *(spec.sensors, spec.actuators, spec.tendons, spec.equalities, spec.pairs, spec.excludes),
@@ -76,7 +75,7 @@ def _strip(spec: Any) -> None:
 
 
 def _draw(spec: Any, length: float, paint: Paint) -> None:
-    """Add a capsule for each link, a cylinder for each revolute joint, a ball at the end."""
+    """Add capsules for links, cylinders for revolute joints, a ball at the end."""
     radius = _LINK * length * paint.thick
     for body in _below(spec.worldbody):
         for child in body.bodies:

@@ -137,7 +137,6 @@ def _row(t: Array, at: float) -> int:
 
 
 def _end(model: mujoco.MjModel, prefix: str, joint: str) -> int:
-    """Return the body farthest down the chain from a joint."""
     start = int(model.joint(f"{prefix}{joint}").bodyid[0])
     depth = {start: 0}
     for body in range(start + 1, model.nbody):  # parents come first
@@ -147,7 +146,7 @@ def _end(model: mujoco.MjModel, prefix: str, joint: str) -> int:
 
 
 def _space(shown: Shown) -> tuple[Array, Array]:
-    """Return the corners of the bounding box of the arm over its motion [m]."""
+    """Return the bounding box of the arm over its motion [m]."""
     model = arm(shown.mjcf, shown.joints, paint=_ARM).compile()
     data = mujoco.MjData(model)
     places = [model.joint(name).qposadr[0] for name in shown.joints]
@@ -162,7 +161,6 @@ def _space(shown: Shown) -> tuple[Array, Array]:
 
 
 def _camera(low: Array, high: Array, spots: Array) -> mujoco.MjvCamera:
-    """Return a camera in front of all arms and a little above."""
     camera = mujoco.MjvCamera()
     words = 3 * _LINE
     camera.lookat = [

@@ -104,7 +104,6 @@ def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
 
 
 def _gl() -> Any:
-    """Return the class of an OpenGL context that needs no screen."""
     wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
     if sys.platform == "linux" and not wanted:
         found = [name for name, library in _BACKENDS.items() if ctypes.util.find_library(library)]
@@ -138,7 +137,6 @@ def _encoder() -> str:
 
 @contextmanager
 def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
-    """Yield a function that adds an image to the video in `file`, later `path`."""
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{WIDTH}x{HEIGHT}", "-r", str(RATE)]
     result = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
     command = [encoder, "-y", "-loglevel", "error", *source, "-i", "-", *result, str(file)]
@@ -170,7 +168,6 @@ def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image]
 
 @contextmanager
 def _animating(file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
-    """Yield a function that adds an image to an animated WebP."""
     import PIL.Image
 
     del path
