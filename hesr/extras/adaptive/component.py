@@ -100,6 +100,8 @@ def adaptive_component(
     }
     deviations = (tuning.level_sd, tuning.viscosity_sd, tuning.offset_sd * sigma)
     torque = law_parts.hysteresis + viscosity * law_parts.viscous + law_parts.rest
+    torque += previous("offset")
+    begin = sympy.S.Zero if warm else None
     moving = exceeds(absolute(DQ), own[1].symbol)
     saturates = exceeds(absolute(MEASURED.symbol), own[2].symbol) * exceeds(own[2].symbol, 0)
     alarms, sums = _alarms(tuning, sigma)
@@ -110,13 +112,7 @@ def adaptive_component(
         parameters=(*base.parameters, *own, *(thermal_parameters(thermal) if thermal else ())),
         memory=(*((warm.memory,) if warm else ()), *law_parts.memory),
         equations=(
-            _output(
-                TORQUE,
-                "N.m",
-                "friction {effort} of {joint}",
-                torque + previous("offset"),
-                sympy.S.Zero if warm else None,
-            ),
+            _output(TORQUE, "N.m", "friction {effort} of {joint}", torque, begin),
             *_factors(tuning, sigma, own, limits),
             *alarms,
             _health(limits, moving, saturates),
@@ -175,16 +171,10 @@ def _factors(
         _output(name, unit, text, limited(name, previous(name) + x), limited(name, first.symbol))
         for (name, unit, text), x, first in zip(_FACTORS, steps, own[3:], strict=True)
     ]
-    spreads = [
-        _output(
-            f"{name}_sd",
-            unit,
-            f"standard deviation of {name}[{{number}}]",
-            sympy.sqrt(positive(_named(_p(i, i)))),
-        )
-        for i, (name, unit, _) in enumerate(_FACTORS)
-    ]
-    return factors + spreads
+    for i, (name, unit, _) in enumerate(_FACTORS):
+        text = f"standard deviation of {name}[{{number}}]"
+        factors.append(_output(f"{name}_sd", unit, text, sympy.sqrt(positive(_named(_p(i, i))))))
+    return factors
 
 
 def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equation]]:
@@ -242,6 +232,7 @@ def _gains(
     spread, learns, settled, weight, gain = map(
         _named, ("spread", "learns", "settled", "weight", "gain")
     )
+    hold = tuning.hold
     looks = exceeds(ADAPT.symbol, 0.5) * moving * (1 - saturates)
     fits = exceeds(tuning.outlier * _expected(sigma), absolute(_named("raw")))
     density = 2 * tuning.correlation_time * sigma**2
@@ -252,10 +243,8 @@ def _gains(
             for i, g in enumerate(_G)
         ),
         _hidden("spread", positive(sum(x * g for x, g in zip(_PHI, _G, strict=True)))),
-        _hidden(
-            "calm", fits * _at_most(previous("calm") + DT, tuning.hold), sympy.Float(tuning.hold)
-        ),
-        _hidden("settled", 1 - exceeds(tuning.hold, _named("calm"))),
+        _hidden("calm", fits * _at_most(previous("calm") + DT, hold), sympy.Float(hold)),
+        _hidden("settled", 1 - exceeds(hold, _named("calm"))),
         _hidden("learns", looks * settled),
         _hidden("weight", looks * DT / (density + spread * DT)),
         _hidden("gain", weight * settled),
@@ -270,21 +259,18 @@ def _covariance(deviations: tuple[sympy.Expr, ...]) -> list[Equation]:
         for i in _PLACES
         for j in _PLACES[i:]
     }
-    cuts = [
+    found = [
         _hidden(x.name, d / larger(d, sympy.sqrt(positive(grown[i, i]))))
         for i, (x, d) in enumerate(zip(cut, deviations, strict=True))
     ]
-    own = [
-        _hidden(
-            _p(i, j),
-            larger(e * cut[i] ** 2, (1e-6 * deviations[i]) ** 2)
-            if i == j
-            else e * cut[i] * cut[j] * (1 - _MIXED * _named("learns")),
-            sympy.S.Zero + (deviations[i] ** 2 if i == j else 0),
-        )
-        for (i, j), e in grown.items()
-    ]
-    return cuts + own
+    for (i, j), e in grown.items():
+        if i == j:
+            limited = larger(e * cut[i] ** 2, (1e-6 * deviations[i]) ** 2)
+            found.append(_hidden(_p(i, j), limited, sympy.S.Zero + deviations[i] ** 2))
+        else:
+            mixed = e * cut[i] * cut[j] * (1 - _MIXED * _named("learns"))
+            found.append(_hidden(_p(i, j), mixed, sympy.S.Zero))
+    return found
 
 
 def _number(x: sympy.Expr) -> sympy.Expr:

@@ -19,10 +19,7 @@ class FleetJob:
     """Comparison of the robots of a fleet."""
 
     verb, key = "monitor", "types"
-
-    def read(self, path: Path) -> FleetStudy:
-        """Read and validate a fleet file."""
-        return FleetStudy.read(path)
+    read = staticmethod(FleetStudy.read)
 
     def run(
         self,

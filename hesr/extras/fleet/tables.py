@@ -79,13 +79,8 @@ def changes(fleet: "Fleet") -> ResultTable:
 
 def broken(fleet: "Fleet") -> ResultTable:
     """Return omitted robots, logs and laws with the reasons."""
-    sentences = [(robot.robot, text) for robot in fleet.broken for text in robot.sentences]
-    return ResultTable(
-        caption="Not used",
-        head=("robot", "why"),
-        rows=[row_of(name, text) for name, text in sentences],
-        numeric=False,
-    )
+    rows = [row_of(robot.robot, text) for robot in fleet.broken for text in robot.sentences]
+    return ResultTable(caption="Not used", head=("robot", "why"), rows=rows, numeric=False)
 
 
 def _more(count: int) -> str:

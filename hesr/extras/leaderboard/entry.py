@@ -51,7 +51,7 @@ class Tried:
 
 
 def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
-    """Replay an entry over all logs; raises SimulationError for wrong connectors, failure or NaN."""
+    """Replay an entry over all logs; raises SimulationError for wrong connectors or NaN."""
     ours = is_ours(entry.fmu) if entry.fmu.is_file() else False
     with FmuInstance(entry.fmu) as component:
         joints = FrictionBench(component).joints

@@ -68,7 +68,7 @@ class Judge:
         return self._interval(self._sizes(errors, kind), counts, _LEVEL)
 
     def ratio(self, errors: Sequence[Array], below: Sequence[Array], compared: int) -> Interval:
-        """Return the ratio of two errors, its interval simultaneous for `compared` ones (Bonferroni)."""
+        """Return the ratio of two errors, simultaneous for `compared` ones (Bonferroni)."""
         level = 1.0 - (1.0 - _LEVEL) / max(1, compared)
         return self._interval(self._sizes(errors, "all"), self._sizes(below, "all"), level)
 

@@ -57,8 +57,8 @@ def standings(board: Leaderboard) -> Iterator[ResultTable]:
                 *(["µs per step"] if timed else []),
             ),
             rows=rows,
-            note="Intervals of ratios hold for all entries of a class at once. Bold: better than "
-            "all others of its class beyond chance.",
+            note="Intervals of ratios are simultaneous for a class. Bold: significantly better "
+            "than all others of the class.",
         )
 
 
@@ -84,26 +84,16 @@ def by_joint(board: Leaderboard, robot: ScoredRobot, kind: Kind) -> ResultTable:
 
 def logs(board: Leaderboard) -> ResultTable:
     """Return the logs with hash, origin and licence."""
-    return ResultTable(
-        caption="Logs",
-        head=("log", "robot", "SHA-256", "from", "licence"),
-        rows=[
-            row_of(log.name, log.robot, log.sha256, log.source, log.licence) for log in board.logs
-        ],
-        numeric=False,
-    )
+    rows = [row_of(x.name, x.robot, x.sha256, x.source, x.licence) for x in board.logs]
+    head = ("log", "robot", "SHA-256", "from", "licence")
+    return ResultTable(caption="Logs", head=head, rows=rows, numeric=False)
 
 
 def entries(standings: Sequence[Standing]) -> ResultTable:
     """Return the entries with their inputs and hashes."""
-    return ResultTable(
-        caption="Entries",
-        head=("entry", "robot", "law", "inputs", "SHA-256"),
-        rows=[
-            row_of(s.name, s.robot, s.law or "–", ", ".join(s.inputs), s.sha256) for s in standings
-        ],
-        numeric=False,
-    )
+    rows = [row_of(s.name, s.robot, s.law or "–", ", ".join(s.inputs), s.sha256) for s in standings]
+    head = ("entry", "robot", "law", "inputs", "SHA-256")
+    return ResultTable(caption="Entries", head=head, rows=rows, numeric=False)
 
 
 def _cell(value: Interval | None, *, best: bool = False) -> TableCell:

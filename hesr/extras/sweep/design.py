@@ -20,11 +20,7 @@ def chosen(study: SweepStudy) -> Array:
     A "sobol" design is Saltelli's: the blocks A, B and, for each input, A with this input from B
     (Comput. Phys. Commun. 181 (2010) 259-270, table 2, radial form).
     """
-    return values_of(study, _unit(study))
-
-
-def values_of(study: SweepStudy, unit: Array) -> Array:
-    """Return values (runs, d) for points (runs, d) in the unit cube."""
+    unit = _unit(study)
     columns = [_values(one, unit[:, k]) for k, one in enumerate(study.inputs)]
     at = len(columns)
     for group in study.correlated:
@@ -47,11 +43,7 @@ def _unit(study: SweepStudy) -> Array:
         return np.asarray(qmc.LatinHypercube(d, rng=rng).random(runs))
     both = np.asarray(qmc.Sobol(2 * d, rng=rng).random(runs))
     a, b = both[:, :d], both[:, d:]
-    mixed = []
-    for k in range(d):
-        block = a.copy()
-        block[:, k] = b[:, k]
-        mixed.append(block)
+    mixed = [np.where(np.arange(d) == k, b, a) for k in range(d)]
     return np.concatenate([a, b, *mixed])
 
 

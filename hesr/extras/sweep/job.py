@@ -8,7 +8,7 @@ from typing import Any
 from cosim.report.tables.table import ResultTable
 from cosim.workflow.answer import Answer, Written, shortened
 from hesr.extras.sweep import tables
-from hesr.extras.sweep.result import SweepRuns
+from hesr.extras.sweep.plan import SweepRuns
 from hesr.extras.sweep.store import RUNS
 from hesr.extras.sweep.study import SweepStudy
 from hesr_model.support.progress import Stages, silent
@@ -18,10 +18,7 @@ class SweepJob:
     """Many runs of one system."""
 
     verb, key = "simulate", "outputs"
-
-    def read(self, path: Path) -> SweepStudy:
-        """Read and validate a sweep file."""
-        return SweepStudy.read(path)
+    read = staticmethod(SweepStudy.read)
 
     def run(
         self,

@@ -11,7 +11,7 @@ from hesr.extras.sweep import tables
 from hesr.extras.sweep.figures import distributions, shares
 
 if TYPE_CHECKING:
-    from hesr.extras.sweep.result import SweepRuns
+    from hesr.extras.sweep.plan import SweepRuns
 
 _DESIGNS = {
     "grid": "a grid",

@@ -13,6 +13,8 @@ from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec, Value
 from fmu_src.run.fmu import POOL
 from hesr.extras.sweep.design import chosen
+from hesr.extras.sweep.sensitivity import Sensitivity
+from hesr.extras.sweep.store import RunTable
 from hesr.extras.sweep.study import SweepStudy
 from hesr.extras.sweep.work import Task, VariedVariable
 from hesr_model.errors import ConfigError
@@ -42,6 +44,25 @@ class Plan:
         """Return the description for the folder of results."""
         study = self.study.model_dump(mode="json", exclude={"system"})
         return {"key": self.task.key, "runs": len(self.values), "study": study}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SweepRuns:
+    """Runs of a sweep; `sensitivities` are those of the design ``"sobol"``.
+
+    `reused` counts the runs that were complete before.
+    """
+
+    plan: Plan
+    table: RunTable
+    sensitivities: list[Sensitivity]
+    reused: int
+
+    def worst(self, output: int, most: int = 5) -> list[int]:
+        """Return the runs with the largest magnitudes of an output, failed runs first."""
+        values = np.abs(self.table.outputs[:, output])
+        order = np.argsort(np.where(np.isnan(values), -np.inf, -values), kind="stable")
+        return [int(run) for run in order[:most]]
 
 
 def planned(path: Path) -> Plan:

@@ -11,7 +11,7 @@ from cosim.report.tables.table import ResultTable, TableCell, row_of
 from hesr_model.support.arrays import Array
 
 if TYPE_CHECKING:
-    from hesr.extras.sweep.result import SweepRuns
+    from hesr.extras.sweep.plan import SweepRuns
 
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 

@@ -123,13 +123,13 @@ class Stage:
     def legend(self, t: float) -> tuple[str, str]:
         """Return the two-column legend at time t [s]."""
         size = "" if self._magnify == 1.0 else f", deviations x {self._magnify:g}"
-        told = {
+        legend = {
             "blue": "commanded",
             "orange": f"actual{size}",
             "mrad": "RMSE by joint",
             f"{t:4.1f} s": self._scheme,
         }
-        return "\n".join(told), "\n".join(told.values())
+        return "\n".join(legend), "\n".join(legend.values())
 
 
 def _row(t: Array, at: float) -> int:
@@ -223,22 +223,24 @@ def _room() -> Any:
 
 
 def _line(scene: mujoco.MjvScene, start: Array, end: Array, pixels: float, colour: Colour) -> None:
-    if scene.ngeom < scene.maxgeom:
-        geom = scene.geoms[scene.ngeom]
-        kind = mujoco.mjtGeom.mjGEOM_LINE  # four times as fast as tubes in software rendering
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), _floats(colour))
+    kind = mujoco.mjtGeom.mjGEOM_LINE  # four times as fast as tubes in software rendering
+    if geom := _added(scene, kind, 0.0, np.zeros(3), colour):
         mujoco.mjv_connector(geom, kind, pixels, start, end)
-        scene.ngeom += 1
 
 
 def _text(scene: mujoco.MjvScene, place: Array, text: str) -> None:
-    if scene.ngeom < scene.maxgeom:
-        geom = scene.geoms[scene.ngeom]
-        kind = mujoco.mjtGeom.mjGEOM_LABEL
-        mujoco.mjv_initGeom(geom, kind, np.full(3, 0.01), place, np.eye(3).ravel(), _floats(_TEXT))
+    if geom := _added(scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, place, _TEXT):
         geom.label = text[:99]  # MuJoCo has room for 100 characters
-        scene.ngeom += 1
 
 
-def _floats(colour: Colour) -> NDArray[np.float32]:
-    return np.array(colour, dtype=np.float32)
+def _added(
+    scene: mujoco.MjvScene, kind: mujoco.mjtGeom, size: float, place: Array, colour: Colour
+) -> Any:
+    """Return a new geom; None in a full scene."""
+    if scene.ngeom == scene.maxgeom:
+        return None
+    geom = scene.geoms[scene.ngeom]
+    rgba = np.array(colour, dtype=np.float32)
+    mujoco.mjv_initGeom(geom, kind, np.full(3, size), place, np.eye(3).ravel(), rgba)
+    scene.ngeom += 1
+    return geom

@@ -169,10 +169,10 @@ def test_it_is_written_whole_and_the_same_again(make_law, make_model, tmp_path):
         ("Friction", "a Modelica package ends in .mo, found ''."),
         (
             "my-law.mo",
-            "'my-law' is no name in Modelica; needed are letters, digits and underscores",
+            "'my-law' is not a valid name in Modelica; use letters, digits and underscores",
         ),
-        ("3law.mo", "'3law' is no name in Modelica"),
-        ("naïve.mo", "'naïve' is no name in Modelica"),
+        ("3law.mo", "'3law' is not a valid name in Modelica"),
+        ("naïve.mo", "'naïve' is not a valid name in Modelica"),
         ("model.mo", "'model' is taken by Modelica"),
         ("Modelica.mo", "'Modelica' is taken by Modelica"),
     ],
@@ -205,7 +205,7 @@ def test_expressions_that_modelica_lacks(expression, make_model, tmp_path):
         ("end", "taken by Modelica"),
         ("time", "taken by Modelica"),
         ("exp", "taken by Modelica"),
-        ("a b", "no name in Modelica"),
+        ("a b", "not a valid name in Modelica"),
         ("sign_dq", "used twice"),
     ],
 )
