@@ -422,7 +422,7 @@ def test_folders_of_others(copied: Path, command: Command, capsys) -> None:
         run_fleet(file, copied / "out", workers=1)
     file.write_text(file.read_text(encoding="utf-8").replace('"cell"', '"hall"'), encoding="utf-8")
     assert command("monitor", file, "-o", copied / "out") == 2
-    assert "holds results of another fleet, of other files; give" in capsys.readouterr().err
+    assert "holds results of another fleet; give" in capsys.readouterr().err
 
 
 # --- at full size -------------------------------------------------------------------------------

@@ -295,7 +295,7 @@ def test_studies_that_are_wrong(study: Path, tmp_path: Path, old: str, new: str,
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({"inputs": []}, "nothing is varied: there are neither 'inputs' nor 'correlated'."),
+        ({"inputs": []}, "nothing is varied: give 'inputs' or 'correlated'."),
         ({"design": "grid", "runs": None, "inputs": [{"variables": ["a.x"], "mean": 1, "std": 1}]},
          "a grid needs 'values' or 'low' and 'high' of every input."),
         ({"correlated": [{"variables": ["a.p", "a.r"], "mean": [1.0], "covariance": [[1.0]]}]},
@@ -322,7 +322,7 @@ def test_folders_of_others(study: Path, tmp_path: Path):
     run_sweep(study, out, workers=1)
     before = files(out)
     other = written(tmp_path, STUDY.replace("seed = 3", "seed = 4"))
-    with pytest.raises(ConfigError, match="holds results of another sweep, of other files; give"):
+    with pytest.raises(ConfigError, match="holds results of another sweep; give"):
         run_sweep(other, out, workers=1)
     assert files(out) == before
     from filelock import FileLock

@@ -232,12 +232,12 @@ def test_a_law_without_bounds_cannot_be_followed() -> None:
 
 def test_what_a_model_must_say() -> None:
     known = model(lugre())
-    with pytest.raises(SimulationError, match="does not say what it was fitted to and how well"):
+    with pytest.raises(SimulationError, match="adaptation needs its training ranges and errors"):
         adaptive_components(replace(known, training_rmse=()))
     coupled = replace(known, coupling=Coupling(((2.0,),)))
-    with pytest.raises(SimulationError, match="motors turn with several joints, and friction"):
+    with pytest.raises(SimulationError, match="motors turn with several joints; adaptation"):
         adaptive_components(coupled)
-    with pytest.raises(SimulationError, match="the records to follow are of the joints none"):
+    with pytest.raises(SimulationError, match="the records are of the joints none, not j1"):
         Follower(known).follow([])
 
 

@@ -32,7 +32,7 @@ def export_adaptive(
 
 def adaptive_content(model: FrictionModel) -> Content:
     """Return the adaptive FMU of a model before compilation."""
-    about = about_model(model, "adaptive", "that follow what is measured")
+    about = about_model(model, "adaptive", "that adapts to measured torques")
     equations = discrete_equations(model, adaptive_components(model), (ADAPT,))
     require_numbers(model)
     return bare_content(model, about, *equations)

@@ -36,7 +36,7 @@ RIGID = Quantity(
     unit="N.m",
     description="rigid-body {effort} on {joint}, acceleration included",
 )
-ADAPT = Quantity(name="adapt", unit="1", description="1 where factors follow, 0 where they stay")
+ADAPT = Quantity(name="adapt", unit="1", description="1: factors adapt, 0: they are held")
 
 INPUTS = (MEASURED, RIGID, ADAPT)
 """Inputs of an adaptive law in addition to those of every law."""
@@ -62,12 +62,12 @@ _Limits = dict[str, tuple[float, float]]
 def own_parameters(tuning: Tuning, noise: float, speed: float) -> tuple[Parameter, ...]:
     """Return a joint's parameters beyond its law; `noise` [N.m], top `speed` [rad/s]."""
     rows = (
-        ("noise", "N.m", "standard deviation of the torque that the law leaves unexplained", noise),
-        ("speed_least", "rad/s", "below it nothing is learned", tuning.rest * speed),
-        ("torque_limit", "N.m", "measured torque where the motor saturates; 0: unknown", 0.0),
-        ("level_start", "1", "level to start from", 1.0),
-        ("viscosity_start", "1", "viscous factor to start from", 1.0),
-        ("offset_start", "N.m", "offset to start from", 0.0),
+        ("noise", "N.m", "standard deviation of the unexplained torque", noise),
+        ("speed_least", "rad/s", "smallest speed for learning", tuning.rest * speed),
+        ("torque_limit", "N.m", "measured torque at motor saturation; 0: unknown", 0.0),
+        ("level_start", "1", "initial level", 1.0),
+        ("viscosity_start", "1", "initial viscous factor", 1.0),
+        ("offset_start", "N.m", "initial offset", 0.0),
     )
     return tuple(Parameter(name=n, unit=u, description=d, start=x) for n, u, d, x in rows)
 
@@ -216,9 +216,7 @@ def _health(limits: _Limits, moving: sympy.Expr, saturates: sympy.Expr) -> Equat
     health = sympy.Integer(0)
     for number, so in reasons:  # the last true one wins
         health = so * number + (1 - so) * health
-    return _output(
-        "health", "1", "of {joint}, 0 where factors follow, else why they do not", health
-    )
+    return _output("health", "1", "adaptation of {joint}: 0 active, else the reason", health)
 
 
 def _expected(sigma: sympy.Expr) -> sympy.Expr:

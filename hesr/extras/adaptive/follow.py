@@ -37,13 +37,12 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
     """
     if model.coupling is not None:
         raise SimulationError(
-            f"friction model '{model.law}': its motors turn with several joints, and friction is "
-            "followed joint by joint only."
+            f"friction model '{model.law}': its motors turn with several joints; adaptation needs "
+            "uncoupled joints."
         )
     if not (model.trained and model.training_rmse):
         raise SimulationError(
-            f"friction model '{model.law}' does not say what it was fitted to and how well; "
-            "following friction needs both."
+            f"friction model '{model.law}': adaptation needs its training ranges and errors."
         )
     thermal = model.thermal or (None,) * len(model.laws)
     rows = zip(model.laws, model.training_rmse, model.trained, thermal, strict=True)
@@ -77,9 +76,8 @@ class Follower:
         found = tuple(r.joint for r in records)
         if found != self._model.joints:
             raise SimulationError(
-                f"friction model '{self._model.law}': the records to follow are of the joints "
-                f"{', '.join(found) or 'none'}; needed are those of "
-                f"{', '.join(self._model.joints)}."
+                f"friction model '{self._model.law}': the records are of the joints "
+                f"{', '.join(found) or 'none'}, not {', '.join(self._model.joints)}."
             )
         return [self._of_joint(j, record, adapt) for j, record in enumerate(records)]
 

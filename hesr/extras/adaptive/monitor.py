@@ -21,9 +21,9 @@ _SHARED = 0.5
 _ESTIMATES = ("level", "level_sd", "viscosity", "viscosity_sd", "offset", "offset_sd")
 
 POINTS_TO = {
-    "drift": "wear or damage of this joint, or heat of it alone",
+    "drift": "wear, damage or heat of this joint",
     "shared drift": "temperature or lubrication: most joints change in the same way",
-    "shift": "a payload, an error of gravity, or a sensor",
+    "shift": "a payload, a gravity error, or a sensor",
 }
 """Likely cause by kind of alarm."""
 

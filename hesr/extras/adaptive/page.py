@@ -25,7 +25,7 @@ def write_monitor(path: Path, watched: FollowedLogs) -> None:
         path,
         title=f"HESR: friction of {robot}",
         heading=f"Friction of {robot} over {len(watched.followed)} logs",
-        summary=paragraph(f"{said} The law is {watched.model.law}, as it was fitted."),
+        summary=paragraph(f"{said} Law: {watched.model.law}."),
         sections=[
             Section(key="alarms", title="Alarms", html=alarms),
             Section(key="trends", title="Trends", html=_trends(watched, pictures)),
@@ -66,7 +66,7 @@ def _trends(watched: FollowedLogs, pictures: Pictures) -> Markup:
                 Line(name="two standard deviations", x=t, y=value + 2.0 * sd, stroke=edge),
             )
             rows.append((Panel(title=title, y="", lines=lines, marks=marks if not rows else ()),))
-        chart = Chart(x="t [s], logs one after the other", rows=tuple(rows), height=1.2)
+        chart = Chart(x="t [s] over all logs", rows=tuple(rows), height=1.2)
         text = f"Joint {joint}: factors on its Coulomb and viscous friction, and its offset."
         alt = f"Level, viscous factor and offset of {joint} over time, with bands."
         drawings.append(pictures.shown(f"trend-{j + 1}", drawn(chart), text, alt=alt))

@@ -48,18 +48,18 @@ def _term(name: str, unit: str, description: str, factor: sympy.Expr) -> tuple[A
 _LEVEL = _term("F_c", F_C.unit, F_C.description, sympy.Integer(1))
 _RISE = _term("F_e", "N.m", "rise of friction at rest", _AT_REST)
 _LOAD = _term("mu", "1", "friction per load", _ANY)
-_LOAD_RISE = _term("mu_e", "1", "rise of that at rest", _AT_REST * _ANY)
+_LOAD_RISE = _term("mu_e", "1", "its rise at rest", _AT_REST * _ANY)
 _DRIVING = tuple(
     _term(name + way, unit, f"{what}, {when}", factor * load**power)
-    for way, when, load in (("_d", "the motor drives", _AHEAD), ("_b", "it is driven", _BACK))
+    for way, when, load in (("_d", "driving motor", _AHEAD), ("_b", "driven motor", _BACK))
     for name, unit, what, factor, power in (
         ("mu", "1", "friction per load", sympy.Integer(1), 1),
-        ("mu_e", "1", "rise of that at rest", _AT_REST, 1),
+        ("mu_e", "1", "its rise at rest", _AT_REST, 1),
     )
 )
 _SQUARES = tuple(
     _term(name, "1/(N.m)", f"rise at rest per square of the load, {when}", _AT_REST * load**2)
-    for name, when, load in (("nu_d", "the motor drives", _AHEAD), ("nu_b", "it is driven", _BACK))
+    for name, when, load in (("nu_d", "driving motor", _AHEAD), ("nu_b", "driven motor", _BACK))
 )
 
 

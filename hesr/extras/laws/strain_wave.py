@@ -12,7 +12,7 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.laws.stribeck import F_C, SIGMA_2, TAU_0
 
-MU_AVG = Coefficient(name="mu_avg", unit="1", description="friction per load, both ways alike")
+MU_AVG = Coefficient(name="mu_avg", unit="1", description="friction per load in both directions")
 MU_DIF = Coefficient(name="mu_dif", unit="1", description="friction per load, driving or driven")
 X_0 = Coefficient(name="x_0", unit="rad", description="sliding deflection")
 
@@ -62,10 +62,10 @@ class StrainWave(OneForm):
 RISE_BOUNDS = (1e-4, 10.0)
 """Bounds of the relative rise per load [1/(N.m)]."""
 RISE_D = Coefficient(
-    name="rise_d", unit="1/(N.m)", description="relative rise per load, the motor drives"
+    name="rise_d", unit="1/(N.m)", description="relative rise per load, driving motor"
 )
 RISE_B = Coefficient(
-    name="rise_b", unit="1/(N.m)", description="relative rise per load, it is driven"
+    name="rise_b", unit="1/(N.m)", description="relative rise per load, driven motor"
 )
 
 

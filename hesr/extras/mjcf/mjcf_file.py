@@ -106,7 +106,7 @@ def _of_joint(
             raise ExportError(f"{refused} nor can it be projected: {reason}") from reason
         if not project:
             raise ExportError(
-                f"{refused} --project writes the nearest bristles and says how far off they are."
+                f"{refused} --project writes the nearest bristles and their errors."
             ) from error
         found = JointProjection(
             joint=joint,

@@ -86,9 +86,7 @@ def parts_of(law: FrictionLaw) -> JointFriction:
     zeros = {symbol: 0 for symbol, value in values.items() if value == 0.0}
     motions = [_Motion.of(r, zeros, values) for r in form.relaxations]
     if form.relaxations and law.discretisation != "exact":
-        raise NoCounterpartError(
-            "it is run with Euler's steps, and MuJoCo relaxes a bristle exactly"
-        )
+        raise NoCounterpartError("it has Euler steps, and MuJoCo relaxes a bristle exactly")
     torque = _Torque(values, {s for r in form.relaxations for s in (r.state, r.derivative)})
     for term in sympy.Add.make_args(sympy.expand_mul(form.output.subs(zeros))):
         torque.add(term)
@@ -178,7 +176,9 @@ class _Torque:
         elif not states and (wave := _wave(term, self.values)):
             self.waves.append(wave)
         elif TAU_LOAD in term.free_symbols:
-            raise NoCounterpartError(f"its torque has the term {shown(term)}, which is of the load")
+            raise NoCounterpartError(
+                f"its torque has the term {shown(term)}, which depends on the load"
+            )
         else:
             raise NoCounterpartError(
                 f"its torque has the term {shown(term)}, which is neither a bristle's nor viscous "

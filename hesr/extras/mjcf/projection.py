@@ -110,7 +110,7 @@ def _record(
     if not np.all(np.isfinite(tau)):
         raise ExportError(
             f"law '{law.name}': its torque is not finite at speeds up to {np.max(np.abs(dq)):.3g} "
-            "rad/s, so that nothing can be projected onto it."
+            "rad/s, so it cannot be projected."
         )
     return FrictionRecord(log="projection", joint="", t=t, dq=dq, q=q, tau_load=load, tau=tau)
 

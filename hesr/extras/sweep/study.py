@@ -134,7 +134,7 @@ class SweepStudy(Config):
         variables = [name for one in self.inputs for name in one.variables]
         variables += [name for group in self.correlated for name in group.variables]
         if not variables:
-            raise ValueError("nothing is varied: there are neither 'inputs' nor 'correlated'")
+            raise ValueError("nothing is varied: give 'inputs' or 'correlated'")
         measured = [output.name for output in self.outputs]
         for name, count in Counter((*variables, *measured)).items():
             if count > 1:

@@ -31,7 +31,7 @@ class ViewOptions:
     def __post_init__(self) -> None:
         for name, value in (("magnify", self.magnify), ("speed", self.speed)):
             if not (np.isfinite(value) and value > 0):
-                raise ConfigError(f"--{name} is {value:g}; needed is a number above 0.")
+                raise ConfigError(f"--{name} is {value:g}; it must be positive.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class Shown:
 def choose(folder: Path, choice: ViewOptions) -> Shown:
     """Read the runs to show from the results of a study."""
     if not folder.is_dir():
-        raise ArtifactError(f"{folder}: no such folder; needed is what 'hesr run' has written.")
+        raise ArtifactError(f"{folder}: no such folder; give a result of 'hesr run'.")
     traces = read_traces(folder / TRACES)
     schemes = list(dict.fromkeys(scheme.name for scheme, _ in traces))
     scheme = choice.scheme or (_SCHEME if _SCHEME in schemes else schemes[-1])
@@ -90,7 +90,7 @@ def _mjcf(fmu: Path) -> str:
     with suppress(UnicodeDecodeError):
         if text := content.decode("utf-8"):
             return text
-    raise ArtifactError(f"{fmu}: holds no {_MODEL}, the arm that is to be shown.")
+    raise ArtifactError(f"{fmu}: holds no {_MODEL} to show.")
 
 
 def _listed(names: Sequence[str] | Mapping[str, object]) -> str:

@@ -109,8 +109,7 @@ def _gl() -> Any:
         found = [name for name, library in _BACKENDS.items() if ctypes.util.find_library(library)]
         if not found:
             raise ConfigError(
-                "videos need OpenGL without a screen, and neither libEGL nor libOSMesa is "
-                "installed (Debian: apt install libegl1 or libosmesa6)."
+                "videos need libEGL or libOSMesa (Debian: apt install libegl1 or libosmesa6)."
             )
         wanted = found[0]
     if wanted == "egl":

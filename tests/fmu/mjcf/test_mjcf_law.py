@@ -155,7 +155,7 @@ NO_COUNTERPART = {
     "start": (odd(start=(0.1,)), "its state 'z' starts at 0.1, MuJoCo's at 0"),
     "euler": (
         odd(discretisation="euler"),
-        "it is run with Euler's steps, and MuJoCo relaxes a bristle exactly",
+        "it has Euler steps, and MuJoCo relaxes a bristle exactly",
     ),
     "drive": (
         odd(drive=sympy.tanh(DQ)),
@@ -221,9 +221,7 @@ def test_what_mujoco_has_no_part_for_is_refused(name, make_model, tmp_path):
     sentence = str(refusal.value)
     assert sentence.startswith("law 'odd' of joint 'axis_1' is not expressible in MJCF: ")
     assert reason in sentence
-    assert sentence.endswith(
-        "; --project writes the nearest bristles and says how far off they are."
-    )
+    assert sentence.endswith("; --project writes the nearest bristles and their errors.")
     assert not list(tmp_path.iterdir())
 
 
@@ -237,13 +235,13 @@ def test_a_part_that_is_no_number_is_named():
 REGISTRY = {
     "stribeck": "has the term F_c*sgn(dq), which is neither",
     "parfam_v": "which is neither a bristle's nor viscous",
-    "lugre_load": "has the term mu*sigma_0*z*abs(tau_load), which is of the load",
-    "lugre_load_ripple": "has the term mu*sigma_0*z*abs(tau_load), which is of the load",
-    "dahl_load": "has the term mu_1*x1*abs(tau_load), which is of the load",
+    "lugre_load": "has the term mu*sigma_0*z*abs(tau_load), which depends on the load",
+    "lugre_load_ripple": "has the term mu*sigma_0*z*abs(tau_load), which depends on the load",
+    "dahl_load": "has the term mu_1*x1*abs(tau_load), which depends on the load",
     "rbfnn_h": "its state 'h' is driven by alpha*tanh(beta*dq), a bristle by the velocity itself",
     "mlp_h": "its state 'h' is driven by alpha*tanh(beta*dq), ",
     "parfam_h": "its state 'h' is driven by alpha*tanh(beta*dq), ",
-    "strain_wave": "has the term mu_avg*z*abs(tau_load), which is of the load",
+    "strain_wave": "has the term mu_avg*z*abs(tau_load), which depends on the load",
     "parfam_hx": "its state 'h' is driven by ",
     "parfam_s": "is a stop, and MuJoCo's bristles relax",
     "parfam_s_load": "is a stop, and MuJoCo's bristles relax",

@@ -159,6 +159,6 @@ def test_a_law_without_a_finite_torque(make_model, tmp_path):
             "law 'by_hand' of joint 'axis_1' is not expressible in MJCF: its torque has the term "
             "exp(a*dq**2), which is neither a bristle's nor viscous nor a ripple in the joint's "
             "angle alone; nor can it be projected: law 'wild': its torque is not finite at speeds "
-            "up to 1.2 rad/s, so that nothing can be projected onto it."
+            "up to 1.2 rad/s, so it cannot be projected."
         )
         assert not list(tmp_path.iterdir())

@@ -214,6 +214,6 @@ def test_names_that_modelica_lacks(name, reason, make_model):
     with pytest.raises(ExportError) as found:
         package(make_model(odd), "F")
     assert str(found.value) == (
-        f"law 'odd': the name '{name}' is {reason}; needed are distinct names of letters, digits "
+        f"law 'odd': the name '{name}' is {reason}; use distinct names of letters, digits "
         "and underscores."
     )
