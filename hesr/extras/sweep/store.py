@@ -110,7 +110,7 @@ def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Ite
             write_json(folder / file, json.loads(json.dumps(about)))
         elif read_json(folder / file).get("key") != about["key"]:
             raise ConfigError(
-                f"{folder}: holds results of another {what}; give another folder or remove this one."
+                f"{folder}: holds results of another {what}; give another folder or remove it."
             )
         for left in (folder / within).glob(".part-*"):  # left by a killed run
             left.unlink(missing_ok=True)
