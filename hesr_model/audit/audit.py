@@ -1,10 +1,9 @@
 """Audit of a friction law: dissipation, stiffness at rest and range of the torque.
 
 Published laws drive the joint at low speed, generate energy, chatter on encoder noise or explode
-just outside their training data. The audit measures this at the law's own sample time.
-
-Torques of position alone, such as an offset, can drive the joint without generating net energy in a
-closed cycle, so steady sliding is audited with them (`driving`) and without (`driving_both_ways`).
+just outside their training data. The audit measures this at the law's own sample time. Torques of
+position alone can drive the joint without generating net energy, so steady sliding is audited with
+them (`driving`) and without (`driving_both_ways`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,16 +28,16 @@ from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import Range, TrainedRange
 from hesr_model.support.arrays import Array
 
-SLOWEST = 1e-3  # slowest steady speed, relative to the largest trained speed
-REACH = 1.5  # range outside the training data, relative to trained speed and half range of load
+SLOWEST = 1e-3  # slowest steady speed, relative to the largest trained one
+REACH = 1.5  # range outside the trained speeds and loads, relative to it
 EXPLODES = 2.5
-"""Largest torque within that range, relative to the largest trained one. Viscous friction gives up
-to 1.5, quadratic or load-dependent viscous friction 2.25.
+"""Largest torque there, relative to the largest trained one. Viscous friction gives up to 1.5,
+quadratic or load-dependent viscous friction 2.25.
 """
 _STEADY = 1e6  # [s] step to steady sliding, even at the slowest speed
-_POSITIONS = 32  # positions to average the steady torque over, if the law uses position
-_NUMERICAL = 1e-9  # [N.m] smaller differences are round-off
-_SMALL, _SMALLER = 1e-6, 1e-9  # [rad/s] distances from rest, too small for curvature
+_POSITIONS = 32  # positions to average over
+_NUMERICAL = 1e-9  # [N.m] round-off
+_SMALL, _SMALLER = 1e-6, 1e-9  # [rad/s] distances from rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,31 +46,26 @@ class Audit:
 
     driving: tuple[Range, ...]  # [rad/s] with steady torque tau dq < 0
     driving_both_ways: tuple[Range, ...]  # [rad/s] with tau(|dq|) < tau(-|dq|)
-    generated: float  # [J] largest energy of a closed cycle, 0 for a passive law
+    generated: float  # [J] largest energy of a closed cycle
     generating: Cycle | None  # its cycle
-    jump: float  # [N.m] step of the torque across zero velocity
+    jump: float  # [N.m] across zero velocity
     slope: float | None  # [N.m.s/rad] d tau / d dq at rest; explicit steps <= 2 J / slope
     slope_of_step: float | None  # with moving states, for a velocity held over one sample
-    chatter: float  # [N.m] standard deviation at rest with noise `ENCODER`
-    largest: float  # [N.m] largest |tau| within trained speeds and loads
-    largest_outside: float | None  # up to `REACH` times beyond; None if not finite
+    chatter: float  # [N.m] standard deviation with noise `ENCODER`
+    largest: float  # [N.m] within trained speeds and loads
+    largest_outside: float | None  # up to `REACH` beyond; None if not finite
     explodes: bool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Response:
-    """Torque (A, K) over motions at a constant load."""
-
     motions: ClosedMotions
     tau_load: float
     tau: Array
 
 
 def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
-    """Audit the law of one joint.
-
-    Raises SimulationError if the torque is not finite or the discretisation unstable when trained.
-    """
+    """Audit the law of one joint; raises SimulationError if its torque is not finite in range."""
     loads = loads_of(law, trained)
     responses = list(_responses(law, trained, np.multiply(AMPLITUDES, trained.speed), loads))
     largest = _largest(responses)
@@ -124,7 +118,7 @@ def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: float | Array) -
 def _responses(
     law: FrictionLaw, trained: TrainedRange, amplitudes: Array, loads: Sequence[float]
 ) -> Iterator[_Response]:
-    """Yield responses over cycles of every frequency and load, with all amplitudes in one run."""
+    """Yield responses to cycles of every frequency and load, with all amplitudes in one run."""
     for wanted in FREQUENCIES:
         motions = closed_motions(trained, amplitudes, wanted)
         t: Array = trained.sample_time * np.arange(motions.dq.size, dtype=float)
@@ -134,12 +128,11 @@ def _responses(
 
 
 def _largest(responses: Sequence[_Response]) -> float:
-    """Return the largest |tau| of the last, settled cycles; NaN if any torque is NaN."""
+    """Return the largest settled |tau|; NaN if any torque is NaN."""
     return float(np.max([np.max(np.abs(r.tau[:, -r.motions.rows :])) for r in responses]))
 
 
 def _largest_outside(law: FrictionLaw, trained: TrainedRange) -> float:
-    """Return the largest |tau| up to `REACH` times outside, infinite if the run fails."""
     amplitudes = trained.speed * np.linspace(1.0, REACH, 3)
     try:
         return _largest(list(_responses(law, trained, amplitudes, loads_of(law, trained, REACH))))
@@ -165,8 +158,7 @@ def _steady(
     v, load, q = (
         part.ravel() for part in np.meshgrid(velocities, np.array(loads), places, indexing="ij")
     )
-    # A very long exact step takes states to drive / rate. The first row has no step and is
-    # repeated.
+    # A very long exact step takes states to drive / rate. The first row has no step.
     settled = replace(law, discretisation="exact")
     rows = np.concatenate([[0], np.arange(len(v))])
     t = _STEADY * np.arange(len(rows), dtype=float)
@@ -178,7 +170,7 @@ def _steady(
 
 
 def _negative(v: Array, power: Array) -> tuple[Range, ...]:
-    """Return the ranges of v with negative power; power crosses zero linearly or at rest."""
+    """Return the ranges of v with negative power, which crosses zero linearly or at rest."""
     inside = np.concatenate([[False], power < 0.0, [False]])
     edges = []
     for k in np.flatnonzero(inside[1:] != inside[:-1]):
@@ -199,7 +191,7 @@ def _at_rest(
 ) -> tuple[float, float | None]:
     """Return (jump, slope) of the torque at zero velocity held over dt, for the worst load.
 
-    Differences are used because symbolic derivatives of `sgn` are 0.
+    Symbolic derivatives of `sgn` are 0, so differences are used.
     """
     t, q = np.array([0.0, dt]), np.full(2, trained.middle)
 

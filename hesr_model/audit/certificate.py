@@ -35,7 +35,7 @@ from hesr_model.laws.stops.passive import SPEEDS, distance
 from hesr_model.support.arrays import Array
 
 ProofVerdict = Literal["proven", "refuted", "open"]
-_ROUNDING = 1e-9  # relative tolerance of conditions
+_ROUNDING = 1e-9  # relative
 _STEPS = np.geomspace(1e-6, 10.0, 141)  # [s] candidates of the largest certified step
 
 
@@ -44,17 +44,17 @@ class Certificate:
     """Result of the passivity analysis of a law."""
 
     verdict: ProofVerdict
-    storage: str = ""  # storage function; empty without a proof
+    storage: str = ""  # empty without a proof
     rests_on: tuple[str, ...] = ()  # conditions of the proof, or the one that failed
-    largest_step: float | None = None  # [s] with a proof, inf for any; None in continuous time
-    cycle: Attack | None = None  # a cycle with net energy
+    largest_step: float | None = None  # [s] inf for any; None in continuous time
+    cycle: Attack | None = None  # with net energy
 
 
 _NOT_LINEAR = "what {} is multiplied by depends on inputs or states"
 
 
 class _UnprovenError(Exception):
-    """A condition of the proof fails; the text names it."""
+    """A condition of the proof fails."""
 
 
 def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
@@ -71,7 +71,7 @@ def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
 def least_viscosity(law: FrictionLaw) -> float:
     """Return the smallest factor on the viscous friction that keeps the proof; 0 without a proof.
 
-    The factor may vary freely above it: dissipation exceeds its requirement at each moment.
+    It may vary freely above it: dissipation exceeds its requirement at each moment.
     """
     proof = _Proof(law)
     try:
@@ -128,11 +128,11 @@ class _Proof:
 
     @cached_property
     def _curved(self) -> set[sympy.Symbol]:
-        """Symbols in the arguments of functions in the torque."""
+        """Symbols in the arguments of functions."""
         return set().union(*(f.free_symbols for f in self.output.atoms(sympy.Function)))
 
     def _element(self, element: Element) -> float:
-        """Return the requirement of one element on f [N.m.s/rad]."""
+        """Return the requirement on f [N.m.s/rad]."""
         x = element.state
         if self._curved & {x, element.derivative}:  # avoids slow derivatives
             raise _UnprovenError(_NOT_LINEAR.format(x))
@@ -222,7 +222,7 @@ class _Proof:
         self.least = float(np.max(need / np.maximum(f, np.finfo(float).tiny)))
 
     def _ripple(self, waves: list[sympy.Expr], f: Array) -> Array:
-        """Return the requirement of ripple on f at each speed [N.m.s/rad]."""
+        """Return the requirement on f at each speed [N.m.s/rad]."""
         found: dict[tuple[float, float, float, float], list[float]] = {}
         for term in waves:
             wave = next(iter(term.atoms(sympy.cos, sympy.sin)), None)

@@ -10,15 +10,15 @@ from hesr_model.logs.noise import standard_normal
 from hesr_model.support.arrays import Array
 
 FREQUENCIES = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
-"""Frequencies of the closed cycles [Hz]. Laws that drive at low speed generate more energy per slow
-cycle: Table I 12 and 21 J on joints 1 and 2 at 0.05 Hz, 63 and 104 J at 0.01 Hz.
+"""[Hz]. Laws that drive at low speed generate more energy per slow cycle: Table I 12 and 21 J on
+joints 1 and 2 at 0.05 Hz, 63 and 104 J at 0.01 Hz.
 """
 AMPLITUDES = (1 / 100, 1 / 20, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0)  # of the trained speed
-ENCODER = 20e-6  # [rad] RMS noise of the encoder at rest
+ENCODER = 20e-6  # [rad] RMS noise
 
-_SETTLING = 3.0  # [s] before the measured cycle: several time constants of the states
+_SETTLING = 3.0  # [s] several time constants
 _NOISE_ROWS = 4000
-_ROUNDING = 1e-9  # share of the work below which it is round-off
+_ROUNDING = 1e-9  # of the work
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,14 +28,14 @@ class Cycle:
     amplitude: float  # [rad/s]
     frequency: float  # [Hz]
     tau_load: float  # [N.m]
-    work: float  # [J] dissipated in one settled cycle; negative if generated
-    share: float  # work over the integral of |tau dq|, from 1 (a brake) to -1 (a motor)
-    swing: float = 0.0  # [N.m] amplitude of the load at twice the frequency
+    work: float  # [J] dissipated; negative if generated
+    share: float  # of the integral of |tau dq|, from 1 (a brake) to -1 (a motor)
+    swing: float = 0.0  # [N.m] of the load at twice the frequency
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedMotions:
-    """Settling and one closed cycle of `rows` rows at one frequency, for each of A amplitudes."""
+    """Settling and one closed cycle of `rows` rows at one frequency, for A amplitudes."""
 
     amplitudes: Array  # (A,) [rad/s]
     frequency: float  # [Hz]
@@ -45,10 +45,10 @@ class ClosedMotions:
 
 
 def closed_motions(trained: TrainedRange, amplitudes: Array, wanted: float) -> ClosedMotions:
-    """Return motions of (A,) amplitudes [rad/s] at about `wanted` [Hz] around the middle position.
+    """Return motions at about `wanted` [Hz] for amplitudes (A,) [rad/s] around the middle position.
 
-    Samples are symmetric, so each position occurs once at dq and once at -dq: the work of a torque
-    of position alone, such as motor ripple, sums to exactly 0.
+    Each position occurs once at dq and once at -dq: the work of a torque of position alone sums to
+    exactly 0.
     """
     half = max(4, round(0.5 / (wanted * trained.sample_time)))
     settling = half * max(1, round(2.0 * wanted * _SETTLING))
@@ -82,10 +82,7 @@ def cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Iterator[Cycl
 
 
 def encoder_noise(trained: TrainedRange) -> tuple[Array, Array, int]:
-    """Return velocity (K,) [rad/s] and position (K,) [rad] of a noisy encoder at rest.
-
-    The third value is the number of rows for settling.
-    """
+    """Return velocity (K,) [rad/s], position (K,) [rad] and settling rows of a noisy rest."""
     settling = round(_SETTLING / trained.sample_time)
     noise = ENCODER * standard_normal(0, 0, np.arange(settling + _NOISE_ROWS + 1))
     return np.diff(noise) / trained.sample_time, trained.middle + noise[1:], settling

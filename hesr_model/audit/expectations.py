@@ -2,23 +2,23 @@
 
 from dataclasses import dataclass
 
-SMOOTH = 0.1  # largest jump at a reversal, relative to the height of the loop
-RATE = 0.2  # largest change of a loop at a tenth of the speed, relative to its area
-CLOSED = 0.02  # largest closing error of an inner loop, relative to the height of the outer one
-INNER = 0.95  # largest height of an inner loop with memory, relative to the outer one
-BEGINS = 0.05  # largest deviation of the first torque from the steady one, relative to friction
-FALLS = 0.01  # smallest relative fall of the break-away torque from slowest to fastest ramp
-WIDTH = 0.01  # smallest width of the loop of frictional lag, relative to the friction level
-WEAKENING = 0.05  # smallest relative fall of the steady torque with speed that causes stick-slip
-HELD = 10e-6  # [rad] largest drift within a minute: half the noise of an encoder
-QUIET = 0.1  # largest chatter at rest, relative to the friction level
-PASSIVE = 1e-6  # [J] round-off of the energy per closed cycle
-STEP = 1e-3  # [s] smallest useful step of explicit coupling: the period of a robot's servo
+SMOOTH = 0.1  # largest jump at a reversal, of the loop's height
+RATE = 0.2  # largest change of a loop at a tenth of the speed, of its area
+CLOSED = 0.02  # largest closing error of an inner loop, of the outer height
+INNER = 0.95  # largest height of an inner loop with memory, of the outer one
+BEGINS = 0.05  # largest deviation of the first torque, of friction
+FALLS = 0.01  # smallest relative fall of the break-away torque
+WIDTH = 0.01  # smallest width of the lag loop, of the friction level
+WEAKENING = 0.05  # smallest fall of the steady torque that causes stick-slip
+HELD = 10e-6  # [rad] in a minute: half the noise of an encoder
+QUIET = 0.1  # largest chatter at rest, of the friction level
+PASSIVE = 1e-6  # [J] round-off per cycle
+STEP = 1e-3  # [s] smallest useful explicit step: the period of a servo
 
 
 @dataclass(frozen=True)
 class Source:
-    """Source of an expectation."""
+    """Literature."""
 
     who: str
     year: int
@@ -31,10 +31,10 @@ class Expectation:
 
     key: str
     title: str
-    short: str  # heading of its column
-    shows: str  # name of the figure in tables
-    unit: str  # of the figure
-    factor: float = 1.0  # from the SI value to this unit
+    short: str  # heading
+    shows: str  # figure in tables
+    unit: str
+    factor: float = 1.0  # from SI to this unit
     measured: str  # the experiment
     expected: str  # condition for a pass
     sources: tuple[Source, ...]
@@ -63,7 +63,7 @@ def _expectation(
     expected: str,
     *sources: Source,
 ) -> Expectation:
-    """Return an expectation from key, title and heading, and from name, unit and factor."""
+    """Return an expectation from key, title, heading, and from figure, unit, factor."""
     (key, title, short), (shows, unit, factor) = names, figure
     return Expectation(
         key=key,
@@ -251,4 +251,4 @@ _ALL = (
     ),
 )
 
-EXPECTATIONS = {expectation.key: expectation for expectation in _ALL}  # in the order of tables
+EXPECTATIONS = {expectation.key: expectation for expectation in _ALL}

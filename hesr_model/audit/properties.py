@@ -14,13 +14,13 @@ from hesr_model.units import unit_of_joint
 FORMAT = "hesr-friction-properties-1"
 
 PropertyVerdict = Literal["pass", "fail", "not applicable", "not run"]
-"""Not applicable: the check has no meaning for the law, which is not a defect."""
+"""Not applicable: without meaning for the law, which is no defect."""
 MARKS = {"pass": "✓", "fail": "✗", "not applicable": "n/a", "not run": "–"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """A measured value with its SI unit; None if it could not be measured."""
+    """A measured value with its SI unit, if known."""
 
     name: str
     value: float | None
@@ -29,7 +29,7 @@ class Figure:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """A line of a small plot."""
+    """A line of a plot."""
 
     label: str
     x: tuple[float, ...]
@@ -71,7 +71,7 @@ class PropertyResult:
         return replace(self, figures=tuple(figures), plot=plot)
 
 
-_NEWER = ("nested", "start", "drive")  # than files of version 1
+_NEWER = ("nested", "start", "drive")  # than version 1
 _NOT_KNOWN = PropertyResult(
     verdict="not run", reason="Not run: the file is older than this experiment."
 )
@@ -86,28 +86,28 @@ def _every(findings: Mapping[str, PropertyResult]) -> Mapping[str, PropertyResul
 
 @dataclass(frozen=True, kw_only=True)
 class JointProperties:
-    """All results of one joint, and the scales of the experiments."""
+    """Results of one joint, and the scales of the experiments."""
 
     joint: str
     speed: float  # [rad/s] largest trained one or its substitute
-    level: float  # [N.m] half difference of the steady torques at a tenth of the speed, both ways
-    deflection: float  # [rad] amplitude of pre-sliding motions
+    level: float  # [N.m] half difference of the steady torques at a tenth of the speed
+    deflection: float  # [rad] in pre-sliding
     inertia: float | None  # [kg.m2]
-    findings: Annotated[Mapping[str, PropertyResult], AfterValidator(_every)]  # by key
+    findings: Annotated[Mapping[str, PropertyResult], AfterValidator(_every)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Properties:
-    """Results of the laws of a friction model."""
+    """Results of a friction model."""
 
     law: str  # or name of the FMU
-    robot: str  # empty if unknown
-    tau_load: float  # [N.m] default of every joint
+    robot: str  # or empty
+    tau_load: float  # [N.m] of every joint
     joints: tuple[JointProperties, ...]
 
     @property
     def passed(self) -> int:
-        """Number of properties that the law has on all of its joints."""
+        """Number of properties that the law has on all joints."""
         return sum(
             all(joint.findings[key].verdict in ("pass", "not applicable") for joint in self.joints)
             for key in EXPECTATIONS

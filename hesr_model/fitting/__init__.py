@@ -1,1 +1,1 @@
-"""Estimators and searches: from friction records to a fitted law."""
+"""Estimators and searches."""

@@ -1,7 +1,7 @@
 """Width of a law's band, by errors on left-out logs and by its covariance.
 
 The estimate without log k is one Gauss-Newton step from the estimate with all logs, so the errors
-of a law on a log outside its training data are
+on a log outside the training data are
 
     e_k + J_k (H - H_k)^-1 J_k' e_k,    H = sum over logs H_k = J_k' J_k
 
@@ -26,15 +26,15 @@ from hesr_model.support.arrays import Array
 
 SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)  # [rad/s] candidates of v_slow
 
-RESTS = 10  # minimum number of rests to calibrate the width at rest
-_LONG = 0.5  # [s] minimum duration of a rest below `MOVING`
+RESTS = 10  # minimum for the width at rest
+_LONG = 0.5  # [s] minimum duration below `MOVING`
 
-_LEVELS = (0.8, 0.9, 0.98)  # quantiles that determine the tail, in addition to 95 %
-_TAIL = (0.4, 1.2)  # limits of the exponent of the tail
+_LEVELS = (0.8, 0.9, 0.98)  # quantiles that determine the tail, besides 95 %
+_TAIL = (0.4, 1.2)  # of the exponent
 _STEP = 1e-6
-_RANK = 1e-10  # relative variance below which a direction was not free
+_RANK = 1e-10  # relative variance of directions that were not free
 _ROUNDS = 100
-_ENOUGH = 4000  # maximum number of rows for the shares; quantiles use all rows
+_ENOUGH = 4000  # rows for the shares; quantiles use all
 _NONE = 1e-30
 
 
@@ -130,8 +130,7 @@ def _predicted(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:
 def _shares(columns: Array, squares: Array, known: Array) -> Array:
     """Return the non-negative shares (B,) of shapes (N, B) in the variance of normal errors.
 
-    `known` (N,) is the variance from other sources. The multiplicative update never lowers the
-    likelihood.
+    `known` (N,) is from other sources. The multiplicative update never lowers the likelihood.
     """
     mean = columns.mean(axis=0)
     found = np.where(mean > 0.0, squares.mean() / (columns.shape[1] * np.maximum(mean, _NONE)), 0.0)
@@ -143,7 +142,6 @@ def _shares(columns: Array, squares: Array, known: Array) -> Array:
 
 
 def _rests(record: FrictionRecord) -> int:
-    """Return the number of rests of a joint: long stays below `MOVING`."""
     slow = np.concatenate([[False], np.abs(record.dq) < MOVING, [False]])
     begins, ends = np.flatnonzero(slow[1:] & ~slow[:-1]), np.flatnonzero(~slow[1:] & slow[:-1])
     return int(np.count_nonzero(record.t[ends - 1] - record.t[begins] >= _LONG))

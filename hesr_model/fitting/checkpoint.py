@@ -20,7 +20,7 @@ _VERSIONED = ("hesr", "numpy", "scipy", "sympy")
 def key_of(
     law: str, records: Sequence[FrictionRecord], seed: int, options: Mapping[str, Any] | None
 ) -> str:
-    """Return the hash of a fit: law, options, seed, versions, and every row of the records."""
+    """Return the hash of law, options, seed, versions and every row."""
     about = [law, dict(options or {}), seed, [version(name) for name in _VERSIONED]]
     key = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode())
     for record in records:
@@ -31,7 +31,7 @@ def key_of(
 
 
 def read_checkpoint(path: Path) -> FrictionLaw | None:
-    """Return the law in a checkpoint; None if missing or incomplete."""
+    """Return the law; None if missing or incomplete."""
     if path.is_file():
         with suppress(ArtifactError):
             return FrictionModel.read(path).laws[0]
@@ -41,7 +41,7 @@ def read_checkpoint(path: Path) -> FrictionLaw | None:
 def write_checkpoint(
     path: Path, law: FrictionLaw, record: FrictionRecord, sample_time: float
 ) -> None:
-    """Write the law of one joint, sampled at `sample_time` [s], as a model of its own."""
+    """Write the law of one joint, sampled at `sample_time` [s], as a model."""
     FrictionModel(
         law=law.name,
         robot="robot",

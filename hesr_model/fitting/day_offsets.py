@@ -4,7 +4,7 @@
 
 Friction falls with temperature, and torque sensors drift. The nuisances are estimated with a coarse
 law (Coulomb and viscous friction, alternating least squares) and removed before a law is fitted.
-They are unknown for other logs, so blind predictions do not use them.
+Blind predictions do not use them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,12 +20,12 @@ from hesr_model.support.arrays import Array
 Nuisance = Literal["offset", "level"]
 
 _ROUNDS = 30
-_LEAST, _MOST = 0.2, 5.0  # limits of a level
+_LEAST, _MOST = 0.2, 5.0  # of a level
 
 
 @dataclass(frozen=True, kw_only=True)
 class OwnOfLog:
-    """Nuisances of a log: level of friction [1] and offset [N.m; N]."""
+    """Level of friction [1] and offset [N.m; N] of a log."""
 
     level: float = 1.0
     offset: float = 0.0
@@ -108,7 +108,7 @@ def own_of_log(predicted: Array, torque: Array, wanted: Sequence[Nuisance]) -> O
 def _normalised(
     own: Mapping[str, OwnOfLog], rows: Mapping[str, int], wanted: Sequence[Nuisance]
 ) -> dict[str, OwnOfLog]:
-    """Normalise to mean level 1 and mean offset 0, so that the law describes the mean log."""
+    """Normalise to the mean log: level 1 and offset 0."""
     weights = np.array(list(rows.values())) / sum(rows.values())
     level = float(weights @ [o.level for o in own.values()]) if "level" in wanted else 1.0
     offset = float(weights @ [o.offset for o in own.values()]) if "offset" in wanted else 0.0

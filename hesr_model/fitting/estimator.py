@@ -30,7 +30,7 @@ class Estimator(ABC):
     order : position in tables; laws of other packages come last.
     quick : True to include it in quick runs.
     proposed : True to include it in proposed studies.
-    paper : position among the laws of the paper, 1 for the paper's own; 0 if not one of them.
+    paper : position among the laws of the paper, from 1; 0 for others.
     adds : law that it extends and part that it adds, for the ablation table.
     """
 
@@ -86,5 +86,5 @@ def register(estimator: Registered) -> Registered:
 
 
 def registered() -> Mapping[str, type[Estimator]]:
-    """Return the estimators registered so far, by name."""
+    """Return the estimators by name."""
     return _REGISTRY

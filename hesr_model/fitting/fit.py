@@ -37,8 +37,8 @@ def fit_joint(
 ) -> FrictionLaw:
     """Fit one law to the records of one joint, with one BLAS thread for bit reproducibility.
 
-    `options` are arguments of the estimator. Raises ArtifactError if the law is unknown, and
-    FitError if the records do not determine the law or lack a field that it needs.
+    `options` are arguments of the estimator. Raises ArtifactError if the law is unknown, FitError
+    if the records do not determine it or lack a field that it needs.
     """
     chosen = estimator(law)
     try:
@@ -67,8 +67,7 @@ def fit(
 ) -> FrictionModel:
     """Fit one law to every joint of a robot; each of `logs` has one record per joint.
 
-    Raises ArtifactError if the law is unknown, and FitError if `logs` is empty, its joints differ,
-    or the records do not determine the law or lack a field that it needs.
+    Raises FitError if `logs` is empty or its joints differ; see also `fit_joint`.
     """
     if not logs:
         raise FitError(f"law '{law}': no log is given; pass the records of at least one.")
@@ -109,17 +108,16 @@ def fit_models(
 
     Parameters
     ----------
-    laws : names in the registry, or names of variants.
+    laws : names in the registry or of variants.
     records : records of each joint, one per training log.
     options : hyper-parameters by law or variant.
     variants : name in the registry of each variant, a law with other options.
     workers : number of processes; one per core by default.
     progress : callback with `progress.PARTS` for each fit.
-    left_out : callback for each law that the records do not determine; by default the first one
-        raises FitError.
+    left_out : callback for laws that the records do not determine; the first raises by default.
     kept : folder of checkpoints, so that a killed run can continue.
-    per_log : nuisances of each log that are removed first (`hesr_model.fitting.day_offsets`); they
-        are part of the provenance, and training errors are without them.
+    per_log : nuisances that are removed first (`day_offsets`); they are part of the provenance, and
+        training errors are without them.
     """
     coupling = records[0][0].coupling
     records = all_at_friction(records)

@@ -20,9 +20,9 @@ from hesr_model.support.arrays import Array, Integers, Mask
 class JointRows:
     """Rows of several records of one joint in sequence."""
 
-    dt: Array  # (N,) [s] since the previous row, 0 at the first row of a record
-    begins: Mask  # (N,) True at the first row of a record
-    record: Integers  # (N,) index of the log; of the record if there is only one log
+    dt: Array  # (N,) [s] since the previous row, 0 at the first of a record
+    begins: Mask  # (N,) at the first row of a record
+    record: Integers  # (N,) index of the log; of the record for a single log
     dq: Array
     q: Array
     tau_load: Array
@@ -37,11 +37,7 @@ class JointRows:
 
     @classmethod
     def of(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "JointRows":
-        """Join the records of one joint.
-
-        Raises FitError if there are fewer rows than coefficients, LogError if the joint never
-        reverses.
-        """
+        """Join the records of one joint; raises FitError or LogError if they do not suffice."""
         rows = sum(len(r.t) for r in records)
         joint = records[0].joint if records else "?"
         if rows < coefficients:
@@ -63,7 +59,7 @@ class JointRows:
 
     @cached_property
     def settling(self) -> Array:
-        """Share of the steady state in the initial state, (N,); used at first rows only."""
+        """(N,) share of the steady state in the initial state; used at first rows only."""
         return np.asarray(_settling(self.dq)[0])
 
     def recurrence(self, a: Array, c: Array, steady: Array) -> Array:
@@ -89,7 +85,7 @@ def in_one_piece(rows: Mask) -> Mask | slice:
 
 
 def least_squares(columns: Array, target: Array) -> Array:
-    """Return the (K,) least-squares coefficients of least norm for (N, K) columns and a target."""
+    """Return the (K,) coefficients of least norm for (N, K) columns and a target."""
     return np.asarray(np.linalg.lstsq(columns, target)[0], dtype=np.float64)
 
 

@@ -11,7 +11,7 @@ from hesr_model.fitting.joint_rows import in_one_piece
 from hesr_model.fitting.ties import ROUND_OFF
 from hesr_model.support.arrays import Array, Mask
 
-_RIDGE = 1e-9  # relative to each column's square, because columns may be linearly dependent
+_RIDGE = 1e-9  # relative to each column's square; columns may be dependent
 
 
 class Normal:
@@ -88,10 +88,7 @@ def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
 
 
 def blocks_of(dt: Array, begins: Mask, seconds: float = 8.0, least: int = 8) -> Any:
-    """Return the (N,) index of each row's block of time within a record.
-
-    Blocks last `seconds` [s], or less if there would be fewer than `least`.
-    """
+    """Return the (N,) index of each row's block of `seconds`, or less to have `least` blocks."""
     length = min(seconds, float(dt.sum()) / least)
     clock = np.cumsum(np.where(begins, 0.0, dt))
     since = clock - np.maximum.accumulate(np.where(begins, clock, 0.0))
@@ -100,10 +97,7 @@ def blocks_of(dt: Array, begins: Mask, seconds: float = 8.0, least: int = 8) -> 
 
 
 def pays(before: Array, after: Array, blocks: Any) -> bool:
-    """Return True if errors (N,) fall by more than one standard error of the gain over blocks.
-
-    A gain within round-off does not count.
-    """
+    """Return True if errors (N,) fall by more than one standard error of the gain over blocks."""
     gains = np.bincount(blocks, weights=before**2 - after**2)
     if len(gains) < 2:
         return False

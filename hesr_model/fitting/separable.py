@@ -1,8 +1,7 @@
 """Separable least squares for laws that are linear in most coefficients.
 
-Columns are the derivatives of the law's output expression by its linear coefficients. For given
-non-linear coefficients the linear ones follow by least squares (variable projection, Golub and
-Pereyra 1973).
+Columns are the derivatives of the torque by its linear coefficients. For given non-linear
+coefficients the linear ones follow by least squares (variable projection, Golub and Pereyra 1973).
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,8 +28,7 @@ class SearchSpace:
 
     Attributes
     ----------
-    bounds : name and bounds of each searched number; its scale is logarithmic if both bounds are
-        positive.
+    bounds : name and bounds of each searched number; the scale of positive bounds is logarithmic.
     linear : names of the unknowns to solve for; the first `non_negative` must not be negative.
     values : expressions of all other coefficients.
     """
@@ -46,7 +44,7 @@ class SearchSpace:
         return tuple(name for name, _ in self.bounds)
 
 
-LEAST = 1e-9  # [its unit] smallest value of a non-negative coefficient that scales others
+LEAST = 1e-9  # [its unit] of a non-negative coefficient that scales others
 
 
 class Separable:
@@ -77,11 +75,11 @@ class Separable:
         )
 
     def numbers(self, point: Array) -> Array:
-        """Return the searched numbers of a point (searched,), in the units of the coefficients."""
+        """Return the searched numbers of a point, in the units of the coefficients."""
         return np.where(self._logarithmic, np.exp(np.where(self._logarithmic, point, 0.0)), point)
 
     def point(self, numbers: Mapping[str, float]) -> Array:
-        """Return the point (searched,) of searched numbers, moved inside the bounds."""
+        """Return the point of searched numbers, moved inside the bounds."""
         raw = np.array([numbers[name] for name in self.space.names])
         scaled = np.where(self._logarithmic, np.log(np.where(self._logarithmic, raw, 1.0)), raw)
         low, high = self.bounds.T
@@ -114,7 +112,6 @@ class Separable:
         return non_negative_least_squares(self.columns(point), self.samples.tau, non_negative=own)
 
     def _residual(self, point: Array, weights: Array | None) -> Array:
-        """Return the (N,) residual of all rows with unknowns solved by weighted least squares."""
         own, tau = self.space.non_negative, self.samples.tau
         found = self._run.solved(self.numbers(point), non_negative=own, weights=weights, keep=True)
         if found is not None:
@@ -124,7 +121,7 @@ class Separable:
         return np.asarray(columns @ x - tau)
 
     def search(self, rng: np.random.Generator, *, effort: int = 40) -> Array:
-        """Return the best `point` of differential evolution with at most `effort` generations."""
+        """Return the best point of differential evolution with at most `effort` generations."""
         if not len(self.bounds):
             return np.zeros(0)
         generations = iter(range(1, effort + 2))
@@ -144,10 +141,9 @@ class Separable:
         return np.asarray(best.x)
 
     def polish(self, point: Array, *, evaluations: int = 12, rows: Mask | None = None) -> Array:
-        """Return the `point` after a local search over a mask (N,) of rows.
+        """Return the point after a local search over a mask (N,) of rows.
 
-        Linear unknowns are projected out of the residual, so steps are in the searched numbers
-        only.
+        Linear unknowns are projected out, so steps are in the searched numbers only.
         """
         if not len(self.bounds):
             return point
@@ -198,8 +194,8 @@ def _kernel(form: LawForm, space: SearchSpace) -> Kernel:
     replaced = {sympy.Symbol(name, real=True): e for name, e in space.values}
     searched = tuple(sympy.Symbol(name, real=True) for name in space.names)
     linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
-    # Expand products so that factors cancel. Other simplifications of SymPy may turn exp(-x) into
-    # 1/exp(x), which overflows.
+    # Products are expanded so that factors cancel. Other simplifications of SymPy may turn exp(-x)
+    # into 1/exp(x), which overflows.
     memory = tuple(m.subs(replaced) for m in form.memory)
     output = sympy.expand_mul(form.output.xreplace(replaced))
     columns = tuple(sympy.diff(output, symbol) for symbol in linear)

@@ -1,15 +1,14 @@
 """Choices among candidates that round-off must not decide.
 
 The last digits of a cost differ between processors, more of them if a search was stopped.
-Candidates whose costs differ by no more are tied, and the first one, which callers make the
-simplest, wins.
+Candidates within a tolerance are tied, and the first one, which callers make the simplest, wins.
 """
 
 from collections.abc import Sequence
 
 from hesr_model.support.arrays import Array
 
-ROUND_OFF = 1e-9  # share of a cost below which a difference is round-off
+ROUND_OFF = 1e-9  # of a cost
 
 
 def no_worse(cost: float, than: float, tolerance: float = ROUND_OFF) -> bool:

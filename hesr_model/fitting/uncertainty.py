@@ -22,21 +22,21 @@ from hesr_model.inference.covariance import Covariance, blocks_of_time, covarian
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array, Integers
 
-MOST_COEFFICIENTS = 64  # larger laws are networks, whose coefficients have no meaning
+MOST_COEFFICIENTS = 64  # coefficients of larger laws, networks, have no meaning
 _STEP = 1e-6
-_NONE = 1e-12  # derivative below which only round-off is left
-_WIDTH = 2.0  # standard errors for measuring the curvature of the torque
-_FLATTEST = 0.25  # lower limit of the ratio between actual and linear change of the torque
-_AT_BOUND = 1e-3  # distance from a bound that counts as at it, of the (logarithmic) range
+_NONE = 1e-12  # derivative that is round-off
+_WIDTH = 2.0  # standard errors for measuring curvature
+_FLATTEST = 0.25  # of the ratio between actual and linear change
+_AT_BOUND = 1e-3  # distance that counts as at a bound, of the (logarithmic) range
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinates:
     """Free numbers of a fitted law."""
 
-    point: Array  # (P,) in their units
-    values: Callable[[Array], dict[str, float]]  # all coefficients at a point
-    held: frozenset[str]  # names of the coefficients at a bound
+    point: Array  # (P,)
+    values: Callable[[Array], dict[str, float]]  # all coefficients
+    held: frozenset[str]  # coefficients at a bound
 
 
 def with_standard_errors(
@@ -49,7 +49,7 @@ def with_standard_errors(
     if len(law.values) > MOST_COEFFICIENTS:
         return law
     moved = _searched(law, space) if space and not law.structure else _every(law)
-    # The initial states are measured, not coefficients, so they are constant.
+    # Initial states are measured, so they are constant.
     starts = [record_start(law, r) for r in records]
 
     def at(point: Array) -> tuple[Array, Array]:
@@ -62,7 +62,6 @@ def with_standard_errors(
     jacobian, slope = jacobian[:, used], slope[:, used]
     torque = _predicted(law, records, starts)
     found = _covariance(np.flatnonzero(used), jacobian, torque, records)
-    # Coefficients with a slope, in their order.
     moves = dict(zip(law.values, slope, strict=True))
     moves = {name: own for name, own in moves.items() if np.any(own != 0.0)}
     whole = replace(law, covariance=found.mapped(list(moves), np.array(list(moves.values()))))
@@ -134,7 +133,6 @@ def with_pooled_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
 
 
 def _stated(law: FrictionLaw, wider: Mapping[str, float]) -> FrictionLaw:
-    """Return the law with standard errors of some coefficients, each multiplied by a factor."""
     if law.covariance is None:
         return law
     errors = dict(zip(law.covariance.names, law.covariance.standard_errors, strict=True))
@@ -173,7 +171,6 @@ def wider_side(
 
 
 def _every(law: FrictionLaw) -> Coordinates:
-    """Return all non-zero coefficients as coordinates."""
     names = [name for name, value in law.values.items() if abs(value) > LEAST]
 
     def values(point: Array) -> dict[str, float]:
@@ -187,7 +184,7 @@ def _every(law: FrictionLaw) -> Coordinates:
 
 
 def _searched(law: FrictionLaw, space: SearchSpace) -> Coordinates:
-    """Return the searched and solved numbers of a law within their bounds as coordinates."""
+    """Return the searched and solved numbers within their bounds."""
     numbers = _unknowns(law.values, space)
     at = {name for name, (low, high) in space.bounds if _at_end(numbers[name], low, high)}
     at |= {name for name in space.linear[: space.non_negative] if numbers[name] <= LEAST}
@@ -213,7 +210,6 @@ def _at_end(number: float, low: float, high: float) -> bool:
 
 
 def _unknowns(values: Mapping[str, float], space: SearchSpace) -> dict[str, float]:
-    """Return the searched and solved numbers of a law by name."""
     every = (*space.names, *space.linear)
     known = {name: values[name] for name in every if name in values}
     for name, expression in space.values:

@@ -16,7 +16,7 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.laws.stribeck import SIGMA_2, TAU_0
 
-DEFLECTIONS = np.geomspace(2e-4, 5e-2, 5)  # [rad] 1 / kappa: from sharp to wide hysteresis loops
+DEFLECTIONS = np.geomspace(2e-4, 5e-2, 5)  # [rad] 1 / kappa: sharp to wide loops
 
 _ELEMENTS = range(1, len(DEFLECTIONS) + 1)
 
@@ -60,9 +60,9 @@ class DahlBasis(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Solve for all coefficients; F_i are non-negative, since elements must not drive.
+        """Solve for all coefficients; without load F_i >= 0, since elements must not drive.
 
-        With load F_i may be negative, because the force of an element is F_i + mu_i |tau_load|.
+        With load the force of an element is F_i + mu_i |tau_load|, so F_i may be negative.
         """
         linear = (*_FORCE, *(_LOAD if self.load else ()), SIGMA_2, TAU_0)
         return SearchSpace(
@@ -114,5 +114,5 @@ class DahlBasisBound(DahlBasis):
         )
 
     def space(self) -> SearchSpace:
-        """Search the rise; everything else is linear."""
+        """Search the rise."""
         return replace(super().space(), bounds=((RISE.name, RISE_BOUNDS),))

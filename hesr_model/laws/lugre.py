@@ -65,7 +65,6 @@ COEFFICIENTS = (SIGMA_0, SIGMA_1, SIGMA_2, F_C, F_S, V_S, TAU_0)
 
 
 def _with(form: LawForm, term: sympy.Expr, *own: Coefficient) -> LawForm:
-    """Return a form with an additional term and its coefficients."""
     return replace(form, coefficients=(*form.coefficients, *own), output=form.output + term)
 
 
@@ -88,7 +87,7 @@ class LuGre(OneForm):
         return LawForm(coefficients=COEFFICIENTS, memory=(bristle(),), output=torque())
 
     def space(self) -> SearchSpace:
-        """Search the bristle; everything else is linear."""
+        """Search the bristle."""
         return bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0"), non_negative=3)
 
 
@@ -108,7 +107,7 @@ class LuGreLoad(LuGre):
         return _with(super().core(structure), rise, MU)
 
     def space(self) -> SearchSpace:
-        """Search the bristle; solve for the product F_c mu, which makes the torque linear."""
+        """Search the bristle; solve for F_c mu, in which the torque is linear."""
         plain = bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0", "F_c_mu"), non_negative=3)
         product = sympy.Symbol("F_c_mu", real=True)
         return replace(plain, values=(*plain.values, (MU.name, product / F_C.symbol)))
@@ -128,7 +127,7 @@ class LuGreLoadRipple(LuGreLoad):
     start_samples = 5
 
 
-RATIO_TEXTBOOK = (1.0, 5.0)  # F_s / F_c with static friction above Coulomb friction
+RATIO_TEXTBOOK = (1.0, 5.0)  # static above Coulomb friction
 SIGMA_T = Coefficient(
     name="sigma_t", unit="N.m.s/rad", description="viscous friction that thins with speed"
 )
@@ -152,7 +151,7 @@ class LuGreTextbook(LuGre):
         return _with(super().core(structure), thin, SIGMA_T, V_T)
 
     def space(self) -> SearchSpace:
-        """Search the bristle and the speed of thinning; everything else is linear."""
+        """Search the bristle and the speed of thinning."""
         linear = ("F_c", "sigma_1", "sigma_2", "sigma_t", "tau_0")
         return bristle_space(linear, 4, ratio=RATIO_TEXTBOOK, v_t=THINNING_BOUNDS)
 
@@ -179,5 +178,5 @@ class LuGrePassive(LuGre):
         return replace(plain, coefficients=swapped, output=output)
 
     def space(self) -> SearchSpace:
-        """Search the bristle; everything else is linear, since F_s/F_c is searched."""
+        """Search the bristle; F_s/F_c is searched, so the rest is linear."""
         return bristle_space(("F_c", "sigma_1", "s_2", "tau_0"), 3, ratio=RATIO_TEXTBOOK)

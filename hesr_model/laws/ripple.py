@@ -25,12 +25,12 @@ from hesr_model.friction.inputs import DQ, Q
 from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.support.arrays import Array, Mask
 
-ORDERS = range(1, 17)  # candidates per turn of the motor
+ORDERS = range(1, 17)  # per turn of the motor
 LAG_BOUNDS = (0.0, 0.012)  # [s]
 SMOOTHING_BOUNDS = (0.0, 0.02)  # [s]
-MOST = 6  # maximum number of orders of a joint
-GAIN = 0.002  # smallest relative reduction of the mean square on left-out logs by an order
-CHANCE = 18.0  # the same in mean squares per row: the best of many orders gains by chance
+MOST = 6  # orders of a joint
+GAIN = 0.002  # smallest relative reduction of the left-out mean square by an order
+CHANCE = 18.0  # the same per row: the best of many orders gains by chance
 LAG = Coefficient(name="lag", unit="s", description="lag behind the position")
 SMOOTHING = Coefficient(name="smoothing", unit="s", description="time constant over fast ripple")
 Times = tuple[float, float]  # lag and smoothing [s]
@@ -44,7 +44,7 @@ _ATTEMPTS = 3
 class Ripple:
     """Harmonics of a joint."""
 
-    gear_ratio: float  # turns of the motor per turn of the joint
+    gear_ratio: float
     orders: tuple[int, ...]  # per turn of the motor
 
     @classmethod
@@ -86,7 +86,7 @@ class Ripple:
         )
 
     def columns(self, samples: JointRows, times: Times) -> Array:
-        """Return the (N, 2 orders) waves, cosines and sines without unit."""
+        """Return the (N, 2 orders) waves, cosines and sines."""
         lag, smoothing = times
         angle = self.gear_ratio * (samples.q - lag * samples.dq)
         fast = self.gear_ratio * smoothing * samples.dq
@@ -167,7 +167,7 @@ def _ranking(
 def _weights(
     samples: JointRows, gear_ratio: float, order: int, candidates: Sequence[Times]
 ) -> tuple[list[float], Array, Array]:
-    """Return smoothings of candidates, their attenuation of an order's waves, and its square."""
+    """Return smoothings, their attenuation of an order's waves, and its square."""
     smoothings = list(dict.fromkeys(smoothing for _, smoothing in candidates))
     fast = order * gear_ratio * np.outer(smoothings, samples.dq)
     plain = 1.0 / (1.0 + fast**2)

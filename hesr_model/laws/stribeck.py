@@ -18,15 +18,14 @@ V_S = Coefficient(name="v_s", unit="rad/s", description="Stribeck velocity")
 SIGMA_2 = Coefficient(name="sigma_2", unit="N.m.s/rad", description="viscous friction")
 TAU_0 = Coefficient(name="tau_0", unit="N.m", description="offset")
 
-VELOCITY_BOUNDS = (1e-3, 1.0)  # [rad/s] of the Stribeck velocity
+VELOCITY_BOUNDS = (1e-3, 1.0)  # [rad/s]
 
 
 @register
 class Stribeck(OneForm):
     """tau = (F_c + (F_s - F_c) exp(-(v/v_s)^2)) sgn(v) + sigma_2 v + tau_0  (eq. 3 as a map).
 
-    F_c, F_s and sigma_2 are non-negative. F_s < F_c is allowed, because the level of lubricated
-    gears can rise with speed.
+    F_c, F_s, sigma_2 >= 0. F_s < F_c is allowed: the level of lubricated gears can rise with speed.
     """
 
     name = "stribeck"
@@ -48,7 +47,7 @@ class Stribeck(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Search v_s; everything else is linear."""
+        """Search v_s."""
         return SearchSpace(
             bounds=(("v_s", VELOCITY_BOUNDS),),
             linear=("F_c", "F_s", "sigma_2", "tau_0"),

@@ -1,1 +1,1 @@
-"""Neural networks with the inputs of the paper, for comparison with symbolic laws."""
+"""Neural networks with the inputs of the paper."""

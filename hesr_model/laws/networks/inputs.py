@@ -22,7 +22,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import counted, step
 
-TRIED = 30  # maximum number of networks tried for a torque in bounds
+TRIED = 30  # maximum number for a torque in bounds
 _TINY = 1e-12
 
 
@@ -31,7 +31,7 @@ class Inputs:
     """Inputs of a network for one (alpha, beta), each with mean 0 and spread 1 over all rows."""
 
     cell: Cell
-    z: Array  # (N, 3) standardised dq, h, dh
+    z: Array  # (N, 3) dq, h, dh
     mean: Array  # (3,) of dq [rad/s], h [1], dh [1/s]
     spread: Array  # (3,)
 
@@ -50,7 +50,7 @@ Costs = Callable[[Inputs, int], Array]
 class NetworkEstimator(Estimator):
     """Networks of several sizes at the best (alpha, beta), chosen by cross-validation."""
 
-    key: ClassVar[str]  # of the size in structures and options
+    key: ClassVar[str]  # of the size
     sizes: ClassVar[tuple[int, int]]  # smallest fitted and largest one
 
     def __init__(self, tried: Sequence[int], cells: int, discretisation: Discretisation) -> None:

@@ -18,13 +18,13 @@ from hesr_model.laws.networks.inputs import Costs, Inputs, NetworkEstimator
 from hesr_model.laws.parfam.family import hysteresis_state
 from hesr_model.support.arrays import Array
 
-MAX_CENTRES = 40  # such a network runs in microseconds
+MAX_CENTRES = 40  # runs in microseconds
 FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # widths, in mean distances of the centres
 RIDGES = tuple(float(x) for x in 10.0 ** np.arange(-8, -1))
-"""Candidate ridges, added to the mean square of Gaussians with peak 1. Smaller ones give weights so
-large that their sum loses digits.
+"""Ridges, added to the mean square of Gaussians with peak 1. Smaller ones give weights whose sum loses
+digits.
 """
-CLUSTERED_ROWS = 2400  # maximum number of rows for k-means
+CLUSTERED_ROWS = 2400  # for k-means
 
 _INPUTS = (("dq", "rad/s"), ("h", "1"), ("dh", "1/s"))
 
@@ -58,7 +58,7 @@ class RbfnnH(NetworkEstimator):
 
     @classmethod
     def form(cls, structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions of a structure {"centres": number of Gaussians}."""
+        """Return the expressions of {"centres": number of Gaussians}."""
         hysteresis, own = hysteresis_state("paper")
         inputs = (DQ, hysteresis.state, hysteresis.derivative)
         widths = [
@@ -106,10 +106,7 @@ class RbfnnH(NetworkEstimator):
 
 
 def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator) -> Array:
-    """Return (factors, ridges) mean square errors [N^2.m^2] of networks by cross-validation.
-
-    `z` (N, 3) are standardised inputs, `count` is the number of centres.
-    """
+    """Return (factors, ridges) mean square errors [N^2.m^2] of networks by cross-validation."""
     total = np.zeros((len(FACTORS), len(RIDGES)))
     for fold in samples.folds:
         centres, spacing = clustered(z[~fold], count, rng)
@@ -122,10 +119,7 @@ def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator)
 
 
 def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:
-    """Return (count, 3) centres of inputs z (N, 3), and their mean distance to the nearest one.
-
-    There are at most as many centres as distinct rows.
-    """
+    """Return at most (count, 3) centres of z (N, 3), and their mean distance to the nearest."""
     # Equal rows, such as those of a joint at rest, break k-means.
     points = np.unique(z[:: max(1, len(z) // CLUSTERED_ROWS)], axis=0)
     with warnings.catch_warnings():
@@ -143,10 +137,7 @@ def gaussians(z: Array, centres: Array, width: float) -> Array:
 
 
 def ridge_weights(columns: Array, tau: Array, ridges: Sequence[float]) -> tuple[Array, Array]:
-    """Return (R,) offsets and (K, R) weights [N.m] of regression on (N, K) columns for R ridges.
-
-    The offset is not shrunk.
-    """
+    """Return (R,) offsets and (K, R) weights [N.m] of R ridge regressions, with free offsets."""
     mean, level = columns.mean(axis=0), float(tau.mean())
     centred = columns - mean
     eigenvalues, vectors = np.linalg.eigh(centred.T @ centred / len(tau))

@@ -7,8 +7,8 @@ import numpy as np
 
 from hesr_model.support.arrays import Array
 
-ITERATIONS = 15  # maximum number per weight decay
-CONVERGED = 1e-5  # relative gain of an iteration for convergence
+ITERATIONS = 15  # per weight decay
+CONVERGED = 1e-5  # relative gain of an iteration
 _DAMPING = (1e-9, 1e-2)  # minimum and initial value
 
 
@@ -16,11 +16,10 @@ _DAMPING = (1e-9, 1e-2)  # minimum and initial value
 class Network:
     """y = bias + gains . tanh(theta' (1, z)) on standardised data."""
 
-    # (H,)
-    bias: float  # (4, H), the constant first
-    gains: Array  # mean squared residual on the training rows plus decay
-    theta: Array
-    cost: float
+    bias: float
+    gains: Array  # (H,)
+    theta: Array  # (4, H), the constant first
+    cost: float  # mean squared residual on the training rows plus decay
 
     def output(self, z: Array) -> Array:
         """Return the (N,) output for inputs z, (N, 3), all standardised."""

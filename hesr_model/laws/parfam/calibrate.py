@@ -1,4 +1,4 @@
-"""Stage 1: candidates of the hysteresis parameters (alpha, beta) without a structure."""
+"""Stage 1: candidates of (alpha, beta) without a structure."""
 
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
@@ -9,10 +9,10 @@ import numpy as np
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.support.arrays import Array
 
-GRID = (10, 10)  # cells of the (alpha, beta) profile
-MEMORY = 1.0  # [s] longest 1 / alpha; slower states follow the load instead of reversals
-STEEPNESS = (1.0, 2000.0)  # bounds of beta times the joint's typical speed
-COURSE = 200  # maximum number of rows after a reversal
+GRID = (10, 10)  # cells of the profile
+MEMORY = 1.0  # [s] longest 1 / alpha; slower states follow the load
+STEEPNESS = (1.0, 2000.0)  # of beta times the joint's typical speed
+COURSE = 200  # rows after a reversal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +34,8 @@ def bounds(features: HysteresisFeatures) -> tuple[tuple[float, float], tuple[flo
 def profile(features: HysteresisFeatures) -> list[Cell]:
     """Return the cells of a logarithmic (alpha, beta) grid, best first.
 
-    Their costs are residuals of polynomials of (dq, h, dh) of degree three, which approximate any
-    smooth unit g.
+    Costs are residuals of polynomials of (dq, h, dh) of degree three, which approximate any smooth
+    g.
     """
     tau = features.samples.tau
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
@@ -111,7 +111,7 @@ def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
 
 
 def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
-    """Return height over area [1/s] of the mean course after a reversal; 0 without reversals."""
+    """Return height over area [1/s] of the mean course; 0 without reversals."""
     s = features.samples
     total, count = np.zeros(COURSE), np.zeros(COURSE)
     for course in courses:

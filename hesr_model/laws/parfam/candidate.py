@@ -17,22 +17,22 @@ UNIT_FUNCTIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array, Array
     "cos": (np.cos, lambda x, _: -np.sin(x)),
     "exp": (lambda x: np.exp(np.minimum(x, 50.0)), lambda _, g: g),
 }
-"""Functions g and their derivatives as functions of argument and value of g."""
+"""g and its derivative as functions of argument and value of g."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
     """tau = c . x + gain g(theta . x) with x = (1, dq, h, dh) in raw units."""
 
-    g: str | None  # None for the linear law
+    g: str | None  # None for a linear law
     alpha: float  # [1/s]
     beta: float  # [s/rad]
     c: Array  # (4,)
     theta: Array  # (4,)
     gain: float  # [N.m]
-    c_active: Array  # (4,) mask of the coefficients in the structure
+    c_active: Array  # (4,) coefficients in the structure
     theta_active: Array  # (4,)
-    cost: float  # [N^2.m^2] mean squared residual on the searched rows
+    cost: float  # [N^2.m^2] on the searched rows
 
     def __post_init__(self) -> None:
         # Their columns of the Jacobian would be uninitialised.

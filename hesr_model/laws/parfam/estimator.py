@@ -20,7 +20,7 @@ from hesr_model.laws.parfam.trial import Trial, extended, pose, with_unit
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.progress import step
 
-COEFFICIENTS = 11  # of the largest law: alpha, beta, 4 linear, gain, 4 of the argument
+COEFFICIENTS = 11  # alpha, beta, 4 linear, gain, 4 of the argument
 
 
 @register
@@ -33,8 +33,8 @@ class ParFamH(Estimator):
 
     Parameters
     ----------
-    search : "projection" (default) uses variable projection from many starts; "paper" the geometric
-        stage 1 and basin hopping with L1 (eq. 12).
+    search : "projection" is variable projection from many starts; "paper" the geometric stage 1 and
+        basin hopping with L1 (eq. 12).
     functions : candidate functions g; sin includes cos, which has another offset.
     cells, starts : number of (alpha, beta), and of random starts for each of them and each g.
     candidates : number of laws of each g for stage 3.

@@ -1,8 +1,8 @@
 """Stage 2, default search: variable projection from a batch of starts.
 
-For fixed (alpha, beta) and g the torque is linear in c and the unit's gain, so only the four
-numbers theta of the argument are searched (Golub and Pereyra 1973, with Kaufman's simplification of
-the Jacobian). All starts of a cell run in one batch of Levenberg-Marquardt iterations.
+For fixed (alpha, beta) and g the torque is linear in c and the unit's gain, so only theta is
+searched (Golub and Pereyra 1973, with Kaufman's simplification of the Jacobian). All starts of a
+cell run in one batch of Levenberg-Marquardt iterations.
 """
 
 import numpy as np
@@ -12,9 +12,9 @@ from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.support.arrays import Array
 
-ROWS = 600  # maximum number for the search; the last stage uses all
-ROUNDS = ((6, 0.5), (6, 0.4), (12, 1.0))  # (iterations, share of starts kept for the next round)
-ARGUMENT_LIMIT = 12.0  # of standardised coefficients of an argument; beyond it g saturates or wraps
+ROWS = 600  # the last stage uses all
+ROUNDS = ((6, 0.5), (6, 0.4), (12, 1.0))  # (iterations, share of starts kept)
+ARGUMENT_LIMIT = 12.0  # of a standardised theta; beyond it g saturates or wraps
 
 
 def linear(cell: Cell, features: Array, tau: Array) -> Candidate:
@@ -25,10 +25,9 @@ def linear(cell: Cell, features: Array, tau: Array) -> Candidate:
 def search(
     cell: Cell, g: str, features: Array, tau: Array, starts: Array, keep: int
 ) -> list[Candidate]:
-    """Return the best distinct laws with one unit g, at most `keep`, at one (alpha, beta).
+    """Return at most `keep` distinct laws with one unit g at one (alpha, beta), best first.
 
-    `features` (M, 4) are 1, dq, h, dh of the searched rows, `starts` (S, 4) starting points of
-    theta for standardised features.
+    `features` (M, 4) are 1, dq, h, dh of the searched rows, `starts` (S, 4) standardised theta.
     """
     found = arguments(g, features, features, tau, starts, keep)
     return [_candidate(cell, g, features, tau, theta) for theta in found]
@@ -43,7 +42,7 @@ def arguments(
     keep: int,
     limit: float = ARGUMENT_LIMIT,
 ) -> list[Array]:
-    """Return the best distinct arguments theta (F,) of a unit g added to a linear law, best first.
+    """Return at most `keep` distinct arguments theta (F,) of a unit g added to a linear law.
 
     `features` (M, F) are those of the argument, the first one constant, `linear` (M, L) the columns
     of the linear law. `starts` (S, F) and `limit` are for standardised features.
@@ -140,8 +139,8 @@ class _Projected:
     def _normal_equations(self, theta: Array) -> tuple[Array, Array]:
         """Return for each start the (S, F, F) Gram matrix and (S, F) gradient of theta.
 
-        Only matrix products are needed: the residual is orthogonal to the linear span, so the
-        projected Jacobian enters by its Gram matrix alone.
+        The residual is orthogonal to the linear span, so the projected Jacobian enters by its Gram
+        matrix alone.
         """
         argument, value, outside, gain = self.evaluate(theta)
         slope = gain * self.dg(argument, value)

@@ -18,13 +18,13 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.laws.stribeck import V_S
 
-FEATURES = ("1", "dq", "h", "dh")  # of a unit's argument, in the order of every coefficient vector
+FEATURES = ("1", "dq", "h", "dh")  # in the order of coefficient vectors
 
-LINEAR = (*FEATURES, "h_load", "h_bump")  # also h |tau_load| and h exp(-(dq/v_s)^2)
+LINEAR = (*FEATURES, "h_load", "h_bump")  # h |tau_load| and h exp(-(dq/v_s)^2)
 
-DIVISORS = ("dq", "h")  # features of a denominator; h' is unbounded and would allow poles
+DIVISORS = ("dq", "h")  # h' is unbounded and would allow poles
 
-STATES = ("paper", "generalised", "bristle")  # of eq. 9; with position memory; LuGre's bristle
+STATES = ("paper", "generalised", "bristle")  # eq. 9; with position memory; LuGre's bristle
 
 FUNCTIONS = {"tanh": sympy.tanh, "sin": sympy.sin, "cos": sympy.cos, "exp": sympy.exp}
 
@@ -42,12 +42,12 @@ def linear_name(feature: str) -> str:
 
 
 def gain_name(unit: int) -> str:
-    """Return the name of the factor of unit `unit` (from 1)."""
+    """Return the name of the factor of a unit, from 1."""
     return f"c_g{unit}"
 
 
 def argument_name(unit: int, feature: str) -> str:
-    """Return the name of the coefficient of a feature in the argument of unit `unit` (from 1)."""
+    """Return the name of the coefficient of a feature in the argument of a unit, from 1."""
     return f"theta{unit}_{_suffix(feature)}"
 
 
@@ -60,8 +60,8 @@ def form(structure: Mapping[str, Any]) -> LawForm:
     """Return the expressions of a structure {"linear": [...], "units": [{"g", "arguments"}]}.
 
     Optional keys are "state", one of `STATES`, by default that of eq. 9, and "denominator",
-    features x of a denominator 1 + sum_i d_i x_i of the whole output. Raises ArtifactError if one
-    is unknown.
+    features x of a denominator 1 + sum_i d_i x_i of the output. Raises ArtifactError if one is
+    unknown.
     """
     linear, units, state, below = _checked(structure)
     hysteresis, own = hysteresis_state(state)

@@ -30,10 +30,9 @@ class ParFamHX(Described):
         tau = c . (1, v, h, h', h |tau_load|, h exp(-(v/v_s)^2)) + c_g g(theta . (1, v, h, h'))
               + sum_k a_k cos(k N (q - lag v)) + b_k sin(k N (q - lag v))
 
-    Cross-validation selects linear terms, the unit and the orders of ripple. Options allow parts of
-    the law: `memory` the position memory, `bump` the Stribeck term, `functions` the candidate
-    functions g, `initial_state` a start of h from the first torques of a log; `starts` is for each
-    g.
+    Cross-validation selects linear terms, the unit and the orders of ripple. Options allow `memory`
+    in position, `bump` (the Stribeck term), candidate `functions` g, and `initial_state`, a start
+    of h from the first torques of a log; `starts` is for each g.
     """
 
     name = "parfam_hx"

@@ -12,17 +12,17 @@ from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.support.arrays import Array
 
-GAMMA = 1e-3  # weight of the L1 term for standardised data; 1e-4 prunes nothing, 1e-2 all units
+GAMMA = 1e-3  # weight of L1; 1e-4 prunes nothing, 1e-2 all units
 HOPS = 10  # per function g
-STEP = 1.0  # largest displacement of a hop, in standardised coefficients
-TRUNCATION = 0.02  # smaller standardised coefficients are truncated: 2 % of the torque's spread
+STEP = 1.0  # largest displacement, in standardised coefficients
+TRUNCATION = 0.02  # smaller ones are truncated: 2 % of the torque's spread
 
 
 class Objective:
     """Eq. 12 for one unit g with its analytic gradient.
 
-    `x` (N, 4) and `y` (N,) are standardised features and torque; `active` (9,) masks those of c
-    (4), gain, theta (4) that may differ from zero.
+    `x` (N, 4) and `y` (N,) are standardised; `active` (9,) masks the c (4), gain, theta (4) that
+    may differ from zero.
     """
 
     def __init__(self, g: str, x: Array, y: Array, gamma: float, active: Array) -> None:

@@ -18,20 +18,20 @@ from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.progress import step
 
-SIGNIFICANCE = 2.0  # threshold of a coefficient, in standard errors
+SIGNIFICANCE = 2.0  # of a coefficient, in standard errors
 
 
 _ALL = slice(None)
 
 ROUNDS = ((8, 10), (16, 4))
-"""Screening rounds of (evaluations per candidate, number of candidates kept). They use all rows,
-because only the few rows of a reversal determine a steep beta.
+"""Screening rounds of (evaluations, number of candidates kept). They use all rows, because only the
+few rows of a reversal determine a steep beta.
 """
 LONG, PRUNED, FOLD = 60, 12, 8  # evaluations of the final fit, after pruning, without a fold
-PORTIONS = 20  # of `FOLD` evaluations, at most, before finalists are compared
-HOPEFUL = 1.1  # largest mean square for a final fit, relative to the best candidate
-ROUNDING = 1e-15  # mean square relative to the torque's variance that counts as zero
-SAME = 1e-6  # relative difference of mean squares, and of their convergence, that is a tie
+PORTIONS = 20  # of `FOLD` evaluations, before finalists are compared
+HOPEFUL = 1.1  # largest mean square for a final fit, of the best one
+ROUNDING = 1e-15  # mean square that counts as zero, of the torque's variance
+SAME = 1e-6  # relative difference of mean squares that is a tie, or convergence
 
 
 def select(
@@ -42,9 +42,8 @@ def select(
 ) -> Candidate:
     """Refine candidates, prune them and return the one that predicts left-out rows best.
 
-    Of those within `SAME` of the best one the simplest wins, so that round-off decides nothing.
-    Laws that explode just outside the trained ranges are refused; raises FitError if every one
-    does.
+    The simplest of those within `SAME` wins, so that round-off decides nothing. Raises FitError if
+    all explode just outside the trained ranges.
     """
     looked = list(found)
     for i, (evaluations, keep) in enumerate(ROUNDS):
@@ -162,8 +161,8 @@ class Refinement:
     """The joint least-squares problem of a candidate over (alpha, beta, c, gain, theta).
 
     alpha and beta are searched as the logit of their position within (logarithmic) bounds, so that
-    0 < alpha dt < 1 holds without constraints; coefficients are scaled to standardised features.
-    The residual is that of `rows`, while the state runs over all rows.
+    0 < alpha dt < 1 holds without constraints; coefficients are for standardised features. The
+    residual is that of `rows`, while the state runs over all rows.
     """
 
     def __init__(

@@ -21,12 +21,12 @@ from hesr_model.laws.stribeck import V_S, VELOCITY_BOUNDS
 from hesr_model.logs.phases import MOVING
 from hesr_model.support.arrays import Array
 
-MEMORY_BOUNDS = (0.05, 2000.0)  # [1/rad] kappa: no position memory to one of a milliradian
-REST_SPEED = 1e-3  # [rad/s] of the gate below which the state holds
+MEMORY_BOUNDS = (0.05, 2000.0)  # [1/rad] kappa: none to a milliradian
+REST_SPEED = 1e-3  # [rad/s] below which the state holds
 BUMP_BOUNDS = (MOVING, VELOCITY_BOUNDS[1])  # [rad/s]; a narrower bump acts at rest alone
-DIVISOR_LIMIT = 0.9  # largest deviation of a denominator from 1
+DIVISOR_LIMIT = 0.9  # largest deviation from 1
 _ROWS = 3000
-UNIT_GAIN = 0.05  # smallest relative gain on left-out rows by a unit or denominator
+UNIT_GAIN = 0.05  # smallest relative gain on left-out rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,7 +107,7 @@ def extended(base: Trial, more: Sequence[Trial], trained: TrainedRange) -> Trial
 
 
 def left_out(trial: Trial) -> float:
-    """Return the sum of squared errors of a trial by cross-validation."""
+    """Return the sum of squared errors by cross-validation."""
     problem = trial.problem
     total = 0.0
     for fold in problem.samples.folds:
@@ -118,7 +118,7 @@ def left_out(trial: Trial) -> float:
 
 
 def search_space(structure: Mapping[str, Any], samples: JointRows) -> SearchSpace:
-    """Return the search space of a structure for given rows."""
+    """Return the search space of a structure."""
     state = structure.get("state", "paper")
     features = HysteresisFeatures(samples=samples, discretisation="exact")
     alpha, beta = calibrate.bounds(features)

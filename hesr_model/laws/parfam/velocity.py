@@ -15,7 +15,7 @@ from hesr_model.laws.parfam import evolve, family
 from hesr_model.rigid_body.residual import FrictionRecord
 
 FEATURES = ("1", "dq")
-STEEPEST = 2000.0  # slope of a unit's argument, times the joint's typical speed
+STEEPEST = 2000.0  # slope of an argument, times the typical speed
 _ROWS = 1200
 
 
@@ -23,8 +23,8 @@ _ROWS = 1200
 class ParFamV(Described):
     """tau = c . (1, v) + c_g g(theta . (1, v))  (eq. 11 with x = v).
 
-    `starts` is the number of random starts for each of the candidate `functions` g, and of steep
-    ones, since friction jumps at rest.
+    `starts` counts the random starts for each of the `functions` g, and the steep ones, since
+    friction jumps at rest.
     """
 
     name = "parfam_v"

@@ -18,7 +18,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_json import to_json
 
-WINDOW = 1.5  # longest step without averaging of ripple, in sample times of the logs
+WINDOW = 1.5  # step without averaging of ripple, in sample times
 
 
 class _Stops(Estimator):

@@ -26,7 +26,7 @@ from hesr_model.laws.ripple import LAG
 from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S
 from hesr_model.support.arrays import Array
 
-DEFLECTIONS = np.geomspace(3e-5, 1e-2, 9)  # [rad; m] sliding deflections w of the stops
+DEFLECTIONS = np.geomspace(3e-5, 1e-2, 9)  # [rad; m] w of the stops
 
 LOAD_SCALE = Coefficient(
     name="load_scale", unit="N.m", description="load torque at which bounds of the load are 1"
@@ -52,7 +52,7 @@ BOUNDS: Mapping[str, sympy.Expr] = {
 }
 """Bounds by name; none is negative, and none vanishes at rest alone."""
 
-SHARES = {"a": 0.05, "b": 0.2, "c": 0.6}  # speeds of shear thinning relative to the largest speed
+SHARES = {"a": 0.05, "b": 0.2, "c": 0.6}  # thinning speeds, of the largest speed
 THINNING = {
     letter: Coefficient(name=f"v_{letter}", unit="rad/s", description="speed of shear thinning")
     for letter in SHARES
@@ -81,14 +81,14 @@ class Structure:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
-    stops: tuple[tuple[str, int], ...] = ()  # bound and index of the deflection of each stop
-    viscous: tuple[str, ...] = ()  # of f: "1", "v" for |v|, "a" for 1 / (1 + |v| / v_a) ..
+    stops: tuple[tuple[str, int], ...] = ()  # bound and index of the deflection
+    viscous: tuple[str, ...] = ()  # "1", "v" for |v|, "a" for 1 / (1 + |v| / v_a) ..
     ripple: tuple[PositiveInt, ...] = ()  # [1/rad] frequencies in the joint angle
     window: NonNegativeFloat = 0.0  # [s] longest step without averaging of ripple
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Self:
-        """Return the structure of JSON data; raises ArtifactError if the data are invalid."""
+        """Return the structure of JSON data; raises ArtifactError if they are invalid."""
         try:
             found = TypeAdapter(cls).validate_python(dict(data))
         except ValidationError as error:
@@ -166,12 +166,12 @@ def _torque(name: str, description: str) -> Coefficient:
 
 
 def force(kind: str, node: int) -> str:
-    """Return the name of the force of a stop with a bound and deflection."""
+    """Return the name of the force of a stop."""
     return f"F_{kind}_{node + 1}" if kind != "1" else f"F_{node + 1}"
 
 
 def start_at_rest(form: LawForm) -> tuple[float, ...]:
-    """Return the states of a form at rest, with aged contacts; empty if all are 0."""
+    """Return the states at rest, with aged contacts; empty if all are 0."""
     memory = form.memory
     return tuple(1.0 if m == AGE else 0.0 for m in memory) if AGE in memory else ()
 

@@ -39,9 +39,8 @@ def constrained(
 ) -> Array:
     """Return the least-squares coefficients that satisfy the condition, a cone problem.
 
-    `gram` and `moment` are normal equations. The last `free` coefficients of the unconstrained
-    solution `x` have any sign and end in cosines and sines; those of `viscous` (S, V) precede them.
-    `waves` (S, W) is the result of `needed`.
+    The last `free` of the unconstrained solution `x` have any sign and end in cosines and sines;
+    those of `viscous` (S, V) precede them. `waves` (S, W) is the result of `needed`.
     """
     first = len(x) - free
     f, a = slice(first - viscous.shape[1], first), slice(len(x) - 2 * waves.shape[1], len(x))

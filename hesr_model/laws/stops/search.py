@@ -22,12 +22,12 @@ from hesr_model.laws.stops.form import (
 )
 from hesr_model.support.arrays import Array
 
-SPEEDS = (0.05, 0.1, 0.2, 0.4)  # Stribeck velocities, relative to the largest speed
+SPEEDS = (0.05, 0.1, 0.2, 0.4)  # Stribeck velocities, of the largest speed
 TIMES = (0.05, 0.1, 0.2, 0.4)  # [s] ageing times T
-MORE = ("root", "plus", "minus")  # candidate bounds in addition to those of the skeleton
-LEAST = 2e-3  # smallest relative force of a stop
+MORE = ("root", "plus", "minus")  # candidate bounds
+LEAST = 2e-3  # of the sum of forces
 _ANY = (1e-12, 1e12)
-VISCOUS = ("1", "v", *SHARES)  # terms of f
+VISCOUS = ("1", "v", *SHARES)  # of f
 
 
 def every(kind: str) -> Structure:
@@ -80,7 +80,7 @@ class Terms:
     bounds: tuple[str, ...]  # each with a stop at every deflection
     numbers: dict[str, float]  # other coefficients
     samples: JointRows
-    weights: Array  # (N,) 1 for rows that are used, else 0
+    weights: Array  # (N,) 1 or 0
     products: Products  # shared by trials
     cache: dict[str, Array] = field(default_factory=dict)  # weighted columns by bound
 
@@ -139,7 +139,7 @@ class Terms:
 
 
 def dictionary(samples: JointRows, *, load: bool) -> Terms:
-    """Return the baseline: bounds of the skeleton with the best v_s and T."""
+    """Return the bounds of the skeleton with the best v_s and T."""
     speed = float(np.max(np.abs(samples.dq)))
     counted = weights(samples)
     first = Terms(

@@ -13,14 +13,14 @@ from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.nonnegative import Normal, blocks_of, pays
 from hesr_model.support.arrays import Array
 
-ORDERS = range(1, 17)  # candidates per turn of the motor
-NEAR = 3  # [1/rad] distance of a frequency from an integer multiple of the gear ratio
-LAGS = np.arange(0.0, 0.0121, 0.0005)  # [s] of the torque behind the position
-MOST = 6  # maximum number of frequencies of a joint
-GAIN = 0.002  # smallest relative gain of the mean square on left-out rows by a frequency
+ORDERS = range(1, 17)  # per turn of the motor
+NEAR = 3  # [1/rad] from an integer multiple of the gear ratio
+LAGS = np.arange(0.0, 0.0121, 0.0005)  # [s]
+MOST = 6  # frequencies of a joint
+GAIN = 0.002  # smallest relative gain of the left-out mean square by a frequency
 
 
-_PHASE = 0.6  # search range of the lag, as a phase of the fastest wave at 1 rad/s [rad]
+_PHASE = 0.6  # range of the lag, as a phase at 1 rad/s [rad]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +61,6 @@ def select(base: Array, samples: JointRows, weights: Array, gear_ratio: float) -
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
-    """Waves and columns of a law over the rows of a joint."""
-
     base: Array
     samples: JointRows
     weights: Array
