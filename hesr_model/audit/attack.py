@@ -6,8 +6,8 @@ from itertools import product
 
 import numpy as np
 
-from hesr_model.audit.audit import loads_of
-from hesr_model.audit.cycles import AMPLITUDES, FREQUENCIES, closed_motions, cycles
+from hesr_model.audit.audit import loads_of, responses
+from hesr_model.audit.cycles import AMPLITUDES, cycles
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.law import FrictionLaw
@@ -46,24 +46,20 @@ class Attack:
 
 def attack(law: FrictionLaw, trained: TrainedRange) -> Attack | None:
     """Return the cycle that generates the most energy, if any."""
-    found = [*_still(law, trained)]
+    found = _still(law, trained)
     if TAU_LOAD in law.form.inputs:
         found += _moving(law, trained)
     return max(found, key=lambda a: a.energy, default=None)
 
 
 def _still(law: FrictionLaw, trained: TrainedRange) -> list[Attack]:
-    found = []
-    for wanted, load in product(FREQUENCIES, loads_of(law, trained)):
-        motions = closed_motions(trained, np.multiply(AMPLITUDES, trained.speed), wanted)
-        t: Array = trained.sample_time * np.arange(motions.dq.size, dtype=float)
-        tau = _run(law, t, motions.dq.ravel(), motions.q.ravel(), np.full(t.shape, load))
-        found += [
-            Attack(energy=-c.work, amplitude=c.amplitude, frequency=c.frequency, mean=load)
-            for c in cycles(motions, load, tau.reshape(motions.dq.shape))
-            if c.work < 0.0 and c.share < -_LEAST
-        ]
-    return found
+    amplitudes, loads = np.multiply(AMPLITUDES, trained.speed), loads_of(law, trained)
+    return [
+        Attack(energy=-c.work, amplitude=c.amplitude, frequency=c.frequency, mean=c.tau_load)
+        for response in responses(law, trained, amplitudes, loads, _run)
+        for c in cycles(*response)
+        if c.work < 0.0 and c.share < -_LEAST
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -6,7 +6,7 @@ position alone can drive the joint without generating net energy, so steady slid
 them (`driving`) and without (`driving_both_ways`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 
@@ -57,25 +57,22 @@ class Audit:
     explodes: bool
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Response:
-    motions: ClosedMotions
-    tau_load: float
-    tau: Array
+Run = Callable[[FrictionLaw, Array, Array, Array, Array], Array]
+"""Torque of a law for t, dq, q and load, all (N,)."""
+Response = tuple[ClosedMotions, float, Array]
+"""Motions, their constant load and the torque (A, K)."""
 
 
 def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
     """Audit the law of one joint; raises SimulationError if its torque is not finite in range."""
     loads = loads_of(law, trained)
-    responses = list(_responses(law, trained, np.multiply(AMPLITUDES, trained.speed), loads))
-    largest = _largest(responses)
+    found = list(responses(law, trained, np.multiply(AMPLITUDES, trained.speed), loads))
+    largest = _largest(found)
     if not isfinite(largest):
         raise SimulationError(f"law '{law.name}': torque is not finite within the trained range.")
     outside = _largest_outside(law, trained)
     driving, both_ways = _steady(law, trained, loads)
-    cycle = min(
-        (c for r in responses for c in cycles(r.motions, r.tau_load, r.tau)), key=lambda c: c.work
-    )
+    cycle = min((c for response in found for c in cycles(*response)), key=lambda c: c.work)
     generating = cycle if cycle.work < 0.0 else None
     jump, slope = _at_rest(law, trained, loads, 0.0)
     _, slope_of_step = _at_rest(law, trained, loads, trained.sample_time)
@@ -109,33 +106,37 @@ def loads_of(law: FrictionLaw, trained: TrainedRange, reach: float = 1.0) -> tup
     return tuple(sorted({low - beyond, smallest, high + beyond}))
 
 
-def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: float | Array) -> Array:
+def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: Array) -> Array:
     """Predict without warnings; an overflow is a result here."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return predict(law, t=t, dq=dq, q=q, tau_load=np.broadcast_to(load, t.shape))
+        return predict(law, t=t, dq=dq, q=q, tau_load=load)
 
 
-def _responses(
-    law: FrictionLaw, trained: TrainedRange, amplitudes: Array, loads: Sequence[float]
-) -> Iterator[_Response]:
+def responses(
+    law: FrictionLaw,
+    trained: TrainedRange,
+    amplitudes: Array,
+    loads: Sequence[float],
+    run: Run = _run,
+) -> Iterator[Response]:
     """Yield responses to cycles of every frequency and load, with all amplitudes in one run."""
     for wanted in FREQUENCIES:
         motions = closed_motions(trained, amplitudes, wanted)
         t: Array = trained.sample_time * np.arange(motions.dq.size, dtype=float)
         for load in loads:
-            tau = _run(law, t, motions.dq.ravel(), motions.q.ravel(), load)
-            yield _Response(motions=motions, tau_load=load, tau=tau.reshape(motions.dq.shape))
+            tau = run(law, t, motions.dq.ravel(), motions.q.ravel(), np.full(t.shape, load))
+            yield motions, load, tau.reshape(motions.dq.shape)
 
 
-def _largest(responses: Sequence[_Response]) -> float:
+def _largest(found: Sequence[Response]) -> float:
     """Return the largest settled |tau|; NaN if any torque is NaN."""
-    return float(np.max([np.max(np.abs(r.tau[:, -r.motions.rows :])) for r in responses]))
+    return float(np.max([np.max(np.abs(tau[:, -motions.rows :])) for motions, _, tau in found]))
 
 
 def _largest_outside(law: FrictionLaw, trained: TrainedRange) -> float:
     amplitudes = trained.speed * np.linspace(1.0, REACH, 3)
     try:
-        return _largest(list(_responses(law, trained, amplitudes, loads_of(law, trained, REACH))))
+        return _largest(list(responses(law, trained, amplitudes, loads_of(law, trained, REACH))))
     except SimulationError:
         return np.inf
 
@@ -196,7 +197,8 @@ def _at_rest(
     t, q = np.array([0.0, dt]), np.full(2, trained.middle)
 
     def difference(speed: float, load: float) -> float:
-        ends = [_run(law, t, np.array([0.0, v]), q, load)[-1] for v in (speed, -speed)]
+        loads = np.full(2, load)
+        ends = [_run(law, t, np.array([0.0, v]), q, loads)[-1] for v in (speed, -speed)]
         return float(ends[0] - ends[1])
 
     near = max((difference(_SMALLER, load) for load in loads), key=abs)
@@ -209,4 +211,4 @@ def _at_rest(
 def _chatter(law: FrictionLaw, trained: TrainedRange, load: float) -> float:
     dq, q, settling = encoder_noise(trained)
     t = trained.sample_time * np.arange(len(dq), dtype=float)
-    return float(np.std(_run(law, t, dq, q, load)[settling:]))
+    return float(np.std(_run(law, t, dq, q, np.full(t.shape, load))[settling:]))

@@ -50,11 +50,13 @@ class Certificate:
     cycle: Attack | None = None  # with net energy
 
 
-_NOT_LINEAR = "what {} is multiplied by depends on inputs or states"
-
-
 class _UnprovenError(Exception):
     """A condition of the proof fails."""
+
+
+def _require(condition: object, otherwise: str) -> None:
+    if not condition:
+        raise _UnprovenError(otherwise)
 
 
 def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
@@ -107,16 +109,16 @@ class _Proof:
             damping += self._element(element)
         rest = self.output.xreplace(states)
         linear = sum(self.output.diff(s) * s for s in states if self.output.has(s))
-        if sympy.expand(self.output - rest - linear) != 0:
-            raise _UnprovenError("the torque is not linear in the states")
+        remainder = sympy.expand(self.output - rest - linear)
+        _require(remainder == 0, "the torque is not linear in the states")
         terms = list(sympy.Add.make_args(sympy.expand_mul(rest)))
         levels = [term for term in terms if TAU_LOAD in term.free_symbols]
         for term in levels:
-            if not never_negative(term / sgn(DQ)):
-                raise _UnprovenError("the load is in the torque itself, not in a bound")
+            braking = never_negative(term / sgn(DQ))
+            _require(braking, "the load is in the torque itself, not in a bound")
             terms.remove(term)
         if levels:
-            self.conditions.append("what rises with the load brakes: its factors are >= 0")
+            self.conditions.append("factors of friction that rises with the load are >= 0")
         waves = [term for term in terms if Q in term.free_symbols]
         self._viscous(sympy.Add(*(t for t in terms if Q not in t.free_symbols)), waves, damping)
         return Certificate(
@@ -134,19 +136,17 @@ class _Proof:
     def _element(self, element: Element) -> float:
         """Return the requirement on f [N.m.s/rad]."""
         x = element.state
-        if self._curved & {x, element.derivative}:  # avoids slow derivatives
-            raise _UnprovenError(_NOT_LINEAR.format(x))
+        linear = f"the factor of {x} depends on inputs or states"
+        _require(not self._curved & {x, element.derivative}, linear)  # avoids slow derivatives
         factor, rate_factor = self.output.diff(x), self.output.diff(element.derivative)
         if factor == 0 and rate_factor == 0:
             return 0.0
-        if not factor.is_number or not rate_factor.is_number:
-            raise _UnprovenError(_NOT_LINEAR.format(x))
+        _require(factor.is_number and rate_factor.is_number, linear)
         force, damper = float(factor), float(rate_factor)
-        if force < 0.0:
-            raise _UnprovenError(f"the factor of {x} is negative, {force:.3g}")
+        _require(force >= 0.0, f"the factor of {x} is negative, {force:.3g}")
         if isinstance(element, Stop):
-            if element.velocity != DQ or damper != 0.0:
-                raise _UnprovenError(f"{x} is a stop that the joint's velocity alone does not move")
+            own = element.velocity == DQ and damper == 0.0
+            _require(own, f"the velocity of the stop {x} is not that of the joint")
             k = force * float(element.deflection) / 2.0
             self.conditions.append(
                 f"F({x}) = {force:.3g} >= 0, bound {text_of(element.bound)} >= 0"
@@ -162,14 +162,15 @@ class _Proof:
     def _bristle(self, element: Relaxation, force: float) -> float:
         x = element.state
         gain = sympy.simplify(element.drive / DQ)
-        if not gain.is_number or float(gain) <= 0.0:
-            raise _UnprovenError(f"the drive of {x} is not proportional to the velocity")
-        if element.rate.free_symbols <= {DQ}:
+        proportional = gain.is_number and float(gain) > 0.0
+        _require(proportional, f"the drive of {x} is not proportional to the velocity")
+        inputs = element.rate.free_symbols
+        if inputs <= {DQ}:
             rate = _values(element.rate, np.concatenate([-SPEEDS[::-1], SPEEDS]))
-            if rate.min() < 0.0:
-                raise _UnprovenError(f"the rate of {x} is negative at some speed")
-        elif not (element.rate.free_symbols <= {DQ, TAU_LOAD} and never_negative(element.rate)):
-            raise _UnprovenError(f"the rate of {x} depends on more than velocity and load")
+            _require(rate.min() >= 0.0, f"the rate of {x} is negative at some speed")
+        else:
+            known = inputs <= {DQ, TAU_LOAD} and never_negative(element.rate)
+            _require(known, f"the rate of {x} depends on more than velocity and load")
         self.conditions.append(f"F({x}) = {force:.3g} >= 0, rate of {x} >= 0")
         if self.law.discretisation != "exact":
             self.step = None
@@ -179,43 +180,42 @@ class _Proof:
         """Return d (max k / min k - 1) for the rate |v| k(v), by Barabanov and Ortega."""
         if not isinstance(element, Relaxation) or damper < 0.0:
             raise _UnprovenError(f"the factor of {element.derivative} is negative, {damper:.3g}")
-        if TAU_LOAD in element.rate.free_symbols:
-            raise _UnprovenError(f"the rate of {element.name} with damping depends on the load")
+        constant = TAU_LOAD not in element.rate.free_symbols
+        _require(constant, f"the rate of {element.name} with damping depends on the load")
         speeds = SPEEDS[1:]
         k = np.concatenate([_values(element.rate, s * speeds) / speeds for s in (1.0, -1.0)])
-        if k.min() <= 0.0:
-            raise _UnprovenError(f"{element.name} has no steady deflection at some speed")
+        _require(k.min() > 0.0, f"{element.name} has no steady deflection at some speed")
         self.step = None
         return damper * (float(k.max() / k.min()) - 1.0) * float(element.drive.diff(DQ))
 
     def _viscous(self, steady: sympy.Expr, waves: list[sympy.Expr], damping: float) -> None:
         speeds = SPEEDS[1:]
-        if not steady.free_symbols <= {DQ}:
-            raise _UnprovenError("the torque beside the states depends on more than the velocity")
+        own = steady.free_symbols <= {DQ}
+        _require(own, "the torque without states depends on more than the velocity")
         ahead, back = _values(steady, speeds), _values(steady, -speeds)
         # A constant offset between forward and backward torques does no work over a closed path.
         low, high = float(back.max()), float(ahead.min())
         scale = max(float(np.abs([ahead, back]).max()), 1e-12)
-        if low > high + _ROUNDING * scale:
-            v = (speeds[ahead.argmin()], speeds[back.argmax()])
-            raise _UnprovenError(
-                f"ahead at {v[0]:.3g} rad/s friction is {low - high:.3g} N.m less than back at "
-                f"{v[1]:.3g} rad/s"
-            )
+        v = (speeds[ahead.argmin()], speeds[back.argmax()])
+        _require(
+            low <= high + _ROUNDING * scale,
+            f"ahead at {v[0]:.3g} rad/s friction is {low - high:.3g} N.m less than back at "
+            f"{v[1]:.3g} rad/s",
+        )
         least = low if low == high else float(_values(steady, np.zeros(1))[0])
         offset = min(max(least, low), high)
         f = np.minimum(ahead - offset, offset - back) / speeds
         known = float(f.min())
-        if f.min() < -_ROUNDING * scale:
-            raise _UnprovenError(f"viscous friction is negative, {known:.3g} N.m.s/rad")
+        positive_f = known >= -_ROUNDING * scale
+        _require(positive_f, f"viscous friction is negative, {known:.3g} N.m.s/rad")
         self.conditions.append(f"f(v) >= {max(known, 0.0):.3g} N.m.s/rad at all speeds")
         if damping > 0.0:
-            if np.min(f - damping) < -_ROUNDING * damping:
-                raise _UnprovenError(
-                    f"Barabanov and Ortega ask for {damping:.3g} N.m.s/rad of viscous friction, "
-                    f"there is {known:.3g}"
-                )
-            self.conditions.append(f"of which Barabanov and Ortega ask for {damping:.3g}")
+            _require(
+                np.min(f - damping) >= -_ROUNDING * damping,
+                f"Barabanov and Ortega require {damping:.3g} N.m.s/rad of viscous friction, "
+                f"found {known:.3g}",
+            )
+            self.conditions.append(f"Barabanov and Ortega require {damping:.3g} of it")
         need = np.full_like(f, damping)
         if waves:
             need += self._ripple(waves, f - damping)
@@ -227,23 +227,22 @@ class _Proof:
         for term in waves:
             wave = next(iter(term.atoms(sympy.cos, sympy.sin)), None)
             if wave is None or len(term.atoms(sympy.cos, sympy.sin)) != 1:
-                raise _UnprovenError("the torque of position is no sum of waves")
+                raise _UnprovenError("the torque of position is not a sum of waves")
             argument, factor = wave.args[0], term / wave
             n = argument.diff(Q)
             lag = -argument.subs({DT: 0, Q: 0}).diff(DQ)
-            if not n.is_number or float(n) == 0.0 or not (lag / n).is_number:
-                raise _UnprovenError("the argument of a wave is not linear in angle and speed")
-            means = list(factor.atoms(cardinal_sine))
+            linear = n.is_number and float(n) != 0.0 and (lag / n).is_number
+            _require(linear, "the argument of a wave is not linear in angle and speed")
             window = -1.0
-            if means:
-                window = _window(means[0])
-                factor = factor / means[0]
+            for mean in factor.atoms(cardinal_sine):
+                window = _window(mean)
+                factor = factor / mean
             amplitude, smoothing = factor, 0.0
             if not factor.is_number:
                 amplitude = factor.subs(DQ, 0)
                 slow = sympy.simplify((amplitude / factor - 1) / DQ**2)
-                if not (amplitude.is_number and slow.is_number and slow >= 0):
-                    raise _UnprovenError("the amplitude of a wave is no smoothed one")
+                smoothed = amplitude.is_number and slow.is_number and slow >= 0
+                _require(smoothed, "the amplitude of a wave is not a smoothed one")
                 smoothing = float(sympy.sqrt(slow)) / abs(float(n))
             key = (abs(float(n)), float(lag / n), smoothing, window)
             found.setdefault(key, []).append(float(amplitude))
@@ -253,8 +252,7 @@ class _Proof:
         ]
         any_step = all(window >= 0.0 for *_, window in groups)
         steps = [h for h in ([inf] if any_step else _STEPS) if _holds(groups, f, float(h))]
-        if not steps:
-            raise _UnprovenError("ripple that lags gives more than viscous friction takes")
+        _require(steps, "lagging ripple generates more energy than viscous friction dissipates")
         step = float(steps[-1])
         self.step = None if self.step is None else min(self.step, step)
         self.conditions.append(
@@ -300,6 +298,5 @@ def _window(mean: sympy.Expr) -> float:
 def _values(expression: sympy.Expr, speeds: Array) -> Array:
     with np.errstate(all="ignore"):
         found = np.broadcast_to(lowered([DQ], [expression])(speeds)[0], speeds.shape)
-    if not np.all(np.isfinite(found)):
-        raise _UnprovenError("the law is no number at some speeds")
+    _require(np.all(np.isfinite(found)), "the law is not finite at some speeds")
     return np.asarray(found, dtype=float)

@@ -13,9 +13,10 @@ from typing import Literal
 
 import numpy as np
 
+from hesr_model.fitting.joint_rows import log_of_rows
 from hesr_model.logs.phases import MOVING
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.support.arrays import Array
+from hesr_model.support.arrays import Array, Integers
 
 Nuisance = Literal["offset", "level"]
 
@@ -36,21 +37,14 @@ def own_of_logs(
 ) -> dict[str, OwnOfLog]:
     """Estimate the nuisances of each log of a joint by name; a single log has none."""
     logs = list(dict.fromkeys(record.log for record in records))
-    if len(logs) < 2 or not wanted:
-        return {log: OwnOfLog() for log in logs}
-    of_log = {log: [record for record in records if record.log == log] for log in logs}
-    columns = {log: np.concatenate([_coarse(r.dq) for r in own]) for log, own in of_log.items()}
-    torque = {log: np.concatenate([r.tau for r in own]) for log, own in of_log.items()}
-    own = dict.fromkeys(logs, OwnOfLog())
-    for _ in range(_ROUNDS):
-        law = _law(columns, torque, own)
-        predicted = {log: columns[log] @ law for log in logs}
-        own = _normalised(
-            {log: own_of_log(predicted[log], torque[log], wanted) for log in logs},
-            {log: len(torque[log]) for log in logs},
-            wanted,
-        )
-    return own
+    own = [OwnOfLog() for _ in logs]
+    if len(logs) > 1 and wanted:
+        log, columns, torque = log_of_rows(records), _coarse(records), _torque(records)
+        for _ in range(_ROUNDS):
+            level, offset = _of_rows(own, log)
+            law = np.linalg.lstsq(level[:, None] * columns, torque - offset, rcond=None)[0]
+            own = _normalised(_fitted(columns @ law, torque, log, wanted), np.bincount(log), wanted)
+    return dict(zip(logs, own, strict=True))
 
 
 def without_own(
@@ -67,31 +61,31 @@ def with_own(
     predicted: Sequence[Array], records: Sequence[FrictionRecord], wanted: Sequence[Nuisance]
 ) -> list[Array]:
     """Return predictions (N,) [N.m] with fitted nuisances of each log; these are not blind."""
-    logs = list(dict.fromkeys(record.log for record in records))
-    found = {}
-    for log in logs:
-        of_log = [k for k, record in enumerate(records) if record.log == log]
-        found[log] = own_of_log(
-            np.concatenate([predicted[k] for k in of_log]),
-            np.concatenate([records[k].tau for k in of_log]),
-            wanted,
-        )
-    return [
-        found[record.log].level * torque + found[record.log].offset
-        for torque, record in zip(predicted, records, strict=True)
-    ]
+    log, whole = log_of_rows(records), np.concatenate(predicted)
+    own = _fitted(whole, _torque(records), log, wanted)
+    ends = np.cumsum([len(torque) for torque in predicted])
+    level, offset = _of_rows(own, log)
+    return np.split(level * whole + offset, ends[:-1])
 
 
-def _coarse(dq: Array) -> Array:
+def _coarse(records: Sequence[FrictionRecord]) -> Array:
+    dq = np.concatenate([r.dq for r in records])
     return np.column_stack([np.tanh(dq / MOVING), dq, np.ones_like(dq)])
 
 
-def _law(
-    columns: Mapping[str, Array], torque: Mapping[str, Array], own: Mapping[str, OwnOfLog]
-) -> Array:
-    rows = np.concatenate([own[log].level * columns[log] for log in columns])
-    target = np.concatenate([torque[log] - own[log].offset for log in columns])
-    return np.asarray(np.linalg.lstsq(rows, target, rcond=None)[0])
+def _torque(records: Sequence[FrictionRecord]) -> Array:
+    return np.concatenate([r.tau for r in records])
+
+
+def _of_rows(own: Sequence[OwnOfLog], log: Integers) -> Array:
+    return np.array([[o.level, o.offset] for o in own])[log].T
+
+
+def _fitted(
+    predicted: Array, torque: Array, log: Integers, wanted: Sequence[Nuisance]
+) -> list[OwnOfLog]:
+    rows = (log == k for k in range(log[-1] + 1))
+    return [own_of_log(predicted[own], torque[own], wanted) for own in rows]
 
 
 def own_of_log(predicted: Array, torque: Array, wanted: Sequence[Nuisance]) -> OwnOfLog:
@@ -106,12 +100,10 @@ def own_of_log(predicted: Array, torque: Array, wanted: Sequence[Nuisance]) -> O
 
 
 def _normalised(
-    own: Mapping[str, OwnOfLog], rows: Mapping[str, int], wanted: Sequence[Nuisance]
-) -> dict[str, OwnOfLog]:
+    own: Sequence[OwnOfLog], rows: Integers, wanted: Sequence[Nuisance]
+) -> list[OwnOfLog]:
     """Normalise to the mean log: level 1 and offset 0."""
-    weights = np.array(list(rows.values())) / sum(rows.values())
-    level = float(weights @ [o.level for o in own.values()]) if "level" in wanted else 1.0
-    offset = float(weights @ [o.offset for o in own.values()]) if "offset" in wanted else 0.0
-    return {
-        log: OwnOfLog(level=o.level / level, offset=o.offset - offset) for log, o in own.items()
-    }
+    weights = rows / rows.sum()
+    level = float(weights @ [o.level for o in own]) if "level" in wanted else 1.0
+    offset = float(weights @ [o.offset for o in own]) if "offset" in wanted else 0.0
+    return [OwnOfLog(level=o.level / level, offset=o.offset - offset) for o in own]

@@ -131,29 +131,29 @@ def broken(**changed: float) -> FrictionLaw:
     [
         (broken(F_1=-0.1), "the factor of x_1 is negative"),
         (broken(sigma_2=-0.5), "friction is"),
-        (law_of("lugre", **LUGRE | {"sigma_1": 10.0}), "Barabanov and Ortega ask for"),
+        (law_of("lugre", **LUGRE | {"sigma_1": 10.0}), "Barabanov and Ortega require"),
         (
             own(
                 TAU_LOAD * sympy.Symbol("x", real=True),
                 Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=1),
             ),
-            "what x is multiplied by",
+            "the factor of x depends on",
         ),
         (
             own(
                 sympy.Symbol("x", real=True) ** 2,
                 Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=1),
             ),
-            "what x is multiplied by",
+            "the factor of x depends on",
         ),
         (
             own(
                 sympy.Symbol("x", real=True),
                 Stop(name="x", unit="1", velocity=-DQ, deflection=1e-3, bound=1),
             ),
-            "a stop that the joint's velocity alone",
+            "the velocity of the stop",
         ),
-        (own(Q * DQ), "no sum of waves"),
+        (own(Q * DQ), "not a sum of waves"),
         (own(DQ + TAU_LOAD), "the load is in the torque itself"),
     ],
 )
@@ -213,7 +213,7 @@ def test_the_amplitude_of_ripple_may_fall_with_speed_as_a_filter_has_it() -> Non
         for amplitude in (1 + 4 * DQ**2, 1 + DQ)
     )
     assert filtered.verdict == "proven"
-    assert "no smoothed one" in other.rests_on[0]
+    assert "not a smoothed one" in other.rests_on[0]
 
 
 @pytest.mark.parametrize("dt", [1e-4, 0.004, 0.05, 2.0])

@@ -21,8 +21,8 @@ from hesr_model.support.arrays import Array
 MAX_CENTRES = 40  # runs in microseconds
 FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # widths, in mean distances of the centres
 RIDGES = tuple(float(x) for x in 10.0 ** np.arange(-8, -1))
-"""Ridges, added to the mean square of Gaussians with peak 1. Smaller ones give weights whose sum loses
-digits.
+"""Ridges, added to the mean square of Gaussians with peak 1. Smaller ones give weights so large
+that their sum loses digits.
 """
 CLUSTERED_ROWS = 2400  # for k-means
 
