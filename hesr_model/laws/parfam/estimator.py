@@ -1,7 +1,7 @@
 """ParFam-H: the symbolic friction law of the paper, found in three stages."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -24,22 +24,13 @@ COEFFICIENTS = 11  # alpha, beta, 4 linear, gain, 4 of the argument
 
 
 @register
+@dataclass(kw_only=True, eq=False)
 class ParFamH(Estimator):
     """tau = Q(v, h, h', g(Q(v, h, h'))) with polynomials of degree one (eq. 11).
 
     Stage 1 profiles (alpha, beta); stage 2 searches the unit's argument at the best of them; stage
     3 runs Levenberg-Marquardt over all coefficients, prunes insignificant ones, and selects the
     candidate that predicts left-out logs best.
-
-    Parameters
-    ----------
-    search : "projection" is variable projection from many starts; "paper" the geometric stage 1 and
-        basin hopping with L1 (eq. 12).
-    functions : candidate functions g; sin includes cos, which has another offset.
-    cells, starts : number of (alpha, beta), and of random starts for each of them and each g.
-    candidates : number of laws of each g for stage 3.
-    units : maximum number of units g, 1 or 2.
-    denominator : True to try a denominator, which is slow and rarely helps.
     """
 
     name = "parfam_h"
@@ -53,45 +44,35 @@ class ParFamH(Estimator):
         "units": [{"g": "tanh", "arguments": list(family.FEATURES)}],
     }
 
-    def __init__(
-        self,
-        *,
-        search: Literal["projection", "paper"] = "projection",
-        functions: Sequence[str] = ("tanh", "sin", "exp"),
-        discretisation: Discretisation = "exact",
-        cells: int = 10,
-        starts: int = 16,
-        candidates: int = 8,
-        units: int = 1,
-        denominator: bool = False,
-    ) -> None:
-        unknown = sorted(set(functions) - set(family.FUNCTIONS))
+    search: Literal["projection", "paper"] = "projection"  # paper: geometric stage 1 and eq. 12
+    functions: Sequence[str] = ("tanh", "sin", "exp")  # candidates g; sin includes cos
+    discretisation: Discretisation = "exact"
+    cells: int = 10  # number of (alpha, beta)
+    starts: int = 16  # random ones for each of them and each g
+    candidates: int = 8  # laws of each g for stage 3
+    units: int = 1  # at most, 1 or 2
+    denominator: bool = False  # slow and rarely helps
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.functions) - set(family.FUNCTIONS))
         if unknown:
             known = ", ".join(family.FUNCTIONS)
             raise FitError(f"ParFam function '{unknown[0]}' is unknown; known are {known}.")
-        if search == "paper" and not functions:
+        if self.search == "paper" and not self.functions:
             raise FitError("ParFam option 'functions' is empty; the paper's search needs one.")
         for option, found, allowed in (
-            ("search", search, ("projection", "paper")),
-            ("discretisation", discretisation, ("exact", "euler")),
-            ("units", units, (1, 2)),
+            ("search", self.search, ("projection", "paper")),
+            ("discretisation", self.discretisation, ("exact", "euler")),
+            ("units", self.units, (1, 2)),
         ):
             if found not in allowed:
                 raise FitError(
                     f"ParFam option '{option}' is {found!r}; allowed are "
                     f"{', '.join(map(str, allowed))}."
                 )
-        for option, count in (("cells", cells), ("starts", starts), ("candidates", candidates)):
-            if count < 1:
+        for option in ("cells", "starts", "candidates"):
+            if (count := getattr(self, option)) < 1:
                 raise FitError(f"ParFam option '{option}' is {count}; needed is at least 1.")
-        self.units = units
-        self.denominator = denominator
-        self.search = search
-        self.functions = tuple(functions)
-        self.discretisation = discretisation
-        self.cells = cells
-        self.starts = starts
-        self.candidates = candidates
 
     @staticmethod
     def form(structure: Mapping[str, Any]) -> LawForm:

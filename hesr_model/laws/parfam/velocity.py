@@ -1,6 +1,7 @@
 """ParFam-V: ablation of the paper, a symbolic law of velocity alone."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,12 +21,9 @@ _ROWS = 1200
 
 
 @register
+@dataclass(kw_only=True, eq=False)
 class ParFamV(Described):
-    """tau = c . (1, v) + c_g g(theta . (1, v))  (eq. 11 with x = v).
-
-    `starts` counts the random starts for each of the `functions` g, and the steep ones, since
-    friction jumps at rest.
-    """
+    """tau = c . (1, v) + c_g g(theta . (1, v))  (eq. 11 with x = v)."""
 
     name = "parfam_v"
     title = "ParFam-V"
@@ -36,9 +34,8 @@ class ParFamV(Described):
         "units": [{"g": "tanh", "arguments": ["1", "dq"]}],
     }
 
-    def __init__(self, *, functions: Sequence[str] = ("tanh", "sin"), starts: int = 16) -> None:
-        self.functions = tuple(functions)
-        self.starts = starts
+    functions: Sequence[str] = ("tanh", "sin")  # candidates g
+    starts: int = 16  # random ones per g, and as many steep ones, since friction jumps at rest
 
     @staticmethod
     def core(structure: Mapping[str, Any]) -> LawForm:

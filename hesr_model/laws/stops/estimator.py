@@ -1,7 +1,7 @@
 """ParFam-S: stops with symbolic bounds, fitted by signed least squares and cross-validation."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,11 +21,9 @@ from hesr_model.support.typed_json import to_json
 WINDOW = 1.5  # step without averaging of ripple, in sample times
 
 
+@dataclass(kw_only=True, eq=False)
 class _Stops(Estimator):
-    """Stops with expressions as bounds; no part generates energy.
-
-    `skeleton_only` skips the search and returns its baseline.
-    """
+    """Stops with expressions as bounds; no part generates energy."""
 
     load: ClassVar[bool] = False
     ripple: ClassVar[bool] = False
@@ -35,8 +33,7 @@ class _Stops(Estimator):
         "viscous": ["1", "b"],
     }
 
-    def __init__(self, *, skeleton_only: bool = False) -> None:
-        self.skeleton_only = skeleton_only
+    skeleton_only: bool = False  # skip the search
 
     @staticmethod
     def form(structure: Mapping[str, Any]) -> LawForm:
