@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,32 +47,20 @@ class Described(Estimator):
 
     def finish(self, structure: Mapping[str, Any], problem: Separable, point: Array) -> FrictionLaw:
         """Return the law at a point of a core's problem, with ripple if it lowers the error."""
-        complete = dict(structure)
-        samples = problem.samples
+        complete, samples, chosen = dict(structure), problem.samples, None
         if self.ripple and samples.gear_ratio is not None:
-            chosen = ripple.select(
-                problem.columns(point), samples, samples.gear_ratio, samples.folds
-            )
-            if chosen is not None:
-                waves, (lag, smoothing) = chosen
-                complete["ripple"] = to_json(waves)
-                numbers = dict(zip(problem.space.names, problem.numbers(point), strict=True))
-                problem = Separable(
-                    waves.extend(problem.form), waves.extend_space(problem.space), samples
-                )
-                point = problem.polish(
-                    problem.point(
-                        {**numbers, ripple.LAG.name: lag, ripple.SMOOTHING.name: smoothing}
-                    )
-                )
-        unknowns, _ = problem.solve(point)
-        return FrictionLaw(
-            name=self.name,
-            structure=complete,
-            form=problem.form,
-            values=problem.values(point, unknowns),
-            start_samples=self.start_samples,
-        )
+            columns = problem.columns(point)
+            chosen = ripple.select(columns, samples, samples.gear_ratio, samples.folds)
+        if chosen:
+            waves, times = chosen
+            complete["ripple"] = to_json(waves)
+            numbers = problem.named(point)
+            numbers |= zip((ripple.LAG.name, ripple.SMOOTHING.name), times, strict=True)
+            space = waves.extend_space(problem.space)
+            problem = Separable(waves.extend(problem.form), space, samples)
+            point = problem.polish(problem.point(numbers))
+        law = problem.law(point, self.name, complete)
+        return replace(law, start_samples=self.start_samples)
 
 
 class OneForm(Described):

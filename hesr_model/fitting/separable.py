@@ -7,6 +7,7 @@ coefficients the linear ones follow by least squares (variable projection, Golub
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import sympy
@@ -17,7 +18,7 @@ from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Discretisation
 from hesr_model.fitting.joint_rows import JointRows, in_one_piece, non_negative_least_squares
 from hesr_model.friction.inputs import INPUTS
-from hesr_model.friction.law import LawForm
+from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.progress import step
 
@@ -70,13 +71,16 @@ class Separable:
         self._kernel = _kernel(form, space)
         limits = np.array([limits for _, limits in space.bounds]).reshape(-1, 2)
         self._logarithmic = limits[:, 0] > 0.0
-        self.bounds = np.where(
-            self._logarithmic[:, None], np.log(np.maximum(limits, 1e-300)), limits
-        )
+        scaled = np.log(np.maximum(limits, 1e-300))
+        self.bounds = np.where(self._logarithmic[:, None], scaled, limits)
 
     def numbers(self, point: Array) -> Array:
         """Return the searched numbers of a point, in the units of the coefficients."""
         return np.where(self._logarithmic, np.exp(np.where(self._logarithmic, point, 0.0)), point)
+
+    def named(self, point: Array) -> dict[str, float]:
+        """Return the searched numbers of a point by name."""
+        return dict(zip(self.space.names, map(float, self.numbers(point)), strict=True))
 
     def point(self, numbers: Mapping[str, float]) -> Array:
         """Return the point of searched numbers, moved inside the bounds."""
@@ -166,8 +170,7 @@ class Separable:
 
     def values(self, point: Array, unknowns: Array) -> dict[str, float]:
         """Return all coefficients of the form by name, from a point and the unknowns of `solve`."""
-        known = dict(zip(self.space.names, self.numbers(point), strict=True))
-        known |= dict(zip(self.space.linear, unknowns, strict=True))
+        known = self.named(point) | dict(zip(self.space.linear, unknowns, strict=True))
         # Ratios of coefficients that are multiples of 0 would be 0 / 0.
         divided = {symbol.name for _, e in self.space.values for symbol in e.free_symbols}
         for name in divided & set(self.space.linear[: self.space.non_negative]):
@@ -175,6 +178,16 @@ class Separable:
         symbols = {sympy.Symbol(name, real=True): value for name, value in known.items()}
         known |= {name: float(e.subs(symbols)) for name, e in self.space.values}
         return {c.name: float(known[c.name]) for c in self.form.coefficients}
+
+    def law(self, point: Array, name: str, structure: Mapping[str, Any]) -> FrictionLaw:
+        """Return the law at a point."""
+        return FrictionLaw(
+            name=name,
+            structure=structure,
+            form=self.form,
+            values=self.values(point, self.solve(point)[0]),
+            discretisation=self.discretisation,
+        )
 
 
 def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:

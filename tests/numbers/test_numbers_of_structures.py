@@ -37,10 +37,10 @@ def test_a_structure_as_a_problem(
     unchanged(
         {
             "bounds": problem.bounds.tolist(),
-            "numbers": near.numbers,
+            "numbers": problem.named(middle),
             "values": near.law().values,
             "left out": trial.left_out(near),
-            "of others": more.numbers.get("kappa", 0.0),
+            "of others": more.problem.named(more.point).get("kappa", 0.0),
             "moved": moved,
             "solved": problem.solve(moved),
         },

@@ -55,14 +55,12 @@ def distinct(cells: list[Cell], count: int) -> list[Cell]:
     """Return the best `count` cells that are local minima first, then the next best."""
     from scipy.ndimage import minimum_filter  # slow to import
 
-    by_place = {(round(np.log(c.alpha), 6), round(np.log(c.beta), 6)): c for c in cells}
-    alphas = sorted({a for a, _ in by_place})
-    betas = sorted({b for _, b in by_place})
-    cost = np.array([[by_place[a, b].cost for b in betas] for a in alphas])
+    costs = {(c.alpha, c.beta): c.cost for c in cells}
+    alphas, betas = (sorted(set(own)) for own in zip(*costs, strict=True))
+    cost = np.array([[costs[a, b] for b in betas] for a in alphas])
     lowest = minimum_filter(cost, size=3, mode="nearest")
-    minimum = {(alphas[i], betas[j]) for i, j in np.argwhere(cost <= lowest)}
-    here = {id(by_place[place]) for place in minimum}
-    return sorted(cells, key=lambda c: (id(c) not in here, c.cost))[:count]
+    minima = {(alphas[i], betas[j]) for i, j in np.argwhere(cost <= lowest)}
+    return sorted(cells, key=lambda c: ((c.alpha, c.beta) not in minima, c.cost))[:count]
 
 
 def geometric(features: HysteresisFeatures) -> tuple[float, float]:

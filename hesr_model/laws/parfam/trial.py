@@ -37,30 +37,18 @@ class Trial:
     problem: Separable
     point: Array
 
-    @property
-    def numbers(self) -> dict[str, float]:
-        """Searched numbers by name."""
-        values = self.problem.numbers(self.point)
-        return dict(zip(self.problem.space.names, map(float, values), strict=True))
-
     def changed(self, structure: Mapping[str, Any], more: Mapping[str, float]) -> "Trial":
         """Return the trial of another structure, polished from these numbers and `more`."""
         problem = pose(structure, self.problem.samples, self.problem.discretisation)
-        known = dict.fromkeys(problem.space.names, 0.0) | self.numbers | dict(more)
+        known = (
+            dict.fromkeys(problem.space.names, 0.0) | self.problem.named(self.point) | dict(more)
+        )
         point = problem.polish(problem.point({n: known[n] for n in problem.space.names}))
         return Trial(structure=structure, problem=problem, point=point)
 
     def law(self) -> FrictionLaw:
         """Return the law at the point."""
-        unknowns, _ = self.problem.solve(self.point)
-        values = self.problem.values(self.point, unknowns)
-        return FrictionLaw(
-            name="trial",
-            structure=self.structure,
-            form=self.problem.form,
-            values=values,
-            discretisation=self.problem.discretisation,
-        )
+        return self.problem.law(self.point, "trial", self.structure)
 
 
 def pose(
