@@ -99,8 +99,8 @@ def record(
     first, count = round(unlogged * rate), round(trajectory.duration * rate)
     if count - first < 2:
         raise ConfigError(
-            f"motion '{name}': lasts {trajectory.duration:g} s of which {unlogged:g} s are not "
-            f"logged; at least two samples at {rate:g} Hz must be left."
+            f"motion '{name}': {unlogged:g} of {trajectory.duration:g} s are not logged; at least "
+            f"two samples at {rate:g} Hz must remain."
         )
     desired = trajectory.sample(np.arange(count + 1) / rate)[0]
     joints = arm.plant.joints

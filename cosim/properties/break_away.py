@@ -76,8 +76,8 @@ def _broken(peaks: Array, ways: Array, level: float) -> PropertyResult:
         wrong.append("Nothing has to be broken away: the law drives the joint.")
     elif ways[0] > _CREEPS * ways[1]:
         wrong.append(
-            "There is no break-away: the joint gives way from the first torque on, by half the "
-            f"torque on the slowest ramp {ways[0] / ways[1]:.2g} times as far as on the next."
+            "No break-away: the joint creeps, by half the torque "
+            f"{ways[0] / ways[1]:.2g} times as far on the slowest ramp as on the next."
         )
     if peaks[0] > 0.0 and fall < FALLS:
         wrong.append(

@@ -146,7 +146,7 @@ def _slid(fast: Array, slow: Array, amplitude: float) -> PropertyResult:
     if area <= 0.0:
         wrong.append("The loop gives energy.")
     if share > _AT_ONCE:
-        wrong.append("There is no pre-sliding: the torque turns around at once.")
+        wrong.append("No pre-sliding: the torque turns around at once.")
     elif share > SMOOTH:
         wrong.append(f"The torque jumps by {share:.0%} of the loop's height at a reversal.")
     if stiffness < 0.0:
@@ -199,8 +199,8 @@ def _remembered(
         wrong.append(f"The inner loop is as high as the outer one ({depth:.0%}): nothing is kept.")
     if max(miss, onwards) > CLOSED:
         wrong.append(
-            f"The inner loop misses its beginning by {miss:.1%} of the outer one's height, "
-            f"and what follows is off by up to {onwards:.1%}."
+            f"The inner loop misses its start by {miss:.1%} of the outer height, the branch after "
+            f"it by up to {onwards:.1%}."
         )
     if wrong and states == 1:
         wrong.append("One first-order state cannot have non-local memory.")

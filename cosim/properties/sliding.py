@@ -102,7 +102,7 @@ def _lagging(dq: Array, fast: Array, slow: Array, level: float) -> PropertyResul
     slope = np.gradient(mean, dq[accelerating])
     wrong = []
     if width == 0.0:
-        wrong.append("There is no lag: the torque follows the velocity at once.")
+        wrong.append("No lag: the torque follows the velocity at once.")
     else:
         if abs(width) < WIDTH * level:
             wrong.append(f"The branches are only {abs(width) / level:.2%} of the level apart.")

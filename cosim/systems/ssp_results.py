@@ -51,7 +51,7 @@ there are results for each:
 def result_files(contents: SystemContents) -> dict[str, bytes]:
     """Return the members of an SSP's folder `extra/`.
 
-    There are none if an FMU is not trusted or has its own step, without outputs, or if a run fails.
+    It is empty without outputs, if an FMU is not trusted or has its own step, or a run fails.
     """
     spec = contents.spec
     signals = [f"{component}.{output}" for component, output in contents.used]

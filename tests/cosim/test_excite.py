@@ -267,5 +267,5 @@ def test_motion_for_another_number_of_joints_is_refused(arm):
 
 
 def test_motion_that_is_over_before_the_log_begins_is_refused(arm):
-    with pytest.raises(ConfigError, match="lasts 1 s of which 1 s are not logged"):
+    with pytest.raises(ConfigError, match="motion 'short': 1 of 1 s are not logged"):
         record(arm, sine(), 1, name="short", unlogged=1.0)

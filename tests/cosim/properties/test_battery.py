@@ -81,7 +81,7 @@ def test_a_map_of_velocity_has_no_loop_no_memory_and_no_lag(maps: Properties) ->
     for joint in (1, 2):
         assert finding(maps, "presliding", joint).verdict == "fail"
         assert finding(maps, "presliding", joint).reason.startswith(
-            "There is no pre-sliding: the torque turns around at once."
+            "No pre-sliding: the torque turns around at once."
         )
         assert finding(maps, "memory", joint).verdict == "fail"
         assert finding(maps, "memory", joint).figures[0].value is None
@@ -187,7 +187,7 @@ def test_the_break_away_torque_of_bristles_falls_with_the_rate_and_that_of_a_map
     assert 8.0 < fast < slow < 12.0
     assert value(maps, "breakaway", 1, figure=1) == pytest.approx(12.0, rel=1e-3)
     assert finding(maps, "breakaway", 1).reason == "It does not fall with the rate."
-    assert finding(maps, "breakaway", 2).reason.startswith("There is no break-away: ")
+    assert finding(maps, "breakaway", 2).reason.startswith("No break-away: ")
 
 
 def test_only_a_curve_that_falls_sticks_and_slips(bristles: Properties, maps: Properties) -> None:
