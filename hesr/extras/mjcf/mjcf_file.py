@@ -64,6 +64,10 @@ class Projection:
         """Whether the MJCF equals the model except for round-off."""
         return all(joint.missing is None for joint in self.joints)
 
+    def lines(self) -> list[str]:
+        """Return a line per joint, which `hesr export` prints."""
+        return [str(joint) for joint in self.joints]
+
 
 def export_mjcf_law(
     model: FrictionModel, path: Path, *, project: bool = False, progress: Progress = silent
@@ -126,7 +130,7 @@ def _document(
         "law": f"{model.law} of {model.robot}, made at {model.sample_time:g} s, by HESR "
         f"{version('hesr')}",
         "provenance": json.dumps(dict(model.provenance), sort_keys=True),
-        "error": "; ".join(map(str, report.joints)),
+        "error": "; ".join(report.lines()),
     }
     for name, text in texts.items():
         name = quoteattr(f"{model.robot}_friction_{name}")
