@@ -1,13 +1,13 @@
 """Alternative plants: the arm of a digital twin with other friction than that of its MJCF.
 
-The bristles of an MJCF favour bristle laws. Its passive dcmotor elements are replaced by dry
-friction of variable level and, optionally, by an elastic transmission:
+The bristles of an MJCF favour bristle laws. Dry friction of variable level and, optionally, an
+elastic transmission replace its passive dcmotor elements:
 
     rotor  --elastic with dead band, in parallel with yielding elements-->  link
     I r'' = servo - level(load) sgn(r') - damping r' - torsion              (dry friction sticks)
 
-The rotor takes the joint's name: servo, encoder and measured torque are on its side, as in most
-arms. Rigid-body motion and gravity compensation are those of the link.
+As in most arms, servo, encoder and measured torque are those of the rotor, which takes the joint's
+name; rigid-body motion and gravity compensation are those of the link.
 """
 
 from collections.abc import Iterable
@@ -55,11 +55,7 @@ class GearElasticity(Config):
 
 
 class Truth(Config):
-    """Friction that replaces that of the MJCF.
-
-    With a transmission, losses and `viscous` [N.m.s/rad] act at the rotors; otherwise at the
-    joints.
-    """
+    """Friction, at the joints or the rotors of a transmission; `viscous` is in N.m.s/rad."""
 
     losses: Losses
     viscous: tuple[NotNegative, ...]
@@ -127,7 +123,7 @@ def _link(joint: str) -> str:
 def _divided(
     root: Element, joint: Element, known: Any, i: int, transmission: GearElasticity
 ) -> Element:
-    """Divide a joint into rotor and link; return the rotor's joint, which takes its name.
+    """Divide a joint into rotor and link; return the rotor's joint.
 
     The rotor turns about its own axis; in link coordinates its reaction is that of a gear, up to
     one part in the gear ratio.

@@ -1,4 +1,4 @@
-"""MuJoCo without its clock: its Python package times every stage of every step."""
+"""Clock of MuJoCo: its Python package times every stage of every step."""
 
 import ctypes
 import sys
@@ -15,10 +15,7 @@ _kept: int | None = None
 
 @contextmanager
 def untimed() -> Iterator[None]:
-    """Stop MuJoCo's clock until the last user ends; it takes a sixth of a small arm's step.
-
-    `MjData.timer` does not change meanwhile. Only MuJoCo's Python package sets a clock.
-    """
+    """Stop MuJoCo's clock, a sixth of a small arm's step; `MjData.timer` stays as it is."""
     global _users, _kept
     clock = _clock() if "mujoco" in sys.modules else None
     if clock is None:

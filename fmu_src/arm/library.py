@@ -22,8 +22,8 @@ _SECONDS = 600.0
 class _Wheel:
     """Source of a platform's library: platform tags of wheels, and the file's name pattern.
 
-    The library is put into `place`, relative to the FMU's binary. Without linker flags the
-    component looks it up itself.
+    `place` is relative to the FMU's binary. Without linker flags the component looks the library
+    up.
     """
 
     tags: tuple[str, ...]

@@ -40,7 +40,7 @@ def export_mjcf(
 ) -> Path:
     """Write an MJCF as an FMI 2.0 FMU for co-simulation, simulated by MuJoCo.
 
-    By default its signals are every control and every sensor. MuJoCo for platforms other than this
+    By default its signals are all controls and sensors. MuJoCo for other platforms than this
     machine's comes from the package registry.
     """
     wanted = check_request(path, platforms)
@@ -63,10 +63,9 @@ def model_name(model: Any, path: Path) -> str:
 def arm(
     signals: ArmSignals, *, name: str, source: bytes, platforms: Sequence[str] = ("linux64",)
 ) -> Content:
-    """Return the FMU of a model for folders of binaries.
+    """Return the FMU of a model for folders of binaries; `source` is its MJCF, as documentation.
 
-    The FMU loads the compiled model; the MJCF, `source`, is documentation. Raises ExportError if
-    MuJoCo for a platform is unavailable or the model needs plugins.
+    Raises ExportError if MuJoCo for a platform is unavailable or the model needs plugins.
     """
     model = signals.model
     if model.nplugin:

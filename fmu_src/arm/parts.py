@@ -14,7 +14,7 @@ SCALE, PAYLOAD, LATENCY, SEED = "friction_scale", "payload", "latency", "noise_s
 
 @dataclass(frozen=True)
 class ArmInput:
-    """One input: its controls in the model."""
+    """An input and the controls that it drives."""
 
     name: str
     unit: str
@@ -23,10 +23,7 @@ class ArmInput:
 
 @dataclass(frozen=True)
 class ArmOutput:
-    """One output: its reads are sensor addresses, factors, and whether the friction scale applies.
-
-    `losses` are indices of losses that are added.
-    """
+    """An output: sensor addresses, factors, whether the friction scale applies; added losses."""
 
     name: str
     unit: str
@@ -38,10 +35,9 @@ class ArmOutput:
 
 @dataclass(frozen=True)
 class ArmStart:
-    """Start value: address of a position, and of an activation that balances forces at rest.
+    """A start value: address of a position, and of an activation that balances forces at rest.
 
-    `held` are the degrees of freedom with these forces; `other` is a further position with this
-    start.
+    The degrees of freedom with these forces are `held`; `other` is a further position.
     """
 
     name: str
@@ -56,10 +52,7 @@ class ArmStart:
 
 @dataclass(frozen=True, kw_only=True)
 class Loss:
-    """Dry friction of variable level at a degree of freedom; see `fmu_src.arm.table.Losses`.
-
-    Springs and gravity compensation of the degree of freedom `carrier` are the load.
-    """
+    """Dry friction of variable level (`table.Losses`), loaded by springs, gravity at `carrier`."""
 
     dof: int
     carrier: int
@@ -77,9 +70,9 @@ class Loss:
 class Delay:
     """Delay [s] common to all delayed actuators, from a command until it acts.
 
-    Without interpolation a command acts at the first step after the delay in the model. The time is
-    then in whole steps, and the model gets half a step less: otherwise round-off of summed steps
-    would now and then change it by one step. `longest` is the length of the buffers.
+    Without interpolation a command acts at the first step after the delay. The delay in the model
+    is then half a step less than whole steps, because round-off of summed steps could add or remove
+    one. `longest` is the length of the buffers.
     """
 
     usual: float

@@ -23,10 +23,9 @@ _SENSORS = {
 
 
 class Servo(Config):
-    """The parts of the MJCF that are the servo, one entry per joint.
+    """Servo in the MJCF, one entry per joint: commanded actuators, integral, sensors of torque.
 
-    `commanded` are the actuators with the velocity command; the state of `integral`, one of them,
-    is the integrated command, a position. `torque` are sensors.
+    The integral is a commanded actuator whose state is the integrated command, a position.
     """
 
     commanded: tuple[tuple[str, ...], ...]
@@ -35,10 +34,7 @@ class Servo(Config):
 
 
 class Noise(Config):
-    """White normal measurement noise: standard deviations per joint of torque [N.m], encoder [rad].
-
-    `seed` is that of `hesr_model.logs.noise`.
-    """
+    """Standard deviations of white normal noise per joint: torque [N.m], encoder [rad]."""
 
     seed: int
     torque: tuple[float, ...]
@@ -53,10 +49,9 @@ class Noise(Config):
 
 
 class Plant(Config):
-    """Properties of an arm that the MJCF lacks.
+    """Properties of an arm that the MJCF lacks, with joints from base to tip.
 
-    Joints are from base to tip, in the order of every list here and every output. `sample_rate` is
-    that of logs and commands [Hz]; `truths` are alternatives to the friction of the MJCF.
+    `sample_rate` is that of logs and commands [Hz]; `truths` replace the friction of the MJCF.
     """
 
     model: RelativePath
@@ -87,10 +82,10 @@ def servo_signals(
 ) -> ArmSignals:
     """Return the signals of an arm without a signal table: command, motion, torque, friction.
 
-    Sensors are added to the compiled model. Friction is that of the passive dcmotors and the
-    damping of the joints; the measured torque is everything else that drives a joint, gravity
-    compensation included. The factors, scalar or (n,), apply to Coulomb and static friction with
-    its stiffness, and to the viscous friction of the dcmotors.
+    Friction is that of the passive dcmotors and the damping of the joints; the measured torque is
+    everything else that drives a joint, gravity compensation included. The factors, scalar or (n,),
+    apply to Coulomb and static friction with its stiffness, and to viscous friction of the
+    dcmotors.
     """
     joint_limits(plant)  # rejects files that MuJoCo's specification reader accepts
     spec = mujoco.MjSpec.from_file(str(plant.model))

@@ -226,7 +226,7 @@ class _Lookup:
 
 
 def everything(model: Any) -> ArmSignals:
-    """Return every control as an input, every sensor as outputs, every joint's start position."""
+    """Return all controls as inputs, all sensors as outputs, and start positions of all joints."""
     names = _Names()
     inputs = tuple(one for i in range(model.nactuator) for one in _inputs(model, i, names))
     outputs = tuple(output for i in range(model.nsensor) for output in _outputs(model, i, names))
@@ -242,13 +242,11 @@ def everything(model: Any) -> ArmSignals:
 
 
 class _Names:
-    """Unique FMI names from names that are unique only within their kind."""
-
     def __init__(self) -> None:
         self._used: set[str] = {"latency"}
 
     def of(self, name: str, otherwise: str) -> str:
-        """Replace characters that FMI forbids by underscores, and number duplicates."""
+        """Replace characters that FMI forbids, and number duplicates."""
         plain = "".join(c if c.isalnum() and c.isascii() else "_" for c in name) or otherwise
         plain = f"_{plain}" if plain[0].isdigit() else plain
         numbered = chain([plain], (f"{plain}_{k}" for k in count(2)))

@@ -37,9 +37,8 @@ class InputTable(Config):
 class OutputTable(Config):
     """Vector of outputs: the summed sensors of each element, with their factors.
 
-    `losses` are the joints whose losses are added, as torque against the motion; the factors of
-    `scaled` sensors follow the friction scale; `noise` is a standard deviation. The stream of an
-    element's noise is by default its index among all outputs.
+    Losses of joints are added as torque against the motion; `scaled` sensors follow the friction
+    scale; `noise` is a standard deviation. The default noise stream is the index among all outputs.
     """
 
     unit: str
@@ -58,7 +57,7 @@ class OutputTable(Config):
 class StartTable(Config):
     """Vector of start values: the joint whose position each element sets.
 
-    A joint in `others` gets the same position, an actuator in `integrals` the same activation; with
+    Joints in `others` get the same position, actuators in `integrals` the same activation; with
     `hold`, these balance all other torques on the joints at rest.
     """
 
@@ -82,8 +81,8 @@ class Losses(Config):
 
     The last two terms are rate-and-state friction with the ageing law of Dieterich and Ruina:
     contacts strengthen with the logarithm of time at rest and are renewed over a slip distance
-    [rad]. `load` is a share of the transmitted torque, the age `s` is in s, levels in N.m, `speed`
-    in rad/s. Lists have one entry per joint; omitted terms are zero.
+    [rad]. Units are N.m, rad/s and s; `load` is a share of the transmitted torque. Lists have one
+    entry per joint; omitted terms are zero.
     """
 
     constant: tuple[NotNegative, ...] = Field(min_length=1)
@@ -112,10 +111,7 @@ class Losses(Config):
 
 
 class LossTable(Losses):
-    """Losses of joints of an MJCF, each with a `frictionloss` there.
-
-    The springs and the gravity compensation of the `carriers` are the torque for `load`.
-    """
+    """Losses of joints with a `frictionloss`; `carriers` transmit the torque for `load`."""
 
     joints: Names = Field(min_length=1)
     carriers: Names = ()
@@ -130,9 +126,9 @@ class LossTable(Losses):
 class SignalTable(Config):
     """Signals of an MJCF; inputs, outputs and start values by the name of the vector.
 
-    The dcmotors in `friction` and the losses follow the friction scale. The body `payload` receives
-    the payload, a point mass at its centre of mass. `step` is the preferred communication step [s],
-    by default that of the simulation; `seed` is that of the noise.
+    The dcmotors in `friction` and the losses follow the friction scale. The payload is a point mass
+    at the centre of mass of a body. `step` [s] is by default that of the simulation; `seed` is the
+    noise's.
     """
 
     inputs: dict[Element, InputTable] = Field(default_factory=dict)

@@ -41,15 +41,12 @@ _OF_LOSSES = (
 def true_friction(
     mjcf: Path, joints: Sequence[str], *, sample_time: float, losses: LossTable | None = None
 ) -> FrictionModel:
-    """Return the friction of an MJCF's passive dcmotor actuators as one law per joint.
+    """Return the friction of an MJCF's passive dcmotors, or losses and damping, as laws by joint.
 
-    Each actuator is a LuGre element without micro-damping, with viscous friction and cogging:
+    Each dcmotor is a LuGre element without micro-damping, with viscous friction and cogging:
 
         z' = v - stiffness |v| / g(v) z,  g = coulomb + (static - coulomb) exp(-(v / stribeck)^2)
         tau = stiffness z + damping v - cogging sin(poles q + phase)
-
-    With losses, these and the damping of the joints are the friction instead. `sample_time` is in
-    s.
     """
     model = compiled(mjcf)
     slide = mujoco.mjtJoint.mjJNT_SLIDE

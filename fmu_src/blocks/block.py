@@ -29,10 +29,7 @@ def vector(
 
 
 def places(table: Interface, guard: str, first: Mapping[str, str], **sizes: int) -> str:
-    """Return a C header with indices and constants, inside a guard.
-
-    `first` maps a name in C to the first variable of a kind; `sizes` are further constants.
-    """
+    """Return a C header with the index of the first variable of each kind and further constants."""
     constants = {name: table.places[variable] for name, variable in first.items()} | sizes
     lines = ",\n".join(f"    {name} = {value}" for name, value in constants.items())
     return (
@@ -51,10 +48,9 @@ def content(
     example: Mapping[str, float] | None = None,
     owner: Owner = OURS,
 ) -> Content:
-    """Return the FMU of a block, whose binaries have its name in lower case.
+    """Return the FMU of a block, with its preferred step [s].
 
-    The preferred step is in s; `example` has the parameters of the reference results that differ
-    from their start values. The owner is HESR if the block contains nothing of a robot.
+    `example` has the parameters of the reference results that differ from their start values.
     """
     about = Description(
         name=name, identifier=name.lower(), text=text, created=RELEASED, step=step, owner=owner
@@ -76,8 +72,8 @@ def block(
     """Return the FMU of a component for a number of joints, with its preferred step [s].
 
     Signals are `name[1]`, .., shared parameters `name`; `example` has the parameters of the
-    reference results by their own name. Raises ExportError if the component has states, because a
-    block has no variables for start values.
+    reference results by their own name. Raises ExportError for states, whose start values have no
+    variables.
     """
     if component.memory:
         raise ExportError(

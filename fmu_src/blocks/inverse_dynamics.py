@@ -16,10 +16,7 @@ _UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
 def inverse_dynamics(
     robot: Robot, parameters: NDArray[np.float64], *, step: float = 0.005
 ) -> Content:
-    """Return the InverseDynamics FMU of a robot, with a preferred step [s].
-
-    The parameters (P,), tunable in the FMU, are in the order of `robot.parameter_names`.
-    """
+    """Return the InverseDynamics FMU; parameters (P,) are ordered as `robot.parameter_names`."""
     n = robot.n
     rotors = parameters[10 * n :] if len(parameters) > 10 * n else np.zeros(n)
     zeros = np.zeros(n)

@@ -41,11 +41,10 @@ SUBSTEP = 1e-3  # default of the longest inner step [s]
 
 @dataclass(frozen=True, kw_only=True)
 class Motors:
-    """Motor and gear of each joint (n,).
+    """Motor and gear of each joint (n,); the ratio is motor turns per joint turn.
 
-    The inertia [kg.m2] is that of the rotor and everything fixed to it; the ratio is motor turns
-    per joint turn. Stiffness [N.m/rad], 0 for a rigid gear, and damping [N.m.s/rad] are those of
-    the flexspline, on the joint side of the gear.
+    The inertia [kg.m2] is that of everything fixed to the rotor. Stiffness [N.m/rad], 0 for a rigid
+    gear, and damping [N.m.s/rad] are those of the flexspline, on the joint side of the gear.
     """
 
     inertia: tuple[float, ...]
@@ -155,7 +154,7 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
 
 
 def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
-    """Return a variable with the units of a prismatic joint; C does not depend on them."""
+    """Return a variable with the units of a prismatic joint, irrelevant in C."""
     joint = re.search(r"\[(\d+)\]", variable.name)
     if joint is None or not slides[int(joint[1]) - 1]:
         return variable
@@ -247,10 +246,9 @@ def export_drive(
 ) -> Path:
     """Write a friction model with the motors of its joints as an FMU for co-simulation.
 
-    The model is in joint coordinates; stiffness and damping are those of the flexspline. Units are
-    kg.m2, N.m/rad, N.m.s/rad and motor turns per joint turn, for prismatic joints kg, N/m and so
-    on. By default gears are rigid, with ratio 1. The same arguments give the same bytes; dates are
-    those of `friction_fmu.export_fmu`. `bare` omits the documentation.
+    The model is in joint coordinates. Units of the flexspline and motors are kg.m2, N.m/rad,
+    N.m.s/rad and motor turns per joint turn; for prismatic joints kg, N/m and so on. By default
+    gears are rigid, with ratio 1. Bytes and dates are determined as by `friction_fmu.export_fmu`.
     """
     check_request(path, platforms)
     require_exportable(model, "a drive")

@@ -1,8 +1,8 @@
 """Equations in C99.
 
-Each distinct component becomes functions with a common prefix over its parameters k, the inputs u
-(followed by shared parameters), the held signs s, the states x, previous values p, the step dt and
-a flag for Euler relaxations. See `Functions` for the results.
+Each distinct component becomes functions of the parameters k, the inputs u followed by shared
+parameters, the held signs s, the states x, previous values p, the step dt and a flag for Euler
+relaxations. See `Functions` for the results.
 """
 
 from collections.abc import Iterable, Mapping
@@ -57,10 +57,7 @@ def _array(name: str, symbols: Iterable[sympy.Symbol]) -> dict[str, sympy.Symbol
 
 @dataclass(frozen=True)
 class Functions:
-    """The C functions of a component, with their common prefix `name`.
-
-    If the parameters k are `tunable`, tangents follow them; `gathered` ones are among the inputs u.
-    """
+    """The C functions of a component, with a prefix; `gathered` parameters are inputs in u."""
 
     component: Component
     name: str
@@ -219,11 +216,10 @@ class Functions:
         return printed(self._head("step"), own.moving, own.names, self._step_targets, places)
 
     def lanes(self) -> str:
-        """Do as `step` for LANES instances with the same parameters.
+        """Do as `step` for LANES instances with the same parameters, computing signs.
 
-        Signs are computed, because there is no event between two steps. The C function returns
-        whether all angles are small enough for the branch-free sine; otherwise its results are
-        invalid.
+        The C function returns whether all angles are small enough for the branch-free sine;
+        otherwise its results are invalid.
         """
         own = self._invariants
         places = Arguments().plus(self._parameters, "k").plus(own.kept, "c").single(DT, "dt")
@@ -271,10 +267,7 @@ class Functions:
         return self._with_changes("follow", own, targets, self._input_seeds, held=True)
 
     def attempt(self) -> str:
-        """Write the states after a step from x, the outputs y there, and the change of y along du.
-
-        No sign is held, because a solver inside an FMU tries its own inputs.
-        """
+        """Write states and outputs y after a step from x, and the change of y along du; no holds."""
         targets = _array("moved", self._moved) | _array("y", self._outputs)
         targets |= _array("slope", map(change_of, self._outputs))
         return self._with_changes("attempt", sampled(self.component), targets, self._input_seeds)

@@ -23,10 +23,7 @@ _SELDOM = ("start", "rates", "invariants", "begin", "begin_tangent", "tangent", 
 
 
 class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
-    """C99 printer with HESR's functions, exact literals and small powers without pow().
-
-    Loops over lanes are branch-free, so that compilers vectorise them.
-    """
+    """C99 printer with exact literals, powers without pow(), and loops without branches."""
 
     def __init__(self, names: Mapping[sympy.Symbol, str], *, lanes: bool = False) -> None:
         super().__init__({"strict": False})

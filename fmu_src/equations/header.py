@@ -20,10 +20,8 @@ from hesr_model.support.cache import kept
 class Joint:
     """One joint of an FMU: its equations and the names of their variables.
 
-    `names` has the variables of inputs, shared parameters and outputs; those of states,
-    derivatives, starts and parameters are consecutive. Parameters that are not variables are
-    `constants`; if there are neither, `names` has them also. `slope` is that of the first output
-    over the first input.
+    Those of states, derivatives, starts and parameters are consecutive. Parameters are variables,
+    `constants`, or in `names`. `slope` is that of the first output over the first input.
     """
 
     component: Component
@@ -75,7 +73,7 @@ def equations_header(
     """Return equations.h, with each distinct component written once.
 
     `places` has the variables of further C constants, `wanted` the functions that a C file calls. A
-    coupling maps the joints to the coordinates of the equations; None if these are the joints.
+    coupling maps the joints to the coordinates of the equations.
     """
     distinct = list(dict.fromkeys(j.component for j in joints))
     first = {j.component: j for j in reversed(joints)}
@@ -119,10 +117,7 @@ def equations_header(
 def _written(
     components: Iterable[Functions], wanted: Sequence[str]
 ) -> tuple[list[str], dict[str, list[str]]]:
-    """Return the functions of all components, and for each component the names of its own.
-
-    Identical functions are written once.
-    """
+    """Return the distinct functions of all components, and the names for each component."""
     texts: dict[str, str] = {}
     by_body: dict[str, str] = {}
     names: dict[str, list[str]] = {}

@@ -38,11 +38,7 @@ def software() -> str:
 def exported(
     model: Path, options: Mapping[str, object], output: Path, write: Callable[[], None]
 ) -> None:
-    """Write an FMU to `output`, or copy it from the cache.
-
-    `options` are all other settings that the FMU depends on. `write` reads the model and writes
-    `output`; its errors are raised here.
-    """
+    """Write an FMU to `output`, or copy it from the cache; `options` are all other settings."""
     try:
         text = read_text(model)
     except (OSError, ValueError):  # reported by `write`

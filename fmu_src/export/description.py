@@ -85,9 +85,9 @@ CATEGORIES: Mapping[str, str] = {
 class Description:
     """Model description of an FMU apart from its variables.
 
-    The C identifier is the name of the binaries; `created` is ISO 8601 in UTC with a final Z;
-    `step` is the preferred one [s]. `sources` are the files in sources/ to be compiled, none if
-    they need a library. Every FMU has a separate file with the licence of HESR's code.
+    The C identifier is the name of the binaries; `created` is ISO 8601 in UTC with a final Z; the
+    step is in s. `sources` are compiled from sources/, none if they need a library. Every FMU also
+    has the licence of HESR's code.
     """
 
     name: str
@@ -115,8 +115,7 @@ def shown_as(unit: str) -> dict[str, str]:
 def si_exponents(unit: str) -> dict[str, int]:
     """Return the exponents of kg, m, s, A, K and rad of a unit such as "N.m.s/rad".
 
-    Dots multiply; everything after the slash divides, in parentheses if it has several factors.
-    Raises ExportError if a part is unknown.
+    Everything after the slash divides, in parentheses if it has several factors.
     """
     exponents: dict[str, int] = {}
     for i, group in enumerate(unit.split("/")):
@@ -135,8 +134,8 @@ def si_exponents(unit: str) -> dict[str, int]:
 def to_xml(table: Interface, about: Description, guid: str) -> bytes:
     """Return modelDescription.xml.
 
-    Outputs and derivatives declare their dependencies, because importers interpret a missing list
-    as a dependency on everything and then find false algebraic loops.
+    Dependencies are declared, because importers interpret a missing list as a dependency on
+    everything and then find false algebraic loops.
     """
     root = root_element(about, "2.0", {"guid": guid}, numberOfEventIndicators=str(table.indicators))
     common = {
@@ -231,8 +230,7 @@ def _types(root: ET.Element, table: Interface) -> None:
 def common_attributes(variable: Variable, name: str, place: int, text: str) -> dict[str, str]:
     """Return the attributes of a variable common to both versions and all types.
 
-    For an array, `variable` is its first element; name, place and text are those of the whole
-    array. The text of an enumeration lists its choices.
+    For an array, `variable` is its first element. The text of an enumeration lists its choices.
     """
     causality, variability, initial = variable.attributes
     if variable.enumeration:

@@ -192,11 +192,7 @@ _SIZE = "100"  # in the coordinates of the picture
 
 @dataclass(frozen=True, kw_only=True)
 class Terminal:
-    """Variables of a joint that are connected together; see `Interface.connected`.
-
-    `kind` is a class of the Modelica Standard Library; each member has the name of its variable
-    without index, and a kind.
-    """
+    """Connected variables of a joint; `kind` is a class of the Modelica Standard Library."""
 
     name: str
     kind: str

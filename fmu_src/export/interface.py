@@ -45,12 +45,12 @@ class Enumeration:
 class Variable:
     """One variable of an FMU, with a structured name such as `dq[1]` or `joint[1].alpha`.
 
-    The unit is in FMI's spelling; it is None only for an enumeration. The start value of a computed
+    The unit, in FMI's spelling, is None only for an enumeration. The start value of a computed
     variable or a state is not written. Solvers scale the tolerance of a state by its nominal value.
     `least` and `greatest` are recommended limits. Hosts must not interpolate a `switch`.
 
-    `dependencies` of a computed variable are all variables in its expression; initial dependencies
-    count in addition until initialisation ends, and are those of the initial value of a state.
+    Initial dependencies count in addition until initialisation ends; for a state they are those of
+    its initial value.
     """
 
     name: str
@@ -86,9 +86,7 @@ class Interface:
 
     `own` is the number of doubles in the component's own memory. A component with `inner_steps`
     follows input slopes itself. Arrays in `connected` remain scalars in FMI 3.0, because a member
-    of a terminal, which connects one joint, is a whole variable.
-
-    Raises ExportError if a name occurs twice or is not a structured name of FMI.
+    of a terminal is a whole variable. Raises ExportError if a name is duplicate or invalid in FMI.
     """
 
     variables: tuple[Variable, ...]
@@ -119,10 +117,10 @@ class Interface:
 
     @cached_property
     def arrays(self) -> tuple["ArrayVariable", ...]:
-        """The variables in order, grouped into arrays.
+        """The variables in order, grouped into arrays, with scalars.
 
         Elements of an array are consecutive, from `[1]` or `[1,1]` with the last index running
-        first, and have one role and one unit; other variables are scalars.
+        first, and have one role and one unit.
         """
         found: list[ArrayVariable] = []
         counts = Counter(_split(v.name)[0] for v in self.variables)
@@ -143,10 +141,7 @@ class Interface:
         return tuple(v for v in self.variables if v.derivative_of)
 
     def initially(self, variable: Variable) -> tuple[str, ...]:
-        """Return the names on which a computed variable or a state depends at the start.
-
-        A state among them is replaced by the dependencies of its initial value.
-        """
+        """Return the names, without states, that determine a variable at the start."""
         states = {v.name: v.initial_dependencies for v in self.variables if v.role == "state"}
         direct = (*variable.dependencies, *variable.initial_dependencies)
         return tuple(dict.fromkeys(own for n in direct for own in states.get(n, (n,))))
@@ -168,10 +163,7 @@ class Interface:
 
 @dataclass(frozen=True)
 class ArrayVariable:
-    """A variable with a shape, () for a scalar, and the index `place` of its first element.
-
-    The name has no indices, unless it is a scalar's. The last index of elements runs first.
-    """
+    """A variable with a shape, () for a scalar, and the index `place` of its first element."""
 
     name: str
     shape: tuple[int, ...]
@@ -200,7 +192,7 @@ def _alike(variable: Variable) -> tuple[str, object]:
 def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) -> str:
     """Return interface.h: GUID, preferred step [s] and variable tables for the C side.
 
-    With `arrays`, as in FMI 3.0, a value reference denotes a whole array instead of a scalar.
+    With `arrays`, as in FMI 3.0, a value reference denotes a whole array.
     """
     variables, places = interface.variables, interface.places
     shaped = [(a.place, len(a.elements)) for a in interface.arrays]

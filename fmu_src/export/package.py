@@ -63,10 +63,7 @@ _FOLDERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Binary:
-    """A shared library that a component needs on a platform, shipped next to its binary.
-
-    Loaders look for the file `name`. Without `link` flags the component loads it itself.
-    """
+    """A shared library next to a binary, loaded by the component if there are no `link` flags."""
 
     name: str
     content: bytes
@@ -78,9 +75,8 @@ class Binary:
 class Content:
     """Contents of the FMU of a component.
 
-    All .c files of `sources` form one translation unit. `members` are further members of the
-    archive; `libraries` are by platform. `stimuli` are the inputs of reference results, None if the
-    members already contain results. `terminals` are those of FMI 3.0.
+    All .c files of `sources` form one translation unit. Libraries are by platform. `stimuli` are
+    the inputs of reference results, unless the members already contain results.
     """
 
     table: Interface
@@ -114,8 +110,8 @@ def write_fmu(
 ) -> Path:
     """Compile a component with the FMI glue, write both as an FMU and return its path.
 
-    Platforms are names of `toolchain.TARGETS`, or "all". FMI 3 has arrays for numbered variables.
-    Raises ExportError if a binary cannot be built or the FMU is invalid.
+    Platforms are names of `toolchain.TARGETS`, or "all". Raises ExportError if a binary cannot be
+    built or the FMU is invalid.
     """
     wanted = check_request(path, platforms)
     missing = [t.folder for t in wanted if content.libraries and t.folder not in content.libraries]

@@ -71,11 +71,10 @@ class Error:
 def torques(
     model: FrictionModel, motion: "ReferenceMotion", setting: str, *, substeps: int = 20
 ) -> Array:
-    """Return the (N, n) torque [N.m] of a model's laws for one of the conventions above.
+    """Return the (N, n) torque [N.m] of a model's laws, perhaps not finite, for a convention above.
 
-    It may be infinite or NaN if that of a law is. `substeps` is the number of steps between two
-    rows for `CONTINUOUS`. Raises SimulationError if the laws' discretisation is unstable at the
-    steps.
+    `substeps` divide the rows for `CONTINUOUS`. Raises SimulationError if the laws' discretisation
+    is unstable at the steps.
     """
     own = motion.at_friction(model.coupling)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # checked by the callers

@@ -13,8 +13,7 @@ def require_numbers(model: FrictionModel) -> None:
     """Reject a model with a law that has no value for any input.
 
     Only causes in the coefficients are found, such as a division by one that is 0; a torque may
-    still be NaN at some speeds. The ExportError names the law, joint, part of the law and
-    coefficients.
+    still be NaN at some speeds.
     """
     for law, joint in zip(model.laws, model.joints, strict=True):
         part = _undefined(law)
@@ -34,7 +33,7 @@ def require_exportable(model: FrictionModel, form: str, *, coupled: bool = True)
     """Reject a model that `form`, another format than an FMU, cannot express.
 
     No such format supports temperature; `coupled` ones support motors that turn with several
-    joints. Raises ExportError, also as `require_numbers` does.
+    joints.
     """
     if model.coupling and not coupled:
         raise ExportError(

@@ -27,28 +27,19 @@ _ALMOST_PASSIVE = 1e-6  # [J]; less is round-off
 
 @dataclass(frozen=True, kw_only=True)
 class ModelAudit:
-    """Passivity of a model's laws, by joint.
-
-    The audits have closed cycles, rest and motion just outside the trained range.
-    """
+    """Passivity of laws by joint: closed cycles, rest, and motion beyond the trained range."""
 
     certificates: tuple[Certificate, ...]
     audits: tuple[Audit, ...]
 
     @classmethod
     def of(cls, model: FrictionModel, seen: Sequence[TrainedRange]) -> "ModelAudit":
-        """Examine each joint's law with cycles within its range.
-
-        Raises SimulationError if a law is unstable or not finite in its range.
-        """
+        """Examine each joint's law with cycles within its range."""
         return cls(certificates=certificates(model, seen), audits=audits(model, seen))
 
 
 def ranges(model: FrictionModel, motion: ReferenceMotion) -> tuple[TrainedRange, ...]:
-    """Return the trained range of each joint, or that of the reference motion if unknown.
-
-    Raises SimulationError or ArtifactError if that motion has no finite torque.
-    """
+    """Return the trained range of each joint, or that of the reference motion if unknown."""
     if model.trained:
         return model.trained
     torque = torques(model, motion, "direct")
@@ -163,8 +154,7 @@ def costs(model: FrictionModel, motion: ReferenceMotion) -> dict[str, dict[str, 
     """Return the errors of each input convention by truth, convention and joint.
 
     The truths are the law in a log replay, the direct convention, and in continuous time with
-    linear inputs between rows. Raises SimulationError if the laws' discretisation is unstable at
-    the steps of the motion or the torque is not finite.
+    linear inputs between rows. Raises SimulationError if a torque is unstable or not finite.
     """
     found = {way: torques(model, motion, way) for way in SETTINGS}
     fine = torques(model, motion, CONTINUOUS)

@@ -42,8 +42,8 @@ def to_html(
 ) -> str:
     """Return the page, with the HTML of an interactive section and of the properties, if any.
 
-    It needs only `model.png` next to its folder: no font, no network, and no script except that of
-    the interactive section. The audit is computed by default.
+    It needs only `model.png` next to its folder: no font, network, or other script. The audit is
+    computed by default.
     """
     units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
     used = {symbol for law in model.laws for symbol in law.form.inputs}

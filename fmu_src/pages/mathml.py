@@ -1,7 +1,6 @@
 """Equations of a law as MathML, typeset by the browser.
 
-A formula consists of several `math` elements, one per term of a sum, so that a narrow page can
-break lines between them.
+Terms of a sum are separate `math` elements, so that a narrow page can break lines between them.
 """
 
 from collections.abc import Mapping
@@ -37,10 +36,7 @@ _BETTER = {
 
 
 def equations(law: FrictionLaw, *, numbers: bool = False) -> list[str]:
-    """Return the torque, each state derivative and the bound of a stop as MathML.
-
-    With `numbers`, coefficients are shown as values with four digits instead of names.
-    """
+    """Return the equations of a law as MathML, on request with values of four digits for names."""
     printer = _Printer(law.form, law.values if numbers else {})
     lines = [[f"{_name('tau')}{_EQUALS}", *printer.terms(law.form.output)]]
     for m in law.form.memory:
@@ -62,10 +58,7 @@ def symbol(name: str) -> str:
 
 
 class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not typed
-    """Printer of the symbols of a law and of HESR's own functions.
-
-    Symbols are replaced by others that sort in the usual order: coefficients, states, inputs.
-    """
+    """Printer whose symbols sort in the usual order: coefficients, states, inputs."""
 
     def __init__(self, form: LawForm, values: Mapping[str, float]) -> None:
         super().__init__()

@@ -1,7 +1,4 @@
-"""Picture of a friction FMU, which tools show as its icon.
-
-It contains no text of the model, because names may have letters that the font lacks.
-"""
+"""Picture of a friction FMU, which tools show as its icon, without text that fonts could lack."""
 
 import io
 from collections.abc import Sequence
@@ -38,10 +35,7 @@ _SHADE = 32  # steps between shades of a colour, of 256
 
 
 def model_png(model: FrictionModel) -> bytes:
-    """Return model.png: torque over velocity of each joint, as loops at three amplitudes.
-
-    The same model gives the same bytes.
-    """
+    """Return model.png: torque over velocity of each joint, as loops at three amplitudes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

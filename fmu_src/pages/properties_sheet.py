@@ -23,10 +23,7 @@ _DIGITS = 3
 
 
 def section(found: Properties, *, sliding: Sequence[bool] = ()) -> str:
-    """Return HTML: a table of properties by joint, then each experiment with its plots.
-
-    `sliding` has whether each joint is prismatic; it is empty if none is.
-    """
+    """Return HTML: a table of properties by joint, then each experiment with its plots."""
     slides = sliding or (False,) * len(found.joints)
     return rendered(
         "properties.html.j2",
@@ -85,10 +82,7 @@ def _spelled(one: Figure) -> str:
 
 
 def svg(plot: Plot) -> str:
-    """Return a plot as inline SVG: lines, ranges of the axes, and zero lines.
-
-    Names come from the experiments, not from files, so nothing needs escaping.
-    """
+    """Return a plot as inline SVG; names come from the experiments, so nothing needs escaping."""
     curves = [c for c in plot.curves if len(c.x) > 1]
     if not curves:
         return ""

@@ -25,10 +25,7 @@ _MODULE = "hesr_python_arm"  # unique: all Python FMUs of a process share the li
 
 
 def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path) -> Path:
-    """Write an MJCF, without references to files, as an FMU for hosts with Python, HESR and MuJoCo.
-
-    Variables and results are those of the native FMU.
-    """
+    """Write an MJCF, without references to files, as an FMU for hosts with HESR and MuJoCo."""
     check_request(output, ("linux64",))
     about = _about(mjcf, table)
     with TemporaryDirectory(prefix="hesr-") as folder:

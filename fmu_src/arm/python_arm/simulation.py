@@ -23,10 +23,7 @@ _LEAST_LEVEL = 1e-9  # [N.m] MuJoCo has no friction constraint for a joint witho
 
 
 class LossState:
-    """Levels [N.m] and ages [s] of dry friction, as in `mjcf_losses.h`.
-
-    `scale` multiplies the levels and the damping of their joints.
-    """
+    """Levels [N.m] and ages [s] of dry friction, as in `mjcf_losses.h`, scaled by a factor."""
 
     def __init__(self, losses: Sequence[Loss], scale: float) -> None:
         self._scale = scale
@@ -71,7 +68,7 @@ class LossState:
 
 
 class Simulation:
-    """A compiled model with the variables of its FMUs; the model itself is not changed."""
+    """A compiled model, which does not change, with the variables of its FMUs."""
 
     _data: mujoco.MjData
     _drawn: Array
@@ -118,8 +115,8 @@ class Simulation:
     def step(self, inputs: ArrayLike, dt: float) -> Array:
         """Hold the inputs over `dt` [s], a multiple of `timestep`; return the outputs at its end.
 
-        Raises SimulationError if `dt` is no such multiple, an input is too large, or the simulation
-        diverges; the state is then unchanged.
+        Raises SimulationError, with the state unchanged, for another `dt`, too large inputs or
+        divergence.
         """
         own = self.timestep
         count = round(dt / own)
@@ -152,7 +149,7 @@ class Simulation:
             self._losses.advance(self._model, self._data)
 
     def outputs(self) -> Array:
-        """Return the outputs at this instant, in the order and units of the signals."""
+        """Return the outputs at this instant."""
         data = self._data
         # Reading outputs must not change the initial guess of the contact solver.
         guess = data.qacc_warmstart.copy()

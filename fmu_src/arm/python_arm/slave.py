@@ -1,6 +1,6 @@
 """A simulated model as a PythonFMU slave.
 
-The FMU contains a copy of this file; it imports everything else from HESR in the host's Python.
+The FMU contains a copy of this file, which imports everything else from HESR.
 """
 
 import ctypes

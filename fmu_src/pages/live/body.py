@@ -14,10 +14,7 @@ from hesr_model.robots.robot import Robot
 
 @dataclass(frozen=True, kw_only=True)
 class PageBody:
-    """A rigid body for pages that compute the friction in a log.
-
-    `fmu` is its InverseDynamics FMU, `cutoff` that of the low-pass filter of the robot's logs [Hz].
-    """
+    """A rigid body's InverseDynamics FMU for pages; the cut-off filters the robot's logs [Hz]."""
 
     joints: Sequence[str]
     fmu: Content
@@ -38,10 +35,7 @@ class PageBody:
         return translation_unit(self.fmu)[1]
 
     def data(self, joints: Sequence[str]) -> dict[str, Any]:
-        """Return the data for a page: the module and the connectors of each joint.
-
-        Raises ExportError if the joints differ or the compiler fails.
-        """
+        """Return the data for a page: the module and the connectors of each joint."""
         if tuple(joints) != tuple(self.joints):
             raise ExportError(
                 f"the rigid body has the joints {', '.join(self.joints)}, but the friction model "

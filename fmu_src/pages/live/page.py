@@ -10,9 +10,9 @@ from fmu_src.pages.html import TEMPLATES, rendered
 def live_section(data: Mapping[str, Any], key: str = "live") -> str:
     """Return the section of a friction model; `live_assets` must follow it on the page.
 
-    It needs no network and no other file. Without scripts it gives the reason. Its colours are
-    those of the page: --ink, --soft, --line, --paper, --card and --accent. The key, different for
-    each section of a page, is the prefix of its elements' identifiers.
+    It needs no network or other file, and scripts. Its colours are those of the page: --ink,
+    --soft, --line, --paper, --card and --accent. The key is the prefix of its elements'
+    identifiers.
     """
     return rendered("live.html.j2", data=data, key=key)
 
@@ -23,7 +23,7 @@ def live_assets(*, log: bool = False) -> str:
     if log:
         scripts += ["fit.js", "log_table.js", "log_motion.js", "log_score.js", "log.js"]
     style = "".join(_text(name) for name in ("live.css", *(["log.css"] if log else [])))
-    # A block scope hides the script from others on the page.
+    # A block scope hides the script from others.
     whole = '(() => {\n"use strict";\n' + "\n".join(map(_text, scripts)) + "})();"
     return f"<style>\n{style}</style>\n<script>\n{whole}\n</script>\n"
 

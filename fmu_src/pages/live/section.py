@@ -33,9 +33,9 @@ _MOST_CYCLES = 100.0
 class Knob:
     """A number with a slider and a number field; `name` is its key on the page.
 
-    The symbol is MathML; it and the SI unit may be empty. `low` and `high` limit the slider, whose
-    scale is "linear", "log" (both limits of one sign) or "whole" numbers; `least` and `most` limit
-    the number field. A parameter of the FMU has its value reference.
+    The symbol, MathML, and the SI unit may be empty. `low` and `high` limit the slider, whose scale
+    is "linear", "log" (both limits of one sign) or "whole" numbers; `least` and `most` limit the
+    field.
     """
 
     name: str
@@ -122,9 +122,8 @@ def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Kn
 def ends(value: float, *, factor: bool) -> tuple[float, float, str]:
     """Return the limits and the scale of a coefficient's slider, with its value in the middle.
 
-    A factor of a term ranges from zero to twice its value. For others, such as widths, rates and
-    exponents, the order of magnitude matters, and zero may be meaningless. A zero coefficient gets
-    unit range.
+    A factor of a term ranges from zero to twice its value. For widths, rates and exponents the
+    order of magnitude matters, and zero may be meaningless. A zero coefficient gets unit range.
     """
     if value == 0.0:
         return -1.0, 1.0, "linear"

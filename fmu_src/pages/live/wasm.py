@@ -13,9 +13,7 @@ from hesr_model.support.files import scratch_folder
 def wasm(sources: Mapping[str, str]) -> bytes:
     """Compile the C files of `package.translation_unit` to a WebAssembly module without imports.
 
-    It exports `live_reset`, `live_set`, `live_initialise`, `live_step`, `live_get` and `live_heard`
-    of `c/live.c`, around the FMI functions of the FMU's own sources. The same files give the same
-    bytes. Raises ExportError if the compiler fails.
+    It exports the functions of `c/live.c` around those of FMI. The same files give the same bytes.
     """
     with scratch_folder() as folder:
         for name, text in (*sources.items(), ("live.c", own_source("live.c"))):
