@@ -267,7 +267,7 @@ class Functions:
         return self._with_changes("follow", own, targets, self._input_seeds, held=True)
 
     def attempt(self) -> str:
-        """Write states and outputs y after a step from x, and the change of y along du; no holds."""
+        """Write states and outputs after a step from x, and the change of y; no sign is held."""
         targets = _array("moved", self._moved) | _array("y", self._outputs)
         targets |= _array("slope", map(change_of, self._outputs))
         return self._with_changes("attempt", sampled(self.component), targets, self._input_seeds)

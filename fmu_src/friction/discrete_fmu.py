@@ -1,7 +1,6 @@
 """Friction FMUs with a discrete-time step: thermal ones, and adaptive ones of `hesr.extras`.
 
-Inputs and outputs are those of every friction FMU and of the joints' components, such as
-`temperature[i]`. The memory of the previous sample is state of the FMU.
+Joints' components add inputs and outputs, such as `temperature[i]`, to those of every friction FMU.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,20 +26,14 @@ from hesr_model.units import unit_of_joint
 
 
 def thermal_equations(model: FrictionModel) -> tuple[Interface, str]:
-    """Return the variables of the thermal FMU of a model, and its equations.h.
-
-    Raises a HesrError if temperature scales no part of a law.
-    """
+    """Return the variables of the thermal FMU of a model, and its equations.h."""
     return discrete_equations(model, tuple(map(thermal_component, model.laws, model.thermal)))
 
 
 def discrete_equations(
     model: FrictionModel, components: Sequence[Component], switches: Sequence[Quantity] = ()
 ) -> tuple[Interface, str]:
-    """Return the variables of the FMU of a model, and its equations.h.
-
-    The switches are inputs of value 0 or 1 that all joints share; they start at 1.
-    """
+    """Return variables and equations.h of an FMU; all joints share the switches, initially 1."""
     joints = [_joint(model, i, own, switches) for i, own in enumerate(components, start=1)]
     factors = scales(model) if components[0].shared else ()
     signals = (*_signals(model, joints, switches), start_mode(), *factors)

@@ -18,10 +18,7 @@ def embedding(model: FrictionModel) -> dict[str, bytes]:
 
 
 def embedded_model(fmu: Path) -> FrictionModel | None:
-    """Return the friction model in an FMU, or None if it has none.
-
-    Raises ArtifactError if the FMU cannot be read or its model is damaged.
-    """
+    """Return the friction model in an FMU, or None; ArtifactError if it is damaged."""
     with Archive(fmu) as archive:
         if EMBEDDED_MODEL not in archive.names:
             return None

@@ -119,8 +119,8 @@ def friction_equations(
     """Return the variables of a friction FMU, and its equations.h.
 
     The connectors `dq[i]`, `q[i]`, `tau_load[i]` -> `tau[i]` are those of every friction FMU;
-    `more` are outputs such as `POWER`, and `band` adds the limits of the model's band. Raises
-    ExportError if a name of the laws is not an FMI name, or their discretisations differ.
+    `more` are outputs such as `POWER`, and `band` adds its limits. Raises ExportError for names
+    that FMI forbids, or different discretisations.
     """
     joints = joints_of(model, more, band=band)
     table = Interface(
@@ -197,7 +197,7 @@ def _output_dependencies(
 def of_joint(
     model: FrictionModel, quantity: Quantity, joint: int, role: Role, **more: Any
 ) -> Variable:
-    """Return a variable that every joint has, of the joint with this number from 1."""
+    """Return a variable that every joint has, for the joint with this number from 1."""
     slides = model.slides[joint - 1]
     text = quantity.description.format(
         joint=model.joints[joint - 1], effort=_EFFORT[slides], number=joint
@@ -249,10 +249,7 @@ def joints_of(
     *,
     band: bool = False,
 ) -> tuple[Joint, ...]:
-    """Return each joint of a model with the names of its variables.
-
-    `names` has the stems of variables whose names differ from those of the quantities.
-    """
+    """Return each joint with the names of its variables; `names` has stems that differ."""
     found = []
     # C has no units, the only difference between the forms of revolute and prismatic joints.
     laws = [replace(law, form=law.form.sliding) for law in model.laws]
@@ -284,8 +281,8 @@ def dependencies(
 ) -> tuple[str, ...]:
     """Return the variables that an equation or derivative of a joint depends on.
 
-    Initial states (`initial_symbol`) depend on start values. `inputs` has the variables of inputs
-    that are not variables themselves; `starting` means before the first step.
+    Initial states (`initial_symbol`) depend on start values. `inputs` has the variables behind
+    inputs; `starting` means before the first step.
     """
     own = joint.component
     beginnings = initial_state(own.memory, own.settling)
@@ -341,10 +338,7 @@ def law_variables(
 
 
 def nominal(law: FrictionLaw, element: Element) -> float:
-    """Size of a state in slow sliding; 1 if that is unusable.
-
-    It is drive / rate for a relaxation, and the bound for a stop.
-    """
+    """Size of a state in slow sliding, drive / rate or the bound of a stop; 1 if unusable."""
     at = {c.symbol: law.values[c.name] for c in law.form.coefficients}
     at |= dict.fromkeys(INPUTS, 0.0) | {DQ: _CRAWL} | {m.state: 0.0 for m in law.form.memory}
     numbers = {symbol: sympy.Float(value) for symbol, value in at.items()}

@@ -57,18 +57,16 @@ def export_fmu(
     progress: Progress = silent,
     fmi: Version = 2,
 ) -> Path:
-    """Write a friction model as an FMU of FMI 2.0, or 3.0, for co-simulation and model exchange.
+    """Write a friction model as an FMU of FMI 2.0 or 3.0 for co-simulation and model exchange.
 
-    FMUs of thermal models are for co-simulation only and have no pages. Documentation has the
-    results of the physics checks, `properties`, and the audit, by default computed. `power` adds
-    the dissipated power as an output; `band` adds the limits `tau_lower[i]` and `tau_upper[i]`.
-    With the rigid `body`, the FMU's page computes the friction in a log of measured torques.
+    FMUs of thermal models are for co-simulation only, without pages. Physics checks (`properties`)
+    and the audit, by default computed, are for documentation. `power` and `band` add outputs:
+    dissipated power, `tau_lower[i]` and `tau_upper[i]`. With the rigid `body`, the FMU's page
+    computes the friction in a log of measured torques.
 
     The same model gives the same bytes. The date is SOURCE_DATE_EPOCH, otherwise that of the
-    model's provenance ("created"), otherwise a fixed one.
-
-    Raises ExportError if the model cannot be expressed in C or FMI, a binary cannot be built, or a
-    thermal model gets properties, power, band or body; SimulationError if the model has no band.
+    model's provenance ("created"), otherwise a fixed one. Raises ExportError if C or FMI cannot
+    express the model or a thermal model gets options; SimulationError if it has no band.
     """
     check_request(path, platforms)
     if model.thermal:
@@ -136,10 +134,7 @@ def _component(
 
 
 def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
-    """Return the FMU of a model that follows temperature, before it is compiled.
-
-    Raises a HesrError if temperature scales no part of a law, or an option is not supported.
-    """
+    """Return the FMU of a model that follows temperature, before it is compiled."""
     if beside:
         raise ExportError(
             f"friction model '{model.law}': a thermal FMU supports no power, band, properties or "
@@ -174,10 +169,7 @@ def about_model(model: FrictionModel, kind: str, text: str) -> Description:
 def description_of(
     model: FrictionModel, *, name: str, identifier: str, text: str, step: float
 ) -> Description:
-    """Return the model description of an FMU, with the model's date and owner.
-
-    Characters that C does not allow in identifiers are replaced.
-    """
+    """Return the model description of an FMU, with the model's date and owner."""
     return Description(
         name=name,
         identifier=re.sub(r"\W", "_", identifier, flags=re.ASCII),
@@ -189,10 +181,7 @@ def description_of(
 
 
 def date_of(model: FrictionModel) -> datetime:
-    """Return the date in the FMU of a model.
-
-    It is SOURCE_DATE_EPOCH, otherwise that of the provenance ("created"), otherwise a fixed one.
-    """
+    """Return the date in an FMU: SOURCE_DATE_EPOCH, that of the provenance, or a fixed one."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     created = model.provenance.get("created")
     date = _FIRST_DATE

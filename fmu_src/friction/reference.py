@@ -68,9 +68,9 @@ def reference_motion(
         dq = A w(t) sin(2 pi f t + i phase),  q = middle + integral of dq,  w(t) from 0 to 1
 
     A is the largest speed trained in both directions, or `UNKNOWN_SPEED`. The position oscillates
-    about the middle of the trained positions, or 0. The frequency f is in Hz; the phase [rad] also
-    leads in the first joint. Without `rows`, they are at the model's sample time. The velocity
-    grows smoothly from rest over `lead_in` [s].
+    about the middle of the trained positions, or 0. The frequency is in Hz; the phase [rad] also
+    leads in the first joint. Rows are by default at the model's sample time; the velocity grows
+    smoothly from rest over `lead_in` [s].
     """
     count = round(periods / (frequency * model.sample_time)) if rows is None else rows
     step = model.sample_time if rows is None else periods / (frequency * rows)
@@ -111,9 +111,8 @@ def trained_speed(trained: TrainedRange | None) -> float:
 def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     """Return the members of an FMU's folder `extra/`, by their paths in the archive.
 
-    They are inputs, reference torques and options for co-simulation and model exchange, named with
-    the FMU's identifier, and instructions; only the latter if a law gives no finite torque on the
-    motion.
+    They are instructions and, if the torque is finite, inputs, reference torques and options for
+    co-simulation and model exchange.
     """
     found = _co_simulation(model)
     if found is None:
