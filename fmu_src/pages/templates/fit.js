@@ -1,5 +1,5 @@
-/* Compress tables that are too wide, then show them row by row with the column names in each cell. Shrink
- * wide equations. */
+/* Compress too wide tables, then show them row by row with column names in each cell; shrink
+ * equations. */
 function fitTables() {
   const equations = [...document.querySelectorAll(".equation")].filter((e) => e.clientWidth);
   for (const equation of equations) equation.style.fontSize = "";
@@ -31,7 +31,7 @@ function fitTables() {
     if (width !== document.body.clientWidth) fitTables();
     width = document.body.clientWidth;
   }).observe(document.body);
-  /* Fit once per frame when many sections unfold. */
+  /* Once per frame, when many sections unfold. */
   document.addEventListener("toggle", () => {
     frame ??= requestAnimationFrame(() => { frame = undefined; fitTables(); });
   }, true);

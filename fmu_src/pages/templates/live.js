@@ -7,7 +7,6 @@ const AXES = {
 };
 const STEPS = 200; /* steps of a slider */
 
-/* One instance of the FMU. */
 class Fmu {
   static async from(text) {
     const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
@@ -25,8 +24,8 @@ class Fmu {
     return new TextDecoder().decode(bytes.subarray(0, bytes.indexOf(0)));
   }
 
-  /* By the convention of a replayed log: set row k of the inputs [reference, values], step to it,
-   * read it. Ends where the FMU or what reads refuses, and returns whether one does. */
+  /* As in a replayed log: set row k of the inputs [reference, values], step to it, read it. Returns
+   * whether FMU or reader refuses. */
   through(t, inputs, read, prepare) {
     const { fmu } = this;
     const put = (k) => inputs.some(([reference, values]) => fmu.live_set(reference, values[k]));
@@ -37,7 +36,7 @@ class Fmu {
     return failed;
   }
 
-  /* Torque of a joint at each row of a motion up to a refusal of the FMU, with its message. */
+  /* Torque of a joint up to a refusal of the FMU, with its message. */
   run({ references, coefficients }, values, motion) {
     const torque = [], inputs = ["dq", "q", "tau_load"].map((u) => [references[u], motion[u]]);
     const failed = this.through(motion.t, inputs,
@@ -46,7 +45,7 @@ class Fmu {
     return { torque, refused: failed ? this.heard() : "" };
   }
 
-  /* An output [joint][row] of all joints over a log, as exported; of `inputs` [joint][row] each. */
+  /* An output [joint][row] over a log of `inputs` [joint][row]. */
   replay(joints, t, inputs, output = "tau") {
     const found = joints.map(() => new Float64Array(t.length));
     const connected = joints.flatMap(({ references }, j) =>
@@ -57,7 +56,6 @@ class Fmu {
   }
 }
 
-/* A sinusoidal velocity from rest, row by row. */
 function motionOf({ amplitude, frequency, cycles, centre = 0, load = 0 }, step) {
   const cycle = Math.max(2, Math.round(1 / (frequency * step)));
   const rate = 2 * Math.PI * frequency;
@@ -70,8 +68,8 @@ function motionOf({ amplitude, frequency, cycles, centre = 0, load = 0 }, step) 
   };
 }
 
-/* Largest torque of the last cycle, and the work dissipated in it by the trapezoidal rule;
- * not a number where the run ended before. */
+/* Largest torque and dissipated work (trapezoidal rule) of the last cycle; NaN if the run ended
+ * before. */
 function figures(motion, torque) {
   const last = torque.length - 1;
   if (last < motion.t.length - 1) return [NaN, NaN];
@@ -104,7 +102,6 @@ function valueAt(knob, share) {
   return scale === "whole" ? Math.round(value) : Number(value.toPrecision(DIGITS));
 }
 
-/* Allowed values of a knob's field, in words. */
 function allowed({ least, most, scale, unit }) {
   const from = least !== null && (most === null ? `of at least ${short(least)}` : `from ${short(least)}`);
   const words = [scale === "whole" ? "a whole number" : "a number", from, most !== null && `to ${short(most)}`];
@@ -149,7 +146,6 @@ class Section {
     this.schedule();
   }
 
-  /* One knob: label, slider, number field and reset button. */
   row(knob) {
     const row = this.element.querySelector("template").content.cloneNode(true).firstElementChild;
     const [slider, field] = row.querySelectorAll("input");
@@ -177,7 +173,7 @@ class Section {
       else this.object(field.value && `${knob.name} must be ${allowed(knob)}.`);
     });
     field.addEventListener("change", () => {
-      /* Selecting another joint also ends an edit and removes this field. */
+      /* Selecting another joint ends an edit and removes this field. */
       if (!this.rows.has(knob)) return;
       if (field.getAttribute("aria-invalid") === "true") {
         this.object(`${knob.name} is unchanged: it must be ${allowed(knob)}.`);
@@ -227,7 +223,7 @@ class Section {
     this.schedule();
   }
 
-  /* Draw once per frame. */
+  /* Once per frame. */
   schedule() {
     this.frame ??= requestAnimationFrame(() => {
       this.frame = undefined;
@@ -280,7 +276,7 @@ class Section {
       `as fitted ${shown(columns[0][0])} ${unit}.`;
   }
 
-  /* The curves in full precision; rows refused by the FMU are empty. */
+  /* Full precision; rows refused by the FMU are empty. */
   save() {
     const { motion, now, fitted } = this.result;
     const rows = motion.t.map((t, k) =>

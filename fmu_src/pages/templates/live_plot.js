@@ -1,7 +1,7 @@
 /* A plot of curves as SVG in the colours of the page. */
 
 const MARGIN = { left: 58, right: 14, top: 26, bottom: 42 };
-const DIGITS = 4; /* significant digits of a slider value, so that the displayed value is exact */
+const DIGITS = 4; /* significant digits of slider values, which are shown exactly */
 
 function short(value, digits = DIGITS) {
   return Number.isFinite(value) ? String(Number(value.toPrecision(digits))) : "–";
@@ -11,7 +11,6 @@ function shown(value, digits) {
   return short(value, digits).replaceAll("-", "−");
 }
 
-/* Round numbers from low to high. */
 function ticks(low, high, most) {
   const raw = (high - low) / most, base = 10 ** Math.floor(Math.log10(raw));
   const step = base * [1, 2, 5, 10].find((f) => f * base >= raw * (1 - 1e-9));
@@ -33,7 +32,7 @@ function range(...columns) {
 }
 
 class Plot {
-  /* Plot of named curves, the last one in front; all class names share a prefix. */
+  /* Named curves, the last one in front; class names share a prefix. */
   constructor(svg, prefix, names) {
     Object.assign(this, { svg, prefix });
     this.grid = this.add("g");
@@ -49,8 +48,7 @@ class Plot {
     return parent.appendChild(element);
   }
 
-  /* Draw curves { x, y } by name with axis labels; false if the values exceed every axis.
-   */
+  /* Draw curves { x, y } by name; false if the values exceed every axis. */
   draw(curves, textAcross, textUp) {
     const { width, height } = this.svg.getBoundingClientRect();
     const all = Object.values(curves);
@@ -85,7 +83,7 @@ class Plot {
     return true;
   }
 
-  /* Leave out points that coincide with the previous one. */
+  /* Omit points that coincide with the previous one. */
   path(curve, x, y) {
     const parts = [];
     let px = NaN, py = NaN;

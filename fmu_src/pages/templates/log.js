@@ -8,7 +8,6 @@ const VIEWS = {
 };
 const QUANTITIES = ["q", "dq", "tau_load", "tau"];
 
-/* All torques share one list of units. */
 function kindOf(quantity) {
   return quantity.startsWith("tau") ? "tau" : quantity;
 }
@@ -87,7 +86,7 @@ class Log {
     return this.element.querySelector(`select[data-unit=${quantity}]`);
   }
 
-  /* Fill the fields with the guessed columns of a file; open them if a guess is uncertain. */
+  /* Fill the fields with guessed columns; open them if a guess is uncertain. */
   offer(guess) {
     this.guess = guess;
     const option = (name, text = name) => new Option(text, name);
@@ -167,7 +166,7 @@ class Log {
     this.reasons = `q changes ${shown(ratio, 3)} times as fast as dq: check the units.`;
   }
 
-  /* The column of the first joint selects those of the others if names differ only in a number. */
+  /* The first joint's column selects the others if names differ only in a number. */
   follow(select) {
     const quantity = select.dataset.column, all = quantity ? this.selects(quantity) : [];
     if (all.length < 2 || select !== all[0]) return;
@@ -215,14 +214,12 @@ class Log {
         `increase, but ${short(found.t[back], 9)} s follows ${short(found.t[back - 1], 9)} s.`);
     }
     for (const quantity of QUANTITIES) found[quantity] = columns[quantity]?.map(cut) ?? null;
-    /* Whether the page's body computes the rigid-body torque. */
     found.carried = Boolean(this.body && found.q && !found.tau_load);
     found.parts = partsOf(found.t);
     if (!found.parts.length) throw new LogError("no part between its gaps lasts 1 s.");
     return found;
   }
 
-  /* Replay the chosen columns and show the result. */
   compute() {
     this.find("wrong").hidden = true;
     this.find("app").hidden = true;
@@ -240,7 +237,7 @@ class Log {
     this.draw();
   }
 
-  /* Part by part, as HESR replays a log with gaps: the law restarts after each gap. */
+  /* As HESR replays logs, the law restarts after each gap. */
   replayed(log) {
     const kept = log.parts.map(([first, last]) => (values) => values.subarray(first, last));
     const wanted = this.find("cutoff").valueAsNumber || this.own.cutoff;
@@ -389,7 +386,7 @@ for (const element of document.querySelectorAll(".log")) {
   const own = JSON.parse(element.querySelector("script").textContent);
   const live = document.getElementById(element.dataset.live).querySelector("script");
   const { module, joints } = JSON.parse(live.textContent);
-  /* The section above reports if it cannot run. */
+  /* The section above reports failures. */
   Promise.all([Fmu.from(module), own.body && Fmu.from(own.body.module)])
     .then(([fmu, body]) => new Log(element, joints, own, fmu, body)).catch(() => {});
 }

@@ -10,7 +10,7 @@ function differences(t) {
   return t.slice(1).map((value, k) => value - t[k]);
 }
 
-/* First and last row, exclusive, of each part of a log between gaps. */
+/* First and last row, exclusive, of the parts between gaps. */
 function partsOf(t) {
   const steps = differences(t), sorted = Float64Array.from(steps).sort();
   const kept = sorted.filter((step) => step <= sorted[Math.floor(USUAL * (sorted.length - 1))]);
@@ -24,7 +24,6 @@ function partsOf(t) {
   return parts.filter(([first, last]) => t[last - 1] - t[first] >= SHORTEST_PART);
 }
 
-/* Non-zero B-splines of degree k at x in a span of the knots. */
 function basis(knots, k, span, x, out) {
   out[0] = 1;
   for (let d = 1; d <= k; d++) {
@@ -39,7 +38,6 @@ function basis(knots, k, span, x, out) {
   }
 }
 
-/* B-splines and their values at increasing points. */
 function weightsOf(knots, k, points) {
   const last = knots.length - k - 2, row = new Float64Array(k + 1);
   const first = new Int32Array(points.length), weights = new Float64Array(points.length * (k + 1));
@@ -61,8 +59,8 @@ function valuesAt({ k, first, weights }, coefficients) {
   });
 }
 
-/* Splines of odd degree through values at x, without a knot next to the ends (de Boor). Their
- * matrix is totally positive, so that it is solved without pivoting. */
+/* Splines of odd degree through values at x, without a knot next to the ends (de Boor). The matrix
+ * is totally positive: no pivoting. */
 class Spline {
   constructor(x, k) {
     const n = x.length, half = (k + 1) / 2, ends = (value) => new Array(k + 1).fill(value);
@@ -98,8 +96,7 @@ class Spline {
 
 }
 
-/* Values at points of a derivative of a spline, which is a spline of one degree less on the inner
- * knots. */
+/* Values of a derivative of a spline, one of lower degree on the inner knots. */
 function derived({ knots, k }, c, order, points) {
   for (; order; order--, k--) {
     c = c.slice(1).map((value, i) => k * (value - c[i]) / (knots[i + k + 1] - knots[i + 1]));
@@ -148,7 +145,7 @@ function cutoffFor(period, wanted) {
   return wanted <= 0.4 * rate || rate < 1 ? wanted : Number((0.3 * rate).toPrecision(2));
 }
 
-/* Smoothed columns, each as a function of the derivative order. */
+/* Smoothed columns as functions of the derivative order. */
 function smoothed(t, columns, cutoff) {
   const period = median(differences(t)), span = t[t.length - 1] - t[0];
   if (cutoff > HIGHEST_SHARE * 0.5 / period) {

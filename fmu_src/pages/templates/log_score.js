@@ -22,7 +22,7 @@ function deviation(values) {
   return rms(values.map((value) => value - middle));
 }
 
-/* Integrated autocorrelation of a residual in rows, at least 1; cut at the first crossing. */
+/* Integrated autocorrelation of a residual in rows, at least 1, cut at the first crossing. */
 function correlationLength(residual) {
   const every = Math.ceil(residual.length / MOST_ROWS), middle = mean(residual);
   const x = residual.filter((_, k) => k % every === 0).map((value) => value - middle);
@@ -42,7 +42,7 @@ function correlationLength(residual) {
 }
 
 /* Error, level and offset of measured friction against a law, by least squares, with standard
- * errors that count neighbouring rows as alike. */
+ * errors for correlated rows. */
 function scoreOf(measured, law, dq) {
   const residual = measured.map((value, k) => value - law[k]);
   const n = law.length, middle = mean(law), centre = mean(measured);

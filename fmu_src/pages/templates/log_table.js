@@ -9,7 +9,6 @@ const MISSING = /^([-+]?nan|null|#?n\/?a|)$/i;
 const SINCE_1970 = 1e8; /* [s] */
 const LARGEST_FILE = 2 ** 28; /* bytes, read into one string */
 
-/* An error in a file, as a sentence for the user. */
 class LogError extends Error {}
 
 function cellsOf(line, delimiter) {
@@ -28,7 +27,6 @@ function cellsOf(line, delimiter) {
   return [...found, cell.trim()];
 }
 
-/* Whether a line is a row of numbers, some possibly missing. */
 function isData(line, delimiter) {
   if (isComment(line) || !line.includes(delimiter)) return false;
   const cells = cellsOf(line, delimiter), numbers = cells.filter((c) => DATUM.test(c)).length;
@@ -39,8 +37,8 @@ function isComment(line) {
   return line[0] === "#" || line[0] === "%";
 }
 
-/* Header, first row of data and delimiter: data start at the first line of numbers below
- * a line of as many names. */
+/* Header, first row of data and delimiter: data start at the first line of numbers below a line of
+ * as many names. */
 function tableIn(lines) {
   const named = lines.map(({ number, text }) => ({ number, text: text.replace(/^[#% ]+/, "") }));
   for (let at = 1; at < Math.min(lines.length, SEARCHED); at++) {
@@ -99,7 +97,6 @@ function tableOf(text) {
   return { names, columns, rows: rows.map((line) => line.number) };
 }
 
-/* Numbers of a column; an error names the first invalid cell. */
 function numbersOf(table, name) {
   const { values, wrong } = table.columns.get(name);
   if (wrong) {
@@ -109,7 +106,7 @@ function numbersOf(table, name) {
   return values;
 }
 
-/* Time stamps [s]; those since 1970 are relative to the first one. */
+/* Time stamps [s]; those since 1970 are relative to the first. */
 function timesOf(table, name, unit) {
   const values = numbersOf(table, name), first = values.find(Number.isFinite) ?? 0;
   const since = Math.abs(first) * unit > SINCE_1970 ? first : 0;
@@ -121,7 +118,7 @@ function median(values) {
   return sorted.length % 2 ? sorted[half] : 0.5 * (sorted[half - 1] + sorted[half]);
 }
 
-/* Guesses with HESR's own word lists, embedded in the page. */
+/* Guesses with HESR's own word lists. */
 class Guess {
   constructor(table, joints, words, units) {
     Object.assign(this, { table, joints, words, units });
@@ -139,7 +136,7 @@ class Guess {
     return (name.match(/[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°/g) ?? []).map((s) => s.toLowerCase());
   }
 
-  /* Columns that differ only in a number or a joint name, in the order of the joints. */
+  /* Columns that differ only in a number or joint name, by joint. */
   *grouped() {
     const numbered = new Map(), named = new Map();
     const keep = (groups, key, place, name) => {
@@ -205,7 +202,6 @@ class Guess {
     return possible.sort((a, b) => far(a) - far(b))[0];
   }
 
-  /* Unit in a column name, or "". */
   said(quantity, name) {
     const known = this.words.units[quantity] ?? {};
     const words = [...name.toLowerCase().split(/[^a-z°]+/), ...this.tokens(name)];
