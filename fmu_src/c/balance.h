@@ -51,8 +51,8 @@ static double mixed_at(const Component *component, bool torque, int vector, int 
     return sum;
 }
 
-/* Inner step of length h that ends at `time` [s] after the start of the communication step. Its
- * inputs are those at its end, because it is implicit. */
+/* Inner step of length h that ends at `time` [s] after the start of the communication step. It is
+ * implicit: its inputs are those at its end. */
 static Step step_of(const Component *component, int i, double h, double time) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
@@ -82,8 +82,8 @@ static void see(const Step *step, double q, double dq, double *u) {
     u[1] = step->gear * q;
 }
 
-/* Evaluate friction and flexspline in joint coordinates at a motor speed v held over the step; if
- * h = 0, the states are unchanged. Slopes are derivatives with respect to v. */
+/* Evaluate friction and flexspline in joint coordinates at a motor speed v held over the step; h =
+ * 0 keeps the states. Slopes are derivatives with respect to v. */
 static void attempt(const Step *step, const Motion *from, double v, Trial *trial) {
     const double du[MAX_INPUTS] = {step->gear, step->gear * step->h};
     double u[MAX_INPUTS], slope[MAX_OUTPUTS], torque[MAX_OUTPUTS];

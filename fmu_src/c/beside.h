@@ -16,7 +16,7 @@ static const char here = 0; /* an address in this library */
 #define NOUSER
 #include <windows.h>
 
-/* Load a library by its full path, so that Windows finds its dependencies next to it. */
+/* The full path lets Windows find dependencies next to the library. */
 static void *beside(const char *name) {
     wchar_t path[4096];
     HMODULE own = NULL;

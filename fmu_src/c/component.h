@@ -1,14 +1,12 @@
-/* The seam between FMI and the equations of a component.
+/* The seam between FMI and the equations of a component, which is independent of FMI.
  *
  * A component is a struct of doubles: one per scalar variable, at its index in the generated table,
  * and its own memory. It holds no pointers, so copying it saves its state. The glue (fmi2*.c) uses
- * only the declarations in this file, and a component is independent of FMI.
- *
- * Only the glue uses value references: a table maps each to the index of its first variable.
+ * only the declarations here; a table maps its value references to indices of first variables.
  *
  * The generated interface.h defines MODEL_GUID, PREFERRED_STEP, the numbers of VARIABLES, STATES
- * and INDICATORS, the size of the component's own memory (OWN), the number of leading variables
- * that may be inputs with SLOPES, whether the component makes INNER_STEPS, and the tables. */
+ * and INDICATORS, the size of the own memory (OWN), the number of leading variables that may be
+ * inputs with SLOPES, whether the component makes INNER_STEPS, and the tables. */
 #ifndef COMPONENT_H
 #define COMPONENT_H
 
@@ -40,11 +38,11 @@ typedef struct {
     char text[256];
 } Message;
 
-/* Functions that a component defines. Before calling any, the glue stores start values, parameters
- * and inputs in `v`. A function that returns false has changed nothing and gives the reason. */
+/* Functions of a component. Before calling any, the glue stores start values, parameters and inputs
+ * in `v`. One that returns false has changed nothing and gives the reason. */
 
-/* Open the workspace of the functions below, which is not part of the state, such as a model from
- * the FMU's resources. Returns NULL, with the reason, on failure. */
+/* Open the workspace, which is not part of the state, such as a model from the FMU's resources.
+ * Returns NULL, with the reason, on failure. */
 static void *component_open(const char *resources, Message *why);
 static void component_close(void *workspace);
 
@@ -52,30 +50,29 @@ static void component_close(void *workspace);
  * output. */
 static bool component_initialise(Component *component, void *workspace, Message *why);
 
-/* Compute outputs, local variables and derivatives from inputs, states, parameters and the values
- * held since the last event, without changing any of these. */
+/* Compute outputs, local variables and derivatives from inputs, states, parameters and held values,
+ * without changing these. */
 static bool component_output(Component *component, void *workspace, Message *why);
 
 /* Advance the states by `step` > 0 [s] with the inputs held, and compute the outputs at its end as
- * component_output does; derivatives may be omitted. With INNER_STEPS the inputs are those at the
- * start and follow their slopes; such a component reports an event at the end of the step and, if
- * allowed, ends it at the first one and reports the completed length. The glue then advances the
- * time. */
+ * component_output does; derivatives may be omitted. With INNER_STEPS the inputs follow their
+ * slopes from the start; such a component reports an event at the end of the step or, if allowed,
+ * ends it at the first one and reports the completed length. The glue then advances the time. */
 static bool component_step(Component *component, void *workspace, double step, Message *why);
 
 /* Compute the variables marked ON_DEMAND. */
 static void component_demand(Component *component);
 
-/* Update the values held between events from the inputs. Returns whether any changed, and describes
- * the change in `what` unless NULL. In co-simulation every evaluation is such an event. An input
- * within `rest` of zero counts as zero. */
+/* Update the values held between events from the inputs. Returns whether any changed, described in
+ * `what` unless NULL. In co-simulation every evaluation is such an event. An input within `rest` of
+ * zero counts as zero. */
 static bool component_event(Component *component, double rest, Message *what);
 
 /* Compute the event indicators, positive while a held value agrees with the inputs. */
 static void component_indicators(const Component *component, double rest, double *indicator);
 
-/* Derivatives of continuous outputs and state derivatives along a direction. `seed` holds that of
- * inputs, states and tunable parameters, and zeros elsewhere; both have VARIABLES elements. */
+/* Derivatives of continuous outputs and state derivatives along `seed`, a direction of inputs,
+ * states and tunable parameters; both have VARIABLES elements. */
 static void component_tangent(const Component *component, const double *seed, double *tangent);
 
 #endif

@@ -10,10 +10,10 @@
  *
  *     R(v) = inertia (v - dq) / h - tau_motor + (tau_f(v, x(v)) + tau_link(v)) / ratio = 0
  *
- * with the states x relaxed over the step at that speed (implicit Euler). Of several roots, the
- * solver takes the first one from dq in the direction in which R falls.
+ * with the states x relaxed at that speed (implicit Euler). Of several roots, the solver takes the
+ * first one from dq towards falling R.
  *
- * A motor that starts, stops or reverses within an inner step causes an event at its end. The
+ * A start, stop or reversal of a motor within an inner step causes an event at its end. The
  * generated equations.h defines the functions of the laws and the indices of the variables. */
 #include <math.h>
 #include <stdio.h>
@@ -131,8 +131,8 @@ static bool component_initialise(Component *component, void *workspace, Message 
     return true;
 }
 
-/* Until initialisation ends, compute outputs from start values and inputs; then keep those of the
- * last step. */
+/* Before the first step, outputs follow start values and inputs; then they are those of the last
+ * step. */
 static bool component_output(Component *component, void *workspace, Message *why) {
     (void)workspace, (void)why;
     if (component->own[STARTED] == 0.0) {

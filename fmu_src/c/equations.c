@@ -2,10 +2,10 @@
  *
  *     the memory advances over a step with the inputs held; then it determines the outputs
  *
- * The generated equations.h defines the functions, the table `joints`, and the indices of each
- * joint's variables. Signs of inputs at which an equation jumps are held between events. Equations
- * with previous values take a sample at each step, or at multiples of their sample time, and hold
- * their outputs in between. */
+ * The generated equations.h defines the functions, the table `joints`, and the indices of
+ * variables. Signs of inputs where an equation jumps are held between events. Equations with
+ * previous values take a sample at each step, or at multiples of their sample time, and hold their
+ * outputs in between. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -151,7 +151,7 @@ static bool can_relax(const Component *component, double step, Message *why) {
     return true;
 }
 
-/* Update the invariants if a parameter or the step length has changed. Non-finite values are not
+/* Update the invariants after a change of a parameter or the step length. Non-finite values are not
  * stored, because they could not be saved. */
 SELDOM static void update_invariants(Component *component, double step, double euler) {
     double *own = component->own;
@@ -235,8 +235,8 @@ static bool component_step(Component *component, void *workspace, double step, M
 /* Direction in which no parameter changes. */
 static const double no_change[MAX_PARAMETERS] = {0.0};
 
-/* Derivative of a joint's first output with respect to its first input, with the states following
- * as in the last step. */
+/* Derivative of a joint's first output with respect to its first input; states follow as in the
+ * last step. */
 static double slope_of_step(const Component *component, int i) {
     const Place at = place_of(component, i);
     const Joint *joint = at.joint;

@@ -49,8 +49,8 @@ enum {
     MAY_COPY_STATE = ANY,
 };
 
-/* Model exchange takes inputs within this fraction of their units for zero. It exceeds the solver's
- * uncertainty about a crossing, so none is found twice. */
+/* Model exchange takes inputs within this fraction of their units for zero, more than the solver's
+ * uncertainty about a crossing, so that none is found twice. */
 static const double REST = 1e-9;
 
 /* Some hosts retry a discarded step forever: return fmi2Error after this many identical retries. */
@@ -87,8 +87,8 @@ static void tell(const Instance *instance, fmi2Status status, const char *catego
                  const char *format, va_list arguments) {
     char text[512];
     vsnprintf(text, sizeof text, format, arguments);
-    /* The text is the format, because hosts without varargs show it unformatted. It has names and
-     * numbers from these files and never a percent sign. */
+    /* The text is the format, because hosts without varargs show it unformatted. It never contains
+     * a percent sign. */
     if (instance->host.logger) {
         instance->host.logger(instance->host.componentEnvironment, instance->name, status, category,
                               text);
@@ -120,8 +120,7 @@ SELDOM static void report(const Instance *instance, const char *format, ...) {
     }
 }
 
-/* Return the instance if it accepts a call now, else NULL: a call out of sequence changes
- * nothing. */
+/* Return the instance if it accepts a call now, else NULL. */
 static Instance *entered(fmi2Component c, int modes, const char *function) {
     Instance *instance = c;
     if (!instance) {
@@ -170,8 +169,8 @@ static double rest_of(const Memory *memory) {
     return memory->type == fmi2ModelExchange ? REST : 0.0;
 }
 
-/* Update the outputs if the results are finite. Between the events of model exchange, held values
- * are not updated. */
+/* Update the outputs if the results are finite; between events of model exchange without held
+ * values. */
 static bool refresh(Instance *instance, Message *why) {
     Memory *memory = &instance->memory;
     if (!memory->stale) {
@@ -185,8 +184,8 @@ static bool refresh(Instance *instance, Message *why) {
     return !memory->stale;
 }
 
-/* The same before reading: fmi2Discard if the values are not finite. After a failure or termination
- * the last values are returned. */
+/* The same before reading: fmi2Discard if values are not finite. After a failure or termination the
+ * last values are returned. */
 static fmi2Status refreshed(Instance *instance) {
     Message why;
     if (!(instance->memory.mode & RUNNING) || refresh(instance, &why)) {

@@ -14,8 +14,8 @@ typedef struct {
     Memory memory;
 } Saved;
 
-/* FNV-1a over words. Each sum is folded, because a product leaves a word's sign bit in place and
- * two would cancel. States that differ in one word have different sums. */
+/* FNV-1a over words. Sums are folded, because a product leaves a word's sign bit in place and two
+ * would cancel. States that differ in one word have different sums. */
 static uint64_t sum_of(const Saved *saved) {
     const unsigned char *bytes = (const unsigned char *)saved;
     uint64_t sum = 14695981039346656037u;

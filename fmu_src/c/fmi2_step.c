@@ -15,8 +15,8 @@ static void forget_slopes(Memory *memory) {
     memory->sloped = false;
 }
 
-/* Advance the states with the inputs held. Inputs with slopes are held at mid-step values, unless
- * the component follows them by inner steps. */
+/* Advance the states. Inputs with slopes are held at mid-step values, unless the component follows
+ * them by inner steps. */
 SELDOM static bool follow(Memory *memory, void *workspace, double step, Message *why) {
     const Component before = memory->component;
     follow_slopes(memory, &before, INNER_STEPS ? 0.0 : 0.5 * step);
@@ -50,8 +50,7 @@ static bool move(Memory *memory, void *workspace, double step, Message *why) {
     return component_step(&memory->component, workspace, step, why);
 }
 
-/* Whether a step is only round-off of accumulated times. It is skipped: the component divides by
- * the step. */
+/* Round-off of accumulated times is no step: the component divides by its length. */
 static bool is_rounding(double step) {
     return step < 1e-9 * PREFERRED_STEP;
 }

@@ -1,8 +1,8 @@
 /* Protection from MuJoCo's defaults: a file in the working directory on a warning, and the end of
  * the process on an error.
  *
- * During a call, a log handler of its thread receives MuJoCo's messages; other threads and users of
- * the library are unaffected. MuJoCo's own compiler and bindings use the same handler. */
+ * During a call, a log handler of its thread receives MuJoCo's messages, as in MuJoCo's own
+ * compiler and bindings; other threads and users of the library are unaffected. */
 #ifndef GUARD_H
 #define GUARD_H
 

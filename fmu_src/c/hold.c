@@ -1,8 +1,8 @@
 /* A container that accepts any step, around a runtime that accepts multiples of its own.
  *
- * The runtime, in the same folder, is stepped to the last multiple at or before a communication
- * point, and its outputs are held until the next one. All other calls are forwarded. The generated
- * hold.h defines RUNTIME_FILE and RUNTIME_STEP. */
+ * The runtime, in the same folder, is stepped to the last multiple before a communication point,
+ * and its outputs are held. All other calls are forwarded. The generated hold.h defines
+ * RUNTIME_FILE and RUNTIME_STEP. */
 #ifndef _GNU_SOURCE
 #define _GNU_SOURCE /* for dladdr */
 #endif

@@ -1,8 +1,8 @@
 /* Component: torque of a rigid-body motion by the recursive Newton-Euler algorithm.
  *
  * The torque is linear in first moments and in inertias about the joint frames, so identified base
- * parameters suffice, with zero masses for dependent ones. The generated tree.h holds the joint
- * placements and the indices of the variables. */
+ * parameters suffice, with zero masses for dependent ones. The generated tree.h describes the
+ * joints. */
 #include <math.h>
 
 #include "component_alone.h"
@@ -62,8 +62,8 @@ static Vector from_parent(const Joint *joint, const Link *link, Vector a) {
                   times_transposed(joint->rotation, a));
 }
 
-/* Force and moment of a link's own motion. Its ten parameters are the mass, the first moments and
- * the inertia xx, xy, yy, xz, yz, zz about its frame. */
+/* Force and moment of a link's own motion. Its parameters are the mass, the first moments and the
+ * inertia xx, xy, yy, xz, yz, zz about its frame. */
 static void own_needs(Link *link, const double *p) {
     const double inertia[] = {p[4], p[5], p[7], p[5], p[6], p[8], p[7], p[8], p[9]};
     const Vector moments = vector(p + 1), w = link->speed;

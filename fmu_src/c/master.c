@@ -153,8 +153,8 @@ PUBLIC int advance(System *s, int64_t stop) {
     return DONE;
 }
 
-/* Step a component through rows of inputs, `done` of which are complete: step k starts at times[k]
- * and has length sizes[k]. */
+/* Step a component through rows of inputs, after `done` of them: step k starts at times[k] and has
+ * length sizes[k]. */
 PUBLIC int through(const Station *at, const double *times, const double *sizes, const double *rows,
                    double *kept, int64_t stop, int64_t *done, fmi2Status *status) {
     for (; *done < stop; ++*done) {

@@ -1,8 +1,8 @@
 /* Component: any MJCF model, simulated by MuJoCo.
  *
  * Inputs drive actuators; outputs are weighted sums of sensors with seeded noise, as the generated
- * signals.h defines. The state is MuJoCo's integration state, kept in `own`, so a component can be
- * copied like any other; model and scratch memory are the workspace. */
+ * signals.h defines. MuJoCo's integration state is kept in `own`, so a component can be copied;
+ * model and scratch memory are the workspace. */
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -18,8 +18,8 @@
 #include "resource.h"
 #include "signals.h"
 
-/* The component's own memory: whether initialisation has ended, noise samples drawn, start time
- * [s], MuJoCo steps since then, levels [N.m] and ages [s] of the losses, and MuJoCo's state. */
+/* The component's own memory: whether initialisation has ended, noise samples, start time [s],
+ * MuJoCo steps since then, levels [N.m] and ages [s] of the losses, MuJoCo's state. */
 enum { STARTED = 0, SAMPLES = 1, ORIGIN = 2, MADE = 3, LEVELS = 4 };
 enum { AGES = LEVELS + LOSSES, MUJOCO_STATE = AGES + LOSSES };
 
@@ -144,8 +144,8 @@ static void evaluate(const Component *component, Workspace *w) {
     w->evaluated = true;
 }
 
-/* Make one MuJoCo step. If its start has just been evaluated, only forces are evaluated again for
- * the new inputs; Runge-Kutta steps and sleeping bodies require a full evaluation. */
+/* Make one MuJoCo step. If its start has just been evaluated, only forces are evaluated again;
+ * Runge-Kutta steps and sleeping bodies require a full evaluation. */
 static void make_step(Workspace *w) {
     const mjModel *m = w->model;
     const bool halves = m->opt.integrator != mjINT_RK4 && (m->opt.enableflags & mjENBL_SLEEP) == 0;
@@ -313,8 +313,7 @@ static bool advance(void *argument) {
     return true;
 }
 
-/* MuJoCo samples at multiples of its own step and holds its outputs in between, so any step is
- * valid. */
+/* MuJoCo samples at multiples of its own step and holds its outputs, so any step is valid. */
 static bool component_step(Component *component, void *workspace, double step, Message *why) {
     Workspace *w = workspace;
     const double passed = component->time + step - component->own[ORIGIN];

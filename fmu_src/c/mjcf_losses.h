@@ -1,5 +1,5 @@
-/* Dry friction whose level depends on load, speed and age: the `frictionloss` of the instance's own
- * model, set before each step from the result of the previous one.
+/* Dry friction of variable level: the `frictionloss` of the instance's own model, set before each
+ * step from the result of the previous one.
  *
  *     level = constant + load |torque| + direct ln(1 + |v| / speed) + evolution ln(1 + s / age)
  *     s' = 1 - (|v| / slip + 1 / longest) s

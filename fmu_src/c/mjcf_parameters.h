@@ -62,9 +62,8 @@ static bool parameters_are_usable(const double *v, Message *why) {
     return usable;
 }
 
-/* LuGre forces scale with stiffness, damping and levels; the shape is unchanged. Friction scaled to
- * zero keeps a trace, because MuJoCo has no bristles without stiffness but the model has their
- * states. */
+/* LuGre forces scale with stiffness, damping and levels. Friction scaled to zero keeps a trace,
+ * because MuJoCo has no bristles without stiffness. */
 static void scale_friction(mjModel *m, int actuator, double wanted) {
     const double scale = fmax(wanted, 1e-9);
     mjtNum *bias = &m->actuator_biasprm[actuator * mjNBIAS];
@@ -80,8 +79,8 @@ static void scale_friction(mjModel *m, int actuator, double wanted) {
     }
 }
 
-/* Without interpolation a command acts at the first step after the delay. Half a step less than the
- * whole steps protects it from round-off. */
+/* Without interpolation a command acts at the first step after the delay. Half a step less protects
+ * it from round-off. */
 static double delay_of(const mjModel *m, int actuator, double latency) {
     const double steps = ceil(latency / m->opt.timestep - 1e-6);
     const bool interpolated = m->actuator_history[2 * actuator + 1] > 0;

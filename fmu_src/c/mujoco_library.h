@@ -1,7 +1,7 @@
-/* MuJoCo's library, shipped next to the FMU's binary, where most loaders find it.
+/* MuJoCo's library, shipped next to the FMU's binary.
  *
- * The Windows loader searches the folder of the host's program instead, so there the library is
- * loaded by its full path and its functions are looked up. */
+ * The Windows loader searches the folder of the host's program instead, so the library is loaded by
+ * its full path and its functions are looked up. */
 #ifndef MUJOCO_LIBRARY_H
 #define MUJOCO_LIBRARY_H
 

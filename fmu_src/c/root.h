@@ -1,9 +1,8 @@
-/* Speed at which the torques on a motor balance: a root of the residual of balance.h.
+/* Speed of a motor with balanced torques: a root of the residual of balance.h.
  *
- * The search marches outwards from the old speed, in the direction in which the residual falls,
- * until its sign changes; Newton steps in the bracket follow, with bisection as a fallback. The
- * first root on this path is the right one of several, because the motion converges to it as the
- * step shrinks. */
+ * The search marches outwards from the old speed, towards falling residuals, until the sign
+ * changes; Newton steps in the bracket follow, with bisection as a fallback. The first root on this
+ * path is the right one of several, because the motion converges to it as the step shrinks. */
 #ifndef ROOT_H
 #define ROOT_H
 
@@ -26,8 +25,8 @@ static bool balanced(const Trial *trial) {
     return fabs(trial->residual) <= fmax(grain, step * fabs(trial->slope));
 }
 
-/* Bracket of the root: `near` has the sign of the residual at the start, `far` the opposite sign,
- * or is NaN while unknown. */
+/* Bracket of the root: `near` has the sign of the residual at the start, `far` the opposite, or is
+ * NaN. */
 typedef struct {
     double near, far;
     double outward; /* 1 or -1 */
@@ -87,8 +86,8 @@ static bool bent(const Trial *start, const Trial *end) {
             fabs(end->residual - straight) > STRAIGHT * fabs(start->residual));
 }
 
-/* Repeat the way from `start` to `end` in pieces and stop after the first root. Between two pieces
- * the residual may touch zero where its slope changes sign. */
+/* Repeat the way from `start` to `end` in pieces up to the first root. Between pieces the residual
+ * may touch zero where its slope changes sign. */
 static void retrace(const Step *step, const Motion *from, Search *search, Trial start, Trial *end) {
     const double to = end->v, piece = (to - start.v) / PIECES, outward = search->outward;
     for (int n = 1; n <= PIECES; n++) {

@@ -1,8 +1,8 @@
 /* Component: desired motion of all joints, now and at a fixed preview time.
  *
- * The closed-form formulas are those of hesr_model.motions.trajectories: accuracy and cost do not
- * depend on the time. A sweep is at rest before its start and after its end. The generated motion.h
- * holds the indices of the variables. */
+ * Accuracy and cost of the closed-form formulas of hesr_model.motions.trajectories do not depend on
+ * the time. A sweep is at rest before its start and after its end. The generated motion.h holds the
+ * indices of the variables. */
 #include <math.h>
 #include <stdio.h>
 

@@ -1,5 +1,5 @@
-/* Minimal C library for an FMU in a browser page. Building the compiler's own for WebAssembly takes
- * 15 s. The compiler provides the functions of math.h. */
+/* Minimal C library for an FMU in a browser page; building the compiler's own takes 15 s. The
+ * compiler provides the functions of math.h. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdbool.h>
@@ -62,8 +62,8 @@ static void put_whole(text *t, unsigned long value, int least) {
 
 enum { DIGITS = 800 }; /* the longest double has 767 */
 
-/* All digits of a positive number, the last one first; `exponent` is the decimal exponent of the
- * last. A double is an integer times 2^e, or times 5^-e / 10^-e. */
+/* All digits of a positive number, the last one first, with its decimal exponent. A double is an
+ * integer times 2^e, or times 5^-e / 10^-e. */
 static int decimal(double value, char digits[DIGITS], int *exponent) {
     uint64_t bits;
     memcpy(&bits, &value, sizeof bits);
