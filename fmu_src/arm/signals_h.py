@@ -71,7 +71,7 @@ def _rows(signals: ArmSignals, at: Mapping[str, int]) -> dict[str, list[tuple[ob
 
 
 _SIGNALS = """\
-/* Generated: which parts of the model are the FMU's signals. */
+/* Generated: the FMU's signals in the model. */
 #ifndef SIGNALS_H
 #define SIGNALS_H
 
@@ -79,13 +79,12 @@ _SIGNALS = """\
 #define MODEL_FILE "model.mjb"
 #define LONGEST_LATENCY {longest}
 
-/* Places of variables, -1 for those that the model does not have, and sizes. */
+/* Indices of variables, -1 if absent, and sizes. */
 enum {{ FIRST_OUTPUT = {first_output}, OUTPUTS = {outputs} }};
 enum {{ FRICTION_SCALE = {scale}, PAYLOAD = {payload}, LATENCY = {latency}, NOISE_SEED = {seed} }};
 enum {{ PAYLOAD_BODY = {body}, STATE_SIZE = {state} }};
 enum {{ {counts} }};
 
-/* What an input drives: its place and that of a control. */
 typedef struct {{
     int input, control;
 }} Drive;
@@ -102,20 +101,19 @@ typedef struct {{
     unsigned stream;
 }} Noise;
 
-/* A position or an activation that has a start value; the latter may hold what acts on a joint. */
+/* A position, or an activation that may balance the torques on a joint. */
 typedef struct {{
     int parameter, activation, index, held_dof;
     double gain;
 }} Start;
 
-/* Dry friction of a degree of freedom, and whose springs are its load; see mjcf_losses.h. */
+/* See mjcf_losses.h; springs of the carrier are the load. */
 typedef struct {{
     int dof, carrier;
     double constant, load, direct, speed, evolution, age, slip, longest;
 }} Loss;
 
-/* A loss that is a summand of an output. */
-typedef struct {{
+typedef struct {{ /* summand of an output */
     int output, loss;
 }} Lost;
 

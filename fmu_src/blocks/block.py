@@ -33,7 +33,7 @@ def places(table: Interface, guard: str, first: Mapping[str, str], **sizes: int)
     constants = {name: table.places[variable] for name, variable in first.items()} | sizes
     lines = ",\n".join(f"    {name} = {value}" for name, value in constants.items())
     return (
-        "/* Generated: where the first variable of each kind stands; other joints follow it. */\n"
+        "/* Generated: index of the first variable of each kind; other joints follow it. */\n"
         f"#ifndef {guard}\n#define {guard}\n\nenum {{\n{lines},\n}};\n\n#endif\n"
     )
 
@@ -137,7 +137,7 @@ def _named(component: Component, joint: Joint, used: Collection[object]) -> tupl
 
 def _parameter(parameter: Quantity, name: str, text: str) -> Variable:
     if not isinstance(parameter, Parameter):
-        raise TypeError(f"'{parameter.name}' is no parameter with a start value")
+        raise TypeError(f"'{parameter.name}' has no start value")
     role: Role = "tunable" if parameter.tunable else "fixed"
     if isinstance(parameter, Choice):
         choice = Enumeration(name=parameter.name.capitalize(), items=parameter.items)

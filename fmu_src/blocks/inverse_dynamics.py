@@ -85,14 +85,14 @@ _TREE = """\
 
 #include "places.h"
 
-/* Of the base [m/s2]. */
+/* In the frame of the base [m/s2]. */
 #define GRAVITY_X {x}
 #define GRAVITY_Y {y}
 #define GRAVITY_Z {z}
 
 typedef struct {{
     int parent;            /* -1 for the base */
-    int prismatic;         /* else it turns */
+    int prismatic;         /* else revolute */
     double rotation[9];    /* of its frame in its parent's at zero position, by rows */
     double translation[3]; /* [m] */
     double axis[3];        /* unit vector in its own frame */
@@ -102,7 +102,7 @@ static const Joint joints[JOINTS] = {{
 {rows}
 }};
 
-/* Motors' angles over joints', each divided by its gear ratio; read where COUPLED. */
+/* Motor angles per joint angles, divided by gear ratios; used if COUPLED. */
 enum {{ COUPLED = {coupled} }};
 static const double motors[JOINTS][JOINTS] = {{
 {motors}

@@ -238,7 +238,7 @@ def _signs(own: Functions) -> str:
 
 
 _HEADER = """\
-/* Generated: the equations of the joints, and where their variables stand. */
+/* Generated: equations of the joints, and indices of their variables. */
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
@@ -264,9 +264,9 @@ typedef struct {{
     const double *constants; /* parameters, or NULL if these are variables */
     int remembered;
     int slope; /* of the first output over the first input, or -1 */
-    int switches_of_joint; /* how many signs the equations hold */
+    int switches_of_joint; /* number of held signs */
     int first_switch;      /* among those of all joints */
-    const char *const *names; /* of what they are signs */
+    const char *const *names; /* of the arguments of the signs */
     int (*refused)(const double *u, const char **needed);
 {members}
 }} Joint;
@@ -279,7 +279,7 @@ static const Joint joints[JOINTS] = {{
 {rows}
 }};
 
-/* Where COUPLED: motions of the equations' coordinates from those of the joints, and torques. */
+/* If COUPLED: coordinates of the equations from motions of the joints, and torques. */
 {coupling}
 
 #endif

@@ -75,7 +75,7 @@ _FACTOR = re.compile(r"([A-Za-z]+|1)(-?[0-9]+)?")
 
 CATEGORIES: Mapping[str, str] = {
     "logEvents": "initialisation, end and, in model exchange, changes of sign",
-    "logStatusDiscard": "why a call was refused; the simulation can go on",
+    "logStatusDiscard": "why a call was refused; the simulation can continue",
     "logStatusError": "why a call failed",
     "logAll": "all of these",
 }

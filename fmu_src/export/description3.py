@@ -56,7 +56,7 @@ class Arrays:
 
 
 _EXTENTS = """\
-/* Generated: how many elements the variable of FMI 3.0 has that begins at a place, 0 within one. */
+/* Generated: number of elements of the FMI 3.0 variable at an index, 0 within one. */
 static const int extents[VARIABLES] = {{{}}};
 """
 

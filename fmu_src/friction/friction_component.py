@@ -329,7 +329,7 @@ def law_variables(
         )
     first = (*(0.0,) * (len(memory) - len(law.start)), *law.start)
     for (element, state, _), name, start in zip(elements, own.starts, first, strict=True):
-        text = f"value of {state} at the start; where this is steady, of a start at rest"
+        text = f"start value of {state}; if the start is steady, that of a start at rest"
         yield Variable(name, "fixed", text, unit=element.unit, start=start)
     if not exposed(law):
         return
