@@ -114,10 +114,8 @@ _OUTPUTS = (
 )
 
 
-def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) -> Interface:
-    """Return the variables of a drive FMU; `substep` is the longest inner step [s]."""
+def _interface(model: FrictionModel, laws: Sequence[Joint], own: Motors) -> Interface:
     zeros = (0.0,) * len(model.laws)
-    laws = _joints(model)
     torque = sympy.Symbol(TORQUE, real=True)
     friction: list[Variable] = []
     own_laws: list[Variable] = []
@@ -138,7 +136,7 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
     found += friction
     for n, unit, text in _PARAMETERS:
         found += vector(n, "fixed", unit, text, getattr(own, n, zeros))
-    found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=substep))
+    found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
     found += [choice, start_mode(), *scales(model), *own_laws]
     variables = [_at_joint(v, model.slides) for v in found]
     inputs = {v.name for v in variables if v.role == "input"}
@@ -203,18 +201,9 @@ def _coupled(coupling: Coupling | None, outputs: Sequence[Variable]) -> Iterator
         yield replace(variable, dependencies=tuple(dict.fromkeys(found)))
 
 
-def _joints(model: FrictionModel) -> tuple[Joint, ...]:
-    return joints_of(model, names={TORQUE: "tau_f"})
-
-
-def equations_to_c(model: FrictionModel, table: Interface) -> str:
-    """Return equations.h: functions of the distinct laws and indices of the joints' variables."""
-    vectors = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *(n for n, *_ in _PARAMETERS)]
-    places = {name.upper(): f"{name}[1]" for name in vectors}
-    places |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}
-    own = _joints(model)
-    return equations_header(own, table, places, wanted=SOLVER, coupling=model.coupling)
-
+_VECTORS = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *(n for n, *_ in _PARAMETERS)]
+_PLACES = {name.upper(): f"{name}[1]" for name in _VECTORS}
+_PLACES |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}
 
 FLANGE = Terminal(
     name="flange",
@@ -261,7 +250,9 @@ def export_drive(
 
 def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content:
     """Return the FMU of a drive before compilation."""
-    table = interface(model, own)
+    joints = joints_of(model, names={TORQUE: "tau_f"})
+    table = _interface(model, joints, own)
+    header = equations_header(joints, table, _PLACES, wanted=SOLVER, coupling=model.coupling)
     about = description_of(
         model,
         name=f"Drive of {model.robot} with {model.law}",
@@ -279,7 +270,7 @@ def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content
     return Content(
         table=table,
         about=about,
-        sources=sources | {"equations.h": equations_to_c(model, table)},
+        sources=sources | {"equations.h": header},
         members=members,
         stimuli=_stimuli(model, own),
         terminals=(FLANGE,),
