@@ -1,4 +1,4 @@
-"""Docstrings do not mislead: what they name among parameters and errors exists.
+"""Docstrings do not mislead: the parameters, errors and names in them exist.
 
 That everything public has one is ruff's to see.
 """
@@ -13,27 +13,34 @@ import numpy as np
 
 import cosim
 import fmu_src
+import hesr
 import hesr_model
 from hesr_model import errors
 
 SOURCES = [
     path
-    for package in (hesr_model, fmu_src, cosim)
+    for package in (hesr_model, fmu_src, cosim, hesr)
     for path in sorted(Path(package.__file__).parent.rglob("*.py"))
 ]
+TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
 Node = ast.ClassDef | ast.FunctionDef
+# Examples of names that are made by a program or come from other libraries.
+FOREIGN = {"q1", "q2", "a_0", "theta1_dq", "der", "R7", "ParfamH", "__dir__", "__getattr__"}
 
 
-def documented(title: str) -> Iterator[tuple[str, Node, set[str]]]:
-    """Classes and functions with such a section, and the names that it describes."""
-    for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, Node):
-                text = ast.get_docstring(node) or ""
-                section = re.search(rf"(?ms)^{title}\n-+\n(.*?)(?:^\w[\w ]*\n-+\n|\Z)", text)
-                heads = re.findall(r"(?m)^(\S.*?)(?: : .*)?$", section[1]) if section else []
-                names = {name.strip("* ") for head in heads for name in head.split(",")}
-                yield f"{path}:{node.lineno} {node.name}", node, names
+def documented() -> Iterator[tuple[Path, Node, str]]:
+    """Classes and functions with their docstrings."""
+    for path, tree in TREES.items():
+        for node in ast.walk(tree):
+            if isinstance(node, Node) and (text := ast.get_docstring(node)):
+                yield path, node, text
+
+
+def described(text: str, title: str) -> set[str]:
+    """Names that a section of a docstring describes."""
+    section = re.search(rf"(?ms)^{title}\n-+\n(.*?)(?:^\w[\w ]*\n-+\n|\Z)", text)
+    heads = re.findall(r"(?m)^(\S.*?)(?: : .*)?$", section[1]) if section else []
+    return {name.strip("* ") for head in heads for name in head.split(",")}
 
 
 def parameters(node: Node) -> set[str]:
@@ -43,20 +50,65 @@ def parameters(node: Node) -> set[str]:
     return arguments | {ast.unparse(n.target) for n in node.body if isinstance(n, ast.AnnAssign)}
 
 
+def words(tree: ast.AST) -> set[str]:
+    """Words of the code of a module, its texts among them, but not of its docstrings."""
+    docstrings = {
+        id(n.body[0].value)
+        for n in ast.walk(tree)
+        if isinstance(n, Node | ast.Module) and ast.get_docstring(n)
+        and isinstance(n.body[0], ast.Expr)
+    }  # fmt: skip
+    texts = []
+    for node in ast.walk(tree):
+        if id(node) not in docstrings:
+            texts += [v for _, v in ast.iter_fields(node) if isinstance(v, str)]
+    return set(re.findall(r"\w+", " ".join(texts)))
+
+
 def _is_class(node: Node) -> bool:
     return isinstance(node, ast.ClassDef)
 
 
 def test_parameters_that_are_described_exist() -> None:
-    found = [(place, names, parameters(node)) for place, node, names in documented("Parameters")]
-    assert sum(bool(names) for _, names, _ in found) > 100
-    assert [(place, names - known) for place, names, known in found if names - known] == []
+    found = [
+        (f"{path}:{node.lineno}", described(text, title) - known)
+        for path, node, text in documented()
+        for title, known in (("Parameters", parameters(node)), ("Attributes", words(node)))
+    ]
+    assert [(place, unknown) for place, unknown in found if unknown] == []
+
+
+def test_names_in_docstrings_exist() -> None:
+    """They are words of their module, or defined elsewhere."""
+    defined = set(FOREIGN)
+    for tree in TREES.values():
+        nodes = list(ast.walk(tree))
+        defined |= {n.name for n in nodes if isinstance(n, Node)}
+        defined |= {n.arg for n in nodes if isinstance(n, ast.arg)}
+        defined |= {ast.unparse(n.target) for n in nodes if isinstance(n, ast.AnnAssign)}
+        defined |= {ast.unparse(n.targets[0]) for n in tree.body if isinstance(n, ast.Assign)}
+        # Names of choices and variables.
+        texts = [n.value for n in nodes if isinstance(n, ast.Constant)]
+        defined |= {text for text in texts if isinstance(text, str) and text.isidentifier()}
+    for path in Path(fmu_src.__file__).parent.rglob("*.[ch]"):
+        defined |= set(re.findall(r"\w+", path.read_text(encoding="utf-8")))
+    of_module = {path: words(tree) for path, tree in TREES.items()}
+    named = 0
+    unknown = []
+    for path, node, text in documented():
+        names = set(re.findall(r"`([A-Za-z_]\w*)`", text))
+        named += len(names)
+        unknown += [f"{path}:{node.lineno} {n}" for n in names - of_module[path] - defined]
+    assert named > 800
+    assert unknown == []
 
 
 def test_errors_that_are_described_exist() -> None:
     known = {name for holder in (builtins, errors, np.linalg) for name in vars(holder)}
-    known |= {n.name for _, n, _ in documented("Raises") if _is_class(n)} | {"Exit"}  # typer's
-    found = [(place, names) for place, _, names in documented("Raises")]
-    assert sum(bool(names) for _, names in found) > 100
-    last = [(place, {name.rpartition(".")[2] for name in names}) for place, names in found]
-    assert [(place, names - known) for place, names in last if names - known] == []
+    known |= {n.name for _, n, _ in documented() if _is_class(n)} | {"Exit"}  # typer's
+    found = []
+    for path, node, text in documented():
+        names = described(text, "Raises") | set(re.findall(r"\b[A-Z]\w*Error\b", text))
+        found += [(f"{path}:{node.lineno}", name.rpartition(".")[2]) for name in names]
+    assert len(found) > 100
+    assert [(place, name) for place, name in found if name not in known] == []
