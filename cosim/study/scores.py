@@ -36,14 +36,14 @@ MEASURED_START = " + start"
 Errors = Mapping[str, Mapping[str, Sequence[float]]]  # RMSE by test set, law, joint [N.m]
 ORACLE = "true friction"
 """Row of the twin's own friction; its error is noise and the error of the rigid body."""
-RECORDED = 1.1  # ratio of errors for which the needed duration of tests is stated
+RECORDED = 1.1  # ratio of errors that a recommended test would find
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ratio:
     """RMSE of a law over that of its reference, and 95 % interval; None for short logs.
 
-    p is adjusted for the laws of the joint (Holm) and multiplied by `CALIBRATION`.
+    p is adjusted for the laws of the joint (Holm) and by `CALIBRATION`.
     """
 
     value: float
@@ -99,9 +99,8 @@ class LawScores:
 class Comparison:
     """Scores of several laws on the same logs; defaults are those of earlier versions.
 
-    For each joint, `leading` has the law with the lowest error and all laws that are not
-    significantly worse (Holm over the joint), `detectable` the smallest ratio to the lowest error
-    at which each other law would be found worse; it is empty if the logs are too short.
+    By joint, `leading` has the law with the lowest error and all not significantly worse (Holm),
+    `detectable` the smallest ratio at which each other law would be found worse, if any.
     """
 
     joints: tuple[str, ...]
@@ -112,7 +111,7 @@ class Comparison:
     per_log: tuple[str, ...] | None = None  # fitted to each test log
     bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)  # coverage of 95 %
     detectable: tuple[Mapping[str, float], ...] = ()
-    seconds: tuple[float, ...] = ()  # [s] duration of tests that finds `RECORDED`, median of laws
+    seconds: tuple[float, ...] = ()  # [s] test that finds `RECORDED`, median
 
     @property
     def too_short(self) -> tuple[bool, ...]:
@@ -214,7 +213,7 @@ def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, Ratio]
 def _against_best(
     table: LawErrors, ranked: Sequence[str]
 ) -> tuple[tuple[str, ...], dict[str, float], float]:
-    """Return the laws that are not worse than the best, what can be found, and in which time.
+    """Return leading laws, detectable ratios, and the duration of a test [s].
 
     One family per joint: a family over all joints would have little power.
     """
@@ -262,8 +261,7 @@ def _reference(
 ) -> str:
     """Return the strongest classic law on a joint without further inputs.
 
-    It is chosen by errors on left-out training logs; where these are unknown, as for FMUs of other
-    tools, by the error on the test.
+    It has the lowest error on left-out training logs, or on the test if that is unknown.
     """
     if law not in inputs:
         return fallback

@@ -22,27 +22,26 @@ if TYPE_CHECKING:
 
 VERDICT, VERDICT_FORMAT = "verdict.json", "hesr-verdict-1"
 
-CLOSE = 1.05  # ratio of errors below which a difference is one of coefficients, not of laws
+CLOSE = 1.05  # ratio of errors; smaller ones are due to coefficients
 _SHORT = "the test is too short to compare laws"
-_MUCH = 25.0  # [%] unexplained friction of a poorly modelled joint
-_AT_REVERSALS = 1.5  # error near reversals over that of all rows, above which reversals are weak
-_BEYOND = 0.02  # share of test rows outside the trained speeds to report
+_MUCH = 25.0  # [%] of friction unexplained
+_AT_REVERSALS = 1.5  # error near reversals over that of all rows
+_BEYOND = 0.02  # share of test rows outside the trained speeds
 _RESTS = 0.02  # share of training rows at rest that shows stiction
 _LOADED = 0.5  # spread of the load over that of friction
 
 
 @dataclass(frozen=True, kw_only=True)
 class Separation:
-    """Laws that a test cannot distinguish on a joint.
+    """Laws `tied` with the `best` on a joint, which a test cannot distinguish.
 
-    `tied` are not significantly worse than the law with the lowest error, `best`; any law whose
-    error were `detectable` times the lowest would have been found worse, None for a short test.
+    An error of `detectable` times the lowest would have been found; None for a short test.
     """
 
     best: str
     tied: tuple[str, ...]
     detectable: float | None
-    seconds: float  # [s] duration of a test that would find `RECORDED`
+    seconds: float  # [s] test that would find `RECORDED`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +56,7 @@ class Verdict:
     weak: tuple[str, ...]
     improve: tuple[str, ...]
     joints: tuple[Separation, ...] = ()  # empty in earlier versions
-    limits: tuple[str, ...] = ()  # what the test cannot tell
+    limits: tuple[str, ...] = ()  # of the test
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -84,9 +83,8 @@ def verdict(
 ) -> Verdict:
     """Judge a run by its first test set; records are [joint][log].
 
-    The recommended law is the simplest of those that no other law beats on any joint; see
-    `recommend`. A test that is too short decides nothing; then the errors on left-out training logs
-    decide.
+    The recommended law is the simplest of those that no other law beats; see `recommend`. For a
+    test that is too short, the errors on left-out training logs decide.
     """
     test, scores = next(iter(comparisons.items()))
     law, why = recommend(scores, models)
@@ -111,7 +109,7 @@ def verdict(
 
 
 def separation(scores: Comparison) -> Iterator[Separation]:
-    """Yield which laws the test cannot distinguish, by joint."""
+    """Yield the laws that the test cannot distinguish, by joint."""
     for of_joint, detectable, seconds in zip(
         scores.leading, scores.detectable, scores.seconds, strict=True
     ):
@@ -126,11 +124,10 @@ def separation(scores: Comparison) -> Iterator[Separation]:
 
 
 def recommend(scores: Comparison, models: Mapping[str, FrictionModel]) -> tuple[str, str]:
-    """Return the recommended law and the reason, which is the rule that decided.
+    """Return the recommended law and the rule that decided.
 
-    On a test of sufficient length: of the laws that lead on most joints, those within `CLOSE` of
-    the lowest error of each joint, or else the one nearest to it; of these the simplest, with the
-    fewest inputs, then the fewest states and coefficients.
+    It is the simplest of the laws that lead on most joints within `CLOSE` of the lowest error of
+    each joint, else the one nearest to that.
     """
     names = [law for law in scores.laws if law in models]
     joints = range(len(scores.joints))
@@ -197,7 +194,7 @@ def _better(scores: Comparison, law: str) -> str:
 
 
 def limits(test: str, law: str, joints: Sequence[Separation]) -> Iterator[str]:
-    """Yield what a test cannot tell about a law."""
+    """Yield sentences on the limits of a test of a law."""
     short = short_names(len(joints))
     if all(one.detectable is None for one in joints):
         if any(one.tied for one in joints):
