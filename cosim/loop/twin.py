@@ -17,6 +17,7 @@ from fmu_src.arm.plant import Plant, joint_limits, servo_signals
 from fmu_src.arm.table import SignalTable
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
+from fmu_src.run.variables import Value
 from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
@@ -88,18 +89,13 @@ class TwinArm:
         fmu, noise = self._component, self.plant.noise
         if fmu.used:
             fmu.reset()
-        vectors: dict[str, ArrayLike] = {
-            "q0": q0,
+        start: dict[str, Value] = {
+            "q0": tuple(np.asarray(q0, dtype=float).tolist()),
             "q_noise": noise.encoder,
             "tau_meas_noise": noise.torque,
+            "noise_seed": (seed & 0xFFFFFFFF, seed >> 32),
         }
-        start = {
-            f"{name}[{i}]": float(value)
-            for name, values in vectors.items()
-            for i, value in enumerate(np.asarray(values), start=1)
-        }
-        halves = {"noise_seed[1]": seed & 0xFFFFFFFF, "noise_seed[2]": seed >> 32}
-        fmu.initialise(start={**start, **halves})
+        fmu.initialise(start=fmu.variables.expanded(start))
         joints = range(1, len(self.plant.joints) + 1)
         inputs = fmu.buffer([f"dq_cmd[{i}]" for i in joints])
         outputs = fmu.buffer([f"{name}[{i}]" for name in _OUTPUTS.values() for i in joints])

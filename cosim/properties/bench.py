@@ -7,6 +7,7 @@ import numpy as np
 from fmu_src.friction.friction_component import GIVEN, START_MODE
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
+from fmu_src.run.variables import Value
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.support.arrays import Array
@@ -32,7 +33,7 @@ class _Bench:
         self._rows = self._inputs.values.reshape(len(inputs), joints)
         self._time = 0.0
 
-    def _start(self, start: Mapping[str, float]) -> None:
+    def _start(self, start: Mapping[str, float | str]) -> None:
         if self._component.used:
             self._component.reset()
         self._component.initialise(start=start, inputs=self._inputs)
@@ -139,19 +140,15 @@ class DriveBench(_Bench):
 
         `stiffness` (n,) is that of the flexsplines [N.m/rad], `substep` the longest inner step [s].
         """
-        start = {
-            f"{name}[{i}]": float(value)
-            for name, values in (("q_start", self.places), ("stiffness", stiffness))
-            if values is not None
-            for i, value in enumerate(values, start=1)
-        }
+        given = {"q_start": self.places, "stiffness": stiffness}
+        start: dict[str, Value] = {k: tuple(v.tolist()) for k, v in given.items() if v is not None}
         if substep is not None:
             start["substep"] = substep
         self._rows[0] = torque
         self._rows[1] = self.places
         self._rows[2] = 0.0
         self._rows[3] = load
-        self._start(start)
+        self._start(self._component.variables.expanded(start))
 
     def step(self, dt: float) -> Array:
         """Step; return q, dq and friction torque (3, n), valid for one step."""
