@@ -1,8 +1,7 @@
 """Mistakes in a robot file that explain the torques better than the file as it is.
 
-With the logs corrected for a mistake, the rigid body of the model file and friction are fitted to
-the torques. Gravity, inertia and friction have non-negative weights, so wrong signs and swapped
-columns fit badly.
+To logs corrected for a mistake, the rigid body of the model file and friction are fitted with
+non-negative weights, so wrong signs and swapped columns fit badly.
 """
 
 from collections.abc import Sequence

@@ -98,7 +98,7 @@ class Torques:
 def as_logged(
     motion: Motionwise, torques: Torques, coupling: Coupling | None
 ) -> tuple[Motionwise, Torques]:
-    """Transform velocities and torques to motors if logged: there, mistakes concern one column."""
+    """Transform velocities and torques to motors if logged: each has one column."""
     if coupling is None:
         return motion, torques
     at_motors = replace(motion, v=coupling.motion(motion.v), tau=coupling.torque(motion.tau))

@@ -1,9 +1,8 @@
 """Timing checks: torque lag and wrong time-stamp rate.
 
-Friction responds late after a reversal, so at low speed it looks like a lag; unknown rotor inertias
-look like a wrong rate. A rigid body imitates neither: its gravity and inertia follow the joints
-without delay and share masses and known lengths. Both tests therefore fit a body with free
-parameters, in addition to friction with memory.
+Friction after a reversal looks like a lag, and unknown rotor inertias look like a wrong rate. So
+both tests fit a body with free parameters, whose gravity and inertia follow the joints without
+delay, in addition to friction with memory.
 """
 
 from collections.abc import Iterator, Sequence

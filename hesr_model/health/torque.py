@@ -1,7 +1,6 @@
 """Torque checks against motion and model: signs, scales, signal.
 
-The torque of one joint in one log is regressed on the gravity and inertial torque of the model file
-and on friction; standard errors account for autocorrelation.
+The torque of a joint is regressed on gravity and inertia of the model file and on friction.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -91,7 +90,7 @@ def _sign(fit: JointTorque, j: int, model: Robot) -> Iterator[Finding]:
 def sign_change(
     robot: RobotDescription, j: int | None, *, position: bool
 ) -> tuple[str, dict[str, object]]:
-    """Return the change that reverses a torque or a position, of all joints without `j`."""
+    """Return the change that reverses the torque or position of joint `j`; None means all."""
     n = len(robot.joints)
 
     def turned(key: str) -> tuple[str | float, ...]:

@@ -1,29 +1,8 @@
 """Measurement noise as a pure function of seed, stream and counter.
 
 Without hidden state, repeated steps, restored states and parallel arms draw the same numbers, in C
-as in Python. All integers are unsigned 64 bit and wrap::
-
-    finish(z):  z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9
-                z = (z ^ (z >> 27)) * 0x94D049BB133111EB
-                return z ^ (z >> 31)
-    gamma   = 0x9E3779B97F4A7C15
-    base    = finish((finish(seed + gamma) ^ stream) + gamma)
-    word(i) = finish(base + (i + 1) * gamma)
-
-This is the splitmix64 sequence (Steele, Lea, Flood 2014) from `base`. Normal number c is the cosine
-branch of Box-Muller over two successive words::
-
-    u = ((word(2c) >> 11) + 1) * 2^-53        in (0, 1]
-    w = (word(2c + 1) >> 11) * 2^-53          in [0, 1)
-    normal(c) = sqrt(-2 ln u) cos(2 pi w)
-
-Test vectors; normals agree to 1e-14, because ln and cos depend on the library::
-
-    seed      stream  c        word(c)             normal(c)
-    0         0       0        0x238275BC38FCBE91  1.9549744116420429
-    1         0       0        0xB18A02F46D8D86C3  0.84212792483929511
-    1         2       3        0x2A38BBE987FDF051  0.96852403952840393
-    2^64 - 1  5       1000000  0xA62A18996EB1CC37  2.7082296607715115
+as in Python: words of splitmix64 (Steele, Lea, Flood 2014) from a base by seed and stream, and the
+cosine branch of Box-Muller over two successive words. `tests/unit/test_noise.py` has test vectors.
 """
 
 import numpy as np

@@ -153,10 +153,8 @@ class Log:
         ------
         LogError
             If the file cannot be read, a column or topic is missing, the number of joints is wrong,
-            a cell
-            is not a finite number, time does not increase or has another rate than the robot file,
-            or
-            currents lack torque constants.
+            a cell is not a finite number, time does not increase or has another rate than the robot
+            file, or currents lack torque constants.
         RobotError
             If a list of the robot file has not one entry per joint.
         """

@@ -1,9 +1,9 @@
 """A bounded sample of motions that keeps rare conditions.
 
-Windows of a second belong to the strata of their rows: rest, reversals, octaves of speed and of
-torque of either sign, for each joint. A stratum ranks them by weighted sampling without replacement
-(Efraimidis and Spirakis, Inf. Process. Lett. 97 (2006) 181-185), weighted by its rows. Strata take
-turns at choosing their best window, the smallest first.
+Windows of a second belong to strata of each joint: rest, reversals, octaves of speed and of torque.
+A stratum ranks them by weighted sampling without replacement (Efraimidis and Spirakis, Inf.
+Process. Lett. 97 (2006) 181-185), weighted by its rows. Strata take turns at choosing their best
+window, the smallest first.
 """
 
 import hashlib

@@ -1,8 +1,7 @@
 """Identification motion by motion, with bounded memory.
 
-Least squares needs only the triangular factor of each friction coordinate's block (Golub and Van
-Loan, Matrix Computations, sec. 5.3 and 6.5). The estimate equals that of `identification.identify`
-up to round-off; the covariance, from a sample of the rows, is conservative.
+Least squares needs only triangular factors (Golub and Van Loan, Matrix Computations, sec. 5.3 and
+6.5): the estimate is that of `identification.identify`, with a conservative covariance.
 """
 
 from collections.abc import Sequence

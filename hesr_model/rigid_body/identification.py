@@ -59,16 +59,12 @@ class RigidBody:
         physically consistent bodies and bodies with a payload.
     base : indices of the base parameters, to which all others reduce linearly (eq. 6).
     standard_errors : of the base parameters (len(base),), the contribution of the others included.
-    condition : condition number of the weighted observation matrix, each column relative to its
-        size
-        over random states of the robot.
-    ridge : weight of the pull towards zero on that scale, relative to the largest singular value; 0
-        if
-        not needed.
+    condition : condition number of the weighted observation matrix, columns divided by their size
+        over random states.
+    ridge : pull towards zero on that scale over the largest singular value, if needed.
     friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit at
-        friction
-        coordinates (`robots.transmission`), zero with the paper's method; not the friction model.
-    rmse : (n,) [N.m] residual of the fit at friction coordinates, over the rows used.
+        friction coordinates (`robots.transmission`); not the friction model.
+    rmse : (n,) [N.m] residual at friction coordinates, over the rows used.
     rows : number of samples offered to the fit.
     logs : names of the logs.
     physical : whether the bodies have positive mass density.
@@ -231,11 +227,10 @@ def identify_motions(
 ) -> RigidBody:
     """Identify the rigid-body parameters from smooth motions; raises FitError.
 
-    Method ``"stacked"`` solves one least-squares problem over all motions, forward and reversed, in
-    which every joint also has a Coulomb, a viscous and an offset coefficient, unless that is
-    indistinguishable from a weight. ``"paper"`` averages torque and regressor of each motion and of
-    its `reversed_motions` counterpart at the same position, where odd friction cancels (eq. 7).
-    Either drops slow rows (`observations.SLOW`).
+    Method ``"stacked"`` solves one least-squares problem over all motions, forward and reversed,
+    with Coulomb, viscous and offset coefficients of every joint. ``"paper"`` averages torque and
+    regressor of each motion and of its `reversed_motions` counterpart at the same position, where
+    odd friction cancels (eq. 7). Either drops slow rows (`observations.SLOW`).
 
     Weighting ``"wls"`` (default of the stacked method) weighs each joint by its residual's standard
     deviation, ``"ols"`` (default of the paper's) does not.

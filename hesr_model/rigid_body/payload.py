@@ -1,11 +1,10 @@
 """Payload: the ten inertial parameters of a load on the last link, from logs under load.
 
-The additional torque is linear in them, with the regressor's columns of the last link (eq. 5)::
+The regressor's columns of the last link (eq. 5) explain the additional torque::
 
     tau - Y pi_unloaded = Y_last pi_payload + friction
 
-They are independent if the last link turns freely enough. Friction has its own columns, because a
-load changes it.
+Friction has its own columns, because a load changes it.
 """
 
 from collections.abc import Sequence

@@ -5,10 +5,8 @@ A link is such a body if and only if its pseudo-inertia is positive definite (We
 
     P = [[Sigma, h], [h', m]],    Sigma = tr(I)/2 1 - I = integral of r r' dm,    h = m c
 
-The search uses P = B U U' B', with U upper triangular with a positive diagonal (log-Cholesky,
-Rucker and Wensing 2022) and B B' the pseudo-inertia of the model file, where U = 1 and all ten
-coordinates are zero. A weak pull towards it makes the problem well posed. Rotor inertias are
-squares.
+The search uses P = B U U' B' (log-Cholesky, Rucker and Wensing 2022): B B' is the pseudo-inertia of
+the model file, with a weak pull towards it, and U is upper triangular. Rotor inertias are squares.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,4 @@
-"""Refinement of the rigid body with a fitted friction law.
-
-The friction torque of a fitted law is subtracted from the logs, and the rigid body is identified
-again: Coulomb, viscous and offset columns alone are a coarse law.
-"""
+"""Refinement of the rigid body: identification without the torque of a fitted friction law."""
 
 from collections.abc import Sequence
 from dataclasses import replace

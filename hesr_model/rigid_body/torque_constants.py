@@ -1,15 +1,14 @@
 """Torque constants of motors, from the masses of the model or a known payload.
 
-With measured currents i, friction, and inertial parameters pi with a declared error, each joint is
-solved separately by Gauss-Newton:
+With measured currents i, friction, and inertial parameters pi, each joint is solved by
+Gauss-Newton:
 
     i_j = kappa_j Y_j(q, dq, ddq) (pi + carried) + F_j f_j,      kappa_j = 1 / k_j
     pi ~ N(model file, declared error)
 
-A payload of known mass in some of the logs replaces trust in the masses. A joint solution would
-pass mass errors from joint to joint and be too certain. Only weights are trusted; rotor inertias
-and inertia tensors are free. The standard errors include the declared error, the autocorrelation of
-the residuals, and the bias of a wrong friction law.
+A joint solution would pass mass errors from joint to joint and be too certain. Only weights are
+trusted, or a payload of known mass in some logs. The standard errors include the declared error,
+the autocorrelation of the residuals, and the bias of a wrong friction law.
 """
 
 from collections.abc import Sequence

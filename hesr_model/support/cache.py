@@ -1,7 +1,7 @@
 """Cache of slow results that depend on their inputs only.
 
-Entries have a hash of their inputs as name and a hash of their content, and are written whole or
-not at all. Deleting the folder costs only time.
+Entries, named by a hash of their inputs, contain a hash of their content. Deleting the folder costs
+only time.
 """
 
 import hashlib

@@ -1,8 +1,4 @@
-"""Formats of log files.
-
-Other packages add a `FileFormat` as entry point of the group `hesr.logs`
-(`docs/add-a-log-format.md`).
-"""
+"""Formats of log files, also of other packages (see `docs/add-a-log-format.md`)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
