@@ -62,6 +62,7 @@ def to_html(
         training=training(model.provenance),
         units=units,
         trained_rows=_trained_rows(model.trained, units),
+        training_rmse=_training_rmse(model.training_rmse, units["tau"]),
         **_measured(model, audit),
     )
 
@@ -137,6 +138,11 @@ def _trained_rows(
         for name in _RANGES
     }
     return rows | {"sample time [s]": [figure(seen.sample_time) for seen in trained]}
+
+
+def _training_rmse(errors: Sequence[float], unit: str) -> dict[str, list[str]]:
+    cells = [f"{error:.3g}" for error in errors]
+    return {f"RMSE on the training logs [{unit}]": cells} if cells else {}
 
 
 def _measured(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:
