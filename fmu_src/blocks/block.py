@@ -1,7 +1,6 @@
 """FMUs of blocks: vectors of variables, their indices in C, and equations of all joints."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 from fmu_src.equations.header import Joint, equations_header, own_size
 from fmu_src.export.description import RELEASED, Description
@@ -22,10 +21,11 @@ def vector(
     dependencies: Sequence[str] = (),
 ) -> Iterator[Variable]:
     """Yield one variable per joint; `{}` in a dependency is replaced by the joint number."""
-    for i, value in enumerate(start, start=1):
+    for i, value in enumerate(map(float, start), start=1):
         own = tuple(d.format(i) for d in dependencies)
-        one = Variable(f"{name}[{i}]", role, f"{text}, joint {i}", unit=unit, dependencies=own)
-        yield replace(one, start=float(value))
+        yield Variable(
+            f"{name}[{i}]", role, f"{text}, joint {i}", unit=unit, start=value, dependencies=own
+        )
 
 
 def places(table: Interface, guard: str, first: Mapping[str, str], **sizes: int) -> str:
