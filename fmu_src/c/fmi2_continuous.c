@@ -73,7 +73,7 @@ FMI2_STATUS(fmi2SetTime)(fmi2Component c, fmi2Real time) {
 }
 
 /* Return the instance if it can exchange `n` numbers, the component's count `own`. Some hosts
- * invent one number if there is none; it stays constant. */
+ * pass one number for zero; it stays constant. */
 static Instance *with_array(fmi2Component c, int modes, const char *function, const void *array,
                             size_t n, size_t own) {
     Instance *instance =

@@ -27,7 +27,7 @@ enum {
 /* Functions of one interface type only, because both share some states. */
 enum { ONLY_MODEL_EXCHANGE = 128, ONLY_CO_SIMULATION = 256 };
 
-/* States in which the standard allows each group of functions. */
+/* States where the standard allows each group of functions. */
 enum {
     RUNNING = INITIALISING | STEPPING | AT_EVENT | CONTINUOUS,
     MAY_SET_UP = INSTANTIATED,

@@ -99,8 +99,8 @@ _PARAMETERS = (
     ("stiffness", "N.m/rad", "stiffness of the flexspline; 0: none"),
     ("damping", "N.m.s/rad", "damping of the flexspline"),
     ("ratio", "1", "turns of the motor for one turn of the joint"),
-    ("q_start", "rad", "angle at which the motor starts"),
-    ("dq_start", "rad/s", "speed at which the motor starts"),
+    ("q_start", "rad", "initial angle of the motor"),
+    ("dq_start", "rad/s", "initial speed of the motor"),
 )
 _AT_LINK = (
     *("q_link[{}]", "dq_link[{}]", "q_start[{}]", "dq_start[{}]"),
