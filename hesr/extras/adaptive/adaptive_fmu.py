@@ -1,7 +1,4 @@
-"""Adaptive friction FMUs for co-simulation: friction estimated from measured torques.
-
-They add the inputs `tau_meas[i]`, `tau_rigid[i]`, `adapt` and outputs of factors and alarms.
-"""
+"""Adaptive friction FMUs for co-simulation: friction estimated from measured torques."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,7 +28,7 @@ def export_adaptive(
 
 
 def adaptive_content(model: FrictionModel) -> Content:
-    """Return the adaptive FMU of a model before compilation."""
+    """Return the adaptive FMU before compilation."""
     about = about_model(model, "adaptive", "that adapts to measured torques")
     equations = discrete_equations(model, adaptive_components(model), (ADAPT,))
     require_numbers(model)

@@ -17,7 +17,7 @@ _MOST_ALARMS = 12
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Monitoring(FollowedLogs, Answer):
-    """Alarms and states of a robot over its logs."""
+    """Alarms and states over logs."""
 
     format = "hesr-monitoring-1"
     findings: Sequence[Finding] = ()
@@ -40,7 +40,7 @@ class Monitoring(FollowedLogs, Answer):
         return shortened(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
-        """Return alarms, and states after each log."""
+        """Return alarms and states."""
         return [alarm_table(self), state_table(self)]
 
     def result(self) -> Any:

@@ -194,7 +194,7 @@ def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equ
 
 
 def _cusum(name: str, d: sympy.Expr, regressor: sympy.Expr, alarm: float) -> Equation:
-    """Return the log-likelihood ratio of a shift d of a factor, from 0 to above the alarm."""
+    """Return the clipped log-likelihood ratio of a shift d of a factor."""
     weight, error = _named("weight"), _named("innovation")
     change = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
     limited = _at_most(positive(previous(name) + change), 1.5 * alarm)
@@ -226,7 +226,7 @@ def _expected(sigma: sympy.Expr) -> sympy.Expr:
 def _gains(
     tuning: Tuning, sigma: sympy.Expr, moving: sympy.Expr, saturates: sympy.Expr
 ) -> tuple[Equation, ...]:
-    """Return P phi, and the weights of the innovation after the gates of learning."""
+    """Return P phi, and the gated weights of the innovation."""
     spread, learns, settled, weight, gain = map(
         _named, ("spread", "learns", "settled", "weight", "gain")
     )

@@ -1,4 +1,4 @@
-"""Adaptation over logs: the equations of the adaptive FMU, run in Python."""
+"""Adaptation over logs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from hesr_model.support.arrays import Array
 class Followed:
     """Estimates of one joint in one log, before the torque of each row is used.
 
-    `fixed` is the torque of the law as fitted, (N,) [N.m]; `outputs` are (N,) by name.
+    `fixed` is the torque of the law (N,) [N.m]; `outputs` are (N,) by name.
     """
 
     record: FrictionRecord
@@ -31,10 +31,7 @@ class Followed:
 
 
 def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[Component, ...]:
-    """Return the adaptive equations of each joint.
-
-    Raises SimulationError for coupled motors or a model without training error and ranges.
-    """
+    """Return the adaptive equations of each joint."""
     if model.coupling is not None:
         raise SimulationError(
             f"friction model '{model.law}': its motors turn with several joints; adaptation needs "
@@ -60,7 +57,7 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
 
 
 class Follower:
-    """Follows friction over logs; each starts from a share of the factors learned before."""
+    """Follows friction over logs; each starts from a share of the learned factors."""
 
     def __init__(self, model: FrictionModel, tuning: Tuning = TUNING) -> None:
         self._model, self._tuning = model, tuning

@@ -1,4 +1,4 @@
-"""Friction over days of logs: factors at the end of each log, alarms and their likely causes.
+"""Friction over days of logs: factors, alarms and their likely causes.
 
 Temperature and lubrication change all joints slowly, wear a single joint; a payload, a gravity
 error or a sensor moves offsets. Heat of a single joint looks like wear or a gravity error.
@@ -45,7 +45,7 @@ class Alarm:
 
     @property
     def points_to(self) -> str:
-        """Likely cause of the change."""
+        """Likely cause."""
         return POINTS_TO[self.kind]
 
 
@@ -79,7 +79,7 @@ class State:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FollowedLogs:
-    """Friction over days of logs, relative to its model; `followed` is [log][joint]."""
+    """Friction of a robot over logs; `followed` is [log][joint]."""
 
     model: FrictionModel
     followed: tuple[tuple[Followed, ...], ...]
@@ -90,7 +90,7 @@ class FollowedLogs:
 def watch(
     model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]], tuning: Tuning = TUNING
 ) -> FollowedLogs:
-    """Follow friction over logs [log][joint] in the order of their days."""
+    """Follow friction over logs [log][joint] in order of time."""
     follower = Follower(model, tuning)
     followed = tuple(tuple(follower.follow(records)) for records in logs)
     return FollowedLogs(

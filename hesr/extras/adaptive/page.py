@@ -74,7 +74,7 @@ def _trends(watched: FollowedLogs, pictures: Pictures) -> Markup:
 
 
 def state_table(watched: FollowedLogs) -> ResultTable:
-    """Return the state of each joint after each log."""
+    """Return the states after each log."""
     rows = [
         row_of(
             f"{s.log}: {s.joint}",

@@ -1,4 +1,4 @@
-"""Comparison of the robots of a fleet: deviations from their type, and changes."""
+"""Comparison of robots: deviations from their type, and changes."""
 
 from collections.abc import Iterator, Sequence
 
@@ -21,8 +21,7 @@ def compared(
 ) -> tuple[dict[tuple[str, str, str], dict[str, float]], list[Deviant]]:
     """Compare the numbers of each type and law structure with at least `ENOUGH` robots.
 
-    Returns robust z by (robot, law, joint), then by name, and deviants at significance `level`
-    (Holm).
+    Returns z by (robot, law, joint), then by name, and deviants at significance `level` (Holm).
     """
     groups: dict[tuple[str, ...], list[tuple[RobotResult, float, float | None]]] = {}
     for robot in robots:

@@ -46,7 +46,7 @@ JOB = FleetJob()
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FleetResult(Fleet, Answer):
-    """Result of a fleet; each robot with unused logs is an error."""
+    """Result of a fleet; unused logs are errors."""
 
     format = "hesr-fleet-1"
     findings: Sequence[Finding] = ()
@@ -76,7 +76,7 @@ class FleetResult(Fleet, Answer):
         return shortened(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
-        """Return types, deviations, changes and unusable logs."""
+        """Return the tables."""
         return list(tables.all_tables(self))
 
     def result(self) -> Any:

@@ -10,7 +10,7 @@ from hesr.extras.fleet.result import Fleet
 
 
 def write_page(fleet: Fleet, path: Path) -> None:
-    """Write the page; the same results give the same bytes."""
+    """Write the page."""
     rows = sum(robot.rows for robot in fleet.robots)
     logs = sum(robot.logs for robot in fleet.robots)
     text = (

@@ -1,4 +1,4 @@
-"""Results of a fleet as one Parquet file, with a row for each robot, law and joint."""
+"""Results of a fleet as one Parquet file."""
 
 from collections.abc import Iterator
 from pathlib import Path

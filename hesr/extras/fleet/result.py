@@ -13,9 +13,9 @@ BODY = "rigid_body"
 
 @dataclass(frozen=True, kw_only=True)
 class JointResult:
-    """Result of one joint and law, or of the rigid body (`BODY`, without a joint).
+    """Result of one joint and law, or of the rigid body (`BODY`, no joint).
 
-    RMSE and standard deviation of friction [N.m; N]; `trends` are relative to friction.
+    RMSE and standard deviation of friction [N.m; N]; `trends` relative to friction.
     """
 
     law: str
@@ -49,7 +49,7 @@ class RobotResult:
 
     @property
     def broken(self) -> bool:
-        """Whether the robot, a log or a law was left out."""
+        """Whether something was left out."""
         return bool(self.sentences)
 
     @property
@@ -62,13 +62,13 @@ class RobotResult:
         return [one for one in self.joints if one.law == law]
 
     def structure(self, law: str) -> str:
-        """Return the structures of a law for all joints, as JSON."""
+        """Return the structures of a law, as JSON."""
         return f"[{', '.join(one.structure for one in self.of_law(law))}]"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Deviant:
-    """A number of a robot that deviates from its type; `p` is adjusted."""
+    """A number that deviates from the type of the robot; `p` is adjusted."""
 
     robot: str
     type: str
@@ -83,7 +83,7 @@ class Deviant:
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A change from the first to the last day, as a share of friction; `p` is adjusted."""
+    """A change over the days, as a share of friction; `p` is adjusted."""
 
     robot: str
     type: str
@@ -99,7 +99,7 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fleet:
-    """Result of a fleet; `reused` counts the robots that were complete before.
+    """Result of a fleet; `reused` robots were complete before.
 
     `z` is indexed by (robot, law, joint), then by name; `fmus` by (type, law, structure).
     """
@@ -114,10 +114,10 @@ class Fleet:
     reused: int
 
     def z_of(self, robot: str, law: str, joint: str) -> Mapping[str, float]:
-        """Return the z of each compared number by name."""
+        """Return z by name."""
         return self.z.get((robot, law, joint), {})
 
     @property
     def broken(self) -> Iterator[RobotResult]:
-        """Robots whose logs could not all be used."""
+        """Robots with omitted logs or laws."""
         return (robot for robot in self.robots if robot.broken)

@@ -45,7 +45,7 @@ _VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
 
 
 def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
-    """Process one robot and write its folder; return whether it was complete before."""
+    """Process one robot into its folder; return whether it was complete before."""
     key, file = _key(member, study), folder / RESULT
     try:
         if read_result(folder).key == key:
@@ -87,7 +87,7 @@ def _key(member: Member, study: FleetStudy) -> str:
 
 
 def _hash(file: Path) -> str | None:
-    """Return the hash of a file; None if unreadable, which its reader reports."""
+    """Return the hash of a file; None if unreadable."""
     try:
         return sha256(file)
     except OSError:

@@ -1,4 +1,4 @@
-"""Run of a fleet: each robot, then their comparison; an interrupted run continues."""
+"""Run of a fleet; an interrupted run continues."""
 
 from functools import partial
 from pathlib import Path

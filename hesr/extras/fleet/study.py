@@ -27,9 +27,8 @@ _DAY = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
 class RobotType(Config):
     """A type of robots.
 
-    `logs` matches folders relative to the fleet file. Each folder is a robot of its name with logs
-    in any subfolder; ``robot=R7`` (partitioned data) is ``R7``, and folders of one name are one
-    robot.
+    `logs` matches folders relative to the fleet file. A folder, with subfolders, is a robot of its
+    name; ``robot=R7`` (partitioned data) is ``R7``. Folders of one name are one robot.
     """
 
     robot: RelativePath
@@ -40,9 +39,8 @@ class RobotType(Config):
 class FleetStudy(Config):
     """Content of a fleet file.
 
-    Longer logs than `rows` per robot are sampled. `level` is the significance (adjusted),
-    `least_change` a share of friction. With `fmu` each type gets FMUs and each robot a parameter
-    set.
+    Logs are sampled to `rows` per robot. `level` is the adjusted significance, `least_change` a
+    share of friction; `fmu` exports FMUs per type and parameter sets per robot.
     """
 
     name: Name = "fleet"
@@ -77,11 +75,7 @@ class Member:
 
 
 def members(study: FleetStudy, path: Path) -> list[Member]:
-    """Find the robots of a fleet and their logs.
-
-    Raises ConfigError for a type without robots, a robot of two types, or a link to a parent
-    folder.
-    """
+    """Find the robots of a fleet and their logs."""
     found: dict[str, Member] = {}
     for type_, kind in study.types.items():
         logs: dict[str, dict[str, Path]] = {}

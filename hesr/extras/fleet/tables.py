@@ -1,4 +1,4 @@
-"""Tables of a fleet: types, deviations, changes, and unusable logs."""
+"""Tables of a fleet."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ def all_tables(fleet: "Fleet") -> Iterator[ResultTable]:
 
 
 def types(fleet: "Fleet") -> ResultTable:
-    """Return the numbers of robots, deviations and changes by type."""
+    """Return the counts by type."""
     type_of = {robot.robot: robot.type for robot in fleet.robots}
     columns = [
         {robot.robot for robot in fleet.robots},
@@ -45,7 +45,7 @@ def types(fleet: "Fleet") -> ResultTable:
 
 
 def deviants(fleet: "Fleet") -> ResultTable:
-    """Return the numbers that deviate from the type of the robot."""
+    """Return the deviating numbers."""
     rows = []
     for d in fleet.deviants[:_MOST]:
         law = "rigid body" if d.law == BODY else d.law
@@ -62,7 +62,7 @@ def deviants(fleet: "Fleet") -> ResultTable:
 
 
 def changes(fleet: "Fleet") -> ResultTable:
-    """Return the changes over days, worse ones first."""
+    """Return the changes, worse ones first."""
     rows = []
     for c in fleet.changes[:_MOST]:
         numbers = (_share(c.change, 1), _share(c.per_day, 2), _p(c.p))
@@ -78,7 +78,7 @@ def changes(fleet: "Fleet") -> ResultTable:
 
 
 def broken(fleet: "Fleet") -> ResultTable:
-    """Return omitted robots, logs and laws with the reasons."""
+    """Return omissions with their reasons."""
     rows = [row_of(robot.robot, text) for robot in fleet.broken for text in robot.sentences]
     return ResultTable(caption="Not used", head=("robot", "why"), rows=rows, numeric=False)
 

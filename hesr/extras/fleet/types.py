@@ -28,9 +28,9 @@ class _Kind(NamedTuple):
 def write_types(
     study: FleetStudy, robots: Sequence[RobotResult], output: Path, progress: Stages
 ) -> dict[tuple[str, str, str], Path]:
-    """Write an FMU per type and law with exposed coefficients, by (type, law, structure).
+    """Write FMUs with the median coefficients of a type, by (type, law, structure).
 
-    It has the median coefficients of its robots. Rarer structures of a type are numbered.
+    Rarer structures of a type are numbered.
     """
     groups: dict[_Kind, list[RobotResult]] = {}
     for robot in robots:

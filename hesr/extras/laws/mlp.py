@@ -1,4 +1,4 @@
-"""MLP-H: one hidden layer of tanh on velocity, hysteresis state and its derivative."""
+"""MLP-H."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
@@ -28,15 +28,9 @@ _TINY = 1e-12
 class MlpH(NetworkEstimator):
     """tau = c_0 + sum_k c_k tanh(theta_k . (1, dq, h, h')).
 
-    For each (alpha, beta) of stage 1 and each size, Levenberg-Marquardt with weight decay trains
-    networks from several random starts. (alpha, beta), size and decay are those that predict
-    left-out logs best on average over the starts; the best-fitting start is used.
-
-    Parameters
-    ----------
-    hidden : sizes of the hidden layer, up to `MAX_HIDDEN`.
-    cells, starts : numbers of (alpha, beta) and of random starts.
-    discretisation : discretisation of the hysteresis state.
+    Levenberg-Marquardt with weight decay trains networks for each (alpha, beta) of stage 1 and each
+    size. (alpha, beta), size and decay predict left-out logs best on average over the random
+    starts; the best-fitting start is used.
     """
 
     name = "mlp_h"

@@ -1,4 +1,4 @@
-"""Leaderboard file: robots, logs, classes of inputs and scores."""
+"""Leaderboard file."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -35,7 +35,7 @@ CLASSES: Mapping[str, tuple[Connector, ...]] = {
 
 
 class BoardRobot(Config):
-    """A robot and its rigid body (result of `hesr identify`)."""
+    """A robot with its rigid body."""
 
     name: PrintableName = Field(min_length=1)
     file: RelativePath
@@ -54,7 +54,7 @@ class BoardLog(Config):
 
 
 class BoardFile(Config):
-    """Content of a leaderboard file; `accept` are accepted checks of logs.
+    """Content of a leaderboard file.
 
     `warm_up` [s] is not scored: the initial state is unknown; `block` [s] is that of the bootstrap.
     """
@@ -85,7 +85,7 @@ class BoardFile(Config):
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """Data for the entries of one robot; records are [part][joint]."""
+    """Data of one robot; records are [part][joint]."""
 
     model: Robot
     body: RigidBody

@@ -1,4 +1,4 @@
-"""Evaluation of one entry: torque, used inputs, properties and time per step."""
+"""Evaluation of one entry."""
 
 import time
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ _OPTIONAL = ("q", "tau_load")
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """An FMU with its name on the leaderboard and its robot."""
+    """An FMU with its name and robot."""
 
     name: str
     fmu: Path
@@ -37,8 +37,7 @@ class Entry:
 class Tried:
     """Evaluation of an entry: `inputs` that change the torque, torques (N, n) [N.m] per part.
 
-    `seconds` per step include inputs and outputs; `ours` was exported here and runs in this
-    process.
+    `seconds` are per step; `ours` was exported here and runs in this process.
     """
 
     entry: Entry
@@ -51,7 +50,7 @@ class Tried:
 
 
 def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
-    """Replay an entry over all logs; raises SimulationError for wrong connectors or NaN."""
+    """Replay an entry over all logs of its robot."""
     ours = is_ours(entry.fmu) if entry.fmu.is_file() else False
     with FmuInstance(entry.fmu) as component:
         joints = FrictionBench(component).joints

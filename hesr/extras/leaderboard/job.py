@@ -16,7 +16,7 @@ from hesr_model.support.typed_json import to_json
 
 
 class LeaderboardJob:
-    """Ranking of friction FMUs on the logs of a file."""
+    """Ranking of friction FMUs."""
 
     verb, key = "test", "robots"
     read = staticmethod(BoardFile.read)
@@ -30,7 +30,7 @@ class LeaderboardJob:
         trust: bool = False,
         progress: Stages = silent,
     ) -> "LeaderboardResult":
-        """Score FMUs, given as FILE or ROBOT=FILE, and write the page to `output`."""
+        """Score FMUs, given as FILE or ROBOT=FILE, and write the page."""
         from cosim.workflow.arguments import remember_trust
 
         rules = self.read(path)
@@ -55,7 +55,7 @@ class LeaderboardResult(Leaderboard, Answer):
     files: Sequence[Path] = ()
 
     def summary(self) -> str:
-        """Return the leaders of each robot and class of inputs."""
+        """Return the leaders of each class."""
         lines = [
             f"{one.robot}, inputs {one.group}: {one.name} leads"
             for one in self.standings
@@ -64,7 +64,7 @@ class LeaderboardResult(Leaderboard, Answer):
         return shortened(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
-        """Return the standings of each robot."""
+        """Return the standings."""
         return list(standings(self))
 
     def result(self) -> Any:

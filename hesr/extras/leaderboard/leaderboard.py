@@ -33,7 +33,7 @@ class ScoredLog:
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredRobot:
-    """A robot with the standard deviation of friction by joint [N.m; N]."""
+    """A robot with its friction, standard deviation by joint [N.m; N]."""
 
     name: str
     joints: tuple[str, ...]
@@ -46,9 +46,9 @@ class ScoredRobot:
 class Standing:
     """Scores of an entry.
 
-    `relative` is the error over the size of friction, `ratio` that to the leader of the class, with
-    95 % intervals (simultaneous for `ratio`); `joints` holds RMSE [N.m; N]. `leads`: no entry of
-    the class is significantly better. `step` [s] is longer for `foreign` FMUs in their own process.
+    `relative` is the error over the size of friction, `ratio` that to the leader, with 95 %
+    intervals (simultaneous for `ratio`); `joints` holds RMSE [N.m; N]. `leads`: no entry of the
+    class is significantly better. `step` [s] is longer for `foreign` FMUs in their own process.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Standing:
 
 @dataclass(frozen=True, kw_only=True)
 class Leaderboard:
-    """Standings by robot and class of inputs, the smallest error first."""
+    """Standings by robot and class, the smallest error first."""
 
     arena: str
     warm_up: float

@@ -1,4 +1,4 @@
-"""The leaderboard as one static page."""
+"""Page of a leaderboard."""
 
 from pathlib import Path
 

@@ -1,7 +1,7 @@
 """Torque errors over all joints of a robot, with confidence intervals.
 
-Errors are relative to the standard deviation of the measured friction; the root mean square is
-over rows and joints. One bootstrap draws the same times for all joints: errors are correlated.
+The root mean square of errors over the size of friction is over rows and joints. One bootstrap
+draws the same times for all joints, since their errors are correlated.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ _LEVEL = 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """A dimensionless value and its interval by a block bootstrap."""
+    """A dimensionless value with a bootstrap interval."""
 
     value: float
     low: float
@@ -31,7 +31,7 @@ class Interval:
 class Judge:
     """Scores torques on the logs of one robot; `tau_std` (n,) is that of measured friction [N.m].
 
-    Rows before `warm_up` [s] are not scored; `block` [s] is that of the bootstrap.
+    `warm_up` [s] is not scored; `block` [s] is that of the bootstrap.
     """
 
     def __init__(self, ground: Ground, *, warm_up: float, block: float) -> None:
@@ -49,12 +49,12 @@ class Judge:
         }
 
     def errors(self, torques: Sequence[Array]) -> list[Array]:
-        """Return the errors of torques, (N, n) [N.m] per part, on scored rows."""
+        """Return torque errors (N, n) [N.m] per part, on scored rows."""
         pairs = zip(torques, self._rows, self._tau, strict=True)
         return [torque[rows] - tau for torque, rows, tau in pairs]
 
     def by_joint(self, errors: Sequence[Array], kind: Kind) -> tuple[float | None, ...]:
-        """Return the RMSE by joint [N.m] on rows of a kind; None without such rows."""
+        """Return the RMSE by joint [N.m] on rows of a kind; None without rows."""
         error, mask = np.vstack(errors), np.vstack(self._masks[kind])
         return tuple(
             rmse(error[rows, j]) if np.any(rows) else None for j, rows in enumerate(mask.T)
@@ -92,7 +92,7 @@ class Judge:
 
 
 def _kinds(part: Sequence[FrictionRecord], rows: Mask) -> dict[Kind, Mask]:
-    """Return masks (N, n) of the rows of each kind after the warm-up."""
+    """Return masks (N, n) of the kinds of rows after the warm-up."""
     fast = np.column_stack([moving(r.dq) for r in part])[rows]
     near = np.column_stack([near_reversals(r.t, r.dq) for r in part])[rows]
     return {"all": np.ones_like(fast), "moving": fast, "reversals": near, "rests": ~fast}

@@ -1,4 +1,4 @@
-"""Tables of a leaderboard: standings, errors by joint, and logs."""
+"""Tables of a leaderboard."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -21,7 +21,7 @@ _HEADS = {"all": "all rows", "moving": "moving", "reversals": "reversals", "rest
 
 
 def standings(board: Leaderboard) -> Iterator[ResultTable]:
-    """Yield the standings of each robot by class of inputs."""
+    """Yield the standings of each robot."""
     for robot in board.robots:
         of_robot = [s for s in board.standings if s.robot == robot.name]
         if not of_robot:
@@ -63,7 +63,7 @@ def standings(board: Leaderboard) -> Iterator[ResultTable]:
 
 
 def by_joint(board: Leaderboard, robot: ScoredRobot, kind: Kind) -> ResultTable:
-    """Return the RMSE of each joint on rows of one kind."""
+    """Return the RMSE by joint on rows of one kind."""
     of_robot = [s for s in board.standings if s.robot == robot.name]
     values = [s.joints[kind] for s in of_robot]
     places = [decimals(column) for column in zip(*values, strict=True)]
@@ -83,14 +83,14 @@ def by_joint(board: Leaderboard, robot: ScoredRobot, kind: Kind) -> ResultTable:
 
 
 def logs(board: Leaderboard) -> ResultTable:
-    """Return the logs with hash, origin and licence."""
+    """Return the logs."""
     rows = [row_of(x.name, x.robot, x.sha256, x.source, x.licence) for x in board.logs]
     head = ("log", "robot", "SHA-256", "from", "licence")
     return ResultTable(caption="Logs", head=head, rows=rows, numeric=False)
 
 
 def entries(standings: Sequence[Standing]) -> ResultTable:
-    """Return the entries with their inputs and hashes."""
+    """Return the entries."""
     rows = [row_of(s.name, s.robot, s.law or "–", ", ".join(s.inputs), s.sha256) for s in standings]
     head = ("entry", "robot", "law", "inputs", "SHA-256")
     return ResultTable(caption="Entries", head=head, rows=rows, numeric=False)

@@ -1,4 +1,4 @@
-"""MJCF export: friction as passive actuators to include in the model of a robot."""
+"""MJCF export: friction as passive actuators."""
 
 import json
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ _HEAD = """\
 class JointProjection:
     """Export of one joint; `missing` is the term without a counterpart (None: exact).
 
-    `fitted` and `unseen` are errors of a projection on the fitted and on another motion.
+    `fitted` and `unseen` are errors on the fitted and on another motion.
     """
 
     joint: str
@@ -55,7 +55,7 @@ class JointProjection:
 
 @dataclass(frozen=True, kw_only=True)
 class Projection:
-    """Result of the export of a friction model."""
+    """Export of a friction model."""
 
     joints: tuple[JointProjection, ...]
 
@@ -74,7 +74,7 @@ def export_mjcf_law(
 ) -> Projection:
     """Write a friction model as passive dcmotor actuators on joints of the same names in an MJCF.
 
-    `project` approximates a law without a counterpart in MuJoCo instead of raising ExportError.
+    `project` approximates a law without a counterpart, instead of ExportError.
     """
     if path.suffix.lower() != ".xml":
         raise ExportError(f"{path}: the name of an MJCF ends in .xml.")
@@ -148,7 +148,7 @@ def _document(
 
 
 def _actuators(parts: JointFriction) -> Iterator[str]:
-    """Yield all attributes of each actuator: the defaults of the robot may differ."""
+    """Yield all attributes of each actuator: defaults of the robot may differ."""
     pairs = list(zip_longest(parts.bristles, parts.waves)) or [(None, None)]
     for k, (bristle, wave) in enumerate(pairs):
         numbers = {

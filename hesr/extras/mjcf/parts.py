@@ -30,7 +30,7 @@ Values = Mapping[sympy.Symbol, float]
 
 
 class NoCounterpartError(ExportError):
-    """A law has a term without a counterpart in MuJoCo, described with `{unit}`."""
+    """A law has a term, described with `{unit}`, without a counterpart in MuJoCo."""
 
     def __init__(self, text: str, unit: str = "1") -> None:
         super().__init__(text.replace("{unit}", unit))
@@ -71,7 +71,7 @@ class JointFriction:
 
 
 def parts_of(law: FrictionLaw) -> JointFriction:
-    """Return the exact parts for a law of one joint; raises NoCounterpartError."""
+    """Return the exact parts for a law; raises NoCounterpartError."""
     form = law.form
     if form.stops:
         raise NoCounterpartError(
@@ -105,7 +105,7 @@ def parts_of(law: FrictionLaw) -> JointFriction:
 class _Motion:
     """Bristle x' = scale v - rate |v| x; scale of x against the deflection z.
 
-    `rate` contains `_PEAK` for `peak` = exp(-(v / v_s)^2), if any; `stribeck` is v_s [rad/s].
+    `rate` has `_PEAK` for `peak` = exp(-(v / v_s)^2), if any; `stribeck` is v_s [rad/s].
     """
 
     scale: sympy.Expr
@@ -187,7 +187,7 @@ class _Torque:
 
 
 def _wave(term: sympy.Expr, values: Values) -> Wave | None:
-    """Return a term F sin(n q + c) or F cos(n q + c) as the torque on the joint."""
+    """Return F sin(n q + c) or F cos(n q + c) as the torque on the joint."""
     for function, lead in ((sympy.sin, 0.0), (sympy.cos, math.pi / 2.0)):
         for wave in term.atoms(function):
             factor, angle = term / wave, sympy.expand_mul(wave.args[0])

@@ -55,8 +55,7 @@ def projected(
 ) -> tuple[FrictionLaw, Misfit, Misfit]:
     """Return the nearest law from parts of MuJoCo, and its errors on the fitted and another motion.
 
-    Reproducible bit for bit on one machine. Raises ExportError for a torque that is not finite,
-    SimulationError if the law is unstable at `sample_time` [s].
+    Reproducible bit for bit on one machine; the step of the law is `sample_time` [s].
     """
     seen, unseen = records(law, trained, sample_time)
     form, space = _family(_poles(law))
@@ -96,7 +95,7 @@ def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
 def _record(
     law: FrictionLaw, trajectory: Trajectory, trained: TrainedRange | None, sample_time: float
 ) -> FrictionRecord:
-    """Return the law along a motion in the training range, under its loads."""
+    """Return the law along a motion in the training range."""
     rows = np.arange(round(trajectory.duration / sample_time), dtype=np.float64)
     t = sample_time * rows
     q, dq, _ = (column[:, 0] for column in trajectory.sample(t))

@@ -48,8 +48,7 @@ def export_modelica(model: FrictionModel, path: Path) -> Path:
     """Write a friction model as a Modelica package in one file, NAME.mo with package NAME.
 
     It has the equations of each form, a block and a bearing per joint, and examples, and needs the
-    Modelica Standard Library 4.0. States start as in the FMUs. Raises ExportError for a prismatic
-    joint, an invalid name or an expression without a counterpart.
+    Modelica Standard Library 4.0. States start as in the FMUs.
     """
     _check_name(path)
     text = package(model, path.stem)

@@ -27,8 +27,7 @@ _OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE) \w+ (\w+)\(", re.MULTIL
 def export_c(model: FrictionModel, path: Path) -> Path:
     """Write a friction model as the C99 header NAME.h, with the prefix NAME, and its test data.
 
-    Torques equal those of the FMU bit for bit with the same compiler flags and mathematical
-    library. Raises ExportError if NAME is no identifier of C, or motors are coupled.
+    Torques equal those of the FMU bit for bit with the same flags and mathematical library.
     """
     if path.suffix != ".h":
         raise ExportError(f"{path}: a C header ends in .h, found '{path.suffix}'.")

@@ -1,4 +1,4 @@
-"""Test data next to a code file: inputs, and the torques of the law in NumPy."""
+"""Test data of a code file: inputs and torques."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,7 +31,7 @@ def reference_rows(model: FrictionModel) -> str:
     """Return the data as CSV: t, then dq[i], q[i], tau_load[i] and tau[i] of all joints.
 
     Row 0 is at the start of the states, which move to each further row with its inputs held. Inputs
-    are single-precision numbers, the same in each precision.
+    are exact in single precision.
     """
     motion, torque = _motion(model)
     joints = range(1, len(model.joints) + 1)

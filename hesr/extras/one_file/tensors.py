@@ -1,4 +1,4 @@
-"""Tensor export: one batched, differentiable Python file for PyTorch or JAX."""
+"""Tensor export for PyTorch or JAX."""
 
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -37,8 +37,7 @@ def _export(model: FrictionModel, path: Path, library: Library) -> Path:
 def tensor_code(model: FrictionModel, library: Library) -> str:
     """Return the text of a Python file that needs only PyTorch or JAX.
 
-    It steps batches of robots with their hidden states, all joints of one form together. Raises
-    ExportError if joints differ in their integration.
+    It steps batches of robots with their hidden states, all joints of one form together.
     """
     require_exportable(model, "a file of tensors")
     discretisation = discretisation_of(model)

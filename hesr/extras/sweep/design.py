@@ -15,9 +15,9 @@ _EDGE = 2.0**-53
 
 
 def chosen(study: SweepStudy) -> Array:
-    """Return the values of all inputs, (runs, d) in the units of their variables.
+    """Return the values of all inputs, (runs, d).
 
-    A "sobol" design is Saltelli's: the blocks A, B and, for each input, A with this input from B
+    "sobol" is Saltelli's design: the blocks A, B and, for each input, A with this input from B
     (Comput. Phys. Commun. 181 (2010) 259-270, table 2, radial form).
     """
     unit = _unit(study)
@@ -72,7 +72,7 @@ def _values(one: SweepInput, unit: Array) -> Array:
 
 
 def _correlated(group: Correlated, unit: Array) -> Array:
-    """Draw with the symmetric root of the covariance, which exists for singular matrices."""
+    """Draw with the symmetric root of the covariance, which may be singular."""
     sizes, axes = np.linalg.eigh(np.array(group.covariance))
     root = (axes * np.sqrt(np.maximum(sizes, 0.0))) @ axes.T
     drawn: Array = np.array(group.mean) + _normal(unit) @ root

@@ -1,4 +1,4 @@
-"""Figures of a sweep: distributions of outputs, and their sensitivities."""
+"""Figures of a sweep."""
 
 from collections.abc import Sequence
 

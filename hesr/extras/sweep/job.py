@@ -52,7 +52,7 @@ class SweepResult(SweepRuns, Answer):
     files: Sequence[Path] = ()
 
     def summary(self) -> str:
-        """Return the numbers of runs and failures, and commands to replay the worst runs."""
+        """Return the numbers of runs and failures, and the worst runs."""
         failures = self.table.failures
         lines = [f"{len(failures)} runs, {sum(map(bool, failures))} failed."]
         if self.reused:
@@ -64,7 +64,7 @@ class SweepResult(SweepRuns, Answer):
         return shortened(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
-        """Return distributions of the outputs, and their sensitivities."""
+        """Return distributions and sensitivities."""
         return [tables.outputs(self), *tables.sensitivities(self)]
 
     def result(self) -> Any:

@@ -1,4 +1,4 @@
-"""Page of a sweep: distributions, worst runs and sensitivities."""
+"""Page of a sweep."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Plan of a sweep: runs, checked against the system, and their key."""
+"""Plan of a sweep, checked against the system."""
 
 import hashlib
 import json
@@ -24,7 +24,7 @@ from hesr_model.support.files import sha256
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """A sweep: varied `values` (runs, d), and SHA-256 digests of the FMUs."""
+    """A sweep: varied `values` (runs, d), and SHA-256 of the FMUs."""
 
     study: SweepStudy
     task: Task
@@ -37,21 +37,18 @@ class Plan:
         return list(range(0, len(self.values), self.study.chunk))
 
     def chunk(self, first: int) -> Array:
-        """Return the values of the chunk that begins with a run, (n, d)."""
+        """Return the values (n, d) of the chunk from a run."""
         return self.values[first : first + self.study.chunk]
 
     def about(self) -> dict[str, Any]:
-        """Return the description for the folder of results."""
+        """Return the description of the results."""
         study = self.study.model_dump(mode="json", exclude={"system"})
         return {"key": self.task.key, "runs": len(self.values), "study": study}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SweepRuns:
-    """Runs of a sweep; `sensitivities` are those of the design ``"sobol"``.
-
-    `reused` counts the runs that were complete before.
-    """
+    """Runs of a sweep, `reused` of them from before; sensitivities only for ``"sobol"``."""
 
     plan: Plan
     table: RunTable
@@ -59,7 +56,7 @@ class SweepRuns:
     reused: int
 
     def worst(self, output: int, most: int = 5) -> list[int]:
-        """Return the runs with the largest magnitudes of an output, failed runs first."""
+        """Return runs with the largest magnitudes of an output, failed ones first."""
         values = np.abs(self.table.outputs[:, output])
         order = np.argsort(np.where(np.isnan(values), -np.inf, -values), kind="stable")
         return [int(run) for run in order[:most]]

@@ -77,7 +77,7 @@ def _results(
 
 
 def replay(path: Path, run: int) -> tuple[Plan, Signals]:
-    """Repeat one run with all measured signals and those that its system observes."""
+    """Repeat one run with all measured and observed signals."""
     try:
         plan = planned(path)
         if not 0 <= run < len(plan.values):

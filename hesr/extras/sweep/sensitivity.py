@@ -1,4 +1,4 @@
-"""Sensitivities of a sweep: shares of an output's variance."""
+"""Sensitivities: shares of an output's variance."""
 
 from dataclasses import dataclass
 

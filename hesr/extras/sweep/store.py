@@ -1,4 +1,4 @@
-"""Results of a sweep on disk: one Parquet file per chunk of runs, written atomically."""
+"""Results of a sweep: one Parquet file per chunk of runs."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -23,7 +23,7 @@ RUNS = "runs"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunTable:
-    """All runs of a sweep: inputs (runs, d), outputs (runs, m), NaN for failures, and reasons."""
+    """All runs: inputs (runs, d), outputs (runs, m), NaN for failures, and reasons."""
 
     inputs: Array
     outputs: Array
@@ -37,7 +37,7 @@ class Store:
         self._folder, self._inputs, self._outputs = folder, inputs, outputs
 
     def file(self, first: int) -> Path:
-        """Return the file of the chunk that begins with a run."""
+        """Return the file of the chunk from a run."""
         return self._folder / RUNS / f"part-{first:08d}.parquet"
 
     def write(self, first: int, values: Array, rows: RunOutputs) -> None:

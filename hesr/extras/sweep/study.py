@@ -1,4 +1,4 @@
-"""Sweep file: varied variables, measured outputs, and the design of the runs."""
+"""Sweep file."""
 
 from collections import Counter
 from typing import Annotated, Literal, Self
@@ -26,8 +26,8 @@ DistinctSignals = Annotated[tuple[Signal, ...], Field(min_length=1), AfterValida
 class SweepInput(Config):
     """One varied number, set on variables `component.variable` (without index: all elements).
 
-    It is one of `values`, uniform from `low` to `high`, or normal with `mean` and `std`. `factor`
-    multiplies the start values; `levels` counts the values in a grid.
+    It is one of `values`, uniform from `low` to `high`, or normal. `factor` multiplies the start
+    values; `levels` counts the values in a grid.
     """
 
     variables: DistinctSignals
@@ -60,7 +60,7 @@ class SweepInput(Config):
 
 
 class Correlated(Config):
-    """Varied numbers with a joint normal distribution, such as coefficients of a law."""
+    """Varied numbers with a joint normal distribution."""
 
     variables: DistinctSignals
     mean: tuple[float, ...]
@@ -91,9 +91,9 @@ Measure = Literal["rms", "max", "mean", "final"]
 
 
 class Measured(Config):
-    """One measured number of each run, over all elements of a signal, from `start` [s].
+    """One measured number of each run, over all elements of a signal minus `reference`.
 
-    RMS, largest magnitude, mean, or mean magnitude at the end, after subtraction of `reference`.
+    RMS, largest magnitude, mean, or mean magnitude at the end, from `start` [s].
     """
 
     name: str = Field(pattern=r"^[A-Za-z][\w ]*$")
@@ -109,8 +109,7 @@ Design = Literal["grid", "latin_hypercube", "monte_carlo", "sobol"]
 class SweepStudy(Config):
     """A study of many runs, `chunk` of which share one file and one worker.
 
-    "sobol" gives first- and total-order sensitivities and takes `runs` x (inputs + 2) runs
-    (Saltelli's design), `runs` being a power of 2.
+    "sobol" takes `runs` x (inputs + 2) runs (Saltelli's design), `runs` being a power of 2.
     """
 
     name: str = Field(default="sweep", min_length=1)

@@ -1,4 +1,4 @@
-"""Tables of a sweep: distributions, worst runs and sensitivities."""
+"""Tables of a sweep."""
 
 import shlex
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 def outputs(swept: "SweepRuns") -> ResultTable:
-    """Return the distributions of the outputs over the successful runs."""
+    """Return the distributions of the outputs."""
     rows = []
     for output, values in zip(swept.plan.study.outputs, swept.table.outputs.T, strict=True):
         found = values[np.isfinite(values)]
@@ -30,7 +30,7 @@ def outputs(swept: "SweepRuns") -> ResultTable:
 
 
 def worst(swept: "SweepRuns", k: int, path: Path) -> ResultTable:
-    """Return the runs with the largest magnitudes of output k, and commands to repeat them."""
+    """Return the worst runs of output k, and commands to repeat them."""
     name, study = swept.plan.study.outputs[k].name, swept.plan.study
     rows = []
     for run in swept.worst(k):
@@ -46,7 +46,7 @@ def worst(swept: "SweepRuns", k: int, path: Path) -> ResultTable:
 
 
 def replay_command(path: Path, run: int) -> str:
-    """Return the command that repeats one run of a sweep file."""
+    """Return the command that repeats one run."""
     return f"hesr simulate {shlex.quote(str(path))} --only {run} -o run{run}.csv"
 
 

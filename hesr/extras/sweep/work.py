@@ -44,7 +44,7 @@ class VariedVariable:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """System, varied variables and outputs of all runs; `key` hashes all that affects results."""
+    """System, varied variables and outputs of all runs; `key` hashes them all."""
 
     key: str
     spec: SystemSpec
@@ -52,7 +52,7 @@ class Task:
     outputs: tuple[Measured, ...]
 
     def start(self, row: Array) -> Start:
-        """Return the start values of a run from the varied numbers (d,)."""
+        """Return the start values of a run (d,)."""
         start: Start = {}
         for target in self.targets:
             start.setdefault(target.component, {})[target.variable] = target.value(row)
@@ -73,7 +73,7 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunOutputs:
-    """Results of some runs: outputs (n, m), NaN for failures, and the reason of each failure."""
+    """Outputs (n, m) of some runs, NaN for failures, and their reasons."""
 
     outputs: Array
     failures: tuple[str, ...]
@@ -85,7 +85,7 @@ _held: tuple[str, Master] | None = None
 
 
 def run_rows(task: Task, values: Array) -> RunOutputs:
-    """Do the runs with these values of the varied numbers (n, d)."""
+    """Do the runs with these varied numbers (n, d)."""
     outputs, failures = np.empty((len(values), len(task.outputs))), []
     with _LOCK:  # a worker of a cluster may have several threads
         master = _master(task)
@@ -97,7 +97,7 @@ def run_rows(task: Task, values: Array) -> RunOutputs:
 
 
 def release() -> None:
-    """Free the FMUs of the last task in this process."""
+    """Free the FMUs of the last task."""
     global _held
     if _held is not None:
         held, _held = _held, None

@@ -1,10 +1,9 @@
 """Temperature dependence of friction, from measured temperatures or the heat of long logs.
 
-Five numbers of a fitted law are found by least squares: both factors at the reference, both
-coefficients, and an offset; the factors act as in the adaptive FMU. Without measured temperatures
-the thermal time constant is also searched, a log starts at the ambient, and R is 1 because
-temperatures are known up to a factor only. With them, R, T_th and the ambient are those whose
-frictional heat explains the temperatures best.
+Both factors at the reference, both coefficients and an offset are found by least squares; the
+factors act as in the adaptive FMU. Without measured temperatures the thermal time constant is also
+searched, a log starts at the ambient, and R is 1 because temperatures are known up to a factor
+only. With them, R, T_th and the ambient are those whose frictional heat explains them best.
 """
 
 from collections.abc import Callable, Sequence
@@ -54,7 +53,7 @@ _ROUNDS = 2
 
 
 class Factored:
-    """A law of one joint whose bounds and viscous friction have factors that vary by row."""
+    """A law whose bounds and viscous friction have factors that vary by row."""
 
     def __init__(self, law: FrictionLaw) -> None:
         level, viscosity = sympy.symbols("level viscosity", real=True)
@@ -66,7 +65,7 @@ class Factored:
         self._kernel = Kernel(own.memory, tuple(symbols), inputs, (output,), settling, once=True)
 
     def torque(self, record: FrictionRecord, level: Array, viscosity: Array) -> Array:
-        """Return the torque (N,) [N.m] over a record for factors (N,) of its rows."""
+        """Return the torque (N,) [N.m] for factors (N,)."""
         law, dt = self._law, np.diff(record.t, prepend=record.t[0])
         inputs = (record.dq, record.q, record.tau_load, level, viscosity)
         run = KernelRun(self._kernel, inputs, dt, euler=law.discretisation == "euler")
@@ -75,7 +74,7 @@ class Factored:
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalFit:
-    """Temperature dependence of one joint, with errors [1/K] and RMSE [N.m] without and with it."""
+    """Temperature dependence of one joint; errors [1/K], RMSE [N.m] without and with it."""
 
     joint: str
     thermal: Thermal
@@ -215,7 +214,7 @@ class _Problem:
         return covariance(names, gradients, hessians, labels).standard_errors
 
     def by_heat(self, thermal: Thermal) -> list[Array]:
-        """Return the temperature of each record from its friction and the ambient [degC]."""
+        """Return the temperature of each record from its friction [degC]."""
         found = [np.full_like(r.t, thermal.ambient) for r in self._records]
         for _ in range(_ROUNDS):
             found = [
@@ -229,7 +228,7 @@ class _Problem:
         return [np.abs(tau * r.dq) for tau, r in zip(torques, self._records, strict=True)]
 
     def heated(self, thermal: Thermal, temperatures: Sequence[Array]) -> Thermal:
-        """Return the model with the lumped mass that best explains the temperatures."""
+        """Return the model with the best lumped mass."""
         powers = self._powers(thermal, temperatures)
         measured = np.concatenate(list(temperatures))
 

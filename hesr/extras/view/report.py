@@ -1,4 +1,4 @@
-"""Reports of `hesr report`: the arm of a closed loop in a window, a video or an animation."""
+"""The arm of a closed loop in a window, a video or an animation."""
 
 from collections.abc import Sequence
 from functools import partial

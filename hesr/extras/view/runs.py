@@ -21,7 +21,7 @@ _MOST = 4  # arms side by side
 
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions:
-    """Options of a view, as those of `show_arm`."""
+    """Options of `show_arm`."""
 
     laws: Sequence[str] = ()
     scheme: str | None = None
@@ -36,7 +36,7 @@ class ViewOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """Runs to show, by title of the law; joints in the order of the traces."""
+    """Runs to show, by title of the law."""
 
     mjcf: str
     joints: Sequence[str]
@@ -45,7 +45,7 @@ class Shown:
 
 
 def choose(folder: Path, choice: ViewOptions) -> Shown:
-    """Read the runs to show from the results of a study."""
+    """Read the runs to show."""
     if not folder.is_dir():
         raise ArtifactError(f"{folder}: no such folder; give a result of 'hesr run'.")
     traces = read_traces(folder / TRACES)

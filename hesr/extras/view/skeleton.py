@@ -1,4 +1,4 @@
-"""Shapes of an arm: those of its model, or primitives along its joints."""
+"""Shapes of an arm."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _SMALL = 1e-3  # over the reach: shorter links are not drawn
 
 @dataclass(frozen=True, kw_only=True)
 class Paint:
-    """Colours of an arm; `thick` is a factor on the thickness of primitives."""
+    """Colours of an arm, and a factor on thickness."""
 
     links: Colour
     joints: Colour
@@ -30,8 +30,7 @@ class Paint:
 def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
     """Return an arm as an MjSpec with only bodies, joints and shapes.
 
-    Shapes from files are missing; without other shapes, capsules between the joints are drawn.
-    Raises RobotError for an unusable model.
+    Shapes from files are missing; without others, capsules between the joints are drawn.
     """
     try:
         spec = mujoco.MjSpec.from_string(mjcf)
@@ -54,7 +53,7 @@ def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
 
 
 def reach(model: mujoco.MjModel) -> float:
-    """Return the length of all links in sequence [m]."""
+    """Return the sum of the link lengths [m]."""
     return float(np.linalg.norm(model.body_pos, axis=1).sum()) or 1.0
 
 

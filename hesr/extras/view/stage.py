@@ -1,4 +1,4 @@
-"""The scene: arms side by side, each with its commanded pose as a translucent ghost."""
+"""The scene: arms side by side, each with its commanded pose as a ghost."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ _FOVY = 40.0  # [degrees]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Placed:
-    """An arm with its ghost; positions of their joints in qpos."""
+    """An arm with its ghost; positions of joints in qpos."""
 
     label: tuple[str, str]
     t: Array
@@ -46,7 +46,7 @@ class _Placed:
 
 
 class Stage:
-    """A MuJoCo model of all shown arms, and their motion."""
+    """A MuJoCo model of all arms, and their motion."""
 
     def __init__(self, shown: Shown, choice: ViewOptions) -> None:
         self._magnify, self._scheme = choice.magnify, shown.scheme
@@ -92,7 +92,7 @@ class Stage:
         )
 
     def _path(self, one: _Placed) -> Array:
-        """Return the paths of the ends of ghost and arm, (N, 2, 3) [m]."""
+        """Return the paths of both ends (N, 2, 3) [m]."""
         path = np.empty((len(one.t), 2, 3))
         for k in range(len(one.t)):
             self.data.qpos[one.ghost], self.data.qpos[one.solid] = one.q_d[k], one.q[k]
@@ -101,7 +101,7 @@ class Stage:
         return path
 
     def set(self, t: float) -> None:
-        """Set the poses of all arms at a time of the motion [s]."""
+        """Set all poses at a time [s]."""
         for one in self._arms:
             k = _row(one.t, t)
             self.data.qpos[one.ghost], self.data.qpos[one.solid] = one.q_d[k], one.q[k]
@@ -109,7 +109,7 @@ class Stage:
         mujoco.mj_camlight(self.model, self.data)
 
     def annotate(self, scene: mujoco.MjvScene, t: float) -> None:
-        """Add trails and labels to a scene that is empty or filled by MuJoCo."""
+        """Add trails and labels to a scene."""
         for one, path in zip(self._arms, self._paths, strict=True):
             last = _row(one.t, t)
             first = _row(one.t, t - _TRAIL)

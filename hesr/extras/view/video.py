@@ -33,10 +33,7 @@ _GEOMS = 4000
 def write_video(
     path: Path, shown: Shown, choice: ViewOptions, *, progress: Progress = silent
 ) -> float:
-    """Write a video (.mp4) or an animation for a page (.webp); return its length [s].
-
-    Raises ConfigError without OpenGL or encoder, ArtifactError if the file cannot be written.
-    """
+    """Write a video (.mp4) or an animation (.webp); return its length [s]."""
     kind = path.suffix.lower()
     if kind not in (".mp4", ".webp"):
         raise ConfigError(f"{path}: a video ends in .mp4 or .webp.")
@@ -56,7 +53,7 @@ def write_video(
 
 @contextmanager
 def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
-    """Yield a function that draws the scene at a time [s], as an image (HEIGHT, WIDTH, 3)."""
+    """Yield a function that draws the scene at a time [s], as (HEIGHT, WIDTH, 3)."""
     with ExitStack() as cleanup:
         try:
             context = _gl()(WIDTH, HEIGHT)
