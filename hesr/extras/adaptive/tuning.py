@@ -42,5 +42,4 @@ class Tuning:
 
 
 TUNING = Tuning()
-"""Chosen on the training logs of the UR10e: laws fitted to one or two logs were followed over the
-others in the order of their days, without a large loss on any joint."""
+"""Chosen on training logs of the UR10e: laws of one or two logs, followed over the others."""

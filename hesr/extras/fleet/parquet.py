@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hesr.extras.fleet.result import BODY, Fleet, JointResult, RobotResult
+from hesr.extras.fleet.result import BODY, Fleet, JointResult
 from hesr_model.support.files import written_whole
 
 _NUMBERS = ("logs", "rows")
@@ -55,11 +55,12 @@ def _rows(fleet: Fleet) -> Iterator[dict[str, Any]]:
             yield of_robot
         for one in robot.joints:
             key = (robot.robot, one.law, one.joint)
+            fmu = fleet.fmus.get((robot.type, one.law, robot.structure(one.law)))
             yield (
                 of_robot
                 | _numbers(one, fleet, key)
                 | {
-                    "fmu": _fmu(fleet, robot, one.law),
+                    "fmu": fmu.relative_to(fleet.folder).as_posix() if fmu else None,
                     "deviates": key in deviating,
                     "worse": key in worse,
                     "changes": changes.get(key, []),
@@ -81,8 +82,3 @@ def _numbers(one: JointResult, fleet: Fleet, key: tuple[str, str, str]) -> dict[
     for name, trend in one.trends.items():
         found |= {f"{name}_change": trend.change, f"{name}_per_day": trend.slope}
     return found
-
-
-def _fmu(fleet: Fleet, robot: RobotResult, law: str) -> str | None:
-    fmu = fleet.fmus.get((robot.type, law, robot.structure(law)))
-    return fmu.relative_to(fleet.folder).as_posix() if fmu else None

@@ -235,7 +235,7 @@ def _joint(
         "offset": [day.offset / size for day in of],
         "error": [day.rmse / size for day in of],
     }
-    trends = {name: trend(days, values) for name, values in courses.items()}
+    trends = ((name, trend(days, values)) for name, values in courses.items())
     return JointResult(
         law=model.law,
         joint=model.joints[joint],
@@ -244,7 +244,7 @@ def _joint(
         errors=law.standard_errors,
         rmse=error,
         tau_std=tau_std,
-        trends={name: one for name, one in trends.items() if one is not None},
+        trends={name: one for name, one in trends if one is not None},
     )
 
 

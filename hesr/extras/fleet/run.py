@@ -53,7 +53,7 @@ def run_fleet(
             reused=reused,
         )
         write_table(output / TABLE, found)
-        from hesr.extras.fleet.page import write_page  # slow to import: it draws
+        from hesr.extras.fleet.page import write_page  # slow import
 
         write_page(found, output / PAGE)
     return found

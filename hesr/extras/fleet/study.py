@@ -19,7 +19,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
 
 _TABLES = {".csv", ".parquet", ".pq", ".mat"}
 _BAG = "metadata.yaml"
-"""File that marks a folder as a bag of ROS 2."""
+"""Marks a folder as a ROS 2 bag."""
 _WILD = re.compile(r"[*?\[]")
 _DAY = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
 

@@ -97,8 +97,7 @@ class MlpH(NetworkEstimator):
 def left_out(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[Array]) -> Array:
     """Return (decays,) mean squares on left-out rows, relative to the variance of the torque.
 
-    Standardised `z` (N, 3), `y` (N,); masks `folds` (N,) of left-out rows; hidden layers `starts`
-    (4, H).
+    Standardised `z` (N, 3), `y` (N,); masks (N,) of left-out rows; hidden layers (4, H).
     """
     stride = max(1, len(y) // SEARCHED_ROWS)
     total = np.zeros(len(DECAYS))

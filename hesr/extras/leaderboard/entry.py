@@ -71,6 +71,10 @@ def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
                 used.append(name)
     # The torque of a foreign FMU need not be that of its embedded law.
     model = embedded_model(entry.fmu) if ours else None
+    found = None
+    if properties:
+        inertia = standing_inertia(ground.model, ground.body, model) if model else None
+        found = measure(Subject(name=entry.name, model=model, fmu=entry.fmu, inertia=inertia))
     return Tried(
         entry=entry,
         inputs=tuple(used),
@@ -78,15 +82,10 @@ def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
         seconds=seconds / steps,
         ours=ours,
         model=model,
-        properties=_properties(entry, ground, model) if properties else None,
+        properties=found,
     )
 
 
 def _columns(part: Sequence[FrictionRecord]) -> dict[str, Any]:
     names = ("dq", *_OPTIONAL)
     return {"t": part[0].t} | {x: np.column_stack([getattr(r, x) for r in part]) for x in names}
-
-
-def _properties(entry: Entry, ground: Ground, model: FrictionModel | None) -> Properties:
-    inertia = standing_inertia(ground.model, ground.body, model) if model else None
-    return measure(Subject(name=entry.name, model=model, fmu=entry.fmu, inertia=inertia))

@@ -38,7 +38,7 @@ class LeaderboardJob:
         remember_trust((entry.fmu for entry in entries), trust=trust)
         board = run_leaderboard(rules, entries, progress=partial(progress, "scoring entries"))
         if output is not None:
-            from hesr.extras.leaderboard.page import write_page  # loads the drawing libraries
+            from hesr.extras.leaderboard.page import write_page  # slow import
 
             write_page(board, output)
         return LeaderboardResult(**vars(board), files=(output,) if output else ())

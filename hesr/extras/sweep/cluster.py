@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from fmu_src.run.fmu import is_known, is_ours, remember
 from hesr.extras.sweep.plan import Plan
 from hesr.extras.sweep.work import RunOutputs, Task, run_rows
-from hesr_model.errors import ConfigError, HesrError, WorkerError
+from hesr_model.errors import ConfigError, WorkerError
 from hesr_model.support import cache
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256, written_whole
@@ -35,9 +35,7 @@ def results_of(
     try:
         from distributed import Client
     except ImportError as error:
-        raise ConfigError(
-            "--cluster needs dask.distributed; install it with: pip install 'hesr[cluster]'."
-        ) from error
+        raise ConfigError("--cluster needs: pip install 'hesr[cluster]'.") from error
     try:
         client = Client(address, timeout=_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -85,8 +83,6 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
 
 def _require_lost(future: Any) -> None:
     error = future.exception() if future.status == "error" else None
-    if isinstance(error, HesrError):
-        raise error
     if error is not None and type(error).__name__ not in _LOST:
         raise error
 

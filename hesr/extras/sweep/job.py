@@ -58,9 +58,8 @@ class SweepResult(SweepRuns, Answer):
         if self.reused:
             lines.append(f"Complete before: {self.reused} runs.")
         for k, one in enumerate(self.plan.study.outputs):
-            lines.append(
-                f"Worst run by {one.name}: {tables.replay_command(self.path, self.worst(k)[0])}"
-            )
+            command = tables.replay_command(self.path, self.worst(k)[0])
+            lines.append(f"Worst run by {one.name}: {command}")
         return shortened(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:

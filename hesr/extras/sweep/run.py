@@ -53,7 +53,7 @@ def run_sweep(
                     f"{path}: all {len(table.failures)} runs failed, the first because "
                     f"{table.failures[0]}"
                 )
-            from hesr.extras.sweep.page import write_page  # slow to import: it draws
+            from hesr.extras.sweep.page import write_page  # slow import
 
             write_page(swept, output / PAGE, path)
     finally:

@@ -27,10 +27,10 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
 LEAST_SPREAD = 3.0
-"""Smallest difference between the coldest and the warmest twentieth of the rows [K]."""
+"""Smallest difference between the 5 and 95 % quantiles [K]."""
 
 LEAST_TIME = 300.0
-"""Smallest length of the longest log without temperatures [s]: heat is slow."""
+"""Smallest length of the longest log without temperatures [s]."""
 
 _TIMES = (60.0, 14_400.0)
 """Bounds of the thermal time constant [s]."""
