@@ -1,9 +1,8 @@
 """Audit of a friction law: dissipation, stiffness at rest and range of the torque.
 
 Published laws drive the joint at low speed, generate energy, chatter on encoder noise or explode
-just outside their training data. The audit measures this at the law's own sample time. Torques of
-position alone can drive the joint without generating net energy, so steady sliding is audited with
-them (`driving`) and without (`driving_both_ways`).
+just outside their training data. Torques of position alone can drive the joint without generating
+net energy, so steady sliding is audited with (`driving`) and without them (`driving_both_ways`).
 """
 
 from collections.abc import Callable, Iterator, Sequence

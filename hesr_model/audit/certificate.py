@@ -1,13 +1,13 @@
 """Passivity of a law: proven by a storage function, refuted by a cycle with net energy, or open.
 
-A storage function S >= 0 with tau dq >= dS for every motion proves that a law never generates
-energy. Here S is a sum of k x^2 over stops and bristles, tau is read after the states have moved,
-and dq = v dt is the displacement of the step. Torques of position alone are left out.
+A storage function S >= 0 with tau dq >= dS for every step dq = v dt proves that a law never
+generates energy. S is a sum of k x^2 over states, and tau is read after they have moved. Torques of
+position alone are left out.
 
-    stop       F x, F >= 0                 S = F w x^2 / 2, any step: a clip is a projection on a
-                                           set that contains 0, for any change of its bound
-    bristle    c x, x' = b v - r x, r >= 0 S = c x^2 / (2 b), any step of an exact relaxation,
-                                           for any change of its rate r with speed and load
+    stop       F x, F >= 0                 S = F w x^2 / 2, any step and change of its bound: a clip
+                                           is a projection on a set that contains 0
+    bristle    c x, x' = b v - r x, r >= 0 S = c x^2 / (2 b), any step of an exact relaxation
+                                           and change of its rate r with speed and load
     level      sgn(v) g, g(v, load) >= 0   dissipates g |v|
     with       + d x'                      f >= d (max k / min k - 1): Barabanov and Ortega (2000),
                                            in continuous time

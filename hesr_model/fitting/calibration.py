@@ -1,13 +1,12 @@
 """Width of a law's band, by errors on left-out logs and by its covariance.
 
-The estimate without log k is one Gauss-Newton step from the estimate with all logs, so the errors
-on a log outside the training data are
+The estimate without log k, or a block of time of a single log, is one Gauss-Newton step away, so
+the errors outside the training data are
 
     e_k + J_k (H - H_k)^-1 J_k' e_k,    H = sum over logs H_k = J_k' J_k
 
-or with blocks of time of a single log. Their variance is that of the coefficients, extrapolated by
-`band.shapes`, plus noise, found by maximum likelihood of normal errors with non-negative shares and
-scaled to contain 95 % of these errors.
+Their variance is that of the coefficients, extrapolated by `band.shapes`, plus noise, found by
+maximum likelihood of normal errors with non-negative shares and scaled to contain 95 % of them.
 """
 
 from collections.abc import Sequence

@@ -106,18 +106,11 @@ def fit_models(
 ) -> dict[str, FrictionModel]:
     """Fit several laws to every joint; return models by name of the law or variant.
 
-    Parameters
-    ----------
-    laws : names in the registry or of variants.
-    records : records of each joint, one per training log.
-    options : hyper-parameters by law or variant.
-    variants : name in the registry of each variant, a law with other options.
-    workers : number of processes; one per core by default.
-    progress : callback with `progress.PARTS` for each fit.
-    left_out : callback for laws that the records do not determine; the first raises by default.
-    kept : folder of checkpoints, so that a killed run can continue.
-    per_log : nuisances that are removed first (`day_offsets`); they are part of the provenance, and
-        training errors are without them.
+    `records` are those of each joint, one per training log; `options` are by law or variant, and
+    `variants` the names in the registry of laws with other options. By default there is one of
+    `workers` per core, and the first law that the records do not determine raises its error instead
+    of being passed to `left_out`. `kept` is a folder of checkpoints for killed runs. Nuisances
+    `per_log` are removed first (`day_offsets`) and become part of the provenance.
     """
     coupling = records[0][0].coupling
     records = all_at_friction(records)

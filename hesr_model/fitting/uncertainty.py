@@ -1,8 +1,8 @@
 """Uncertainty of the coefficients of a law: covariance from the Jacobian of its prediction.
 
-Coefficients at a bound, or in a structure chosen by the data, have a covariance for derived values
-but no interval, since it would ignore the choice. If the torque is curved over a coefficient, its
-interval is that of the wider side.
+Coefficients at a bound, or in a structure chosen by the data, have a covariance but no interval,
+since it would ignore the choice. If the torque is curved over a coefficient, its interval is that
+of the wider side.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -148,11 +148,10 @@ def wider_side(
 ) -> float:
     """Return the ratio of the wider side of a coefficient's interval to its standard error.
 
-    `slope` (P,) is its derivative by the coordinates, `q` and `r` the QR decomposition of the
-    torque's (N, P) derivatives. The coefficient is moved by some standard errors and all others are
-    fitted again by `moved_by`, which maps a step (P,) to the changes of the coefficient and of the
-    torque (N,) [N.m]. If the torque moves less than linearly, the interval is wider by that ratio:
-    the profile t of Bates and Watts (1988, ch. 6), at its end.
+    `slope` (P,) is its derivative, `q` and `r` the QR decomposition of the torque's (N, P)
+    derivatives; `moved_by` maps a step (P,) to the changes of the coefficient and of the torque
+    (N,) [N.m]. If the torque moves less than linearly with the other coefficients fitted again, the
+    interval is wider by that ratio: the end of the profile t of Bates and Watts (1988, ch. 6).
     """
     error = float(np.sqrt(slope @ covariance @ slope))
     # Orthogonal to all directions that keep the coefficient.

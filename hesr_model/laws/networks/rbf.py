@@ -33,10 +33,10 @@ _INPUTS = (("dq", "rad/s"), ("h", "1"), ("dh", "1/s"))
 class RbfnnH(NetworkEstimator):
     """tau = w_0 + sum_k w_k exp(-1/2 sum_i ((x_i - m_ki) / s_i)^2), x = (dq, h, h').
 
-    For each of the best `cells` (alpha, beta) of stage 1 and each number of `centres`, k-means
-    places the centres m_k on the standardised inputs, the width is a factor times their mean
-    distance to the nearest other one, and ridge regression gives the weights. Cross-validation
-    selects (alpha, beta), number, factor and ridge. As in the paper, linear terms are missing.
+    For each of `cells` (alpha, beta) and each number of `centres`, k-means places the m_k on the
+    standardised inputs, the width is a factor times their mean distance to the nearest one, and
+    ridge regression gives the weights. Cross-validation selects (alpha, beta), number, factor and
+    ridge. As in the paper, linear terms are missing.
     """
 
     name = "rbfnn_h"

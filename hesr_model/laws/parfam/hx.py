@@ -17,8 +17,8 @@ from hesr_model.laws.parfam.trial import Trial, choose, extended, pose, with_uni
 from hesr_model.rigid_body.residual import FrictionRecord
 
 STATE_GAIN = 0.02
-"""Smallest relative gain on left-out rows by memory in time in addition to position memory: one per
-cent for each of two coefficients, as for a unit.
+"""Smallest relative gain on left-out rows by memory in time: one per cent for each of two
+coefficients, as for a unit.
 """
 
 
@@ -30,9 +30,8 @@ class ParFamHX(Described):
         tau = c . (1, v, h, h', h |tau_load|, h exp(-(v/v_s)^2)) + c_g g(theta . (1, v, h, h'))
               + sum_k a_k cos(k N (q - lag v)) + b_k sin(k N (q - lag v))
 
-    Cross-validation selects linear terms, the unit and the orders of ripple. Options allow `memory`
-    in position, `bump` (the Stribeck term), candidate `functions` g, and `initial_state`, a start
-    of h from the first torques of a log; `starts` is for each g.
+    Cross-validation selects linear terms, the unit and the orders of ripple. `memory` allows that
+    in position, `bump` the Stribeck term, `initial_state` a start of h from the first torques.
     """
 
     name = "parfam_hx"

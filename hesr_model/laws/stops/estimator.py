@@ -91,13 +91,7 @@ _LOADED = {**_Stops.typical, "stops": [["1", 0], ["1", 4], ["p", 0], ["load", 0]
 
 @register
 class ParFamS(_Stops):
-    """Stops with bounds of age and load, and ripple: passive for any step.
-
-        x_i+ = clip(x_i + v dt / w_i, -s_i, s_i)    p' = (exp(-(v/v_s)^2) - p) / T
-        tau  = sum_i F_i x_i + v f(v) + ripple + tau_0
-
-    Cross-validation selects bounds s_i and terms of f; F_i and f are non-negative.
-    """
+    """Stops with bounds of age and load, and ripple: passive for any step (equations in `form`)."""
 
     name = "parfam_s"
     title = "ParFam-S"
