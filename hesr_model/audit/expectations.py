@@ -25,7 +25,7 @@ class Source:
     title: str
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Expectation:
     """A property of friction: experiment and expectation."""
 
@@ -34,7 +34,7 @@ class Expectation:
     short: str  # heading
     shows: str  # figure in tables
     unit: str
-    factor: float = 1.0  # from SI to this unit
+    factor: float  # from SI to this unit
     measured: str  # the experiment
     expected: str  # condition for a pass
     sources: tuple[Source, ...]
@@ -64,18 +64,7 @@ def _expectation(
     *sources: Source,
 ) -> Expectation:
     """Return an expectation from key, title, heading, and from figure, unit, factor."""
-    (key, title, short), (shows, unit, factor) = names, figure
-    return Expectation(
-        key=key,
-        title=title,
-        short=short,
-        shows=shows,
-        unit=unit,
-        factor=factor,
-        measured=measured,
-        expected=expected,
-        sources=sources,
-    )
+    return Expectation(*names, *figure, measured, expected, sources)
 
 
 _ALL = (

@@ -37,11 +37,6 @@ _ENOUGH = 4000  # rows for the shares; quantiles use all
 _NONE = 1e-30
 
 
-def with_band(law: FrictionLaw, records: Sequence[FrictionRecord]) -> FrictionLaw:
-    """Return the law with the band of its torque; see `calibrated`."""
-    return calibrated(law, records)[0]
-
-
 def calibrated(
     law: FrictionLaw, records: Sequence[FrictionRecord]
 ) -> tuple[FrictionLaw, float | None]:

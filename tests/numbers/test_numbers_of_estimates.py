@@ -164,7 +164,7 @@ def test_what_coefficients_are_worth(
         of = law("lugre_load", {}, **LUGRE | {"sigma_1": 0.0})
     found = uncertainty.with_standard_errors(of, logs, space)
     assert found.covariance is not None
-    banded = calibration.with_band(found, logs)
+    banded = calibration.calibrated(found, logs)[0]
     two = uncertainty.with_pooled_errors([found, of, replace(found, values=LUGRE)])
     unchanged({
         "covariance": found.covariance, "errors": found.standard_errors, "band": banded.band,
@@ -184,8 +184,8 @@ def test_parts_of_a_band(records: list[FrictionRecord], unchanged: Unchanged) ->
     many = [replace(records[0], dq=np.where(np.arange(len(r.t)) % 80 < 70, 0.0, 1.0))
             for r in records[:1]]  # fmt: skip
     unchanged({
-        "alone": calibration.with_band(of, records).band,
-        "rested": calibration.with_band(of, [*records, *many]).band,
+        "alone": calibration.calibrated(of, records)[0].band,
+        "rested": calibration.calibrated(of, [*records, *many])[0].band,
         "shares": calibration._shares(columns, squares, np.zeros(300)),
         "with known": calibration._shares(columns, squares, np.full(300, 0.1)),
         "none": calibration._shares(columns, 0.0 * squares, np.zeros(300)),
@@ -223,7 +223,7 @@ def test_ten_rests_tell_what_a_rest_holds(rests: int, envelope: float) -> None:
     flat = np.zeros(400)
     noise = np.random.default_rng(0).normal(size=400)
     one = FrictionRecord(log="a", joint="j1", t=t, dq=dq, q=flat, tau_load=flat, tau=noise)
-    band = calibration.with_band(law("lugre_load", {}, **LUGRE), [one]).band
+    band = calibration.calibrated(law("lugre_load", {}, **LUGRE), [one])[0].band
     assert band is not None
     assert band.envelope == envelope
 

@@ -7,7 +7,7 @@ import pytest
 from joint_data import along, law, path, with_tau
 
 from hesr_model.errors import ArtifactError, SimulationError
-from hesr_model.fitting.calibration import with_band
+from hesr_model.fitting.calibration import calibrated
 from hesr_model.fitting.uncertainty import with_standard_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -31,7 +31,7 @@ def noisy(seed: int, *, rests: bool = False, spread: float = 0.5) -> FrictionRec
 @pytest.fixture(scope="module")
 def banded() -> FrictionLaw:
     records = [noisy(seed) for seed in range(3)]
-    return with_band(with_standard_errors(TRUTH, records), records)
+    return calibrated(with_standard_errors(TRUTH, records), records)[0]
 
 
 def model_of(*laws: FrictionLaw, **more) -> FrictionModel:
@@ -70,7 +70,7 @@ def test_where_coefficients_are_uncertain_it_widens() -> None:
     known = with_standard_errors(TRUTH, records)
     assert known.covariance is not None
     large = replace(known.covariance, within=1e4 * known.covariance.within)
-    certain, doubtful = (with_band(x, records).band for x in (replace(known, covariance=None),
+    certain, doubtful = (calibrated(x, records)[0].band for x in (replace(known, covariance=None),
                          replace(known, covariance=large)))  # fmt: skip
     assert certain is not None
     assert doubtful is not None
@@ -80,14 +80,14 @@ def test_where_coefficients_are_uncertain_it_widens() -> None:
 def test_rests_that_were_seen_take_the_place_of_the_envelope() -> None:
     records = [noisy(seed, rests=True) for seed in range(5)]  # two rests each
     for seen, envelope in ((records, 0.0), (records[:4], 1.0)):
-        band = with_band(TRUTH, seen).band
+        band = calibrated(TRUTH, seen)[0].band
         assert band is not None
         assert band.envelope == envelope
 
 
 def test_perfect_logs_give_a_band_without_width() -> None:
     records = [along(TRUTH, path(0))]
-    band = with_band(TRUTH, records).band
+    band = calibrated(TRUTH, records)[0].band
     assert band is not None
     assert band.floor == pytest.approx(0.0, abs=1e-9)
 

@@ -78,10 +78,8 @@ def geometric(features: HysteresisFeatures) -> tuple[float, float]:
     slope = float(np.median(slopes)) if slopes else 0.0
     alpha = _settling_rate(features, [course for course, _ in courses])
     beta = slope / level if level > 0.0 else beta_low
-    return (
-        float(np.clip(alpha, alpha_low, 0.9 * alpha_high)),
-        float(np.clip(beta, beta_low, beta_high)),
-    )
+    alpha = np.clip(alpha, alpha_low, 0.9 * alpha_high)
+    return float(alpha), float(np.clip(beta, beta_low, beta_high))
 
 
 def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:

@@ -6,7 +6,7 @@ over features x from {dq, h, dh}, with the hysteresis state of eq. 9. A structur
 terms and, for each unit, its function and its arguments; the constant feature is written "1".
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import sympy
@@ -74,13 +74,16 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         "h_load": h * absolute(TAU_LOAD),
         "h_bump": h * sympy.exp(-((DQ / V_S.symbol) ** 2)),
     }
+
+    def weighted(weights: Sequence[Coefficient], features: Sequence[str]) -> sympy.Expr:
+        products = (c.symbol * symbols[x] for c, x in zip(weights, features, strict=True))
+        return sum(products, sympy.Integer(0))
+
     coefficients = [
         Coefficient(name=linear_name(x), unit=_UNIT[x], description=f"linear term in {x}")
         for x in linear
     ]
-    output = sum(
-        (c.symbol * symbols[x] for c, x in zip(coefficients, linear, strict=True)), sympy.Integer(0)
-    )
+    output = weighted(coefficients, linear)
     for k, (g, arguments) in enumerate(units, start=1):
         gain = Coefficient(name=gain_name(k), unit="N.m", description=f"factor of {g} {k}")
         inner = [
@@ -91,8 +94,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
             )
             for x in arguments
         ]
-        argument = sum(c.symbol * symbols[x] for c, x in zip(inner, arguments, strict=True))
-        output += gain.symbol * FUNCTIONS[g](argument)
+        output += gain.symbol * FUNCTIONS[g](weighted(inner, arguments))
         coefficients += [gain, *inner]
     if "h_bump" in linear and state != "bristle":
         coefficients.append(V_S)
@@ -102,9 +104,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         )
         for x in below
     ]
-    output = output / sum(
-        (c.symbol * symbols[x] for c, x in zip(divisors, below, strict=True)), sympy.Integer(1)
-    )
+    output = output / (1 + weighted(divisors, below))
     coefficients += divisors
     if not output.free_symbols & {h, dh}:
         return LawForm(coefficients=tuple(coefficients), output=output)

@@ -56,11 +56,7 @@ class ParFamHX(Described):
         starts: int = 24,
     ) -> None:
         self.memory = memory
-        self.linear = (
-            *family.FEATURES,
-            *(["h_load"] if load else []),
-            *(["h_bump"] if bump else []),
-        )
+        self.linear = (*family.FEATURES, *["h_load"] * load, *["h_bump"] * bump)
         self.functions = tuple(functions)
         self.ripple = ripple  # type: ignore[misc] # an option of this law, a constant in others
         self.start_samples = 5 if initial_state else 0  # type: ignore[misc] # likewise

@@ -59,13 +59,10 @@ def select(
     # If all explode, try the others, then the linear law.
     linear = sorted((k for k in found if k.g is None), key=lambda k: k.cost)[:1]
     for group in (hopeful, [k for k in looked if k.cost > HOPEFUL * best], linear):
-        finalists = [
-            k
-            for k in distinct([prune(features, k) for k in group])
-            if not explodes(k.law("candidate", features.discretisation), trained)
-        ]
+        pruned = sorted(distinct([prune(features, k) for k in group]), key=_terms)
+        laws = (k.law("candidate", features.discretisation) for k in pruned)
+        finalists = [k for k, law in zip(pruned, laws, strict=True) if not explodes(law, trained)]
         if finalists:
-            finalists.sort(key=_terms)
             costs = [left_out_cost(features, k, folds, portions=PORTIONS) for k in finalists]
             return finalists[first_best(costs, SAME)]
     raise FitError("every ParFam candidate explodes just outside the trained speeds.")
@@ -95,10 +92,7 @@ def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
     refined, statistics = Refinement(features, candidate).run(LONG)
     needed = np.zeros(11, bool)
     while True:
-        removable = np.concatenate(
-            [[False, False], refined.c_active, [False], refined.theta_active]
-        ).astype(bool)
-        removable &= ~needed
+        removable = np.r_[False, False, refined.c_active, False, refined.theta_active] & ~needed
         if refined.theta_active.sum() == 1:
             removable[7:] = False
         weakest = first_best(np.where(removable, statistics, np.inf), SAME)
@@ -177,23 +171,14 @@ class Refinement:
         self.span = np.log([a_high, b_high]) - self.low
         columns = features.columns(start.alpha, start.beta)
         self.scale = np.concatenate([[1.0], np.maximum(columns[:, 1:].std(axis=0), 1e-12)])
-        self.active = np.concatenate(
-            [[True, True], start.c_active, [start.g is not None], start.theta_active]
-        ).astype(bool)
+        self.active = np.r_[True, True, start.c_active, start.g is not None, start.theta_active]
 
     def pack(self) -> Array:
         """Return the start as a search vector (parameters,)."""
         place = (np.log([self.start.alpha, self.start.beta]) - self.low) / self.span
         place = np.clip(place, 1e-6, 1.0 - 1e-6)
-        full = np.concatenate(
-            [
-                logit(place),
-                self.start.c * self.scale,
-                [self.start.gain],
-                self.start.theta * self.scale,
-            ]
-        )
-        return np.asarray(full[self.active])
+        c, theta = self.start.c * self.scale, self.start.theta * self.scale
+        return np.concatenate([logit(place), c, [self.start.gain], theta])[self.active]
 
     def unpack(self, point: Array, cost: float = np.nan) -> Candidate:
         """Return the candidate of a search vector."""
