@@ -64,7 +64,7 @@ def _still(law: FrictionLaw, trained: TrainedRange) -> list[Attack]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadedMotion:
-    """A small sine with a load at twice its frequency, long enough to settle."""
+    """A small sine with a load at twice its frequency."""
 
     dq: Array  # (K,) [rad/s]
     q: Array  # (K,) [rad]

@@ -30,9 +30,8 @@ from hesr_model.support.arrays import Array
 SLOWEST = 1e-3  # slowest steady speed, relative to the largest trained one
 REACH = 1.5  # range outside the trained speeds and loads, relative to it
 EXPLODES = 2.5
-"""Largest torque there, relative to the largest trained one. Viscous friction gives up to 1.5,
-quadratic or load-dependent viscous friction 2.25.
-"""
+"""Of the largest trained torque: viscous friction gives up to 1.5, quadratic or load-dependent
+2.25."""
 _STEADY = 1e6  # [s] step to steady sliding, even at the slowest speed
 _POSITIONS = 32  # positions to average over
 _NUMERICAL = 1e-9  # [N.m] round-off
@@ -96,7 +95,7 @@ def explodes(law: FrictionLaw, trained: TrainedRange) -> bool:
 
 
 def loads_of(law: FrictionLaw, trained: TrainedRange, reach: float = 1.0) -> tuple[float, ...]:
-    """Return the minimum, the smallest and the maximum load [N.m]; one if the law uses none."""
+    """Return the minimum, smallest and maximum load [N.m]; one if the law uses none."""
     low, high = trained.tau_load
     beyond = (reach - 1.0) * (high - low) / 2.0
     smallest = min(max(0.0, low), high)
@@ -118,7 +117,7 @@ def responses(
     loads: Sequence[float],
     run: Run = _run,
 ) -> Iterator[Response]:
-    """Yield responses to cycles of every frequency and load, with all amplitudes in one run."""
+    """Yield responses to cycles of every frequency and load, all amplitudes in one run."""
     for wanted in FREQUENCIES:
         motions = closed_motions(trained, amplitudes, wanted)
         t: Array = trained.sample_time * np.arange(motions.dq.size, dtype=float)
@@ -158,7 +157,7 @@ def _steady(
     v, load, q = (
         part.ravel() for part in np.meshgrid(velocities, np.array(loads), places, indexing="ij")
     )
-    # A very long exact step takes states to drive / rate. The first row has no step.
+    # A very long exact step takes states to drive / rate; the first row has none.
     settled = replace(law, discretisation="exact")
     rows = np.concatenate([[0], np.arange(len(v))])
     t = _STEADY * np.arange(len(rows), dtype=float)
@@ -189,10 +188,7 @@ def _negative(v: Array, power: Array) -> tuple[Range, ...]:
 def _at_rest(
     law: FrictionLaw, trained: TrainedRange, loads: Sequence[float], dt: float
 ) -> tuple[float, float | None]:
-    """Return (jump, slope) of the torque at zero velocity held over dt, for the worst load.
-
-    Symbolic derivatives of `sgn` are 0, so differences are used.
-    """
+    """Return (jump, slope) of the torque at rest over dt for the worst load, by differences."""
     t, q = np.array([0.0, dt]), np.full(2, trained.middle)
 
     def difference(speed: float, load: float) -> float:

@@ -71,10 +71,7 @@ def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
 
 
 def least_viscosity(law: FrictionLaw) -> float:
-    """Return the smallest factor on the viscous friction that keeps the proof; 0 without a proof.
-
-    It may vary freely above it: dissipation exceeds its requirement at each moment.
-    """
+    """Return the smallest factor on viscous friction that keeps the proof, else 0."""
     proof = _Proof(law)
     try:
         proof.certificate()

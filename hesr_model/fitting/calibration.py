@@ -42,8 +42,7 @@ def calibrated(
 ) -> tuple[FrictionLaw, float | None]:
     """Return the law with its band, and its RMSE on logs left out in turn [N.m].
 
-    The law itself and None if its torque is not finite. Without a covariance its coefficients are
-    taken as exact.
+    Returns the law itself and None if its torque is not finite. A law without covariance is exact.
     """
     errors, certain = _left_out(law, records)
     if not np.all(np.isfinite(errors) & np.isfinite(certain)):

@@ -37,8 +37,7 @@ def fit_joint(
 ) -> FrictionLaw:
     """Fit one law to the records of one joint, with one BLAS thread for bit reproducibility.
 
-    `options` are arguments of the estimator. Raises ArtifactError if the law is unknown, FitError
-    if the records do not determine it or lack a field that it needs.
+    Raises ArtifactError if the law is unknown, FitError if the records or `options` do not suit it.
     """
     chosen = estimator(law)
     try:
@@ -65,10 +64,7 @@ def fit(
     robot: str = "robot",
     workers: int = 1,
 ) -> FrictionModel:
-    """Fit one law to every joint of a robot; each of `logs` has one record per joint.
-
-    Raises FitError if `logs` is empty or its joints differ; see also `fit_joint`.
-    """
+    """Fit one law to every joint; each of `logs` has one record per joint, of the same joints."""
     if not logs:
         raise FitError(f"law '{law}': no log is given; pass the records of at least one.")
     joints = [tuple(record.joint for record in log) for log in logs]
@@ -106,10 +102,9 @@ def fit_models(
 ) -> dict[str, FrictionModel]:
     """Fit several laws to every joint; return models by name of the law or variant.
 
-    `records` are those of each joint, one per training log; `options` are by law or variant, and
-    `variants` the names in the registry of laws with other options. By default there is one of
-    `workers` per core, and the first law that the records do not determine raises its error instead
-    of being passed to `left_out`. `kept` is a folder of checkpoints for killed runs. Nuisances
+    `records` are those of each joint, one per training log; `variants` are the names in the
+    registry of laws with other options. Without `left_out` the first law that the records do not
+    determine raises its error. `kept` is a folder of checkpoints for killed runs. Nuisances
     `per_log` are removed first (`day_offsets`) and become part of the provenance.
     """
     coupling = records[0][0].coupling

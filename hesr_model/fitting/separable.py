@@ -51,8 +51,8 @@ LEAST = 1e-9  # [its unit] of a non-negative coefficient that scales others
 class Separable:
     """The least-squares problem of a form on the rows of a joint.
 
-    A point is the vector of searched numbers, logarithms where the bounds are positive. `start` has
-    the value of each state at rest, 0 by default.
+    A point has the searched numbers, logarithms where bounds are positive; `start` has the states
+    at rest, 0 by default.
     """
 
     def __init__(
@@ -145,10 +145,7 @@ class Separable:
         return np.asarray(best.x)
 
     def polish(self, point: Array, *, evaluations: int = 12, rows: Mask | None = None) -> Array:
-        """Return the point after a local search over a mask (N,) of rows.
-
-        Linear unknowns are projected out, so steps are in the searched numbers only.
-        """
+        """Return the point after a local search over rows (N,) with linear unknowns solved."""
         if not len(self.bounds):
             return point
         weights = None if rows is None else rows.astype(float)
@@ -207,8 +204,8 @@ def _kernel(form: LawForm, space: SearchSpace) -> Kernel:
     replaced = {sympy.Symbol(name, real=True): e for name, e in space.values}
     searched = tuple(sympy.Symbol(name, real=True) for name in space.names)
     linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
-    # Products are expanded so that factors cancel. Other simplifications of SymPy may turn exp(-x)
-    # into 1/exp(x), which overflows.
+    # Expand products so that factors cancel. Other simplifications may turn exp(-x) into 1/exp(x),
+    # which overflows.
     memory = tuple(m.subs(replaced) for m in form.memory)
     output = sympy.expand_mul(form.output.xreplace(replaced))
     columns = tuple(sympy.diff(output, symbol) for symbol in linear)

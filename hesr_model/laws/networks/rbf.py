@@ -21,9 +21,7 @@ from hesr_model.support.arrays import Array
 MAX_CENTRES = 40  # runs in microseconds
 FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # widths, in mean distances of the centres
 RIDGES = tuple(float(x) for x in 10.0 ** np.arange(-8, -1))
-"""Ridges, added to the mean square of Gaussians with peak 1. Smaller ones give weights so large
-that their sum loses digits.
-"""
+"""Ridges, added to the mean square of Gaussians with peak 1; sums of larger weights lose digits."""
 CLUSTERED_ROWS = 2400  # for k-means
 
 _INPUTS = (("dq", "rad/s"), ("h", "1"), ("dh", "1/s"))
@@ -33,10 +31,9 @@ _INPUTS = (("dq", "rad/s"), ("h", "1"), ("dh", "1/s"))
 class RbfnnH(NetworkEstimator):
     """tau = w_0 + sum_k w_k exp(-1/2 sum_i ((x_i - m_ki) / s_i)^2), x = (dq, h, h').
 
-    For each of `cells` (alpha, beta) and each number of `centres`, k-means places the m_k on the
-    standardised inputs, the width is a factor times their mean distance to the nearest one, and
-    ridge regression gives the weights. Cross-validation selects (alpha, beta), number, factor and
-    ridge. As in the paper, linear terms are missing.
+    K-means places the m_k on the standardised inputs, the width is a factor times their mean
+    distance to the nearest one, and ridge regression gives the weights. Cross-validation selects
+    (alpha, beta), number, factor and ridge. As in the paper, linear terms are missing.
     """
 
     name = "rbfnn_h"
@@ -120,7 +117,7 @@ def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator)
 
 def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return at most (count, 3) centres of z (N, 3), and their mean distance to the nearest."""
-    # Equal rows, such as those of a joint at rest, break k-means.
+    # Equal rows, as of a joint at rest, break k-means.
     points = np.unique(z[:: max(1, len(z) // CLUSTERED_ROWS)], axis=0)
     with warnings.catch_warnings():
         # A centre without rows stays in place, which is harmless.

@@ -32,11 +32,7 @@ def bounds(features: HysteresisFeatures) -> tuple[tuple[float, float], tuple[flo
 
 
 def profile(features: HysteresisFeatures) -> list[Cell]:
-    """Return the cells of a logarithmic (alpha, beta) grid, best first.
-
-    Costs are residuals of polynomials of (dq, h, dh) of degree three, which approximate any smooth
-    g.
-    """
+    """Return the cells of a logarithmic grid with the residuals of cubic surfaces, best first."""
     tau = features.samples.tau
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
     cells = []
@@ -85,8 +81,7 @@ def geometric(features: HysteresisFeatures) -> tuple[float, float]:
 def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
     """Return the torque after each reversal, positive in the direction of motion, and its slope.
 
-    The slope is that at the sign change. A course ends at the next reversal, at the end of the
-    record, or after `COURSE` rows.
+    The slope is that at the sign change. A course ends at the next reversal or after `COURSE` rows.
     """
     s = features.samples
     tau = s.tau - float(np.median(s.tau))

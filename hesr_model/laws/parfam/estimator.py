@@ -29,8 +29,7 @@ class ParFamH(Estimator):
     """tau = Q(v, h, h', g(Q(v, h, h'))) with polynomials of degree one (eq. 11).
 
     Stage 1 profiles (alpha, beta); stage 2 searches the unit's argument at the best of them; stage
-    3 runs Levenberg-Marquardt over all coefficients, prunes insignificant ones, and selects the
-    candidate that predicts left-out logs best.
+    3 runs Levenberg-Marquardt over all coefficients, prunes, and selects the best on left-out logs.
     """
 
     name = "parfam_h"

@@ -1,8 +1,7 @@
 """Stage 2, default search: variable projection from a batch of starts.
 
-For fixed (alpha, beta) and g the torque is linear in c and the unit's gain, so only theta is
-searched (Golub and Pereyra 1973, with Kaufman's simplification of the Jacobian). All starts of a
-cell run in one batch of Levenberg-Marquardt iterations.
+For fixed (alpha, beta) and g the torque is linear in c and the gain, so only theta is searched
+(Golub and Pereyra 1973, with Kaufman's simplification of the Jacobian), by Levenberg-Marquardt.
 """
 
 import numpy as np
@@ -27,7 +26,7 @@ def search(
 ) -> list[Candidate]:
     """Return at most `keep` distinct laws with one unit g at one (alpha, beta), best first.
 
-    `features` (M, 4) are 1, dq, h, dh of the searched rows, `starts` (S, 4) standardised theta.
+    `features` (M, 4) are those of the searched rows, `starts` (S, 4) standardised theta.
     """
     found = arguments(g, features, features, tau, starts, keep)
     return [_candidate(cell, g, features, tau, theta) for theta in found]
@@ -137,10 +136,10 @@ class _Projected:
         return np.asarray(np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T)
 
     def _normal_equations(self, theta: Array) -> tuple[Array, Array]:
-        """Return for each start the (S, F, F) Gram matrix and (S, F) gradient of theta.
+        """Return the (S, F, F) Gram matrices and (S, F) gradients of theta.
 
         The residual is orthogonal to the linear span, so the projected Jacobian enters by its Gram
-        matrix alone.
+        matrix.
         """
         argument, value, outside, gain = self.evaluate(theta)
         slope = gain * self.dg(argument, value)

@@ -30,7 +30,7 @@ class HysteresisFeatures:
     def with_derivatives(self, alpha: float, beta: float) -> tuple[Array, Array, Array]:
         """Return (N, 4) features and (N, 2) derivatives of h and dh by (alpha, beta), SI units.
 
-        The derivatives follow the recurrence of h, driven by its partial derivatives.
+        They follow the recurrence of h, driven by its partial derivatives.
         """
         s = self.samples
         target = np.tanh(beta * s.dq)

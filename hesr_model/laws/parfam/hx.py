@@ -17,9 +17,7 @@ from hesr_model.laws.parfam.trial import Trial, choose, extended, pose, with_uni
 from hesr_model.rigid_body.residual import FrictionRecord
 
 STATE_GAIN = 0.02
-"""Smallest relative gain on left-out rows by memory in time: one per cent for each of two
-coefficients, as for a unit.
-"""
+"""Smallest relative gain by memory in time: one per cent for each of two coefficients."""
 
 
 @register

@@ -24,9 +24,7 @@ SIGNIFICANCE = 2.0  # of a coefficient, in standard errors
 _ALL = slice(None)
 
 ROUNDS = ((8, 10), (16, 4))
-"""Screening rounds of (evaluations, number of candidates kept). They use all rows, because only the
-few rows of a reversal determine a steep beta.
-"""
+"""(evaluations, number of candidates kept) over all rows: few rows determine a steep beta."""
 LONG, PRUNED, FOLD = 60, 12, 8  # evaluations of the final fit, after pruning, without a fold
 PORTIONS = 20  # of `FOLD` evaluations, before finalists are compared
 HOPEFUL = 1.1  # largest mean square for a final fit, of the best one
@@ -86,8 +84,8 @@ def _terms(candidate: Candidate) -> int:
 def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
     """Refine, then drop insignificant coefficients, the least significant first.
 
-    A coefficient stays if the fit without it is worse than its significance predicts, because the
-    problem is not linear.
+    A coefficient stays if the fit without it is worse than predicted, because the problem is not
+    linear.
     """
     refined, statistics = Refinement(features, candidate).run(LONG)
     needed = np.zeros(11, bool)
@@ -154,9 +152,9 @@ def left_out_cost(
 class Refinement:
     """The joint least-squares problem of a candidate over (alpha, beta, c, gain, theta).
 
-    alpha and beta are searched as the logit of their position within (logarithmic) bounds, so that
-    0 < alpha dt < 1 holds without constraints; coefficients are for standardised features. The
-    residual is that of `rows`, while the state runs over all rows.
+    alpha and beta are the logit of their position within (logarithmic) bounds, so that 0 < alpha dt
+    < 1; coefficients are for standardised features. The residual is that of `rows`, while the state
+    runs over all rows.
     """
 
     def __init__(

@@ -64,7 +64,7 @@ def with_unit(
 ) -> list[Trial]:
     """Return the trial with a further unit g, with the two best arguments of every g.
 
-    `features` (N, 4) are 1, dq [rad/s], h, dh [1/s] of the argument; `starts` is for every g.
+    `features` (N, 4) are 1, dq [rad/s], h, dh [1/s]; `starts` is for every g.
     """
     tau = trial.problem.samples.tau
     rows = slice(None, None, max(1, len(tau) // _ROWS))

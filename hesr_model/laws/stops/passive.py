@@ -1,9 +1,9 @@
 """Numeric condition of the certificate: lagging ripple against viscous friction v f(v).
 
-Ripple U'(q) of the joint angle is lossless. With a lag, and read at the end of a step, it is U' at
-another angle and generates at most sum_k A_k min(n_k c |v|, 2) |dq|, where c is the mean time
-between the angle used and the angles passed. Viscous friction dissipates v f(v) |dq| / |v|. So
-f(v) >= sum_k A_k min(n_k c, 2 / |v|) at all speeds is sufficient.
+Ripple U'(q) is lossless. With a lag, and read at the end of a step, it is U' at another angle and
+generates at most sum_k A_k min(n_k c |v|, 2) |dq|, where c is the mean time between these angles.
+Viscous friction dissipates v f(v) |dq| / |v|, so f(v) >= sum_k A_k min(n_k c, 2 / |v|) is
+sufficient.
 """
 
 from collections.abc import Sequence

@@ -44,10 +44,7 @@ def fixed(samples: JointRows) -> dict[str, float]:
 
 
 def weights(samples: JointRows) -> Array:
-    """Return (N,) weights: 0 while the unknown initial deflections of a record matter, then 1.
-
-    A displacement of twice the widest deflection erases them.
-    """
+    """Return (N,) weights: 0 while the unknown initial deflections of a record matter, then 1."""
     found = np.empty(len(samples.q))
     first = np.flatnonzero(samples.begins)
     for start, end in zip(first, [*first[1:], len(found)], strict=True):
@@ -158,10 +155,7 @@ def dictionary(samples: JointRows, *, load: bool) -> Terms:
 
 
 def search(baseline: Terms, *, load: bool) -> Terms:
-    """Return terms that predict left-out rows no worse than the baseline.
-
-    Bounds are added if they gain more than a standard error, and removed if nothing is lost.
-    """
+    """Add bounds that gain more than a standard error on left-out rows; remove useless ones."""
     blocks = blocks_of(baseline.samples.dt, baseline.samples.begins)
     best = _thinned(baseline)
     for kind in MORE if load else ():
@@ -172,9 +166,9 @@ def search(baseline: Terms, *, load: bool) -> Terms:
 
 
 def _thinned(terms: Terms) -> Terms:
-    """Remove bounds, the last one first, that do not lower the error on left-out rows.
+    """Remove bounds but the first, the last one first, that do not lower the left-out error.
 
-    The first one stays: short fast motion cannot separate Coulomb from viscous friction.
+    Short fast motion cannot separate Coulomb from viscous friction, so the first one stays.
     """
     for kind in reversed(terms.bounds[1:]):
         fewer = replace(terms, bounds=tuple(k for k in terms.bounds if k != kind))
