@@ -71,12 +71,11 @@ def result_files(contents: SystemContents) -> dict[str, bytes]:
         ExperimentFiles(
             name=name,
             description=text,
-            start=0.0,
-            stop=float(t[-1]),
+            t=t,
             step=spec.step,
             tolerance=TOLERANCE,
-            stimuli=f"{_STEM}_in.csv",
-            references=f"{_STEM}_{name}.csv",
+            stem=_STEM,
+            results=name,
         )
         for name, (_, text) in _SCHEMES.items()
     ]

@@ -158,12 +158,11 @@ def _files(
         ExperimentFiles(
             name=run,
             description=text,
-            start=float(motion.t[0]),
-            stop=float(motion.t[-1]),
+            t=motion.t,
             step=step,
             tolerance=tolerance,
-            stimuli=f"{stem}_in.csv",
-            references=f"{stem}_{end}.csv",
+            stem=stem,
+            results=end,
         )
         for run, text, end, _ in runs
     ]

@@ -128,16 +128,16 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
 
 
 def _files(
-    name: str, stimuli: Stimuli, results: Mapping[str, Mapping[str, Array]]
+    name: str, stimuli: Stimuli, found: Mapping[str, Mapping[str, Array]]
 ) -> dict[str, bytes]:
     stem, t = f"extra/co_simulation/{name}", stimuli.t
     text = _README.format(name=name, platform=PLATFORM, step=stimuli.step, tolerance=TOLERANCE)
     files = {
         "extra/README.txt": text.encode(),
         f"{stem}_in.csv": table({"time": t, **stimuli.inputs}, 12),
-        f"{stem}_ref.csv": table({"time": t, **results["hold"]}, 14),
+        f"{stem}_ref.csv": table({"time": t, **found["hold"]}, 14),
         f"{stem}_ref.opt": options(t, stimuli.step, TOLERANCE),
-        f"{stem}_shown.csv": table({"time": t, **results["shown"]}, 14),
+        f"{stem}_shown.csv": table({"time": t, **found["shown"]}, 14),
     }
     if stimuli.parameters:
         row = {own: np.array([value]) for own, value in stimuli.parameters.items()}
@@ -146,15 +146,14 @@ def _files(
         ExperimentFiles(
             name=order,
             description=ORDERS[order],
-            start=0.0,
-            stop=float(t[-1]),
+            t=t,
             step=stimuli.step,
             tolerance=TOLERANCE,
-            stimuli=f"{stem}_in.csv",
-            references=f"{stem}_{file}.csv",
-            parameters=f"{stem}_parameters.csv" if stimuli.parameters else "",
+            stem=stem,
+            results=results,
+            parameters=bool(stimuli.parameters),
         )
-        for order, file in (("hold", "ref"), ("shown", "shown"))
+        for order, results in (("hold", "ref"), ("shown", "shown"))
     ]
     return files | manifest_files(experiments, files)
 
@@ -179,17 +178,16 @@ def options(t: Array, step: float, tolerance: float) -> bytes:
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentFiles:
-    """CSV files of an experiment, by their paths in the archive."""
+    """CSV files STEM_in, STEM_RESULTS and STEM_parameters of an experiment at times t [s]."""
 
     name: str
     description: str  # order of calls
-    start: float  # [s]
-    stop: float  # [s]
+    t: Array
     step: float  # communication step [s]; 0 if a solver chooses it
     tolerance: float  # relative to the largest value of each output
-    stimuli: str
-    references: str
-    parameters: str = ""  # a single row; empty if all have their start values
+    stem: str
+    results: str
+    parameters: bool = False
 
 
 def manifest_files(
@@ -198,18 +196,17 @@ def manifest_files(
     """Return the manifest and the experiments file of all `members` of the folder `extra/`."""
     root = ET.Element("Experiments")
     for own in experiments:
-        numbers = {"startTime": own.start, "stopTime": own.stop, "tolerance": own.tolerance}
+        numbers = {"startTime": own.t[0], "stopTime": own.t[-1], "tolerance": own.tolerance}
         numbers |= {"stepSize": own.step} if own.step else {}
         about = {"name": own.name, "description": own.description}
         about |= {name: f"{value:.12g}" for name, value in numbers.items()}
         element = ET.SubElement(root, "Experiment", about)
-        files = (own.stimuli, own.parameters, own.references)
-        for kind, file in zip(("Stimuli", "Parameters", "References"), files, strict=True):
-            if file:
-                source = posixpath.relpath(file, FOLDER)
-                ET.SubElement(element, kind, source=source, type="text/csv")
-    played = {e.stimuli: "stimuli" for e in experiments}
-    played |= {e.parameters: "parameters of the experiments" for e in experiments if e.parameters}
+        files = {"Stimuli": "in"} | ({"Parameters": "parameters"} if own.parameters else {})
+        for kind, end in (files | {"References": own.results}).items():
+            source = posixpath.relpath(f"{own.stem}_{end}.csv", FOLDER)
+            ET.SubElement(element, kind, source=source, type="text/csv")
+    played = {f"{own.stem}_in.csv": "stimuli" for own in experiments}
+    played |= {f"{own.stem}_parameters.csv": "parameters of the experiments" for own in experiments}
     own_files = {EXPERIMENTS: to_bytes(root)}
     related = [("experiment/smoke-test", EXPERIMENTS, "application/xml", "how the stimuli are run")]
     for name in members:
