@@ -12,7 +12,7 @@ _LONGEST = 2000  # characters of a sentence; a file may contain millions
 
 
 class HesrError(Exception):
-    """Base of errors that users can cause and fix; quoted files are shortened and escaped."""
+    """Base of user errors; quoted files are shortened and escaped."""
 
     def __init__(self, sentence: str) -> None:
         if len(sentence) > _LONGEST:
@@ -25,10 +25,10 @@ class ConfigError(HesrError):
 
 
 class ArgumentError(ConfigError):
-    """Arguments, quoted by their Python names, contradict each other."""
+    """Arguments, quoted by their Python names, are contradictory."""
 
     def on_command_line(self, options: Mapping[str, str]) -> str:
-        """Return the sentence with options in place of parameters."""
+        """Return the sentence with options for parameters."""
         return re.sub(r"'([a-z_]+)'", lambda found: options.get(found[1], found[0]), str(self))
 
 
@@ -37,7 +37,7 @@ class LogError(HesrError):
 
 
 class TableError(HesrError, ValueError, TypeError):
-    """A table in memory cannot be used; also a ValueError and TypeError, as of scikit-learn."""
+    """A table in memory cannot be used; also the types scikit-learn expects."""
 
 
 class RobotError(HesrError):
@@ -53,12 +53,12 @@ class ArtifactError(HesrError):
 
 
 class ExportError(HesrError):
-    """An FMU cannot be built from the given model."""
+    """An FMU cannot be built."""
 
 
 class SimulationError(HesrError):
-    """A component or a system of FMUs failed while running."""
+    """A component or a system of FMUs failed."""
 
 
 class WorkerError(HesrError):
-    """A worker process ended before its job was done."""
+    """A worker process ended before its job."""

@@ -51,6 +51,6 @@ def errors_first(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def reaching(findings: Iterable[Finding], severity: str) -> list[Finding]:
-    """Return the findings at or above a severity; none for ``"never"``."""
+    """Return findings at or above a severity; none for ``"never"``."""
     counted = SEVERITIES[: SEVERITIES.index(severity) + 1] if severity in SEVERITIES else ()
     return [finding for finding in findings if finding.severity in counted]

@@ -27,14 +27,14 @@ KNOWN: Mapping[str, Mapping[str, float]] = {
 
 
 def in_si(quantity: str, unit: str | float) -> float:
-    """Return the size of a logged unit in SI; negative for names such as ``-deg``."""
+    """Return the size of a unit in SI; negative for ``-deg``."""
     if isinstance(unit, str):
         return KNOWN[quantity][unit.removeprefix("-")] * (-1.0 if unit.startswith("-") else 1.0)
     return float(unit)
 
 
 def backwards(unit: str | float) -> str | float:
-    """Return the unit of a log that counts in the opposite direction."""
+    """Return the unit with the opposite direction."""
     if isinstance(unit, str):
         return unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
     return -unit
@@ -54,7 +54,7 @@ def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
 
 
 def _slid(product: str) -> str:
-    """Return a side of a fraction with m for rad, N for N.m and kg for kg.m2."""
+    """Return a product with m for rad, N for N.m and kg for kg.m2."""
     factors: list[str] = []
     for factor in product.split("."):
         prefix, angle, power = factor.partition("rad")
@@ -66,7 +66,7 @@ def _slid(product: str) -> str:
 
 
 def unit_of_joint(unit: str, *, slides: bool) -> str:
-    """Return the unit at a joint, `N.s/m` for `N.m.s/rad` if it slides; spelt as in FMI."""
+    """Return the unit at a joint, `N.s/m` for `N.m.s/rad` if it slides."""
     if not slides:
         return unit
     if " " in unit:
@@ -77,7 +77,7 @@ def unit_of_joint(unit: str, *, slides: bool) -> str:
 
 
 def unit_of_joints(unit: str, sliding: Sequence[bool]) -> str:
-    """Return a unit for several joints, both for mixed ones, as `N.m (N where it slides)`."""
+    """Return a unit for several joints, as `N.m (N where it slides)` for mixed ones."""
     slid = unit_of_joint(unit, slides=True)
     if not any(sliding) or slid == unit:
         return unit

@@ -37,7 +37,7 @@ def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> Candidate
 
 
 def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
-    """Find the mistakes that explain all logs best, the best one first."""
+    """Find the mistakes that explain all logs best, the best first."""
     if not motions:
         return []
     moves = np.any([motion.moves for motion in motions], axis=0)
@@ -72,7 +72,7 @@ def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
 def _best(
     rows: CandidateRows, now: Array, model: Robot, moves: Mask
 ) -> tuple[Mistake | None, Array]:
-    """Return the mistake whose correction explains most, if any, and the remaining deviation."""
+    """Return the mistake that explains most, if any, and the remaining deviation."""
     best, left, most = None, now, 0.0
     for mistake in mistakes(rows, model, moves):
         then = _unexplained(mistake.mended, model, moves)
@@ -99,7 +99,7 @@ def _either(best: Mistake) -> str:
 
 
 def _unexplained(rows: CandidateRows, model: Robot, moves: Mask) -> Array:
-    """Return the unexplained share (n,) of the torques' deviation; 1 at rest."""
+    """Return the unexplained share (n,) of the torques' deviation."""
     torques, logged = torques_of(rows, model), model.description.logged
     torques, v = torques.at(logged) if logged else torques, onto(logged, rows.v)
     left = np.ones(rows.q.shape[1])

@@ -21,7 +21,7 @@ _KNEE = 0.1  # smoothing speed of the velocity's sign [rad/s, m/s]; at most a qu
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motionwise:
-    """One part of a log, smoothed, (N, n) each; `v`, `a` are derivatives of q, `dq` was logged."""
+    """Smoothed part of a log, (N, n); `v`, `a` are derivatives of q, `dq` was logged."""
 
     log: Log
     t: Array
@@ -49,7 +49,7 @@ class Motionwise:
 
 
 def motionwise(log: Log, cutoff: float) -> list[Motionwise]:
-    """Smooth the parts of a log, but for those too short for the low pass."""
+    """Smooth the parts of a log that are long enough."""
     made = []
     for part in log.parts():
         try:
@@ -75,7 +75,7 @@ def motionwise(log: Log, cutoff: float) -> list[Motionwise]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Torques:
-    """Torques of the model along a motion (N, n); gravity without its mean."""
+    """Model torques along a motion (N, n); gravity without its mean."""
 
     gravity: Array
     inertial: Array
@@ -98,7 +98,7 @@ class Torques:
 def as_logged(
     motion: Motionwise, torques: Torques, coupling: Coupling | None
 ) -> tuple[Motionwise, Torques]:
-    """Transform velocities and torques to motors if logged: each has one column."""
+    """Transform velocities and torques to motors if logged."""
     if coupling is None:
         return motion, torques
     at_motors = replace(motion, v=coupling.motion(motion.v), tau=coupling.torque(motion.tau))
@@ -106,7 +106,7 @@ def as_logged(
 
 
 def rubbing(v: Array) -> Array:
-    """Return Coulomb and viscous friction over `v` (N,), equally weighted."""
+    """Return Coulomb and viscous friction over `v`, equally weighted."""
     peak = float(np.max(np.abs(v))) or 1.0
     return np.asarray(np.tanh(v / min(_KNEE, 0.25 * peak)) + v / peak)
 

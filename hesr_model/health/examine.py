@@ -34,7 +34,7 @@ CHECKS = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Examination:
-    """Findings, and torques of the model and regressions of each part."""
+    """Findings, with model torques and regressions of each part."""
 
     findings: tuple[Finding, ...]
     parts: tuple[Motionwise, ...]
@@ -43,7 +43,7 @@ class Examination:
 
 
 def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -> Examination:
-    """Check logs one by one, against the model (if any), and together; raises LogError."""
+    """Check logs one by one, against the model, and together; raises LogError."""
     findings: list[Finding] = []
     parts: list[Motionwise] = []
     for log in logs:
@@ -80,7 +80,6 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
 
 
 def _hopeless(findings: Sequence[Finding]) -> bool:
-    """Whether positions or stamps are too wrong to judge torques."""
     return any(
         f.severity == "error"
         and (
@@ -119,7 +118,7 @@ def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Find
 
 
 def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
-    """Drop findings that a clearer one of the same joint implies."""
+    """Drop findings that a clearer one implies."""
     clear = {f.joints for f in findings if f.check in ("velocity-columns", "same-column")}
     coarse = any(f.check == "coarse" for f in findings)
     mended = any(key.startswith("log.units") for f in findings for key in f.changes)
@@ -132,6 +131,6 @@ def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def checked(logs: Sequence[Log], model: Robot, accepted: Sequence[str] = ()) -> list[Finding]:
-    """Check logs before use; return warnings and accepted errors, or raise HealthError."""
+    """Check logs; return warnings and accepted errors, or raise HealthError."""
     require_known(accepted, CHECKS)
     return require_sound(examine(logs, model.description, model).findings, accepted)

@@ -14,7 +14,7 @@ _LOAD = 0.5  # gravity over friction below which load-dependent friction is not 
 
 
 def unseen(examination: Examination, joints: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield each joint with an effect that the logs do not show."""
+    """Yield joints with effects that the logs do not show."""
     for j, joint in enumerate(joints):
         parts = [k for k, part in enumerate(examination.parts) if part.moves[j]]
         if not parts:

@@ -31,7 +31,7 @@ def of_log(log: Log, findings: Iterable[Finding]) -> list[Finding]:
 
 
 def merged(findings: Iterable[Finding]) -> list[Finding]:
-    """Merge findings that several logs or joints share; errors first."""
+    """Merge findings of several logs or joints; errors first."""
     by_log = _merged(findings, lambda f: (f.check, f.joints))
     return errors_first(_merged(by_log, lambda f: (f.check, f.severity, f.remedy)))
 
@@ -51,7 +51,7 @@ def _merged(findings: Iterable[Finding], key: Callable[[Finding], object]) -> li
 
 
 def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> list[Finding]:
-    """Return all findings, or raise HealthError with the errors not accepted."""
+    """Return all findings, or raise HealthError with errors not accepted."""
     refused = [f for f in findings if f.severity == "error" and f.check not in accepted]
     if refused:
         raise HealthError(_said(refused), refused)

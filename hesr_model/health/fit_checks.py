@@ -46,7 +46,7 @@ def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
 
 
 def _least_inertia(body: RigidBody, model: Robot) -> tuple[float, Array, int]:
-    """Return the smallest eigenvalue of the scaled mass matrix, its position and its joint."""
+    """Return the smallest eigenvalue of the scaled mass matrix, with position and joint."""
     lower, upper, _ = model.limits
     q = np.random.default_rng(0).uniform(lower, upper, (_STATES, model.n))
     mass, _ = model.dynamics(body.parameters, q, np.zeros_like(q))
@@ -90,7 +90,7 @@ def check_laws(
 
 
 def check_owner(model: FrictionModel, robot: Robot) -> Iterator[Finding]:
-    """Check that a law is evaluated on the robot it was fitted to."""
+    """Check that a law belongs to the robot."""
     own = robot.description
     if model.robot != own.name and model.joints == own.joints:  # else refused elsewhere
         yield Finding(

@@ -19,7 +19,7 @@ _HALF_WAY = 0.2  # share of the slowest interval in which friction changes its s
 
 
 def share_of_long_steps(log: Log) -> float:
-    """Return the share of steps between gaps above 1.8 median periods."""
+    """Return the share of steps above 1.8 median periods, without gaps."""
     steps = np.diff(log.t)
     return float(np.mean(steps[steps <= log.longest_step] > 1.8 * log.period))
 
@@ -54,7 +54,7 @@ def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[F
 
 
 def _sliding(motion: Motionwise, torques: Torques, j: int) -> tuple[Array, Array, Array]:
-    """Return speeds (K,), sliding torques and their deviation due to lost rows."""
+    """Return speeds (K,), sliding torques and their deviation."""
     v, tau = motion.v[:, j], motion.tau[:, j]
     speeds = float(np.max(np.abs(v))) * _SPEEDS
     hats = np.stack([np.interp(np.abs(v), speeds, one) for one in np.eye(len(speeds))], axis=1)

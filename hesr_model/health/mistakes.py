@@ -22,7 +22,7 @@ _TILTED = np.radians(20.0)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CandidateRows:
-    """Rows of several logs (N, n), and their gravity (3,); motors are divided by gear ratios."""
+    """Rows of several logs (N, n), motors over gear ratios, and gravity (3,)."""
 
     q: Array
     v: Array
@@ -33,7 +33,7 @@ class CandidateRows:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mistake:
-    """A hypothesis, its changes of the robot file, and the corrected rows."""
+    """A hypothesis, its changes of the robot file, and corrected rows."""
 
     check: str
     joint: int
@@ -43,7 +43,7 @@ class Mistake:
 
 
 def torques_of(rows: CandidateRows, model: Robot) -> Torques:
-    """Evaluate the model under the gravity of the rows."""
+    """Evaluate the model under the rows' gravity."""
     torques = Torques.of(model, rows.q, rows.v, rows.a)
     declared = np.array(model.description.gravity)
     if np.array_equal(declared, rows.gravity):
@@ -53,7 +53,7 @@ def torques_of(rows: CandidateRows, model: Robot) -> Torques:
 
 
 def _by_axis(q: Array, model: Robot) -> Array:
-    """Return the gravity torques (3, N, n) of unit gravity along each axis."""
+    """Return torques (3, N, n) of unit gravity along each axis."""
     nothing = np.zeros_like(q)
     with model.under_gravity() as set_gravity:
         parts = []

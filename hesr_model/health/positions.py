@@ -75,7 +75,7 @@ def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
 
 
 def check_jumps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
-    """Check raw positions of each joint for lost turns and single outliers."""
+    """Check raw positions for lost turns and single outliers."""
     steps = np.diff(log.t)
     near = steps <= 3.0 * log.period
     for j, joint in enumerate(robot.joints):
@@ -103,7 +103,7 @@ def check_jumps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
 
 
 def check_steps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
-    """Check that positions are not quantised so coarsely that velocities blur."""
+    """Check that positions are finely quantised."""
     for j, joint in enumerate(robot.joints):
         values = np.unique(log.q[:, j])
         if len(values) < _FEW or np.ptp(values) < _FEW * _COARSE:
@@ -123,7 +123,7 @@ def check_steps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
 
 
 def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
-    """Check positions against the limits of the model file."""
+    """Check positions against the model's limits."""
     robot = model.description
     lower, upper, _ = model.limits
     low, high = motion.q.min(axis=0), motion.q.max(axis=0)
@@ -158,7 +158,7 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
 
 
 def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Finding]:
-    """Check that no joint's column is a copy of another, constant, or clipped."""
+    """Check that no column is a copy, constant, or clipped."""
     joints = [int(j) for j in np.flatnonzero(motion.moves)]
     for kind, values in (("position", motion.q), ("velocity", motion.dq), ("torque", motion.tau)):
         if values is None:

@@ -54,7 +54,7 @@ def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal
 
 
 def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> Proposal:
-    """Find a robot description, with a model file if `known`, that passes the checks."""
+    """Find a description, with a model file if `known`, that passes the checks."""
     reasons: dict[str, str] = {}
     stated = robot.log.torque_per_ampere is not None
 
@@ -84,7 +84,7 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
 
 
 def open_table(path: Path, time: str) -> LogTable | None:
-    """Open a log as a table of named columns, if its format has names."""
+    """Open a log as a table, if its columns have names."""
     if format_of(path) is not COLUMNS or not path.is_file():
         return None
     return read_matlab(path, time=time) if path.suffix.lower() == ".mat" else read_table(path)
@@ -156,7 +156,7 @@ def _with_cutoff(
 def _changes(
     robot: RobotDescription, findings: Sequence[Finding], reasons: dict[str, str]
 ) -> dict[str, Any]:
-    """Return the changes of findings; lists are combined entry by entry."""
+    """Return the changes of findings, combined entry by entry."""
     wanted: dict[str, Any] = {}
     for finding in findings:
         if finding.check == "velocity-lag" or not finding.changes:
@@ -177,7 +177,7 @@ def _combined(declared: Any, before: Any, value: Any) -> Any:
 def _constants(
     robot: RobotDescription, examination: Examination, reasons: dict[str, str]
 ) -> dict[str, Any]:
-    """Estimate torque constants from gravity; joints without get the median."""
+    """Estimate torque constants from gravity, else their median."""
     slopes: dict[int, list[float]] = {}
     for fits in examination.explained:
         for j, fit in fits.items():
@@ -205,7 +205,7 @@ def _value(robot: RobotDescription, key: str) -> Any:
 
 
 def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescription:
-    """Return a description with new values for keys such as ``log.units.q``."""
+    """Return a description with new values for keys as ``log.units.q``."""
     data = robot.model_dump()
     for key, value in changes.items():
         place = data
@@ -217,7 +217,7 @@ def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescrip
 
 
 def robot_file(proposal: Proposal, path: Path) -> str:
-    """Return the text of a robot file at `path`, with reasons."""
+    """Return the text of a robot file, with reasons."""
     robot = proposal.robot
     plain = RobotDescription(name=robot.name, model=robot.model, joints=robot.joints)
     lines = ["# Proposed by 'hesr inspect'. Comments give certainty and reason.", ""]
@@ -258,7 +258,7 @@ def _toml(value: Any) -> str:
 
 
 def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
-    """Yield a table of all moving joints of all logs."""
+    """Yield a table of moving joints by log."""
     examination = proposal.examination
     names = [part.log.name for part in examination.parts]
     for k, part in enumerate(examination.parts):

@@ -21,7 +21,7 @@ _TOO_FAST = 1.3  # speed over the model's limit; drives exceed it slightly
 
 
 def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:
-    """Check raw signals for held samples, stuck values and single outliers."""
+    """Check raw signals for held, stuck and outlying values."""
     if len(log.t) < 2 * _STUCK_ROWS:
         return
     speed = _speeds(log)
@@ -54,7 +54,7 @@ def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:
 
 
 def _speeds(log: Log) -> Array:
-    """Return speeds (N, n) over a window of raw positions."""
+    """Return speeds (N, n) of raw positions."""
     around = max(1, round(0.5 * _WINDOW / log.period))
     rows = np.arange(len(log.t))
     before, after = np.maximum(rows - around, 0), np.minimum(rows + around, len(rows) - 1)
@@ -79,7 +79,7 @@ def _repeated(log: Log, moves: Mask, fine: Mask) -> Iterator[Finding]:
 
 
 def _stands_still(log: Log, values: Array, moves: Mask) -> int | None:
-    """Return the first row of the longest run of equal values if it is long and in motion."""
+    """Return the start of the longest constant run if it is long and in motion."""
     edges = np.flatnonzero(np.diff(np.r_[False, np.diff(values) == 0.0, False].astype(int)))
     starts, lengths = edges[::2], edges[1::2] - edges[::2]
     if not len(starts):
@@ -102,7 +102,7 @@ def _stuck(log: Log, joint: str, what: str, row: int, while_: str) -> Finding:
 
 
 def check_speed(motion: Motionwise, model: Robot) -> Iterator[Finding]:
-    """Check speeds against the limits of the model file."""
+    """Check speeds against the model's limits."""
     limits = np.where(np.isfinite(model.limits[2]), model.limits[2], 0.0)
     peaks = np.quantile(np.abs(motion.v), 0.998, axis=0)
     for j in np.flatnonzero(motion.moves & (limits > 0.0)):

@@ -39,7 +39,7 @@ _SHORTEST = 8.0  # minimum duration of a log over the largest delay
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LagRows:
-    """Regressors (N, n, P) of the body at rest and in motion, and friction (N, K) of each joint."""
+    """Regressors (N, n, P) at rest and in motion, and friction (N, K) by joint."""
 
     t: Array
     still: Array
@@ -67,7 +67,7 @@ class LagRows:
 
 
 def _rubs(u: Array, v: Array) -> Array:
-    """Return friction of several shapes (N, K) along a position u (N,) with velocity v."""
+    """Return friction of several shapes (N, K) along a position u (N,)."""
     stops = KernelRun(_stops(), [np.diff(u, prepend=u[0])], np.ones_like(u))
     start = np.full(len(_WIDTHS), np.sign(v[0]))
     held = stops.at(np.zeros(0), start, settled=True)
@@ -87,7 +87,7 @@ def _stops() -> Kernel:
 def check_clocks(
     part: Motionwise, logged: Motionwise, joints: Sequence[int], model: Robot
 ) -> Iterator[Finding]:
-    """Check the time-stamp rate of a part, and the lag of the torques of `joints`."""
+    """Check the rate of the stamps, and the lag of torques of `joints`."""
     if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
         return
     rows = LagRows.of(part, model, base_columns(model))
@@ -125,7 +125,7 @@ def _wrong_rate(rate: float, robot: RobotDescription) -> Finding:
 
 
 def delay(rows: LagRows, j: int, t: Array, tau: Array) -> tuple[float, float]:
-    """Return the lag of a joint's torque [s], and twice its log-likelihood ratio against no lag."""
+    """Return the lag of a torque [s], and twice its log-likelihood ratio."""
     from scipy.ndimage import uniform_filter1d
 
     inner = (rows.t >= t[0] + _LATEST) & (rows.t <= t[-1] - _LATEST)
@@ -171,7 +171,7 @@ def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> t
 
 
 def _bodies(table: Array, scale: float) -> Array:
-    """Return regressors (N, P) from a table (N, 1 + 2 P) of torque, still, moving."""
+    """Return regressors (N, P) from a table of torque, still, moving."""
     still, moving = np.split(table[:, 1:], 2, axis=1)
     return np.asarray(still + scale * moving)
 

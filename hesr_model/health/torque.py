@@ -25,7 +25,7 @@ Explained = Mapping[int, JointTorque]  # by index of the joint
 
 
 def explained(motion: Motionwise, torques: Torques) -> Explained:
-    """Regress the torque of every moving joint in a part of a log."""
+    """Regress the torque of every moving joint."""
     return {
         int(j): explain(
             motion.tau[:, j], torques.gravity[:, j], torques.inertial[:, j], motion.v[:, j]
@@ -37,7 +37,7 @@ def explained(motion: Motionwise, torques: Torques) -> Explained:
 def check_torque(
     motion: Motionwise, found: Explained, model: Robot, late: Collection[int] = ()
 ) -> Iterator[Finding]:
-    """Check the torques of a part of a log, but the scale of `late` joints."""
+    """Check torques, but not the scale of `late` joints."""
     for j, fit in found.items():
         yield from _sign(fit, j, model)
         if j not in late:
@@ -90,7 +90,7 @@ def _sign(fit: JointTorque, j: int, model: Robot) -> Iterator[Finding]:
 def sign_change(
     robot: RobotDescription, j: int | None, *, position: bool
 ) -> tuple[str, dict[str, object]]:
-    """Return the change that reverses the torque or position of joint `j`; None means all."""
+    """Return the change that reverses a torque or position; `j` None means all."""
     n = len(robot.joints)
 
     def turned(key: str) -> tuple[str | float, ...]:
@@ -113,7 +113,7 @@ def sign_change(
 
 
 def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator[Finding]:
-    """Check the torque against the model's gravity, or inertia on a joint without."""
+    """Check the torque against the model's gravity, else inertia."""
     if fit.r2 < _EXPLAINED:
         return
     weightless = fit.bears_gravity and fit.gravity.value + _SURE * fit.gravity.error < 1.0 / _SCALE
@@ -143,7 +143,6 @@ def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator
 
 
 def _far_too_large(fit: JointTorque) -> bool:
-    """Return whether a barely visible gravity exceeds any model error."""
     return fit.gravity_size > 1e-3 and fit.gravity.value - _SURE * fit.gravity.error > 10.0
 
 

@@ -24,7 +24,7 @@ _TURNS = 4.0 * np.pi  # travel that joints of arms do not exceed [rad]
 
 @dataclass(frozen=True, kw_only=True)
 class Match:
-    """Regression of a joint's differentiated position on its logged velocity; lag in [s]."""
+    """Regression of a joint's differentiated position on its velocity; lag in [s]."""
 
     slope: float
     error: float
@@ -33,7 +33,7 @@ class Match:
 
 
 def match(v: Array, dq: Array, period: float) -> Match:
-    """Compare `v`, the derivative of a position, with `dq` (N,), `period` [s] apart."""
+    """Compare a derivative `v` with `dq` (N,), `period` [s] apart."""
     correlation = _correlation(v, dq)
     slope = float(np.std(v)) / max(float(np.std(dq)), 1e-300) * (-1.0 if correlation < 0 else 1.0)
     error = float(standard_errors(dq[:, None], v - slope * dq)[0]) if np.any(dq) else np.inf
@@ -60,7 +60,7 @@ def _lag(v: Array, dq: Array, period: float) -> float:
 def check_velocity(
     motion: Motionwise, robot: RobotDescription, without: Collection[str] = ()
 ) -> Iterator[Finding]:
-    """Check a part of a log; skip resting joints and those in `without`."""
+    """Check velocities, but for resting joints and those in `without`."""
     if motion.dq is None:
         return
     dq = motion.dq
@@ -87,7 +87,7 @@ def check_velocity(
 
 
 def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
-    """Return the joint whose dq belongs to the position of each moving joint."""
+    """Return the joint whose dq belongs to each position."""
     from scipy.optimize import linear_sum_assignment
 
     assert motion.dq is not None

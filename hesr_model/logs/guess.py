@@ -46,7 +46,7 @@ _RATES = (5.0, 20_000.0)  # plausible sample rates [Hz]
 
 @dataclass(frozen=True, kw_only=True)
 class Guess:
-    """Columns (a name for t, else one per joint) and units by quantity, with reasons."""
+    """Columns (a name for t, else one per joint), units and reasons by quantity."""
 
     columns: Mapping[str, str | tuple[str, ...]]
     units: Mapping[str, str] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class Guess:
 
 
 def vocabulary() -> dict[str, object]:
-    """Return words and rates as JSON data, for pages that read logs."""
+    """Return words and rates as JSON data."""
     return {
         "quantities": {quantity: sorted(words) for quantity, words in _WORDS.items()},
         "places": sorted(_PLACES),
@@ -67,7 +67,7 @@ def vocabulary() -> dict[str, object]:
 
 
 def guess(table: LogTable, joints: Sequence[str] = ()) -> Guess:
-    """Guess columns, possibly with names of `joints`; raises LogError without t or q."""
+    """Guess columns, maybe with names of `joints`; raises LogError."""
     groups = list(_groups(table.names, joints))
     count = len(joints) or max((len(g) for _, g in groups if _quantity(g[0]) == "q"), default=0)
     columns: dict[str, str | tuple[str, ...]] = {}
@@ -93,7 +93,7 @@ def guess(table: LogTable, joints: Sequence[str] = ()) -> Guess:
 
 
 def _groups(names: Sequence[str], joints: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield columns that differ only in a number or joint name, in joint order."""
+    """Yield columns that differ only in a number or joint name."""
     numbered: dict[str, dict[int, str]] = {}
     named: dict[str, dict[int, str]] = {}
     for name in names:

@@ -67,7 +67,7 @@ TEMPERATURES = "temperature{}"
 
 
 class LogColumns(Config):
-    """Column names; `dq = ""` derives velocity from position, default temperatures are optional."""
+    """Column names; `dq = ""` derives velocity, default temperatures are optional."""
 
     t: str = "t"
     q: Columns = "q{}"
@@ -78,7 +78,7 @@ class LogColumns(Config):
 
 
 class LogUnits(Config):
-    """Units by name, ``-name`` (reversed), or size in SI; sliding joints default to m, m/s, N."""
+    """Units by name, ``-name`` (reversed), or size; sliding joints default to m, m/s, N."""
 
     t: KnownUnit = "s"
     q: Units = "rad"
@@ -88,11 +88,11 @@ class LogUnits(Config):
     temperature: Literal["degC", "K"] = "degC"
 
     def factors(self, quantity: str, joints: int) -> Array:
-        """Return the size in SI of the logged unit at each joint."""
+        """Return the size in SI of each joint's unit."""
         return np.array([in_si(quantity, unit) for unit in self.each(quantity, joints)])
 
     def each(self, quantity: str, joints: int) -> tuple[UnitName, ...]:
-        """Return the unit of a quantity at each joint."""
+        """Return the unit of each joint."""
         units = getattr(self, quantity)
         return units if isinstance(units, tuple) else (units,) * joints
 
@@ -102,7 +102,7 @@ class LogUnits(Config):
         return 273.15 if self.temperature == "K" else 0.0
 
     def require_fitting(self, joints: Sequence[str], slides: Sequence[bool]) -> None:
-        """Raise RobotError if a sliding joint has a unit of turning joints, or vice versa."""
+        """Raise RobotError if a unit is not for sliding or turning joints."""
         for quantity in KNOWN:
             each = self.each(quantity, len(joints))
             for joint, unit, sliding in zip(joints, each, slides, strict=True):
@@ -114,7 +114,7 @@ class LogUnits(Config):
 
 
 class LogBag(Config):
-    """Joint states in ROS bags, with joint names of the messages and the meaning of `effort`."""
+    """Joint states in ROS bags: joint names and meaning of `effort`."""
 
     topic: str = "/joint_states"
     joints: tuple[str, ...] | None = None

@@ -18,7 +18,7 @@ _TO_UNIT = 2.0**-53
 
 
 def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
-    """Return random 64-bit words number `index` of `stream`, which broadcast."""
+    """Return 64-bit words number `index` of `stream`, which broadcast."""
     streams, indices = np.broadcast_arrays(
         np.asarray(stream, dtype=np.uint64), np.asarray(index, dtype=np.uint64)
     )
@@ -30,7 +30,7 @@ def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
 
 
 def standard_normal(seed: int, stream: ArrayLike, counter: ArrayLike) -> Array:
-    """Return standard normal numbers, `counter` (< 2^63) of `stream`, which broadcast."""
+    """Return normal numbers, `counter` (< 2^63) of `stream`, which broadcast."""
     first = np.asarray(counter, dtype=np.uint64) * np.uint64(2)
     u = (words(seed, stream, first) >> np.uint64(11)).astype(np.float64)
     w = (words(seed, stream, first + np.uint64(1)) >> np.uint64(11)).astype(np.float64)

@@ -9,12 +9,12 @@ REVERSAL_WINDOW = 0.1  # half width [s] of the window around a reversal
 
 
 def moving(dq: Array) -> Mask:
-    """Return the moving rows of a joint, by its velocity (N,) [rad/s]."""
+    """Return the moving rows of a velocity (N,) [rad/s]."""
     return np.asarray(np.abs(dq) > MOVING)
 
 
 def reversals(dq: Array) -> Integers:
-    """Return the rows of smallest |dq| at each change of sign of dq (N,) [rad/s]."""
+    """Return the rows of smallest |dq| at each change of sign."""
     rows = np.flatnonzero(moving(dq))
     changes = np.flatnonzero(np.diff(np.sign(dq[rows])))
     placed = [rows[k] + np.argmin(np.abs(dq[rows[k] : rows[k + 1] + 1])) for k in changes]
@@ -22,7 +22,7 @@ def reversals(dq: Array) -> Integers:
 
 
 def near_reversals(t: Array, dq: Array) -> Mask:
-    """Return the rows within `REVERSAL_WINDOW` of a reversal; t [s], dq [rad/s]."""
+    """Return the rows within `REVERSAL_WINDOW` of a reversal."""
     near = np.zeros(len(t), dtype=bool)
     for instant in t[reversals(dq)]:
         near |= np.abs(t - instant) <= REVERSAL_WINDOW

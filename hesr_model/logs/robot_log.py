@@ -87,7 +87,7 @@ class Log:
 
     @property
     def longest_step(self) -> float:
-        """Step [s] above which there is a gap, ten times the usual (median or mean)."""
+        """Step [s] above which there is a gap: ten usual steps."""
         steps = np.diff(self.t)
         usual = steps[steps <= np.quantile(steps, _USUAL, method="lower")]
         return _LONGEST_GAP * max(self.period, float(np.mean(usual)))
@@ -236,7 +236,7 @@ def parts_of(logs: Iterable[Log]) -> list[Log]:
 
 
 def require_different(logs: Sequence[Log]) -> None:
-    """Raise LogError if a log is given twice: its rows would count double."""
+    """Raise LogError if a log is given twice, as it would count double."""
     seen: dict[tuple[str, float, float], Log] = {}
     for log in logs:
         rows = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file differ in time
@@ -248,7 +248,7 @@ def require_different(logs: Sequence[Log]) -> None:
 
 
 def require_moving(logs: Sequence[Log], joints: Sequence[str]) -> None:
-    """Raise LogError if a joint moves in none of the logs."""
+    """Raise LogError if a joint moves in no log."""
     travel = np.max([np.ptp(log.q, axis=0) for log in logs], axis=0)
     for joint, moved in zip(joints, travel, strict=True):
         if moved < _LEAST_TRAVEL:

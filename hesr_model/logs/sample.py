@@ -36,7 +36,7 @@ class _Window:
 
 
 class Sample:
-    """A sample of at most `most` rows, determined by `seed` and the order of motions."""
+    """A sample of at most `most` rows, by `seed` and order."""
 
     def __init__(self, most: int, seed: int) -> None:
         self._most, self._seed = most, seed
@@ -46,7 +46,7 @@ class Sample:
         self._size: Array | None = None
 
     def add(self, motion: Motion) -> None:
-        """Offer a motion, a log or a part between gaps."""
+        """Offer a log, or a part between gaps."""
         if self._size is None:
             self._size = np.maximum(np.sqrt(np.mean(motion.tau**2, axis=0)), 1e-12)
         part = next(self._parts)

@@ -54,14 +54,14 @@ class LogTable:
             return index + 2
 
     def numbers(self, names: Sequence[str], *, missing: bool = False) -> Array:
-        """Return columns (N, len(names)), `missing` cells as NaN; raises LogError at a cell."""
+        """Return columns (N, len(names)), `missing` cells as NaN; raises LogError."""
         for name in names:
             self._require(name)
         columns = [self._floats(name, self._arrow.column(name), missing=missing) for name in names]
         return np.column_stack(columns)
 
     def times(self, name: str, unit: float, *, missing: bool = False) -> Array:
-        """Return time stamps (N,) [s], given in `unit` [s]; dates count from the first one."""
+        """Return time stamps (N,) [s], given in `unit` [s]; dates from the first one."""
         import pyarrow
 
         self._require(name)
@@ -117,14 +117,14 @@ class LogTable:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names for a sentence, shortened if there are many."""
+    """Return names for a sentence, shortened if many."""
     more = len(names) - _MOST_LISTED
     shown = [name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..." for name in names]
     return ", ".join((*shown[:_MOST_LISTED], *([f"and {more} more"] if more > 0 else [])))
 
 
 def most_bytes(path: Path) -> int:
-    """Return the allowed memory [B] of a packed file, to refuse bombs."""
+    """Return the allowed memory [B] of a packed file."""
     return 10 * path.stat().st_size + 300 * 2**20
 
 
@@ -150,7 +150,7 @@ def read_table(path: Path) -> LogTable:
 
 
 def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = ()) -> LogTable:
-    """Make a table of columns (N,) from a file of another format."""
+    """Make a table of columns (N,) of another format."""
     import pyarrow
 
     arrow = pyarrow.table({name: np.ascontiguousarray(values) for name, values in columns.items()})
@@ -158,7 +158,7 @@ def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = (
 
 
 def write_table(path: Path, columns: Mapping[str, Array]) -> None:
-    """Write columns (N,) as CSV or Parquet, by the suffix, with all digits."""
+    """Write columns (N,) as CSV or Parquet, with all digits."""
     table = table_of(path, columns)._arrow
     if _is_parquet(path):
         import pyarrow.parquet
@@ -226,7 +226,7 @@ def _table_in(lines: Sequence[tuple[int, str]]) -> tuple[int, int, str]:
 
 
 def _is_data(line: str, delimiter: str) -> bool:
-    """Return whether a line is a row of numbers, some of them missing."""
+    """Return whether a line has numbers, some may be missing."""
     if line[0] in _MARKS or delimiter not in line:
         return False
     cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
@@ -250,7 +250,7 @@ def _lines(file: TextIO) -> Iterator[str]:
 
 
 def _csv_rows(path: Path, dialect: _Dialect) -> Iterator[tuple[int, list[str]]]:
-    """Yield header and rows of a CSV, without comments, with their lines from 1."""
+    """Yield header and rows of a CSV with their lines from 1."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(_lines(file), delimiter=dialect.delimiter)

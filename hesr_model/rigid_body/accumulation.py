@@ -51,7 +51,7 @@ class Streamed:
 
     @property
     def slow(self) -> Array:
-        """Speeds (n,) [rad/s] below which rows should be dropped, by the motions so far."""
+        """Speeds (n,) below which rows should be dropped, by the motions so far."""
         return slow_speeds(self._peaks)
 
     @property
@@ -71,7 +71,7 @@ class Streamed:
                 self._factors = [factor.with_rows(block) for factor, block in rows]
 
     def body(self, sample: Sequence[Motion], where: str) -> RigidBody:
-        """Return the rigid body, its covariance from the motions `sample`; raises FitError."""
+        """Return the rigid body, its covariance from `sample`; raises FitError."""
         model, base, friction = self._model, self._base, self._friction
         require_samples(where, self.rows, len(base) + int(np.sum(friction)))
         require_speed(where, self._peaks, model)

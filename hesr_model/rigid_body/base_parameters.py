@@ -27,7 +27,7 @@ def base_columns(model: Robot) -> tuple[int, ...]:
 
 
 def dependence(model: Robot, base: tuple[int, ...]) -> Array:
-    """Return the matrix K (len(base), P) that maps all onto base parameters: Y = Y_b K."""
+    """Return K (len(base), P), which maps all onto base parameters: Y = Y_b K."""
     columns = at_random_states(model)
     return np.asarray(np.linalg.lstsq(columns[:, list(base)], columns, rcond=None)[0], dtype=float)
 
@@ -46,7 +46,7 @@ def offsets_apart(model: Robot, base: tuple[int, ...]) -> Mask:
 
 
 def at_random_states(model: Robot) -> Array:
-    """Return the regressor at random states within the joints' limits, (samples * n, P)."""
+    """Return the regressor at random states, (samples * n, P)."""
     rng = np.random.default_rng(0)
     lower, upper, speed = model.limits
     shape = (_RANDOM_STATES, model.n)

@@ -15,7 +15,7 @@ _LARGEST_MISMATCH = 0.1  # mean position mismatch [rad]; tracking errors of 20 m
 
 
 def matched(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:
-    """Match a motion with its counterpart at mirrored and best shifted time; raises FitError."""
+    """Match a motion with its counterpart at the best mirrored time; raises FitError."""
     period = float(np.median(np.diff(forward.t)))
     count = int(_LONGEST_SHIFT / period)
     position = make_interp_spline(backward.t, backward.q, k=1)
@@ -47,7 +47,7 @@ def _covered(times: Array, t: Array) -> Mask:
 
 
 def _at(motion: Motion, times: Array) -> Motion:
-    """Interpolate a motion at other times; raw signals linearly."""
+    """Interpolate a motion, raw signals linearly."""
     orders = {"q": 3, "dq": 3, "ddq": 3, "tau": 1, "q_raw": 1}
     read: dict[str, Any] = {
         name: make_interp_spline(motion.t, getattr(motion, name), k=order)(times)

@@ -204,7 +204,7 @@ def identify(
     reversed_logs: Sequence[Log] = (),
     physical: bool = False,
 ) -> RigidBody:
-    """Identify the rigid-body parameters from logs; raises LogError, else as `identify_motions`."""
+    """Identify rigid-body parameters from logs; errors as `identify_motions`, LogError."""
     require_moving([*logs, *reversed_logs], model.description.joints)
     return identify_motions(
         smoothed(logs, model),
@@ -298,7 +298,7 @@ def _consistent(
 
 
 def scale_of(model: Robot, base: tuple[int, ...], friction: Mask) -> Array:
-    """Return the size of each column [N.m] for `solve`; that of friction columns is 1."""
+    """Return the size of each column [N.m]; that of friction columns is 1."""
     rigid = np.sqrt(np.mean(at_random_states(model)[:, list(base)] ** 2, axis=0))
     return np.concatenate([rigid, np.ones(int(np.sum(friction)))])
 
@@ -315,7 +315,7 @@ def body_of(
     method: Method,
     weighting: Weighting,
 ) -> RigidBody:
-    """Return the rigid body of a solution that begins with the base parameters."""
+    """Return the rigid body of a solution."""
     # Drop the friction columns.
     covariance = covariance.mapped(
         [model.parameter_names[k] for k in base], np.eye(len(base), len(solution.x))

@@ -16,7 +16,7 @@ _RIDGE = 3e-3  # ridge over the largest singular value; best on poor measured lo
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
-    """Rows of equal noise, with the sample number (N,) of each; blocks share samples."""
+    """Rows of equal noise, with sample numbers (N,) that blocks share."""
 
     matrix: Array
     target: Array
@@ -25,7 +25,7 @@ class Block:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Factor:
-    """Triangular factor (P + 1, P + 1) of [matrix, target], with the same squared residuals."""
+    """Triangular factor (P + 1, P + 1) of [matrix, target]."""
 
     triangle: Array
     rows: int = 0

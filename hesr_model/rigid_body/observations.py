@@ -18,36 +18,36 @@ SLOW_SHARE = 0.25  # upper bound of `SLOW` over a joint's peak speed, for slow j
 
 
 def rubbing_speeds(motions: Sequence[Motion], model: Robot) -> Array:
-    """Return the velocities of the friction coordinates over all motions, (N, n)."""
+    """Return the velocities of friction coordinates, (N, n)."""
     return onto(model.description.coupling, np.concatenate([motion.dq for motion in motions]))
 
 
 def peak_speeds(motions: Sequence[Motion], model: Robot) -> Array:
-    """Return the peak speeds (n,) of the friction coordinates."""
+    """Return the peak speeds (n,) of friction coordinates."""
     return np.asarray(np.max(np.abs(rubbing_speeds(motions, model)), axis=0))
 
 
 def slow_speeds(peaks: Array) -> Array:
-    """Return the speeds (n,) below which rows are dropped, from peak speeds."""
+    """Return the speeds (n,) below which rows are dropped."""
     return np.minimum(SLOW, SLOW_SHARE * peaks)
 
 
 def friction_columns(model: Robot, base: tuple[int, ...]) -> Mask:
-    """Return the Coulomb, viscous and offset columns (n, 3), without offsets that are weights."""
+    """Return the Coulomb, viscous and offset columns (n, 3); no offset is a weight."""
     columns = np.ones((model.n, 3), dtype=bool)
     columns[:, 2] = offsets_apart(model, base)
     return columns
 
 
 def logs_of(motions: Sequence[Motion]) -> Integers:
-    """Return the log number (N,) of each sample; parts of a log share it."""
+    """Return the log number (N,) of each sample, shared by parts."""
     names = list(dict.fromkeys(motion.name for motion in motions))
     numbers = [names.index(motion.name) for motion in motions]
     return np.repeat(numbers, [len(motion.t) for motion in motions])
 
 
 def per_joint(found: Array, friction: Mask) -> Array:
-    """Return coefficients of the columns `friction` (n, 3) by joint, else 0."""
+    """Return coefficients of the columns `friction` (n, 3), else 0."""
     coefficients = np.zeros(friction.shape)
     coefficients[friction] = found
     return coefficients

@@ -84,7 +84,7 @@ class Payload:
 
 
 def identify_payload(logs: Sequence[Log], model: Robot, unloaded: RigidBody) -> Payload:
-    """Identify the payload on the last link from logs; raises LogError, RobotError, FitError."""
+    """Identify the payload from logs; errors as `identify_payload_motions`, LogError."""
     require_moving(logs, model.description.joints)
     return identify_payload_motions(smoothed(logs, model), model, unloaded)
 
@@ -92,7 +92,7 @@ def identify_payload(logs: Sequence[Log], model: Robot, unloaded: RigidBody) -> 
 def identify_payload_motions(
     motions: Sequence[Motion], model: Robot, unloaded: RigidBody
 ) -> Payload:
-    """Identify the payload on the last link; raises RobotError, or FitError, also without one."""
+    """Identify the payload on the last link; raises RobotError, FitError."""
     name = "log " + ", ".join(motion.name for motion in motions)
     segments = _segments(motions)
     if len(np.unique(segments)) < _LEAST_SEGMENTS:
@@ -130,7 +130,7 @@ def identify_payload_motions(
 
 
 def loaded(unloaded: RigidBody, payload: Payload, model: Robot) -> RigidBody:
-    """Return the rigid body with all ten payload parameters added to its last link."""
+    """Return the rigid body with the payload in its last link."""
     columns = list(_last_link(model))
     parameters = unloaded.parameters.copy()
     parameters[columns] += payload.parameters
@@ -190,7 +190,7 @@ def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[
 def _inherited(
     blocks: Sequence[Block], solution: Solution, carried: Sequence[Array], errors: Array
 ) -> Array:
-    """Return the covariance of the unknowns due to `errors` of the unloaded body's columns."""
+    """Return the covariance due to `errors` of the unloaded body's columns."""
     products = [
         block.matrix.T @ columns / size**2
         for block, columns, size in zip(blocks, carried, solution.rmse, strict=True)

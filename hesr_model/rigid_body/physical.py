@@ -52,7 +52,7 @@ class PhysicalFit:
 
 
 def pseudo_inertia(parameters: Array) -> Array:
-    """Return the pseudo-inertia (4, 4) of a link [kg.m2, kg.m, kg] from its ten parameters."""
+    """Return the pseudo-inertia (4, 4) of a link's ten parameters."""
     m, mx, my, mz, ixx, ixy, iyy, ixz, iyz, izz = parameters
     inertia = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
     out = np.empty((4, 4))
@@ -63,7 +63,7 @@ def pseudo_inertia(parameters: Array) -> Array:
 
 
 def link_parameters(pseudo: Array) -> Array:
-    """Return the ten parameters (10,) of a link from its pseudo-inertia (4, 4)."""
+    """Return a link's ten parameters from its pseudo-inertia."""
     sigma, (mx, my, mz), m = pseudo[:3, :3], pseudo[:3, 3], pseudo[3, 3]
     inertia = np.trace(sigma) * np.eye(3) - sigma
     (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia
@@ -195,7 +195,7 @@ class _Problem:
 
 
 def _triangle(x: Array) -> Array:
-    """Return U from ten coordinates: logarithms of the diagonal, then the upper triangle."""
+    """Return U from ten coordinates: logarithms of the diagonal, upper triangle."""
     u = np.diag(np.exp(x[:4]))
     for place, value in zip(_UPPER, x[4:], strict=True):
         u[place] = value
@@ -219,7 +219,7 @@ def _start(link: Array) -> Array:
 
 
 def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
-    """Return one over each block's residual; finite for exact fits."""
+    """Return one over each block's residual, finite."""
     if not weighted:
         counts = np.array([len(block.target) for block in blocks])
         rmse = np.full(len(blocks), np.sqrt(np.sum(counts * rmse**2) / np.sum(counts)))
@@ -229,7 +229,7 @@ def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
 
 
 def _eliminated(blocks: Sequence[Block], weights: Array, size: int) -> tuple[Array, Array]:
-    """Return the factor of [friction, rigid, target], and its rows without friction."""
+    """Return the factor of [friction, rigid, target], and rows without friction."""
     rows = np.concatenate(
         [
             weight * np.column_stack([b.matrix[:, size:], b.matrix[:, :size], b.target])

@@ -43,7 +43,7 @@ class FrictionRecord:
 
     @property
     def motion(self) -> dict[str, Any]:
-        """Inputs of laws by name, (N,) each: t [s], dq [rad/s], q [rad] and tau_load [N.m]."""
+        """Inputs of laws by name, (N,) each."""
         return {name: getattr(self, name) for name in ("t", "dq", "q", "tau_load")}
 
     def rows(self, rows: slice | Mask) -> "FrictionRecord":
@@ -53,7 +53,7 @@ class FrictionRecord:
 
 
 def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
-    """Transform the records of all joints in one log to friction coordinates, as laws need."""
+    """Transform the records of one log to friction coordinates, as laws need."""
     coupling = records[0].coupling if records else None
     if coupling is None:
         return list(records)
@@ -89,12 +89,12 @@ def all_at_friction(records: Sequence[Sequence[FrictionRecord]]) -> list[list[Fr
 
 
 def friction_records(log: Log, model: Robot, rigid_body: RigidBody) -> list[FrictionRecord]:
-    """Separate friction from a log, joint by joint (eq. 8); raises LogError or RobotError."""
+    """Separate friction from a log (eq. 8); raises LogError or RobotError."""
     return motion_records(smooth(log, model.description.log.filter_cutoff), model, rigid_body)
 
 
 def motion_records(motion: Motion, model: Robot, rigid_body: RigidBody) -> list[FrictionRecord]:
-    """Return the friction records of a smoothed log; see `friction_records`."""
+    """Return the friction records of a smoothed log."""
     load = rigid_body.torque(model, motion)
     spread = rigid_body.torque_spread(model, motion)
     ratios = model.description.gear_ratio or (None,) * model.n
@@ -119,7 +119,7 @@ def motion_records(motion: Motion, model: Robot, rigid_body: RigidBody) -> list[
 
 
 def require_reversals(records: Sequence[FrictionRecord]) -> None:
-    """Raise LogError if the velocity of a joint reverses in no record."""
+    """Raise LogError if the velocity of a joint never reverses."""
     if not any(len(reversals(record.dq)) for record in records):
         unit = unit_of_joint("rad/s", slides=records[0].sliding)
         raise LogError(

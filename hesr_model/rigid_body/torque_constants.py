@@ -38,7 +38,7 @@ _ROUNDS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Constant:
-    """The torque constant of one joint [N.m/A], meaningless unless `determined`, and its error."""
+    """A torque constant [N.m/A], meaningless unless `determined`, and its error."""
 
     joint: str
     value: float
@@ -105,7 +105,7 @@ def torque_constants(
 
 
 def point_payload(mass: float, centre: Sequence[float]) -> Array:
-    """Return the parameters (10,) of a mass [kg] at a point [m] of the last joint's frame."""
+    """Return the parameters (10,) of a mass [kg] at a point [m]."""
     c = np.array(centre, dtype=float)
     inertia = mass * (c @ c * np.eye(3) - np.outer(c, c))
     (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia
@@ -114,7 +114,7 @@ def point_payload(mass: float, centre: Sequence[float]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Rows:
-    """Compressed rows of a joint in logs of one kind: [Y, Y carried, friction, torque]."""
+    """Compressed rows of a joint: [Y, Y carried, friction, torque]."""
 
     factor: Array
     count: int
@@ -123,7 +123,7 @@ class _Rows:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
-    """One joint with unknown kappa (relative to the assumed constant), pi, and friction by kind."""
+    """One joint with unknown kappa (over the assumed constant), pi, and friction."""
 
     kinds: tuple[_Rows, ...]  # logs without payload, and with it
     nominal: Array  # (P,) of the model file

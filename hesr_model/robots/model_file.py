@@ -15,7 +15,7 @@ _DEGREES = 180.0 / np.pi
 
 
 def load(path: Path, *, mimic: bool = False) -> Any:
-    """Parse a URDF, or an MJCF (``.xml``); mimic joints of a URDF are driven unless `mimic`."""
+    """Parse a URDF, or an MJCF (``.xml``); mimic joints are driven unless `mimic`."""
     import pinocchio  # slow to import
 
     if not path.is_file():
@@ -44,7 +44,7 @@ def _mjcf(path: Path) -> ElementTree.Element:
 
 
 def _with_lengths(model: Any, mjcf: ElementTree.Element) -> Any:
-    """Give sliding joints their range in metres; Pinocchio interprets it as degrees."""
+    """Give sliding joints their range in metres; Pinocchio reads degrees."""
     angles = [compiler.get("angle") for compiler in mjcf.iter("compiler")]
     if "radian" not in angles:
         for joint in list(model.joints)[1:]:
@@ -64,7 +64,7 @@ class ModelJoint:
 
 
 def joints_of(path: Path) -> tuple[ModelJoint, ...]:
-    """Return the moving joints of a model file, from base to tip."""
+    """Return the moving joints from base to tip."""
     model = load(path, mimic=True)
     try:
         names = list(model.names)[1:]
@@ -108,7 +108,7 @@ def require_one_axis(name: str, freedom: int, path: Path) -> None:
 
 
 def set_joint(joint: Any, states: Array, position: Array) -> None:
-    """Write a position [rad or m] of a joint into `states`, (nq,) or (nq, N)."""
+    """Write a position [rad or m] into `states`, (nq,) or (nq, N)."""
     if joint.nq == 1:
         states[joint.idx_q] = position
     else:
@@ -116,7 +116,7 @@ def set_joint(joint: Any, states: Array, position: Array) -> None:
 
 
 def motion_subspace(joint: Any, state: Array) -> Array:
-    """Return the motion subspace (6,) of a joint at a state (nq,): linear, angular."""
+    """Return the motion subspace (6,) at a state (nq,): linear, angular."""
     data = joint.createData()
     joint.calc(data, state)
     return np.asarray(data.S, dtype=float).ravel()

@@ -66,7 +66,7 @@ class RobotDescription(Config):
 
     @property
     def coupling(self) -> Coupling | None:
-        """Friction coordinates over joints; None if nothing is coupled."""
+        """Friction coordinates over joints, if coupled."""
         return Coupling.of(self.transmission.coordinates) if self.transmission else None
 
     @property
@@ -76,7 +76,7 @@ class RobotDescription(Config):
 
     @property
     def logged(self) -> Coupling | None:
-        """Logged coordinates over joints: motors if logs are of motors, else None."""
+        """Logged coordinates over joints, if motors were logged."""
         of_motors = self.transmission and self.transmission.logs == "motor"
         return self.motors if of_motors else None
 
@@ -352,7 +352,7 @@ class Robot:
             set_gravity(self.description.gravity)
 
     def _configurations(self, q: Array) -> Array:
-        """Return Pinocchio's configurations: an unlimited joint has two coordinates."""
+        """Return Pinocchio's configurations, two coordinates for an unlimited joint."""
         states = np.zeros((len(q), self._model.nq))
         for k, joint in enumerate(list(self._model.joints)[1:]):
             set_joint(joint, states.T, q[:, k])
@@ -364,7 +364,7 @@ RobotLike = RobotDescription | Robot | str | PathLike[str]
 
 
 def description_of(robot: RobotLike) -> RobotDescription:
-    """Return the description of a robot, or of all joints of a URDF or MJCF."""
+    """Return the description of a robot, or of a whole URDF or MJCF."""
     if isinstance(robot, Robot):
         return robot.description
     if isinstance(robot, RobotDescription):
@@ -377,5 +377,5 @@ def description_of(robot: RobotLike) -> RobotDescription:
 
 
 def model_of(robot: RobotLike) -> Robot:
-    """Return the dynamics of a robot; a `Robot` is returned unchanged."""
+    """Return the dynamics of a robot."""
     return robot if isinstance(robot, Robot) else Robot(robot)

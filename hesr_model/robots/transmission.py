@@ -83,7 +83,7 @@ class Transmission(Config):
 
 @dataclass(frozen=True)
 class Coupling:
-    """Coordinates u = C q of a robot with coupled joints; `matrix` is C."""
+    """Coordinates u = C q of coupled joints; `matrix` is C."""
 
     matrix: tuple[tuple[float, ...], ...]
 
@@ -97,7 +97,7 @@ class Coupling:
 
     @classmethod
     def of(cls, matrix: Array) -> "Coupling | None":
-        """Return the coupling of a matrix (n, n); None if nothing is coupled."""
+        """Return the coupling of a matrix (n, n), if any."""
         if np.array_equal(matrix, np.eye(len(matrix))):
             return None
         return cls(tuple(tuple(float(entry) for entry in row) for row in matrix))
@@ -113,18 +113,18 @@ class Coupling:
         return np.asarray(np.linalg.inv(self.forward.T))
 
     def motion(self, joints: Array) -> Array:
-        """Return positions, velocities or accelerations (N, n) of u from q."""
+        """Return motions (N, n) of u from q."""
         return np.asarray(joints @ self.forward.T)
 
     def torque(self, joints: Array) -> Array:
-        """Return torques (N, n), or regressor rows (N, n, P), at u from those at q."""
+        """Return torques (N, n), or regressor rows (N, n, P), at u from q."""
         return np.asarray(np.einsum("ij,kj...->ki...", self.backward, joints))
 
     def at_joints(self, torque: Array) -> Array:
-        """Return torques (N, n) at the joints from those at u."""
+        """Return torques (N, n) at q from u."""
         return np.asarray(torque @ self.forward)
 
 
 def onto(coupling: Coupling | None, motion: Array) -> Array:
-    """Return the motion (N, n) of friction coordinates, of the joints if uncoupled."""
+    """Return the motion (N, n) of friction coordinates."""
     return motion if coupling is None else coupling.motion(motion)

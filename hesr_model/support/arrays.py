@@ -15,7 +15,7 @@ Record = TypeVar("Record")
 
 
 def some_rows(record: Record, columns: Iterable[str], rows: slice | Mask | Integers) -> Record:
-    """Return a data class with some rows of its arrays `columns`; None stays None."""
+    """Return a data class with some rows of its arrays `columns`."""
     whole: Any = record
     found = {name: getattr(record, name) for name in columns}
     some: Record = replace(whole, **{n: v[rows] for n, v in found.items() if v is not None})

@@ -59,14 +59,14 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
 
 
 def since(earlier: Counter[tuple[str, bool]]) -> dict[str, tuple[int, int]]:
-    """Return hits and requests by kind since an earlier state of `USED`."""
+    """Return hits and requests by kind since an earlier state."""
     used = USED - earlier
     kinds = sorted({kind for kind, _ in used})
     return {kind: (used[kind, True], used[kind, True] + used[kind, False]) for kind in kinds}
 
 
 def folder() -> Path:
-    """Return a writable folder: in XDG_CACHE_HOME, else .cache of HOME, else a private one."""
+    """Return a writable folder: in XDG_CACHE_HOME, .cache of HOME, or a private one."""
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     home = Path(os.environ.get("HOME", ""))
     places = []

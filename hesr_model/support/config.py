@@ -13,13 +13,13 @@ _MOST_SHOWN = 200  # characters
 
 
 class Config(BaseModel):
-    """Base of every schema: immutable; unknown keys, infinities and NaN are refused."""
+    """Base of every schema: immutable, without unknown keys, infinities and NaN."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read and validate a TOML file; raises ConfigError with key, value and allowed values."""
+        """Read and validate a TOML file; raises ConfigError."""
         try:
             text = read_text(path)
         except FileNotFoundError as error:
@@ -79,7 +79,7 @@ def _shown(value: object) -> str:
 
 
 def _holder(schema: type[BaseModel], location: tuple[Any, ...]) -> type[BaseModel] | None:
-    """Return the schema of the table of the last part of `location`."""
+    """Return the schema of the last part's table."""
     holders = [schema]
     for part in location[:-1]:
         fields = [h.model_fields[part] for h in holders if part in h.model_fields]

@@ -42,7 +42,7 @@ def models_folder() -> Path:
 
 
 def sha256(path: Path) -> str:
-    """Return the hex SHA-256 of a file's bytes, or of a folder's file names and hashes."""
+    """Return the hex SHA-256 of a file, or of a folder's names and hashes."""
     if path.is_dir():
         files = sorted(file for file in path.rglob("*") if file.is_file())
         lines = [f"{sha256(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
@@ -74,7 +74,7 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _room_for(path: Path) -> Iterator[None]:
-    """Report a full disk for `path`, whichever temporary file is affected."""
+    """Report a full disk for `path`, not for its temporary files."""
     try:
         yield
     except (OSError, ArtifactError) as error:
@@ -91,7 +91,7 @@ def is_empty(folder: Path) -> bool:
 
 @contextmanager
 def folder_made(path: Path) -> Iterator[None]:
-    """Make a folder and its parents; new ones are removed if they stay empty."""
+    """Make a folder and its parents; empty new ones are removed."""
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     with ExitStack() as cleanup:
         for folder in reversed(missing):
@@ -138,7 +138,7 @@ def _move(temporary: Path, path: Path) -> None:
 
 @contextmanager
 def scratch_folder(parent: Path | None = None, prefix: str = "hesr-") -> Iterator[Path]:
-    """Yield a temporary folder in `parent` or the system's; interrupts leave none."""
+    """Yield a temporary folder; interrupts leave none."""
     with ExitStack() as cleanup:
         with interrupts.deferred():
             folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))

@@ -17,7 +17,7 @@ def pandas_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
 def xarray_dataset(
     t: Array, signals: Mapping[str, tuple[Array, str]], joints: Sequence[str], **about: Any
 ) -> Any:
-    """Return signals (N, n), each with its unit, as an `xarray.Dataset` over t [s] and joints."""
+    """Return signals (N, n) with units as an `xarray.Dataset` over t [s] and joints."""
     return _library("xarray").Dataset(
         {name: (("t", "joint"), values, {"units": u}) for name, (values, u) in signals.items()},
         coords={"t": ("t", t, {"units": "s"}), "joint": list(joints)},

@@ -46,7 +46,7 @@ def _held_back_here() -> Iterator[None]:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Interrupt of work that can be continued; `kept` says how, as the end of a sentence."""
+    """Interrupt of work that can be continued as `kept` says."""
 
     def __init__(self, kept: str, interrupt: KeyboardInterrupt) -> None:
         super().__init__(kept)

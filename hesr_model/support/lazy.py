@@ -10,7 +10,7 @@ Names = tuple[Callable[[str], object], Callable[[], list[str]]]
 
 
 def lazy_stub(module: str, file: str) -> Names:
-    """Return `lazy` for the names that the stub next to the `file` of a module imports."""
+    """Return `lazy` for the names in the stub next to a module's `file`."""
     stub = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
     imported = re.findall(r"^from (\S+) import (\w+)", stub, re.MULTILINE)
     return lazy(module, {name: f"{home}:{name}" for home, name in imported})

@@ -99,7 +99,7 @@ _Task = tuple[int, int, Future[JobAnswer]]  # batch, job in it, and its answer
 
 
 class _Pool:
-    """Processes, started with the first jobs, and a folder of their jobs and temporary files."""
+    """Processes, started with the first jobs, and their folder."""
 
     def __init__(self, count: int) -> None:
         self._count, self._batches = count, 0
@@ -116,7 +116,7 @@ class _Pool:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """End the processes, on an error at once and with all their descendants."""
+        """End the processes, on an error at once and with all descendants."""
         with self._cleanup:
             if kind is not None:
                 self._kill()
@@ -130,7 +130,7 @@ class _Pool:
     def submit(
         self, jobs: Sequence[Callable[[], object]], costs: Sequence[float] = ()
     ) -> list[Future[JobAnswer]]:
-        """Queue jobs, the most expensive first; return the futures of their answers."""
+        """Queue jobs, the most expensive first; return futures of answers."""
         self._batches += 1
         (self._folder / f"{JOBS}{self._batches}").write_bytes(cloudpickle.dumps(list(jobs)))
         with interrupts.deferred():

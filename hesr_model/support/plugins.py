@@ -25,7 +25,7 @@ _OWN = "hesr"
 
 @dataclass(frozen=True, kw_only=True)
 class Plugin:
-    """An entry point, not imported yet, with its key in the group and its distribution."""
+    """An entry point, not imported yet."""
 
     name: str
     package: str
@@ -55,11 +55,7 @@ class Plugin:
 
 
 def load(group: str) -> Mapping[str, Plugin]:
-    """Return the plug-ins of a group by name, not imported; raises ConfigError for a double name.
-
-    HESR's own come first, unless their module is absent (`hesr.extras` not installed), then those
-    of other packages, both sorted.
-    """
+    """Import and return the object; raises ConfigError for other packages."""
     every = [
         Plugin(name=entry.name, package=entry.dist.name if entry.dist else "?", entry=entry)
         for entry in entry_points(group=group)
@@ -77,12 +73,12 @@ def load(group: str) -> Mapping[str, Plugin]:
 
 
 def names(group: str) -> tuple[str, ...]:
-    """Return the names of the plug-ins of a group, not imported."""
+    """Return the names of the plug-ins of a group."""
     return tuple(load(group))
 
 
 def find(group: str, name: str) -> Any:
-    """Import and return the object of a plug-in, or raise ConfigError."""
+    """Import and return a plug-in's object, or raise ConfigError."""
     known = load(group)
     if name not in known:
         raise ConfigError(f"{GROUPS[group]} '{name}' is unknown; known are {', '.join(known)}.")

@@ -16,7 +16,7 @@ _ROUNDS = 10  # a process may start others before it is killed
 
 
 class FailedError(Exception):
-    """A program gave no answer; the text is the reason, without full stop."""
+    """A program gave no answer; the text is a reason without full stop."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ class ChildProcess:
             raise FailedError(f"it cannot be started ({error.strerror})") from error
 
     def end(self) -> None:
-        """Kill the program, its session and all its descendants."""
+        """Kill the program, its session and descendants."""
         # After a wait, the process ID may belong to another program.
         if self.process.poll() is None:
             if hasattr(os, "killpg"):
@@ -69,12 +69,12 @@ class ChildProcess:
 
 
 def new_mark() -> str:
-    """Return a new name for an environment variable that marks processes."""
+    """Return a new mark of processes, an environment variable."""
     return f"HESR_PROCESS_{token_hex(8)}"
 
 
 def end_marked(mark: str) -> None:
-    """Kill all other processes with a mark in their environment."""
+    """Kill all other processes with a mark."""
     import psutil
 
     for _ in range(_ROUNDS):
@@ -112,7 +112,7 @@ def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
 
 
 def how_it_ended(code: int) -> str:
-    """Return how a program ended, by exit code or negative signal, for messages."""
+    """Return how a program ended, for messages."""
     if code >= 0:
         return f"ended its process with exit code {code}"
     with contextlib.suppress(ValueError):

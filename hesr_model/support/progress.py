@@ -33,7 +33,7 @@ _LOOKED = 0.3  # [s] between two polls of workers
 
 
 def step(done: int, total: int) -> None:
-    """Report finished starts or candidates of a search to `steps_told`."""
+    """Report the progress of a search to `steps_told`."""
     _steps.get()(done, total)
 
 
@@ -63,7 +63,7 @@ def into_file(path: Path) -> Progress:
 
 @contextmanager
 def watched(files: Sequence[Path], progress: Progress) -> Iterator[None]:
-    """Report the sum of the shares that jobs write by `into_file` while the block runs."""
+    """Report the sum of the shares written by `into_file`."""
     total, ended = PARTS * len(files), threading.Event()
 
     def look() -> None:

@@ -23,6 +23,6 @@ def provenance(*, files: Sequence[Path], seed: int | None = None, **more: Any) -
 
 
 def newest(files: Sequence[Path]) -> str:
-    """Return the modification time of the newest file (reproducible), ISO 8601 in UTC."""
+    """Return the modification time of the newest file, ISO 8601 in UTC."""
     seconds = max(int(file.stat().st_mtime) for file in files)
     return datetime.fromtimestamp(seconds, tz=UTC).isoformat()

@@ -6,7 +6,7 @@ _LONGEST = 160  # characters; hostile texts have millions
 
 
 def plain(text: str, longest: int = _LONGEST) -> str:
-    """Return text on one line, with control and direction characters escaped."""
+    """Return text on one line, control characters escaped."""
     return escaped(text if len(text) <= longest else f"{text[:longest]}...")
 
 
@@ -23,7 +23,7 @@ def quoted(name: str) -> str:
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:
-    """Return quoted names with commas, and the number of further ones."""
+    """Return quoted names, and the number of further ones."""
     names = list(names)
     text = ", ".join(map(quoted, names[:most]))
     return f"{text} and {len(names) - most} more" if len(names) > most else text

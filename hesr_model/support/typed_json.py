@@ -39,7 +39,7 @@ NumbersWithGaps = Annotated[Array, PlainValidator(_array), PlainSerializer(_with
 
 
 def write_json(path: Path, data: Mapping[str, Any], *, indent: int | None = 2) -> None:
-    """Write JSON data whole or not at all, with every digit."""
+    """Write JSON data whole or not at all."""
     text = json.dumps(data, indent=indent, allow_nan=False)
     with written_whole(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
@@ -75,12 +75,12 @@ def to_text(value: Any, *, sparse: bool = False) -> str:
 
 
 def to_json(value: Any, *, sparse: bool = False) -> Any:
-    """Return a data class as JSON data, if `sparse` without None; raises ValueError for NaN."""
+    """Return a data class as JSON data, if `sparse` without None; raises ValueError."""
     return json.loads(to_text(value, sparse=sparse))
 
 
 def from_json(kind: type[Kind], data: Any, path: Path, what: str) -> Kind:
-    """Return the data class `kind` for JSON data; raises ArtifactError about `what` in `path`."""
+    """Return the data class `kind` of JSON data; raises ArtifactError."""
     schema: Any = kind
     try:
         valid: Kind = _adapter(schema).validate_python(data)

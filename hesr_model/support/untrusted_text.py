@@ -28,12 +28,12 @@ def read_text(path: Path) -> str:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return JSON data; raises ValueError, also for deep nesting and huge integers."""
+    """Return JSON data; raises ValueError, also for deep nesting."""
     return _shallow(lambda: json.loads(text, parse_int=_integer))
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return TOML data; raises ValueError, also for deep nesting and huge integers."""
+    """Return TOML data; raises ValueError, also for deep nesting."""
     for line in text.splitlines():
         # Parsing nested tables takes quadratic time in their depth.
         if line.partition("=")[0].count(".") > _DEEPEST_KEY and not line.lstrip().startswith("#"):
@@ -65,7 +65,7 @@ def _require_numbers(data: Any) -> None:
 
 
 def require_printable(name: str) -> str:
-    """Return a name that every file can contain, also XML and C, or raise ValueError."""
+    """Return a name that XML and C can contain, or raise ValueError."""
     if not name or len(name) > _LONGEST_NAME:
         raise ValueError(f"a name has {len(name)} characters; it can have 1 to {_LONGEST_NAME}")
     if odd := next((c for c in name if not c.isprintable()), None):

@@ -32,7 +32,7 @@ _ORPHANED = 1.0  # period of checks for the parent [s]
 
 
 def work(folder: Path, parent: int) -> None:
-    """Answer requests until stdin closes; the parent process removes the `folder`."""
+    """Answer requests until stdin closes."""
     import psutil
 
     # The parent alone answers signals to the process group, and kills its workers.
@@ -82,7 +82,7 @@ def _answer(file: Path, k: int) -> bytes:
 
 
 def read_answer(answers: IO[bytes]) -> JobAnswer:
-    """Read one answer in the parent; raises EOFError if the worker has ended."""
+    """Read one answer; raises EOFError if the worker has ended."""
     size = answers.readline()
     data = answers.read(int(size or 0))
     if not size or len(data) < int(size):

@@ -12,7 +12,7 @@ from hesr_model.support.arrays import Array
 
 
 def read_columns(path: Path, robot: RobotDescription) -> LogSamples:
-    """Read the columns that the robot file names; errors as `Log.read`."""
+    """Read the columns of the robot file; errors as `Log.read`."""
     columns = robot.log.columns
     is_matlab = path.suffix.lower() == ".mat"
     table = read_matlab(path, time=columns.t) if is_matlab else read_table(path)

@@ -38,7 +38,7 @@ COLUMNS = FileFormat(name="table", recognises=lambda _: True, read=read_columns)
 
 @cache
 def formats() -> tuple[FileFormat, ...]:
-    """Return all formats in order of precedence, those of other packages first."""
+    """Return all formats in order of precedence, other packages first."""
     found = {plugin: plugin.load() for plugin in plugins.load(GROUP).values()}
     for plugin, value in found.items():
         if not isinstance(value, FileFormat):

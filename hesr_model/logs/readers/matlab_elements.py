@@ -21,7 +21,7 @@ _DEEPEST = 50  # nesting of matrices in structs and cells
 
 
 def require_sound(path: Path, most: int) -> None:
-    """Check a file; raises ValueError, or OverflowError for more than `most` [B] of packed data."""
+    """Check a file; raises ValueError, or OverflowError above `most` [B] of packed data."""
     if path.stat().st_size < _HEADER:
         return
     content = np.memmap(path, dtype=np.uint8, mode="r").data

@@ -10,7 +10,7 @@ from hesr_model.support.arrays import Array, some_rows
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogSamples:
-    """Samples (N,) and (N, n) in the units of the file; messages name `time` and `place`."""
+    """Samples (N,) and (N, n) in the file's units; messages name `time` and `place`."""
 
     t: Array
     q: Array
@@ -22,7 +22,7 @@ class LogSamples:
     temperature: Array | None = None
 
     def complete(self) -> "LogSamples":
-        """Drop rows that lack a number or repeat a time stamp."""
+        """Drop rows that lack a number or repeat a stamp."""
         columns = ("t", "q", "dq", "effort", "temperature")
         parts = [part for name in columns if (part := getattr(self, name)) is not None]
         rows = np.flatnonzero(np.all(np.isfinite(np.column_stack(parts)), axis=1))
