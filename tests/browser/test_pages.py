@@ -93,6 +93,16 @@ def test_figures_can_be_read_on_a_telephone(open_page: "OpenPage", path: Path) -
         assert box.evaluate("e => { e.scrollLeft = 9999; return e.scrollLeft; }") > 0
 
 
+@pytest.mark.parametrize("path", ["inspection", "monitor", "sweep", "arena"], indirect=True)
+def test_tables_are_printed(open_page: "OpenPage", path: Path) -> None:
+    page = open_page(path)
+    page.emulate_media(media="print")
+    tables = page.locator("section > .table, section > div > .table")
+    assert tables.count()
+    assert all(table.is_visible() for table in tables.all())
+    assert not page.locator("nav, button.copy").first.is_visible()
+
+
 BESIDE = """() => [...document.querySelectorAll(".cards td.beside")]
   .filter((e) => e.textContent.trim())
   .map((e) => [e.textContent, getComputedStyle(e.previousElementSibling, "::after").content])"""
