@@ -59,7 +59,7 @@ def errors(results: Results, law: str) -> ResultTable:
     own = scores.laws[law].rmse
     places = decimals(own)
     head = ["joint", "RMSE", "unexplained"]
-    columns: list[Sequence[TableCell | str]] = [
+    columns = [
         [fixed(error, places) for error in own],
         [
             TableCell(text=f"{share:.0f} %", value=float(share))
@@ -69,11 +69,16 @@ def errors(results: Results, law: str) -> ResultTable:
     caption = f"Error of {title(law)} on ‘{test}’ [{results.unit('N.m')}]"
     if found := _reference(scores, law):
         references, ratios, role = found
-        head += ["reference", "RMSE", "ratio"]
-        caption += f" and of {role}; small: 95\u00a0% interval"
+        head += ["reference", "ratio"]
+        names = list(map(title, references))
+        same = len(set(names)) == 1
+        caption += f" and of {names[0]}, {role}" if same else f" and of {role} of each joint"
+        caption += "; small: 95\u00a0% interval"
         columns += [
-            list(map(title, references)),
-            [fixed(scores.laws[r].rmse[k], places) for k, r in enumerate(references)],
+            [
+                fixed(scores.laws[r].rmse[k], places, notes=() if same else (title(r),))
+                for k, r in enumerate(references)
+            ],
             [fixed(ratio.value, 2, notes=ratio_notes(ratio)[1:]) for ratio in ratios],
         ]
     rows = [row_of(*cells) for cells in zip(results.joints, *columns, strict=True)]

@@ -118,7 +118,7 @@ def test_the_first_layer_names_the_law_and_links_to_its_fmu(results: Path) -> No
     found = read_verdict(results)
     assert found is not None
     assert f'<a class="download" href="{found.fmu}" download>' in first
-    for sentence in (found.why[1:], *found.weak, *found.improve):
+    for sentence in (found.why[1:], *found.limits, *found.weak, *found.improve):
         assert escape(sentence, quote=False).replace("'", "&#39;") in first
     count = len(read_findings(results))
     assert (f"{count} warning" if count else "No warnings about data and fits.") in first
