@@ -1,4 +1,4 @@
-"""Closed loop of an arm as a system of FMUs: trajectory, models, controller, arm."""
+"""Closed loop of an arm as a system of FMUs."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping

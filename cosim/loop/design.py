@@ -1,4 +1,4 @@
-"""Design of an excitation for a robot: setpoints and a picture."""
+"""Design of an excitation: setpoints and a picture."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -14,8 +14,6 @@ from hesr_model.support.config import Config
 
 
 class _Motion(Config):
-    """Common part of all motions."""
-
     make: ClassVar[Callable[..., Trajectory]]
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
     also_reversed: bool = False  # second log ``<name>_reversed``

@@ -1,4 +1,4 @@
-"""Robustness to payloads, changed friction, noise, latency and wrong servo gains."""
+"""Robustness of the loop to changes of arm and controller."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -116,7 +116,6 @@ def _changed(setting: Setting, payloads: Mapping[float, Path]) -> Iterator[tuple
 
 
 def _payload_bodies(robot: Robot, body: RigidBody, folder: Path, step: float) -> dict[float, Path]:
-    """Write rigid bodies with exactly known payloads as FMUs."""
     source = robot.description.model
     paths = {}
     for mass in PAYLOADS:

@@ -1,4 +1,4 @@
-"""Closed-loop part of a study: tables, traces, robustness, and comparison of the masters."""
+"""Closed-loop part of a study, and comparison of the masters."""
 
 from collections.abc import Mapping
 from dataclasses import replace

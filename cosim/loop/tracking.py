@@ -1,4 +1,4 @@
-"""Tracking in closed loop (Table III): every law in every scheme, through the FMUs."""
+"""Tracking in closed loop (Table III), through the FMUs."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""All experiments on one model or FMU, and on many in parallel."""
+"""All experiments on models and FMUs."""
 
 import hashlib
 import json
@@ -165,7 +165,6 @@ def _moved(
     seen: list[TrainedRange],
     inertia: Array | None,
 ) -> dict[str, list[PropertyResult]]:
-    """Run the experiments on a friction FMU; others get a reason."""
     n = bench.joints
     laws = model.laws if model else (None,) * n
     states = [None if law is None else len(law.form.memory) for law in laws]

@@ -1,4 +1,4 @@
-"""Experiments driven by torque: break-away, and holding a load with and without dither."""
+"""Experiments driven by torque: break-away, and holding a load."""
 
 import numpy as np
 
@@ -126,7 +126,6 @@ def _put_on(bench: DriveBench, scale: Scale, load: Array) -> None:
 
 
 def _drifting(t: Array, q: Array) -> list[PropertyResult]:
-    """Judge the drift of positions (K, n) [rad] at times (K,) [s]."""
     found = []
     for of_joint in q.T:
         drift = float(of_joint[-1] - of_joint[0])

@@ -1,4 +1,4 @@
-"""Dissipation in a drive: work of a law over cycles driven by torque."""
+"""Dissipation over cycles driven by torque."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Results of experiments: figures, a verdict, and a small plot."""
+"""Results of experiments: figures, verdict and plot."""
 
 from collections.abc import Sequence
 

@@ -106,7 +106,7 @@ def _branch(
     shares: Array,
     load: Array | None = None,
 ) -> Array:
-    """Move by shares of the width of the loop and return the torque (K, n)."""
+    """Move by shares of the loop's width; return the torque (K, n)."""
     speed = way * 4.0 * scale.deflection / period
     dt = 0.5 * period * np.diff(shares, prepend=0.0)
     return bench.move(dt, np.broadcast_to(speed, (len(dt), len(speed))), load=load)

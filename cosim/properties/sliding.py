@@ -165,7 +165,6 @@ def work(
 
 
 def _with_moving_load(bench: FrictionBench, trained: list[TrainedRange]) -> list[list[Cycle]]:
-    """Return cycles of each joint with loads at twice the frequency of the motion."""
     found: list[list[Cycle]] = [[] for _ in trained]
     of_joints = (loaded_motions(r, _ANGLES, _PHASES, _LOADED_TURNS) for r in trained)
     for motions in zip(*of_joints, strict=True):

@@ -109,7 +109,6 @@ def _errors(
 
 
 def _weightless(logs: Logs, robot: Robot, body: RigidBody) -> bool:
-    """Whether gravity does no work on the joints."""
     q = np.concatenate([np.column_stack([r.q for r in log]) for log in logs])
     weight = robot.torque(body.parameters, q, np.zeros_like(q), np.zeros_like(q))
     largest = max(np.abs(r.tau + r.tau_load).max() for log in logs for r in log)
@@ -117,7 +116,6 @@ def _weightless(logs: Logs, robot: Robot, body: RigidBody) -> bool:
 
 
 def _over_all(errors: Iterator[_Errors], logs: Sequence[Windows]) -> _Errors:
-    """Return the RMS over all rows of several logs."""
     rows = [log.t.shape[1] for log in logs]
     return tuple(
         None

@@ -1,4 +1,4 @@
-"""Proposed study of inspected logs: training on some of them, test on the rest."""
+"""Proposed study of inspected logs."""
 
 import json
 from os.path import relpath

@@ -159,7 +159,6 @@ def _roles(study: Study, name: str) -> tuple[str, ...]:
 
 
 def _save_torques(folder: Path, run: Scored) -> dict[str, str]:
-    """Write the torques of the first log of each role, up to a gap; return their files."""
     logs = run.study.logs
     first: dict[str, dict[str, list[Array]]] = {logs.identification[0]: {}}
     for test, names in logs.test.items():

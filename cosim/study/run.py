@@ -1,4 +1,4 @@
-"""Run of a study: identify the rigid body, fit laws, export FMUs, score and judge them."""
+"""Run of a study, from logs to a verdict."""
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -221,7 +221,6 @@ def _documented(
     model: FrictionModel,
     **more: Any,
 ) -> ModelAudit | None:
-    """Write an FMU with its documentation; return its audit, if any."""
     audit = None
     with suppress(SimulationError):
         audit = ModelAudit.of(model, model.trained)

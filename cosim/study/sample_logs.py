@@ -1,4 +1,4 @@
-"""Simulated sample logs of any robot, as a placeholder for measured ones."""
+"""Simulated sample logs of any robot."""
 
 from collections.abc import Sequence
 from pathlib import Path

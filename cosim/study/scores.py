@@ -1,4 +1,4 @@
-"""Scores of friction predictions on logs, by Python models or FMUs."""
+"""Scores of friction predictions by Python models or FMUs."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -191,7 +191,6 @@ def _table(
     joint: int,
     ranked: Sequence[str],
 ) -> LawErrors:
-    """Return the errors of all rows on a joint."""
     errors = {
         law: [p - r.tau for r, p in zip(of_joint, predicted[joint], strict=True)]
         for law, predicted in predictions.items()

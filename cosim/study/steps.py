@@ -359,7 +359,6 @@ class Job:
         return comparisons, predictions
 
     def _true_friction(self, logs: Sequence[Path]) -> list[list[Array]]:
-        """Return the true friction [joint][log] of the twin's logs [N.m]."""
         from cosim.loop.excite import truth_of
 
         joints = len(self.robot.joints)

@@ -185,7 +185,6 @@ def _mean(errors: Sequence[float], sizes: Sequence[float]) -> float:
 
 
 def _better(scores: Comparison, law: str) -> str:
-    """Return where another law is significantly better."""
     return ", ".join(
         f"{title(leading[0])} is better on {short}"
         for short, leading in zip(short_names(len(scores.joints)), scores.leading, strict=True)

@@ -89,7 +89,6 @@ def _members(fmu: Path) -> dict[str, bytes]:
 def _runtimes(
     contents: SystemContents, nested: Mapping[str, Mapping[str, bytes]], identifier: str
 ) -> dict[str, bytes]:
-    """Return runtime, library and licence for each platform of all components."""
     found: dict[str, bytes] = {}
     for platform, (folder, suffix) in _RUNTIMES.items():
         if all(
@@ -141,7 +140,6 @@ def _runtime(folder: str, name: str) -> bytes:
 
 
 def _configuration(contents: SystemContents, exposed: list[Exposed], guid: str) -> bytes:
-    """Return container.json."""
     from fmpy.container_fmu import __version__
 
     spec = contents.spec

@@ -1,4 +1,4 @@
-"""modelDescription.xml of a container: exposed variables of its components."""
+"""modelDescription.xml of a container."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -166,7 +166,6 @@ def _unknowns(structure: ET.Element, contents: SystemContents, exposed: list[Exp
 
 
 def _at_start(contents: SystemContents, component: str) -> dict[str, list[str]]:
-    """Return the dependencies of each initial unknown."""
     described = contents.descriptions[component]
     everything = [v.name for v in described.modelVariables if v.causality in ("input", "parameter")]
     return {

@@ -1,4 +1,4 @@
-"""Contents of a packaged system, checked against the descriptions of its FMUs."""
+"""Contents of a packaged system, checked against its FMUs."""
 
 import re
 from collections.abc import Iterable, Mapping

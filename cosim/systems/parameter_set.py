@@ -73,7 +73,6 @@ def to_ssv(model: FrictionModel) -> bytes:
 
 
 def _values(model: FrictionModel) -> list[tuple[str, float, str]]:
-    """Return name, value and unit of every parameter."""
     found = []
     for i, law in enumerate(model.laws, start=1):
         if exposed(law):

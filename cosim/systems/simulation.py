@@ -1,4 +1,4 @@
-"""Fixed-step master: runs a system of FMUs and records its observed signals."""
+"""Fixed-step master of a system of FMUs."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -48,7 +48,6 @@ class Master:
         self._cleanup = ExitStack()
 
     def __enter__(self) -> "Master":
-        """Load all FMUs and check the wiring."""
         with ExitStack() as cleanup:
             lend = self._loaded.lend if self._loaded else FmuInstance
             self._slaves = {
@@ -62,7 +61,6 @@ class Master:
         return self
 
     def __exit__(self, *ended: Any) -> None:
-        """Free all FMUs."""
         self._cleanup.__exit__(*ended)
 
     def _build(self) -> None:

@@ -45,8 +45,6 @@ def opened_system(path: Path) -> Iterator[SystemSpec]:
 
 @dataclass(frozen=True)
 class _Reader:
-    """Reader of one SSP."""
-
     path: Path
     archive: Archive
     folder: Path
@@ -76,7 +74,6 @@ class _Reader:
         return value
 
     def system(self) -> dict[str, Any]:
-        """Return the data of a `SystemSpec`."""
         root = self.parsed(SSD)
         system = _one(root, "ssd:System")
         if system is None:
@@ -149,7 +146,6 @@ class _Reader:
         return found
 
     def values(self, node: ET.Element, where: str) -> dict[str, Any]:
-        """Return the values of an element's parameter bindings."""
         found: dict[str, Any] = {}
         for binding in _all(node, "ssd:ParameterBindings/ssd:ParameterBinding"):
             if _one(binding, "ssd:ParameterMapping") is not None:

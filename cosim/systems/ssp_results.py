@@ -109,7 +109,6 @@ def _judge(spec: SystemSpec, experiment: ReferenceExperiment, found: Verified) -
 
 
 def _run(spec: SystemSpec, signals: list[str], t: np.ndarray, way: str) -> dict[str, np.ndarray]:
-    """Return the signals (len(t),) of a system under one exchange scheme."""
     update = {"stop": spec.step * (len(t) - 1), "observe": tuple(signals), "limits": {}}
     scheme = ExchangeScheme(order="jacobi", refreshed=_SCHEMES[way][0])
     with Master(spec.model_copy(update=update), scheme=scheme) as master:

@@ -1,4 +1,4 @@
-"""Systems of FMUs: components, start values, connections and steps, in a TOML file."""
+"""Systems of FMUs in a TOML file."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Connections of a system, checked against the descriptions of its FMUs."""
+"""Connections of a system, checked against its FMUs."""
 
 from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
@@ -110,7 +110,6 @@ class Wiring:
             raise self._error(f"{where}: the input is in {taken[0]}, the output in {given[0]}.")
 
     def _require_inputs(self) -> None:
-        """Check that every needed input has a source, or a start value in the file."""
         for name, slave in self._slaves.items():
             for variable in slave.needed:
                 if (name, variable) not in self.sources and variable not in self.start[name]:
