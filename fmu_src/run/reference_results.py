@@ -92,7 +92,7 @@ def waves(amplitudes: Mapping[str, float], middle: float = 0.0) -> dict[str, Arr
 
 
 def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, bytes]:
-    """Run an FMU for co-simulation and return its folder `extra/`; empty if it cannot be run."""
+    """Run an FMU and return its folder `extra/`, empty if it cannot be run."""
     root = ET.fromstring(members["modelDescription.xml"])
     kind = root.find("CoSimulation")
     assert kind is not None, "no FMU for co-simulation"
@@ -193,7 +193,7 @@ class ExperimentFiles:
 def manifest_files(
     experiments: Sequence[ExperimentFiles], members: Mapping[str, bytes]
 ) -> dict[str, bytes]:
-    """Return the manifest and the experiments file of all `members` of the folder `extra/`."""
+    """Return the manifest and the experiments file of the `members` of `extra/`."""
     root = ET.Element("Experiments")
     for own in experiments:
         numbers = {"startTime": own.t[0], "stopTime": own.t[-1], "tolerance": own.tolerance}
@@ -247,7 +247,7 @@ class Verified:
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceExperiment:
-    """Inputs and results (N,) by name at the times t (N,) [s], and parameters."""
+    """Inputs and results (N,) at times t (N,) [s], and parameters."""
 
     name: str  # may be that of an order of calls
     tolerance: float  # relative to the largest value of each output

@@ -206,7 +206,7 @@ def _limit() -> None:
 
 
 def _end_with_parent() -> None:
-    """Wait until the parent closes standard input, then end the process group."""
+    """End the process group once the parent closes standard input."""
     with suppress(OSError):
         while os.read(0, 1):
             pass
