@@ -93,6 +93,6 @@ def test_workers_that_die_again_and_again(
     with local(tmp_path, 1) as (address, _), pytest.raises(WorkerError) as error:
         run_sweep(study, tmp_path / "out", cluster=address)
     assert str(error.value) == (
-        "workers of the cluster died 0 times; 40 chunks of runs are left; the same command goes on "
-        "with them."
+        "workers of the cluster died 0 times; 40 chunks of runs are left; repeat the command "
+        "to continue."
     )
