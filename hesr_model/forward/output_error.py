@@ -1,10 +1,9 @@
 """Joint refinement of body and friction by output error.
 
 The cost is the position error over short windows; the torque error determines the other directions
-(DIDIM: Gautier, Janot and Vandanjon 2013, "A
-new closed-loop output error method for parameter identification of robot dynamics", IEEE Trans.
-Control Syst. Technol. 21(2); here with friction that has a state). Each parameter is varied in its
-own copy of all windows.
+(DIDIM: Gautier, Janot and Vandanjon 2013, "A new closed-loop output error method for parameter
+identification of robot dynamics", IEEE Trans. Control Syst. Technol. 21(2); here with friction that
+has a state). Each parameter is varied in its own copy of all windows.
 """
 
 from collections.abc import Sequence

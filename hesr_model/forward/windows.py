@@ -42,7 +42,7 @@ class Windows:
 
 
 def windows_of(logs: Logs, length: float) -> Windows:
-    """Cut logs into windows of a length [s] after the run-in; SimulationError if too short."""
+    """Cut logs into windows of a length [s] after a run-in; raise SimulationError if none fits."""
     times = [log[0].t for log in logs]
     steps = max(1, round(length / float(np.median(np.concatenate([np.diff(t) for t in times])))))
     places = [
