@@ -1,4 +1,4 @@
-"""Scores of laws on alternative plants; the bristles of the twin's MJCF favour bristle laws."""
+"""Scores on alternative plants, because the twin's bristles favour bristle laws."""
 
 from collections.abc import Sequence
 from functools import partial

@@ -67,7 +67,7 @@ def sample_settings(model: Robot, period: float = _PERIOD) -> ExcitationSettings
 
 
 def mark_samples(files: Sequence[Path]) -> None:
-    """Mark log files as samples, so that no report calls them measured."""
+    """Mark log files as samples, which no report calls measured."""
     lines = [f"{sha256(file)}  {file.name}\n" for file in files]
     (files[0].parent / _MARK).write_text("".join(lines), encoding="utf-8")
 

@@ -153,10 +153,7 @@ class Job:
         return log if part is None else self._part(log, name, part)
 
     def led_up_to(self, name: str, file: Path) -> Log | None:
-        """Read a part of a log with all rows before it; None for a whole log.
-
-        A law runs through these rows first, so that its initial states follow from the motion.
-        """
+        """Read a part of a log and all rows before it, for its start; None for a whole log."""
         part = self.study.logs.parts.get(name)
         if part is None or part.start == 0.0:
             return None
@@ -305,8 +302,8 @@ class Job:
     ) -> tuple[dict[str, Comparison], Predictions]:
         """Score the FMUs on every test set and its bands; return scores and torques.
 
-        With `per_log`, a second comparison has the offsets of each test log fitted. FMUs replay all
-        rows of `runs`, which end with those of `records`.
+        With `per_log`, a second comparison has the offsets of each test log fitted. `records` are
+        the last rows of `runs`.
         """
         comparisons, predictions = {}, {}
         inputs = input_classes(models)

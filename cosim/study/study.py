@@ -81,10 +81,7 @@ class TimeBand(Config):
 
 
 class RefinementStudy(Config):
-    """Refinement of the rigid body with fitted friction.
-
-    "in_turn" identifies the body again; "output_error" fits both to the simulated position.
-    """
+    """Refinement of the body: again with fitted friction, or both to the simulated position."""
 
     kind: Literal["in_turn", "output_error"] = "in_turn"
     law: str

@@ -83,8 +83,7 @@ def verdict(
 ) -> Verdict:
     """Judge a run by its first test set; records are [joint][log].
 
-    The recommended law is the simplest of those that no other law beats; see `recommend`. For a
-    test that is too short, the errors on left-out training logs decide.
+    See `recommend`. For a short test, the errors on left-out training logs decide.
     """
     test, scores = next(iter(comparisons.items()))
     law, why = recommend(scores, models)

@@ -64,10 +64,7 @@ class SystemContents:
 
 
 def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
-    """Read the descriptions of a system's FMUs and check the system against them; see `Wiring`.
-
-    Raises ConfigError if an FMU is missing or not FMI 2.0 for co-simulation.
-    """
+    """Read the descriptions of a system's FMUs and check the system against them; see `Wiring`."""
     descriptions = {
         c.name: description_of(c.fmu, f"{path}: component '{c.name}'") for c in spec.components
     }

@@ -90,7 +90,7 @@ def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponen
 def in_unit_of(variables: Variables, name: str, given: ValueWithUnit, where: str) -> float:
     """Return a number in the unit of an FMU's variable; unchanged if that has none.
 
-    Raises ConfigError, with file and parameter `where`, if the units cannot be converted.
+    `where` is for messages.
     """
     unit, base = variables.unit(name)
     if unit is None or given.base == base is not None:

@@ -33,8 +33,7 @@ _NAME: TypeAdapter[str] = TypeAdapter(Name)
 def opened_system(path: Path) -> Iterator[SystemSpec]:
     """Yield the system of a file; the FMUs of an SSP are unpacked meanwhile.
 
-    An SSP is read as one level of components; all outputs with a connector are observed. Component
-    names and units of start values are made to fit.
+    An SSP is one level of components; all outputs with a connector are observed.
     """
     if path.suffix.lower() != ".ssp":
         yield SystemSpec.read(path)
