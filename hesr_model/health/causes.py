@@ -19,10 +19,10 @@ from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Mask
 
 _ROWS = 450  # total
-_BETTER = 2.0  # minimum reduction factor of the unexplained torque on a corrected joint
-_NO_WORSE = 1.25  # largest growth of the unexplained torque of other joints
+_BETTER = 2.0  # minimum gain of a corrected joint
+_NO_WORSE = 1.25  # largest loss of other joints
 _EXPLAINED = 0.6  # minimum R^2 after the correction
-_CLEARLY = 1.05  # minimum advantage factor over a simpler mistake
+_CLEARLY = 1.05  # minimum gain over a simpler mistake
 _MOST = 8  # mistakes searched one after another
 
 

@@ -16,7 +16,7 @@ from hesr_model.support.arrays import Array, Mask, some_rows
 
 _LEAST_TRAVEL = 5e-3  # minimum travel of a moving joint [rad or m]
 _ROWS = 4000  # per log
-_KNEE = 0.1  # smoothing speed of the velocity's sign [rad/s, m/s]; at most a quarter of the peak
+_KNEE = 0.1  # smoothing speed of a sign [rad/s, m/s], at most a quarter of the peak
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,10 +7,10 @@ import numpy as np
 from hesr_model.health.examine import Examination
 from hesr_model.logs.phases import moving, reversals
 
-_RESTS = 0.02  # share of rows at rest below which stiction is hardly visible
+_RESTS = 0.02  # share of rests that shows stiction
 _REVERSALS = 4
-_SLOW, _SLOWLY = 0.1, 0.05  # slow, as share of the peak speed, and the share of slow rows needed
-_LOAD = 0.5  # gravity over friction below which load-dependent friction is not visible
+_SLOW, _SLOWLY = 0.1, 0.05  # share of the peak speed, share of slow rows needed
+_LOAD = 0.5  # gravity over friction that shows load-dependent friction
 
 
 def unseen(examination: Examination, joints: Sequence[str]) -> Iterator[tuple[str, str]]:

@@ -14,9 +14,9 @@ from hesr_model.support.arrays import Array
 
 CHECKS = ("mass-matrix", "negative-friction", "no-better-than-nothing", "bound", "other-robot")
 _STATES = 60
-_NOTHING = 0.95  # a law's error over friction's deviation above which it explains nothing
+_NOTHING = 0.95  # error over deviation of a law that explains nothing
 _AT_BOUND = 0.01
-_NEGATIVE = 0.5  # share of the residual below which negative Coulomb friction may be zero
+_NEGATIVE = 0.5  # negative Coulomb friction over the residual
 
 
 def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:

@@ -11,11 +11,11 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers
 
 _SKIPPED = 0.05  # allowed share of steps longer than 1.8 periods
-_UNCERTAIN = 0.03  # allowed uncertainty of the sliding torque (two standard deviations, relative)
+_UNCERTAIN = 0.03  # allowed relative uncertainty, two standard deviations
 _SPEEDS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0])  # shares of the peak speed
-_JUDGED = (0.1, 0.7)  # range of these shares where the joint slides for more than an instant
+_JUDGED = (0.1, 0.7)  # shares where the joint slides
 _SPLITS = 16
-_HALF_WAY = 0.2  # share of the slowest interval in which friction changes its sign
+_HALF_WAY = 0.2  # reversal, as share of the slowest interval
 
 
 def share_of_long_steps(log: Log) -> float:

@@ -13,7 +13,7 @@ from hesr_model.logs.log_format import column_names
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask
 
-_SIGNAL = 0.8  # unexplained share of a torque above which it does not show gravity
+_SIGNAL = 0.8  # largest unexplained share of a torque that shows gravity
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _EARTH = 9.81
 _SNAP = np.radians(12.0)

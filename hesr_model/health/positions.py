@@ -12,13 +12,13 @@ from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
 from hesr_model.units import OTHERS
 
-_PERIODS = 5e-5, 0.9  # plausible sample periods [s]; 1 s would be 1 kHz in undeclared ms
+_PERIODS = 5e-5, 0.9  # plausible sample periods [s]; 1 s may be 1 ms
 _TURN = 2.0 * np.pi
-_SPIKE = 40.0  # distance of a spike from its neighbours over the usual one
+_SPIKE = 40.0  # relative distance of a spike
 _LEAST_SPIKE = 0.02  # [rad or m]
 _BEYOND = 0.05  # allowed excess over a limit [rad or m]
-_COARSE, _FEW = 8e-4, 20  # smallest reported position step [rad or m], and steps needed
-_SATURATED = 0.01  # share of rows at the largest torque above which it is a limit of the drive
+_COARSE, _FEW = 8e-4, 20  # reported step [rad or m], steps needed
+_SATURATED = 0.01  # share of rows at a limit of the drive
 _LEVELS = 200  # distinct values of a finely quantised torque
 _LONG_RUN = 5
 

@@ -23,7 +23,7 @@ from hesr_model.logs.tables import LogTable, read_table
 from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, description_of
 
 _ROUNDS = 4
-_CUTOFF_SHARE = 0.3  # largest cut-off of the low pass over the sample rate
+_CUTOFF_SHARE = 0.3  # low pass over the sample rate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

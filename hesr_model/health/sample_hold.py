@@ -13,11 +13,11 @@ from hesr_model.support.arrays import Array, Mask
 _WINDOW = 0.1  # averaging window of a speed [s]
 _MOVES = 0.05  # speed of a moving joint [rad/s; m/s]
 _LEVELS = 200  # distinct values of a finely quantised signal
-_HELD = 0.3  # share of rows equal to the row before
-_STUCK, _STUCK_ROWS = 0.3, 15  # duration [s] and rows of a constant signal while the joint moves
-_RARE, _MOVING = 10.0, 0.25  # length of a stuck run over that of others, its share in motion
-_SPIKE = 3.0  # size of a torque spike over the range of the other rows
-_TOO_FAST = 1.3  # speed over the model's limit; drives exceed it slightly
+_HELD = 0.3  # share of repeated rows
+_STUCK, _STUCK_ROWS = 0.3, 15  # duration [s] and rows of a stuck signal
+_RARE, _MOVING = 10.0, 0.25  # stuck run over others, its share in motion
+_SPIKE = 3.0  # torque spike over the range of other rows
+_TOO_FAST = 1.3  # speed over the limit; drives exceed it slightly
 
 
 def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:

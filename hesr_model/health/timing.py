@@ -23,9 +23,9 @@ from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array
 
 _ROWS = 700  # per log
-_WIDTHS = np.array([5e-4, 2e-3, 8e-3, 3.2e-2])  # break-away deflections of stops [rad or m]
+_WIDTHS = np.array([5e-4, 2e-3, 8e-3, 3.2e-2])  # break-away deflections [rad or m]
 _LATEST, _STEP, _LATE = 0.25, 0.01, 0.06  # searched delays, search step, reported delay [s]
-_SMOOTH = 0.05  # averaging window of a torque before it is shifted [s]
+_SMOOTH = 0.05  # averaging window of a torque [s]
 _EARLY, _ALONE = 0.1, 0.1
 """Reporting thresholds [s] for an early median lag and for a single late joint.
 
@@ -33,8 +33,8 @@ On measured logs friction alone looks early by .05 s on most joints, and late by
 """
 _SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)  # factors of inertial torque: squared stamp rates
 _OFF = 1.4  # reported factor of a wrong time-stamp rate
-_SURE = 25.0  # threshold for twice the log-likelihood ratio: five standard errors
-_SHORTEST = 8.0  # minimum duration of a log over the largest delay
+_SURE = 25.0  # twice the log-likelihood ratio: five standard errors
+_SHORTEST = 8.0  # duration of a log over the largest delay
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,7 +96,7 @@ def check_clocks(
     most = float(np.median(list(lags.values()))) if len(lags) > 1 else 0.0
     for j, lag in lags.items():
         together = (most >= _LATE <= lag) or (most <= -_EARLY >= lag)
-        # A single joint at the end of the search range does not match the motion at all.
+        # A single joint at the end of the range does not match the motion.
         if not together and not _ALONE <= lag < _LATEST - 0.5 * _STEP:
             continue
         yield Finding(
@@ -130,7 +130,7 @@ def delay(rows: LagRows, j: int, t: Array, tau: Array) -> tuple[float, float]:
 
     inner = (rows.t >= t[0] + _LATEST) & (rows.t <= t[-1] - _LATEST)
     shifts = np.arange(-_LATEST, _LATEST + 0.5 * _STEP, _STEP)
-    # Interpolation smooths between rows; averaging first makes the noise equal for all shifts.
+    # Averaging before interpolation makes the noise of all shifts equal.
     even = uniform_filter1d(tau, max(1, round(_SMOOTH / float(np.median(np.diff(t))))))
     moved = np.stack([np.interp(rows.t[inner] + shift, t, even) for shift in shifts], axis=1)
     left = _project_out(

@@ -13,13 +13,13 @@ from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.units import backwards, unit_of_joint
 
 _SURE = 5.0  # significance threshold in standard errors
-_SCALE = 3.0  # plausible factor between measured and modelled gravity; real arms have .6 to 1.5
+_SCALE = 3.0  # plausible factor of gravity; real arms have .6 to 1.5
 _EXPLAINED = 0.8  # minimum R^2 for a scale estimate
-NO_SIGNAL = 0.35  # R^2 below which model and friction explain next to nothing
-_EXACT = 0.1  # residual share below which torques without friction were not measured
-_SEEN = 0.5  # minimum gravity torque over the residual to judge its sign
-_WEIGHTLESS = 0.1  # share of the model's gravity below which a torque contains none
-_ABOVE_LIMIT, _BELOW_OTHERS = 10.0, 30.0  # peak torque over the model's limit; others' use over own
+NO_SIGNAL = 0.35  # R^2 below which nothing is explained
+_EXACT = 0.1  # residual share of computed torques
+_SEEN = 0.5  # gravity over the residual to judge its sign
+_WEIGHTLESS = 0.1  # share of the model's gravity in weightless torques
+_ABOVE_LIMIT, _BELOW_OTHERS = 10.0, 30.0  # peak over the model's limit, others over own
 
 Explained = Mapping[int, JointTorque]  # by index of the joint
 

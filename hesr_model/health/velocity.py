@@ -13,13 +13,13 @@ from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array, Integers
 from hesr_model.units import OTHERS, TURNING, backwards
 
-_ALIKE = 0.9  # correlation below which a velocity does not belong to its position
+_ALIKE = 0.9  # correlation of a velocity with its position
 _SURE = 5.0  # significance threshold in standard errors
 _WRONG, _ODD = 0.1, 0.03  # scale errors that are an error and a warning
 _SAME = 0.04  # tolerance for the factor of a unit
 _LATE = 0.02  # reporting threshold for the lag [s]
 _LATEST = 0.3  # largest lag searched [s]
-_TURNS = 4.0 * np.pi  # travel that joints of arms do not exceed [rad]
+_TURNS = 4.0 * np.pi  # largest travel of an arm's joint [rad]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,12 +17,12 @@ from hesr_model.support import frames, html
 from hesr_model.support.arrays import Array, Integers, some_rows
 from hesr_model.support.files import PathArg, path_of, sha256, written_whole
 
-_LONGEST_GAP = 10.0  # length of a gap in usual steps; friction states are unknown after it
+_LONGEST_GAP = 10.0  # gap in usual steps; friction states are unknown after it
 _USUAL = 0.95  # share of the shortest steps, whose mean is usual
 _SHORTEST_PART = 1.0  # minimum duration of a part [s]
 _RATE_MARGIN = 1.25
 _LARGEST = 1e20  # in any unit; nanoseconds since 1970 are 2e18
-_LEAST_TRAVEL = 5e-3  # minimum travel of a joint in use [rad or m]; encoder noise is smaller
+_LEAST_TRAVEL = 5e-3  # minimum travel of a joint [rad or m]; encoder noise is smaller
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

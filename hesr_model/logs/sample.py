@@ -21,9 +21,9 @@ from hesr_model.support.arrays import Array
 
 Stratum = tuple[int, str, int]  # joint, kind of condition, and octave
 
-WINDOW = 1.0  # length of a window [s]; friction forgets its initial state
+WINDOW = 1.0  # length [s]; friction forgets its initial state
 _FASTEST = 8  # octaves of speed above `MOVING`; the last one is open
-_LEAST, _MOST = -3, 5  # octaves of torque around the root mean square of the first motion
+_LEAST, _MOST = -3, 5  # octaves of torque around the first root mean square
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,7 +102,7 @@ class Sample:
     def _shrink(self) -> None:
         if sum(len(window.motion.t) for window in self._windows) <= self._most:
             return
-        # Windows by stratum in order of choice: the smallest -log(u) / weight first.
+        # Windows by stratum, the smallest -log(u) / weight first.
         queues = {
             stratum: iter(
                 sorted(

@@ -21,9 +21,9 @@ _MOST_CSV = 2**31 - 2  # bytes of a single block
 _LONGEST_LINE = 2**24  # characters
 _DELIMITERS = ",;\t "
 _MARKS = "#%"  # marks of comments, sometimes of a header
-_SEARCHED = 500  # lines searched for data; those above the header are a preamble
+_SEARCHED = 500  # lines searched for data
 _UNIT_CELL = re.compile(r"[(\[].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad/s|deg/s|-|")
-_SINCE_1970 = 1e8  # stamps above [s] (three years) count from an epoch
+_SINCE_1970 = 1e8  # [s]; larger stamps count from an epoch
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # decimal comma
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d[T ][\d:.]+Z?")
 
@@ -71,7 +71,7 @@ class LogTable:
             unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
             cells = cells.cast(pyarrow.int64())
         whole = pyarrow.types.is_integer(cells.type) and not cells.null_count
-        # Nanoseconds since 1970 exceed the digits of a float: subtract the first stamp before.
+        # Nanoseconds since 1970 exceed the digits of a float: subtract before.
         stamps = cells.to_numpy() if whole else self._floats(name, cells, missing=missing)
         known = stamps[np.isfinite(stamps)]
         since = known[0] if len(known) and abs(float(known[0])) * unit > _SINCE_1970 else 0
@@ -220,7 +220,7 @@ def _table_in(lines: Sequence[tuple[int, str]]) -> tuple[int, int, str]:
     first = lines[1][1] if len(lines) > 1 else ""
     header = header.lstrip(_MARKS + " ")
     there = [d for d in _DELIMITERS if d in header] or [","]
-    # Names may contain other delimiters, but then rows have another length.
+    # Names may contain other delimiters.
     alike = [d for d in there if _count(header, d) == _count(first, d)] or there[:1]
     return number, number + 1, max(alike, key=lambda d: _count(header, d))
 
@@ -324,7 +324,7 @@ def _read_csv(path: Path, dialect: _Dialect) -> Any:
     options = pyarrow.csv.ReadOptions(
         column_names=names,
         skip_rows=dialect.data - 1,
-        # One block: types of columns follow from all rows, not the first megabyte.
+        # One block: types follow from all rows, not the first megabyte.
         block_size=path.stat().st_size + 1,
     )
     try:

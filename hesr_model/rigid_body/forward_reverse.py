@@ -10,8 +10,8 @@ from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
 from hesr_model.support.arrays import Array, Mask
 
-_LONGEST_SHIFT = 0.5  # latency of command and measurement, which reversal does not cancel [s]
-_LARGEST_MISMATCH = 0.1  # mean position mismatch [rad]; tracking errors of 20 mrad are harmless
+_LONGEST_SHIFT = 0.5  # latency [s] of command and measurement, which reversal keeps
+_LARGEST_MISMATCH = 0.1  # position mismatch [rad]; 20 mrad are harmless
 
 
 def matched(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:

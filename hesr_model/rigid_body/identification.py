@@ -42,7 +42,7 @@ Method = Literal["stacked", "paper"]
 Weighting = Literal["wls", "ols"]
 
 LEAST_PEAK = 0.02  # peak speed that determines an inertia [rad/s, m/s]
-_MATTERS = 1e-2  # share of the largest torque error below which others are not propagated
+_MATTERS = 1e-2  # share of the largest torque error to propagate
 AT_ONCE = 4096  # samples per evaluation of the regressor
 
 _log = logging.getLogger(__name__)

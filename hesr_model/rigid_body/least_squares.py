@@ -10,8 +10,8 @@ from hesr_model.inference.covariance import Covariance, blocks_of_time, covarian
 from hesr_model.support.arrays import Array, Integers
 
 _REWEIGHTINGS = 2
-_HUGE_CONDITION = 1e3  # threshold of a ridge; identification motions have some hundreds
-_RIDGE = 3e-3  # ridge over the largest singular value; best on poor measured logs
+_HUGE_CONDITION = 1e3  # identification motions have some hundreds
+_RIDGE = 3e-3  # over the largest singular value; best on poor logs
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

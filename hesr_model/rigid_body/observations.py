@@ -13,8 +13,8 @@ from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Integers, Mask
 
-SLOW = 0.1  # slower rows are dropped [rad/s, m/s]: their friction depends on more than velocity
-SLOW_SHARE = 0.25  # upper bound of `SLOW` over a joint's peak speed, for slow joints such as lifts
+SLOW = 0.1  # [rad/s, m/s]; slow friction depends on more than velocity
+SLOW_SHARE = 0.25  # bound of `SLOW` over the peak speed, for slow joints such as lifts
 
 
 def rubbing_speeds(motions: Sequence[Motion], model: Robot) -> Array:

@@ -29,9 +29,9 @@ _PULL = 0.2
 Chosen on measured identification logs, each left out in turn: 0.1 to 0.3 is equally good.
 """
 
-_LEAST_PULL = 1e-4  # pull of rotors that are not in the model file, just to make them unique
+_LEAST_PULL = 1e-4  # pull of unknown rotors, just to make them unique
 _REWEIGHTINGS = 2
-_SMALLEST_RADIUS = 5e-3  # radius of gyration [m] of a link about any axis at the start
+_SMALLEST_RADIUS = 5e-3  # radius of gyration [m] at the start
 _UNKNOWN_LINK = np.array([1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
 """Start of a link without mass in the model file: 1 kg with radii of gyration of 0.1 m."""
 
@@ -134,7 +134,7 @@ class _Chart:
     factors: Array  # (n, 4, 4), upper triangular B
     rotors: Array  # (r,) inertias in the model file [kg.m2], 0 if unknown
     start: Array  # (10 n + r,) of the model file
-    pull: Array  # (10 n + r,) residual per unit off the start and square root of rows
+    pull: Array  # (10 n + r,) residual per unit and square root of rows
 
     @classmethod
     def of(cls, model: Robot) -> Self:
@@ -142,7 +142,7 @@ class _Chart:
         factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]
         known = rotors > 0
-        # Near its start, twice the relative change of a square root equals that of the logarithm.
+        # Twice the relative change of a square root equals that of the logarithm.
         roots = np.sqrt(np.where(known, rotors, 1.0))
         return cls(
             factors=np.array(factors),

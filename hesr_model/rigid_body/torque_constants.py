@@ -28,11 +28,11 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 _DETERMINED = 0.2  # relative standard error of a determined constant
-_FEIGNED = 0.2  # share of friction that a wrong friction law may add to a weight
-_CHANGED = 0.02  # the same for a payload, with only differences between logs
-_LEAST_ARM = 0.05  # distance of a centre of mass to which the declared error applies [m]
+_FEIGNED = 0.2  # friction that a wrong law may add to a weight
+_CHANGED = 0.02  # the same for a payload
+_LEAST_ARM = 0.05  # smallest distance of a centre of mass [m]
 _OPEN = 3.0  # standard deviation of inertia tensors over their size
-_ROTOR = 3.0  # standard deviation of rotor inertias, which are unknown [kg.m2]
+_ROTOR = 3.0  # standard deviation of rotor inertias [kg.m2]
 _ROUNDS = 3
 
 
@@ -129,7 +129,7 @@ class _Problem:
     nominal: Array  # (P,) of the model file
     spread: Array  # (P,) standard deviations
     friction: int  # columns of each kind
-    known: float  # trusted torque [N.m]: of the payload, else of the model's weights
+    known: float  # trusted torque [N.m] of the payload or the weights
 
     @classmethod
     def of(

@@ -46,7 +46,7 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
         USED[kind, True] += 1
         return found
     try:
-        found = _read(shelf / name)  # made by the previous holder of the lock
+        found = _read(shelf / name)  # made meanwhile
         USED[kind, found is not None] += 1
         if found is None:
             found = make()
@@ -106,7 +106,7 @@ def _read(entry: Path) -> bytes | None:
     if data[:_DIGEST] != _digest(entry, content):
         return None
     with suppress(OSError):
-        os.utime(entry)  # the least recently used are pruned first
+        os.utime(entry)  # as recently used
     return content
 
 

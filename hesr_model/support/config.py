@@ -85,7 +85,7 @@ def _holder(schema: type[BaseModel], location: tuple[Any, ...]) -> type[BaseMode
         fields = [h.model_fields[part] for h in holders if part in h.model_fields]
         if fields:
             holders = [inner for field in fields for inner in _schemas_in(field.annotation)]
-        else:  # an index, a user's name, or the kind of one of several schemas
+        else:  # an index, a user's name, or a kind of schema
             holders = [h for h in holders if _is_of_kind(h, part)] or holders
     return holders[0] if holders else None
 

@@ -191,7 +191,7 @@ def written_whole(path: Path) -> Iterator[Path]:
         except OSError as error:
             raise _unwritable(path, error) from error
         yield temporary
-        # mkstemp makes files private; a result has the mode of any new file.
+        # mkstemp makes files private, unlike results.
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)

@@ -47,7 +47,7 @@ def _temperature(table: LogTable, robot: RobotDescription) -> Array | None:
 
 
 def _require_joint_count(table: LogTable, pattern: str, n: int) -> None:
-    # Ask for one joint more than the file can have; numbers replace the joint names.
+    # One joint more than the file can have, numbered.
     names = column_names(pattern, [""] * (len(table.names) + n + 1))
     there = set(table.names)
     found = next(k for k, name in enumerate(names) if name not in there)
