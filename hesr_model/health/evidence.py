@@ -126,12 +126,7 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class JointTorque:
-    """Regression of one joint's torque on the model and friction.
-
-    `gravity` and `inertia` are measured over modelled torque; a URDF has no rotor inertias.
-    `friction` is in phase with the velocity. Sizes, `residual` and `deviation` are standard
-    deviations [N.m].
-    """
+    """Regression of a joint's torque: gravity and inertia over the model's, the others in [N.m]."""
 
     gravity: Estimate
     inertia: Estimate

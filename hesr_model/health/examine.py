@@ -98,10 +98,7 @@ _SYMPTOMS = (
 
 
 def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Finding]:
-    """Replace symptoms by the causes that explain them, in the words of the symptoms.
-
-    A wrong torque sign explains symptoms of its own joint, other causes those of any joint.
-    """
+    """Replace symptoms by causes, in the words of the symptoms; torque signs explain one joint."""
     local = {name for cause in causes if cause.check == "torque-sign" for name in cause.joints}
     everywhere = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
     kept = [

@@ -28,11 +28,7 @@ _CUTOFF_SHARE = 0.3  # low pass over the sample rate
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """A robot description, and the logs read with it.
-
-    `reasons` has certainty and reason by key, as ``log.units.q``; `first` are the findings with the
-    first description.
-    """
+    """A robot description with reasons by key, logs read with it, and the `first` findings."""
 
     robot: RobotDescription
     reasons: Mapping[str, str]

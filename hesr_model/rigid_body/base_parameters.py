@@ -33,10 +33,7 @@ def dependence(model: Robot, base: tuple[int, ...]) -> Array:
 
 
 def offsets_apart(model: Robot, base: tuple[int, ...]) -> Mask:
-    """Return whether a constant torque of each coordinate is independent of `base`, (n,).
-
-    It is not if gravity is constant, as on a vertical sliding joint.
-    """
+    """Return whether constant torques are independent of `base`, as of a vertical weight."""
     columns = at_random_states(model)[:, list(base)]
     coupling = model.description.coupling
     each = np.eye(model.n) if coupling is None else coupling.forward.T

@@ -88,10 +88,7 @@ def covariance_of(
     solution: Solution,
     labels: Integers,
 ) -> Covariance:
-    """Return the covariance of a solution, from the log number `labels` (samples,).
-
-    Residuals of all blocks at one sample are summed.
-    """
+    """Return the covariance from residuals summed by sample; `labels` are log numbers."""
     labels = blocks_of_time(labels)
     size, logs = len(solution.x), int(np.max(labels)) + 1
     gradients, hessians = np.zeros((len(labels), size)), np.zeros((logs, size, size))

@@ -60,10 +60,7 @@ def stacked(
     friction: Mask,
     slow: Array | None = None,
 ) -> list[Block]:
-    """Return one block per friction coordinate: base columns, then friction columns (n, 3).
-
-    Rows below `slow` (n,) [rad/s], by default `slow_speeds`, are dropped.
-    """
+    """Return a block per friction coordinate, of rows above `slow`; friction columns are last."""
     n = model.n
     q, dq, ddq, tau = (
         np.concatenate([getattr(motion, name) for motion in motions])

@@ -19,10 +19,7 @@ def identify_again(
     *,
     reversed_logs: Sequence[Log] = (),
 ) -> RigidBody:
-    """Identify the rigid body from logs without the torque of a friction model.
-
-    `rigid_body`, used for fitting `friction`, gives the load torque. Raises ArtifactError.
-    """
+    """Identify the rigid body without the torque of `friction`, fitted with `rigid_body`."""
     joints = tuple(model.description.joints)
     if friction.joints != joints:
         raise ArtifactError(

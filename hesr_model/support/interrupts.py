@@ -8,10 +8,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Defer signals that would end the program until the short block is done.
-
-    Processes started in it begin with Ctrl-C blocked, until they have set their handlers.
-    """
+    """Defer signals that would end the program; new processes begin with Ctrl-C blocked."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
