@@ -84,7 +84,7 @@ def adaptive_component(
     """Return the equations of a joint with an adaptive law.
 
     `noise` of the unexplained torque [N.m], largest `speed` [rad/s]; `viscosity_least` keeps the
-    passivity certificate of the ripple. Raises ExportError for a law without stops and bristles.
+    passivity certificate of the ripple.
     """
     own = own_parameters(tuning, noise, speed)
     sigma = larger(own[0].symbol, _LEAST_NOISE)
@@ -226,7 +226,6 @@ def _expected(sigma: sympy.Expr) -> sympy.Expr:
 def _gains(
     tuning: Tuning, sigma: sympy.Expr, moving: sympy.Expr, saturates: sympy.Expr
 ) -> tuple[Equation, ...]:
-    """Return P phi, and the gated weights of the innovation."""
     spread, learns, settled, weight, gain = map(
         _named, ("spread", "learns", "settled", "weight", "gain")
     )

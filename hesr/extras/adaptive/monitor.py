@@ -51,10 +51,7 @@ class Alarm:
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """One joint at the end of one log; `learning` is the share of rows with adaptation.
-
-    Offset and errors in [N.m; N].
-    """
+    """One joint at the end of a log: offset and errors [N.m; N], share of rows with adaptation."""
 
     log: str
     joint: str

@@ -12,13 +12,12 @@ class Tuning:
     correlation_time : of the unexplained torque [s].
     forgetting_time : memory of the filter [s].
     level_sd, viscosity_sd : initial and largest standard deviations.
-    offset, offset_sd : limit and standard deviation, relative to the noise.
-    offset_rate : largest rate, relative to the noise [1/s].
+    offset, offset_sd, offset_rate [1/s] : limits relative to the noise.
     rest : share of the largest speed below which nothing is learned.
     outlier, clipped : limits of innovations in standard deviations.
     hold : time without learning after an outlier [s].
     carried : share of the learned factors in the next log.
-    change, change_of_offset : smallest detected change, relative to friction and noise.
+    change, change_of_offset : smallest detected change.
     alarm : threshold of the log-likelihood ratio.
     """
 

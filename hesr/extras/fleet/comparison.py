@@ -19,7 +19,7 @@ _ERROR = "rmse"
 def compared(
     robots: Sequence[RobotResult], level: float
 ) -> tuple[dict[tuple[str, str, str], dict[str, float]], list[Deviant]]:
-    """Compare the numbers of each type and law structure with at least `ENOUGH` robots.
+    """Compare numbers of a type and law structure with at least `ENOUGH` robots.
 
     Returns z by (robot, law, joint), then by name, and deviants at significance `level` (Holm).
     """

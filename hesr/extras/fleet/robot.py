@@ -87,7 +87,6 @@ def _key(member: Member, study: FleetStudy) -> str:
 
 
 def _hash(file: Path) -> str | None:
-    """Return the hash of a file; None if unreadable."""
     try:
         return sha256(file)
     except OSError:

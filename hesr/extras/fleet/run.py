@@ -23,10 +23,7 @@ ABOUT, TABLE, PAGE = "fleet.json", "fleet.parquet", "fleet.html"
 def run_fleet(
     path: Path, output: Path, *, workers: int | None = None, progress: Stages = silent
 ) -> Fleet:
-    """Process incomplete robots, compare all, and write the results.
-
-    `workers` are processes, by default one per core; 1 runs in this process.
-    """
+    """Process incomplete robots, compare all, and write the results; 1 worker is this process."""
     study = FleetStudy.read(path)
     for law in study.laws:
         estimator(law)

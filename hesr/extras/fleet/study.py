@@ -57,7 +57,7 @@ class FleetStudy(Config):
 
 @dataclass(frozen=True, kw_only=True)
 class Member:
-    """A robot of a fleet, with sorted names (paths without suffix) and files of its logs."""
+    """A robot of a fleet, with sorted names and files of its logs."""
 
     name: str
     type: str
@@ -66,7 +66,7 @@ class Member:
 
     @property
     def days(self) -> dict[str, float]:
-        """Days since the first log, by log; its index unless all names hold a date."""
+        """Days since the first log; indices unless all names hold a date."""
         found = [_day(name) for name, _ in self.logs]
         dated = [day for day in found if day is not None]
         first = min(dated, default=0)
@@ -96,7 +96,6 @@ def members(study: FleetStudy, path: Path) -> list[Member]:
 
 
 def _matching(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
-    """Return the part of a pattern without wildcards, with each matching folder."""
     parts = Path(pattern).parts
     wild = next((k for k, part in enumerate(parts) if _WILD.search(part)), len(parts) - 1)
     root = path.parent.joinpath(*parts[:wild])

@@ -64,8 +64,6 @@ _SQUARES = tuple(
 
 
 class _Bam(OneForm):
-    """A level that is a sum of non-negative terms."""
-
     terms: ClassVar[tuple[tuple[Coefficient, sympy.Expr], ...]]
     everyday = False
     classic = True

@@ -31,7 +31,7 @@ from hesr_model.laws.stops.form import DEFLECTIONS
 from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
 
 RATIO = Coefficient(name="ratio", unit="1", description="static friction over Coulomb friction")
-ATTRACTION = Coefficient(name="C", unit="1/s", description="rate at which sliding friction settles")
+ATTRACTION = Coefficient(name="C", unit="1/s", description="relaxation rate of sliding friction")
 ATTRACTION_BOUNDS = (1.0, 1e3)
 """Bounds of the rate [1/s]."""
 

@@ -56,7 +56,7 @@ class BoardLog(Config):
 class BoardFile(Config):
     """Content of a leaderboard file.
 
-    `warm_up` [s] is not scored: the initial state is unknown; `block` [s] is that of the bootstrap.
+    `warm_up` [s] is not scored: the initial state is unknown; `block` [s] is for the bootstrap.
     """
 
     name: PrintableName = Field(min_length=1)

@@ -29,10 +29,7 @@ class Interval:
 
 
 class Judge:
-    """Scores torques on the logs of one robot; `tau_std` (n,) is that of measured friction [N.m].
-
-    `warm_up` [s] is not scored; `block` [s] is that of the bootstrap.
-    """
+    """Scores torques on the logs of a robot; `tau_std` (n,) is that of measured friction [N.m]."""
 
     def __init__(self, ground: Ground, *, warm_up: float, block: float) -> None:
         parts = ground.records
@@ -92,7 +89,6 @@ class Judge:
 
 
 def _kinds(part: Sequence[FrictionRecord], rows: Mask) -> dict[Kind, Mask]:
-    """Return masks (N, n) of the kinds of rows after the warm-up."""
     fast = np.column_stack([moving(r.dq) for r in part])[rows]
     near = np.column_stack([near_reversals(r.t, r.dq) for r in part])[rows]
     return {"all": np.ones_like(fast), "moving": fast, "reversals": near, "rests": ~fast}

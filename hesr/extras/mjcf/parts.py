@@ -187,7 +187,6 @@ class _Torque:
 
 
 def _wave(term: sympy.Expr, values: Values) -> Wave | None:
-    """Return F sin(n q + c) or F cos(n q + c) as the torque on the joint."""
     for function, lead in ((sympy.sin, 0.0), (sympy.cos, math.pi / 2.0)):
         for wave in term.atoms(function):
             factor, angle = term / wave, sympy.expand_mul(wave.args[0])

@@ -45,7 +45,7 @@ _STEADY = "steadyStart"
 
 
 def export_modelica(model: FrictionModel, path: Path) -> Path:
-    """Write a friction model as a Modelica package in one file, NAME.mo with package NAME.
+    """Write a friction model as a Modelica package NAME.mo.
 
     It has the equations of each form, a block and a bearing per joint, and examples, and needs the
     Modelica Standard Library 4.0. States start as in the FMUs.

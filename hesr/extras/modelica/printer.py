@@ -69,7 +69,7 @@ class _Printer(LanguagePrinter):
 class Equations:
     """A form in Modelica: signs of inputs held between events, equations and initial states.
 
-    `beginning` is empty if a rate depends on its state: there is no closed form.
+    `beginning` is empty if a rate depends on its state (no closed form).
     """
 
     signs: Mapping[str, str]

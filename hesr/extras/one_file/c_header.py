@@ -25,7 +25,7 @@ _OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE) \w+ (\w+)\(", re.MULTIL
 
 
 def export_c(model: FrictionModel, path: Path) -> Path:
-    """Write a friction model as the C99 header NAME.h, with the prefix NAME, and its test data.
+    """Write a friction model as the C99 header NAME.h, and its test data.
 
     Torques equal those of the FMU bit for bit with the same flags and mathematical library.
     """

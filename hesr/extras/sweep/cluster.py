@@ -97,10 +97,7 @@ def run_there(
     ours: Mapping[str, bool],
     contents: Mapping[str, bytes],
 ) -> RunOutputs:
-    """Do runs (n, d) on a worker, with FMUs that came as bytes.
-
-    By file, `names` gives the hash; by hash, `ours` permits unsandboxed runs.
-    """
+    """Do runs (n, d) on a worker, with FMUs as bytes by hash; `ours` run without a sandbox."""
     folder = cache.folder() / "fmus"
     files = {}
     for name, digest in names.items():

@@ -27,10 +27,7 @@ def run_sweep(
     cluster: str | None = None,
     progress: Stages = silent,
 ) -> SweepRuns:
-    """Do all missing runs of a sweep file, and write the page.
-
-    `workers` are processes, by default one per core; 1 runs in this process.
-    """
+    """Do all missing runs of a sweep file, and write the page; 1 worker is this process."""
     try:
         plan = planned(path)
         outputs = tuple(one.name for one in plan.study.outputs)

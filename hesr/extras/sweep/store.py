@@ -87,10 +87,7 @@ class Store:
 
 @contextmanager
 def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Iterator[None]:
-    """Lock a folder with the parts in `within` and the description `about` in `file`.
-
-    Raises ConfigError for results of another "key", ArtifactError for a locked folder.
-    """
+    """Lock a folder with the parts in `within` and the description `about` in `file`."""
     what = Path(file).stem
     with ExitStack() as cleanup:
         try:

@@ -228,7 +228,6 @@ class _Problem:
         return [np.abs(tau * r.dq) for tau, r in zip(torques, self._records, strict=True)]
 
     def heated(self, thermal: Thermal, temperatures: Sequence[Array]) -> Thermal:
-        """Return the model with the best lumped mass."""
         powers = self._powers(thermal, temperatures)
         measured = np.concatenate(list(temperatures))
 

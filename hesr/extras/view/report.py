@@ -21,8 +21,7 @@ def show_arm(
     """Show the arm of a closed loop next to its commanded pose.
 
     `output` is a video (.mp4), an animation (.webp), or None for a window. By default the rigid
-    body alone and the best law are shown, with the scheme ``servo_inversion``. `magnify` scales
-    deviations from the commanded pose.
+    body alone and the best law are shown. `magnify` scales deviations.
     """
     from hesr.extras.view.runs import ViewOptions, choose
 

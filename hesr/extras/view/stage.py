@@ -146,7 +146,6 @@ def _end(model: mujoco.MjModel, prefix: str, joint: str) -> int:
 
 
 def _space(shown: Shown) -> tuple[Array, Array]:
-    """Return the bounding box of the arm over its motion [m]."""
     model = arm(shown.mjcf, shown.joints, paint=_ARM).compile()
     data = mujoco.MjData(model)
     places = [model.joint(name).qposadr[0] for name in shown.joints]
