@@ -35,12 +35,13 @@ _LOADED = 0.5  # spread of the load over that of friction
 class Separation:
     """Laws `tied` with the `best` on a joint, which a test cannot distinguish.
 
-    An error of `detectable` times the lowest would have been found; None for a short test.
+    Errors of `detectable` times the lowest would have been found, from the law with the smallest to
+    that with the largest such ratio; None for a short test.
     """
 
     best: str
     tied: tuple[str, ...]
-    detectable: float | None
+    detectable: tuple[float, float] | None
     seconds: float  # [s] test that would find `RECORDED`
 
 
@@ -117,7 +118,7 @@ def separation(scores: Comparison) -> Iterator[Separation]:
         yield Separation(
             best=best,
             tied=tuple(tied),
-            detectable=max(among) if among else None,
+            detectable=(min(among), max(among)) if among else None,
             seconds=seconds,
         )
 
@@ -191,6 +192,12 @@ def _better(scores: Comparison, law: str) -> str:
     )
 
 
+def percent_above(low: float, high: float) -> str:
+    """Return a range of ratios as percentages above 1."""
+    first, last = f"{100 * (low - 1):.0f}", f"{100 * (high - 1):.0f}"
+    return f"{first} %" if first == last else f"{first} to {last} %"
+
+
 def limits(test: str, law: str, joints: Sequence[Separation]) -> Iterator[str]:
     """Yield sentences on the limits of a test of a law."""
     short = short_names(len(joints))
@@ -204,12 +211,12 @@ def limits(test: str, law: str, joints: Sequence[Separation]) -> Iterator[str]:
         others = {one.best, *one.tied} - {law}
         if one.detectable is not None and others and law in (one.best, *one.tied):
             laws = f"{len(others)} law{'s' if len(others) > 1 else ''}"
-            parts.append(f"{laws} on {name} ({100 * (one.detectable - 1):.0f} %)")
+            parts.append(f"{laws} on {name} ({percent_above(*one.detectable)})")
     if parts:
         longest = max(one.seconds for one in joints)
         yield (
             f"{test} does not separate it from {', '.join(parts)}; in brackets the smallest "
-            "difference that would show."
+            "differences that would show."
         )
         yield f"To find {100 * (RECORDED - 1):.0f} %, record tests of about {longest:.0f} s."
 

@@ -27,7 +27,7 @@ NAMES = [
     "fourier_test",
     "chirp",
     "chirp_20s",
-    *(f"fourier_test_{k}" for k in (2, 3, 4)),
+    "fourier_80s",
 ]
 HOME = np.array([0.0, 0.3, -1.9])
 

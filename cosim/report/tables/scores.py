@@ -15,6 +15,7 @@ from cosim.report.tables.table import (
 )
 from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratio
+from cosim.study.verdict import percent_above, separation
 from hesr_model.friction.metrics import BandScore
 from hesr_model.units import unit_of_joints
 
@@ -82,14 +83,11 @@ def separations(name: str, scores: Comparison) -> ResultTable | None:
     if not scores.detectable:
         return None
     rows = []
-    for short, leading, found, seconds in zip(
-        joints(len(scores.joints)), scores.leading, scores.detectable, scores.seconds, strict=True
-    ):
-        best, *tied = leading
-        sizes = [found[law] for law in tied or found if law in found]
-        detectable = f"{100 * (max(sizes) - 1):.0f} %" if sizes else "too short"
-        names = ", ".join(map(title, tied)) or "none"
-        rows.append(row_of(short, title(best), names, detectable, f"{seconds:.0f} s"))
+    shorts = joints(len(scores.joints))
+    for short, one in zip(shorts, separation(scores), strict=True):
+        shown = percent_above(*one.detectable) if one.detectable else "too short"
+        names = ", ".join(map(title, one.tied)) or "none"
+        rows.append(row_of(short, title(one.best), names, shown, f"{one.seconds:.0f} s"))
     return ResultTable(
         caption=f"{name}: laws that the test does not separate from the one with the lowest error",
         head=("joint", "lowest error", "not separated", "would show", "for 10 %"),
