@@ -70,15 +70,14 @@ def errors(results: Results, law: str) -> ResultTable:
     if found := _reference(scores, law):
         references, ratios, role = found
         head += ["reference", "ratio"]
-        names = list(map(title, references))
-        same = len(set(names)) == 1
-        caption += f" and of {names[0]}, {role}" if same else f" and of {role} of each joint"
-        caption += "; small: 95\u00a0% interval"
+        where: dict[str, list[str]] = {}
+        for short, reference in zip(results.joints, references, strict=True):
+            where.setdefault(title(reference), []).append(short)
+        names = "; ".join(f"{name} on {', '.join(of)}" for name, of in where.items())
+        said = f"{next(iter(where))}, {role}" if len(where) == 1 else f"{role} ({names})"
+        caption += f" and of {said}; small: 95\u00a0% interval"
         columns += [
-            [
-                fixed(scores.laws[r].rmse[k], places, notes=() if same else (title(r),))
-                for k, r in enumerate(references)
-            ],
+            [fixed(scores.laws[r].rmse[k], places) for k, r in enumerate(references)],
             [fixed(ratio.value, 2, notes=ratio_notes(ratio)[1:]) for ratio in ratios],
         ]
     rows = [row_of(*cells) for cells in zip(results.joints, *columns, strict=True)]
