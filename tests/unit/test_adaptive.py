@@ -1,4 +1,4 @@
-"""Friction that is followed: what adapts, when it stays, and that it never gives energy."""
+"""Adaptive friction: adaptation, standstill and passivity."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def steady(law: FrictionLaw, seconds: float = 60.0, *, seed: int = 0, level: flo
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_without_adaptation_it_is_the_law(law) -> None:
+def test_without_adaptation_the_law_is_unchanged(law) -> None:
     record = steady(law(), 5.0)
     found = followed(record, law(), adapt=False)
     np.testing.assert_allclose(found.outputs["tau"], predict_record(law(), record), rtol=1e-12)
@@ -44,7 +44,7 @@ def test_without_adaptation_it_is_the_law(law) -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_factors_are_found(law) -> None:
+def test_true_factors_are_found(law) -> None:
     found = followed(steady(law(), 90.0, level=1.15, viscosity=0.8), law()).outputs
     assert found["level"][-1] == pytest.approx(1.15, abs=0.04)
     assert found["viscosity"][-1] == pytest.approx(0.8, abs=0.06)
@@ -54,7 +54,7 @@ def test_factors_are_found(law) -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_fit_that_is_right_stays(law) -> None:
+def test_a_correct_fit_does_not_drift(law) -> None:
     record = steady(law(), 60.0)
     found = followed(record, law())
     worse = np.mean((found.outputs["tau"] - record.tau) ** 2) / np.mean(
@@ -65,7 +65,7 @@ def test_a_fit_that_is_right_stays(law) -> None:
 
 
 def at_work(law: FrictionLaw) -> tuple[ComponentRun, tuple[str, ...], tuple[str, ...]]:
-    """A run that has adapted for half a minute, and the names of what it returns and remembers."""
+    """A run after half a minute of adaptation, with the names of its outputs and states."""
     component = adaptive_component(law, TUNING, noise=NOISE, speed=SPEED)
     steps = Steps(component)
     values = law.values | {"noise": NOISE, "speed_least": 0.02 * SPEED, "level_start": 1.0,
@@ -96,7 +96,9 @@ def kept(run: ComponentRun, names: tuple[str, ...]) -> list[float]:
         (4.0, (0.5, 0.0, 5.0, np.inf, 5.0, 1.0)),
     ],
 )
-def test_factors_stay_and_health_says_why(reason: float, inputs: tuple[float, ...]) -> None:
+def test_factors_freeze_and_health_gives_the_reason(
+    reason: float, inputs: tuple[float, ...]
+) -> None:
     run, names, remembered = at_work(stops())
     before = kept(run, remembered)
     for _ in range(200):
@@ -113,7 +115,7 @@ def test_an_hour_at_rest_changes_nothing() -> None:
     assert kept(run, remembered) == before
 
 
-def test_a_motor_that_saturates_teaches_nothing() -> None:
+def test_a_saturated_motor_is_not_learned() -> None:
     law = lugre()
     component = adaptive_component(law, TUNING, noise=NOISE, speed=SPEED)
     values = law.values | {"noise": NOISE, "torque_limit": 30.0, "level_start": 1.0,
@@ -139,8 +141,8 @@ def test_a_collision_is_not_learned(law) -> None:
     assert not np.any(struck["shift"])
 
 
-def test_steps_of_any_length_learn_alike() -> None:
-    """What is learned follows from time, not from how many samples there are."""
+def test_learning_does_not_depend_on_the_step() -> None:
+    """Learning depends on elapsed time, not on the number of samples."""
     law = lugre()
     found = []
     for step in (0.002, 0.01):
@@ -162,7 +164,7 @@ def test_the_offset_moves_slowly() -> None:
 # --- the certificate --------------------------------------------------------------------------
 
 
-def test_viscous_friction_stays_above_what_ripple_needs() -> None:
+def test_viscous_friction_stays_above_the_bound_for_ripple() -> None:
     law = stops()
     least = least_viscosity(law)
     assert 0.0 < least < 1.0
@@ -175,7 +177,8 @@ def test_viscous_friction_stays_above_what_ripple_needs() -> None:
 
 
 def fuzzed(steps: int, seed: int) -> None:
-    """Random torques, jumps, saturations and what is no number: no energy, all in the box."""
+    """Random torques, jumps, saturation and NaN: no energy is generated, all factors stay in the
+    box."""
     law = stops(ripple=())
     component = adaptive_component(law, TUNING, noise=NOISE, speed=SPEED)
     names = ["tau", "level", "viscosity", "offset", "level_sd", "viscosity_sd", "offset_sd"]
@@ -211,26 +214,26 @@ def fuzzed(steps: int, seed: int) -> None:
             assert np.all((low - 1e-12 <= seen[1:]) & (np.array(seen[1:]) <= high + 1e-12))
 
 
-def test_no_energy_is_given_whatever_is_measured() -> None:
+def test_no_measurement_generates_energy() -> None:
     fuzzed(10_000, 0)
 
 
 @pytest.mark.soak
-def test_no_energy_is_given_in_a_million_adaptations() -> None:
+def test_a_million_adaptations_generate_no_energy() -> None:
     fuzzed(1_000_000, 1)
 
 
-# --- what is refused --------------------------------------------------------------------------
+# --- refusals ---------------------------------------------------------------------------------
 
 
-def test_a_law_without_bounds_cannot_be_followed() -> None:
+def test_a_law_without_bounds_cannot_adapt() -> None:
     law = FrictionLaw(name="stribeck", form=Stribeck.form({}), values={
         "F_c": 1.0, "F_s": 1.0, "v_s": 0.1, "sigma_2": 1.0, "tau_0": 0.0})  # fmt: skip
     with pytest.raises(ExportError, match="has neither stops nor bristles"):
         adaptive_components(model(law))
 
 
-def test_what_a_model_must_say() -> None:
+def test_incomplete_models_are_refused() -> None:
     known = model(lugre())
     with pytest.raises(SimulationError, match="adaptation needs its training ranges and errors"):
         adaptive_components(replace(known, training_rmse=()))
@@ -241,6 +244,6 @@ def test_what_a_model_must_say() -> None:
         Follower(known).follow([])
 
 
-def test_noise_is_what_it_says() -> None:
+def test_noise_has_the_stated_level() -> None:
     found = coloured(200_000, STEP, 0.1, 2.0, 0)
     assert found.std() == pytest.approx(2.0, rel=0.05)

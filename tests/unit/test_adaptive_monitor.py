@@ -1,4 +1,4 @@
-"""Friction over days: what is found, in which joint, and what it points to."""
+"""Friction over days: changes found, the joint concerned and the likely cause."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ MODEL = model(lugre(), lugre(), lugre())
 
 def day(log: str, seed: int, *, seconds: float = 45.0, worn: tuple[int, ...] = (),
         offset: float = 0.0) -> list[FrictionRecord]:  # fmt: skip
-    """Records of three joints; friction of worn ones rises by a quarter after 20 s."""
+    """Records of three joints; friction of worn joints rises by a quarter after 20 s."""
     found = []
     for k, joint in enumerate(MODEL.joints):
         rise = 0.25 * float(k in worn)
@@ -28,7 +28,7 @@ def day(log: str, seed: int, *, seconds: float = 45.0, worn: tuple[int, ...] = (
     return found
 
 
-def test_wear_is_found_in_its_joint_and_carried_on() -> None:
+def test_wear_is_found_in_its_joint_and_carried_over() -> None:
     watched = watch(MODEL, [day("one", 0), day("two", 1, worn=(1,)), day("three", 2)])
     assert {(a.log, a.joint, a.kind, a.sign) for a in watched.alarms if a.log != "three"} == {
         ("two", "j2", "drift", 1)
@@ -39,25 +39,25 @@ def test_wear_is_found_in_its_joint_and_carried_on() -> None:
     level = {(s.log, s.joint): s.level for s in watched.states}
     assert level["two", "j2"] > 1.07
     assert abs(level["two", "j1"] - 1.0) < 0.05
-    # Half of what was learned stands at the beginning of the next log.
+    # The next log starts with half of the learned change.
     carried = watched.followed[2][1].outputs["level"][0] - 1.0
     assert carried == pytest.approx(TUNING.carried * (level["two", "j2"] - 1.0), abs=1e-12)
     assert all(0.9 < s.learning <= 1.0 for s in watched.states)
 
 
-def test_what_all_joints_do_is_no_wear() -> None:
+def test_a_change_common_to_all_joints_is_not_wear() -> None:
     watched = watch(MODEL, [day("one", 3, worn=(0, 1, 2))])
     assert {(a.kind, a.sign) for a in watched.alarms} == {("shared drift", 1)}
 
 
-def test_a_load_is_no_friction() -> None:
+def test_a_load_is_not_taken_for_friction() -> None:
     watched = watch(MODEL, [day("one", 4, offset=3.0)])
     assert [(a.joint, a.kind, a.sign) for a in watched.alarms][:1] == [("j1", "shift", 1)]
     assert not any("drift" in a.kind for a in watched.alarms)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_change_is_shared_by_more_than_half_of_the_joints(sign: int) -> None:
+def test_a_common_change_needs_more_than_half_of_the_joints(sign: int) -> None:
     assert shared_signs([("j1", sign), ("j2", sign), ("j3", -sign)], 3) == [sign]
     assert shared_signs([("j1", sign), ("j1", sign)], 3) == []
     assert shared_signs([("j1", sign), ("j2", -sign)], 2) == []

@@ -1,4 +1,4 @@
-"""What a joint goes through, with known truth: it warms up, wears, and works for days."""
+"""Adaptation in scenarios with known truth: warm-up, wear and days of work."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,13 +17,13 @@ from hesr_model.friction.metrics import rmse
 from hesr_model.rigid_body.residual import FrictionRecord
 
 WARM_UP = 1200.0
-"""[s] in which 30 % of viscous and 10 % of Coulomb friction are lost."""
+"""Time [s] after which 30 % of viscous and 10 % of Coulomb friction are lost."""
 
 
 def warming(law: FrictionLaw, seconds: float, *, begin: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the error of the fixed and of the followed law on a joint that has warmed up.
+    """Return the errors of the fixed and the adaptive law on a joint that has warmed up.
 
-    The first minute is learned, noise is left out of what is compared.
+    The first minute is for learning; noise is excluded from the comparison.
     """
     t, dq, q, load = motion(seconds, 3)
 
@@ -39,7 +39,7 @@ def warming(law: FrictionLaw, seconds: float, *, begin: float) -> tuple[np.ndarr
 
 
 @pytest.mark.parametrize("law", [lugre, stops])
-def test_drift_of_a_warm_up_is_cut_within_a_minute_of_motion(law) -> None:
+def test_warm_up_drift_is_cut_within_a_minute_of_motion(law) -> None:
     fixed, followed = warming(law(), 120.0, begin=900.0)
     assert rmse(followed) <= 0.3 * rmse(fixed)
 
@@ -51,7 +51,8 @@ FACTORED = Factored(lugre())
 def worked(
     seed: int, seconds: float, step: float, correlation: float, level: Callable[[Array], Array]
 ) -> FrictionRecord:
-    """Return what a joint with a level that is a function of time does, with coloured noise."""
+    """Return the signals of a joint whose friction level is a function of time, with coloured
+    noise."""
     t, dq, q, load = motion(seconds, seed, step=step)
     clean = FrictionRecord(log="", joint="j1", t=t, dq=dq, q=q, tau_load=load, tau=t)
     torque = FACTORED.torque(clean, level(t), np.ones_like(t))
@@ -66,7 +67,7 @@ def side_by_side(
     correlation: float,
     level: Callable[[Array], Array],
 ) -> tuple[Array, Lanes]:
-    """Follow a joint of every seed at once; return time (N,) and alarms (N, seeds)."""
+    """Adapt one joint per seed in parallel; return time (N,) and alarms (N, seeds)."""
     law, records = lugre(), [worked(seed, seconds, step, correlation, level) for seed in seeds]
     dq, q, load, friction = (
         np.stack([getattr(r, name) for r in records], axis=1)
@@ -87,7 +88,7 @@ def side_by_side(
     return t, {n: np.stack(np.broadcast_arrays(*c, dq[0])[:-1]) for n, c in columns}
 
 
-def test_lanes_are_runs() -> None:
+def test_parallel_lanes_equal_single_runs() -> None:
     _, lanes = side_by_side(range(2), 5.0, step=STEP, correlation=0.1, level=np.ones_like)
     for seed in range(2):
         record = worked(seed, 5.0, STEP, 0.1, np.ones_like)
@@ -96,7 +97,7 @@ def test_lanes_are_runs() -> None:
 
 
 def wear_found(seeds: range, step: float = STEP) -> Array:
-    """Return the times in motion until wear of 25 % is found [s]; none is found before it."""
+    """Return the times in motion until 25 % wear is found [s]; no alarm comes earlier."""
     t, lanes = side_by_side(
         seeds, 120.0, step=step, correlation=0.1, level=lambda t: 1.0 + 0.25 * (t > 60.0)
     )
@@ -115,9 +116,9 @@ def test_wear_is_found_in_most_seeds() -> None:
 
 
 def alarms(hours: float, seeds: range) -> int:
-    """Return in how many rows of steady work there is an alarm, so many hours of each seed.
+    """Return the number of alarm rows in the given hours of steady work of each seed.
 
-    The noise has the correlation time that the filter expects: whitened, innovations are white.
+    The noise has the correlation time the filter expects: whitened innovations are white.
     """
     _, lanes = side_by_side(
         seeds, 3600.0 * hours, step=0.1, correlation=TUNING.correlation_time, level=np.ones_like
@@ -125,7 +126,7 @@ def alarms(hours: float, seeds: range) -> int:
     return int(np.count_nonzero(lanes["drift"]) + np.count_nonzero(lanes["shift"]))
 
 
-def test_steady_work_gives_no_alarm() -> None:
+def test_steady_work_raises_no_alarm() -> None:
     assert alarms(0.05, range(40)) == 0
 
 

@@ -1,4 +1,4 @@
-"""The audit against laws whose verdict is known, and against the published ones."""
+"""The audit on laws with a known verdict, and on the published laws."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -128,7 +128,7 @@ def coasting(of: FrictionLaw, inertia: float, dt: float) -> float:
     return max(map(abs, speeds[1:]))
 
 
-def test_the_slower_the_cycle_the_more_table_1_generates(
+def test_table_1_generates_more_in_slower_cycles(
     table_1: tuple[FrictionLaw, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "FREQUENCIES", (0.01,))
@@ -151,16 +151,16 @@ def test_stribeck_and_lugre_are_passive(passive: FrictionLaw, sample_time: float
 
 
 @pytest.mark.parametrize("biased", [stribeck(tau_0=-15.0), lugre(tau_0=-15.0)])
-def test_an_offset_drives_one_way_and_generates_nothing(biased: FrictionLaw) -> None:
+def test_an_offset_drives_one_way_but_generates_no_energy(biased: FrictionLaw) -> None:
     found = audit(biased, TRAINED)
-    # Where 9 + 3 exp(-(v/0.05)^2) + 8 v < 15.
+    # Condition: 9 + 3 exp(-(v/0.05)^2) + 8 v < 15.
     assert found.driving == (pytest.approx((0.0, 0.75), rel=1e-3),)
     assert found.driving_both_ways == ()
     assert found.generated == 0.0
 
 
-def test_a_torque_of_position_alone_does_no_work_however_fast_it_changes() -> None:
-    # Twelve times per turn of a motor behind 101:1: faster than the samples at full speed.
+def test_a_torque_of_position_alone_does_no_work() -> None:
+    # Twelve times per turn of a motor behind 101:1: above the sampling rate at full speed.
     ripple = law(3.0 * sympy.cos(1212.0 * Q) + 5.0 + 2.0 * TAU_LOAD)
     found = audit(ripple, TRAINED)
     assert found.generated == 0.0
@@ -170,7 +170,7 @@ def test_a_torque_of_position_alone_does_no_work_however_fast_it_changes() -> No
     assert braked.largest == pytest.approx(4.0, rel=1e-3)
 
 
-def test_ranges_of_velocity_end_where_the_torque_changes_sign() -> None:
+def test_velocity_ranges_end_at_sign_changes_of_the_torque() -> None:
     found = audit(law(DQ * (DQ - 0.3) * (DQ - 0.7) * (DQ + 0.501)), TRAINED)
     assert found.driving == (
         pytest.approx((-1.2, -0.501), rel=1e-3),
@@ -182,7 +182,7 @@ def test_ranges_of_velocity_end_where_the_torque_changes_sign() -> None:
     assert audit(law(-DQ), TRAINED).driving == ((-1.2, 1.2),)
 
 
-def test_the_worst_trained_load_counts() -> None:
+def test_the_worst_trained_load_decides() -> None:
     found = audit(law((1.0 - TAU_LOAD / 20.0) * sgn(DQ)), TRAINED)
     assert found.driving == ((-1.2, 1.2),)
     assert found.generating is not None
@@ -190,15 +190,15 @@ def test_the_worst_trained_load_counts() -> None:
     # Four quarters of amplitude / (2 pi frequency), each against -1 N.m.
     assert found.generated == pytest.approx(4.0 * 1.2 / (2.0 * np.pi * 0.05), rel=1e-3)
     assert audit(law(absolute(TAU_LOAD) * sgn(DQ)), TRAINED).generated == 0.0
-    # Without load this one drives.
+    # Without load this law drives.
     unloaded = law((absolute(TAU_LOAD) - 5.0) * sgn(DQ))
     assert audit(unloaded, TRAINED).driving == ((-1.2, 1.2),)
     assert audit(unloaded, replace(TRAINED, tau_load=(6.0, 40.0))).driving == ()
 
 
 @pytest.mark.parametrize("discretisation", ["exact", "euler"])
-def test_a_state_counts_as_it_is_when_sliding_is_steady(discretisation: str) -> None:
-    # x settles at -dq / 2, which outweighs dq / 3.
+def test_states_are_taken_in_steady_sliding(discretisation: str) -> None:
+    # x settles at -dq / 2, which exceeds dq / 3.
     slow = law(
         DQ / 3.0 + symbol("x"),
         first_order(sympy.Integer(2), -DQ),
@@ -207,7 +207,7 @@ def test_a_state_counts_as_it_is_when_sliding_is_steady(discretisation: str) -> 
     found = audit(slow, TRAINED)
     assert found.driving == ((-1.2, 1.2),)
     assert found.generating is not None
-    # The damping at w is Re(1/3 - 1/(2 + j w)), the work damping amplitude^2 / (2 f).
+    # The damping at w is Re(1/3 - 1/(2 + j w)); the work is damping amplitude^2 / (2 f).
     damping = 1.0 / 3.0 - 2.0 / (4.0 + (2.0 * np.pi * 0.05) ** 2)
     assert found.generated == pytest.approx(-damping * 1.2**2 / (2.0 * 0.05), rel=0.03)
 
@@ -225,7 +225,7 @@ def test_slopes_at_rest() -> None:
     assert (constant.jump, constant.slope, constant.slope_of_step) == (0.0, 0.0, 0.0)
 
 
-def test_the_slope_is_that_of_the_start_states() -> None:
+def test_the_slope_is_taken_at_the_start_states() -> None:
     state = symbol("x")
     # The derivative of the state follows the velocity before the state does.
     of_start = law(DQ * state, first_order(sympy.Integer(40)), start=(3.0,))
@@ -243,8 +243,8 @@ def test_a_jump_has_no_slope() -> None:
 
 
 @pytest.mark.parametrize("share", [0.4, 0.6])
-def test_a_jump_is_what_most_of_the_rise_over_rest_is(share: float) -> None:
-    """A law that jumps, and rises so steeply that little of the change at rest is the jump."""
+def test_a_jump_needs_most_of_the_rise_across_rest(share: float) -> None:
+    """A law with a jump and a slope so steep that the jump is little of the change at rest."""
     found = audit(law(share * sgn(DQ) + (1.0 - share) * 1e6 * DQ), TRAINED)
     if share < 0.5:
         assert (found.jump, found.slope) == (0.0, pytest.approx(1e6))
@@ -252,20 +252,20 @@ def test_a_jump_is_what_most_of_the_rise_over_rest_is(share: float) -> None:
         assert (found.jump, found.slope) == (pytest.approx(2.0 * share, rel=2e-3), None)
 
 
-def test_the_worst_load_counts_at_rest() -> None:
+def test_the_worst_load_decides_at_rest() -> None:
     found = audit(law(0.1 * absolute(TAU_LOAD) * DQ), TRAINED)
     assert found.slope == pytest.approx(4.0)
     assert found.chatter == pytest.approx(4.0 * np.sqrt(2.0) * ENCODER / 0.005, rel=0.03)
 
 
-def test_chatter_is_encoder_noise_through_the_law() -> None:
+def test_chatter_is_the_response_to_encoder_noise() -> None:
     assert audit(law(3.0 * DQ), TRAINED).chatter == pytest.approx(
         3.0 * np.sqrt(2.0) * ENCODER / 0.005, rel=0.03
     )
     assert audit(law(1e5 * Q), TRAINED).chatter == pytest.approx(1e5 * ENCODER, rel=0.03)
 
 
-# --- outside ----------------------------------------------------------------------------------
+# --- beyond the trained range -----------------------------------------------------------------
 
 
 def test_largest_torques_inside_and_just_outside() -> None:
@@ -285,7 +285,7 @@ def test_largest_torques_inside_and_just_outside() -> None:
         (1 / (DQ - 1.8), True),  # infinite at the edge
     ],
 )
-def test_what_explodes_outside_is_refused(output: sympy.Expr, refused: bool) -> None:
+def test_explosion_beyond_the_range_is_detected(output: sympy.Expr, refused: bool) -> None:
     one = law(output)
     assert explodes(one, TRAINED) is refused
     found = audit(one, TRAINED)
@@ -293,7 +293,7 @@ def test_what_explodes_outside_is_refused(output: sympy.Expr, refused: bool) -> 
     to_json(found)
 
 
-def test_a_law_that_cannot_be_run_outside_explodes() -> None:
+def test_a_law_that_fails_beyond_the_range_explodes() -> None:
     # rate * dt reaches 1 at 1.5 rad/s.
     unstable = law(
         symbol("x"), first_order(absolute(DQ) / 0.0075, DQ / 0.0075), discretisation="euler"
@@ -304,14 +304,14 @@ def test_a_law_that_cannot_be_run_outside_explodes() -> None:
     assert explodes(unstable, TRAINED)
 
 
-def test_a_rate_that_would_be_negative_is_guarded_and_does_not_explode() -> None:
-    # Without the guard the state would grow by e^12 in a cycle outside of the trained range.
+def test_a_guarded_negative_rate_does_not_explode() -> None:
+    # Without the guard the state would grow by e^12 in a cycle beyond the trained range.
     guarded = law(symbol("x"), first_order(1.5 - DQ))
     assert not explodes(guarded, TRAINED)
     assert np.isfinite(audit(law(symbol("x"), first_order(0.5 - DQ)), TRAINED).largest)
 
 
-def test_what_fails_within_the_trained_range_cannot_be_audited() -> None:
+def test_a_law_that_fails_within_the_range_cannot_be_audited() -> None:
     with pytest.raises(SimulationError, match=r"^law 'test': torque is not finite within"):
         audit(law(sympy.exp(2000 * DQ)), TRAINED)
 
@@ -320,16 +320,16 @@ def test_what_fails_within_the_trained_range_cannot_be_audited() -> None:
 
 
 @pytest.mark.parametrize("audited", [stribeck(), lugre(), law(-DQ)])
-def test_an_audit_is_json_and_reproducible(audited: FrictionLaw) -> None:
+def test_an_audit_survives_json_and_is_reproducible(audited: FrictionLaw) -> None:
     found = audit(audited, TRAINED)
     assert from_json(Audit, to_json(found), Path("audit.json"), "an audit") == found
     assert audit(audited, TRAINED) == found
 
 
-def test_the_work_of_a_cycle_is_that_of_the_frequency_that_it_states(
+def test_the_work_of_a_cycle_is_that_of_the_stated_frequency(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    # A damper of -1 N.m.s/rad gives amplitude^2 / (2 f).
+    # A damper of -1 N.m.s/rad generates amplitude^2 / (2 f).
     for sample_time, frequency in ((0.005, 0.05), (0.0106, 0.0507), (0.1, 1.0)):
         monkeypatch.setattr(module, "FREQUENCIES", (frequency,))
         found = audit(law(-DQ), replace(TRAINED, sample_time=sample_time)).generating
@@ -352,7 +352,7 @@ def record(dq: list[float], log: str = "run", dt: float = 0.01) -> FrictionRecor
     )
 
 
-def test_ranges_are_those_of_all_records() -> None:
+def test_ranges_cover_all_records() -> None:
     trained = TrainedRange.of([record([-0.5, 0.0, 0.1, 0.2]), record([0.0, 0.7, 0.1], dt=0.02)])
     assert trained.sample_time == 0.01
     assert trained.dq == (-0.5, 0.7)
@@ -373,13 +373,13 @@ def test_ranges_are_those_of_all_records() -> None:
         ({"sample_time": 0.0}, "needed are motion and a positive time"),
     ],
 )
-def test_ranges_that_are_none_are_refused(change: dict[str, object], message: str) -> None:
+def test_invalid_ranges_are_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(ArtifactError, match=message):
         replace(TRAINED, **change)
 
 
 @pytest.mark.parametrize("wrong", [{}, {"dq": [1.0]}, {"dq": 3}, {"dq": ["a", "b"]}])
-def test_range_data_that_are_none_are_refused(wrong: dict[str, object]) -> None:
+def test_invalid_range_data_are_refused(wrong: dict[str, object]) -> None:
     data = to_json(TRAINED) | wrong
     if not wrong:
         del data["tau"]
@@ -388,7 +388,7 @@ def test_range_data_that_are_none_are_refused(wrong: dict[str, object]) -> None:
         from_json(TrainedRange, data, Path("x.json"), "a range")
 
 
-def test_which_inputs_leave_the_trained_range_and_how_far() -> None:
+def test_excess_over_the_trained_range_is_reported_per_input() -> None:
     trained = TrainedRange.of([record([-0.5, 0.5])])
     assert outside(trained, [record([-0.4, 0.5, -0.5])]) == {}
     wider = replace(trained, q=(-9.0, 9.0))
@@ -404,8 +404,8 @@ def test_which_inputs_leave_the_trained_range_and_how_far() -> None:
 
 
 @pytest.mark.parametrize("sample_time", [0.005, 0.0106, 0.4])
-def test_closed_motions_settle_and_pass_each_position_once_each_way(sample_time: float) -> None:
-    """Three seconds or more of whole half cycles, then a cycle of samples that lie in pairs."""
+def test_closed_motions_settle_and_pass_each_position_twice(sample_time: float) -> None:
+    """At least three seconds of whole half cycles, then one cycle of paired samples."""
     trained = replace(TRAINED, sample_time=sample_time, q=(0.2, 1.0))
     amplitudes = np.array([0.5, 1.2])
     found = cycles.closed_motions(trained, amplitudes, 0.25)
@@ -413,7 +413,7 @@ def test_closed_motions_settle_and_pass_each_position_once_each_way(sample_time:
     assert found.rows == 2 * half
     assert found.frequency == pytest.approx(0.5 / (half * sample_time))
     before = found.dq.shape[1] - found.rows
-    assert (before % half, before // half) == (0, 2)  # of two seconds each
+    assert (before % half, before // half) == (0, 2)  # two seconds each
     t = sample_time * (np.arange(found.dq.shape[1]) - before)
     rate = 2.0 * np.pi * found.frequency
     np.testing.assert_allclose(found.dq, amplitudes[:, None] * np.cos(rate * t), atol=1e-12)
@@ -422,10 +422,10 @@ def test_closed_motions_settle_and_pass_each_position_once_each_way(sample_time:
 
 
 def test_work_is_power_over_the_settled_cycle() -> None:
-    """A damper of 2 N.m.s/rad takes amplitude^2 / f, all of it against the motion."""
+    """A damper of 2 N.m.s/rad dissipates amplitude^2 / f, all of it against the motion."""
     motions = cycles.closed_motions(TRAINED, np.array([0.5, 1.0]), 0.5)
     tau = 2.0 * motions.dq
-    tau[:, : -motions.rows] = 1e6  # before, nothing counts
+    tau[:, : -motions.rows] = 1e6  # rows before the cycle do not count
     for one, amplitude in zip(cycles.cycles(motions, 7.0, tau), (0.5, 1.0), strict=True):
         assert (one.amplitude, one.frequency, one.tau_load) == (amplitude, 0.5, 7.0)
         assert (one.work, one.share) == pytest.approx((amplitude**2 / 0.5, 1.0))
@@ -435,8 +435,8 @@ def test_work_is_power_over_the_settled_cycle() -> None:
     assert (spring.work, spring.share) == (0.0, 0.0)
 
 
-def test_noise_at_rest_is_that_of_the_encoder() -> None:
-    """Three seconds to settle, then 4000 rows; the velocity is the backward difference."""
+def test_noise_at_rest_is_encoder_noise() -> None:
+    """Three seconds to settle, then 4000 rows; velocity is the backward difference."""
     trained = replace(TRAINED, sample_time=0.01, q=(0.2, 1.0))
     dq, q, settling = cycles.encoder_noise(trained)
     noise = ENCODER * standard_normal(0, 0, np.arange(4301))

@@ -1,4 +1,4 @@
-"""Where states begin: in the steady state of the first inputs in motion, at their start at rest."""
+"""Initial states: the steady state of the first inputs in motion, the start values at rest."""
 
 from collections.abc import Sequence
 
@@ -42,7 +42,7 @@ def law(memory: Sequence[Element], start: tuple[float, ...] = ()) -> FrictionLaw
 
 @pytest.mark.parametrize("memory", ELEMENTS.values(), ids=ELEMENTS)
 @pytest.mark.parametrize("dq", [-3.0, -0.5, MOVING, 0.1, 1.0])
-def test_nothing_moves_any_more_where_the_first_inputs_stay(
+def test_states_are_stationary_under_the_first_inputs(
     memory: tuple[Element, ...], dq: float
 ) -> None:
     own = law(memory)
@@ -51,32 +51,32 @@ def test_nothing_moves_any_more_where_the_first_inputs_stay(
     inputs = {"t": t, "dq": dq * held, "tau_load": -0.7 * held}
     there = predict(own, **inputs)
     np.testing.assert_allclose(there, there[0], rtol=1e-9)
-    # From far away it comes to the same place.
+    # A distant starting point leads to the same state.
     away = tuple(0.3 * x - 0.01 for x in begun)
     assert predict(own, **inputs, start=away)[-1] == pytest.approx(there[0], rel=1e-6)
 
 
 @pytest.mark.parametrize("memory", ELEMENTS.values(), ids=ELEMENTS)
-def test_the_start_fades_out_up_to_motion(memory: tuple[Element, ...]) -> None:
+def test_the_start_value_fades_out_towards_motion(memory: tuple[Element, ...]) -> None:
     start = tuple(0.1 * (k + 1) for k in range(len(memory)))
     own = law(memory, start)
     assert first_states(own, 0.0, tau_load=0.7) == start
     assert first_states(own, 1e-9, tau_load=0.7) == pytest.approx(start)
     speeds = np.linspace(0.0, MOVING, 400)
     rows = np.array([first_states(own, v, tau_load=0.7) for v in speeds])
-    # The steepest place of a smooth step is half as steep again as its mean.
+    # A smooth step is at most 1.5 times as steep as its mean.
     assert np.abs(np.diff(rows, axis=0)).max() < 2.0 / len(rows) * np.ptp(rows, axis=0).max()
     assert first_states(own, MOVING, tau_load=0.7) == pytest.approx(
         first_states(law(memory), MOVING, tau_load=0.7)
     )
 
 
-def test_a_state_that_settles_nowhere_begins_at_its_start() -> None:
+def test_a_state_without_steady_state_starts_at_its_start_value() -> None:
     way = Relaxation(name="z", unit="rad", drive=DQ, rate=sympy.Integer(0))
     assert first_states(law([way], (0.4,)), 0.7) == (0.4,)
 
 
-def test_a_stepper_begins_with_its_first_inputs() -> None:
+def test_a_stepper_starts_from_its_first_inputs() -> None:
     own = law(ELEMENTS["relaxation"])
     one, other = Stepper(own), Stepper(own, start=(0.2,))
     assert one.step(0.0, 0.5) == predict(own, t=[0.0], dq=[0.5])[0] == pytest.approx(1.5)

@@ -1,4 +1,4 @@
-"""Text, data and names from anybody's files, at the limits of what is taken."""
+"""Texts, data and names from untrusted files, at their limits."""
 
 import json
 import os
@@ -25,7 +25,7 @@ def refused(make: Callable[[], object]) -> str:
     return ""
 
 
-def test_texts_are_as_long_as_they_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_length_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert bounded.MOST_BYTES == 256 * 1024 * 1024
     monkeypatch.setattr(bounded, "MOST_BYTES", 2**21)
     path = tmp_path / "text"
@@ -33,7 +33,7 @@ def test_texts_are_as_long_as_they_may(tmp_path: Path, monkeypatch: pytest.Monke
     assert len(read_text(path)) == 2**21
     path.write_bytes(b"x" * (2**21 + 1))
     assert refused(lambda: read_text(path)) == "it is longer than 2 MB"
-    # Files of the system do not say how long they are.
+    # System files report no size.
     monkeypatch.setattr(bounded, "MOST_BYTES", 10)
     if (system := Path("/proc/self/stat")).exists():
         assert "longer" in refused(lambda: read_text(system))
@@ -71,7 +71,7 @@ def test_names_have_one_to_a_thousand_characters() -> None:
     )
 
 
-def test_texts_of_strangers_are_shown_on_one_short_line() -> None:
+def test_untrusted_texts_are_shown_on_one_short_line() -> None:
     assert plain("a" * 160) == "a" * 160
     assert plain("a" * 161) == "a" * 160 + "..."
     assert plain("abc", 2) == "ab..."
@@ -92,7 +92,7 @@ def test_texts_of_strangers_are_shown_on_one_short_line() -> None:
         (-4000, "crashed with signal 4000"),
     ],
 )
-def test_how_programs_end(code: int, told: str) -> None:
+def test_exit_statuses_are_described(code: int, told: str) -> None:
     assert how_it_ended(code) == told
 
 
@@ -105,7 +105,7 @@ class Outer(Config):
     text: str = ""
 
 
-def test_values_that_are_wrong_are_shown_up_to_200_characters() -> None:
+def test_wrong_values_are_shown_up_to_200_characters() -> None:
     def told(data: object) -> str:
         with pytest.raises(ConfigError) as refusal:
             Outer.validated(Path("x.toml"), data)
@@ -113,7 +113,7 @@ def test_values_that_are_wrong_are_shown_up_to_200_characters() -> None:
 
     assert told({"inner": {"b": 1}}) == "x.toml: unknown key 'inner.b'; allowed here: a."
     assert told({"b": 1, "text": 2}) == "x.toml: unknown key 'b'; allowed here: inner, text."
-    whole = told({"text": [0] * 66 + [10]})  # 200 + 2 characters, brackets and commas counted
+    whole = told({"text": [0] * 66 + [10]})  # 200 + 2 characters, including brackets and commas
     assert len(repr([0] * 66 + [10])) == 202
     assert f"is {repr([0] * 66 + [10])[:200]}...:" in whole
     assert f"is {[0] * 66}: " in told({"text": [0] * 66})
@@ -122,7 +122,7 @@ def test_values_that_are_wrong_are_shown_up_to_200_characters() -> None:
     assert f"is {exact}: " in told({"text": exact})
 
 
-def test_progress_is_told_in_parts(tmp_path: Path) -> None:
+def test_progress_is_reported_in_parts(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     assert list(counted("ab", lambda *x: told.append(x))) == ["a", "b"]
     assert told == [(0, 2), (1, 2), (2, 2)]
@@ -144,8 +144,8 @@ def test_progress_is_told_in_parts(tmp_path: Path) -> None:
     assert (told[0], told[-1]) == ((0, 200), (200, 200))
 
 
-def test_what_is_kept_is_cut_to_its_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those go first that have not been used for longest, until there is room; locks stay."""
+def test_the_cache_is_cut_to_its_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The least recently used entries are removed until there is room; locks stay."""
     assert cache.LIMIT == 256 * 1024 * 1024
     shelf = tmp_path / "kind" / "ab"
     shelf.mkdir(parents=True)
@@ -159,7 +159,7 @@ def test_what_is_kept_is_cut_to_its_limit(tmp_path: Path, monkeypatch: pytest.Mo
     assert [file.name for file in shelf.iterdir()] == ["lock"]
 
 
-def test_what_is_kept_is_found_by_all_its_inputs(
+def test_cache_entries_are_keyed_by_all_inputs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -172,6 +172,6 @@ def test_what_is_kept_is_found_by_all_its_inputs(
     assert (kept(b"ab", b"c"), kept("ab", "c", kind="other")) == (b"1", b"3")
     entries = [p for p in tmp_path.rglob("*") if p.is_file() and p.name != "lock"]
     assert all(p.parent.name == p.name[:2] and p.parents[2] == tmp_path / "hesr" for p in entries)
-    for entry in entries:  # all but one of them are damaged at their last byte
+    for entry in entries:  # all but one have a damaged last byte
         entry.write_bytes(entry.read_bytes()[:-1] + b"x")
     assert kept("ab", "c") == b"4"

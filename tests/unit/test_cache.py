@@ -1,4 +1,4 @@
-"""What is kept is made once, is whole, and can be kept anywhere."""
+"""The cache: each entry is made once, complete and in a usable place."""
 
 import os
 import tempfile
@@ -22,7 +22,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 class Maker:
-    """Makes a content and counts how often."""
+    """Makes an entry and counts its calls."""
 
     def __init__(self, content: bytes) -> None:
         self.content = content
@@ -30,7 +30,7 @@ class Maker:
 
     def __call__(self) -> bytes:
         self.times += 1
-        time.sleep(0.01)  # so that others come meanwhile
+        time.sleep(0.01)  # lets the other threads arrive meanwhile
         return self.content
 
 
@@ -45,7 +45,7 @@ def test_the_same_inputs_are_made_once(here: Path) -> None:
     assert len(entries(here)) == 1
 
 
-def test_what_was_there_is_counted_also_in_workers(here: Path) -> None:
+def test_hits_in_workers_are_counted(here: Path) -> None:
     def asked(name: str) -> bytes:
         return kept("counted", [name], lambda: b"made")
 
@@ -58,17 +58,17 @@ def test_what_was_there_is_counted_also_in_workers(here: Path) -> None:
 
 
 @pytest.mark.parametrize("other", [("a", "c"), ("ab",), ("a", "b", ""), ("b", "a"), ("", "ab")])
-def test_other_inputs_are_made_anew(other: tuple[str, ...]) -> None:
+def test_other_inputs_make_another_entry(other: tuple[str, ...]) -> None:
     kept("things", ("a", "b"), Maker(b"one"))
     assert kept("things", other, Maker(b"two")) == b"two"
 
 
-def test_kinds_are_kept_apart() -> None:
+def test_kinds_are_separate() -> None:
     kept("things", ("a",), Maker(b"one"))
     assert kept("others", ("a",), Maker(b"two")) == b"two"
 
 
-def test_twenty_at_once_make_it_once() -> None:
+def test_twenty_concurrent_requests_make_one_entry() -> None:
     make = Maker(b"made")
     with ThreadPoolExecutor(20) as pool:
         got = list(pool.map(lambda _: kept("things", ("a",), make), range(20)))
@@ -98,7 +98,7 @@ def test_a_damaged_entry_is_made_again(here: Path, damage: Callable[[bytes], byt
     assert entry.read_bytes() == whole
 
 
-def test_the_entry_of_something_else_is_not_taken(here: Path) -> None:
+def test_an_entry_of_other_inputs_is_not_used(here: Path) -> None:
     kept("things", ("a",), Maker(b"one"))
     (one,) = entries(here)
     kept("things", ("b",), Maker(b"two"))
@@ -107,7 +107,7 @@ def test_the_entry_of_something_else_is_not_taken(here: Path) -> None:
     assert kept("things", ("a",), Maker(b"one")) == b"one"
 
 
-def test_what_fails_is_tried_again(here: Path) -> None:
+def test_a_failure_is_not_cached(here: Path) -> None:
     def fail() -> bytes:
         raise RuntimeError("no")
 
@@ -117,7 +117,7 @@ def test_what_fails_is_tried_again(here: Path) -> None:
     assert kept("things", ("a",), Maker(b"made")) == b"made"
 
 
-def test_where_nothing_can_be_kept_it_is_made_every_time(here: Path) -> None:
+def test_without_a_cache_folder_entries_are_made_every_time(here: Path) -> None:
     folder()
     (here / "things").write_text("in the way")
     make = Maker(b"made")
@@ -125,7 +125,7 @@ def test_where_nothing_can_be_kept_it_is_made_every_time(here: Path) -> None:
     assert make.times == 2
 
 
-def test_what_was_not_used_for_longest_goes_first(
+def test_the_least_recently_used_entry_is_removed_first(
     here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for age, name in enumerate("abc"):
@@ -133,7 +133,7 @@ def test_what_was_not_used_for_longest_goes_first(
         kept("things", (name,), Maker(name.encode() * 1000))
         (new,) = set(entries(here)) - before
         os.utime(new, (age, age))
-    kept("things", ("a",), Maker(b""))  # used now
+    kept("things", ("a",), Maker(b""))  # marks the entry as used
     monkeypatch.setattr(cache, "LIMIT", 3500)
     kept("things", ("d",), Maker(b"d" * 1000))
     made = {name: Maker(name.encode() * 1000) for name in "acdb"}
@@ -142,7 +142,7 @@ def test_what_was_not_used_for_longest_goes_first(
     assert {name: make.times for name, make in made.items()} == {"a": 0, "c": 0, "d": 0, "b": 1}
 
 
-# --- where ------------------------------------------------------------------------------------
+# --- location ---------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -152,7 +152,7 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / f"hesr-cache-{os.getuid()}"
 
 
-def test_the_users_own_folder_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_users_own_folder_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert folder() == tmp_path / "cache" / "hesr"
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -160,9 +160,9 @@ def test_the_users_own_folder_is_taken(tmp_path: Path, monkeypatch: pytest.Monke
     assert folder().stat().st_mode & 0o777 == 0o700
 
 
-# Into /proc not even root can write, and on some machines a service has no other home.
+# Not even root can write to /proc; on some machines a service has no other home.
 @pytest.mark.parametrize("home", [None, "", "/proc", "/dev/null", "/nowhere/at/all", "relative"])
-def test_without_a_home_there_is_a_private_folder(
+def test_without_a_home_a_private_folder_is_used(
     temporary: Path, home: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("HOME", raising=False)
@@ -173,7 +173,7 @@ def test_without_a_home_there_is_a_private_folder(
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder away")
-def test_a_folder_that_somebody_else_has_made_is_not_trusted(
+def test_a_folder_of_another_user_is_not_trusted(
     temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("HOME")
@@ -183,7 +183,7 @@ def test_a_folder_that_somebody_else_has_made_is_not_trusted(
 
 
 @pytest.mark.parametrize("way", ["open", "link"])
-def test_a_folder_that_others_can_write_is_not_trusted(
+def test_a_folder_writable_by_others_is_not_trusted(
     temporary: Path, way: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.delenv("HOME")

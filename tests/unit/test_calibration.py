@@ -1,4 +1,4 @@
-"""How wide a band is: what left-out logs err by, and what the covariance says of other places."""
+"""Width of a band: errors on left-out logs, and the covariance elsewhere."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ TRUTH = law(
 
 
 def noisy(seed: int, *, rests: bool = False, spread: float = 0.5) -> FrictionRecord:
-    """A log whose noise is twice as large in slow motion, and grows with the speed."""
+    """A log whose noise doubles in slow motion and grows with speed."""
     clean = along(TRUTH, path(seed, seconds=24.0, rests=rests))
     slow = 1.0 / (1.0 + (clean.dq / 0.08) ** 2)
     size = spread * np.sqrt(1.0 + 3.0 * slow + clean.dq**2)
@@ -41,7 +41,7 @@ def model_of(*laws: FrictionLaw, **more) -> FrictionModel:
 
 
 @pytest.mark.parametrize("coverage", [0.8, 0.9, 0.95, 0.99])
-def test_a_band_holds_its_share_of_an_unseen_log(banded: FrictionLaw, coverage: float) -> None:
+def test_a_band_covers_its_share_of_an_unseen_log(banded: FrictionLaw, coverage: float) -> None:
     inside, width = [], []
     for seed in range(10, 14):
         unseen = replace(noisy(seed), joint="axis_0")
@@ -50,22 +50,22 @@ def test_a_band_holds_its_share_of_an_unseen_log(banded: FrictionLaw, coverage: 
         width.append(np.abs(unseen.dq))
     held, speed = np.concatenate(inside), np.concatenate(width)
     assert held.mean() == pytest.approx(coverage, abs=0.02)
-    for slow in (speed < 0.1, speed > 0.5):  # wherever errors are of another size
+    for slow in (speed < 0.1, speed > 0.5):  # regions with different error sizes
         assert held[slow].mean() == pytest.approx(coverage, abs=0.05)
 
 
-def test_it_is_as_wide_as_errors_are(banded: FrictionLaw) -> None:
+def test_band_width_matches_the_errors(banded: FrictionLaw) -> None:
     band = banded.band
     assert band is not None
     assert band.floor == pytest.approx(1.96 * 0.5, rel=0.15)
     assert band.slow == pytest.approx(1.96 * 0.5 * np.sqrt(3.0), rel=0.3)
     assert band.slow_speed in (0.04, 0.08, 0.16)
-    assert band.tail == pytest.approx(0.65, abs=0.06)  # of normal errors
+    assert band.tail == pytest.approx(0.65, abs=0.06)  # for normal errors
     assert (band.envelope, band.rest) == (1.0, 0.0)
 
 
-def test_where_coefficients_are_uncertain_it_widens() -> None:
-    """Left-out logs say how wide it is, a large covariance where: viscous friction grows."""
+def test_uncertain_coefficients_widen_the_band() -> None:
+    """Left-out logs set the width, covariance its distribution: viscous friction grows."""
     records = [noisy(seed) for seed in range(3)]
     known = with_standard_errors(TRUTH, records)
     assert known.covariance is not None
@@ -77,7 +77,7 @@ def test_where_coefficients_are_uncertain_it_widens() -> None:
     assert doubtful.fast / doubtful.floor > 2.0 * certain.fast / certain.floor
 
 
-def test_rests_that_were_seen_take_the_place_of_the_envelope() -> None:
+def test_observed_rests_replace_the_envelope() -> None:
     records = [noisy(seed, rests=True) for seed in range(5)]  # two rests each
     for seen, envelope in ((records, 0.0), (records[:4], 1.0)):
         band = calibrated(TRUTH, seen)[0].band
@@ -92,7 +92,7 @@ def test_perfect_logs_give_a_band_without_width() -> None:
     assert band.floor == pytest.approx(0.0, abs=1e-9)
 
 
-def test_it_is_written_and_read(banded: FrictionLaw, tmp_path) -> None:
+def test_a_band_survives_json(banded: FrictionLaw, tmp_path) -> None:
     model = replace(model_of(replace(banded, covariance=None)), law="strain_wave")
     model.write(tmp_path / "law.json")
     assert FrictionModel.read(tmp_path / "law.json").laws[0].band == banded.band
@@ -100,12 +100,12 @@ def test_it_is_written_and_read(banded: FrictionLaw, tmp_path) -> None:
 
 @pytest.mark.parametrize(("name", "value"), [("floor", -1.0), ("slow_speed", 0.0),
                                              ("tail", float("nan"))])  # fmt: skip
-def test_numbers_that_are_none_of_a_band(banded: FrictionLaw, name: str, value: float) -> None:
+def test_invalid_bands_are_refused(banded: FrictionLaw, name: str, value: float) -> None:
     with pytest.raises(ArtifactError, match=f"'{name}' of a band is"):
         replace(banded.band, **{name: value})
 
 
-def test_who_has_no_band_says_so(banded: FrictionLaw) -> None:
+def test_a_missing_band_is_reported(banded: FrictionLaw) -> None:
     record = replace(noisy(0), joint="axis_0")
     with pytest.raises(SimulationError, match="has no band; fit the model to logs"):
         model_of(TRUTH).predict_band([record])

@@ -1,4 +1,4 @@
-"""Certificates of passivity: proofs that hold on random steps, and cycles that give energy."""
+"""Passivity certificates: proofs that hold on random steps, and cycles that generate energy."""
 
 from dataclasses import replace
 from math import inf
@@ -68,9 +68,9 @@ def dahl() -> FrictionLaw:
 
 
 def worst_step(law: FrictionLaw, count: int, seed: int) -> float:
-    """Least tau dq - dS of random steps, over the size of what is compared; a proof's is >= 0.
+    """Least tau dq - dS over random steps, relative to the terms compared; >= 0 if proven.
 
-    Steps of 1 us to 10 s, velocities of ten decades, loads that jump.
+    Steps of 1 us to 10 s, velocities over ten decades, jumping loads.
     """
     rng = np.random.default_rng(seed)
     k = storage(law)
@@ -101,7 +101,7 @@ PROVEN = [stops(), dahl(), law_of("lugre", **LUGRE)]
 @pytest.mark.parametrize(
     "law", [stops(), dahl(), law_of("lugre", **LUGRE)], ids=lambda law: law.name
 )
-def test_what_is_proven_holds_on_random_steps(law: FrictionLaw) -> None:
+def test_proven_laws_are_passive_on_random_steps(law: FrictionLaw) -> None:
     assert certify(law, TRAINED).largest_step == inf
     assert worst_step(law, STEPS, 0) > -1e-9
 
@@ -110,11 +110,11 @@ def test_what_is_proven_holds_on_random_steps(law: FrictionLaw) -> None:
 @pytest.mark.parametrize(
     "law", [stops(), dahl(), law_of("lugre", **LUGRE)], ids=lambda law: law.name
 )
-def test_what_is_proven_holds_on_a_million_steps(law: FrictionLaw) -> None:
+def test_proven_laws_are_passive_on_a_million_steps(law: FrictionLaw) -> None:
     assert worst_step(law, SOAK, 1) > -1e-9
 
 
-def test_a_proof_says_what_it_rests_on() -> None:
+def test_a_proof_names_its_premises() -> None:
     found = certify(stops(), TRAINED)
     assert found.verdict == "proven"
     assert found.storage.startswith("S = 3e-05 x_1^2")
@@ -157,14 +157,14 @@ def broken(**changed: float) -> FrictionLaw:
         (own(DQ + TAU_LOAD), "the load is in the torque itself"),
     ],
 )
-def test_what_is_not_proven_has_a_reason(law: FrictionLaw, why: str) -> None:
+def test_missing_proofs_have_a_reason(law: FrictionLaw, why: str) -> None:
     found = certify(law, TRAINED)
     assert found.verdict != "proven"
     assert why in found.rests_on[0]
 
 
-def test_barabanov_and_ortega() -> None:
-    """Passive from sigma_2 = sigma_1 (F_s - F_c)/F_c on, in continuous time."""
+def test_lugre_follows_the_condition_of_barabanov_and_ortega() -> None:
+    """In continuous time passive for sigma_2 >= sigma_1 (F_s - F_c)/F_c."""
     enough = 10.0 * (6.0 - 4.0) / 4.0
     proven = certify(law_of("lugre", **LUGRE | {"sigma_1": 10.0, "sigma_2": enough}), TRAINED)
     assert (proven.verdict, proven.largest_step) == ("proven", None)
@@ -180,7 +180,7 @@ def test_ripple_with_a_window_is_certified_at_any_step() -> None:
     assert (found.verdict, found.largest_step) == ("proven", inf)
 
 
-def test_ripple_that_lags_too_much_is_not() -> None:
+def test_ripple_with_too_large_a_lag_is_not_certified() -> None:
     assert certify(rippled(lag=0.2, sigma_a=0.0), TRAINED).verdict != "proven"
 
 
@@ -193,7 +193,7 @@ def test_sampled_ripple_without_a_mean_is_certified_up_to_a_step() -> None:
     assert found.largest_step == pytest.approx(0.4, rel=0.15)
 
 
-def test_both_waves_of_an_order_count_as_one() -> None:
+def test_sine_and_cosine_of_an_order_count_as_one() -> None:
     x = Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=1)
     angle = 200 * (Q - 0.004 * DQ)
 
@@ -205,7 +205,7 @@ def test_both_waves_of_an_order_count_as_one() -> None:
     assert of_one == step(0.3, -0.4) == step(-0.4, 0.3) == step(0.0, 0.5)
 
 
-def test_the_amplitude_of_ripple_may_fall_with_speed_as_a_filter_has_it() -> None:
+def test_ripple_amplitude_may_fall_with_speed_like_a_filter() -> None:
     x = Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=1)
     wave = 0.5 * sympy.cos(200 * (Q - 0.004 * DQ))
     filtered, other = (
@@ -217,8 +217,8 @@ def test_the_amplitude_of_ripple_may_fall_with_speed_as_a_filter_has_it() -> Non
 
 
 @pytest.mark.parametrize("dt", [1e-4, 0.004, 0.05, 2.0])
-def test_no_closed_way_gives_energy(dt: float) -> None:
-    """Random ways that close, with ripple and a moving load: the work of the tenth round."""
+def test_no_closed_path_generates_energy(dt: float) -> None:
+    """Random closed paths with ripple and a moving load: the work of the tenth round."""
     law, rng = rippled(), np.random.default_rng(0)
     for _ in range(10):
         dq = rng.normal(size=30) * 10.0 ** rng.uniform(-4.0, 1.0)
@@ -245,7 +245,7 @@ def test_table_i_is_refuted_by_its_cycles() -> None:
     assert energies[:2] == pytest.approx([12.4, 20.6], abs=0.05)
 
 
-def test_load_as_a_factor_is_refuted_and_as_a_bound_is_not() -> None:
+def test_load_is_refuted_as_a_factor_but_not_as_a_bound() -> None:
     x = Stop(name="x", unit="1", velocity=DQ, deflection=1e-4, bound=1)
     factor = own((2.0 + absolute(TAU_LOAD)) * x.state + DQ, x)
     found = certify(factor, TRAINED)
@@ -259,13 +259,13 @@ def test_load_as_a_factor_is_refuted_and_as_a_bound_is_not() -> None:
     assert certify(own(x.state + DQ, bound), TRAINED).verdict == "proven"
 
 
-def test_what_drives_at_low_speed_is_refuted() -> None:
+def test_driving_at_low_speed_is_refuted() -> None:
     found = certify(own(DQ - 0.1 * sgn(DQ)), TRAINED)
     assert found.verdict == "refuted"
     assert "less than back" in found.rests_on[0]
 
 
-def test_an_offset_is_no_drive() -> None:
+def test_an_offset_does_not_count_as_driving() -> None:
     assert certify(own(DQ + 3.0), TRAINED) == Certificate(
         verdict="proven",
         storage="S = 0",

@@ -1,4 +1,4 @@
-"""Laws of the literature that studies have by name only: their equations, signs and proofs."""
+"""Classic laws available by name only: equations, signs and proofs."""
 
 from math import inf
 from pathlib import Path
@@ -35,17 +35,17 @@ def law(name: str) -> FrictionLaw:
 
 
 def steady(name: str, dq: float, load: float) -> float:
-    """Torque of a velocity that is held for ever [N.m]."""
+    """Steady torque at a constant velocity [N.m]."""
     held = np.ones(3)
     return float(predict(law(name), t=1e4 * np.arange(3.0), dq=dq * held, tau_load=load * held)[-1])
 
 
-def test_studies_that_name_no_laws_do_not_have_them() -> None:
+def test_classic_laws_are_not_in_the_default_study() -> None:
     assert [name for name, law in registry().items() if not law.everyday] == list(NAMES)
 
 
 def _bam(model: int, v: float, load: float, alpha: int = 2) -> float:
-    """BAM's friction as its documentation has it, with both weights solved for the load."""
+    """BAM's friction as documented, with both weights solved for the load."""
     n, e = NUMBERS, np.exp(-((abs(v) / NUMBERS["v_s"]) ** alpha))
     driving = v * load > 0.0
     per_load = n["mu"] if model < 5 else n["mu_d" if driving else "mu_b"]
@@ -65,12 +65,12 @@ def _bam(model: int, v: float, load: float, alpha: int = 2) -> float:
 @pytest.mark.parametrize("model", range(1, 7))
 @pytest.mark.parametrize("dq", [-0.7, -0.05, 0.05, 0.7])
 @pytest.mark.parametrize("load", [-12.0, 0.0, 12.0])
-def test_servo_friction_is_that_of_its_models(model: int, dq: float, load: float) -> None:
+def test_servo_friction_matches_the_models_of_bam(model: int, dq: float, load: float) -> None:
     assert steady(f"bam_m{model}", dq, load) == pytest.approx(_bam(model, dq, load), rel=1e-12)
 
 
 @pytest.mark.parametrize("alpha", [1, 2, 3])
-def test_the_exponent_of_the_curve_is_chosen_by_the_data(alpha: int) -> None:
+def test_the_data_choose_the_exponent_of_the_curve(alpha: int) -> None:
     t = 0.01 * np.arange(3000)
     dq, load = 0.3 * np.sin(1.1 * t) * np.sin(0.37 * t), 20.0 * np.cos(1.3 * t)
     tau = np.array([_bam(4, v, tau_load, alpha) for v, tau_load in zip(dq, load, strict=True)])
@@ -90,14 +90,14 @@ def test_the_exponent_of_the_curve_is_chosen_by_the_data(alpha: int) -> None:
         ("bam_m1", {"alpha": 2}, "law 'bam_m1' has nothing to choose, found {'alpha': 2}."),
     ],
 )  # fmt: skip
-def test_what_is_no_choice_is_refused(name: str, structure: dict[str, int], said: str) -> None:
+def test_an_invalid_choice_is_refused(name: str, structure: dict[str, int], said: str) -> None:
     with pytest.raises(ArtifactError) as caught:
         registry()[name].form(structure)
     assert str(caught.value) == said
 
 
-def test_a_motors_weight_and_a_loads_make_one_level_each_way() -> None:
-    """tau = F_c + |(K_m + K_e) L + K_m tau|, as BAM has it, is a level per load each way."""
+def test_motor_and_load_weights_give_one_level_per_direction() -> None:
+    """BAM's tau = F_c + |(K_m + K_e) L + K_m tau| gives one level per load and direction."""
     k_m, k_e, f_c, load = 0.04, 0.06, 4.0, 30.0
     for way, level in ((1.0, (k_m + k_e) / (1.0 - k_m)), (-1.0, (k_m + k_e) / (1.0 + k_m))):
         base = f_c / (1.0 - way * k_m)
@@ -107,7 +107,7 @@ def test_a_motors_weight_and_a_loads_make_one_level_each_way() -> None:
 
 
 @pytest.mark.parametrize("load", [-12.0, 0.0, 12.0])
-def test_a_load_in_the_bounds_scales_what_slides(load: float) -> None:
+def test_load_in_the_bounds_scales_the_sliding_friction(load: float) -> None:
     n = NUMBERS
     dahl = sum(n[f"F_{i}"] for i in range(1, 6)) * (1.0 + n["rise"] * abs(load))
     assert steady("dahl_bound", 0.5, load) == pytest.approx(dahl + 1.0 - 0.3, rel=1e-9)
@@ -118,7 +118,7 @@ def test_a_load_in_the_bounds_scales_what_slides(load: float) -> None:
 
 
 def test_sliding_elements_settle_at_the_rate_of_attraction() -> None:
-    """From steady sliding at v_s to ten times that: b' = C (1 - b / s) to its closed form."""
+    """From steady sliding at v_s to ten times that: b' = C (1 - b / s) against its closed form."""
     n = NUMBERS
     slow, fast = (1.0 + 0.4 * np.exp(-((r) ** 2)) for r in (1.0, 10.0))
     forces = sum(n[f"F_{i}"] for i in range(1, 6))
@@ -131,7 +131,7 @@ def test_sliding_elements_settle_at_the_rate_of_attraction() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_each_is_proven_passive_and_holds_on_random_steps(name: str) -> None:
+def test_classic_laws_are_passive_on_random_steps(name: str) -> None:
     found = certify(law(name), TRAINED)
     assert (found.verdict, found.largest_step) == ("proven", inf)
     assert worst_step(law(name), 10_000, 0) > -1e-9
@@ -139,7 +139,7 @@ def test_each_is_proven_passive_and_holds_on_random_steps(name: str) -> None:
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", NAMES)
-def test_each_holds_on_a_million_steps(name: str) -> None:
+def test_classic_laws_are_passive_on_a_million_steps(name: str) -> None:
     assert worst_step(law(name), 1_000_000, 1) > -1e-9
 
 
@@ -152,7 +152,7 @@ def test_each_holds_on_a_million_steps(name: str) -> None:
         ("strain_wave_bound", "rise_d", "the rate of z depends on more"),
     ],
 )
-def test_a_negative_factor_is_no_proof(name: str, coefficient: str, said: str) -> None:
+def test_a_negative_factor_prevents_the_proof(name: str, coefficient: str, said: str) -> None:
     own = law(name)
     wrong = law_of(name, **{**own.values, coefficient: -0.01})
     found = certify(wrong, TRAINED)
@@ -160,7 +160,7 @@ def test_a_negative_factor_is_no_proof(name: str, coefficient: str, said: str) -
     assert said in found.rests_on[0]
 
 
-def test_those_that_no_contract_exports_go_into_an_fmu(tmp_path: Path) -> None:
+def test_laws_outside_the_contract_tests_export_as_fmus(tmp_path: Path) -> None:
     names = tuple(name for name in NAMES if name not in everyday())
     laws = tuple(map(law, names))
     model = FrictionModel(

@@ -1,4 +1,4 @@
-"""Comparison of laws on the same logs: size, intervals, power, and when logs are too short."""
+"""Comparison of laws on the same logs: size, intervals, power and minimum duration."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ PERIOD = 0.01
 def errors(
     seed: int, laws: int, logs: int, seconds: float, *, memory: float = 0.9, common: float = 0.0
 ) -> dict[str, list[np.ndarray]]:
-    """Errors with a memory, of which a part is common to all laws, and an RMSE of 1."""
+    """Autocorrelated errors with a part common to all laws and an RMSE of 1."""
     rng = np.random.default_rng(seed)
     scale = np.sqrt(1.0 - memory**2)
 
@@ -41,7 +41,7 @@ def worse(found: LawErrors) -> set[str]:
     return {law for law, p in adjusted.items() if p < SIGNIFICANCE}
 
 
-def test_the_ratio_is_that_of_the_rmse_over_all_rows() -> None:
+def test_the_ratio_is_the_rmse_ratio_over_all_rows() -> None:
     of = errors(0, 2, 3, 17.3)
     rmse = [np.sqrt(np.mean(np.concatenate(logs) ** 2)) for logs in of.values()]
     ratio = compared(of).ratios("law_1")["law_0"]
@@ -52,7 +52,7 @@ def test_the_ratio_is_that_of_the_rmse_over_all_rows() -> None:
 
 
 @pytest.mark.parametrize(("logs", "seconds", "degrees"), [(1, 40, 5), (4, 20, 11), (2, 7.9, 1)])
-def test_degrees_of_freedom_are_one_for_eight_seconds_and_one_for_each_further_log(
+def test_degrees_of_freedom_grow_with_duration_and_logs(
     logs: int, seconds: float, degrees: int
 ) -> None:
     found = compared(errors(0, 3, logs, seconds))
@@ -61,7 +61,7 @@ def test_degrees_of_freedom_are_one_for_eight_seconds_and_one_for_each_further_l
     assert found.between.sum() == logs - 1
 
 
-def test_a_long_memory_takes_degrees_of_freedom() -> None:
+def test_a_long_memory_costs_degrees_of_freedom() -> None:
     assert compared(errors(0, 3, 1, 200.0)).degrees == 25
     assert compared(errors(0, 3, 1, 200.0, memory=0.999)).degrees < 12
 
@@ -80,9 +80,7 @@ def test_rows_are_orthogonal_to_the_mean_and_have_the_variance_of_a_bin() -> Non
 
 
 @pytest.mark.parametrize(("logs", "seconds"), [(1, 40.0), (4, 20.0)])
-def test_equal_laws_are_seldom_called_worse_and_intervals_contain_the_truth(
-    logs: int, seconds: float
-) -> None:
+def test_size_and_coverage_for_equal_laws(logs: int, seconds: float) -> None:
     wrong, held = [], []
     for seed in range(300):
         found = compared(errors(seed, 6, logs, seconds, common=0.5))
@@ -91,12 +89,12 @@ def test_equal_laws_are_seldom_called_worse_and_intervals_contain_the_truth(
         assert ratio.low is not None
         assert ratio.high is not None
         held.append(ratio.low <= 1.0 <= ratio.high)
-    # 300 draws: three standard errors above 5 %, below 95 %.
+    # 300 draws: limits are three standard errors above 5 % and below 95 %.
     assert np.mean(wrong) <= 0.09
     assert np.mean(held) >= 0.91
 
 
-def test_the_stated_difference_is_found_about_as_often_as_stated() -> None:
+def test_the_power_at_the_stated_difference_is_as_stated() -> None:
     hits = []
     for seed in range(150):
         of = errors(seed, 4, 1, 80.0, common=0.5)
@@ -109,7 +107,7 @@ def test_the_stated_difference_is_found_about_as_often_as_stated() -> None:
     assert 0.7 <= np.mean(hits) <= 0.93
 
 
-def test_the_stated_duration_shows_the_ratio() -> None:
+def test_the_stated_duration_resolves_the_ratio() -> None:
     short = errors(5, 4, 1, 40.0, common=0.5)
     seconds = compared(short).seconds_for("law_1", "law_0", 1.1)
     assert seconds > 40.0
@@ -123,7 +121,7 @@ def test_the_stated_duration_shows_the_ratio() -> None:
     assert np.mean(hits) >= 0.55
 
 
-def test_short_logs_have_a_value_only() -> None:
+def test_short_logs_give_a_value_without_interval() -> None:
     ratio = compared(errors(0, 3, 2, 9.0)).ratios("law_0")["law_1"]
     assert (ratio.low, ratio.high, ratio.p, ratio.detectable) == (None,) * 4
     assert ratio.value > 0.0

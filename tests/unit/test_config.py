@@ -1,4 +1,4 @@
-"""TOML files: what is read, and the sentence for each thing that can be wrong."""
+"""Reading TOML files, and the error sentence for each mistake."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -76,7 +76,7 @@ def read(folder: Path, text: str) -> Outer:
 
 
 def sentence(folder: Path, text: str) -> str:
-    """What is said of a text, without the file's name, which must stand first."""
+    """Error sentence for a text, without the leading file name."""
     with pytest.raises(ConfigError) as caught:
         read(folder, text)
     start = f"{folder / 'file.toml'}: "
@@ -99,7 +99,7 @@ def test_a_path_is_relative_to_its_toml(tmp_path: Path) -> None:
     assert read(tmp_path, 'name = "x"\nmodel = "/opt/b.xml"').model == Path("/opt/b.xml")
 
 
-def test_what_was_read_cannot_be_changed(tmp_path: Path) -> None:
+def test_a_config_is_immutable(tmp_path: Path) -> None:
     with pytest.raises(ValidationError, match="frozen"):
         read(tmp_path, 'name = "x"').name = "y"
 
@@ -112,7 +112,7 @@ def test_what_was_read_cannot_be_changed(tmp_path: Path) -> None:
             'name = "x"\nnmae = "y"',
             f"unknown key 'nmae'; allowed here: {KEYS}.",
         ),
-        # A misspelt key that is needed: that it is missing follows from it.
+        # A misspelt required key is not also reported as missing.
         (
             'nmae = "y"',
             f"unknown key 'nmae'; allowed here: {KEYS}.",
@@ -169,12 +169,12 @@ def test_what_was_read_cannot_be_changed(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_is_wrong_is_said_in_one_sentence(tmp_path: Path, text: str, expected: str) -> None:
+def test_each_mistake_is_reported_in_one_sentence(tmp_path: Path, text: str, expected: str) -> None:
     assert sentence(tmp_path, text) == expected
 
 
 @pytest.mark.parametrize("text", ["name = ", 'name = "x"\nname = "y"', "[inner"])
-def test_text_that_is_no_toml_is_refused_with_its_place(tmp_path: Path, text: str) -> None:
+def test_invalid_toml_is_refused_with_its_position(tmp_path: Path, text: str) -> None:
     said = sentence(tmp_path, text)
     assert said.startswith("not valid TOML (")
     assert "(at " in said
@@ -188,7 +188,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
     assert str(caught.value) == f"{path}: no such file."
 
 
-def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
+def test_a_binary_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "file.toml"
     path.write_bytes(b"name = '\xff\xfe'")
     with pytest.raises(ConfigError) as caught:

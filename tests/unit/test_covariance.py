@@ -1,4 +1,4 @@
-"""The covariance of least squares over logs, on processes whose covariance is known."""
+"""Least-squares covariance over logs, on processes with a known covariance."""
 
 from dataclasses import replace
 
@@ -24,9 +24,9 @@ NAMES = ("a", "b", "c")
 def problem(
     rng: np.random.Generator, logs: int, rows: int, *, memory: float = 0.0, differ: float = 0.0
 ) -> tuple[Covariance, np.ndarray]:
-    """A regression whose truth is zero: its covariance, and what was estimated."""
+    """Return the covariance and the estimates of a regression whose truth is zero."""
     x = rng.normal(size=(logs * rows, 3)) * [1.0, 100.0, 0.01]
-    # Columns with a memory of their own, so that the residuals' memory counts.
+    # The columns are autocorrelated, so that the memory of the residuals matters.
     x = lfilter([1.0], [1.0, -0.8], x, axis=0)
     labels = np.repeat(np.arange(logs), rows)
     noise = lfilter([1.0], [1.0, -memory], rng.normal(size=len(x)))
@@ -38,27 +38,27 @@ def problem(
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.9])
-def test_errors_are_what_repetition_shows(memory: float) -> None:
+def test_standard_errors_match_the_scatter_of_repetitions(memory: float) -> None:
     made = [problem(np.random.default_rng(k), 3, 400, memory=memory) for k in range(150)]
     z = np.array([estimate / np.sqrt(np.diag(c.within)) for c, estimate in made])
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.12)
     assert np.mean([c.between for c, _ in made]) == pytest.approx(1.0, abs=0.12)
-    # Of logs that differ by nothing a factor is found as often as chance allows.
+    # Without differences between logs a factor is found as often as chance allows.
     assert np.mean([c.factor > 1.0 for c, _ in made]) < 0.15
 
 
-def test_what_logs_differ_by_widens_the_errors_of_all_unknowns() -> None:
+def test_differences_between_logs_widen_all_errors() -> None:
     made = [problem(np.random.default_rng(k), 3, 400, differ=0.2) for k in range(80)]
     within = np.array([estimate / np.sqrt(np.diag(c.within)) for c, estimate in made])
     whole = np.array([estimate / c.standard_errors for c, estimate in made])
     assert np.mean(np.abs(within) > 1.96) > 0.4
-    # Three logs know their differences to a factor: more than one in twenty lies outside.
+    # Three logs determine their differences only to a factor: more than one in twenty lies outside.
     assert np.mean(np.abs(whole) > 1.96) < 0.2
     one = made[0][0]
     np.testing.assert_allclose(one.matrix, one.between * one.within, rtol=1e-12)
 
 
-def test_many_logs_tell_by_their_own_scatter() -> None:
+def test_many_logs_use_their_own_scatter() -> None:
     made = [problem(np.random.default_rng(k), ENOUGH, 60, differ=0.2) for k in range(60)]
     z = np.array([estimate / c.standard_errors for c, estimate in made])
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.15)
@@ -66,7 +66,7 @@ def test_many_logs_tell_by_their_own_scatter() -> None:
     assert made[0][0].factor == 1.0
 
 
-def test_an_unknown_that_nothing_depends_on_is_no_other_ones_trouble() -> None:
+def test_an_unused_unknown_does_not_affect_the_others() -> None:
     rng = np.random.default_rng(0)
     x = np.column_stack([rng.normal(size=(300, 2)), np.zeros(300)])
     gradients, labels = x * rng.normal(size=(300, 1)), np.repeat([0, 1, 2], 100)
@@ -77,8 +77,8 @@ def test_an_unknown_that_nothing_depends_on_is_no_other_ones_trouble() -> None:
     assert np.all(with_it.within[2] == 0.0)
 
 
-def test_what_is_known_beforehand_and_what_is_carried_on() -> None:
-    """Both are uncertainties of their own: a pull of weight k errs by 1 / k, without data."""
+def test_priors_and_propagated_errors_are_separate() -> None:
+    """Without data, a prior of weight k has the error 1 / k."""
     nothing = np.zeros((50, 1))
     labels = np.repeat([0, 1], 25)
     pull = covariance(("a",), nothing, [np.zeros((1, 1))] * 2, labels, known=np.array([[16.0]]))
@@ -88,7 +88,7 @@ def test_what_is_known_beforehand_and_what_is_carried_on() -> None:
     assert off.matrix[0, 0] == pytest.approx((3.0**2 + 4.0**2) / 20.0**2)
 
 
-def test_residuals_are_those_of_rows_left_out() -> None:
+def test_residuals_are_leave_one_out() -> None:
     rng = np.random.default_rng(2)
     x, y = rng.normal(size=(12, 3)), rng.normal(size=12)
     residual = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
@@ -99,7 +99,7 @@ def test_residuals_are_those_of_rows_left_out() -> None:
         assert found[row] == pytest.approx(y[row] - x[row] @ without, rel=1e-9)
 
 
-def test_errors_that_few_rows_tell_are_wider() -> None:
+def test_few_influential_rows_widen_the_errors() -> None:
     """Ten rows of influence 1: 3 (sum of squares)^2 / sum of fourth powers = 30 degrees."""
     gradients = np.tile([[1.0], [-1.0]], (5, 1))
     labels = np.repeat([0, 1], 5)
@@ -108,7 +108,7 @@ def test_errors_that_few_rows_tell_are_wider() -> None:
     assert found / plain == pytest.approx((student.ppf(0.975, 30.0) / norm.ppf(0.975)) ** 2)
 
 
-def test_one_log_stands_for_blocks_of_time() -> None:
+def test_a_single_log_is_split_into_time_blocks() -> None:
     np.testing.assert_array_equal(blocks_of_time(np.zeros(8, dtype=int)), [0, 0, 1, 1, 2, 2, 3, 3])
     two = np.array([0, 0, 1, 1])
     assert blocks_of_time(two) is two
@@ -125,7 +125,7 @@ def test_a_group_has_one_factor() -> None:
     assert pooled([alone])[0].factor == 1.0
 
 
-def test_functions_of_unknowns_have_a_covariance_by_their_slopes() -> None:
+def test_covariance_of_functions_follows_from_their_slopes() -> None:
     c, _ = problem(np.random.default_rng(3), 3, 200)
     slopes = np.array([[1.0, 1.0, 0.0], [0.0, 2.0, -1.0]])
     mapped = c.mapped(("sum", "other"), slopes)
@@ -136,7 +136,7 @@ def test_functions_of_unknowns_have_a_covariance_by_their_slopes() -> None:
 
 @pytest.mark.parametrize("memory", [-0.5, 0.0, 0.6, 0.95])
 def test_the_long_run_variance_of_a_known_process(memory: float) -> None:
-    """That of the sum of n values is n / (1 - a)^2 for x[k] = a x[k-1] + noise."""
+    """Variance of the sum of n values of x[k] = a x[k-1] + noise is n / (1 - a)^2."""
     rng = np.random.default_rng(5)
     made = [lfilter([1.0], [1.0, -memory], rng.normal(size=(2000, 1)), axis=0) for _ in range(6)]
     found = np.mean([part[0, 0] for part in long_run(made)])

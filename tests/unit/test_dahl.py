@@ -1,4 +1,4 @@
-"""Dahl basis: no search, so the coefficients come back exactly."""
+"""Dahl basis: without a search the coefficients are recovered exactly."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def truth(*, load: bool = False) -> FrictionLaw:
 
 
 @pytest.mark.parametrize("load", [False, True])
-def test_generating_coefficients_come_back(load: bool) -> None:
+def test_generating_coefficients_are_recovered(load: bool) -> None:
     generating = truth(load=load)
     entry = DahlBasisLoad if load else DahlBasis
     fitted = entry().fit(training(generating, noise=0.0), np.random.default_rng(0))
@@ -30,20 +30,20 @@ def test_generating_coefficients_come_back(load: bool) -> None:
         assert fitted.values[name] == pytest.approx(value, rel=1e-5), name
 
 
-def test_nothing_is_searched_so_the_seed_does_not_matter() -> None:
+def test_the_seed_does_not_matter() -> None:
     records = training(truth(), noise=0.5)
     laws = [DahlBasis().fit(records, np.random.default_rng(seed)) for seed in (0, 1)]
     assert laws[0].values == laws[1].values
     assert {name: laws[0].values[name] for name in KAPPAS} == pytest.approx(KAPPAS)
 
 
-def test_noise_costs_its_share() -> None:
+def test_noise_costs_only_its_share() -> None:
     generating = truth(load=True)
     fitted = DahlBasisLoad().fit(training(generating, noise=0.5), np.random.default_rng(0))
     assert error_on(fitted, unseen(generating)) < 0.1
 
 
-def test_a_load_that_matters_needs_its_terms_and_one_that_does_not_gets_none() -> None:
+def test_load_terms_are_used_only_if_the_load_matters() -> None:
     rng = np.random.default_rng(0)
     loaded, unloaded = truth(load=True), truth()
     for generating, helps in ((loaded, True), (unloaded, False)):
@@ -56,7 +56,7 @@ def test_a_load_that_matters_needs_its_terms_and_one_that_does_not_gets_none() -
 
 @pytest.mark.parametrize("entry", [DahlBasis, DahlBasisLoad])
 def test_a_state_is_rate_independent(entry: type[DahlBasis]) -> None:
-    """The same way at twice the speed gives the same torque but for the viscous part."""
+    """The same path at twice the speed gives the same torque except for the viscous part."""
     generating = truth(load=entry.load)
     slow = path(4)
     tau = along(generating, slow).tau - REST["sigma_2"] * slow.dq

@@ -1,4 +1,4 @@
-"""Laws that are only a description: what is added to a core, and what is not."""
+"""Declarative laws: extensions of a core."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -22,17 +22,17 @@ DESCRIBED = [name for name, entry in registry().items() if issubclass(entry, Des
 
 
 class StribeckRipple(Stribeck):
-    """Another law with ripple, which takes one line."""
+    """A law with ripple, declared in one line."""
 
     ripple = True
     start_samples = 3
 
 
-def test_most_laws_are_descriptions() -> None:
+def test_most_laws_are_declarative() -> None:
     assert {"stribeck", "lugre", "lugre_load", "dahl", "strain_wave", "parfam_hx"} <= set(DESCRIBED)
 
 
-def test_ripple_is_added_to_any_core() -> None:
+def test_any_core_can_be_extended_by_ripple() -> None:
     for name in DESCRIBED:
         entry = registry()[name]
         structure: Mapping[str, Any] = {}
@@ -61,7 +61,7 @@ def test_a_subclass_with_ripple_finds_it() -> None:
         assert fitted.values[name] == pytest.approx(value, abs=0.12 * scale), name
 
 
-def test_a_law_without_ripple_does_not_look_for_it() -> None:
+def test_a_law_without_ripple_does_not_search_for_it() -> None:
     truth = law("stribeck", RIPPLE, **STRIBECK, **WAVES)
     records = training(truth, noise=0.1, gear_ratio=GEAR_RATIO)
     fitted = Stribeck().fit(records, np.random.default_rng(0))
@@ -70,7 +70,7 @@ def test_a_law_without_ripple_does_not_look_for_it() -> None:
     assert error_on(fitted, records[0]) > 0.3
 
 
-def test_a_fitted_law_is_the_one_of_its_form_and_values() -> None:
+def test_a_fitted_law_has_its_form_and_values() -> None:
     records = training(law("stribeck", {}, **STRIBECK), noise=0.1, gear_ratio=GEAR_RATIO)
     fitted = StribeckRipple().fit(records, np.random.default_rng(0))
     assert fitted.structure == {}
@@ -79,7 +79,7 @@ def test_a_fitted_law_is_the_one_of_its_form_and_values() -> None:
 
 
 class Flat(OneForm):
-    """A law whose coefficients are five, for as many rows."""
+    """A law with five coefficients, for as many rows."""
 
     name = "flat"
     title = "flat"
@@ -93,7 +93,7 @@ class Flat(OneForm):
         return Stribeck().space()
 
 
-def test_rows_must_be_as_many_as_coefficients() -> None:
+def test_fewer_rows_than_coefficients_are_refused() -> None:
     record = along(law("stribeck", {}, **STRIBECK), path(0))
     short = {n: v[:4] for n, v in vars(record).items() if isinstance(v, np.ndarray)}
     with pytest.raises(FitError, match="4 rows for 5 coefficients"):

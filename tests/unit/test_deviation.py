@@ -1,4 +1,4 @@
-"""Who deviates and what changes: few false alarms, and none that the data do not support."""
+"""Outliers and trends: few false alarms, and none without support in the data."""
 
 import numpy as np
 import pytest
@@ -8,14 +8,14 @@ from hesr_model.inference.deviation import deviations, trend
 
 
 @pytest.mark.parametrize("n", [5, 6, 8, 20, 100])
-def test_false_alarms_are_no_more_than_stated(n: int) -> None:
+def test_the_false_alarm_rate_is_as_stated(n: int) -> None:
     rng = np.random.default_rng(n)
     p = [one.p for _ in range(6000 // n) for one in deviations(rng.standard_normal(n), [None] * n)]
     for level in (0.05, 0.01):
         assert np.mean(np.array(p) < level) < 1.3 * level + 0.001
 
 
-def test_one_of_many_that_differs_stands_out_and_the_others_do_not() -> None:
+def test_only_the_outlier_is_found() -> None:
     values = [*np.random.default_rng(0).normal(10.0, 0.1, 60), 13.0]
     found = deviations(values, [None] * 61)
     assert found[-1].p < 1e-9
@@ -30,22 +30,22 @@ def test_positive_values_are_compared_by_their_ratios() -> None:
     assert up.z == pytest.approx(-down.z, rel=0.1)
 
 
-def test_what_is_uncertain_itself_does_not_deviate() -> None:
+def test_uncertain_values_are_not_outliers() -> None:
     values, errors = [1.0, 1.01, 0.99, 1.02, 0.98, 2.0], [0.01] * 5
     sure, unsure = (deviations(values, [*errors, own])[-1].z for own in (0.01, 0.9))
     assert sure > 20.0
     assert unsure < 2.0
 
 
-def test_equal_values_do_not_deviate() -> None:
+def test_equal_values_are_not_outliers() -> None:
     for value in (0.0, 3.0, -3.0):
         assert [one.z for one in deviations([value] * 6, [None] * 6)] == [0.0] * 6
     assert deviations([0.0] * 6 + [5.0], [None] * 7)[-1].z > 100.0
-    # What is nearer than a thousandth is the same.
+    # Values within a thousandth count as equal.
     assert abs(deviations([3.0] * 6 + [3.001], [None] * 7)[-1].z) < 1.0
 
 
-def test_a_trend_is_the_line_of_least_squares() -> None:
+def test_a_trend_is_the_least_squares_line() -> None:
     rng = np.random.default_rng(2)
     days = np.array([0.0, 1.0, 2.0, 5.0, 6.0, 9.0])
     values = 1.0 + 0.02 * days + 0.05 * rng.standard_normal(6)
@@ -56,7 +56,7 @@ def test_a_trend_is_the_line_of_least_squares() -> None:
     assert found.change == pytest.approx(9.0 * known.slope)
 
 
-def test_where_there_is_no_trend() -> None:
+def test_no_trend_without_support() -> None:
     assert trend([0.0, 1.0, 2.0, 3.0], [1.0, 2.0, 3.0, 4.0]) is None
     assert trend([3.0] * 6, range(6)) is None
     constant = trend(range(6), [0.0] * 6)

@@ -1,4 +1,4 @@
-"""A law as people write it: the text says the same as the law."""
+"""Laws as printed equations: the text computes the same as the law."""
 
 import math
 import re
@@ -50,7 +50,7 @@ NAMES = {
 
 
 def run(lines: list[str], t: np.ndarray, dq: np.ndarray, q: float, load: float) -> list[float]:
-    """Do what the lines say: states by their exact steps, then the torque."""
+    """Evaluate the printed lines: states by their exact steps, then the torque."""
     rates = {}
     for line in lines[1:]:
         name, drive, rate = re.fullmatch(r"(\w+)' = (.*) - \((.*)\)\*\1", line).groups()  # type: ignore[union-attr]
@@ -71,7 +71,7 @@ def run(lines: list[str], t: np.ndarray, dq: np.ndarray, q: float, load: float) 
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_the_text_is_the_law_to_four_digits(name: str) -> None:
+def test_the_text_matches_the_law_to_four_digits(name: str) -> None:
     one = LAWS[name]
     lines = equations(one)
     assert len(lines) == 1 + len(one.form.relaxations)
@@ -95,14 +95,14 @@ def test_table_1_is_printed_as_in_the_paper() -> None:
     assert first[1] == "h' = 11.37*tanh(256.8*dq) - (11.37)*h"
 
 
-def test_numbers_have_four_digits_and_no_more() -> None:
+def test_numbers_have_four_digits() -> None:
     for one in LAWS.values():
         for line in equations(one):
             for number in re.findall(r"\d+\.\d+", line):
                 assert len(number.replace(".", "").strip("0")) <= 4, line
 
 
-def test_names_of_our_own_functions_are_those_that_people_write() -> None:
+def test_own_functions_are_printed_under_their_usual_names() -> None:
     text = " ".join(line for one in LAWS.values() for line in equations(one))
     assert "absolute" not in text
     assert "abs(dq)" in text
@@ -117,7 +117,7 @@ def with_errors(one: FrictionLaw, **errors: float) -> FrictionLaw:
     return replace(one, standard_errors=errors)
 
 
-def test_coefficients_stand_with_interval_and_unit() -> None:
+def test_coefficients_have_interval_and_unit() -> None:
     one = with_errors(LAWS["stribeck"], F_s=0.25, v_s=0.01)
     assert coefficient_lines(one) == [
         "F_c = 6 N.m",

@@ -1,4 +1,4 @@
-"""Components: what they refuse, how they move, and what they say depends on what."""
+"""Components: refusals, time steps and derived dependencies."""
 
 from typing import Any
 
@@ -54,7 +54,7 @@ def test_derivatives_are_those_almost_everywhere(expression: sympy.Expr) -> None
             assert slope == pytest.approx(change / (2.0 * h), abs=1e-8)
 
 
-def test_the_guard_takes_what_is_no_number_for_zero() -> None:
+def test_the_guard_replaces_nan_by_zero() -> None:
     assert NUMPY["positive"](np.array([np.nan, -1.0, 2.0])).tolist() == [0.0, 0.0, 2.0]
     assert positive(sympy.Float(-3)) == 0.0
     assert exceeds(sympy.Integer(2), sympy.Integer(2)) == 0.0
@@ -64,7 +64,7 @@ def test_the_guard_takes_what_is_no_number_for_zero() -> None:
 
 
 def stops_over(way: np.ndarray, bound: np.ndarray, begins: np.ndarray, start: np.ndarray) -> Any:
-    """Stops (E,) moved by ways (E, N) within a bound (N,), from `start` in each record."""
+    """Stops (E,) moved along paths (E, N) within a bound (N,), from `start` in each record."""
     ways, limit = sympy.symbols(f"way:{len(way)}", real=True), sympy.Symbol("limit", real=True)
     stops = [
         Stop(name=f"x{i}", unit="1", velocity=w, deflection=1, bound=limit)
@@ -85,8 +85,8 @@ def states_over(
 
 
 @given(STEPS, st.floats(-1, 1))
-def test_the_scan_of_a_stop_is_the_loop(steps: list[tuple[float, float]], start: float) -> None:
-    steps = steps * 60  # more rows than go in one block
+def test_the_scan_of_a_stop_equals_the_loop(steps: list[tuple[float, float]], start: float) -> None:
+    steps = steps * 60  # more rows than fit in one block
     way, bound = (np.array(column) for column in zip(*steps, strict=True))
     expected = [[start], [-start]]
     for x, sign in zip(expected, (1.0, -1.0), strict=True):
@@ -97,7 +97,7 @@ def test_the_scan_of_a_stop_is_the_loop(steps: list[tuple[float, float]], start:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
-def test_a_stop_starts_anew_with_each_record() -> None:
+def test_a_stop_restarts_with_each_record() -> None:
     way = np.full(6, 0.3)
     begins = np.array([True, False, False, True, False, False])
     found = stops_over(way[None], np.full(6, 10.0), begins, np.array([0.25]))
@@ -105,8 +105,8 @@ def test_a_stop_starts_anew_with_each_record() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(-3, 3), st.floats(0, 2)), min_size=2, max_size=40))
-def test_a_stop_never_gives_energy(steps: list[tuple[float, float]]) -> None:
-    """F x v dt >= the change of F w x^2 / 2 in every step, however its bound moves."""
+def test_a_stop_never_generates_energy(steps: list[tuple[float, float]]) -> None:
+    """F x v dt >= the change of F w x^2 / 2 in every step, for any motion of its bound."""
     w, x = 0.5, 0.0
     for v, s in steps:
         after = float(NUMPY["clip"](x + v / w, s))
@@ -114,7 +114,7 @@ def test_a_stop_never_gives_energy(steps: list[tuple[float, float]]) -> None:
         x = after
 
 
-def test_later_elements_see_earlier_ones_as_they_have_moved() -> None:
+def test_later_elements_see_updated_earlier_ones() -> None:
     age = Relaxation(name="p", unit="1", drive=absolute(DQ), rate=sympy.Integer(2))
     stop = Stop(name="x", unit="1", velocity=DQ, deflection=0.1, bound=age.state)
     tried = law(age, stop, output=stop.state)
@@ -128,8 +128,8 @@ def test_later_elements_see_earlier_ones_as_they_have_moved() -> None:
     np.testing.assert_allclose(predict(tried, t=t, dq=dq), expected, rtol=1e-13, atol=1e-15)
 
 
-def test_a_rate_may_see_its_own_state() -> None:
-    """Bouc and Wen's z' = v - |v| |z| z, with the rate frozen over a step."""
+def test_a_rate_may_depend_on_its_own_state() -> None:
+    """The law z' = v - |v| |z| z of Bouc and Wen, with the rate frozen over a step."""
     z = sympy.Symbol("z", real=True)
     element = Relaxation(name="z", unit="1", drive=DQ, rate=absolute(DQ) * absolute(z))
     tried = law(element, output=element.state)
@@ -147,8 +147,8 @@ def test_a_rate_may_see_its_own_state() -> None:
 
 
 @pytest.mark.parametrize("discretisation", ["exact", "euler"])
-def test_the_scalar_loop_is_the_recursion_and_starts_anew(discretisation: Discretisation) -> None:
-    """Bouc and Wen's, by hand; two records, after a state that it also sees."""
+def test_the_scalar_loop_equals_the_recursion_and_restarts(discretisation: Discretisation) -> None:
+    """Bouc-Wen by hand: two records, after another state it depends on."""
     p, z = sympy.symbols("p z", real=True)
     age = Relaxation(name="p", unit="1", drive=1.0, rate=2.0)
     rate = 60 * absolute(DQ) * absolute(z) + 40 * DQ * z - p
@@ -168,8 +168,8 @@ def test_the_scalar_loop_is_the_recursion_and_starts_anew(discretisation: Discre
         before = x
 
 
-def test_a_rate_without_a_value_is_handed_on_as_in_arrays() -> None:
-    """A division by nothing makes a guarded rate of no number, and a root of -1 too."""
+def test_nan_rates_propagate_as_in_arrays() -> None:
+    """A division by zero makes a guarded rate NaN, as does a root of -1."""
     z = sympy.Symbol("z", real=True)
     for rate in (z / DQ, sympy.sqrt(DQ - 2) + z):
         memory = (Relaxation(name="z", unit="1", drive=DQ, rate=rate),)
@@ -180,7 +180,7 @@ def test_a_rate_without_a_value_is_handed_on_as_in_arrays() -> None:
 
 
 @pytest.mark.parametrize("bound", [1.0, 0.0])
-def test_the_continuous_stop_is_the_sampled_one(bound: float) -> None:
+def test_the_continuous_stop_equals_the_sampled_one(bound: float) -> None:
     stop = Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=bound)
     slope = lowered((DQ, stop.state), [stop.continuous()])
     t = 1e-4 * np.arange(20000)
@@ -193,7 +193,7 @@ def test_the_continuous_stop_is_the_sampled_one(bound: float) -> None:
     assert np.abs(found.y[0] - truth).max() < 5e-3
 
 
-def test_the_continuous_stop_lets_go_where_its_bound_shrinks_at_rest() -> None:
+def test_the_continuous_stop_yields_if_its_bound_shrinks_at_rest() -> None:
     stop = Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=TAU_LOAD)
     slope = lowered((DQ, TAU_LOAD, stop.state), [stop.continuous()])
     found = solve_ivp(
@@ -206,7 +206,7 @@ def test_the_continuous_stop_lets_go_where_its_bound_shrinks_at_rest() -> None:
 # --- equations --------------------------------------------------------------------------------
 
 
-def test_equations_come_in_order_and_not_in_circles() -> None:
+def test_equations_are_ordered_and_free_of_cycles() -> None:
     a, b = (Equation(name=n, expression=e) for n, e in (("a", Y + 1), ("y", X)))
     assert [e.name for e in Component(inputs=(signal("x"),), equations=(a, b)).ordered] == [
         "y",
@@ -224,7 +224,7 @@ def test_previous_needs_a_start() -> None:
     assert Component(equations=(counter,)).starting == {Y: 5}
 
 
-def test_what_the_controller_depends_on_is_derived() -> None:
+def test_controller_dependencies_are_derived() -> None:
     own = controller_equations(0.005)
     used = {str(s) for s in own.sources(sympy.Symbol("tau_d", real=True))}
     assert used == {"tau_rb", "tau_f", "friction_gain"}
@@ -235,12 +235,12 @@ def test_what_the_controller_depends_on_is_derived() -> None:
     assert not any(s.startswith("previous") for s in at_start)
 
 
-def test_what_needs_the_length_of_a_step_holds_between_steps() -> None:
+def test_step_dependent_variables_are_held_between_steps() -> None:
     assert velocity_equations().holds
     assert not controller_equations(0.005).holds
 
 
-def test_a_tangent_goes_through_names() -> None:
+def test_a_tangent_follows_named_expressions() -> None:
     own = Component(
         inputs=(signal("x"),),
         equations=(Equation(name="a", expression=X**2), Equation(
@@ -254,11 +254,11 @@ def test_a_tangent_goes_through_names() -> None:
     assert sympy.simplify(b - 2 * X * seed * sympy.cos(X**2)) == 0
 
 
-# --- one step at a time -----------------------------------------------------------------------
+# --- single steps -----------------------------------------------------------------------------
 
 
-def test_memory_may_read_what_was_before() -> None:
-    """A bound that follows the last output: each step sees the one before it."""
+def test_memory_may_read_previous_values() -> None:
+    """A bound that follows the previous output: each step sees the one before it."""
     u, x = signal("u"), sympy.Symbol("x", real=True)
     grows = Component(
         inputs=(u,),

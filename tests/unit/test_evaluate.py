@@ -1,4 +1,4 @@
-"""Laws run over a log and step by step: against closed forms, an ODE solver and each other."""
+"""Laws over a log and step by step: against closed forms, an ODE solver and each other."""
 
 import mpmath
 import numpy as np
@@ -27,14 +27,14 @@ def phi(z: np.ndarray) -> np.ndarray:
 
 
 def hysteresis(alpha: float, beta: float, **more: object) -> FrictionLaw:
-    """Law that gives the state of eq. 9 itself."""
+    """Law whose torque is the state of eq. 9 itself."""
     h = Relaxation(name="h", unit="1", drive=a * sympy.tanh(b * DQ), rate=a)
     form = LawForm(coefficients=(A, B), memory=(h,), output=h.state)
     return FrictionLaw(name="h", form=form, values={"a": alpha, "b": beta}, **more)
 
 
 def with_derivative(law: FrictionLaw) -> FrictionLaw:
-    """The same law, giving the derivative of its state."""
+    """The same law, with the derivative of its state as torque."""
     (relaxation,) = law.form.relaxations
     form = LawForm(
         coefficients=law.form.coefficients,
@@ -54,7 +54,7 @@ def with_derivative(law: FrictionLaw) -> FrictionLaw:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_phi_is_right_to_the_last_digits_near_zero_and_far_from_it(sign: float) -> None:
+def test_phi_is_accurate_to_the_last_digits(sign: float) -> None:
     z = sign * np.concatenate(
         [
             [5e-324, 1e-300, 1e-16, 1e-8, np.nextafter(1e-3, 0.0), 1e-3, np.nextafter(1e-3, 1.0)],
@@ -66,7 +66,7 @@ def test_phi_is_right_to_the_last_digits_near_zero_and_far_from_it(sign: float) 
     np.testing.assert_allclose(phi(z), exact, rtol=5e-16)
 
 
-def test_phi_of_zero_is_one_and_of_huge_arguments_goes_to_zero() -> None:
+def test_limits_of_phi() -> None:
     np.testing.assert_array_equal(phi(np.array([0.0, -0.0])), [1.0, 1.0])
     np.testing.assert_allclose(phi(np.array([1e3, 1e60])), [1e-3, 1e-60], rtol=1e-15)
 
@@ -84,7 +84,9 @@ def relaxed(x: float, drive: float, rate: float, dt: float, how: str = "exact") 
 
 
 @given(st.floats(-10, 10), drives, rates, periods)
-def test_the_exact_step_is_the_closed_form(x: float, drive: float, rate: float, dt: float) -> None:
+def test_the_exact_step_matches_the_closed_form(
+    x: float, drive: float, rate: float, dt: float
+) -> None:
     with mpmath.workdps(50):
         r, u = mpmath.mpf(rate), mpmath.mpf(drive)
         driven = -u * mpmath.expm1(-r * dt) / r if rate else u * dt
@@ -96,7 +98,7 @@ def test_the_exact_step_is_the_closed_form(x: float, drive: float, rate: float, 
 
 
 @given(st.floats(-10, 10), drives, rates, periods, st.integers(2, 50))
-def test_the_exact_step_may_be_split(
+def test_splitting_an_exact_step_changes_nothing(
     x: float, drive: float, rate: float, dt: float, parts: int
 ) -> None:
     whole, split = relaxed(x, drive, rate, dt), x
@@ -132,7 +134,7 @@ def test_an_unstable_euler_step_is_refused(rate: float, found: str) -> None:
 
 
 def test_a_negative_rate_counts_as_zero() -> None:
-    # Whatever the inputs, a state that relaxes does not grow: here it would by e^40.
+    # A relaxing state does not grow, whatever the inputs: here it would, by e^40.
     x = Relaxation(name="x", unit="1", drive=DQ, rate=-TAU_LOAD)
     law = FrictionLaw(
         name="guarded", form=LawForm(coefficients=(), memory=(x,), output=x.state), values={}
@@ -149,7 +151,7 @@ def test_a_negative_rate_counts_as_zero() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), drives), min_size=1, max_size=60), st.floats(-5, 5))
-def test_the_recurrence_is_the_loop(pairs: list[tuple[float, float]], start: float) -> None:
+def test_the_recurrence_equals_the_loop(pairs: list[tuple[float, float]], start: float) -> None:
     factors, increments = (np.array(column) for column in zip(*pairs, strict=True))
     x, expected = start, [start]
     for factor, increment in pairs[1:]:
@@ -171,12 +173,12 @@ def test_euler_over_a_log_is_eq_10_by_hand() -> None:
     dq = np.array([0.3, 0.002, -0.001, -0.4])
     law = hysteresis(11.37, 256.84, discretisation="euler")
     target = np.tanh(256.84 * dq)
-    h = [0.1]  # at the first sample nothing has moved yet
+    h = [0.1]  # no motion yet at the first sample
     h.append((1 - 11.37 * 0.005) * h[0] + 11.37 * 0.005 * target[1])
     h.append((1 - 11.37 * 0.005) * h[1] + 11.37 * 0.005 * target[2])
     h.append((1 - 11.37 * 0.01) * h[2] + 11.37 * 0.01 * target[3])
     np.testing.assert_allclose(predict(law, t=t, dq=dq, start=(0.1,)), h, rtol=1e-13)
-    # The derivative is that of the updated state.
+    # The derivative is taken at the updated state.
     derivative = 11.37 * (target - np.array(h))
     found = predict(with_derivative(law), t=t, dq=dq, start=(0.1,))
     np.testing.assert_allclose(found, derivative, rtol=1e-13)
@@ -201,7 +203,7 @@ def test_an_exact_log_follows_the_differential_equation_of_held_inputs() -> None
     np.testing.assert_allclose(predict(hysteresis(30.0, 100.0), t=t, dq=dq), expected, atol=1e-11)
 
 
-def test_euler_goes_to_exact_with_the_step() -> None:
+def test_euler_converges_to_exact() -> None:
     def largest_difference(samples: int) -> float:
         t = np.linspace(0.0, 2.0, samples)
         dq = np.sin(5.0 * t)
@@ -225,7 +227,7 @@ def test_the_first_sample_reads_the_start_of_the_states() -> None:
     assert predict(with_derivative(law), t=t, dq=dq)[0] == pytest.approx(derivative, rel=1e-15)
 
 
-def test_inputs_that_are_not_given_are_zero() -> None:
+def test_missing_inputs_are_zero() -> None:
     form = LawForm(coefficients=(A,), output=a * DQ + TAU_LOAD + sympy.cos(Q))
     law = FrictionLaw(name="u", form=form, values={"a": 2.0})
     t, dq = np.arange(3.0), np.array([1.0, 2.0, 3.0])
@@ -234,15 +236,15 @@ def test_inputs_that_are_not_given_are_zero() -> None:
     np.testing.assert_allclose(given_all, 2.0 * dq + [5.0, 6.0, 7.0] - 1.0, rtol=1e-15)
 
 
-def test_a_law_without_inputs_gives_every_sample() -> None:
+def test_a_law_without_inputs_fills_every_sample() -> None:
     law = FrictionLaw(name="k", form=LawForm(coefficients=(A,), output=a), values={"a": 1.5})
     torque = predict(law, t=[0.0, 0.1, 0.2], dq=[1.0, 2.0, 3.0])
     np.testing.assert_array_equal(torque, [1.5, 1.5, 1.5])
-    torque[0] = 0.0  # it is the caller's own
+    torque[0] = 0.0  # the array belongs to the caller
     assert Stepper(law).step(0.1, 7.0) == 1.5
 
 
-def test_the_torque_of_one_law_does_not_depend_on_another_of_the_same_form() -> None:
+def test_laws_of_the_same_form_are_independent() -> None:
     t = np.arange(50) * 0.01
     dq = np.sin(t)
     first = predict(hysteresis(10.0, 50.0), t=t, dq=dq)
@@ -259,10 +261,10 @@ def test_nothing_is_divided_by_zero_at_rest() -> None:
         start=(3e-5,),
     )
     rest = predict(law, t=np.arange(4) * 0.01, dq=np.zeros(4))
-    np.testing.assert_array_equal(rest, 3e-5)  # a relaxation without rate remembers for ever
+    np.testing.assert_array_equal(rest, 3e-5)  # a relaxation with rate zero never forgets
 
 
-def test_euler_refuses_a_log_whose_steps_are_too_long() -> None:
+def test_euler_refuses_long_steps() -> None:
     law = hysteresis(11.37, 256.84, discretisation="euler")
     t = np.array([0.0, 0.005, 0.1])
     with pytest.raises(SimulationError, match=r"^Euler needs 0 <= rate \* step < 1, found 1\.08;"):
@@ -272,7 +274,7 @@ def test_euler_refuses_a_log_whose_steps_are_too_long() -> None:
 # --- step by step -----------------------------------------------------------------------------
 
 
-def test_a_stepper_reads_without_moving_where_no_time_passes() -> None:
+def test_a_stepper_does_not_move_in_a_zero_step() -> None:
     stepper = Stepper(hysteresis(10.0, 50.0), start=(0.25,))
     assert stepper.step(0.0, 0.3) == 0.25
     assert stepper.x == [0.25]
@@ -335,9 +337,9 @@ def random_laws(draw: st.DrawFn) -> FrictionLaw:
 
 @settings(max_examples=60, deadline=None)
 @given(random_laws(), st.integers(0, 2**32 - 1))
-def test_a_log_at_once_is_the_log_step_by_step(law: FrictionLaw, seed: int) -> None:
+def test_a_whole_log_equals_the_log_step_by_step(law: FrictionLaw, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    # Uneven steps, short enough for Euler at the largest rates; with rests and reversals.
+    # Uneven steps, short enough for Euler at the largest rates, with rests and reversals.
     t = 2.0 + np.cumsum(rng.uniform(1e-5, 4e-4, 120))
     dq = 2.0 * np.sin(rng.uniform(100, 400) * (t - 2.0))
     dq[40:50] = 0.0
@@ -351,8 +353,8 @@ def test_a_log_at_once_is_the_log_step_by_step(law: FrictionLaw, seed: int) -> N
     np.testing.assert_allclose(torque, stepped, rtol=0, atol=1e-12 * np.abs(stepped).max())
 
 
-def test_a_division_by_a_coefficient_that_is_zero_gives_no_number() -> None:
-    """As among arrays and in C: what runs a law looks for what is not finite."""
+def test_division_by_a_zero_coefficient_gives_nan() -> None:
+    """As in arrays and in C: the caller checks for values that are not finite."""
     form = LawForm(coefficients=(A, B), output=DQ * b / a)
     law = FrictionLaw(name="odd", form=form, values={"a": 0.0, "b": 2.0})
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -362,13 +364,13 @@ def test_a_division_by_a_coefficient_that_is_zero_gives_no_number() -> None:
     assert not np.isfinite(torque[1])
 
 
-# --- the start of the state -------------------------------------------------------------------
+# --- initial state ----------------------------------------------------------------------------
 
 
 def started(
     start: float, samples: int, **more: object
 ) -> tuple[FrictionLaw, dict[str, np.ndarray]]:
-    """A law and a log of it whose state starts somewhere; its torque is the state itself."""
+    """A law whose torque is its state, and a log of it with a non-zero initial state."""
     law = hysteresis(3.0, 5.0, start_samples=samples)
     t = 0.01 * np.arange(50)
     dq = 2.0 + np.sin(9.0 * t)
@@ -377,7 +379,7 @@ def started(
 
 
 @pytest.mark.parametrize("start", [-0.95, -0.31, 0.0, 0.62, 0.99])
-def test_the_start_that_explains_the_first_torques_is_found(start: float) -> None:
+def test_the_start_is_estimated_from_the_first_torques(start: float) -> None:
     law, log = started(start, 5)
     assert estimated_start(law, **log)[0] == pytest.approx(start, abs=1e-4)
 
@@ -390,17 +392,17 @@ def test_only_the_first_samples_count() -> None:
     assert estimated_start(law, **log)[0] > 0.9
 
 
-def test_a_start_is_one_that_the_state_can_reach() -> None:
-    """|h| <= tanh(5 * 3): beyond it nothing is searched, whatever the torque says."""
+def test_a_start_is_a_reachable_state() -> None:
+    """|h| <= tanh(5 * 3) bounds the search, whatever the torque."""
     law, log = started(2.5, 5)
     assert estimated_start(law, **log)[0] == pytest.approx(1.0, abs=1e-3)
     log["dq"] = 0.1 * np.sin(9.0 * log["t"])
     assert estimated_start(law, **log)[0] == pytest.approx(np.tanh(0.5), abs=1e-3)
 
 
-def test_laws_that_want_no_estimate_keep_their_start() -> None:
+def test_laws_without_estimation_keep_their_start() -> None:
     law, log = started(0.4, 0)
     assert estimated_start(law, **log) == law.start == (0.0,)
     law, log = started(0.4, 5)
-    log["dq"] *= 0.0  # nothing drives the state, so that it reaches nothing
+    log["dq"] *= 0.0  # nothing drives the state, so its reach is zero
     assert estimated_start(law, **log) == (0.0,)

@@ -1,4 +1,4 @@
-"""Excitation design: the search, the limits, and what is refused."""
+"""Excitation design: search, limits and refusals."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -40,7 +40,7 @@ def uf850_excitation(uf850: Robot) -> Excitation:
 
 
 def assert_kept(found: Excitation) -> None:
-    """Between the points of the design, too."""
+    """Peaks also between the points of the design."""
     motion, limits = found.motion, found.limits
     q, dq, ddq = motion.sample(np.random.default_rng(3).uniform(0, motion.duration, 20_000))
     assert np.all(q.min(axis=0) > limits.lower)
@@ -49,7 +49,7 @@ def assert_kept(found: Excitation) -> None:
     assert np.all(np.abs(ddq).max(axis=0) < limits.acceleration)
 
 
-# --- what is reached --------------------------------------------------------------------------
+# --- condition and limits ---------------------------------------------------------------------
 
 
 def test_condition_is_a_third_of_the_median_random_motion(
@@ -64,7 +64,7 @@ def test_condition_is_a_third_of_the_median_random_motion(
     assert uf850_excitation.condition < median / 3
 
 
-def test_limits_are_kept_and_used(uf850_excitation: Excitation) -> None:
+def test_limits_are_met_and_used(uf850_excitation: Excitation) -> None:
     assert_kept(uf850_excitation)
     _, q, dq, ddq = uf850_excitation.setpoints()
     limits = uf850_excitation.limits
@@ -92,7 +92,7 @@ def test_counterpart_is_as_well_conditioned(uf850: Robot, uf850_excitation: Exci
     assert found == pytest.approx(uf850_excitation.condition, rel=1e-3)
 
 
-def test_torque_limit_is_kept_and_costs_condition(arm_model: Robot) -> None:
+def test_torque_limit_is_met_and_costs_condition(arm_model: Robot) -> None:
     free = design(arm_model, QUICK)
     torque = 0.5 * free.peak_torque
     bound = design(arm_model, with_limits(torque=tuple(torque)))
@@ -102,7 +102,7 @@ def test_torque_limit_is_kept_and_costs_condition(arm_model: Robot) -> None:
     assert bound.condition > free.condition
 
 
-def test_periods_rate_and_seed_are_the_users(arm_model: Robot) -> None:
+def test_periods_rate_and_seed_are_used(arm_model: Robot) -> None:
     settings = QUICK.model_copy(update={"periods": 3, "sample_rate": 125.0})
     found, again = design(arm_model, settings), design(arm_model, settings)
     np.testing.assert_array_equal(found.motion.a, again.motion.a)
@@ -112,7 +112,7 @@ def test_periods_rate_and_seed_are_the_users(arm_model: Robot) -> None:
     assert len(q) == len(t)
 
 
-def test_random_motions_differ_and_keep_the_limits(arm_model: Robot) -> None:
+def test_random_motions_differ_and_meet_the_limits(arm_model: Robot) -> None:
     limits = Limits.of(arm_model, QUICK.limits)
     motions = random_motions(arm_model, QUICK, 20, seed=4)
     assert len({motion.period for motion in motions}) == 20
@@ -138,8 +138,8 @@ def test_random_motions_differ_and_keep_the_limits(arm_model: Robot) -> None:
 # --- the search -------------------------------------------------------------------------------
 
 
-def test_gradient_is_that_of_the_value(arm_model: Robot) -> None:
-    # Tight limits: every punishment takes part.
+def test_gradient_matches_differences_of_the_value(arm_model: Robot) -> None:
+    # With tight limits every penalty contributes.
     limits = Limits.of(
         arm_model,
         MotionLimits(
@@ -163,7 +163,7 @@ def test_gradient_is_that_of_the_value(arm_model: Robot) -> None:
     np.testing.assert_allclose(gradient, expected, atol=1e-5 * np.abs(expected).max())
 
 
-def test_coordinates_stand_for_motions(arm_model: Robot) -> None:
+def test_coordinates_map_to_motions(arm_model: Robot) -> None:
     limits = Limits.of(arm_model, MotionLimits())
     search = Search(model=arm_model, limits=limits, harmonics=3, period=(5.0, 12.0))
     motion = random_motions(arm_model, QUICK, 1, seed=0)[0]
@@ -218,23 +218,23 @@ def test_a_motion_within_the_limits_is_left_alone(arm_model: Robot) -> None:
         np.testing.assert_array_equal(getattr(kept, name), getattr(small, name))
 
 
-def test_rest_is_where_gravity_takes_least(arm_model: Robot) -> None:
+def test_rest_minimises_gravity_torque(arm_model: Robot) -> None:
     limits = Limits.of(arm_model, MotionLimits(torque=(50.0, 12.0, 3.0)))
     rest = limits.rest(arm_model)
     still = Fourier(offset=rest, a=np.zeros((3, 2)), b=np.zeros((3, 2)), period=1.0)
     assert np.max(peak_torque(arm_model, still) / limits.torque) < 0.05
 
 
-# --- what is refused --------------------------------------------------------------------------
+# --- refusals ---------------------------------------------------------------------------------
 
 
-def test_limits_that_are_not_one_per_joint_are_refused(arm_model: Robot) -> None:
+def test_limits_must_be_one_per_joint(arm_model: Robot) -> None:
     message = r"^key 'limits\.velocity' has 2 entries; the 3 joints of robot 'arm' need one each\.$"
     with pytest.raises(RobotError, match=message):
         design(arm_model, with_limits(velocity=(1.0, 1.0)))
 
 
-def test_positions_out_of_the_joints_range_are_refused(arm_model: Robot) -> None:
+def test_positions_outside_the_joint_range_are_refused(arm_model: Robot) -> None:
     message = r"^key 'limits\.position' of joint 'j2' is -1 to 2\.5; the model allows -2 to 2\.$"
     with pytest.raises(RobotError, match=message):
         design(arm_model, with_limits(position=((-1, 1), (-1, 2.5), (-1, 1))))

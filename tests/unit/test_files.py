@@ -1,4 +1,4 @@
-"""Files that are whole or not there, and the folder of shipped models."""
+"""Atomic writing of files and folders, and the folder of shipped models."""
 
 import hashlib
 import os
@@ -22,7 +22,7 @@ from hesr_model.support.files import (
 
 
 def everything_in(folder: Path) -> dict[str, str]:
-    """Every file below a folder, hidden ones too, and its text."""
+    """Every file below a folder, including hidden ones, and its text."""
     return {str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.is_file()} | {
         f"{p.relative_to(folder)}/": "" for p in folder.rglob("*") if p.is_dir()
     }
@@ -33,7 +33,7 @@ def test_the_folder_of_models_holds_the_default_study() -> None:
     assert (models_folder() / "uf850" / "robot.toml").is_file()
 
 
-def test_sha256_is_that_of_the_bytes(tmp_path: Path) -> None:
+def test_sha256_is_computed_from_the_bytes(tmp_path: Path) -> None:
     path = tmp_path / "x"
     path.write_bytes(b"\x00\xff friction \r\n")
     assert sha256(path) == hashlib.sha256(b"\x00\xff friction \r\n").hexdigest()
@@ -42,17 +42,17 @@ def test_sha256_is_that_of_the_bytes(tmp_path: Path) -> None:
 # --- one file ---------------------------------------------------------------------------------
 
 
-def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
+def test_a_file_appears_only_when_complete(tmp_path: Path) -> None:
     path = tmp_path / "new" / "folder" / "law.json"
     with written_whole(path) as temporary:
         temporary.write_text("done")
         assert not path.exists()
-        assert temporary.suffix == ".json"  # writers that go by the suffix must see it
-        assert temporary.parent == path.parent  # so that the move stays on one file system
+        assert temporary.suffix == ".json"  # some writers go by the suffix
+        assert temporary.parent == path.parent  # the move must stay on one file system
     assert everything_in(tmp_path / "new" / "folder") == {"law.json": "done"}
 
 
-def test_a_file_replaces_what_stood_there(tmp_path: Path) -> None:
+def test_a_file_replaces_an_existing_one(tmp_path: Path) -> None:
     path = tmp_path / "law.json"
     path.write_text("old")
     with written_whole(path) as temporary:
@@ -61,7 +61,7 @@ def test_a_file_replaces_what_stood_there(tmp_path: Path) -> None:
     assert everything_in(tmp_path) == {"law.json": "new"}
 
 
-def test_a_file_has_the_mode_of_any_new_file(tmp_path: Path) -> None:
+def test_a_file_has_the_default_mode(tmp_path: Path) -> None:
     ordinary = tmp_path / "ordinary"
     ordinary.write_text("")
     with written_whole(tmp_path / "law.json") as temporary:
@@ -71,9 +71,7 @@ def test_a_file_has_the_mode_of_any_new_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_nothing_is_left_of_a_file_that_was_not_finished(
-    tmp_path: Path, error: type[BaseException]
-) -> None:
+def test_an_unfinished_file_leaves_nothing(tmp_path: Path, error: type[BaseException]) -> None:
     path = tmp_path / "law.json"
     path.write_text("old")
 
@@ -87,7 +85,7 @@ def test_nothing_is_left_of_a_file_that_was_not_finished(
     assert everything_in(tmp_path) == {"law.json": "old"}
 
 
-def test_nothing_is_left_of_a_file_whose_making_was_interrupted(
+def test_an_interrupted_file_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make = tempfile.mkstemp
@@ -117,7 +115,7 @@ def test_a_path_below_a_regular_file_is_refused(tmp_path: Path) -> None:
     assert refused(blocking / "law.json").startswith(f"{blocking / 'law.json'}: cannot be written")
 
 
-def test_a_folder_in_the_place_of_the_file_is_refused(tmp_path: Path) -> None:
+def test_a_folder_in_place_of_the_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "law.json"
     path.mkdir()
     assert refused(path) == f"{path}: cannot be written there (Is a directory)."
@@ -125,7 +123,7 @@ def test_a_folder_in_the_place_of_the_file_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="this system has no /proc")
-def test_a_pipe_in_the_place_of_the_file_stays_one(tmp_path: Path) -> None:
+def test_a_pipe_in_place_of_the_file_is_kept(tmp_path: Path) -> None:
     pipe = tmp_path / "p.json"
     os.mkfifo(pipe)
     said = rf"^{pipe}: is a pipe or a device; give the name of a file\.$"
@@ -134,7 +132,7 @@ def test_a_pipe_in_the_place_of_the_file_stays_one(tmp_path: Path) -> None:
     assert stat.S_ISFIFO(pipe.stat().st_mode)
 
 
-def test_a_file_system_that_takes_no_files_is_refused() -> None:
+def test_an_unwritable_file_system_is_refused() -> None:
     assert refused(Path("/proc/law.json")).startswith("/proc/law.json: cannot be written there (")
 
 
@@ -156,13 +154,13 @@ def test_files_of_a_folder_appear_together(tmp_path: Path) -> None:
         (temporary / "a.json").write_text("a")
         (temporary / "fmus").mkdir()
         (temporary / "fmus" / "b.fmu").write_text("b")
-        assert is_empty(path)  # but for what is being made, which is hidden
+        assert is_empty(path)  # temporary files are hidden
         assert temporary.name.startswith(".hesr-")
     assert everything_in(path) == {"a.json": "a", "fmus/": "", "fmus/b.fmu": "b"}
     assert sorted(p.name for p in tmp_path.iterdir()) == ["results"]
 
 
-def test_files_of_the_same_name_are_replaced_and_others_stay(tmp_path: Path) -> None:
+def test_files_of_the_same_name_are_replaced_and_others_kept(tmp_path: Path) -> None:
     (tmp_path / "fmus").mkdir()
     (tmp_path / "fmus" / "b.fmu").write_text("old b")
     (tmp_path / "notes.txt").write_text("mine")
@@ -173,9 +171,7 @@ def test_files_of_the_same_name_are_replaced_and_others_stay(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_nothing_is_left_of_a_folder_that_was_not_finished(
-    tmp_path: Path, error: type[BaseException]
-) -> None:
+def test_an_unfinished_folder_leaves_nothing(tmp_path: Path, error: type[BaseException]) -> None:
     (tmp_path / "a.json").write_text("old")
 
     def interrupted(path: Path) -> None:
@@ -190,7 +186,7 @@ def test_nothing_is_left_of_a_folder_that_was_not_finished(
     assert everything_in(tmp_path) == {"a.json": "old"}
 
 
-def test_a_file_in_the_place_of_a_folder_of_results_is_named(tmp_path: Path) -> None:
+def test_a_file_in_place_of_a_results_folder_is_named(tmp_path: Path) -> None:
     (tmp_path / "fmus").write_text("mine")
 
     def write() -> None:
@@ -206,7 +202,7 @@ def test_a_file_in_the_place_of_a_folder_of_results_is_named(tmp_path: Path) -> 
     assert everything_in(tmp_path) == {"fmus": "mine"}
 
 
-def test_a_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_refused_before_the_work(tmp_path: Path) -> None:
     blocking = tmp_path / "file"
     blocking.write_text("")
     for path in (blocking, blocking / "results"):
@@ -217,7 +213,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path: Pa
         assert not worked
 
 
-def test_the_hash_of_a_folder_is_of_the_names_and_bytes_in_it(tmp_path: Path) -> None:
+def test_the_hash_of_a_folder_covers_names_and_bytes(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     (folder / "inner").mkdir(parents=True)
     (folder / "inner" / "a").write_text("1", encoding="utf-8")
@@ -229,7 +225,7 @@ def test_the_hash_of_a_folder_is_of_the_names_and_bytes_in_it(tmp_path: Path) ->
     assert len({first, changed, sha256(folder)}) == 3
 
 
-def test_a_scratch_folder_goes_whatever_is_in_it(
+def test_a_scratch_folder_is_removed_with_any_content(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
@@ -242,7 +238,7 @@ def test_a_scratch_folder_goes_whatever_is_in_it(
         (folder / "locked" / "inner" / "file").touch()
         (folder / "locked").chmod(0)
         here = os.open(folder, os.O_RDONLY)
-        for _ in range(1200):  # deeper than any path may be long
+        for _ in range(1200):  # deeper than the path length limit
             os.mkdir("d", dir_fd=here)
             below = os.open("d", os.O_RDONLY, dir_fd=here)
             os.close(here)
@@ -254,7 +250,7 @@ def test_a_scratch_folder_goes_whatever_is_in_it(
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in folders")
 def test_a_pipe_has_no_hash(tmp_path: Path) -> None:
-    """Nobody waits for its end."""
+    """Hashing must not wait for the end of a pipe."""
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(OSError, match="it is a pipe or a device"):
         sha256(tmp_path / "pipe")

@@ -1,4 +1,4 @@
-"""Forward simulation: bodies and laws whose motion is known, and the twin to the last digit."""
+"""Forward simulation: bodies and laws with known motion, and the twin to the last digit."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -66,14 +66,14 @@ def axis_record(t: np.ndarray, force: np.ndarray, dq: np.ndarray, q: np.ndarray)
                           sliding=True)  # fmt: skip
 
 
-def test_mass_and_weight_are_those_of_the_body(carriage: Robot) -> None:
+def test_mass_and_weight_match_the_body(carriage: Robot) -> None:
     mass, bias = carriage.dynamics(carriage.nominal_parameters, np.ones((3, 1)), np.ones((3, 1)))
     np.testing.assert_allclose(mass, np.full((3, 1, 1), 5.0))
     np.testing.assert_allclose(bias, 0.0, atol=1e-12)
 
 
-def test_a_mass_with_viscous_friction_moves_as_it_must(carriage: Robot) -> None:
-    """m q'' + d q' = F from rest, in closed form."""
+def test_a_mass_with_viscous_friction_follows_the_closed_form(carriage: Robot) -> None:
+    """Closed form of m q'' + d q' = F from rest."""
     t, m, d, force = np.arange(0, 1.0, 0.002), 5.0, 20.0, 3.0
     lag = m / d
     q = force / d * (t - lag * (1.0 - np.exp(-t / lag)))
@@ -83,7 +83,7 @@ def test_a_mass_with_viscous_friction_moves_as_it_must(carriage: Robot) -> None:
     found = Simulator(robot=carriage, parameters=carriage.nominal_parameters, friction=model).run(
         window
     )
-    # Implicit steps of 2 ms are half a step late in velocity.
+    # Implicit steps of 2 ms delay the velocity by half a step.
     np.testing.assert_allclose(found[0, :, 0], q, atol=2e-3 * np.abs(q).max())
     (error,) = position_errors(found, window)
     assert error is not None
@@ -91,7 +91,7 @@ def test_a_mass_with_viscous_friction_moves_as_it_must(carriage: Robot) -> None:
 
 
 @pytest.mark.parametrize("force", [1.9, -1.9])
-def test_a_force_below_coulombs_moves_nothing(carriage: Robot, force: float) -> None:
+def test_a_force_below_coulomb_friction_moves_nothing(carriage: Robot, force: float) -> None:
     t = np.arange(0, 0.5, 0.01)
     still = np.zeros_like(t)
     dahl = FrictionModel(
@@ -106,14 +106,14 @@ def test_a_force_below_coulombs_moves_nothing(carriage: Robot, force: float) -> 
     found = Simulator(robot=carriage, parameters=carriage.nominal_parameters, friction=dahl).run(
         window
     )
-    assert np.abs(found).max() < 2e-6  # bristles of 1e7 N/m, however long the step
+    assert np.abs(found).max() < 2e-6  # bristles of 1e7 N/m, at any step
 
 
-def test_steps_are_those_of_a_law_over_a_log(registry_models: dict[str, FrictionModel]) -> None:
+def test_steps_match_a_law_over_a_log(registry_models: dict[str, FrictionModel]) -> None:
     rng = np.random.default_rng(0)
     t = np.cumsum(rng.uniform(0.002, 0.01, 60))
     dq, q, load = np.cumsum(rng.normal(size=(3, 60)), axis=1) * np.array([[0.05], [0.01], [1.0]])
-    dq[0] = 0.0  # at rest laws begin at their start values
+    dq[0] = 0.0  # at rest, laws begin at their start values
     for name, model in registry_models.items():
         law = model.laws[0]
         expected = predict(law, t=t, dq=dq, q=q, tau_load=load)
@@ -129,7 +129,7 @@ def test_steps_are_those_of_a_law_over_a_log(registry_models: dict[str, Friction
 
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
-    """The twin's body and friction, those that are fitted, and its torque at 1 ms."""
+    """Return the twin's body and friction, the fitted ones, and its torque at 1 ms."""
     path = tmp_path_factory.mktemp("twin") / "motions.toml"
     path.write_text(MOTIONS, encoding="utf-8")
     motions, plant = Motions.read(path), Plant.read(TWIN / "plant.toml")
@@ -156,7 +156,7 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
 
 @pytest.mark.parametrize("length", [0.2, 0.5])
 def test_true_parameters_simulate_the_twin(twin: dict[str, object], length: float) -> None:
-    """Below a hundredth of LuGre's error: in fact to rounding, in MuJoCo's own order of steps."""
+    """Below a hundredth of LuGre's error: with MuJoCo's own order of steps, only round-off."""
     robot, body = twin["robot"], twin["body"]
     windows = windows_of([twin["log"]], length)
     true = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=twin["truth"],
@@ -172,14 +172,14 @@ def test_true_parameters_simulate_the_twin(twin: dict[str, object], length: floa
 
 
 def test_inner_steps_of_both_orders_agree(twin: dict[str, object]) -> None:
-    """What the order of steps is worth at 1 ms is little beside what a law is worth."""
+    """At 1 ms the order of steps matters far less than the choice of law."""
     robot, windows = twin["robot"], windows_of([twin["log"]], 0.2)
     true = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=twin["truth"])
     errors = np.array(position_errors(true.run(windows), windows), dtype=float)
     assert np.all(errors < 2e-4)
 
 
-def test_sets_of_windows_are_simulated_as_one(twin: dict[str, object]) -> None:
+def test_sets_of_windows_are_simulated_together(twin: dict[str, object]) -> None:
     robot, log = twin["robot"], twin["log"]
     later = [replace(record, t=record.t + 3.0) for record in log]
     sets = [windows_of([log], 0.2), windows_of([later, log], 0.2)]
@@ -188,14 +188,14 @@ def test_sets_of_windows_are_simulated_as_one(twin: dict[str, object]) -> None:
     np.testing.assert_allclose(one.run(joined(sets)), alone, rtol=0.0, atol=1e-9)
 
 
-def test_times_that_are_rounded_have_no_more_inner_steps() -> None:
+def test_rounded_times_add_no_inner_steps() -> None:
     t = 17.0 + 0.005 * np.arange(400)
     assert np.ptp(np.diff(t)) > 0.0
     assert {inner_steps(np.array([dt])) for dt in np.diff(t)} == {2}
     assert [inner_steps(np.array([1e-3, dt])) for dt in (0.0025, 0.0026, 0.008)] == [1, 2, 4]
 
 
-def test_what_cannot_be_simulated_is_refused(twin: dict[str, object]) -> None:
+def test_impossible_simulations_are_refused(twin: dict[str, object]) -> None:
     robot, log = twin["robot"], twin["log"]
     with pytest.raises(SimulationError, match="log trial: too short for a window of 9 s"):
         windows_of([log], 9.0)
@@ -204,7 +204,7 @@ def test_what_cannot_be_simulated_is_refused(twin: dict[str, object]) -> None:
         hollow.run(windows_of([log], 0.2))
 
 
-def test_windows_cover_a_log_behind_its_run_in() -> None:
+def test_windows_cover_a_log_after_its_run_in() -> None:
     t = 0.01 * np.arange(500)
     log = [axis_record(t, t, 2.0 * t, 3.0 * t)]
     windows = windows_of([log, [replace(log[0], t=t + 7.0)]], 0.5)

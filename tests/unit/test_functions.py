@@ -1,4 +1,4 @@
-"""The functions from which laws are written: derivatives that friction needs, NumPy and LaTeX."""
+"""The functions available to laws: derivatives, NumPy code and LaTeX."""
 
 import mpmath
 import numpy as np
@@ -23,7 +23,7 @@ X = sympy.Symbol("x", real=True)
 numbers = st.floats(-1e6, 1e6)
 
 
-def test_inputs_stand_in_the_order_of_every_lowering_and_have_si_units() -> None:
+def test_inputs_are_ordered_and_have_si_units() -> None:
     assert INPUTS == (DQ, Q, TAU_LOAD)
     assert INPUT_UNITS == {"dq": "rad/s", "q": "rad", "tau_load": "N.m"}
 
@@ -33,18 +33,18 @@ def test_sgn_of_a_number_is_its_sign(value: float, expected: int) -> None:
     assert sgn(sympy.sympify(value)) == expected
 
 
-def test_absolute_of_a_number_is_its_size() -> None:
+def test_absolute_of_a_number_is_its_magnitude() -> None:
     assert absolute(sympy.Integer(-3)) == 3
     assert absolute(sympy.Float(-0.25)) == 0.25
     assert absolute(sympy.Integer(0)) == 0
 
 
-def test_functions_of_a_symbol_stay_as_they_are() -> None:
+def test_functions_of_a_symbol_are_not_evaluated() -> None:
     assert sgn(X).func is sgn
     assert absolute(X).func is absolute
 
 
-def test_derivatives_are_those_almost_everywhere_and_no_impulses() -> None:
+def test_derivatives_hold_almost_everywhere_without_impulses() -> None:
     assert sgn(X).diff(X) == 0
     assert absolute(X).diff(X) == sgn(X)
     assert absolute(X).diff(X, 2) == 0
@@ -63,10 +63,10 @@ def test_lowered_functions_are_numpys_own(values: list[float]) -> None:
 
 
 @pytest.mark.parametrize("x", [0.0, 1e-9, 4e-4, -9.9e-4, 1.1e-3, 0.7, -40.0])
-def test_the_cardinal_sine_and_its_slope_are_exact_near_zero_too(x: float) -> None:
+def test_cardinal_sine_and_slope_are_exact_near_zero(x: float) -> None:
     z = sympy.Symbol("z", real=True)
     exact = sympy.sin(z) / z
-    # The slope is a difference of large numbers just above where its series ends.
+    # Just above the end of its series the slope is a difference of large numbers.
     cases = ((cardinal_sine(z), exact, 1e-14), (cardinal_slope(z), exact.diff(z), 1e-10))
     for form, right, tolerance in cases:
         (found,) = lowered((z,), (form,))(np.array([x]))
@@ -86,7 +86,7 @@ def test_a_lowered_constant_is_a_number() -> None:
     assert lowered((X,), (sympy.Integer(2),))(np.zeros(3)) == [2]
 
 
-def test_latex_is_what_is_printed_in_books() -> None:
+def test_latex_uses_textbook_notation() -> None:
     assert sympy.latex(sgn(X)) == r"\operatorname{sgn}\left(x\right)"
     assert sympy.latex(absolute(X)) == r"\left|x\right|"
     assert sympy.latex(sgn(X) ** 2) == r"\operatorname{sgn}^{2}\left(x\right)"
@@ -94,8 +94,8 @@ def test_latex_is_what_is_printed_in_books() -> None:
 
 
 @pytest.mark.parametrize("z", [1e-300, 1e-9, 0.99e-3, 1.01e-3, 0.02, 0.9, 7.0, 200.0])
-def test_what_a_relaxation_keeps_and_takes_over_a_step(z: float) -> None:
-    """exp(-z) - 1, (1 - exp(-z)) / z and its slope, to both sides of where they are series."""
+def test_relaxation_factors_over_a_step(z: float) -> None:
+    """exp(-z) - 1, (1 - exp(-z)) / z and its slope, on both sides of the switch to series."""
     with mpmath.workdps(700):
         x = mpmath.mpf(z)
         left = mpmath.exp(-x)
@@ -118,7 +118,7 @@ def test_bounds_and_comparisons_of_arrays() -> None:
 
 
 @pytest.mark.parametrize(("x", "slope"), [(3.0, 6.0), (0.5, 1.0), (-2.0, -4.0)])
-def test_the_larger_of_two_rises_as_it_does_itself(x: float, slope: float) -> None:
+def test_a_maximum_has_the_slope_of_the_larger_argument(x: float, slope: float) -> None:
     for pair in (larger(X**2, X), larger(X, X**2)):
         (found,) = lowered([X], [pair.diff(X)])(x)
         assert found == slope
@@ -129,7 +129,7 @@ def test_the_larger_of_two_rises_as_it_does_itself(x: float, slope: float) -> No
     [(3.0, 2.0, (1.5, 0.5, -0.75, 0.0)), (3.0, 0.0, (7.0, 0.0, 0.0, 1.0)),
      (3.0, -2.0, (7.0, 0.0, 0.0, 1.0))],
 )  # fmt: skip
-def test_a_quotient_and_its_slopes_where_nothing_may_be_divided(
+def test_a_quotient_and_its_slopes_at_a_zero_divisor(
     a: float, b: float, values: tuple[float, ...]
 ) -> None:
     p, q, r = sympy.symbols("p q r", real=True)

@@ -1,4 +1,4 @@
-"""Interval arithmetic: bounds that hold, that are tight enough, and where guards act."""
+"""Interval arithmetic: valid and tight bounds, and places where guards act."""
 
 from math import inf
 
@@ -17,7 +17,7 @@ BOX = {X: (-1.5, 2.0), Y: (0.25, 3.0)}
 
 
 def enclosure(expression: sympy.Expr, box: Box) -> tuple[float, float]:
-    """Bounds of an expression, as those of a rate."""
+    """Bounds of an expression, evaluated as a rate."""
     found = reach(Relaxation(name="z", unit="1", drive=X, rate=expression), box)
     return found.low, found.high
 
@@ -40,12 +40,12 @@ def test_values_lie_within_and_reach_near_the_bounds(expression: sympy.Expr) -> 
     values = lowered((X, Y), [expression])(x, y)[0]
     assert low <= values.min() <= values.max() <= high
     wide = values.max() - values.min()
-    loose = 0.6 if expression.has(sympy.cos) else 0.08  # waves are taken for -1 to 1
+    loose = 0.6 if expression.has(sympy.cos) else 0.08  # sines and cosines are bounded by -1 and 1
     assert high - low < (1.0 + 2.0 * loose) * wide
 
 
 @pytest.mark.parametrize("expression", [1 / X, sympy.log(X), sympy.sqrt(X), sympy.gamma(X)])
-def test_what_may_have_no_value_is_infinite(expression: sympy.Expr) -> None:
+def test_possibly_undefined_values_are_unbounded(expression: sympy.Expr) -> None:
     low, high = enclosure(expression, BOX)
     assert low == -inf or high == inf
 
@@ -58,7 +58,7 @@ def test_a_rate_that_is_finite_and_never_guarded() -> None:
     assert not found.guarded
 
 
-def test_where_the_guard_of_a_bound_acts() -> None:
+def test_inputs_for_which_a_bound_is_guarded() -> None:
     stop = Stop(name="w", unit="1", velocity=X, deflection=0.1, bound=1 + X)
     found = reach(stop, BOX)
     assert found.finite
@@ -67,13 +67,13 @@ def test_where_the_guard_of_a_bound_acts() -> None:
     assert min(box[X][0] for box in found.guarded) == BOX[X][0]
 
 
-def test_numbers_alone() -> None:
+def test_bounds_of_constants() -> None:
     assert enclosure(sympy.Float(2.5), {}) == (2.5, 2.5)
     assert reach(Relaxation(name="z", unit="1", drive=X, rate=-1.0), {}).guarded == ({},)
 
 
 def test_the_rate_of_lugre_is_finite_and_no_guard_acts() -> None:
-    """Shown of a form with its numbers, over inputs as a log has them."""
+    """Proven for a form with its coefficients, over the inputs of a log."""
     form = registry()["lugre"].form({})
     values = {"sigma_0": 3e3, "sigma_1": 20.0, "sigma_2": 5.0, "F_c": 4.0, "F_s": 6.0, "v_s": 0.1}
     numbers = {c.symbol: sympy.Float(values.get(c.name, 0.0)) for c in form.coefficients}

@@ -1,4 +1,4 @@
-"""Fits that were finished before a run was killed are not made again."""
+"""Checkpoints: a killed run reuses its finished fits."""
 
 import os
 import signal
@@ -38,7 +38,7 @@ def fitted(kept: Path | None, **more: object) -> object:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
-def test_a_killed_fit_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_a_killed_fit_resumes(tmp_path: Path) -> None:
     kept = tmp_path / "laws"
     program = (
         "import sys; from pathlib import Path\n"
@@ -68,7 +68,7 @@ def test_a_killed_fit_goes_on_where_it_was(tmp_path: Path) -> None:
     assert told == sorted(told)
 
 
-def test_a_law_is_kept_for_one_fit_only() -> None:
+def test_a_checkpoint_belongs_to_one_fit() -> None:
     [[one], [other]] = records()
     key = key_of("lugre", [one], 1, {"a": 1})
     assert key == key_of("lugre", [replace(one)], 1, {"a": 1})

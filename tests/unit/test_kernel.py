@@ -1,4 +1,4 @@
-"""Equations over rows in C against the same in NumPy, function by function and form by form."""
+"""Equations over rows in C against NumPy, function by function and form by form."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -35,7 +35,7 @@ from hesr_model.laws.lugre import LuGre, LuGreLoad
 from hesr_model.laws.ripple import Ripple
 
 U, V, K = sympy.symbols("u v k", real=True)
-ROWS = 1000  # not a multiple of what a block or a vector has
+ROWS = 1000  # not a multiple of a block or a vector
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ EXACT: dict[str, tuple[Callable[..., sympy.Expr], Callable[..., mpmath.mpf], flo
 def test_elementary_functions_are_exact_to_the_last_digits(
     name: str, rng: np.random.Generator
 ) -> None:
-    """1e-15 relative; of sines relative to 1, since their zeros have no digits."""
+    """1e-15 relative; for sines relative to 1, because they have no digits at their zeros."""
     function, exact, limit = EXACT[name]
     size = np.concatenate([np.geomspace(1e-300, limit, 700), rng.uniform(0.1, limit, 800)])
     u = size * rng.choice([-1.0, 1.0], len(size))
@@ -85,7 +85,7 @@ def test_elementary_functions_are_exact_to_the_last_digits(
 
 
 @pytest.mark.parametrize("wide", [1, 3])
-def test_results_go_where_they_are_wanted(rng: np.random.Generator, wide: int) -> None:
+def test_results_are_written_to_the_given_array(rng: np.random.Generator, wide: int) -> None:
     u = rng.normal(size=ROWS)
     kernel = Kernel((), (K,), (U, V), [K * U])
     room = np.full((ROWS + 8, wide), np.nan)
@@ -96,13 +96,13 @@ def test_results_go_where_they_are_wanted(rng: np.random.Generator, wide: int) -
     assert np.isnan(room).all()
 
 
-def test_exp_has_the_digits_that_the_smallest_numbers_have() -> None:
+def test_exp_of_denormals_is_as_exact_as_they_allow() -> None:
     u = np.linspace(-746.0, -700.0, ROWS)
     expected = [float(mpmath.exp(mpmath.mpf(x))) for x in u]
     np.testing.assert_allclose(values(sympy.exp(K * U), u), expected, rtol=1e-15, atol=1e-323)
 
 
-def test_what_is_infinite_and_what_is_no_number() -> None:
+def test_infinities_and_nan() -> None:
     u = np.array([np.inf, -np.inf, np.nan, 1e6, -1e6, 0.0, 710.0, -750.0])
     with np.errstate(over="ignore", under="ignore"):
         np.testing.assert_array_equal(values(sympy.exp(K * U), u), np.exp(u))
@@ -110,8 +110,8 @@ def test_what_is_infinite_and_what_is_no_number() -> None:
     np.testing.assert_array_equal(values(positive(K * U), u), np.where(u > 0.0, u, 0.0))
 
 
-def test_a_relaxation_forgets_by_what_the_step_says(rng: np.random.Generator) -> None:
-    """expm1 and the share of a step, from rates that hardly move to those that forget all."""
+def test_relaxation_factors_match_rate_and_step(rng: np.random.Generator) -> None:
+    """expm1 and the share of a step, from negligible rates to those that erase the state."""
     rates = np.concatenate([[0.0], np.geomspace(1e-12, 1e5, ROWS - 1)])
     x = Relaxation(name="x", unit="1", drive=U / U, rate=U)
     moved = [
@@ -153,7 +153,7 @@ EXPRESSIONS = {
 
 
 @pytest.mark.parametrize("name", EXPRESSIONS)
-def test_an_expression_is_what_it_is_in_numpy(name: str, rng: np.random.Generator) -> None:
+def test_an_expression_equals_numpy(name: str, rng: np.random.Generator) -> None:
     u, v = rng.normal(size=(2, ROWS))
     v[::50] = 0.1
     expression, k = EXPRESSIONS[name], 0.7
@@ -162,8 +162,8 @@ def test_an_expression_is_what_it_is_in_numpy(name: str, rng: np.random.Generato
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
 
 
-def test_results_stand_beside_one_another(rng: np.random.Generator) -> None:
-    """Registers are used again, but not those of results; a result may be part of another."""
+def test_several_results_of_one_function(rng: np.random.Generator) -> None:
+    """Registers are reused, except those of results; a result may be part of another."""
     u, v = rng.normal(size=(2, ROWS))
     every = list(EXPRESSIONS.values())
     wanted = [*every, sum(every[:3]), every[0], every[0] * every[1]]
@@ -181,7 +181,7 @@ def test_an_unsupported_function_is_refused() -> None:
         Kernel((), (K,), (U, V), [1 + sympy.erf(U)])
 
 
-def test_large_angles_are_those_of_the_c_library() -> None:
+def test_large_angles_use_the_c_library() -> None:
     for function, exact in ((sympy.sin, math.sin), (sympy.cos, math.cos)):
         u = np.linspace(0.0, 1.0, ROWS)
         found = rows_of([function(K * U)], u).at(np.array([1e9]))[:, 0]
@@ -192,7 +192,7 @@ def test_large_angles_are_those_of_the_c_library() -> None:
 
 
 def test_inputs_of_other_lengths_are_refused() -> None:
-    """C would read beyond them."""
+    """C would read past their end."""
     kernel = Kernel((), (K,), (U, V), [K * U + V])
     with pytest.raises(ValueError, match="broadcast"):
         KernelRun(kernel, (np.ones(ROWS - 1), np.ones(ROWS)), np.ones(ROWS), [0])
@@ -206,7 +206,7 @@ def test_inputs_of_other_lengths_are_refused() -> None:
         )  # fmt: skip
 
 
-def test_columns_of_a_table_are_read_where_they_stand(rng: np.random.Generator) -> None:
+def test_columns_of_a_table_are_read_in_place(rng: np.random.Generator) -> None:
     table = rng.normal(size=(ROWS, 3))
     found = rows_of([K * U + V], table[:, 0], table[:, 2]).at(np.array([2.0]))[:, 0]
     np.testing.assert_array_equal(found, 2.0 * table[:, 0] + table[:, 2])
@@ -235,7 +235,7 @@ MEMORY: dict[str, tuple[Element, ...]] = {
 
 @pytest.mark.parametrize("discretisation", ["exact", "euler"])
 @pytest.mark.parametrize("name", MEMORY)
-def test_states_and_their_derivatives_are_those_in_numpy(
+def test_states_and_their_derivatives_equal_numpy(
     name: str, discretisation: Discretisation, rng: np.random.Generator
 ) -> None:
     memory = MEMORY[name]
@@ -251,7 +251,7 @@ def test_states_and_their_derivatives_are_those_in_numpy(
         np.testing.assert_allclose(column, e, rtol=0, atol=1e-13 * max(1.0, np.abs(e).max()))
 
 
-def test_states_begin_where_numpy_lets_them_begin(rng: np.random.Generator) -> None:
+def test_initial_states_equal_numpy(rng: np.random.Generator) -> None:
     u, v = rng.normal(size=(2, 300))
     begins = np.isin(np.arange(300), [0, 40, 200])
     settling = clip(absolute(U), 1)
@@ -266,7 +266,7 @@ def test_states_begin_where_numpy_lets_them_begin(rng: np.random.Generator) -> N
             np.testing.assert_allclose(column, e, rtol=1e-13, atol=1e-13)
 
 
-def test_an_unstable_step_by_euler_is_refused() -> None:
+def test_an_unstable_euler_step_is_refused() -> None:
     rows = rows_of([_x.state], np.full(ROWS, 20.0), memory=(_x,), euler=True)
     with pytest.raises(SimulationError, match=r"Euler needs 0 <= rate \* step < 1, found 1\.01;"):
         rows.at(np.array([1.0]))
@@ -286,7 +286,7 @@ def test_every_machine_has_a_library(host: tuple[str, str], tmp_path: Path) -> N
     assert all(name in data for name in (b"run", b"solve", b"widest"))
 
 
-def test_numbers_are_the_same_bits_whatever_vectors_there_are(
+def test_vector_width_does_not_change_a_bit(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     u, v, tau = rng.normal(size=(3, ROWS))
@@ -343,8 +343,8 @@ def samples() -> JointRows:
     return JointRows.of(training(made, noise=0.1), coefficients=3)
 
 
-def test_factors_are_those_of_least_squares(samples: JointRows) -> None:
-    """With none, some and all of them kept from being negative."""
+def test_factors_solve_the_least_squares_problem(samples: JointRows) -> None:
+    """With none, some and all factors constrained to be non-negative."""
     problem = Separable(LuGreLoad.core({}), LuGreLoad().space(), samples)
     point = problem.point({"deflection": 3e-3, "ratio": 0.7, "v_s": 0.2})
     columns = problem.columns(point)
@@ -359,7 +359,7 @@ def test_factors_are_those_of_least_squares(samples: JointRows) -> None:
     assert held, "no factor was at its bound"
 
 
-def test_rows_count_by_their_weights(samples: JointRows) -> None:
+def test_rows_are_weighted(samples: JointRows) -> None:
     problem = Separable(LuGre.core({}), LuGre().space(), samples)
     point = problem.point({"deflection": 3e-3, "ratio": 1.4, "v_s": 0.1})
     weights = (samples.record == 0).astype(float)
@@ -373,7 +373,7 @@ def test_rows_count_by_their_weights(samples: JointRows) -> None:
     assert np.abs(found - problem._residual(point, np.ones_like(weights))).max() > 1e-3
 
 
-def test_factors_that_rows_hardly_determine_are_not_solved_for(rng: np.random.Generator) -> None:
+def test_poorly_determined_factors_are_not_solved_for(rng: np.random.Generator) -> None:
     u, tau = rng.normal(size=(2, ROWS))
     twice = rows_of([K * U, U + U], u, target=tau)
     assert twice.solved(np.ones(1), non_negative=0) is None
@@ -381,7 +381,7 @@ def test_factors_that_rows_hardly_determine_are_not_solved_for(rng: np.random.Ge
     assert nothing.solved(np.ones(1), non_negative=0) is None
 
 
-def test_a_search_ends_where_one_in_numpy_does(samples: JointRows) -> None:
+def test_a_search_ends_at_the_point_of_numpy(samples: JointRows) -> None:
     class InNumPy(Separable):
         def columns(self, point: np.ndarray) -> np.ndarray:
             return over_log.columns(self, point)
@@ -403,7 +403,7 @@ def test_a_search_ends_where_one_in_numpy_does(samples: JointRows) -> None:
     np.testing.assert_allclose(found(Separable), found(InNumPy), rtol=1e-5)
 
 
-def test_ripple_at_large_angles_is_what_it_is_in_numpy(samples: JointRows) -> None:
+def test_ripple_at_large_angles_equals_numpy(samples: JointRows) -> None:
     waves = Ripple(gear_ratio=1e7, orders=(1,))
     plain = Separable(LuGre.core({}), LuGre().space(), samples)
     form, space = waves.extend(plain.form), waves.extend_space(plain.space)

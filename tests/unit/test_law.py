@@ -1,4 +1,4 @@
-"""The algebra of laws: what a form may be made of, and what numbers a law needs."""
+"""The structure of laws: valid forms and the values a law needs."""
 
 from dataclasses import FrozenInstanceError
 
@@ -41,7 +41,7 @@ def test_names_are_real_symbols() -> None:
     assert X.derivative.is_real
 
 
-def test_inputs_are_those_that_are_used_in_their_order() -> None:
+def test_inputs_are_the_used_ones_in_order() -> None:
     assert form().inputs == (DQ,)
     assert LawForm(coefficients=(A,), output=A.symbol * TAU_LOAD * sgn(DQ)).inputs == (DQ, TAU_LOAD)
     assert LawForm(coefficients=(A,), output=A.symbol * sympy.cos(Q)).inputs == (Q,)
@@ -64,11 +64,11 @@ def test_an_input_that_cancels_is_not_used() -> None:
         (Relaxation(name="x", unit="1", drive=DQ, rate=sympy.Symbol("d")), X.state, "d"),
         # A drive must not depend on the state: x' = b(v, u) - r(v, u) x.
         (Relaxation(name="x", unit="1", drive=DQ * X.state, rate=R.symbol), X.state, "x"),
-        # The same name without "real" is another symbol.
+        # The same name without "real" is a different symbol.
         (None, sympy.Symbol("dq"), "dq"),
     ],
 )
-def test_a_symbol_that_nobody_defines_is_refused(
+def test_an_undefined_symbol_is_refused(
     relaxation: Relaxation | None, output: sympy.Expr, symbol: str
 ) -> None:
     message = (
@@ -91,7 +91,7 @@ def test_a_symbol_that_nobody_defines_is_refused(
         ((R, Coefficient(name="dq", unit="1", description="no velocity")), (X,), "dq"),
     ],
 )
-def test_two_things_of_one_name_are_refused(
+def test_duplicate_names_are_refused(
     coefficients: tuple[Coefficient, ...], relaxations: tuple[Relaxation, ...], name: str
 ) -> None:
     with pytest.raises(ArtifactError, match=f"^friction law: '{name}' is used twice among"):
@@ -107,14 +107,14 @@ def test_values_are_floats_in_the_order_of_the_form() -> None:
     assert all(type(value) is float for value in made.values.values())
 
 
-def test_states_start_at_zero_unless_they_are_told() -> None:
+def test_states_start_at_zero_by_default() -> None:
     assert law().start == (0.0,)
     assert law(start=(0.3,)).start == (0.3,)
     static = LawForm(coefficients=(A,), output=A.symbol * sgn(DQ))
     assert FrictionLaw(name="static", form=static, values={"a": 1.0}).start == ()
 
 
-def test_a_law_is_exact_unless_it_is_told() -> None:
+def test_a_law_is_exact_by_default() -> None:
     assert law().discretisation == "exact"
 
 
@@ -138,21 +138,19 @@ def test_a_law_is_frozen() -> None:
         ({"a": 1.0, "r": -float("inf")}, "law 'test': coefficient 'r' is -inf."),
     ],
 )
-def test_values_that_the_form_does_not_need_are_refused(
-    values: dict[str, float], sentence: str
-) -> None:
+def test_superfluous_values_are_refused(values: dict[str, float], sentence: str) -> None:
     with pytest.raises(ArtifactError) as caught:
         law(values=values)
     assert str(caught.value) == sentence
 
 
-def test_start_values_must_be_as_many_as_states() -> None:
+def test_a_wrong_number_of_start_values_is_refused() -> None:
     with pytest.raises(ArtifactError) as caught:
         law(start=(0.0, 1.0))
     assert str(caught.value) == "law 'test': 2 start values for 1 states."
 
 
-def test_a_start_value_that_is_no_number_is_refused() -> None:
+def test_a_non_numeric_start_value_is_refused() -> None:
     with pytest.raises(ArtifactError, match=r"^law 'test': start value of 'x' is nan\.$"):
         law(start=(float("nan"),))
 

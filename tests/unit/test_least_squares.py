@@ -41,7 +41,7 @@ def test_residuals_are_those_of_each_block() -> None:
 
 
 def stated(given: list[Block], solution: Solution) -> np.ndarray:
-    """Standard errors where no two rows are of one sample."""
+    """Standard errors with each row from a sample of its own."""
     ends = np.cumsum([0, *(len(block.target) for block in given)])
     own = [
         replace(block, samples=np.arange(start, start + len(block.target)))
@@ -51,7 +51,7 @@ def stated(given: list[Block], solution: Solution) -> np.ndarray:
     return covariance_of(own, solution, labels).standard_errors
 
 
-def test_standard_errors_are_the_spread_over_repetitions() -> None:
+def test_standard_errors_match_the_scatter_of_repetitions() -> None:
     found, claimed = [], []
     for seed in range(200):
         given = blocks(1.0, 0.3, rows=200, seed=seed)
@@ -61,8 +61,8 @@ def test_standard_errors_are_the_spread_over_repetitions() -> None:
     np.testing.assert_allclose(np.mean(claimed, axis=0), np.std(found, axis=0), rtol=0.15)
 
 
-def test_rows_of_one_sample_err_together() -> None:
-    """The same block twice says nothing new: errors are those of one, not less by a root of 2."""
+def test_rows_of_one_sample_share_their_error() -> None:
+    """A repeated block adds no information: its errors must not shrink by sqrt(2)."""
     (one,) = blocks(1.0, rows=200)
     once = replace(one, samples=np.arange(200))
     labels = np.zeros(200, dtype=int)
@@ -70,11 +70,11 @@ def test_rows_of_one_sample_err_together() -> None:
     for given in ([once], [once, once]):
         solution = solve(given, scale=SCALE, weighted=False)
         errors.append(covariance_of(given, solution, labels).standard_errors)
-    # Each of two rows has half of the leverage, which is all that differs.
+    # The only difference: each of two rows has half of the leverage.
     np.testing.assert_allclose(errors[1], errors[0], rtol=0.03)
 
 
-def test_what_the_data_do_not_determine_is_pulled_to_zero_and_said() -> None:
+def test_undetermined_unknowns_are_pulled_to_zero_and_reported() -> None:
     (block,) = blocks(0.1)
     twice = np.column_stack([block.matrix, block.matrix[:, 0]])
     solution = solve(
@@ -97,7 +97,7 @@ def test_a_column_of_zeros_gets_zero() -> None:
     np.testing.assert_allclose(solution.x[:3], TRUTH, rtol=1e-4)
 
 
-def test_a_column_that_is_hardly_excited_gets_no_huge_coefficient() -> None:
+def test_a_poorly_excited_column_gets_no_huge_coefficient() -> None:
     (block,) = blocks(0.1)
     faint = 1e-7 * np.random.default_rng(1).standard_normal(len(block.target))
     wider = np.column_stack([block.matrix, faint])
@@ -116,7 +116,7 @@ def test_a_target_of_zeros_gives_zeros() -> None:
 
 @pytest.mark.parametrize("weighted", [True, False])
 def test_weights_follow_from_the_residuals_twice(weighted: bool) -> None:
-    """The same by rows: each divided by its block's residual, twice in a row."""
+    """The same in rows: each divided by the residual of its block, twice in succession."""
     given = blocks(3.0, 0.5, 0.1, rows=7)
     matrix = np.concatenate([block.matrix for block in given])
     target = np.concatenate([block.target for block in given])
@@ -134,10 +134,8 @@ def test_weights_follow_from_the_residuals_twice(weighted: bool) -> None:
 
 
 @pytest.mark.parametrize(("smallest", "ridge"), [(0.11, 0.0), (0.09, 3e-3)])
-def test_the_ridge_pulls_the_scaled_unknowns_by_its_share_of_the_largest_singular_value(
-    smallest: float, ridge: float
-) -> None:
-    """Columns that are orthogonal, with singular values 100, 1 and a thousandth, or less."""
+def test_the_ridge_scales_with_the_largest_singular_value(smallest: float, ridge: float) -> None:
+    """Orthogonal columns with singular values 100, 1 and a thousandth or less."""
     scale, singular = np.array([1.0, 10.0, 0.1]), np.array([100.0, 1.0, smallest])
     matrix = np.vstack([np.diag(singular * scale), np.zeros((2, 3))])
     target = np.array([5.0, 3.0, 2.0, 0.7, -0.4])

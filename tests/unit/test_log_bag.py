@@ -1,4 +1,4 @@
-"""Logs from ROS bags, written by the library that reads them, with no ROS installed."""
+"""Logs from ROS bags, read without a ROS installation."""
 
 import logging
 import sys
@@ -18,10 +18,10 @@ from hesr_model.support.files import sha256
 N = 50
 JOINTS = ("a", "b")
 START = 1_700_000_000_123_456_789
-"""[ns] of the first stamp: seconds since 1970 in a float would be rounded to 0.2 us."""
+"""First time stamp [ns]: as float seconds since 1970 it would be rounded to 0.2 us."""
 
 STEP = 10_000_000
-"""[ns]"""
+"""Period [ns]."""
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'hesr[ros]'")
 
@@ -32,7 +32,7 @@ def content() -> dict[str, np.ndarray]:
 
 
 def message(k: int, names: Sequence[str] = JOINTS, **fields: Any) -> dict[str, Any]:
-    """Message k of the topic, with all fields of the joints named; others are zero."""
+    """Message k of the topic with all fields of the joints; other fields are zero."""
     known = {name: column for column, name in enumerate(JOINTS)}
     values = {
         field: [series[k, known[name]] if name in known else 0.0 for name in names]
@@ -52,7 +52,7 @@ def write(
     storage: str = "SQLITE3",
     topic: str = "/joint_states",
 ) -> Path:
-    """Write a ROS 2 bag of one topic of joint states and one of texts."""
+    """Write a ROS 2 bag with one topic of joint states and one of texts."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -65,7 +65,7 @@ def write(
         states = writer.add_connection(topic, kind, typestore=store)
         for k, item in enumerate(written):
             raw = store.serialize_cdr(joint_state(store, item), kind)
-            # Messages arrive late and unevenly, which must not matter.
+            # Messages arrive late and unevenly, which must have no effect.
             writer.write(states, START + k * STEP + 3_000_000 + k % 7 * 100_000, raw)
     return folder
 
@@ -102,7 +102,7 @@ def require_content(log: Log) -> None:
 
 
 @pytest.mark.parametrize(("storage", "suffix"), [("SQLITE3", ".db3"), ("MCAP", ".mcap")])
-def test_a_bag_is_read_as_a_folder_and_as_a_file(tmp_path: Path, storage: str, suffix: str) -> None:
+def test_a_bag_is_read_from_a_folder_or_a_file(tmp_path: Path, storage: str, suffix: str) -> None:
     folder = write(tmp_path / "run", messages(), storage=storage)
     log = Log.read(folder, robot())
     require_content(log)
@@ -111,9 +111,7 @@ def test_a_bag_is_read_as_a_folder_and_as_a_file(tmp_path: Path, storage: str, s
     require_content(Log.read(file, robot()))
 
 
-def test_a_bag_of_an_older_ros_2_without_definitions_of_its_messages_is_read(
-    tmp_path: Path,
-) -> None:
+def test_an_older_ros_2_bag_without_message_definitions_is_read(tmp_path: Path) -> None:
     import sqlite3
 
     folder = write(tmp_path / "run", messages())
@@ -137,14 +135,12 @@ def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
     require_content(Log.read(tmp_path / "run.bag", robot()))
 
 
-def test_joints_may_come_in_any_order_with_others_and_not_in_every_message(
-    tmp_path: Path,
-) -> None:
+def test_joints_may_be_shuffled_mixed_or_missing_in_messages(tmp_path: Path) -> None:
     orders = (("a", "b"), ("b", "gripper", "a"), ("gripper", "b", "a"))
     mixed = []
     for k in range(N):
         mixed.append(message(k, orders[k % 3]))
-        mixed.append(message(k, ("gripper",)))  # of another driver, at the same instant
+        mixed.append(message(k, ("gripper",)))  # from another driver, at the same instant
     require_content(Log.read(write(tmp_path / "run", mixed), robot()))
 
 
@@ -156,7 +152,7 @@ def test_joints_of_messages_may_have_other_names(tmp_path: Path) -> None:
 
 
 def test_units_of_messages_become_si(tmp_path: Path) -> None:
-    units = LogUnits(t="ms", q="deg", dq="deg/s", tau="mN.m")  # t is of tables: stamps are in ns
+    units = LogUnits(t="ms", q="deg", dq="deg/s", tau="mN.m")  # t is for tables: stamps are in ns
     log = Log.read(write(tmp_path / "run", messages()), robot(units=units))
     assert log.dq is not None
     np.testing.assert_allclose(log.t, 0.01 * np.arange(N), rtol=1e-15)
@@ -165,13 +161,13 @@ def test_units_of_messages_become_si(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.tau, 1e-3 * content()["effort"], rtol=1e-15)
 
 
-def test_effort_may_be_current(tmp_path: Path) -> None:
+def test_effort_may_be_a_current(tmp_path: Path) -> None:
     folder = write(tmp_path / "run", messages())
     bag = LogBag(effort="current")
     gains = (10.0, -4.0)
     log = Log.read(folder, robot(bag=bag, torque_per_ampere=gains))
     np.testing.assert_array_equal(log.tau, content()["effort"] * gains)
-    # Gains alone do not make currents of torques.
+    # Gains alone do not turn torques into currents.
     require_content(Log.read(folder, robot(torque_per_ampere=gains)))
     message = (
         r"run: its efforts are currents by 'log\.bag\.effort' .* 'log\.torque_per_ampere' for them"
@@ -180,7 +176,7 @@ def test_effort_may_be_current(tmp_path: Path) -> None:
         Log.read(folder, robot(bag=bag))
 
 
-def test_velocity_that_is_missing_is_derived_and_that_is_said(
+def test_missing_velocity_is_derived_and_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = write(tmp_path / "run", [message(k, velocity=[]) for k in range(N)])
@@ -273,7 +269,7 @@ def test_a_wrong_topic_is_named(tmp_path: Path, topic: str, message: str) -> Non
 
 
 @pytest.mark.parametrize("name", ["run.db3", "run.mcap", "run.bag"])
-def test_what_is_not_a_bag_is_refused(tmp_path: Path, name: str) -> None:
+def test_other_files_are_refused(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     with pytest.raises(LogError, match=rf"{name}: no such log file\.$"):
         Log.read(path, robot())
@@ -287,7 +283,7 @@ def test_what_is_not_a_bag_is_refused(tmp_path: Path, name: str) -> None:
         Log.read(tmp_path, robot())
 
 
-def test_without_rosbags_it_is_said_what_to_do(
+def test_without_rosbags_the_install_command_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "run.mcap").write_bytes(b"anything")

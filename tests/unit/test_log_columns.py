@@ -1,4 +1,4 @@
-"""Tables as other programs write them: separators, names of columns, units."""
+"""Tables of other programs: separators, column names and units."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ Read = Callable[..., Log]
 
 
 def rows(count: int = 20) -> np.ndarray:
-    """Two joints at 100 Hz, each number another one."""
+    """Two joints at 100 Hz; all values differ."""
     values = np.random.default_rng(1).normal(size=(count, 7)).round(6)
     values[:, 0] = 0.01 * np.arange(count)
     return values
@@ -53,19 +53,17 @@ def require_equal(log: Log, values: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("delimiter", [";", "\t", " "])
-def test_cells_may_be_separated_otherwise(read: Read, delimiter: str) -> None:
+def test_other_separators_are_read(read: Read, delimiter: str) -> None:
     require_equal(read(written(rows(), delimiter=delimiter)), rows())
 
 
 @pytest.mark.parametrize("delimiter", [";", "\t"])
-def test_decimals_may_have_commas_where_cells_are_not_separated_by_them(
-    read: Read, delimiter: str
-) -> None:
+def test_decimal_commas_are_read_with_other_separators(read: Read, delimiter: str) -> None:
     require_equal(read(written(rows(), delimiter=delimiter).replace(".", ",")), rows())
 
 
-def test_a_log_that_begins_with_whole_numbers_may_have_decimal_commas(read: Read) -> None:
-    """As a spreadsheet writes one that begins at rest."""
+def test_decimal_commas_are_found_after_whole_numbers(read: Read) -> None:
+    """As a spreadsheet writes a log that begins at rest."""
     values = rows()
     values[:3, 1:] = 0.0
     text = written(values, delimiter=";").replace(".", ",")
@@ -74,14 +72,14 @@ def test_a_log_that_begins_with_whole_numbers_may_have_decimal_commas(read: Read
 
 
 @pytest.mark.parametrize("delimiter", [";", "\t"])
-def test_names_may_hold_what_separates_cells_elsewhere(read: Read, delimiter: str) -> None:
+def test_names_may_contain_other_separators(read: Read, delimiter: str) -> None:
     values = np.column_stack([rows(), np.ones(len(rows()))])
     text = written(values, [*HEADER, "force, x (N m)"], delimiter=delimiter)
     require_equal(read(text), rows())
     require_equal(read(text.replace(".", ",")), rows())
 
 
-def test_a_header_may_be_a_comment_as_numpy_writes_it(read: Read, tmp_path: Path) -> None:
+def test_a_numpy_comment_header_is_read(read: Read, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "saved.csv", rows(), header=" ".join(HEADER), fmt="%.9g")
     text = (tmp_path / "saved.csv").read_text()
     assert text.startswith("# t q1")
@@ -102,7 +100,7 @@ def test_a_header_may_be_a_comment_as_numpy_writes_it(read: Read, tmp_path: Path
         ),
     ],
 )
-def test_errors_know_the_separator(
+def test_errors_consider_the_separator(
     read: Read, spoil: Callable[[list[str]], list[str]], message: str
 ) -> None:
     lines = written(rows(), delimiter=";").replace(".", ",").splitlines()
@@ -118,7 +116,7 @@ RTDE = [
         for k in range(2)
     ),
 ]
-"""As Universal Robots' recorder writes: blanks between cells, joints counted from 0."""
+"""As in Universal Robots' recordings: cells separated by blanks, joints counted from 0."""
 
 UR = LogColumns(
     t="timestamp",
@@ -129,7 +127,7 @@ UR = LogColumns(
 )
 
 
-def test_a_log_of_universal_robots_is_read_by_the_names_of_its_columns(read: Read) -> None:
+def test_a_universal_robots_log_is_read_by_column_names(read: Read) -> None:
     values = np.column_stack([rows(), 2.0 * rows()[:, 5:]])
     text = written(values, RTDE, delimiter=" ", end="\r\n")
     currents = read(text, LogFormat(columns=UR, torque_per_ampere=(10.0, -4.0)))
@@ -139,7 +137,7 @@ def test_a_log_of_universal_robots_is_read_by_the_names_of_its_columns(read: Rea
     np.testing.assert_array_equal(moments.tau, values[:, 7:])
 
 
-def test_joints_counted_from_zero_are_counted_right_in_messages(read: Read) -> None:
+def test_messages_count_joints_from_zero_as_the_log(read: Read) -> None:
     values = np.column_stack([rows(), rows()[:, 5:]])
     log = LogFormat(columns=UR)
     text = written(values, [name.replace("actual_q_1", "q_1") for name in RTDE], delimiter=" ")
@@ -150,7 +148,7 @@ def test_joints_counted_from_zero_are_counted_right_in_messages(read: Read) -> N
         read(written(values, RTDE, delimiter=" "), log, joints=["a"])
 
 
-def test_temperatures_are_read_where_a_log_holds_them(read: Read, tmp_path: Path) -> None:
+def test_temperatures_are_read_if_logged(read: Read, tmp_path: Path) -> None:
     warm = np.column_stack([np.full(len(rows()), 30.0), 25.0 + np.arange(len(rows()))])
     values = np.column_stack([rows(), warm])
     header = ["t", "q1", "q2", "dq1", "dq2", "tau1", "tau2", "temperature1", "temperature2"]
@@ -162,7 +160,7 @@ def test_temperatures_are_read_where_a_log_holds_them(read: Read, tmp_path: Path
     log.write(tmp_path / "again.csv")
     assert "temperature2" in (tmp_path / "again.csv").read_text(encoding="utf-8")
     assert np.array_equal(log.rows(slice(0, 3)).temperature, warm[:3])
-    # As Universal Robots' recorder names them; what has a name must be there.
+    # The names of Universal Robots' recorder; a named column must exist.
     own = LogFormat(columns=LogColumns(temperature="joint_temperatures_{0}"))
     named = [*header[:7], "joint_temperatures_0", "joint_temperatures_1"]
     np.testing.assert_array_equal(read(written(values, named), own).temperature, warm)
@@ -170,7 +168,7 @@ def test_temperatures_are_read_where_a_log_holds_them(read: Read, tmp_path: Path
         read(written(rows(), header[:7]), own)
 
 
-def test_columns_of_temperatures_are_guessed(tmp_path: Path) -> None:
+def test_temperature_columns_are_guessed(tmp_path: Path) -> None:
     names = [*RTDE, "joint_temperatures_0", "joint_temperatures_1"]
     path = tmp_path / "run.csv"
     values = np.column_stack([rows(), 2.0 * rows()[:, 5:], rows()[:, 5:]])
@@ -185,7 +183,7 @@ def test_columns_may_be_named_after_the_joints(read: Read) -> None:
     header = ["t", "lift_pos", "tilt_pos", "lift_vel", "tilt_vel", "lift_eff", "tilt_eff"]
     log = LogFormat(columns=columns)
     require_equal(read(written(rows(), header), log, ["lift", "tilt"]), rows())
-    # A robot may use some of the joints that are logged.
+    # A robot may use a subset of the logged joints.
     assert read(written(rows(), header), log, ["tilt"]).q.tolist() == rows()[:, 2:3].tolist()
     with pytest.raises(LogError, match=r"column 'turn_pos' is missing; it has t, lift_pos, tilt"):
         read(written(rows(), header), log, ["turn"])
@@ -208,7 +206,7 @@ UNITS = [
 
 
 @pytest.mark.parametrize(("units", "columns", "factor"), UNITS)
-def test_units_become_si(
+def test_units_are_converted_to_si(
     read: Read, units: LogUnits, columns: int | slice, factor: float | list[float]
 ) -> None:
     expected = rows()
@@ -226,7 +224,7 @@ def test_milliamperes_become_torques(read: Read) -> None:
     np.testing.assert_allclose(read(written(rows(), header), log).tau, expected, rtol=1e-15)
 
 
-def test_a_rate_that_does_not_fit_hints_at_the_unit_of_time(read: Read) -> None:
+def test_an_odd_rate_suggests_another_time_unit(read: Read) -> None:
     values = rows()
     values[:, 0] *= 1e3
     with pytest.raises(LogError, match=r"must be in s, or its unit stand under 'log\.units\.t'\.$"):

@@ -1,4 +1,4 @@
-"""Formats that other packages bring, and parts that only `parts()` gives."""
+"""Log formats from other packages, and parts of logs with gaps."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,7 +24,7 @@ def _forgotten() -> Iterator[None]:
     formats.formats.cache_clear()
 
 
-def test_another_package_brings_a_format(install_plugin: InstallPlugin) -> None:
+def test_another_package_adds_a_format(install_plugin: InstallPlugin) -> None:
     install_plugin(formats.GROUP, own=f"{__name__}:OWN")
     assert format_of(Path("run.own")).name == "own"
     assert format_of(Path("run.csv")) is COLUMNS
@@ -38,13 +38,13 @@ def test_a_broken_format_is_named(install_plugin: InstallPlugin) -> None:
         format_of(Path("run.csv"))
 
 
-def test_an_object_that_is_no_format_is_refused(install_plugin: InstallPlugin) -> None:
+def test_an_invalid_format_object_is_refused(install_plugin: InstallPlugin) -> None:
     install_plugin(formats.GROUP, own="os:sep")
     with pytest.raises(ConfigError, match=r"is a str; the entry point must name a FileFormat\."):
         format_of(Path("run.csv"))
 
 
-def test_a_log_with_a_gap_is_filtered_part_by_part_only(arm_log: Log) -> None:
+def test_a_log_with_a_gap_is_filtered_part_by_part(arm_log: Log) -> None:
     gap = replace(arm_log, t=arm_log.t + np.where(arm_log.t > 5.0, 1.0, 0.0))
     with pytest.raises(LogError, match=r"rows are missing for 1\.005 s before row 1002 of"):
         smooth(gap)

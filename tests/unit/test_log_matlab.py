@@ -1,4 +1,4 @@
-"""Logs from MATLAB: versions 5 and 7 by SciPy, 7.3 by h5py."""
+"""MATLAB logs: versions 5 and 7 with SciPy, 7.3 with h5py."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -46,7 +46,7 @@ def save_compressed(path: Path, data: Mapping[str, Any]) -> None:
 
 
 def save_hdf5(path: Path, data: Mapping[str, Any]) -> None:
-    """Version 7.3: HDF5 behind MATLAB's header, arrays transposed, structs as groups."""
+    """Version 7.3: HDF5 after a MATLAB header, arrays transposed, structs as groups."""
     h5py = pytest.importorskip("h5py", reason="h5py is not installed: pip install 'hesr[matlab]'")
 
     def put(group: Any, items: Mapping[str, Any]) -> None:
@@ -89,7 +89,7 @@ def test_matrices_are_read_by_the_default_names(tmp_path: Path, save: Save) -> N
 
 
 @SAVES
-def test_it_does_not_matter_which_way_matrices_lie(tmp_path: Path, save: Save) -> None:
+def test_matrices_may_be_transposed(tmp_path: Path, save: Save) -> None:
     save(tmp_path / "run.mat", {name: value.T for name, value in content().items()})
     require_content(Log.read(tmp_path / "run.mat", robot()))
 
@@ -107,7 +107,7 @@ def test_fields_of_structs_are_named_as_in_matlab(tmp_path: Path, save: Save) ->
     require_content(Log.read(tmp_path / "run.mat", robot(columns)))
 
 
-def test_elements_of_a_struct_array_are_counted(tmp_path: Path) -> None:
+def test_elements_of_a_struct_array_are_numbered(tmp_path: Path) -> None:
     data = content()
     signals = np.empty(3, dtype=[("values", object)])
     for k, name in enumerate(("q", "dq", "tau")):
@@ -155,7 +155,7 @@ def test_vectors_of_one_joint_are_named_one_by_one(tmp_path: Path, save: Save) -
         ),
     ],
 )
-def test_an_error_names_what_is_wrong(
+def test_errors_name_the_mistake(
     tmp_path: Path, save: Save, change: Callable[[dict[str, Any]], dict[str, Any]], message: str
 ) -> None:
     save(tmp_path / "run.mat", change(content()))
@@ -164,7 +164,7 @@ def test_an_error_names_what_is_wrong(
 
 
 @pytest.mark.parametrize("start", [b"", b"MATLAB 5.0", HEADER_7_3 + b"\x89HDF\r\n\x1a\n"])
-def test_what_is_not_a_matlab_file_is_refused(tmp_path: Path, start: bytes) -> None:
+def test_other_files_are_refused(tmp_path: Path, start: bytes) -> None:
     path = tmp_path / "run.mat"
     with pytest.raises(LogError, match=r"run\.mat: no such log file\.$"):
         Log.read(path, robot())
@@ -175,12 +175,12 @@ def test_what_is_not_a_matlab_file_is_refused(tmp_path: Path, start: bytes) -> N
         Log.read(path, robot())
 
 
-def test_a_file_of_version_4_that_is_cut_is_refused_at_every_byte(tmp_path: Path) -> None:
+def test_a_version_4_file_truncated_at_any_byte_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.mat"
     savemat(path, {"t": np.arange(3.0), "q": np.ones((3, 2))}, format="4")
     assert read_matlab(path, time="t").numbers(["t"])[:, 0].tolist() == [0.0, 1.0, 2.0]
     whole = path.read_bytes()
-    first = 20 + 2 + 3 * 8  # header, name, numbers: what is left is a whole file of its own
+    first = 20 + 2 + 3 * 8  # header, name, numbers: the rest is a complete file of its own
     for length in range(4, len(whole)):
         path.write_bytes(whole[:length])
         if length == first:
@@ -190,11 +190,11 @@ def test_a_file_of_version_4_that_is_cut_is_refused_at_every_byte(tmp_path: Path
 
 
 WRITTEN_BY_MATLAB = Path(scipy.io.__file__).parent / "matlab" / "tests" / "data"
-"""SciPy brings files that MATLAB wrote, of all versions, with objects, functions, broken ones."""
+"""SciPy ships files written by MATLAB, of all versions, with objects, functions and damage."""
 
 
-@pytest.mark.filterwarnings("ignore::scipy.io.matlab.MatReadWarning")  # of those that are broken
-def test_files_that_matlab_wrote_are_read_or_refused_in_a_sentence() -> None:
+@pytest.mark.filterwarnings("ignore::scipy.io.matlab.MatReadWarning")  # from the damaged files
+def test_matlab_files_are_read_or_refused_in_one_sentence() -> None:
     pytest.importorskip("h5py", reason="h5py is not installed: pip install 'hesr[matlab]'")
     files = sorted(WRITTEN_BY_MATLAB.glob("*.mat"))
     if not files:
@@ -209,7 +209,7 @@ def test_files_that_matlab_wrote_are_read_or_refused_in_a_sentence() -> None:
         np.testing.assert_allclose(found[:, 0], angles)
 
 
-def test_without_h5py_it_is_said_what_to_do(
+def test_without_h5py_the_install_command_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "run.mat").write_bytes(HEADER_7_3 + b"\x89HDF\r\n\x1a\n")

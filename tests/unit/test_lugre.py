@@ -1,4 +1,4 @@
-"""LuGre: finds the coefficients from which noise-free data were made."""
+"""LuGre: recovery of the coefficients behind noise-free data."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def velocity(t: np.ndarray) -> np.ndarray:
 
 
 def torque(t: np.ndarray, dq: np.ndarray, case: tuple[float, ...]) -> np.ndarray:
-    """Eq. 1-3 in a loop, the velocity held over each step; the steps are solved in closed form."""
+    """Eq. 1-3 in a loop with the velocity held over each step; each step in closed form."""
     stiffness, damping, viscous, f_c, f_s, v_s, offset = case
     z, rows = 0.0, []
     for k, v in enumerate(dq):
@@ -62,7 +62,7 @@ def test_generating_coefficients_are_found(case: tuple[float, ...]) -> None:
     np.testing.assert_array_less(np.abs(found - case) / scale, 0.02)
 
 
-def test_the_law_of_the_same_coefficients_gives_the_same_torque() -> None:
+def test_the_true_law_gives_the_same_torque() -> None:
     case = CASES[0]
     data = record(case)
     form = LuGre.form({})
@@ -71,7 +71,7 @@ def test_the_law_of_the_same_coefficients_gives_the_same_torque() -> None:
     np.testing.assert_allclose(predicted, data.tau, atol=1e-12 * np.abs(data.tau).max())
 
 
-def test_several_logs_are_fitted_together_each_from_rest() -> None:
+def test_several_logs_are_fitted_jointly_each_from_rest() -> None:
     case = CASES[0]
     both = [record(case), record(case, seed=9)]
     law = fitted(*both)
@@ -89,8 +89,8 @@ def test_noise_costs_only_its_share() -> None:
     assert np.sqrt(np.mean(error**2)) < 0.12
 
 
-def test_no_coefficient_of_a_force_is_negative() -> None:
-    """Random torque asks for anything."""
+def test_no_force_coefficient_is_negative() -> None:
+    """A random torque could fit any coefficients."""
     data = record(CASES[0])
     for seed in range(3):
         tau = 5.0 * np.random.default_rng(seed).normal(size=len(data.t)) - 3.0 * data.dq
@@ -100,7 +100,7 @@ def test_no_coefficient_of_a_force_is_negative() -> None:
 
 
 @pytest.mark.parametrize("slope", [3.0, 0.0, -3.0])
-def test_a_joint_without_coulomb_friction_gets_a_law_that_runs(slope: float) -> None:
+def test_a_joint_without_coulomb_friction_gets_a_valid_law(slope: float) -> None:
     data = record(CASES[0])
     law = fitted(FrictionRecord(**(vars(data) | {"tau": slope * data.dq})))
     predicted = predict(law, t=data.t, dq=data.dq)
@@ -127,8 +127,8 @@ def test_a_joint_that_never_reverses_is_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["lugre_textbook", "lugre_passive"])
-def test_static_friction_of_the_textbook_is_not_below_coulomb(name: str) -> None:
-    """On data whose level rises with speed, where plain LuGre makes it lower."""
+def test_textbook_static_friction_is_not_below_coulomb(name: str) -> None:
+    """Data whose level rises with speed: plain LuGre puts static below Coulomb friction."""
     t = 0.01 * np.arange(2500)
     dq = 0.6 * np.sin(0.9 * t) * np.sin(0.31 * t)
     q = np.cumsum(dq) * 0.01

@@ -1,4 +1,4 @@
-"""LuGre with load, and with load, ripple and an estimated start."""
+"""LuGre with load, optionally with ripple and an estimated start."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_generating_coefficients_are_found(values: dict[str, float]) -> None:
     assert error_on(fitted, unseen(generating)) < 1e-2
 
 
-def test_the_load_pays_where_friction_depends_on_it() -> None:
+def test_the_load_term_improves_load_dependent_friction() -> None:
     generating = law("lugre_load", {}, **CASES[0])
     records, test = training(generating, noise=0.3), unseen(generating)
     rng = np.random.default_rng(0)
@@ -33,28 +33,28 @@ def test_the_load_pays_where_friction_depends_on_it() -> None:
     assert error_on(loaded, test) < 0.1 * error_on(plain, test)
 
 
-def test_without_dependence_the_load_is_not_used() -> None:
+def test_the_load_term_vanishes_without_dependence() -> None:
     values = {k: v for k, v in CASES[0].items() if k != "mu"}
     records = training(law("lugre", {}, **values), noise=0.3)
     fitted = LuGreLoad().fit(records, np.random.default_rng(0))
     assert abs(fitted.values["mu"]) * 25.0 < 0.02  # of F_c at the largest load
 
 
-def test_friction_that_falls_with_the_load_is_allowed() -> None:
+def test_friction_may_fall_with_the_load() -> None:
     generating = law("lugre_load", {}, **(CASES[0] | {"mu": -0.01}))
     fitted = LuGreLoad().fit(training(generating, noise=0.1), np.random.default_rng(0))
     assert fitted.values["mu"] == pytest.approx(-0.01, rel=0.1)
 
 
-def test_a_joint_without_friction_gets_a_law_that_runs() -> None:
+def test_a_joint_without_friction_gets_a_valid_law() -> None:
     record = along(law("lugre_load", {}, **CASES[0]), path(0))
     for tau in (np.zeros_like(record.tau), 3.0 * record.dq):
         fitted = LuGreLoad().fit([with_tau(record, tau)], np.random.default_rng(0))
         np.testing.assert_allclose(predict_record(fitted, record), tau, atol=0.1)
 
 
-def test_standard_errors_exist_where_a_coefficient_is_at_its_least() -> None:
-    """F_c divides others, so its difference must not step over zero."""
+def test_standard_errors_exist_for_a_coefficient_at_its_bound() -> None:
+    """Other terms are divided by F_c, so its difference step must not cross zero."""
     record = along(law("lugre_load", {}, **CASES[0]), path(0))
     for name in ("lugre", "lugre_load"):
         fitted = fit_joint(name, [with_tau(record, 3.0 * record.dq)], seed=0)
@@ -64,8 +64,8 @@ def test_standard_errors_exist_where_a_coefficient_is_at_its_least() -> None:
         assert "F_c" not in fitted.standard_errors  # it is at its bound
 
 
-def test_the_start_of_the_bristle_comes_from_the_first_samples() -> None:
-    """A log that begins on a bristle which is bent the other way."""
+def test_the_bristle_start_comes_from_the_first_samples() -> None:
+    """A log that begins with the bristle bent the other way."""
     generating = law("lugre_load", {}, **CASES[1])
     fitted = LuGreLoadRipple().fit(training(generating, noise=0.05), np.random.default_rng(0))
     assert fitted.start_samples == 5

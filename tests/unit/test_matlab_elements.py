@@ -1,4 +1,4 @@
-"""Elements of a MATLAB file, byte by byte: what is let through to SciPy, and what is not."""
+"""Elements of MATLAB files, byte by byte: accepted for SciPy or refused."""
 
 import struct
 import zlib
@@ -18,7 +18,7 @@ def element(kind: int, data: bytes = b"", order: str = "<", length: int | None =
 
 
 def matrix(*inner: bytes, kind: int = 6, order: str = "<", flags: int = 6, size: int = 8) -> bytes:
-    """A matrix of a class, with elements behind its flags."""
+    """A matrix of the given class, with elements after its flags."""
     head = struct.pack(f"{order}IIII", flags, size, kind | 0xFF00, 0)
     return element(14, head + b"".join(inner), order)
 
@@ -27,14 +27,14 @@ def version_4(
     kind: int = 0, *, rows: int = 2, columns: int = 3, imaginary: int = 0, name: bytes = b"q\0",
     digits: int = 0, order: str = "<", less: int = 0,
 ) -> bytes:  # fmt: skip
-    """A matrix of version 4, from which some bytes are cut off."""
+    """A matrix of version 4, truncated by some bytes."""
     size = SIZES.get(kind, 8) * abs(rows * columns) * (1 + imaginary)
     head = struct.pack(f"{order}IiiII", digits + 10 * kind, rows, columns, imaginary, len(name))
     return head + name + b"\1" * (size - less)
 
 
 def verdict(folder: Path, content: bytes, most: int = MOST) -> str:
-    """What is said of the content of a file."""
+    """Error sentence for the content of a file."""
     path = folder / "log.mat"
     path.write_bytes(content)
     try:
@@ -52,16 +52,16 @@ def of_5(folder: Path, *elements: bytes, order: str = "<", most: int = MOST) -> 
 
 
 def of_4(folder: Path, *matrices: bytes) -> str:
-    """A first matrix makes the file as long as one must be to be looked at."""
+    """The first matrix brings the file to the minimum length for a check."""
     return verdict(folder, version_4(rows=10, columns=2) + b"".join(matrices))
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_known_elements_are_let_through(tmp_path: Path, order: str) -> None:
+def test_known_elements_are_accepted(tmp_path: Path, order: str) -> None:
     for kind in range(22):
         data = b"" if kind == 14 else b"\0" * 8
         said = of_5(tmp_path, element(kind, data, order), order=order)
-        if kind == 15:  # packed, and these bytes are not
+        if kind == 15:  # a packed element, but these bytes are not
             assert said == "its packed data are broken"
         else:
             assert said == ("" if kind in KNOWN else f"an element is of the unknown type {kind}")
@@ -82,7 +82,7 @@ def test_matrices_are_of_known_classes_and_begin_with_flags(tmp_path: Path) -> N
     assert of_5(tmp_path, matrix(order=">"), order=">") == ""
 
 
-def test_nests_are_at_most_fifty_deep(tmp_path: Path) -> None:
+def test_nesting_is_limited_to_fifty(tmp_path: Path) -> None:
     nest = matrix()
     for _ in range(49):
         nest = matrix(nest)
@@ -93,11 +93,11 @@ def test_nests_are_at_most_fifty_deep(tmp_path: Path) -> None:
     assert of_5(tmp_path, packed[1]) == "it is nested too deeply"
 
 
-def test_elements_end_within_what_holds_them(tmp_path: Path) -> None:
+def test_elements_end_within_their_parent(tmp_path: Path) -> None:
     behind = "an element ends behind what holds it"
     assert of_5(tmp_path, element(1, b"\0" * 8, length=8)) == ""
     assert of_5(tmp_path, element(1, b"\0" * 8, length=9)) == behind
-    # Data are filled up to eight bytes; what is too short for a tag at the end is no element.
+    # Data are padded to eight bytes; a remainder too short for a tag is ignored.
     assert of_5(tmp_path, element(1, b"\0" * 3 + b"\xff" * 5, length=3), element(2)) == ""
     assert of_5(tmp_path, element(1, b"\0" * 8), element(99)).endswith("type 99")
     assert of_5(tmp_path, element(1, b"\0" * 8), element(99)[:7]) == ""
@@ -122,7 +122,7 @@ def test_short_elements_hold_at_most_four_bytes(tmp_path: Path) -> None:
     assert of_5(tmp_path, unknown) == "an element is of the unknown type 11"
 
 
-def test_packed_data_are_bounded_altogether(tmp_path: Path) -> None:
+def test_packed_data_are_limited_in_total(tmp_path: Path) -> None:
     data = element(1, b"\0" * 992)
     packed = element(15, zlib.compress(data))
     assert of_5(tmp_path, packed, most=1000) == ""
@@ -140,7 +140,7 @@ def test_a_short_file_is_left_to_its_reader(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_matrices_of_version_4_are_as_long_as_they_say(tmp_path: Path, order: str) -> None:
+def test_version_4_matrices_have_the_declared_length(tmp_path: Path, order: str) -> None:
     digits = 0 if order == "<" else 1000
     for kind in SIZES:
         for imaginary in (0, 1):
@@ -151,7 +151,7 @@ def test_matrices_of_version_4_are_as_long_as_they_say(tmp_path: Path, order: st
             assert of_4(tmp_path, cut) == "a matrix ends behind the file"
 
 
-def test_what_matrices_of_version_4_cannot_be(tmp_path: Path) -> None:
+def test_invalid_version_4_matrices_are_refused(tmp_path: Path) -> None:
     wrong = "a matrix is not as it must be"
     for changes in ({"kind": 6}, {"rows": -1}, {"columns": -1}, {"imaginary": 2}, {"name": b""}):
         assert of_4(tmp_path, version_4(**changes)) == wrong, changes

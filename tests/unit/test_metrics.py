@@ -27,13 +27,13 @@ def test_a_reversal_lies_at_the_smallest_speed_between() -> None:
 @pytest.mark.parametrize(
     "dq",
     [
-        [0.5, 0.1, 0.0, 0.0, 0.1, 0.5],  # a rest on the way
+        [0.5, 0.1, 0.0, 0.0, 0.1, 0.5],  # a rest during the motion
         [0.5, 0.1, 0.01, -0.019, 0.01, 0.1],  # noise at rest
         [0.0, 0.0, 0.0],
         [0.01, -0.01, 0.01],
     ],
 )
-def test_a_rest_is_no_reversal(dq: list[float]) -> None:
+def test_a_rest_is_not_a_reversal(dq: list[float]) -> None:
     assert len(reversals(np.array(dq))) == 0
 
 
@@ -47,7 +47,7 @@ def test_reversals_are_symmetric_in_sign_and_one_per_change(values: list[float])
     assert np.all(np.diff(found) >= 0)
 
 
-def test_windows_are_a_tenth_of_a_second_to_either_side() -> None:
+def test_windows_extend_a_tenth_of_a_second_to_either_side() -> None:
     t = np.arange(0, 2, 0.01) + 5.0
     near = near_reversals(t, np.cos(np.pi * (t - 5.0) + 1e-9))
     expected = (np.abs(t - 5.5) < 0.1001) | (np.abs(t - 6.5) < 0.1001)
@@ -68,7 +68,7 @@ def test_a_score_pools_the_rows_of_all_logs() -> None:
     assert result.r2 == pytest.approx(1 - (result.rmse / result.tau_std) ** 2)
 
 
-def test_a_score_without_such_rows_says_none() -> None:
+def test_a_score_without_rows_is_none() -> None:
     still = record(np.arange(5) * 0.1, np.zeros(5), np.ones(5))
     result = score([still], [np.zeros(5)])
     assert (result.rmse, result.tau_std) == (1.0, 0.0)
@@ -80,7 +80,7 @@ def test_the_score_of_a_band_counts_its_rows_and_compares_its_width() -> None:
     dq = np.where(t < 1.0, 0.0, 0.5)
     moved = record(t, dq, np.where(t < 1.0, 0.0, 4.0))
     still = record(t[:50], np.zeros(50), np.ones(50))
-    # At rest 80 of 100 are in, on their edge; in motion all; of the second log none.
+    # At rest 80 of 100 are inside, on the edge; in motion all; of the second log none.
     upper = np.where(t < 1.0, np.where(t < 0.795, 0.0, -1.0), 7.0)
     bands = [(np.full(200, -3.0), upper), (np.full(50, 2.0), np.full(50, 6.0))]
     torque = [np.where(t < 1.0, 0.1, 1.0), np.full(50, 6.0)]
@@ -89,14 +89,14 @@ def test_the_score_of_a_band_counts_its_rows_and_compares_its_width() -> None:
     assert found.held_moving == 1.0
     assert found.held_reversal is None
     assert found.least_log == 0.0
-    # Errors are .1, 3 and 5 N.m of 100, 100 and 50 rows: 72 % of them are at most 3 N.m.
+    # Errors are 0.1, 3 and 5 N.m on 100, 100 and 50 rows: their 72 % quantile is 3 N.m.
     mean = (80 * 3.0 + 20 * 2.0 + 100 * 10.0 + 50 * 4.0) / 250
     assert found.width == pytest.approx(mean / 6.0)
     perfect = score_band([still], [still.tau], [(still.tau, still.tau)])
     assert (perfect.held, perfect.width) == (1.0, None)
 
 
-def test_a_band_holds_its_start_and_not_its_stop() -> None:
+def test_a_band_includes_its_start_but_not_its_stop() -> None:
     t = np.array([0.0, 1.0, 2.0, 2.6, 3.0])
     np.testing.assert_array_equal(time_band(t, 1.0, 2.6), [False, True, True, False, False])
     np.testing.assert_array_equal(time_band(t, 2.6, 9.0), [False, False, False, True, True])
@@ -106,7 +106,7 @@ def test_the_interval_of_a_ratio_covers_the_true_ratio() -> None:
     covered = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        # Errors with a memory of about ten rows.
+        # Errors with a correlation length of about ten rows.
         noise = rng.standard_normal((2, 2010))
         a, b = (np.convolve(x, np.ones(10), mode="valid") for x in noise)
         low, high = rmse_ratio_interval(
@@ -116,22 +116,22 @@ def test_the_interval_of_a_ratio_covers_the_true_ratio() -> None:
     assert covered >= 51
 
 
-def test_a_ratio_of_the_same_errors_is_certain() -> None:
+def test_a_ratio_of_equal_errors_has_no_uncertainty() -> None:
     errors = [np.random.default_rng(0).standard_normal(50)]
     rng = np.random.default_rng(1)
     low, high = rmse_ratio_interval([2.0 * errors[0]], errors, block=100, rng=rng)
     assert (low, high) == (pytest.approx(2.0), pytest.approx(2.0))
 
 
-def test_logs_weigh_by_their_rows_whatever_their_blocks_add_up_to() -> None:
-    """Two blocks of 10 rows stand for a log of 11, and count as 11 rows, not as 20."""
+def test_logs_are_weighted_by_rows_not_by_blocks() -> None:
+    """Two blocks of 10 rows cover a log of 11 and count as 11 rows, not 20."""
     ones = [np.ones(10), np.ones(11)]
     errors = [np.full(10, 2.0), np.ones(11)]
     found = rmse_ratio_interval(errors, ones, block=10, rng=np.random.default_rng(0), resamples=9)
     assert found == pytest.approx([np.sqrt((10 * 4 + 11 * 1) / 21)] * 2, rel=1e-12)
 
 
-def test_an_interval_is_the_same_for_the_same_seed() -> None:
+def test_the_same_seed_gives_the_same_interval() -> None:
     a, b = np.random.default_rng(0).standard_normal((2, 300))
     first, again = (
         rmse_ratio_interval([a], [b], block=20, rng=np.random.default_rng(7)) for _ in range(2)

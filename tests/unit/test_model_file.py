@@ -1,4 +1,4 @@
-"""The joints of a model file, and by which of them a robot can be described."""
+"""The joints of a model file, and the joints that can describe a robot."""
 
 from pathlib import Path
 
@@ -35,14 +35,14 @@ def chain(tmp_path: Path) -> Path:
     )  # fmt: skip
 
 
-def test_joints_that_move_are_listed_from_base_to_tip(chain: Path) -> None:
+def test_moving_joints_are_listed_from_base_to_tip(chain: Path) -> None:
     found = [(joint.name, joint.freedom, joint.slides) for joint in joints_of(chain)]
     assert found == [
         ("turn", 1, False), ("slide", 1, True), ("finger", 0, False), ("float", 6, False)
     ]  # fmt: skip
 
 
-def test_a_robot_is_described_by_those_of_one_freedom(chain: Path) -> None:
+def test_a_robot_uses_joints_with_one_degree_of_freedom(chain: Path) -> None:
     assert [joint.name for joint in driven_joints(chain)] == ["turn", "slide"]
     assert [joint.name for joint in driven_joints(chain, ["slide"])] == ["slide"]
     assert [joint.name for joint in driven_joints(chain, ["slide", "turn"])] == ["turn", "slide"]
@@ -61,13 +61,13 @@ def test_joints_that_cannot_be_driven_are_refused(chain: Path, wanted: str, sent
         driven_joints(chain, ["turn", wanted])
 
 
-def test_a_file_without_a_joint_to_drive_is_refused(tmp_path: Path) -> None:
+def test_a_file_without_drivable_joints_is_refused(tmp_path: Path) -> None:
     path = urdf(tmp_path, {"name": "float", "kind": "floating"})
     with pytest.raises(RobotError, match="has no revolute or prismatic joint; at least one"):
         driven_joints(path)
 
 
-def test_a_name_that_is_no_text_is_refused(tmp_path: Path) -> None:
+def test_a_name_that_is_not_text_is_refused(tmp_path: Path) -> None:
     path = urdf(tmp_path, {"name": "turn", "kind": "revolute"})
     path.write_bytes(path.read_bytes().replace(b'"turn"', b'"t\xf4rn"'))
     with pytest.raises(RobotError, match=r"chain\.urdf: a joint's name is no UTF-8 text\.$"):

@@ -1,4 +1,4 @@
-"""Saved results: they come back bit for bit; what is wrong in a file is said in one sentence."""
+"""Saved results: bit-exact round trips, and one sentence for each mistake in a file."""
 
 import json
 import os
@@ -64,7 +64,7 @@ def table_1() -> FrictionModel:
 # --- round trips ------------------------------------------------------------------------------
 
 
-def test_a_covariance_comes_back_with_its_law(tmp_path: Path) -> None:
+def test_a_covariance_is_saved_with_its_law(tmp_path: Path) -> None:
     law = parfam([1.0] * 11, covariance=covariance_of_two(("c_h", "c_dh")))
     model_of(law).write(tmp_path / "law.json")
     found = FrictionModel.read(tmp_path / "law.json")
@@ -72,7 +72,7 @@ def test_a_covariance_comes_back_with_its_law(tmp_path: Path) -> None:
     assert found != model_of(replace(law, covariance=covariance_of_two(("c_h", "alpha"))))
 
 
-def test_a_covariance_must_be_that_of_its_names(tmp_path: Path) -> None:
+def test_a_covariance_must_match_its_names(tmp_path: Path) -> None:
     def change(data: dict[str, Any]) -> None:
         first(data)["covariance"] = {
             "names": ["alpha"], "within": [[1.0, 0.0], [0.0, 1.0]], "between": 1.0, "degrees": 0.0,
@@ -84,7 +84,7 @@ def test_a_covariance_must_be_that_of_its_names(tmp_path: Path) -> None:
     )
 
 
-def test_a_published_model_comes_back(table_1: FrictionModel, tmp_path: Path) -> None:
+def test_a_published_model_survives_a_round_trip(table_1: FrictionModel, tmp_path: Path) -> None:
     table_1.write(tmp_path / "law.json")
     assert FrictionModel.read(tmp_path / "law.json") == table_1
 
@@ -95,7 +95,7 @@ def test_a_published_model_comes_back(table_1: FrictionModel, tmp_path: Path) ->
     st.floats(-1e3, 1e3),
     st.sampled_from(["exact", "euler"]),
 )
-def test_every_number_comes_back_bit_for_bit(
+def test_every_number_is_read_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, values: list[float], start: float, how: str
 ) -> None:
     path = tmp_path_factory.mktemp("artifact") / "law.json"
@@ -103,7 +103,7 @@ def test_every_number_comes_back_bit_for_bit(
     model.write(path)
     found = FrictionModel.read(path)
     assert found == model
-    # Equality does not see the sign of a zero.
+    # Equality ignores the sign of a zero.
     numbers = [np.array([*law.values.values(), *law.start]) for law in (*model.laws, *found.laws)]
     assert numbers[0].tobytes() == numbers[2].tobytes()
     assert numbers[1].tobytes() == numbers[3].tobytes()
@@ -115,9 +115,7 @@ def test_the_same_model_gives_the_same_bytes(table_1: FrictionModel, tmp_path: P
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
-def test_a_file_says_what_it_is_and_holds_names_numbers_and_units(
-    table_1: FrictionModel, tmp_path: Path
-) -> None:
+def test_a_file_holds_kind_names_values_and_units(table_1: FrictionModel, tmp_path: Path) -> None:
     table_1.write(tmp_path / "law.json")
     data = json.loads((tmp_path / "law.json").read_text(encoding="utf-8"))
     assert data["format"] == MODEL_FORMAT
@@ -159,7 +157,7 @@ def covariance_of_two(names: tuple[str, str]) -> Covariance:
     )
 
 
-def test_a_rigid_body_comes_back_bit_for_bit(rigid_body: RigidBody, tmp_path: Path) -> None:
+def test_a_rigid_body_is_read_back_bit_for_bit(rigid_body: RigidBody, tmp_path: Path) -> None:
     path = tmp_path / "rigid_body.json"
     replace(rigid_body, provenance={"seed": None}).write(path)
     found = RigidBody.read(path)
@@ -174,9 +172,7 @@ def test_a_rigid_body_comes_back_bit_for_bit(rigid_body: RigidBody, tmp_path: Pa
     assert found.covariance == rigid_body.covariance
 
 
-def test_files_of_versions_without_a_covariance_are_read(
-    rigid_body: RigidBody, tmp_path: Path
-) -> None:
+def test_older_files_without_a_covariance_are_read(rigid_body: RigidBody, tmp_path: Path) -> None:
     path = tmp_path / "rigid_body.json"
     replace(rigid_body, provenance={"seed": None}).write(path)
     data = read_json(path, "hesr-rigid-body-1")
@@ -202,13 +198,13 @@ def test_provenance_names_files_with_hashes_seed_and_versions(tmp_path: Path) ->
     assert str(tmp_path) not in json.dumps(source)
 
 
-# --- what is refused --------------------------------------------------------------------------
+# --- refusals ---------------------------------------------------------------------------------
 
 Change = Callable[[dict[str, Any]], object]
 
 
 def refused(path: Path, read: Callable[[Path], object] = FrictionModel.read) -> str:
-    """What is said of a file, without its name, which must stand first."""
+    """Error sentence for a file, without the leading file name."""
     with pytest.raises(ArtifactError) as caught:
         read(path)
     assert str(caught.value).startswith(f"{path}: ")
@@ -218,7 +214,7 @@ def refused(path: Path, read: Callable[[Path], object] = FrictionModel.read) -> 
 
 
 def changed(folder: Path, change: Change) -> Path:
-    """Table I's file with one change."""
+    """The file of Table I with one change."""
     data = json.loads(TABLE_1.read_text(encoding="utf-8"))
     change(data)
     path = folder / "law.json"
@@ -326,7 +322,7 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ),
     ],
 )
-def test_what_is_wrong_in_a_model_is_said(tmp_path: Path, change: Change, sentence: str) -> None:
+def test_mistakes_in_a_model_are_reported(tmp_path: Path, change: Change, sentence: str) -> None:
     assert refused(changed(tmp_path, change)) == sentence
 
 
@@ -352,7 +348,7 @@ def test_data_of_another_kind_are_refused(tmp_path: Path, change: Change) -> Non
     assert refused(changed(tmp_path, change)).startswith("not a friction model (")
 
 
-def test_an_unknown_law_names_those_that_there_are(tmp_path: Path) -> None:
+def test_an_unknown_law_lists_the_known_ones(tmp_path: Path) -> None:
     said = refused(changed(tmp_path, lambda d: first(d).update(law="lugree")))
     assert said.startswith("law 'lugree' is unknown; known are ")
     for name in ("stribeck", "lugre", "parfam_h"):
@@ -371,7 +367,7 @@ def test_files_that_are_no_artifacts_are_refused(tmp_path: Path) -> None:
     assert refused(tmp_path).startswith("not a readable JSON file (")
 
 
-def test_what_is_wrong_in_a_rigid_body_is_said(rigid_body: RigidBody, tmp_path: Path) -> None:
+def test_mistakes_in_a_rigid_body_are_reported(rigid_body: RigidBody, tmp_path: Path) -> None:
     path = tmp_path / "rigid_body.json"
     rigid_body.write(path)
     data = json.loads(path.read_text())
@@ -397,14 +393,14 @@ def test_what_is_wrong_in_a_rigid_body_is_said(rigid_body: RigidBody, tmp_path: 
         assert said(change).startswith("not a rigid body (")
 
 
-def test_a_wrong_file_leaves_no_trace_of_another_error(tmp_path: Path) -> None:
+def test_a_file_of_another_format_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text('{"format": "hesr-study-1"}')
     with pytest.raises(ArtifactError, match="needed is 'a-format'"):
         read_json(path, "a-format")
 
 
-def test_what_is_no_object_is_none_of_our_files(tmp_path: Path) -> None:
+def test_json_without_an_object_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     for text in ("[]", "7", '"key"'):
         path.write_text(text)
@@ -412,7 +408,7 @@ def test_what_is_no_object_is_none_of_our_files(tmp_path: Path) -> None:
             read_json(path)
 
 
-def test_numbers_that_json_does_not_know_are_never_written(tmp_path: Path) -> None:
+def test_non_finite_numbers_are_never_written(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text("{}")
     with pytest.raises(ValueError, match="JSON compliant"):
@@ -425,7 +421,7 @@ def test_numbers_that_json_does_not_know_are_never_written(tmp_path: Path) -> No
 
 
 def test_nothing_in_a_file_is_run_as_code(tmp_path: Path) -> None:
-    """Every text of a file in turn is replaced by code that would leave a file behind."""
+    """Replace every text of a file in turn by code that would create a file."""
     trace = tmp_path / "trace"
     code = f"__import__('pathlib').Path({str(trace)!r}).touch()"
 
@@ -440,7 +436,7 @@ def test_nothing_in_a_file_is_run_as_code(tmp_path: Path) -> None:
         return found
 
     exec(code)
-    assert trace.exists()  # the code is able to
+    assert trace.exists()  # the code does work
     trace.unlink()
     for k in range(len(places(json.loads(TABLE_1.read_text())))):
 
@@ -454,7 +450,7 @@ def test_nothing_in_a_file_is_run_as_code(tmp_path: Path) -> None:
         assert not trace.exists()
 
 
-def test_what_is_made_of_files_has_the_date_of_the_newest(tmp_path: Path) -> None:
+def test_derived_files_have_the_date_of_the_newest_input(tmp_path: Path) -> None:
     files = [tmp_path / "a.csv", tmp_path / "b.csv"]
     for file, seconds in zip(files, (1_700_000_000, 1_600_000_000), strict=True):
         file.touch()

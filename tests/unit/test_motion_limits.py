@@ -1,4 +1,4 @@
-"""Limits of a motion and the objective of its search, by hand: no search in between."""
+"""Limits of a motion and the objective of its search, hand-computed."""
 
 from dataclasses import replace
 
@@ -25,24 +25,24 @@ def limits(arm_model: Robot) -> Limits:
 
 @pytest.fixture
 def motion() -> Fourier:
-    """From rest: the sums of a_k and of k b_k are zero in each joint."""
+    """The motion starts at rest: the sums of a_k and of k b_k are zero in each joint."""
     a = np.array([[1.0, -1.0, 0.0], [0.5, -0.2, -0.3], [0.2, 0.1, -0.3]])
     b = np.array([[0.0, 0.3, -0.2], [0.6, -0.3, 0.0], [-0.2, 0.4, -0.2]])
     return Fourier(offset=np.array([0.3, 0.0, -0.2]), a=a, b=b, period=4.0)
 
 
-def test_a_period_is_seen_at_256_points_per_cycle_of_its_highest_harmonic(motion: Fourier) -> None:
+def test_a_period_has_256_points_per_highest_harmonic(motion: Fourier) -> None:
     t = 4.0 * np.arange(768) / 768
     for found, expected in zip(one_period(motion), motion.sample(t), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-13)
 
 
-def test_each_joint_is_shrunk_to_the_limit_that_it_passes_most(
+def test_each_joint_is_shrunk_to_its_most_exceeded_limit(
     motion: Fourier, limits: Limits, arm_model: Robot
 ) -> None:
-    """A thousandth inside; the first by its position, the second by speed, the third by the rest.
+    """A thousandth inside the limits of position (first joint), speed (second) and rest (third).
 
-    Offsets move no further than they must.
+    Offsets move no further than necessary.
     """
     kept = limits.shrink(motion, arm_model, np.zeros(3))
     q, dq, ddq = one_period(motion)
@@ -56,7 +56,7 @@ def test_each_joint_is_shrunk_to_the_limit_that_it_passes_most(
     assert (path.min(), path.max()) == pytest.approx((-0.4 + 0.0005, 0.6 - 0.0005), abs=1e-9)
 
 
-def test_for_torque_all_paths_shrink_together_towards_rest(
+def test_the_torque_limit_shrinks_all_paths_towards_rest(
     motion: Fourier, limits: Limits, arm_model: Robot
 ) -> None:
     small = replace(motion, a=0.1 * motion.a, b=0.1 * motion.b)
@@ -70,7 +70,7 @@ def test_for_torque_all_paths_shrink_together_towards_rest(
     np.testing.assert_allclose(kept.a, share * small.a, rtol=1e-12)
     np.testing.assert_allclose(kept.b, share * small.b, rtol=1e-12)
     np.testing.assert_allclose(kept.offset, rest + share * (small.offset - rest), rtol=1e-12)
-    # The largest share that is a multiple of 1/4096.
+    # The largest share in multiples of 1/4096.
     assert share * 4096 == pytest.approx(round(share * 4096))
     assert peak_torque(arm_model, kept)[1] <= 0.999 * between[1]
     more = share + 1 / 4096
@@ -79,7 +79,7 @@ def test_for_torque_all_paths_shrink_together_towards_rest(
     assert peak_torque(arm_model, larger)[1] > 0.999 * between[1]
 
 
-def test_peak_torque_is_that_of_the_model_file(motion: Fourier, arm_model: Robot) -> None:
+def test_peak_torque_comes_from_the_model_file(motion: Fourier, arm_model: Robot) -> None:
     tau = arm_model.torque(arm_model.nominal_parameters, *motion.sample(np.linspace(0, 4, 4001)))
     np.testing.assert_allclose(peak_torque(arm_model, motion), np.abs(tau).max(axis=0), rtol=1e-4)
 
@@ -87,7 +87,7 @@ def test_peak_torque_is_that_of_the_model_file(motion: Fourier, arm_model: Robot
 # --- the objective ----------------------------------------------------------------------------
 
 
-def test_the_excess_is_the_mean_square_of_what_is_above_a_limit() -> None:
+def test_the_excess_is_the_mean_square_above_a_limit() -> None:
     values = np.array([[1.0, -3.0], [-2.5, 0.0], [2.0, 1.0], [0.0, 0.0]])
     excess, slope = _excess(values, np.array([2.0, 1.0]))
     assert excess == pytest.approx((0.25**2 + 2.0**2) / 4)
@@ -95,8 +95,8 @@ def test_the_excess_is_the_mean_square_of_what_is_above_a_limit() -> None:
     np.testing.assert_allclose(slope, expected)
 
 
-def test_the_condition_is_bounded_by_norms_of_order_eight() -> None:
-    """Of squared singular values 9, 4 and 1."""
+def test_norms_of_order_eight_bound_the_condition() -> None:
+    """Squared singular values are 9, 4 and 1."""
     columns = np.zeros((2, 2, 3))
     columns.reshape(4, 3)[:3] = np.diag([3.0, 2.0, 1.0])
     value, slopes = _log_condition(columns)
@@ -108,7 +108,7 @@ def test_the_condition_is_bounded_by_norms_of_order_eight() -> None:
     np.testing.assert_array_equal(slopes.reshape(4, 3)[3], 0.0)
 
 
-def test_the_objective_weighs_every_excess_over_a_cycle(
+def test_the_objective_weights_every_excess_over_a_cycle(
     motion: Fourier, limits: Limits, arm_model: Robot
 ) -> None:
     tight = replace(limits, torque=np.array([3.0, 8.0, 1.0]))

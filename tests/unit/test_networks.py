@@ -1,4 +1,4 @@
-"""RBFNN-H and MLP-H: their expressions, their training, and how one is chosen."""
+"""RBFNN-H and MLP-H: expressions, training and selection."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -26,11 +26,11 @@ ALPHA, BETA = 9.0, 30.0
 
 
 def record(rows: int = 1500, seed: int = 0, *, noise: float = 0.05) -> FrictionRecord:
-    """Friction that follows the reversals late and bends with speed; of no network's form."""
+    """Friction that lags behind reversals and bends with speed; outside both networks' forms."""
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.uniform(0.006, 0.014, rows))
     dq = np.sin(1.3 * t + seed) * (0.6 + 0.4 * np.sin(0.31 * t))
-    dq *= np.minimum((t - t[0]) / 0.2, 1.0)  # from rest, where laws begin
+    dq *= np.minimum((t - t[0]) / 0.2, 1.0)  # from rest, as laws begin
     dq[rows // 2 : rows // 2 + 40] = 0.0
     h, states = 0.0, []
     for step, target in zip(np.diff(t, prepend=t[0]), np.tanh(BETA * dq), strict=True):
@@ -58,7 +58,7 @@ def cloud(rows: int, seed: int = 0) -> np.ndarray:
 
 
 def law_with(form_of: type[RbfnnH] | type[MlpH], structure: dict[str, int]) -> FrictionLaw:
-    """Return a network with numbers that make every term matter."""
+    """Return a network with coefficients that make every term matter."""
     form = form_of.form(structure)
     numbers = np.random.default_rng(3).uniform(0.3, 1.5, len(form.coefficients))
     values = dict(zip((c.name for c in form.coefficients), numbers, strict=True))
@@ -112,7 +112,7 @@ def test_units_are_those_of_the_inputs() -> None:
 @pytest.mark.parametrize(
     ("estimator", "key", "largest"), [(RbfnnH, "centres", 40), (MlpH, "hidden", 16)]
 )
-def test_structures_of_another_kind_are_refused(
+def test_structures_of_other_laws_are_refused(
     estimator: type[RbfnnH] | type[MlpH], key: str, largest: int
 ) -> None:
     estimator.form({key: largest})
@@ -123,7 +123,7 @@ def test_structures_of_another_kind_are_refused(
         estimator.form({key: 2, "width": 1.0})
 
 
-def test_sizes_that_no_network_may_have_are_refused() -> None:
+def test_invalid_network_sizes_are_refused() -> None:
     for sizes in ((), (1,), (10, 41), (2.5,)):
         with pytest.raises(
             FitError, match=r"'centres' is .*; needed are whole numbers from 2 to 40\."
@@ -139,7 +139,7 @@ def test_sizes_that_no_network_may_have_are_refused() -> None:
 # --- inputs -----------------------------------------------------------------------------------
 
 
-def test_inputs_are_standardised_and_lead_back_to_units(features: HysteresisFeatures) -> None:
+def test_standardised_inputs_convert_back_to_units(features: HysteresisFeatures) -> None:
     found = candidates(features, 2)
     assert len({(inputs.cell.alpha, inputs.cell.beta) for inputs in found}) == 2
     for inputs in found:
@@ -149,7 +149,7 @@ def test_inputs_are_standardised_and_lead_back_to_units(features: HysteresisFeat
         np.testing.assert_allclose(inputs.mean + inputs.spread * inputs.z, expected, atol=1e-12)
 
 
-def test_networks_that_explode_are_passed_over(records: list[FrictionRecord]) -> None:
+def test_networks_that_explode_are_skipped(records: list[FrictionRecord]) -> None:
     good = fit_joint("mlp_h", records, seed=0, options={"hidden": (2,), "cells": 1, "starts": 1})
     wild = replace(good, values={**good.values, "c_0": 1e3})
     assert first_tame([wild, wild, good], records) is good
@@ -173,7 +173,7 @@ def test_networks_that_explode_are_passed_over(records: list[FrictionRecord]) ->
 # --- RBF: centres and weights -----------------------------------------------------------------
 
 
-def test_centres_lie_among_the_rows_and_repeat_for_a_seed() -> None:
+def test_centres_lie_among_the_rows_and_depend_on_the_seed() -> None:
     z = cloud(800)
     centres, spacing = rbf.clustered(z, 12, np.random.default_rng(1))
     again, _ = rbf.clustered(z, 12, np.random.default_rng(1))
@@ -184,7 +184,7 @@ def test_centres_lie_among_the_rows_and_repeat_for_a_seed() -> None:
     assert spacing == pytest.approx(distance.min(axis=1).mean())
 
 
-def test_rows_that_repeat_give_fewer_centres() -> None:
+def test_repeated_rows_give_fewer_centres() -> None:
     z = np.repeat(cloud(5), 100, axis=0)
     centres, spacing = rbf.clustered(z, 12, np.random.default_rng(0))
     assert len(centres) <= 5
@@ -197,7 +197,7 @@ def test_ridge_regression_shrinks_weights_but_not_the_offset() -> None:
     ridges = (0.0, 0.3, 1e9)
     bias, weights = rbf.ridge_weights(columns, tau, ridges)
     for i, ridge in enumerate(ridges[:2]):
-        # The same problem as plain least squares, with a row of its own for every weight.
+        # The same problem as plain least squares with one additional row per weight.
         rows = np.vstack(
             [
                 np.column_stack([np.ones(200), columns]),
@@ -215,7 +215,7 @@ def test_left_out_rows_do_not_train_the_rbf(features: HysteresisFeatures) -> Non
     z = candidates(features, 1)[0].z
     honest = rbf.left_out(z, samples, 10, np.random.default_rng(0))
     assert honest.shape == (len(rbf.FACTORS), len(rbf.RIDGES))
-    # Trained on both logs, a network would meet an offset between them half-way.
+    # Trained on both logs, a network would fit half of an offset between them.
     moved = replace(samples, tau=samples.tau + 50.0 * samples.record)
     shifted = rbf.left_out(z, moved, 10, np.random.default_rng(0))
     assert np.all(np.sqrt(shifted) > 40.0)
@@ -236,7 +236,7 @@ def cost_of(network: Network, z: np.ndarray, y: np.ndarray, decay: float) -> flo
     return float(np.mean((network.output(z) - y) ** 2) + decay * shrunk)
 
 
-def test_training_finds_a_network_that_made_the_data() -> None:
+def test_training_recovers_the_generating_network() -> None:
     z = cloud(600)
     y = teacher(2).output(z)
     start = np.random.default_rng(0).normal(size=(4, 3))
@@ -246,7 +246,7 @@ def test_training_finds_a_network_that_made_the_data() -> None:
     assert errors[-1] < 1e-3
 
 
-def test_training_ends_where_the_cost_is_flat() -> None:
+def test_training_ends_at_a_flat_cost() -> None:
     z, decay = cloud(500), 1e-3
     y = teacher(3).output(z) + 0.1 * np.random.default_rng(1).normal(size=500)
     (network,) = path(z, y, np.random.default_rng(4).normal(size=(4, 2)), (decay,) * 6)[-1:]
@@ -264,7 +264,7 @@ def test_training_ends_where_the_cost_is_flat() -> None:
             assert min(moved) > network.cost - 1e-6
 
 
-def test_a_trained_network_becomes_a_law_of_the_same_torque(
+def test_a_trained_network_becomes_an_equal_law(
     features: HysteresisFeatures, records: list[FrictionRecord]
 ) -> None:
     (inputs,) = candidates(features, 1)
@@ -317,7 +317,7 @@ def test_a_single_log_is_left_out_in_blocks(name: str) -> None:
     assert rmse(predict(law, t=unseen.t, dq=unseen.dq) - unseen.tau) < 0.6
 
 
-def test_standing_still_for_most_of_a_log_leaves_enough_to_learn() -> None:
+def test_a_log_mostly_at_rest_suffices_for_training() -> None:
     data = record(1500)
     rest = 1000
     padded = replace(

@@ -1,4 +1,4 @@
-"""Counter-based noise against a reference in Python's own integers, and its statistics."""
+"""Counter-based noise: its statistics, and a reference in Python integers."""
 
 import math
 
@@ -27,7 +27,7 @@ def reference(seed, stream, index):
     return finish(base + (index + 1) * GAMMA)
 
 
-def test_finisher_of_the_reference_is_splitmix64():
+def test_the_reference_finisher_is_splitmix64():
     # First outputs of the published generator started at 0 and at 1234567.
     assert finish(GAMMA) == 0xE220A8397B1DCDAF
     assert finish(1234567 + GAMMA) == 6457827717110365317
@@ -62,12 +62,12 @@ def test_normals_equal_the_reference(seed, stream, counter):
     )
 
 
-def test_seed_counts_modulo_a_word():
+def test_the_seed_is_taken_modulo_a_word():
     assert words(-1, 0, 0) == words(MASK, 0, 0)
     assert words(2**64 + 7, 0, 0) == words(7, 0, 0)
 
 
-def test_order_and_shape_of_the_request_do_not_matter():
+def test_order_and_shape_of_the_arguments_do_not_matter():
     table = standard_normal(3, np.arange(4), np.arange(50)[:, None])
     assert table.shape == (50, 4)
     for counter, stream in ((0, 0), (17, 3), (49, 1)):
@@ -89,13 +89,13 @@ def test_numbers_are_normal():
 
 
 @pytest.mark.parametrize("shift", [1, 2, 7])
-def test_successive_numbers_do_not_correlate(shift):
+def test_successive_numbers_are_uncorrelated(shift):
     x = standard_normal(12, 0, np.arange(100_000))
     assert abs(np.mean(x[shift:] * x[:-shift])) < 4 / math.sqrt(len(x))
 
 
 @pytest.mark.parametrize(("seed", "stream"), [(13, 1), (14, 0), (13, 2**63)])
-def test_streams_and_seeds_do_not_correlate(seed, stream):
+def test_streams_and_seeds_are_uncorrelated(seed, stream):
     counter = np.arange(100_000)
     x, y = standard_normal(13, 0, counter), standard_normal(seed, stream, counter)
     assert not np.array_equal(x, y)

@@ -1,4 +1,4 @@
-"""Which rows identification sees, and how a time-reversed log is read where it was not sampled."""
+"""Rows used by identification, and interpolation of a time-reversed log."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,13 +25,15 @@ MakeMotion = Callable[..., Motion]
 
 @pytest.fixture
 def lift(make_motion: MakeMotion) -> Motion:
-    """The third joint hardly passes 0.1 rad/s."""
+    """The third joint hardly exceeds 0.1 rad/s."""
     motion = make_motion(friction=2.0, seconds=4.0)
     dq = motion.dq * [1.0, 1.0, 0.3 / np.abs(motion.dq[:, 2]).max()]
     return replace(motion, dq=dq)
 
 
-def test_what_is_slow_is_a_tenth_or_a_quarter_of_the_peak(lift: Motion, arm_model: Robot) -> None:
+def test_the_slow_threshold_is_a_tenth_or_a_quarter_of_the_peak(
+    lift: Motion, arm_model: Robot
+) -> None:
     twice = replace(lift, dq=2.0 * lift.dq)
     np.testing.assert_allclose(
         slow_speeds(peak_speeds([lift], arm_model)), [0.1, 0.1, 0.075], rtol=1e-12
@@ -41,7 +43,7 @@ def test_what_is_slow_is_a_tenth_or_a_quarter_of_the_peak(lift: Motion, arm_mode
     )
 
 
-def test_rows_of_a_joint_are_those_at_which_it_is_not_slow(lift: Motion, arm_model: Robot) -> None:
+def test_slow_rows_are_left_out(lift: Motion, arm_model: Robot) -> None:
     base = base_columns(arm_model)
     friction = friction_columns(arm_model, base)
     found = stacked([lift, lift], arm_model, base, friction)
@@ -59,16 +61,16 @@ def test_rows_of_a_joint_are_those_at_which_it_is_not_slow(lift: Motion, arm_mod
         np.testing.assert_array_equal(block.target, np.tile(lift.tau[kept, joint], 2))
 
 
-def test_coefficients_of_friction_stand_where_their_columns_are() -> None:
+def test_friction_coefficients_follow_their_columns() -> None:
     columns = np.array([[True, True, False], [True, False, True]])
     found = per_joint(np.array([1.0, 2.0, 3.0, 4.0]), columns)
     np.testing.assert_array_equal(found, [[1.0, 2.0, 0.0], [3.0, 0.0, 4.0]])
 
 
-def test_averaged_rows_are_those_at_which_both_move_against_each_other(
+def test_averaging_uses_rows_with_opposite_motion(
     arm_model: Robot, make_motion: MakeMotion
 ) -> None:
-    """A mirror in time, so that row k belongs to the last row but k of the other log."""
+    """A mirror in time: row k pairs with the k-th row from the end of the other log."""
     forward, backward = (make_motion(friction=3.0, reverse=way, seconds=4.0) for way in (0, 1))
     slower = replace(backward, dq=0.5 * backward.dq)
     base = base_columns(arm_model)
@@ -85,11 +87,11 @@ def test_averaged_rows_are_those_at_which_both_move_against_each_other(
         np.testing.assert_allclose(block.target, tau[kept, joint], atol=1e-9)
 
 
-# --- a counterpart that was sampled at other times ----------------------------------------------
+# --- a counterpart sampled at other times -----------------------------------------------------
 
 
 def one_joint(name: str, t: np.ndarray, run: np.ndarray, tau: np.ndarray) -> Motion:
-    """q = run^3, with the torque that is given."""
+    """q = run^3, with the given torque."""
     q = (run**3)[:, None]
     return Motion(
         name=name, t=t, q=q, dq=3.0 * run[:, None] ** 2, ddq=6.0 * run[:, None], tau=tau[:, None],
@@ -99,10 +101,10 @@ def one_joint(name: str, t: np.ndarray, run: np.ndarray, tau: np.ndarray) -> Mot
 
 @pytest.mark.parametrize("late", [0.0, 0.2])
 def test_raw_signals_are_read_linearly_between_samples(late: float) -> None:
-    """Torque and raw position have steps, which no smooth curve may swing about."""
+    """Torque and raw position have steps, around which a smooth curve would oscillate."""
     t = 0.05 * np.arange(21)
     times = 7.0 + 0.03 * np.arange(44)
-    run = 1.29 - (times - 7.0) - late  # the mirror of t at the end of the log, and late
+    run = 1.29 - (times - 7.0) - late  # the mirror image of t at the end of the log, with a delay
     rng = np.random.default_rng(0)
     forward = one_joint("forward", t, t, rng.normal(size=21))
     backward = one_joint("backward", times, run, np.sign(rng.normal(size=44)))
@@ -114,15 +116,15 @@ def test_raw_signals_are_read_linearly_between_samples(late: float) -> None:
     for name in ("tau", "q_raw"):
         expected = np.interp(read[rows], times, getattr(backward, name)[:, 0])
         np.testing.assert_allclose(getattr(back, name)[:, 0], expected, atol=1e-12)
-    # The smooth ones are cubic, so these are exact.
+    # The smooth signals are cubic, so interpolation is exact.
     np.testing.assert_allclose(back.q, there.q, atol=1e-12)
     np.testing.assert_allclose(back.ddq, there.ddq, atol=1e-12)
     for name in ("t", "q", "dq", "ddq", "tau", "q_raw"):
         np.testing.assert_array_equal(getattr(there, name), getattr(forward, name)[rows])
 
 
-def test_how_far_positions_are_apart_is_said_of_the_best_shift() -> None:
-    """Read linearly, too, at shifts of up to half a second that leave half of the rows or more."""
+def test_the_position_gap_is_that_of_the_best_shift() -> None:
+    """Linear interpolation, with shifts of up to 0.5 s that keep at least half of the rows."""
     t, times = 0.1 * np.arange(12), 0.09 * np.arange(13)
     rng = np.random.default_rng(2)
     forward, backward = (

@@ -1,4 +1,4 @@
-"""Whose models are."""
+"""The owner of a model."""
 
 from pathlib import Path
 
@@ -11,13 +11,13 @@ from hesr_model.robots.robot import RobotDescription
 ROBOT = 'name = "arm"\nmodel = "arm.urdf"\njoints = ["a"]\n'
 
 
-def test_what_is_known_is_what_is_said() -> None:
+def test_only_known_fields_are_listed() -> None:
     assert Owner().known == {}
     assert Owner(author="A", license="MIT").known == {"author": "A", "license": "MIT"}
     assert set(OURS.known) == {"author", "copyright", "license"}
 
 
-def test_the_owner_of_a_model_stands_in_its_provenance() -> None:
+def test_the_owner_is_part_of_the_provenance() -> None:
     assert Owner.of({}) == Owner()
     assert Owner.of({"owner": {"copyright": "(c) B"}}) == Owner(copyright="(c) B")
     for wrong in ({"author": 3}, {"name": "B"}, {"author": "a\nb"}, "B"):
@@ -27,7 +27,7 @@ def test_the_owner_of_a_model_stands_in_its_provenance() -> None:
             Owner.of({"owner": wrong})
 
 
-def test_a_robot_file_names_it(tmp_path: Path) -> None:
+def test_a_robot_file_names_the_owner(tmp_path: Path) -> None:
     file = tmp_path / "robot.toml"
     file.write_text(f'{ROBOT}[owner]\nauthor = "A"\n', encoding="utf-8")
     assert RobotDescription.read(file).owner == Owner(author="A")

@@ -1,4 +1,4 @@
-"""ParFam-H: derivatives against finite differences, and what each stage must keep."""
+"""ParFam-H: derivatives against finite differences, and the guarantees of each stage."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,7 +29,7 @@ QUICK = {"cells": 2, "starts": 4, "candidates": 2, "functions": ("tanh",)}
 
 
 def motion(rows: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Uneven time stamps, and a velocity that reverses and rests."""
+    """Uneven time stamps and a velocity that reverses and rests."""
     rng = np.random.default_rng(seed)
     t = 10.0 * seed + np.cumsum(rng.uniform(0.004, 0.016, rows))
     dq = np.sin(1.7 * t) * (0.7 + 0.4 * np.sin(0.31 * t))
@@ -38,7 +38,7 @@ def motion(rows: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def record(rows: int = 600, seed: int = 0, noise: float = 0.05, log: str = "run") -> FrictionRecord:
-    """What a ParFam law of known structure makes: eq. 9 and 11 in a loop."""
+    """Torque of a ParFam law of known structure: eq. 9 and 11 in a loop."""
     t, dq = motion(rows, seed)
     moving = min(abs(dq[0]) / MOVING, 1.0)  # h begins in the steady state of a motion, as laws do
     target, states = np.tanh(BETA * dq), []
@@ -60,7 +60,7 @@ def features_of(*records: FrictionRecord, how: str = "exact") -> HysteresisFeatu
 
 @pytest.fixture(scope="module", params=["exact", "euler"])
 def features(request: pytest.FixtureRequest) -> HysteresisFeatures:
-    """Three records with uneven steps."""
+    """Return three records with uneven steps."""
     return features_of(record(200, 0), record(60, 1), record(150, 2), how=request.param)
 
 
@@ -82,7 +82,7 @@ def candidate(g: str | None = "tanh", **more: object) -> Candidate:
 # --- features ---------------------------------------------------------------------------------
 
 
-def test_features_are_those_of_the_law_on_every_record(features: HysteresisFeatures) -> None:
+def test_features_match_the_law_on_every_record(features: HysteresisFeatures) -> None:
     structure = {"linear": ["h"], "units": []}
     values = {"c_h": 1.0, "alpha": ALPHA, "beta": BETA}
     x = features.columns(ALPHA, BETA)
@@ -136,7 +136,7 @@ def test_slopes_of_units_agree_with_differences(g: str) -> None:
     np.testing.assert_allclose(slope(x, function(x)), difference, atol=1e-8)
 
 
-def test_units_are_those_that_a_structure_may_name() -> None:
+def test_units_cover_all_that_a_structure_may_name() -> None:
     assert set(UNIT_FUNCTIONS) == set(family.FUNCTIONS)
 
 
@@ -148,7 +148,7 @@ numbers = st.floats(-20, 20, allow_subnormal=False)
     st.lists(numbers, min_size=9, max_size=9),
     st.booleans(),
 )
-def test_the_canonical_form_is_the_same_law_and_canonical(
+def test_the_canonical_form_is_an_equal_law(
     g: str | None, values: list[float], offset: bool
 ) -> None:
     active = np.array([offset, True, True, True]) & (g is not None)
@@ -164,7 +164,7 @@ def test_the_canonical_form_is_the_same_law_and_canonical(
     np.testing.assert_allclose(
         after.torque(x), before.torque(x), rtol=1e-10, atol=1e-9 * (1.0 + abs(before.gain))
     )
-    # The law that is written keeps active coefficients only, so the others must be zero.
+    # The written law has active coefficients only, so the others must be zero.
     assert np.all(after.theta[~after.theta_active] == 0.0)
     if g in ("tanh", "sin") or (g == "cos" and offset):
         assert after.gain >= 0.0
@@ -220,8 +220,8 @@ def test_local_minima_of_the_profile_come_first() -> None:
     assert [cell.cost for cell in chosen] == [1.0, 5.0, 7.0]
 
 
-def test_the_geometric_guess_reads_alpha_off_a_loop_of_h_alone() -> None:
-    """Where the reversal is steep, friction changes sign after the half-life of h."""
+def test_the_geometric_guess_reads_alpha_from_a_loop_of_h() -> None:
+    """At a steep reversal, friction changes sign after the half-life of h."""
     data = record(3000, 0)
     h = features_of(data).columns(4.0, 300.0)[:, 2]
     features = features_of(FrictionRecord(**(vars(data) | {"tau": 7.0 * h})))
@@ -250,7 +250,7 @@ def test_projection_finds_the_generating_argument() -> None:
     starts = np.random.default_rng(0).normal(size=(32, 4))
     found = evolve.search(cell, "tanh", x, data.tau, starts, keep=3)
     costs = [k.cost for k in found]
-    assert costs == pytest.approx(sorted(costs), abs=1e-24)  # they are nothing but rounding
+    assert costs == pytest.approx(sorted(costs), abs=1e-24)  # the difference is round-off only
     assert len(found) <= 3
     best = found[0].canonical()
     assert np.sqrt(best.cost) < 1e-3
@@ -260,7 +260,7 @@ def test_projection_finds_the_generating_argument() -> None:
         assert k.cost <= evolve.linear(cell, x, data.tau).cost
 
 
-def test_a_law_without_unit_is_the_least_squares_fit() -> None:
+def test_a_law_without_a_unit_is_the_least_squares_fit() -> None:
     data = record(300, 0)
     x = features_of(data).columns(ALPHA, BETA)
     found = evolve.linear(Cell(alpha=ALPHA, beta=BETA, cost=np.nan), x, data.tau)
@@ -351,7 +351,7 @@ def test_packing_keeps_the_candidate(features: HysteresisFeatures, g: str | None
     np.testing.assert_allclose(found.theta, start.theta, rtol=1e-12)
 
 
-def test_whatever_is_searched_euler_stays_stable(features: HysteresisFeatures) -> None:
+def test_euler_is_stable_at_every_point_of_the_search(features: HysteresisFeatures) -> None:
     problem = refine.Refinement(features, candidate())
     for far in (-800.0, -5.0, 5.0, 800.0):
         point = problem.pack()
@@ -376,8 +376,8 @@ def test_refinement_finds_the_generating_coefficients() -> None:
     assert statistics.shape == (11,)
 
 
-def test_a_coefficient_that_is_zero_in_truth_is_pruned() -> None:
-    """The argument without dh, and no linear term in dq."""
+def test_a_truly_zero_coefficient_is_pruned() -> None:
+    """The argument has no dh, and the law no linear term in dq."""
     data = record(3000, 0, noise=0.0)
     features = features_of(data)
     x = features.columns(ALPHA, BETA)
@@ -398,7 +398,7 @@ def test_a_coefficient_that_is_zero_in_truth_is_pruned() -> None:
 
 @pytest.mark.parametrize("g", ["tanh", "cos"])
 def test_pruning_does_not_spoil_a_fit(g: str) -> None:
-    """Of a law far from the data's own: its coefficients are uncertain, and yet needed."""
+    """A law far from the data: its coefficients are uncertain but still needed."""
     law = FrictionModel.read(models_folder() / "uf850" / "table1.json").laws[0]
     t = 0.005 * np.arange(4000)
     dq = 1.2 * np.sin(0.5 * np.pi * t)
@@ -415,21 +415,21 @@ def test_pruning_does_not_spoil_a_fit(g: str) -> None:
     assert refine.prune(features, start).cost < 1.5 * whole.cost
 
 
-def test_what_the_data_support_is_not_pruned() -> None:
+def test_supported_coefficients_are_not_pruned() -> None:
     features = features_of(record(3000, 0, noise=0.05))
     found = refine.prune(features, candidate())
     assert found.c_active[[1, 2, 3]].all()
     assert found.theta_active[[1, 2]].all()
 
 
-def test_equal_candidates_are_one() -> None:
+def test_equal_candidates_are_merged() -> None:
     costs = [2.0, 1.0, 1.0 + 1e-9, 2.0 - 1e-9, 3.0]
     kept = refine.distinct([candidate(cost=cost) for cost in costs])
     assert [k.cost for k in kept] == [1.0, 2.0 - 1e-9, 3.0]
 
 
-def test_a_candidate_that_explodes_outside_the_trained_speeds_is_not_chosen() -> None:
-    """Data that an exponential explains best, while it is harmless where it was trained."""
+def test_a_candidate_that_explodes_beyond_the_trained_speeds_is_not_chosen() -> None:
+    """An exponential fits these data best and is harmless within the trained range."""
     data = record(600, 0)
     noise = 0.2 * np.random.default_rng(1).normal(size=600)
     rises = 1e-3 * np.exp(9.0 * data.dq) + noise
@@ -445,7 +445,7 @@ def test_a_candidate_that_explodes_outside_the_trained_speeds_is_not_chosen() ->
     assert str(caught.value) == ("every ParFam candidate explodes just outside the trained speeds.")
 
 
-def test_the_candidate_that_predicts_left_out_rows_is_chosen() -> None:
+def test_the_best_predictor_of_left_out_rows_is_chosen() -> None:
     records = [record(600, 0), record(600, 1, log="two")]
     features = features_of(*records)
     folds = features.samples.folds
@@ -454,14 +454,14 @@ def test_the_candidate_that_predicts_left_out_rows_is_chosen() -> None:
     assert chosen.g == "tanh"
     costs = [refine.left_out_cost(features, k, folds) for k in found]
     assert costs[0] < costs[1]
-    # Out of sample an honest error is not below that in the sample.
+    # An honest out-of-sample error is not below the in-sample one.
     assert costs[0] >= refine.Refinement(features, candidate()).run(60)[0].cost
 
 
 # --- the estimator ----------------------------------------------------------------------------
 
 
-def test_a_function_that_is_not_of_the_family_is_refused() -> None:
+def test_a_function_outside_the_family_is_refused() -> None:
     with pytest.raises(FitError) as caught:
         ParFamH(functions=("tanh", "tan"))
     assert str(caught.value) == ("ParFam function 'tan' is unknown; known are tanh, sin, cos, exp.")
@@ -488,13 +488,13 @@ def test_a_function_that_is_not_of_the_family_is_refused() -> None:
         ),
     ],
 )
-def test_options_that_mean_nothing_are_refused(options: dict[str, object], sentence: str) -> None:
+def test_meaningless_options_are_refused(options: dict[str, object], sentence: str) -> None:
     with pytest.raises(FitError) as caught:
         ParFamH(**options)
     assert str(caught.value) == sentence
 
 
-def test_a_state_that_is_not_of_the_family_is_refused() -> None:
+def test_a_state_outside_the_family_is_refused() -> None:
     with pytest.raises(ArtifactError) as caught:
         ParFamH.form({"linear": ["dq"], "units": [], "state": "odd"})
     known = ", ".join(family.STATES)
@@ -527,7 +527,7 @@ def test_data_that_do_not_determine_the_law_are_refused(
 
 @pytest.mark.parametrize("how", ["exact", "euler"])
 @pytest.mark.parametrize("search", ["projection", "paper"])
-def test_a_fitted_law_is_of_the_family_and_close(how: str, search: str) -> None:
+def test_a_fitted_law_is_in_the_family_and_close(how: str, search: str) -> None:
     data = record(1200, 0, noise=0.05)
     law = fit_joint(
         "parfam_h", [data], seed=0, options=QUICK | {"discretisation": how, "search": search}
@@ -561,7 +561,7 @@ def test_the_result_does_not_depend_on_the_number_of_processes() -> None:
     assert alone["parfam_h"].sample_time == pytest.approx(np.median(periods), rel=0.05)
 
 
-def test_progress_is_told_once_for_every_fit() -> None:
+def test_progress_is_reported_once_per_fit() -> None:
     told: list[tuple[int, int]] = []
     fit_models(
         ["stribeck"],

@@ -1,4 +1,4 @@
-"""ParFam-H where its figures follow from formulas: readings of a loop, bounds, significance."""
+"""ParFam-H against closed forms: readings of a loop, bounds and significance."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def linear(c: list[float]) -> Candidate:
 # --- stage 1 ----------------------------------------------------------------------------------
 
 
-def test_the_bounds_are_those_of_memory_sample_time_and_speed() -> None:
+def test_the_bounds_follow_from_memory_sample_time_and_speed() -> None:
     t = 0.01 * np.arange(1000)
     alpha, beta = calibrate.bounds(features_of(t, 2.0 * np.sin(2.0 * np.pi * t), t))
     speed = 2.0 / np.sqrt(2.0)
@@ -44,16 +44,16 @@ def test_the_bounds_are_those_of_memory_sample_time_and_speed() -> None:
 
 
 @pytest.mark.parametrize("beta", [10.0, 25.0])
-def test_the_geometric_guess_reads_beta_off_the_slope_at_rest(beta: float) -> None:
-    """tau = level tanh(beta dq) rises by level beta there; an offset counts for nothing."""
+def test_the_geometric_guess_reads_beta_from_the_slope_at_rest(beta: float) -> None:
+    """tau = level tanh(beta dq) has the slope level beta at rest; an offset has no effect."""
     t = 1e-3 * np.arange(8000)
-    dq = np.sin(np.pi * (t / 2.0 + 0.00025))  # as long forwards as backwards
+    dq = np.sin(np.pi * (t / 2.0 + 0.00025))  # equally long forwards and backwards
     _, found = calibrate.geometric(features_of(t, dq, 1.5 + 7.0 * np.tanh(beta * dq)))
     assert found == pytest.approx(beta, rel=0.01)
 
 
-def test_the_geometric_guess_reads_alpha_off_the_width_of_a_loop() -> None:
-    """h settles as exp(-alpha t) after a reversal: its height over its area is alpha."""
+def test_the_geometric_guess_reads_alpha_from_the_width_of_a_loop() -> None:
+    """After a reversal h decays as exp(-alpha t): the ratio of its height to its area is alpha."""
     t = 1e-3 * np.arange(20000)
     dq = np.sign(np.sin(np.pi * t / 2.0 + 1e-9))
     h = np.zeros_like(t)
@@ -64,7 +64,7 @@ def test_the_geometric_guess_reads_alpha_off_the_width_of_a_loop() -> None:
 
 
 def monomials(x: np.ndarray) -> np.ndarray:
-    """All of degree three or less."""
+    """Terms of degree three or less."""
     powers = [(i, j, k) for i in range(4) for j in range(4 - i) for k in range(4 - i - j)]
     return np.stack([x[:, 0] ** i * x[:, 1] ** j * x[:, 2] ** k for i, j, k in powers], axis=1)
 
@@ -73,8 +73,8 @@ def scales(features: HysteresisFeatures, alpha: float, beta: float) -> np.ndarra
     return np.std(features.columns(alpha, beta)[:, 1:], axis=0)
 
 
-def test_the_profile_is_what_cubic_surfaces_leave_over_a_grid() -> None:
-    """Ten by ten cells between the bounds, alpha's last one left out."""
+def test_the_profile_is_the_residual_of_cubic_surfaces_over_a_grid() -> None:
+    """Ten by ten cells between the bounds, without the last one of alpha."""
     t = 0.01 * np.arange(400)
     dq = np.sin(2.0 * t) + 0.3 * np.sin(5.0 * t)
     tau = np.tanh(40.0 * dq) + dq**3 + 0.1 * np.random.default_rng(0).normal(size=len(t))
@@ -94,10 +94,10 @@ def test_the_profile_is_what_cubic_surfaces_leave_over_a_grid() -> None:
         assert found[alpha, beta] == pytest.approx(left @ left, rel=1e-6)
 
 
-def test_courses_end_at_the_next_reversal_the_end_of_a_record_or_after_200_rows() -> None:
-    """Three reversals, the last row before one not counted; torque is against the motion at first.
+def test_courses_end_at_a_reversal_the_record_end_or_200_rows() -> None:
+    """Three reversals without the last row before each; torque opposes the motion at first.
 
-    The slope is that over the first row at which friction has changed its sign.
+    The slope is taken over the first row after friction has changed its sign.
     """
     signs = np.repeat([1.0, -1.0, 1.0, -1.0], [300, 250, 40, 30])
     since = np.concatenate([np.arange(n) for n in (300, 250, 40, 30)])
@@ -116,8 +116,8 @@ def test_courses_end_at_the_next_reversal_the_end_of_a_record_or_after_200_rows(
 
 
 @pytest.mark.parametrize("g", ["tanh", "sin", "cos", "exp"])
-def test_projection_costs_what_least_squares_leaves_and_knows_its_slope(g: str) -> None:
-    """Kaufman's Jacobian is no derivative, but its product with the residual is the gradient."""
+def test_projection_gives_the_least_squares_cost_and_gradient(g: str) -> None:
+    """Kaufman's Jacobian is approximate, but its product with the residual is the gradient."""
     rng = np.random.default_rng(0)
     x = np.column_stack([np.ones(80), rng.normal(size=(80, 3))])
     tau = rng.normal(size=80)
@@ -142,7 +142,7 @@ def test_projection_costs_what_least_squares_leaves_and_knows_its_slope(g: str) 
         np.testing.assert_allclose(gram[k], jacobian.T @ jacobian, atol=1e-9)
 
 
-def test_starts_are_normal_of_sizes_from_0_3_to_2() -> None:
+def test_starts_are_normal_with_sizes_from_0_3_to_2() -> None:
     starts = evolve.starting_points(np.random.default_rng(0), 20000, 3)
     assert starts.shape == (20000, 3)
     sizes = np.sqrt(np.mean(starts**2))
@@ -186,10 +186,10 @@ def test_bounds_of_a_structure_follow_from_its_rows() -> None:
 
 
 @pytest.mark.parametrize(("statistic", "stays"), [(1.8, False), (2.2, True)])
-def test_a_coefficient_stays_from_two_standard_errors_on(statistic: float, stays: bool) -> None:
-    """An offset that is so many times its standard error, by a residual made for that.
+def test_a_coefficient_is_kept_from_two_standard_errors(statistic: float, stays: bool) -> None:
+    """An offset of the given number of standard errors, by a residual constructed for it.
 
-    Where the problem is linear, the square of this is what its loss costs: both criteria agree.
+    In a linear problem its square equals the cost of dropping it: both criteria agree.
     """
     t = 0.01 * np.arange(2000)
     dq = np.sin(1.7 * t) * (0.7 + 0.4 * np.sin(0.31 * t))
@@ -209,7 +209,7 @@ def test_a_coefficient_stays_from_two_standard_errors_on(statistic: float, stays
     np.testing.assert_array_equal(refine.prune(features, start).c_active, [stays, 1, 1, 1])
 
 
-def test_candidates_whose_costs_agree_to_a_millionth_are_one() -> None:
+def test_candidates_with_costs_within_a_millionth_are_merged() -> None:
     costs = [1.0 + 2.1e-6, 1.0, 1.0 + 0.9e-6, 3.0]
     found = refine.distinct([replace(linear([0.0] * 4), cost=cost) for cost in costs])
     assert [k.cost for k in found] == [1.0, 1.0 + 2.1e-6, 3.0]
@@ -223,7 +223,7 @@ def test_the_simplest_of_tied_candidates_is_kept() -> None:
     assert [k.c_active.sum() for k in found] == [1]
 
 
-def test_an_error_on_left_out_rows_is_that_of_a_converged_refinement(
+def test_the_left_out_error_is_that_of_a_converged_refinement(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     t = 0.01 * np.arange(900)
@@ -241,8 +241,8 @@ def test_an_error_on_left_out_rows_is_that_of_a_converged_refinement(
     assert found == pytest.approx(settled, rel=1e-4)
 
 
-def test_what_a_candidate_left_out_costs_is_averaged_over_all_rows() -> None:
-    """Of a law that is linear, at (alpha, beta) that no row tells: those of least squares."""
+def test_the_left_out_cost_is_averaged_over_all_rows() -> None:
+    """For a linear law at undetermined (alpha, beta), these are the least-squares coefficients."""
     t = 0.01 * np.arange(600)
     dq = np.sin(2.0 * t)
     tau = 2.0 * dq + 0.5 + 0.1 * np.random.default_rng(3).normal(size=len(t))

@@ -1,4 +1,4 @@
-"""ParFam at its edges: scales, bounds, short courses, what is not tried, and how it goes on."""
+"""ParFam edge cases: scales, bounds, short courses, options and the course of the search."""
 
 from dataclasses import replace
 from typing import Any
@@ -47,7 +47,7 @@ def candidate(**more: Any) -> Candidate:
 LINEAR = {"g": None, "gain": 0.0, "theta_active": np.zeros(4, bool)}
 
 
-def test_a_candidate_without_a_unit_has_no_arguments_of_one() -> None:
+def test_a_candidate_without_a_unit_has_no_arguments() -> None:
     with pytest.raises(ValueError, match="a candidate without a unit must not have arguments"):
         candidate(g=None, gain=0.0)
 
@@ -56,14 +56,14 @@ def test_a_candidate_without_a_unit_has_no_arguments_of_one() -> None:
 
 
 @pytest.mark.parametrize("size", [1e-3, 1e3])
-def test_the_geometric_guess_knows_no_unit(features: HysteresisFeatures, size: float) -> None:
+def test_the_geometric_guess_is_scale_free(features: HysteresisFeatures, size: float) -> None:
     samples = features.samples
     small = replace(features, samples=replace(samples, tau=size * samples.tau))
     assert calibrate.geometric(small) == pytest.approx(calibrate.geometric(features), rel=1e-9)
 
 
-def test_arguments_of_tiny_features_are_those_of_large_ones(features: HysteresisFeatures) -> None:
-    """Down to a spread of 1e-12, below which a feature counts as constant."""
+def test_arguments_do_not_depend_on_feature_size(features: HysteresisFeatures) -> None:
+    """Holds down to a spread of 1e-12; below it a feature counts as constant."""
     x, tau = features.columns(12.0, 25.0)[::4], features.samples.tau[::4]
     small = x * [1.0, 1e-9, 1e-9, 1e-9]
     starts = evolve.starting_points(np.random.default_rng(0), 4, 4)
@@ -73,15 +73,13 @@ def test_arguments_of_tiny_features_are_those_of_large_ones(features: Hysteresis
     np.testing.assert_allclose(calibrate._cubic(small), calibrate._cubic(x), rtol=1e-9)
 
 
-def test_inputs_of_networks_have_the_spread_of_their_features(
-    features: HysteresisFeatures,
-) -> None:
+def test_network_inputs_have_the_spread_of_their_features(features: HysteresisFeatures) -> None:
     slow = replace(features, samples=replace(features.samples, dq=1e-9 * features.samples.dq))
     found = Inputs.of(slow, Cell(alpha=12.0, beta=25.0, cost=0.0))
     np.testing.assert_allclose(found.z.std(axis=0), 1.0, rtol=1e-9)
 
 
-def test_the_search_of_the_paper_knows_no_unit(
+def test_the_papers_search_is_scale_free(
     features: HysteresisFeatures, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(paper, "HOPS", 0)
@@ -97,16 +95,14 @@ def test_the_search_of_the_paper_knows_no_unit(
 
 
 @pytest.mark.parametrize("low", [False, True])
-def test_a_start_at_a_bound_has_a_way_inside(features: HysteresisFeatures, low: bool) -> None:
+def test_a_start_at_a_bound_can_move_inside(features: HysteresisFeatures, low: bool) -> None:
     bounds = calibrate.bounds(features)
     alpha, beta = (b[0 if low else 1] for b in bounds)
     place = refine.Refinement(features, candidate(alpha=alpha, beta=beta)).pack()[:2]
     np.testing.assert_allclose(place, np.full(2, (-1.0 if low else 1.0) * 13.815509557935), 1e-9)
 
 
-def test_a_course_of_ten_rows_tells_how_quickly_friction_settles(
-    features: HysteresisFeatures,
-) -> None:
+def test_ten_rows_of_a_course_give_the_settling_rate(features: HysteresisFeatures) -> None:
     course = np.exp(-np.arange(12.0))
     assert calibrate._settling_rate(features, [course[:9]]) == 0.0
     assert calibrate._settling_rate(features, [course[:10]]) > 0.0
@@ -114,7 +110,7 @@ def test_a_course_of_ten_rows_tells_how_quickly_friction_settles(
     assert calibrate._settling_rate(features, [np.ones(12)]) == 0.0
 
 
-def test_a_mean_course_goes_as_far_as_half_of_the_reversals(
+def test_a_mean_course_is_as_long_as_half_of_the_reversals_allow(
     features: HysteresisFeatures,
 ) -> None:
     long, short = np.linspace(0.0, 3.0, 40), np.linspace(0.0, 3.0, 40)[:20]
@@ -123,7 +119,7 @@ def test_a_mean_course_goes_as_far_as_half_of_the_reversals(
     assert rate(features, [long, short, short]) == pytest.approx(rate(features, [short]))
 
 
-def test_a_steep_unit_comes_from_all_rows_of_a_short_log(
+def test_short_logs_use_all_rows_for_a_steep_unit(
     records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = []
@@ -139,15 +135,15 @@ def test_a_steep_unit_comes_from_all_rows_of_a_short_log(
     assert seen == [("tanh", rows, 2000.0, 3, 4), ("sin", rows, 12.0, 3, 4)]
 
 
-# --- what an estimator tries ------------------------------------------------------------------
+# --- options of the estimator -----------------------------------------------------------------
 
 
-def test_no_function_is_needed_but_by_the_paper() -> None:
+def test_only_the_papers_search_needs_a_function() -> None:
     assert ParFamH(functions=()).functions == ()
 
 
 @pytest.mark.parametrize("search", ["projection", "paper"])
-def test_the_search_that_is_named_is_done(
+def test_the_named_search_is_used(
     search: Any, records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done = []
@@ -169,7 +165,7 @@ def test_the_search_that_is_named_is_done(
         ({"units": 2, "denominator": True}, False, []),
     ],
 )
-def test_what_enlarges_a_law_is_tried_where_it_is_asked_for(
+def test_extensions_are_tried_on_request(
     options: dict[str, Any],
     memory: bool,
     tried: list[str],
@@ -198,7 +194,7 @@ def test_what_enlarges_a_law_is_tried_where_it_is_asked_for(
     assert found is of
 
 
-def test_a_law_that_is_enlarged_is_another_one(
+def test_an_extended_law_is_a_different_one(
     features: HysteresisFeatures, records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of = candidate(**LINEAR).law("parfam_h", "exact")
@@ -209,10 +205,10 @@ def test_a_law_that_is_enlarged_is_another_one(
     assert found.name == "parfam_h"
 
 
-def test_steps_that_are_told(
+def test_reported_steps(
     records: list[FrictionRecord], features: HysteresisFeatures, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first half is the search, the second one the rounds of the refinement."""
+    """The first half is the search, the second the rounds of the refinement."""
     told: list[float] = []
     for module in (estimator, refine):
         monkeypatch.setattr(module, "step", lambda done, of: told.append(done / of))

@@ -1,4 +1,4 @@
-"""ParFam-HX: every extension pays where it is true and drops out where it is not."""
+"""ParFam-HX: every extension improves the fit if true and is dropped otherwise."""
 
 from typing import Any
 
@@ -63,7 +63,7 @@ def amplitudes(found: FrictionLaw) -> list[float]:
 # --- switches ---------------------------------------------------------------------------------
 
 
-def test_the_load_pays_where_it_is_true() -> None:
+def test_a_true_load_term_pays() -> None:
     test = unseen(LOADED)
     on = fitted(LOADED, **(BARE | {"load": True}))
     off = fitted(LOADED, **BARE)
@@ -73,14 +73,14 @@ def test_the_load_pays_where_it_is_true() -> None:
     assert "tau_load" not in map(str, off.form.inputs)
 
 
-def test_the_load_drops_out_where_it_is_not() -> None:
+def test_a_false_load_term_is_dropped() -> None:
     on = fitted(PLAIN, **(BARE | {"load": True}))
     assert 25.0 * abs(on.values.get("c_h_load", 0.0)) < 0.01 * on.values["c_h"]
     assert error_on(on, unseen(PLAIN)) < 0.05
 
 
-def test_the_stribeck_term_pays_where_it_is_true() -> None:
-    """Beside a state that relaxes in time; a bristle has the curve inside."""
+def test_a_true_stribeck_term_pays() -> None:
+    """The state relaxes in time; a bristle already contains the curve."""
     test = unseen(BUMPED)
     on = fitted(BUMPED, **(BARE | {"bump": True}))
     off = fitted(BUMPED, **BARE)
@@ -88,13 +88,13 @@ def test_the_stribeck_term_pays_where_it_is_true() -> None:
     assert error_on(on, test) < 0.7 * error_on(off, test)
 
 
-def test_the_stribeck_term_drops_out_of_a_bristle() -> None:
+def test_a_bristle_needs_no_stribeck_term() -> None:
     on = fitted(PLAIN, **(BARE | {"bump": True}))
     assert on.structure["state"] == "bristle"
     assert "h_bump" not in on.structure["linear"]
 
 
-def test_ripple_pays_where_it_is_true() -> None:
+def test_true_ripple_pays() -> None:
     test = unseen(RIPPLING)
     on = fitted(RIPPLING, **(BARE | {"ripple": True}))
     off = fitted(RIPPLING, **BARE)
@@ -103,12 +103,12 @@ def test_ripple_pays_where_it_is_true() -> None:
     assert "ripple" not in off.structure
 
 
-def test_ripple_drops_out_where_it_is_not() -> None:
+def test_false_ripple_is_dropped() -> None:
     assert "ripple" not in fitted(PLAIN, **(BARE | {"ripple": True})).structure
 
 
-def test_memory_at_rest_pays_where_it_is_true() -> None:
-    """A bristle holds its force at rest, the state of eq. 9 forgets it."""
+def test_true_memory_at_rest_pays() -> None:
+    """A bristle holds its force at rest; the state of eq. 9 forgets it."""
     test = unseen(PLAIN)
     on, off = fitted(PLAIN, **BARE), fitted(PLAIN, **BARE, memory=False)
     assert on.structure["state"] == "bristle"
@@ -122,8 +122,8 @@ def test_memory_at_rest_pays_where_it_is_true() -> None:
     assert np.abs(right[resting]).max() < 0.5
 
 
-def test_memory_in_time_stays_where_it_is_true() -> None:
-    """On motions without rests, where the gate of the state never closes for long."""
+def test_true_memory_in_time_is_kept() -> None:
+    """The motions have no rests: the gate of the state never closes for long."""
     records = [along(RELAXED, path(k, rests=False), noise=NOISE, seed=k) for k in range(2)]
     moving = along(RELAXED, path(7, peak=0.9, rests=False))
     on = ParFamHX(**BARE).fit(records, np.random.default_rng(0))
@@ -134,7 +134,7 @@ def test_memory_in_time_stays_where_it_is_true() -> None:
     assert error_on(paper, moving) < 0.1
 
 
-def test_a_unit_pays_where_it_is_true_and_drops_out_where_it_is_not() -> None:
+def test_a_unit_pays_only_if_true() -> None:
     unit = {"g": "tanh", "arguments": ["1", "dq", "h", "dh"]}
     curved = extended(
         plus(HX_BRISTLE, units=[unit]),
@@ -149,7 +149,7 @@ def test_a_unit_pays_where_it_is_true_and_drops_out_where_it_is_not() -> None:
     assert fitted(PLAIN, **options).structure["units"] == []
 
 
-def test_the_initial_state_pays_where_a_log_begins_on_a_bent_bristle() -> None:
+def test_the_initial_state_pays_for_a_bent_bristle() -> None:
     soft = extended(HX_BRISTLE, **(BRISTLE | {"kappa": 30.0}))
     on, off = fitted(soft, **(BARE | {"initial_state": True})), fitted(soft, **BARE)
     assert (on.start_samples, off.start_samples) == (5, 0)
@@ -163,7 +163,7 @@ def test_the_initial_state_pays_where_a_log_begins_on_a_bent_bristle() -> None:
     assert errors[1] > 2.0
 
 
-def test_everything_at_once_is_the_default() -> None:
+def test_all_extensions_are_on_by_default() -> None:
     truth = extended(
         plus(HX_BRISTLE, "h_load", ripple={"gear_ratio": GEAR_RATIO, "orders": [2]}),
         **BRISTLE, c_h_load=0.2, ripple2_cos=0.6, ripple2_sin=-0.5, lag=3e-3, smoothing=1e-3,
@@ -183,7 +183,7 @@ def test_everything_at_once_is_the_default() -> None:
 
 @pytest.mark.parametrize("alpha", [8.0, 25.0])
 def test_friction_that_relaxes_in_time_is_better_than_with_exact_lugre(alpha: float) -> None:
-    """Eq. 9 friction on motions without rests, and with noise."""
+    """Eq. 9 friction on noisy motions without rests."""
     truth = extended(HX_PAPER, alpha=alpha, beta=60.0)
 
     def log(k: int, noise: float) -> FrictionRecord:
@@ -199,10 +199,10 @@ def test_friction_that_relaxes_in_time_is_better_than_with_exact_lugre(alpha: fl
     assert errors[0] < 0.7 * errors[1]
 
 
-# --- what else must hold ----------------------------------------------------------------------
+# --- further guarantees -----------------------------------------------------------------------
 
 
-def test_it_is_never_much_worse_than_lugre_on_lugres_own_truth() -> None:
+def test_on_lugre_friction_it_is_close_to_lugre() -> None:
     truth = law(
         "lugre", {}, sigma_0=2500.0, sigma_1=10.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1,
         tau_0=0.3,
@@ -224,7 +224,7 @@ def test_the_same_seed_gives_the_same_law() -> None:
 
 
 def test_seeds_agree() -> None:
-    """Three starts end in one law, as far as its error tells."""
+    """Three seeds lead to the same law, judged by its error."""
     test = unseen(LOADED)
     records = training(LOADED, noise=NOISE)
     options = {"functions": (), "starts": 6}
@@ -263,6 +263,6 @@ def test_a_structure_outside_the_family_is_refused(structure: dict[str, Any]) ->
 
 
 @pytest.mark.parametrize(("gain", "chosen"), [(0.0, "c"), (0.04, "c"), (0.15, "a")])
-def test_what_is_added_must_gain(monkeypatch: pytest.MonkeyPatch, gain: float, chosen: str) -> None:
+def test_an_extension_must_gain(monkeypatch: pytest.MonkeyPatch, gain: float, chosen: str) -> None:
     monkeypatch.setattr(trial, "left_out", {"a": 1.0, "b": 0.95, "c": 0.9}.__getitem__)
     assert trial.choose(["a", "b", "c"], gain) == chosen

@@ -1,4 +1,4 @@
-"""ParFam-S: its structures, its search and what makes it passive."""
+"""ParFam-S: structures, search and passivity."""
 
 from dataclasses import replace
 
@@ -19,11 +19,11 @@ from hesr_model.laws.stops.search import dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
 
 RIPPLE = 200
-"""Frequency of the ripple [1/rad]: two turns of a motor at 100, one less than at 101."""
+"""Frequencies of the ripple [1/rad]: two turns of a motor at 100, one fewer than at 101."""
 
 
 def record(log: str, seed: int, *, ripple: float = 0.0) -> FrictionRecord:
-    """Stops, the widest of them bearing the load, viscous friction that thins, and ripple."""
+    """Stops, the widest scaled by the load, degressive viscous friction and ripple."""
     rng = np.random.default_rng(seed)
     t = 0.01 * np.arange(3000)
     phases = rng.uniform(0.0, 2.0 * np.pi, 4)
@@ -65,7 +65,7 @@ def error(law: FrictionLaw, data: FrictionRecord) -> float:
 # --- fit --------------------------------------------------------------------------------------
 
 
-def test_it_finds_what_there_is(law: FrictionLaw) -> None:
+def test_true_terms_are_found(law: FrictionLaw) -> None:
     assert error(law, record("three", 2, ripple=0.5)) < 0.12
     assert law.structure["ripple"] == [RIPPLE]
     assert law.values["lag"] == pytest.approx(0.003, abs=2e-4)
@@ -83,7 +83,7 @@ def test_forces_and_viscous_friction_are_not_negative(law: FrictionLaw) -> None:
     assert all(law.values[name] >= 0.0 for name in structure.forces)
 
 
-def test_velocity_alone_is_not_enough_where_the_load_counts(plain: list[FrictionRecord]) -> None:
+def test_load_dependent_friction_needs_more_than_velocity(plain: list[FrictionRecord]) -> None:
     alone, loaded = (fit_joint(name, plain, seed=0) for name in ("parfam_s_v", "parfam_s_load"))
     assert error(alone, record("three", 2)) > 3.0 * error(loaded, record("three", 2))
     assert [u.name for u in alone.form.inputs] == ["dq"]
@@ -99,7 +99,7 @@ def test_the_search_is_no_worse_than_the_dictionary(
     assert ("load" in found.bounds) == load
 
 
-def test_rows_whose_start_nobody_knows_do_not_count(plain: list[FrictionRecord]) -> None:
+def test_rows_with_an_unknown_start_are_left_out(plain: list[FrictionRecord]) -> None:
     held = [replace(r, tau=np.where(np.arange(len(r.tau)) < 2, 50.0, r.tau)) for r in plain]
     assert fit_joint("parfam_s", held, seed=0).values == fit_joint("parfam_s", plain, seed=0).values
 
@@ -107,7 +107,7 @@ def test_rows_whose_start_nobody_knows_do_not_count(plain: list[FrictionRecord])
 # --- signed least squares ---------------------------------------------------------------------
 
 
-def test_signed_least_squares_is_that_of_scipy() -> None:
+def test_signed_least_squares_equals_scipy() -> None:
     rng = np.random.default_rng(0)
     a = rng.normal(size=(200, 6))
     y = a @ [1.0, -2.0, 0.5, -0.1, -3.0, 2.0]
@@ -119,7 +119,7 @@ def test_signed_least_squares_is_that_of_scipy() -> None:
     np.testing.assert_allclose(gradient[4:], 0.0, atol=1e-4)
 
 
-def test_left_out_errors_are_those_of_fits_without_the_fold() -> None:
+def test_left_out_errors_match_fits_without_the_fold() -> None:
     rng = np.random.default_rng(1)
     a, y = rng.normal(size=(90, 3)), rng.normal(size=90)
     folds = [np.arange(90) // 30 == k for k in range(3)]
@@ -129,7 +129,7 @@ def test_left_out_errors_are_those_of_fits_without_the_fold() -> None:
         np.testing.assert_allclose(found[fold], a[fold] @ x - y[fold], atol=1e-7)
 
 
-def test_a_gain_has_to_be_more_than_its_error() -> None:
+def test_a_gain_must_exceed_its_error() -> None:
     blocks = blocks_of(np.full(800, 0.1), np.arange(800) == 0)
     assert len(np.unique(blocks)) == 10
     before = np.ones(800)
@@ -141,15 +141,15 @@ def test_a_gain_has_to_be_more_than_its_error() -> None:
 # --- passivity of ripple ----------------------------------------------------------------------
 
 
-def test_the_mean_distance_is_that_of_numbers() -> None:
+def test_the_mean_distance_matches_numerical_integration() -> None:
     for lag, window in ((0.0, 0.01), (0.003, 0.01), (0.02, 0.01), (0.004, 0.0)):
         steps = np.linspace(0.0, window, 101)[1:] if window else [1e-9]
         means = [np.abs(lag - h * (np.arange(2000) + 0.5) / 2000).mean() for h in steps]
         assert passive.distance(lag, window) == pytest.approx(max(lag, *means), rel=1e-3)
 
 
-def test_ripple_is_bounded_by_what_viscous_friction_takes() -> None:
-    """The fit with its condition is the best of those that meet it."""
+def test_viscous_friction_bounds_the_ripple() -> None:
+    """The constrained fit is the best of all that meet the constraint."""
     rng = np.random.default_rng(2)
     v = rng.uniform(-1.0, 1.0, 3000)
     phase = 200 * rng.uniform(0.0, 1.0, 3000)
@@ -167,23 +167,23 @@ def test_ripple_is_bounded_by_what_viscous_friction_takes() -> None:
     def cost(x: np.ndarray) -> float:
         return float(np.sum((a @ x - y) ** 2))
 
-    for scale in (0.99, 1.01):  # along the condition
+    for scale in (0.99, 1.01):  # along the constraint
         assert cost(found) < cost(found * scale)
-    # Where it is met, nothing changes.
+    # An inactive constraint changes nothing.
     eased = passive.constrained(gram, moment, free, 1e3 * viscous, waves, free=2)
     np.testing.assert_array_equal(eased, free)
 
 
 @pytest.mark.parametrize("dt", [1e-4, 0.01, 0.3])
-def test_no_step_of_any_size_gives_energy(law: FrictionLaw, dt: float) -> None:
-    """tau dq >= dS in every step, also with a load that jumps; tau without its offset."""
+def test_no_step_generates_energy(law: FrictionLaw, dt: float) -> None:
+    """tau dq >= dS in every step, also with a jumping load; tau without its offset."""
     rng = np.random.default_rng(3)
     n = 4000
     v = rng.normal(size=n) * np.exp(rng.uniform(-9.0, 2.0, n))
     t, q = dt * np.arange(n), np.cumsum(v * dt)
     load = 30.0 * rng.normal(size=n)
     tau = predict(law, t=t, dq=v, q=q, tau_load=load) - law.values["tau_0"]
-    # From the stored energy of all stops and of the ripple, the least that can be left is taken.
+    # The least possible remaining energy is subtracted from that stored in stops and ripple.
     structure = Structure.of(law.structure)
     w = np.geomspace(3e-5, 1e-2, 9)
     bound = max(1.0, float(np.abs(load).max()) / law.values["load_scale"])

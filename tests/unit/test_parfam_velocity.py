@@ -1,4 +1,4 @@
-"""ParFam-V: a symbolic law of velocity alone, which has no memory."""
+"""ParFam-V: a symbolic law of velocity alone, without memory."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_the_generating_law_is_found(kind: str) -> None:
     v = np.linspace(-0.8, 0.8, 161)
     t = 0.01 * np.arange(len(v))
     expected = predict(truth, t=t, dq=v)
-    # A step as steep as this lies between two neighbouring rows.
+    # A step this steep lies between two neighbouring rows.
     apart = np.abs(v) > 0.02
     np.testing.assert_allclose(predict(found, t=t, dq=v)[apart], expected[apart], atol=0.15)
     assert found.values["c_dq"] == pytest.approx(truth.values["c_dq"], abs=0.5)
@@ -47,14 +47,14 @@ def test_it_uses_velocity_and_has_no_state() -> None:
 
 
 @pytest.mark.parametrize("g", ["tanh", "sin"])
-def test_only_the_functions_that_are_asked_for_are_tried(g: str) -> None:
+def test_only_the_requested_functions_are_tried(g: str) -> None:
     records = training(TRUTHS["smooth"], noise=NOISE)
     found = ParFamV(functions=(g,)).fit(records, np.random.default_rng(0))
     assert [unit["g"] for unit in found.structure["units"]] == [g]
 
 
 def test_left_out_logs_choose_the_function() -> None:
-    """A wave has no place in a steep step, and the other way round."""
+    """A wave cannot fit a steep step, nor the reverse."""
     for kind, other in (("steep", "sin"), ("wave", "tanh")):
         truth = TRUTHS[kind]
         records, test = training(truth, noise=NOISE), unseen(truth)
@@ -63,7 +63,7 @@ def test_left_out_logs_choose_the_function() -> None:
         assert error_on(chosen, test) < 0.5 * error_on(forced, test)
 
 
-def test_memory_is_beyond_it() -> None:
+def test_memory_cannot_be_fitted() -> None:
     truth = law("parfam_hx", HX_PAPER, c_0=0.0, c_dq=5.0, c_h=9.0, c_dh=0.02, alpha=12.0, beta=60.0)
     records = training(truth, noise=NOISE)
     static_error = error_on(fit_joint("parfam_v", records, seed=0), unseen(truth))

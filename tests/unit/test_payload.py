@@ -1,4 +1,4 @@
-"""Payload identification on motions whose payload is known."""
+"""Payload identification with known payloads."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -54,10 +54,10 @@ def test_without_noise_all_ten_parameters_are_found(
     assert payload.to_dict()["parameters"]["m"] == payload.mass
 
 
-def test_a_joint_that_is_loud_counts_little(
+def test_a_noisy_joint_gets_little_weight(
     arm_model: Robot, unloaded: RigidBody, carried: Motion
 ) -> None:
-    """Rows of 10 N.m of noise would leave no payload that can be told from none."""
+    """Unweighted, rows with 10 N.m of noise would make the payload insignificant."""
     noise = np.random.default_rng(0).standard_normal(carried.tau.shape)
     loud = replace(carried, tau=carried.tau + [0.1, 10.0, 0.1] * noise)
     payload = identify_payload_motions([loud], arm_model, unloaded)
@@ -81,7 +81,7 @@ def test_the_loaded_body_predicts_torque_under_load(
     assert to_json(from_json(RigidBody, to_json(body), Path("x.json"), "a body")) == to_json(body)
 
 
-def test_standard_errors_are_what_repetition_shows(
+def test_standard_errors_match_the_scatter_of_repetitions(
     arm_model: Robot, carried: Motion, make_motion: MakeMotion
 ) -> None:
     found, stated = [], []
@@ -92,13 +92,13 @@ def test_standard_errors_are_what_repetition_shows(
         found.append(payload.parameters)
         stated.append(payload.standard_errors)
     spread = np.std(found, axis=0)
-    # Those of the unloaded body are taken as independent, which errs to the safe side.
+    # Errors of the unloaded body are taken as independent, which is conservative.
     ratio = np.mean(stated, axis=0) / spread
     assert np.all(ratio > 0.5)
     assert ratio[0] < 2.5
 
 
-def test_residuals_that_hang_together_widen_the_errors(
+def test_correlated_residuals_widen_the_errors(
     arm_model: Robot, unloaded: RigidBody, carried: Motion
 ) -> None:
     noise = np.random.default_rng(0).standard_normal(carried.tau.shape)
@@ -114,7 +114,7 @@ def test_residuals_that_hang_together_widen_the_errors(
     assert np.median(coloured.standard_errors / white.standard_errors) > 3.0
 
 
-def test_from_logs_the_filter_is_all_that_is_lost(
+def test_from_logs_only_the_filter_costs_accuracy(
     arm_model: Robot, unloaded: RigidBody, carried: Motion
 ) -> None:
     log = Log(name="run", t=carried.t, q=carried.q, dq=carried.dq, tau=carried.tau)
@@ -144,7 +144,7 @@ def test_a_short_log_is_refused(
         identify_payload_motions([make_motion(name="run", seconds=4.0)], arm_model, unloaded)
 
 
-def test_a_motion_that_leaves_the_payload_open_is_refused(
+def test_a_motion_that_does_not_determine_the_payload_is_refused(
     arm_model: Robot, unloaded: RigidBody, carried: Motion
 ) -> None:
     poor = replace(carried, q=0 * carried.q, ddq=0 * carried.ddq)

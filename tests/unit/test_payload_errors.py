@@ -1,4 +1,4 @@
-"""Covariances of an identified payload, by hand: segments of time that hang together."""
+"""Covariance of an identified payload, hand-computed over segments of correlated time."""
 
 import numpy as np
 import pytest
@@ -33,14 +33,14 @@ RMSE = [2.0, 0.5]
 SEGMENTS = [np.array([0, 0, 1, 1, 2, 2]), np.array([0, 1, 1, 3])]
 
 
-def test_segments_go_on_from_log_to_log() -> None:
-    """Of one second each; a new log begins a new one."""
+def test_segments_are_numbered_across_logs() -> None:
+    """Segments last one second; a new log begins a new segment."""
     one, two = np.array([5.0, 5.4, 5.99, 6.0, 7.5]), np.array([0.0, 0.9, 1.1])
     motions = [moving(t, np.ones((len(t), 1))) for t in (one, two)]
     np.testing.assert_array_equal(_segments(motions), [0, 0, 0, 1, 2, 3, 3, 4])
 
 
-def test_rows_at_which_a_joint_is_slow_do_not_count() -> None:
+def test_rows_of_slow_joints_are_left_out() -> None:
     dq = np.array([[1.0, 0.05, 0.0], [0.09, 1.0, 1.0], [-0.11, 0.5, 0.0], [0.1, -0.2, 0.0]])
     robot = Robot(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
     motion = moving(np.arange(4.0), dq)
@@ -51,7 +51,7 @@ def test_rows_at_which_a_joint_is_slow_do_not_count() -> None:
 
 
 def test_the_covariance_is_the_sandwich_of_sums_over_segments(blocks: list[Block]) -> None:
-    """H^-1 (sum g g') H^-1 n / (n - 1), rows weighed by their joint's residual."""
+    """H^-1 (sum g g') H^-1 n / (n - 1), rows weighted by the residual of their joint."""
     rows = np.vstack([b.matrix / s for b, s in zip(blocks, RMSE, strict=True)])
     left = np.concatenate(
         [(b.target - b.matrix @ X) / s for b, s in zip(blocks, RMSE, strict=True)]
@@ -64,8 +64,8 @@ def test_the_covariance_is_the_sandwich_of_sums_over_segments(blocks: list[Block
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-def test_errors_of_the_unloaded_body_are_handed_on(blocks: list[Block]) -> None:
-    """What least squares make of the torques that each of its parameters may be off by."""
+def test_errors_of_the_unloaded_body_are_propagated(blocks: list[Block]) -> None:
+    """The least-squares response to an error in each parameter of the unloaded body."""
     rng = np.random.default_rng(1)
     carried = [rng.normal(size=(len(b.target), 3)) for b in blocks]
     errors = np.array([0.1, 0.2, 0.05])

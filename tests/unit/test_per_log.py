@@ -1,4 +1,4 @@
-"""What differs by log is estimated and taken out: the law is that of the mean log."""
+"""Day offsets are estimated and removed: the law is that of the mean log."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def records() -> list[FrictionRecord]:
     return [record(0), record(1), record(1, part=1), record(2)]
 
 
-def test_levels_and_offsets_of_days_are_found(records: list[FrictionRecord]) -> None:
+def test_day_levels_and_offsets_are_found(records: list[FrictionRecord]) -> None:
     own = own_of_logs(records, ("offset", "level"))
     assert list(own) == ["day0", "day1", "day2"]
     np.testing.assert_allclose([o.level for o in own.values()], LEVELS, atol=0.01)
@@ -43,14 +43,14 @@ def test_levels_and_offsets_of_days_are_found(records: list[FrictionRecord]) -> 
     assert [o.offset for o in level.values()] == [0.0, 0.0, 0.0]
 
 
-def test_of_one_log_nothing_is_its_own() -> None:
+def test_a_single_log_has_no_day_offset() -> None:
     assert own_of_logs([record(2), record(2, part=1)], ("offset", "level")) == {
         "day2": OwnOfLog(level=1.0, offset=0.0)
     }
     assert own_of_logs([record(0), record(1)], ()) == {"day0": OwnOfLog(), "day1": OwnOfLog()}
 
 
-def test_without_them_the_law_is_that_of_the_mean_log(records: list[FrictionRecord]) -> None:
+def test_without_day_offsets_the_law_is_that_of_the_mean_log(records: list[FrictionRecord]) -> None:
     settings = {"robot": "r", "seed": 0, "workers": 1}
     models = {
         per_log: fit_models(["stribeck"], [records], per_log=per_log, **settings)["stribeck"]  # type: ignore[arg-type]
@@ -66,7 +66,7 @@ def test_without_them_the_law_is_that_of_the_mean_log(records: list[FrictionReco
     assert np.sqrt(np.mean((blind - record(1).tau) ** 2)) < 0.3
 
 
-def test_a_prediction_with_what_is_the_logs_own_has_seen_its_torque(
+def test_a_prediction_with_day_offsets_uses_the_measured_torque(
     records: list[FrictionRecord],
 ) -> None:
     mean = [6.0 * np.tanh(r.dq / 0.02) + 3.0 * r.dq for r in records]

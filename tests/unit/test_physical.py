@@ -1,4 +1,4 @@
-"""Physically consistent identification: parameters of bodies that can exist."""
+"""Physically consistent identification: every identified body can exist."""
 
 import logging
 from collections.abc import Callable
@@ -21,7 +21,7 @@ MakeMotion = Callable[..., Motion]
 
 @pytest.fixture
 def guessed(arm: RobotDescription, tmp_path: Path) -> Robot:
-    """The arm, but the model file's masses are off by a third and its inertias by more."""
+    """The arm, with wrong masses (by a third) and inertias (by more) in the model file."""
     text = arm.model.read_text(encoding="utf-8")
     for old, new in (
         ('mass="4"', 'mass="5.3"'),
@@ -44,7 +44,7 @@ def noisy(motion: Motion, sigma: float, seed: int) -> Motion:
 
 
 def least_eigenvalues(body: RigidBody) -> np.ndarray:
-    """Least eigenvalue of each link's pseudo-inertia, relative to its largest."""
+    """Smallest eigenvalue of each link's pseudo-inertia, relative to its largest."""
     values = [np.linalg.eigvalsh(pseudo_inertia(p)) for p in body.parameters[:30].reshape(-1, 10)]
     return np.array([v[0] / v[-1] for v in values])
 
@@ -52,7 +52,7 @@ def least_eigenvalues(body: RigidBody) -> np.ndarray:
 # --- the parametrisation ----------------------------------------------------------------------
 
 
-def test_pseudo_inertia_is_the_librarys_and_can_be_inverted() -> None:
+def test_pseudo_inertia_matches_the_library_and_is_invertible() -> None:
     body = pin.Inertia.Random()
     parameters = np.asarray(body.toDynamicParameters())
     expected = pin.PseudoInertia.FromDynamicParameters(parameters).toMatrix()
@@ -65,7 +65,7 @@ def test_coordinates_start_at_the_model_file(arm_model: Robot) -> None:
     np.testing.assert_allclose(chart.parameters(chart.start), arm_model.nominal_parameters)
 
 
-def test_slopes_are_those_of_the_parameters(arm_model: Robot) -> None:
+def test_slopes_match_differences_of_the_parameters(arm_model: Robot) -> None:
     chart = _Chart.of(arm_model)
     x = chart.start + 0.3 * np.random.default_rng(1).standard_normal(len(chart.start))
     slopes = chart.slopes(x)
@@ -113,7 +113,7 @@ def test_without_noise_the_torque_is_recovered(
         np.testing.assert_allclose(body.friction, [[3.0, 1.5, 0.0]] * 3, atol=2e-3)
 
 
-def test_where_data_suffice_it_is_the_free_fit(guessed: Robot, make_motion: MakeMotion) -> None:
+def test_with_enough_data_it_equals_the_free_fit(guessed: Robot, make_motion: MakeMotion) -> None:
     motions = [noisy(make_motion(friction=3.0, seconds=s), 0.3, k) for k, s in enumerate((20, 30))]
     free = identify_motions(motions, guessed)
     body = identify_motions(motions, guessed, physical=True)
@@ -125,7 +125,7 @@ def test_where_data_suffice_it_is_the_free_fit(guessed: Robot, make_motion: Make
     np.testing.assert_allclose(body.rmse, free.rmse, rtol=0.01)
 
 
-def test_short_and_noisy_logs_give_bodies_that_exist_and_predict_better(
+def test_short_noisy_logs_give_possible_bodies_that_predict_better(
     guessed: Robot, arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     other = make_motion(seconds=10.0)
@@ -141,7 +141,7 @@ def test_short_and_noisy_logs_give_bodies_that_exist_and_predict_better(
     assert np.all(np.mean(errors[True], axis=0) < np.mean(errors[False], axis=0))
 
 
-def test_what_the_motion_leaves_open_stays_as_in_the_model_file(
+def test_undetermined_parameters_stay_as_in_the_model_file(
     guessed: Robot, make_motion: MakeMotion, caplog: pytest.LogCaptureFixture
 ) -> None:
     motion = make_motion(friction=3.0)
@@ -168,7 +168,7 @@ def test_errors_shrink_with_more_data_and_cover_the_truth(
     assert np.all(np.abs(error) < 5 * long.standard_errors)
 
 
-def test_it_survives_json_and_repeats(arm_model: Robot, make_motion: MakeMotion) -> None:
+def test_it_survives_json_and_is_reproducible(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = noisy(make_motion(friction=3.0), 0.3, 0)
     body, again = (identify_motions([motion], arm_model, physical=True) for _ in range(2))
     np.testing.assert_array_equal(body.parameters, again.parameters)

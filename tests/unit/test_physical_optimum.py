@@ -1,4 +1,4 @@
-"""The physically consistent fit against a general solver on its objective as the text has it."""
+"""The physically consistent fit against a general solver on its published objective."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ FRICTION = np.array([3.0, -1.0])
 
 
 def blocks(model: Robot) -> list[Block]:
-    """Three joints at random, of unlike noise and number of rows, with two columns of friction."""
+    """Three random joints with different noise and row counts, and two friction columns."""
     rng = np.random.default_rng(4)
     q, dq, ddq = rng.uniform(-2.0, 2.0, (3, 30, 3))
     regressor = model.regressor(q, dq, ddq)
@@ -30,11 +30,11 @@ def blocks(model: Robot) -> list[Block]:
 
 
 @pytest.mark.parametrize("weighted", [True, False])
-def test_the_fit_is_the_least_sum_of_residuals_and_pull(weighted: bool, arm_model: Robot) -> None:
-    """Twice: the second time with the residuals of the first for weights.
+def test_the_fit_minimises_residuals_plus_pull(weighted: bool, arm_model: Robot) -> None:
+    """Solved twice, the second time weighted by the residuals of the first.
 
-    A coordinate of a link costs 0.2 standard deviations per square root of rows, the relative
-    change of a rotor's square root twice as much, because its square is what changes.
+    A coordinate of a link costs 0.2 standard deviations per square root of rows. A relative
+    change of a rotor's square root costs twice as much, because the square is the parameter.
     """
     given, chart = blocks(arm_model), _Chart.of(arm_model)
     base = base_columns(arm_model)
@@ -76,7 +76,7 @@ def test_the_fit_is_the_least_sum_of_residuals_and_pull(weighted: bool, arm_mode
     np.testing.assert_allclose(np.diag(body.covariance.carried), np.diag(carried), rtol=3e-3)
 
 
-def test_weights_are_one_over_residuals_and_bounded() -> None:
+def test_weights_are_bounded_inverse_residuals() -> None:
     rows = [Block(matrix=np.zeros((n, 1)), target=np.zeros(n)) for n in (1, 3, 4)]
     found = _weights(rows, np.array([2.0, 0.5, 0.0]), weighted=True)
     np.testing.assert_allclose(found, [0.5, 2.0, 0.5e6])
@@ -86,10 +86,8 @@ def test_weights_are_one_over_residuals_and_bounded() -> None:
     np.testing.assert_allclose(found, 1.0 / pooled)
 
 
-def test_an_unknown_link_weighs_a_kilogram_and_rotors_may_be_unknown(
-    arm_model: Robot,
-) -> None:
-    """Radii of gyration of 0.1 m; thin bodies get 5 mm, and keep their centre and mass."""
+def test_defaults_of_unknown_links_and_rotors(arm_model: Robot) -> None:
+    """Radii of gyration are 0.1 m; thin bodies get 5 mm and keep their centre and mass."""
     arm_model.nominal_parameters[:10] = 0.0
     arm_model.nominal_parameters[20:30] = [2.0, 0.2, 0.0, 0.4, 0, 0, 0, 0, 0, 0]
     arm_model.nominal_parameters[30] = 0.0
@@ -98,7 +96,7 @@ def test_an_unknown_link_weighs_a_kilogram_and_rotors_may_be_unknown(
     np.testing.assert_allclose(chart.parameters(chart.start)[:10], expected, atol=1e-15)
     centre = np.array([0.1, 0.0, 0.2])
     pseudo = np.zeros((4, 4))
-    # The inertia about the origin is given as zero, so that it is negative about the centre.
+    # The inertia about the origin is given as zero, so it is negative about the centre.
     values, vectors = np.linalg.eigh(-2.0 * np.outer(centre, centre))
     about = (vectors * np.maximum(values, 2.0 * 5e-3**2)) @ vectors.T
     pseudo[:3, :3] = about + 2.0 * np.outer(centre, centre)

@@ -1,4 +1,4 @@
-"""The twin against independent references: Pinocchio, exact relaxations, the servo's equation."""
+"""The twin against independent references: Pinocchio, exact relaxation, the servo's equation."""
 
 import mujoco
 import numpy as np
@@ -84,7 +84,7 @@ def test_gravity_torque_at_zero_is_that_of_the_whole_arm(kinematics):
     np.testing.assert_allclose(torque, [0.0, 8.204, -8.207], atol=5e-4)
 
 
-def test_mass_and_limits_are_the_makers(kinematics, arm):
+def test_mass_and_limits_match_the_data_sheet(kinematics, arm):
     moving = 4.807 + 3.280 + 2.237 + 2.041 + 1.385 + 0.225
     assert sum(body.mass for body in kinematics.inertias[1:]) == pytest.approx(moving, abs=1e-12)
     limits = [[-6.283185307, 6.283185307], [-2.3038346, 2.3038346], [-4.2236968, 0.061087]]
@@ -106,7 +106,7 @@ def test_regressor_has_rank_15_of_30(kinematics):
     assert np.sum(sizes > 1e-12 * sizes[0]) == 15
 
 
-def test_joints_themselves_have_no_friction(simulator):
+def test_mujoco_joints_have_no_friction(simulator):
     assert not simulator.dof_damping.any()
     assert not simulator.dof_frictionloss.any()
 
@@ -115,9 +115,9 @@ def test_joints_themselves_have_no_friction(simulator):
 
 
 def slide(simulator, path, velocity):
-    """Lead the joints along a path and return friction torque (N, n) and bristles (N, n, 4).
+    """Move the joints along a path; return friction torque (N, n) and bristles (N, n, 4).
 
-    Both arguments are (N, n); friction acts against positive velocity where it is positive.
+    Both arguments are (N, n); positive friction opposes positive velocity.
     """
     data = mujoco.MjData(simulator)
     elements = [
@@ -138,12 +138,12 @@ def slide(simulator, path, velocity):
 
 
 def curve(dq):
-    """Stribeck's curve, (..., n)."""
+    """The Stribeck curve, (..., n)."""
     return COULOMB + (STATIC - COULOMB) * np.exp(-((dq / STRIBECK) ** 2))
 
 
 def ripple(q):
-    """Torque of the ripple against the motion."""
+    """Ripple torque opposing the motion."""
     return -RIPPLE * np.sin(CYCLES * q)
 
 
@@ -174,12 +174,12 @@ def test_bristles_relax_exactly(simulator):
 
 
 def test_break_away_peaks_at_static_friction_and_falls_to_coulomb(simulator):
-    # A slow ramp: break-away happens long before the Stribeck velocity is reached.
+    # A slow ramp: break-away occurs well below the Stribeck velocity.
     velocity = np.tile(0.1 * STEP * np.arange(8000)[:, None], (1, 3))
     path = HOME + STEP * np.cumsum(velocity, axis=0)
     torque, _ = slide(simulator, path, velocity)
     friction = torque - VISCOUS * velocity - ripple(path)
-    # The stiff elements already slide faster when the soft ones break away.
+    # The stiff elements already slide faster when the soft elements break away.
     assert np.all(friction.max(axis=0) > 0.8 * STATIC)
     assert np.all(friction.max(axis=0) > 1.05 * COULOMB)
     assert np.all(friction.max(axis=0) <= STATIC)
@@ -193,7 +193,7 @@ def test_break_away_without_acceleration_reaches_static_friction(simulator):
     np.testing.assert_allclose(friction.max(axis=0), STATIC, rtol=1e-3)
 
 
-def test_first_contact_is_as_stiff_as_all_elements_together(simulator):
+def test_initial_stiffness_is_that_of_all_elements(simulator):
     path, velocity = constant(1e-3, 5)
     torque, _ = slide(simulator, path, velocity)
     friction = torque - VISCOUS * velocity - ripple(path)
@@ -203,7 +203,7 @@ def test_first_contact_is_as_stiff_as_all_elements_together(simulator):
 
 def test_memory_depends_on_the_path_and_not_on_its_speed(simulator):
     def loop(speed):
-        """Forth 20 mrad, back 1 mrad, forth 0.5 mrad, back 4 mrad; corners at equal positions."""
+        """20 mrad forwards, 1 mrad back, 0.5 mrad forwards, 4 mrad back; equal corner positions."""
         moves = [(0.020, 1), (0.001, -1), (0.0005, 1), (0.004, -1)]
         velocity = np.concatenate(
             [np.full(round(way / speed / STEP), sign * speed) for way, sign in moves]
@@ -217,7 +217,7 @@ def test_memory_depends_on_the_path_and_not_on_its_speed(simulator):
 
     slow, fast = loop(0.5e-3), loop(1e-3)
     np.testing.assert_allclose(fast, slow, atol=0.02 * STATIC.max())
-    # Back by 1 mrad, the stiff element has yielded, the soft ones have not: no sign change of all.
+    # After 1 mrad backwards the stiff element has yielded, the soft ones have not: no common sign.
     assert np.all(np.abs(slow[1]) < 0.7 * STATIC)
 
 
@@ -235,7 +235,7 @@ def test_ripple_has_the_stated_amplitude_and_period(simulator):
 # --- servo ------------------------------------------------------------------------------------
 
 
-def test_rests_where_it_is_put(arm):
+def test_the_arm_rests_at_its_start(arm):
     before = arm.reset(HOME)
     for _ in range(200):
         after = arm.step(np.zeros(3), 5e-3)
@@ -371,12 +371,12 @@ def test_outputs_are_not_overwritten_by_the_next_step(arm):
 
 
 @pytest.mark.parametrize("dt", [0.0, -1e-3, 4e-4, 5.5e-3])
-def test_step_that_is_no_multiple_is_refused(arm, dt):
+def test_step_must_be_a_multiple(arm, dt):
     with pytest.raises(SimulationError, match=r"a positive integer multiple of 0\.001 s"):
         arm.step(np.zeros(3), dt)
 
 
-def test_command_that_is_not_a_number_is_refused(arm):
+def test_nan_command_is_refused(arm):
     said = r"the velocity command at 0 s is \[0\.0, nan, 0\.0\]; finite numbers are needed\."
     with pytest.raises(SimulationError, match=said):
         arm.step([0.0, np.nan, 0.0], 5e-3)
@@ -409,7 +409,7 @@ def test_noise_of_a_sample_does_not_depend_on_its_neighbours(plant):
         ("[noise]", "[nois]", "unknown key 'nois'; allowed here: joints, model, noise,"),
     ],
 )
-def test_plant_file_that_is_wrong_is_refused_with_a_sentence(tmp_path, old, new, sentence):
+def test_wrong_plant_file_is_refused_with_a_sentence(tmp_path, old, new, sentence):
     text = (FOLDER / "plant.toml").read_text()
     assert old in text
     path = tmp_path / "plant.toml"
@@ -428,7 +428,7 @@ def test_plant_file_that_is_wrong_is_refused_with_a_sentence(tmp_path, old, new,
         ({"servo": {"integral": ("b", "b", "b")}}, "has no actuator 'b'"),
     ],
 )
-def test_part_that_the_model_lacks_is_named(plant, change, sentence):
+def test_part_missing_in_the_model_is_named(plant, change, sentence):
     data = plant.model_dump()
     for key, value in change.items():
         data[key] = data[key] | value if isinstance(value, dict) else value
@@ -436,7 +436,7 @@ def test_part_that_the_model_lacks_is_named(plant, change, sentence):
         servo_signals(Plant.model_validate(data))
 
 
-def test_model_that_is_missing_or_broken_is_refused(plant, tmp_path):
+def test_missing_or_broken_model_is_refused(plant, tmp_path):
     with pytest.raises(ConfigError, match="no such model file"):
         servo_signals(plant.model_copy(update={"model": tmp_path / "none.xml"}))
     broken = tmp_path / "broken.xml"

@@ -12,7 +12,7 @@ from hesr_model.support import plugins
 
 
 class NoExtras(MetaPathFinder):
-    """Finder that makes `hesr.extras` unimportable."""
+    """Finder that makes `hesr.extras` impossible to import."""
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
         if name.startswith("hesr.extras"):
@@ -27,7 +27,7 @@ def _no_extras(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "meta_path", [NoExtras(), *sys.meta_path])
 
 
-def test_own_plugins_come_first_and_others_sorted(install_plugin: InstallPlugin) -> None:
+def test_own_plugins_come_first_then_others_sorted(install_plugin: InstallPlugin) -> None:
     own = plugins.names("hesr.exports")
     assert {"fmu", "drive", "modelica"} <= set(own)
     assert list(own) == sorted(own)
@@ -51,7 +51,7 @@ def test_a_broken_plugin_is_refused_by_name_and_package(install_plugin: InstallP
     )
 
 
-def test_a_name_is_used_once(install_plugin: InstallPlugin) -> None:
+def test_duplicate_names_are_refused(install_plugin: InstallPlugin) -> None:
     install_plugin("hesr.exports", fmu="os:sep")
     with pytest.raises(ConfigError) as caught:
         plugins.names("hesr.exports")
@@ -69,7 +69,7 @@ def test_own_plugins_can_be_loaded(group: str) -> None:
 
 
 @pytest.mark.usefixtures("_no_extras")
-def test_extras_that_are_absent_are_not_listed() -> None:
+def test_absent_extras_are_not_listed() -> None:
     assert {"fmu", "drive"} <= set(plugins.names("hesr.exports"))
     assert not {"modelica", "mjcf", "c"} & set(plugins.names("hesr.exports"))
     assert not any("extras" in p.entry.value for p in plugins.load("hesr.laws").values())

@@ -1,4 +1,4 @@
-"""How processes end, in words."""
+"""Exit statuses of processes in words."""
 
 import pytest
 
@@ -13,5 +13,5 @@ from hesr_model.support.process import how_it_ended
         (-11, "crashed with signal 11 (SIGSEGV)"),
     ],
 )
-def test_how_it_ended(code: int, text: str) -> None:
+def test_exit_status_in_words(code: int, text: str) -> None:
     assert how_it_ended(code) == text

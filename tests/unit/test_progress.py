@@ -24,11 +24,11 @@ def test_items_are_counted_before_each_and_after_the_last() -> None:
     assert told == [(0, 2), "a", (1, 2), "b", (2, 2)]
 
 
-def test_nobody_hears_what_is_told_to_nobody() -> None:
+def test_progress_without_a_listener_is_dropped() -> None:
     assert list(counted([1, 2, 3], silent)) == [1, 2, 3]
 
 
-def test_steps_inside_a_job_are_told_to_whom_it_names(tmp_path: Path) -> None:
+def test_steps_of_a_job_reach_its_listener(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     step(1, 2)
     with steps_told(lambda *now: told.append(now)):
@@ -43,7 +43,7 @@ def test_shares_of_jobs_in_other_processes_are_summed(tmp_path: Path) -> None:
     with watched(files, lambda *now: told.append(now)):
         tell = into_file(files[0])
         tell(1, 4)
-        tell(1, 8)  # a second search within the fit begins anew
+        tell(1, 8)  # a second search within the fit restarts
         assert files[0].read_text() == "25"
         while (25, 200) not in told:
             time.sleep(0.01)

@@ -1,4 +1,4 @@
-"""Findings of the property battery: what is expected, and their file."""
+"""Results of the physics checks: expectations and their file."""
 
 import json
 from collections.abc import Callable
@@ -29,7 +29,7 @@ PLOT = Plot(x="x [m]", y="y [N]", curves=(Curve(label="one", x=(0.0, 0.1), y=(1.
 
 
 def found(**changes: PropertyResult) -> Properties:
-    """Findings on one joint: everything passes but what is given."""
+    """Results for one joint: everything passes except the given checks."""
     figure = Figure(name="miss", value=0.1 + 0.2, unit="1")
     passed = PropertyResult(verdict="pass", figures=(figure,), plot=PLOT)
     joint = JointProperties(
@@ -43,7 +43,7 @@ def found(**changes: PropertyResult) -> Properties:
     return Properties(law="lugre", robot="arm", tau_load=-2.0, joints=(joint,))
 
 
-def test_every_expectation_says_who_expects_it_and_how_it_is_measured() -> None:
+def test_every_expectation_has_a_source_and_a_method() -> None:
     assert len(EXPECTATIONS) == 13
     for key, e in EXPECTATIONS.items():
         assert e.key == key
@@ -76,11 +76,11 @@ def test_every_expectation_says_who_expects_it_and_how_it_is_measured() -> None:
         ("coupling", f"{1e3 * expectations.STEP:.0f} ms"),
     ],
 )
-def test_the_bound_that_decides_is_the_one_that_is_said(key: str, bound: str) -> None:
+def test_the_stated_bound_is_the_deciding_one(key: str, bound: str) -> None:
     assert bound in EXPECTATIONS[key].expected
 
 
-def test_findings_come_back_from_their_file_digit_by_digit(tmp_path: Path) -> None:
+def test_findings_survive_their_file_bit_for_bit(tmp_path: Path) -> None:
     file = tmp_path / "properties.json"
     failed = PropertyResult(verdict="fail", figures=(Figure(name="miss", value=None, unit="1"),))
     some = found(memory=failed, hold=PropertyResult(verdict="not run", reason="No inertia."))
@@ -136,7 +136,7 @@ def test_a_damaged_file_is_refused(change: Change, said: str, tmp_path: Path) ->
     assert str(caught.value).startswith(f"{file}: {said}")
 
 
-def test_what_an_older_file_lacks_was_not_run(tmp_path: Path) -> None:
+def test_checks_missing_in_older_files_count_as_not_run(tmp_path: Path) -> None:
     file = tmp_path / "properties.json"
     write_properties(file, {"a": found()})
     data = json.loads(file.read_text(encoding="utf-8"))

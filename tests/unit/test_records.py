@@ -1,4 +1,4 @@
-"""Laws on records: where the state starts, and what is predicted from there."""
+"""Laws on records: the initial state and the prediction from it."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def sampling(one: FrictionLaw, samples: int = 5) -> FrictionLaw:
 
 
 def from_rest(seconds: float = 0.5) -> Path:
-    """A log that begins at rest and then moves to and fro."""
+    """A log that begins at rest and then moves back and forth."""
     way = path(0)
     still = round(seconds / 0.008)
     dq = np.concatenate([np.zeros(still), way.dq])[: len(way.dq)]
@@ -58,10 +58,10 @@ def test_noise_is_averaged_over_the_samples() -> None:
     assert np.std(starts) == pytest.approx(0.5 / 9.0 / np.sqrt(5.0), rel=0.35)
 
 
-def test_a_start_is_within_what_the_state_can_reach() -> None:
-    """However large the first torques are."""
+def test_a_start_is_a_reachable_state() -> None:
+    """Holds for any size of the first torques."""
     log = along(BRISTLE, from_rest())
-    limit = 1.3  # rho, the state's largest value
+    limit = 1.3  # rho, the largest value of the state
     for tau, sign in ((1e3, 1.0), (-1e3, -1.0)):
         (found,) = record_start(sampling(BRISTLE), replace(log, tau=np.full_like(log.tau, tau)))
         assert abs(found) <= limit * (1.0 + 1e-9)
@@ -86,18 +86,18 @@ def test_a_law_without_samples_keeps_its_own_start(one: FrictionLaw) -> None:
 
 
 @pytest.mark.parametrize("one", [STRIBECK, DAHL])
-def test_a_law_of_no_state_or_of_several_keeps_its_own_start(one: FrictionLaw) -> None:
+def test_only_laws_with_one_state_estimate_their_start(one: FrictionLaw) -> None:
     own = replace(sampling(one), start=tuple(0.1 for _ in one.form.relaxations))
     assert record_start(own, along(one, from_rest())) == own.start
 
 
 def test_a_log_at_rest_keeps_the_laws_own_start() -> None:
-    """A bristle that never moves has no limit to search within."""
+    """A bristle that never moves gives no limit for the search."""
     log = along(BRISTLE, replace(from_rest(), dq=np.zeros(len(from_rest().t))), start=(0.4,))
     assert record_start(replace(sampling(BRISTLE), start=(0.2,)), log) == (0.2,)
 
 
-def test_a_start_pays_from_the_first_row_on() -> None:
+def test_an_estimated_start_pays_from_the_first_row() -> None:
     log = along(LUGRE, from_rest(), noise=0.1, start=(0.8 * 9.0 / 2000.0,))
     at_rest = log.dq == 0.0
     errors = [

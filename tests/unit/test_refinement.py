@@ -1,4 +1,4 @@
-"""Rigid body and friction in turn, on an arm whose friction has memory."""
+"""Alternating fit of rigid body and friction, on an arm whose friction has memory."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -24,13 +24,13 @@ BRISTLE = made(
     "lugre_load", {}, sigma_0=600.0, sigma_1=0.0, sigma_2=4.0, F_c=12.0, F_s=18.0, v_s=0.15,
     tau_0=0.5, mu=0.01,
 )  # fmt: skip
-"""Soft enough that Coulomb columns mistake its memory for the rigid body."""
+"""Soft enough for Coulomb columns to mistake its memory for rigid-body torque."""
 NOISE = 0.2
 
 
 @pytest.fixture
 def rough(make_motion: MakeMotion) -> Callable[..., Log]:
-    """Logs of the arm with this friction in every joint, and noise."""
+    """Noisy logs of the arm with this friction in every joint."""
 
     def make(*, seed: int = 0, **options: object) -> Log:
         motion = make_motion(**options)
@@ -79,7 +79,7 @@ def test_the_rigid_body_gains_from_a_better_friction_law(
     assert np.all(body.rmse < 0.5 * first.rmse)
 
 
-def test_reversed_logs_are_cleared_of_friction_too(
+def test_friction_is_removed_from_reversed_logs(
     rough: Callable[..., Log], arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     forward, backward = rough(name="run"), rough(name="back", reverse=True, seed=1)
@@ -93,10 +93,10 @@ def test_reversed_logs_are_cleared_of_friction_too(
     assert np.all(again.rmse < body.rmse)
 
 
-def test_friction_that_the_columns_describe_already_changes_nothing(
+def test_friction_within_the_columns_changes_nothing(
     make_motion: MakeMotion, arm_model: Robot
 ) -> None:
-    """A Stribeck law that is Coulomb and viscous friction: the same rigid body comes back."""
+    """A Stribeck law equal to Coulomb plus viscous friction: the rigid body stays the same."""
     motion = make_motion(name="run", friction=3.0)
     log = Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
     body = identify([log], arm_model)
@@ -109,7 +109,7 @@ def test_friction_that_the_columns_describe_already_changes_nothing(
     )
 
 
-def test_the_logs_themselves_are_left_alone(rough: Callable[..., Log], arm_model: Robot) -> None:
+def test_the_logs_are_not_modified(rough: Callable[..., Log], arm_model: Robot) -> None:
     log = rough(name="run")
     body = identify([log], arm_model)
     before = log.tau.copy()

@@ -10,7 +10,7 @@ from hesr_model.rigid_body.residual import friction_records, require_reversals
 from hesr_model.robots.robot import Robot
 
 
-def test_a_record_holds_what_the_rigid_body_leaves(arm_log: Log, arm_model: Robot) -> None:
+def test_a_record_holds_the_rigid_body_residual(arm_log: Log, arm_model: Robot) -> None:
     rigid_body = identify([arm_log], arm_model)
     records = friction_records(arm_log, arm_model, rigid_body)
     assert [(r.log, r.joint) for r in records] == [("run", "j1"), ("run", "j2"), ("run", "j3")]
@@ -20,7 +20,7 @@ def test_a_record_holds_what_the_rigid_body_leaves(arm_log: Log, arm_model: Robo
         np.testing.assert_array_equal(record.q, arm_log.q[:, k])
         np.testing.assert_allclose(record.tau + record.tau_load, arm_log.tau[:, k], atol=1e-12)
         np.testing.assert_allclose(record.dq, arm_log.dq[:, k], atol=2e-3)
-        # The friction that was put in: 3 N.m of Coulomb and 1.5 N.m.s/rad.
+        # The true friction: 3 N.m of Coulomb and 1.5 N.m.s/rad.
         dq = arm_log.dq[:, k]
         expected = 3.0 * np.sign(dq) + 1.5 * dq
         np.testing.assert_allclose(record.tau, expected, atol=0.05)

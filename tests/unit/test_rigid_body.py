@@ -22,12 +22,12 @@ def rows(motion: Motion, kept: slice) -> Motion:
 
 
 def worst(rigid_body: RigidBody, model: Robot, motion: Motion, truth: np.ndarray) -> float:
-    """Largest error relative to the largest torque, over all joints."""
+    """Largest error over all joints, relative to the largest torque."""
     error = np.abs(rigid_body.torque(model, motion) - truth).max(axis=0)
     return float(np.max(error / np.abs(truth).max(axis=0)))
 
 
-def test_base_parameters_carry_every_torque(arm_model: Robot) -> None:
+def test_base_parameters_span_every_torque(arm_model: Robot) -> None:
     base = base_columns(arm_model)
     q, dq, ddq = np.random.default_rng(5).uniform(-2, 2, (3, 40, 3))
     columns = arm_model.regressor(q, dq, ddq).reshape(-1, 33)
@@ -36,10 +36,10 @@ def test_base_parameters_carry_every_torque(arm_model: Robot) -> None:
     assert np.linalg.matrix_rank(columns[:, base]) == len(base)
 
 
-def test_rotors_add_what_links_do_not_hold(arm: RobotDescription, arm_model: Robot) -> None:
+def test_rotors_add_only_independent_columns(arm: RobotDescription, arm_model: Robot) -> None:
     bare = Robot(arm.model_copy(update={"rotor_inertia": False}))
     assert len(base_columns(bare)) == 15
-    # The rotors of the first two joints act as inertia of their links; the third's does not.
+    # The first two rotors act as link inertia; the third does not.
     assert len(base_columns(arm_model)) == 16
 
 
@@ -73,7 +73,7 @@ def test_the_stacked_fit_also_finds_friction(arm_model: Robot, make_motion: Make
     assert np.all(rigid_body.parameters[dependent] == 0.0)
 
 
-def test_from_a_log_the_filter_is_all_that_is_lost(
+def test_from_a_log_only_the_filter_costs_accuracy(
     arm_log: Log, arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     rigid_body = identify([arm_log], arm_model)
@@ -82,11 +82,11 @@ def test_from_a_log_the_filter_is_all_that_is_lost(
     assert np.all(rigid_body.rmse < 0.05)
 
 
-def test_averaging_bears_latency_and_tracking_errors(
+def test_averaging_tolerates_latency_and_tracking_errors(
     arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     forward = make_motion(friction=3.0)
-    # Both runs lag: the counterpart is not where the plain mirror of time looks for it.
+    # Both runs lag: the counterpart is displaced from the plain mirror image in time.
     late = make_motion(friction=3.0, reverse=True, seconds=10.0)
     late = rows(replace(late, t=late.t + 3.0), slice(12, None))
     rigid_body = identify_motions([forward], arm_model, method="paper", reversed_motions=[late])
@@ -110,7 +110,7 @@ def test_averaging_cancels_odd_friction_of_any_shape(
     assert worst(alone, arm_model, truth, truth.tau) > 1e-3
 
 
-def test_weights_help_the_quiet_joint(arm_model: Robot, make_motion: MakeMotion) -> None:
+def test_weights_improve_the_low_noise_joint(arm_model: Robot, make_motion: MakeMotion) -> None:
     truth = make_motion(seconds=20.0)
     errors: dict[str, list[np.ndarray]] = {"wls": [], "ols": []}
     for seed in range(5):
@@ -122,7 +122,7 @@ def test_weights_help_the_quiet_joint(arm_model: Robot, make_motion: MakeMotion)
     assert np.mean(errors["wls"], axis=0)[2] < 0.2 * np.mean(errors["ols"], axis=0)[2]
 
 
-def test_a_poor_motion_is_regularised_and_said(
+def test_a_poor_motion_is_regularised_and_reported(
     arm_model: Robot, make_motion: MakeMotion, caplog: pytest.LogCaptureFixture
 ) -> None:
     motion = make_motion()
@@ -201,10 +201,10 @@ LIFT = """<mujoco model="lift"><worldbody><body name="carriage">
 
 
 @pytest.mark.parametrize("physical", [False, True])
-def test_a_weight_is_not_shared_with_the_offset_of_friction(
+def test_weight_is_separate_from_the_friction_offset(
     physical: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """On a vertical sliding joint both are constant, so that no motion could tell them apart."""
+    """On a vertical sliding joint both are constant, so no motion can separate them."""
     path = tmp_path / "lift.xml"
     path.write_text(LIFT, encoding="utf-8")
     model = Robot(RobotDescription(name="lift", model=path, joints=("z", "a")))

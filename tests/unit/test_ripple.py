@@ -1,4 +1,4 @@
-"""Torque ripple: found where it is, with its orders and times, and nowhere else."""
+"""Torque ripple: found if present, with its orders, lag and smoothing, and not otherwise."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ NOISE = 0.2
 
 
 def rippling(*orders: int) -> FrictionLaw:
-    """LuGre+load with ripple of these orders."""
+    """LuGre+load with ripple of the given orders."""
     waves = {
         f"ripple{k}_{part}": a
         for k in orders
@@ -37,7 +37,7 @@ def samples_of(truth: FrictionLaw, noise: float = NOISE) -> JointRows:
 
 
 def selected(samples: JointRows) -> tuple[Ripple, ripple.Times] | None:
-    """What is chosen beside a law whose other numbers are known."""
+    """Selection for a law whose other coefficients are known."""
     problem = Separable(LuGreLoad.core({}), LuGreLoad().space(), samples)
     point = problem.point({"deflection": 3e-3, "ratio": 12.0 / 9.0, "v_s": 0.1})
     return ripple.select(problem.columns(point), samples, GEAR_RATIO, samples.folds)
@@ -46,7 +46,7 @@ def selected(samples: JointRows) -> tuple[Ripple, ripple.Times] | None:
 # --- selection --------------------------------------------------------------------------------
 
 
-def test_orders_lag_and_smoothing_are_those_that_generated_the_data() -> None:
+def test_generating_orders_lag_and_smoothing_are_found() -> None:
     found = selected(samples_of(rippling(2, 8)))
     assert found is not None
     waves, (lag, smoothing) = found
@@ -64,7 +64,7 @@ def test_a_single_order_stays_single(order: int) -> None:
 
 
 @pytest.mark.parametrize("noise_seed", range(4))
-def test_noise_is_no_ripple(noise_seed: int) -> None:
+def test_noise_is_not_taken_for_ripple(noise_seed: int) -> None:
     truth = law("lugre_load", {}, **CORE)
     records = [
         along(truth, path(10 + k), noise=0.5, seed=20 * noise_seed + k, gear_ratio=GEAR_RATIO)
@@ -73,7 +73,7 @@ def test_noise_is_no_ripple(noise_seed: int) -> None:
     assert selected(JointRows.of(records, coefficients=3)) is None
 
 
-def test_a_joint_gets_so_many_orders_and_no_more() -> None:
+def test_the_number_of_orders_is_limited() -> None:
     samples = samples_of(rippling(2, 8), noise=0.01)
     angle = GEAR_RATIO * (samples.q - LAG * samples.dq)
     tau = samples.tau + sum(0.5 * np.cos(k * angle) for k in range(1, 17))
@@ -90,7 +90,7 @@ def test_a_fit_finds_the_amplitudes_and_pays_on_unseen_motions() -> None:
     records = training(truth, noise=NOISE, gear_ratio=GEAR_RATIO)
     fitted = LuGreLoadRipple().fit(records, np.random.default_rng(0))
     assert {2, 8} <= set(fitted.structure["ripple"]["orders"])
-    # An order that a bristle, fitted before the ripple, has left over fades in the last polish.
+    # An order left over from the earlier bristle fit vanishes in the final polish.
     for name, value in fitted.values.items():
         if name.startswith("ripple"):
             assert value == pytest.approx(truth.values.get(name, 0.0), abs=0.05), name
@@ -135,7 +135,7 @@ def test_the_problem_of_the_extended_form_has_the_same_columns() -> None:
     assert whole.space.linear[-4:] == waves.names
 
 
-def test_smoothing_keeps_slow_ripple_and_takes_fast_ripple_away() -> None:
+def test_smoothing_keeps_slow_ripple_and_removes_fast_ripple() -> None:
     way = path(0)
     samples = JointRows.of([along(law("lugre_load", {}, **CORE), way)], coefficients=3)
     waves = Ripple(gear_ratio=GEAR_RATIO, orders=(8,))
@@ -171,7 +171,7 @@ def test_a_ripple_survives_json() -> None:
         "2",
     ],
 )
-def test_what_is_no_ripple_is_refused(data: object) -> None:
+def test_invalid_ripple_is_refused(data: object) -> None:
     with pytest.raises(ArtifactError, match=r"^ripple .* needs a number 'gear_ratio'"):
         Ripple.of_structure(data)
     with pytest.raises(ArtifactError, match=r"^ripple"):

@@ -14,7 +14,7 @@ model = "arm.xml"
 joints = ["j1", "j2", "j3"]
 """
 
-# The last joint has no limits, the first slides.
+# The last joint has no limits; the first is a sliding joint.
 LIFT_URDF = """
 <robot name="lift">
   <link name="base"/>
@@ -60,10 +60,10 @@ def describe(folder: Path, text: str, more: str = "") -> Path:
     return path
 
 
-def test_the_regressor_times_the_parameters_is_the_torque_of_the_library(
+def test_regressor_times_parameters_is_the_library_torque(
     arm: RobotDescription, arm_model: Robot, states: tuple[np.ndarray, ...]
 ) -> None:
-    # The library's rnea counts the armature of the MJCF, here it is a column of the regressor.
+    # The library's rnea includes the armature of the MJCF; here it is a column of the regressor.
     reference = pin.buildModelFromMJCF(str(arm.model))
     data = reference.createData()
     expected = np.array([pin.rnea(reference, data, *state) for state in zip(*states, strict=True)])
@@ -92,7 +92,7 @@ def test_without_rotors_the_model_has_ten_parameters_per_link(
     assert model.regressor(*states).shape == (20, 3, 30)
 
 
-def test_gravity_is_that_of_the_description(arm: RobotDescription) -> None:
+def test_gravity_comes_from_the_description(arm: RobotDescription) -> None:
     still = np.zeros((1, 3))
     q = np.array([[0.1, 0.4, -0.2]])
     down = Robot(arm)
@@ -101,7 +101,7 @@ def test_gravity_is_that_of_the_description(arm: RobotDescription) -> None:
     np.testing.assert_array_equal(away.torque(away.nominal_parameters, q, still, still), still)
 
 
-def test_joints_that_are_not_listed_are_locked_where_the_description_says(
+def test_unlisted_joints_are_locked_at_the_given_positions(
     arm: RobotDescription, arm_model: Robot
 ) -> None:
     locked = arm.model_copy(update={"joints": ("j1", "j3"), "locked": {"j2": 0.7}})
@@ -141,9 +141,7 @@ def test_a_sliding_and_an_unlimited_joint(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_units_of_the_other_kind_of_joint_are_refused(
-    tmp_path: Path, units: LogUnits, message: str
-) -> None:
+def test_units_must_match_the_kind_of_joint(tmp_path: Path, units: LogUnits, message: str) -> None:
     path = tmp_path / "lift.urdf"
     path.write_text(LIFT_URDF, encoding="utf-8")
     lift = RobotDescription(name="lift", model=path, joints=("lift", "arm"))
@@ -236,22 +234,20 @@ def test_a_wrong_key_is_named(tmp_path: Path, more: str, message: str) -> None:
         ({"joints": ("j1", "j1")}, r"the joints j1, j1 must be listed once each, in the order"),
     ],
 )
-def test_joints_that_do_not_fit_the_model_are_named(
+def test_joints_that_do_not_match_the_model_are_named(
     arm: RobotDescription, change: dict[str, object], message: str
 ) -> None:
     with pytest.raises(RobotError, match=message):
         Robot(arm.model_copy(update=change))
 
 
-def test_gains_are_counted_for_a_description_made_in_code(arm: RobotDescription) -> None:
+def test_gains_are_checked_for_a_description_made_in_code(arm: RobotDescription) -> None:
     log = arm.log.model_copy(update={"torque_per_ampere": (1.0,)})
     with pytest.raises(RobotError, match=r"^key 'log\.torque_per_ampere' of robot 'arm' has 1"):
         Robot(arm.model_copy(update={"log": log}))
 
 
-def test_a_model_file_that_is_missing_or_broken_is_named(
-    arm: RobotDescription, tmp_path: Path
-) -> None:
+def test_a_missing_or_broken_model_file_is_named(arm: RobotDescription, tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"none\.urdf: no such model file\.$"):
         Robot(arm.model_copy(update={"model": tmp_path / "none.urdf"}))
     for name, kind in (("broken.urdf", "a URDF"), ("broken.xml", "an MJCF")):
@@ -285,7 +281,7 @@ def test_the_range_of_a_sliding_joint_is_a_length(
     np.testing.assert_allclose(upper, [1.5, np.pi / 2])
 
 
-def test_an_mjcf_that_includes_others_is_refused(tmp_path: Path) -> None:
+def test_an_mjcf_with_includes_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "arm.xml"
     text = LIFT.format(compiler="", range="-90 90").replace("</worldbody>", "{}</worldbody>")
     path.write_text(text.format('<include file="tip.xml"/>'), encoding="utf-8")

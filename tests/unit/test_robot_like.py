@@ -1,4 +1,4 @@
-"""Robots by any file, and what stands for a path."""
+"""Robots from any kind of file, and objects accepted in place of a path."""
 
 from pathlib import Path
 
@@ -16,14 +16,14 @@ def test_a_model_file_alone_describes_all_its_joints(arm: RobotDescription) -> N
         assert (found.name, found.joints, found.model) == ("arm", arm.joints, arm.model)
 
 
-def test_a_robot_stands_for_itself(arm: RobotDescription, arm_model: Robot) -> None:
+def test_a_robot_is_accepted_as_itself(arm: RobotDescription, arm_model: Robot) -> None:
     assert description_of(arm) is arm
     assert description_of(arm_model) is arm
     assert model_of(arm_model) is arm_model
     assert isinstance(model_of(arm), Robot)
 
 
-def test_a_robot_shows_itself_in_one_line(arm: RobotDescription) -> None:
+def test_repr_of_a_robot_is_one_line(arm: RobotDescription) -> None:
     robot = Robot(arm)
     assert repr(robot) == "Robot('arm', 3 joints, arm.xml)"
     assert (robot.name, robot.joints) == (arm.name, arm.joints)
@@ -35,7 +35,7 @@ def test_a_robot_file_is_read(arm: RobotDescription) -> None:
     assert Robot(str(file)).description.joints == ("j1", "j2")
 
 
-def test_what_is_no_robot_is_refused(tmp_path: Path) -> None:
+def test_other_objects_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         Robot(3)  # type: ignore[arg-type]  # the mistake
     assert str(caught.value) == ("a robot is given as int; needed is a path, as text or as a Path.")
@@ -43,7 +43,7 @@ def test_what_is_no_robot_is_refused(tmp_path: Path) -> None:
         Robot(tmp_path / "none.urdf")
 
 
-def test_a_log_is_read_by_text_and_knows_its_robot(arm: RobotDescription, arm_log: Log) -> None:
+def test_a_log_read_from_a_path_has_its_robot(arm: RobotDescription, arm_log: Log) -> None:
     file = arm.model.with_name("log.csv")
     arm_log.write(str(file))
     log = Log.read(str(file), str(arm.model))

@@ -64,7 +64,7 @@ def test_a_log_without_velocity_is_written_and_read_back(
     assert Log.read(path, arm.model_copy(update={"log": log})).dq is None
 
 
-def test_a_log_that_cannot_be_written_says_where(tmp_path: Path, arm_log: Log) -> None:
+def test_an_unwritable_log_names_its_path(tmp_path: Path, arm_log: Log) -> None:
     (tmp_path / "taken").write_text("", encoding="utf-8")
     with pytest.raises(ArtifactError, match=r"taken/out\.csv: cannot be written there"):
         arm_log.write(tmp_path / "taken" / "out.csv")
@@ -76,7 +76,7 @@ def test_currents_become_torques_by_the_gains(read: Callable[..., Log]) -> None:
     np.testing.assert_array_equal(log.tau[0], [5.0, -2.0])
 
 
-def test_with_gains_a_log_of_torques_is_taken_as_it_is(read: Callable[..., Log]) -> None:
+def test_gains_do_not_change_a_log_of_torques(read: Callable[..., Log]) -> None:
     log = read(lines(), LogFormat(torque_per_ampere=(10.0, -4.0)))
     np.testing.assert_array_equal(log.tau[0], [0.5, 0.5])
 
@@ -87,7 +87,7 @@ def test_columns_can_be_named_one_by_one(read: Callable[..., Log]) -> None:
     assert log.q.shape == (20, 2)
 
 
-def test_a_number_deep_in_a_column_of_integers_is_read(read: Callable[..., Log]) -> None:
+def test_a_late_decimal_in_an_integer_column_is_read(read: Callable[..., Log]) -> None:
     # Types must not be inferred from the first block of a large file alone.
     count = 40_000
     text = [HEADER, *(row(k, q1="1") for k in range(count)), row(count, q1="0.25")]
@@ -99,7 +99,7 @@ def test_blanks_and_byte_order_marks_do_not_matter(read: Callable[..., Log]) -> 
     assert len(read(text).t) == 5
 
 
-def test_what_is_not_a_table_is_refused(tmp_path: Path, robot: RobotDescription) -> None:
+def test_other_files_are_refused(tmp_path: Path, robot: RobotDescription) -> None:
     path = tmp_path / "run.csv"
     with pytest.raises(LogError, match=r"run\.csv: no such log file\.$"):
         Log.read(path, robot)
@@ -188,13 +188,13 @@ def test_an_error_names_the_file_the_column_and_the_row(
         read(spoil(lines()))
 
 
-def test_two_logs_in_one_file_are_told(read: Callable[..., Log]) -> None:
+def test_two_logs_in_one_file_are_reported(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k) for k in [*range(50), *range(50)])]
     with pytest.raises(LogError, match=r"0 s follows 0\.49 s; the file contains two logs"):
         read(text)
 
 
-def test_a_log_is_cut_where_rows_are_missing(read: Callable[..., Log]) -> None:
+def test_a_log_is_split_at_missing_rows(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k) for k in [*range(150), *range(200, 220), *range(240, 350)])]
     first, last = read(text).parts()
     assert (first.t[-1], last.t[0]) == pytest.approx((1.49, 2.40))
@@ -207,8 +207,8 @@ def test_a_log_of_gaps_is_refused(read: Callable[..., Log]) -> None:
         read(text).parts()
 
 
-def test_rows_lost_at_random_are_no_gaps(read: Callable[..., Log]) -> None:
-    """Half the steps are of one period then, and some longer than ten."""
+def test_randomly_lost_rows_are_not_gaps(read: Callable[..., Log]) -> None:
+    """Half of the steps then are one period long, and some longer than ten."""
     kept = np.flatnonzero(np.random.default_rng(1).random(9000) < 0.5)
     log = read([HEADER, *(row(int(k)) for k in kept)])
     assert np.max(np.diff(log.t)) > 10 * log.period
@@ -216,7 +216,7 @@ def test_rows_lost_at_random_are_no_gaps(read: Callable[..., Log]) -> None:
     assert log.rate == pytest.approx(50.0, rel=0.03)
 
 
-def test_rows_that_lack_a_number_or_a_new_stamp_are_dropped(read: Callable[..., Log]) -> None:
+def test_rows_without_a_number_or_a_new_stamp_are_dropped(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k) for k in range(20))]
     text[4], text[7], text[9] = row(3, q2="nan"), row(6, tau1=""), row(7)
     log = read(text, LogFormat(missing="drop"))
@@ -239,12 +239,12 @@ def test_stamps_since_1970_are_counted_from_the_first_row(
     assert log.t == pytest.approx(0.01 * np.arange(20), abs=1e-6)
 
 
-def test_dates_are_stamps(read: Callable[..., Log]) -> None:
+def test_dates_are_accepted_as_stamps(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k, t=f"2026-01-01 10:00:0{0.01 * k:.3f}") for k in range(20))]
     assert read(text).t == pytest.approx(0.01 * np.arange(20), abs=1e-9)
 
 
-def test_comments_and_units_around_a_header_are_left_out(read: Callable[..., Log]) -> None:
+def test_comments_and_units_around_a_header_are_skipped(read: Callable[..., Log]) -> None:
     data = [row(k) for k in range(20)]
     text = ["# recorder 3, cell 5", "% robot: arm", HEADER, "[s],rad,rad,rad/s,rad/s,N.m,N.m"]
     log = read([*text, *data[:5], "# the operator came in", *data[5:]])
@@ -253,13 +253,13 @@ def test_comments_and_units_around_a_header_are_left_out(read: Callable[..., Log
         read([*text, *data[:5], "# the operator", data[5], row(6, q2="x"), *data[7:]])
 
 
-def test_joints_that_count_backwards_or_from_elsewhere(read: Callable[..., Log]) -> None:
+def test_joints_may_count_backwards_or_from_another_number(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k, q1="2", q2="90") for k in range(20))]
     log = read(text, LogFormat(units=LogUnits(q=(0.5, "-deg")), zero=(1.0, 0.0)))
     assert log.q[0] == pytest.approx([2.0, -np.pi / 2])
 
 
-def test_time_in_milliseconds_is_noticed(read: Callable[..., Log]) -> None:
+def test_time_in_milliseconds_is_detected(read: Callable[..., Log]) -> None:
     text = [HEADER, *(row(k, t=str(10 * k)) for k in range(20))]
     message = r"rows are 10 s apart, but the robot file's sample_rate of 94 Hz means 0\.01064 s"
     with pytest.raises(LogError, match=message):
@@ -286,19 +286,17 @@ def test_a_parquet_column_of_another_type_is_refused(
         Log.read(path, robot)
 
 
-def test_a_joint_that_no_log_moves_is_named(arm_log: Log) -> None:
+def test_a_joint_at_rest_in_all_logs_is_named(arm_log: Log) -> None:
     still = replace(arm_log, q=arm_log.q * [1.0, 0.0, 1.0], path=Path("still.csv"))
     require_moving([still, arm_log], ("j1", "j2", "j3"))
     with pytest.raises(LogError, match=r"^still\.csv: the position of joint 'j2' is constant"):
         require_moving([still], ("j1", "j2", "j3"))
 
 
-def test_a_file_counts_once_and_its_parts_are_several_logs(
-    read: Callable[..., Log],
-) -> None:
+def test_a_file_counts_once_although_its_parts_are_several_logs(read: Callable[..., Log]) -> None:
     log = read(lines())
     parts = [log.rows(slice(8)), log.rows(slice(8, None))]
     require_different(parts)
-    require_different([replace(log, sha256=""), replace(log, sha256="")])  # of no file
+    require_different([replace(log, sha256=""), replace(log, sha256="")])  # without a file
     with pytest.raises(LogError, match=r"run\.csv: has the same content as .*run\.csv; leave one"):
         require_different([*parts, parts[0]])

@@ -1,4 +1,4 @@
-"""A capped sample of motions: what is rare stays, and the same seed draws the same."""
+"""A capped sample of motions: rare motions are kept, and the seed decides the draw."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -40,7 +40,7 @@ def cruise(name: str, seconds: float, speed: float = 0.5) -> Motion:
 
 @pytest.fixture
 def days() -> list[Motion]:
-    """Twenty days of cruising; on one of them a second at rest, and a reversal under load."""
+    """Twenty days of cruising, with one second at rest and one reversal under load on one day."""
     made = [cruise(f"day{k}", 30.0) for k in range(20)]
     rare = made[7]
     dq, tau = rare.dq.copy(), rare.tau.copy()
@@ -51,7 +51,7 @@ def days() -> list[Motion]:
     return made
 
 
-def test_what_fits_is_kept_as_it_is(make_motion: MakeMotion) -> None:
+def test_motions_within_the_cap_are_kept_unchanged(make_motion: MakeMotion) -> None:
     motions = [make_motion(name="a", seconds=3.3), make_motion(name="b", seconds=0.4)]
     assert same(sampled(motions, 10_000), motions)
     warm = [replace(m, temperature=30.0 + m.q) for m in motions]
@@ -59,17 +59,17 @@ def test_what_fits_is_kept_as_it_is(make_motion: MakeMotion) -> None:
     assert not same(warm, motions)
 
 
-def test_what_is_rare_stays(days: list[Motion]) -> None:
+def test_rare_motions_are_kept(days: list[Motion]) -> None:
     kept = sampled(days, 4000)
     assert 3500 < sum(len(motion.t) for motion in kept) <= 4000
     dq = np.concatenate([motion.dq[:, 0] for motion in kept])
     assert np.sum(~moving(dq)) == 200
     assert np.sum(dq < 0.0) == 400
     assert sum(len(reversals(motion.dq[:, 0])) for motion in kept) == 2
-    assert len({motion.name for motion in kept}) > 5  # of what is common, some of many days
+    assert len({motion.name for motion in kept}) > 5  # common motions come from several days
 
 
-def test_neighbours_are_one_motion_in_its_order(days: list[Motion]) -> None:
+def test_neighbouring_windows_join_in_order(days: list[Motion]) -> None:
     kept = sampled(days, 20_000)
     for motion in kept:
         np.testing.assert_allclose(np.diff(motion.t), 1.0 / RATE)
@@ -78,12 +78,12 @@ def test_neighbours_are_one_motion_in_its_order(days: list[Motion]) -> None:
     assert at == sorted(at)
 
 
-def test_the_same_seed_draws_the_same(days: list[Motion]) -> None:
+def test_the_same_seed_draws_the_same_sample(days: list[Motion]) -> None:
     assert same(sampled(days, 4000), sampled(days, 4000))
     assert not same(sampled(days, 4000), sampled(days, 4000, seed=1))
 
 
-def test_no_more_is_held_than_the_sample(days: list[Motion]) -> None:
+def test_memory_is_limited_to_the_sample(days: list[Motion]) -> None:
     for motion in sampled(days, 4000):
         assert motion.tau.base is None or motion.tau.base.nbytes <= 4000 * 8
     one = Sample(400, 0)
@@ -93,7 +93,7 @@ def test_no_more_is_held_than_the_sample(days: list[Motion]) -> None:
 
 
 def test_windows_with_more_of_a_stratum_are_more_likely() -> None:
-    """Of two windows with rests in a stratum that has room for one, that with 9 times the rows."""
+    """Two windows with rests compete for one place; the one with 9 times the rows is likelier."""
     motion = cruise("day", 40.0)
     dq = motion.dq.copy()
     dq[0:180] = 0.0

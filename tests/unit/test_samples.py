@@ -1,4 +1,4 @@
-"""The rows of one joint from several records, and the linear problems on them."""
+"""The rows of one joint from several records, and linear problems on them."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def record(rows: int, *, log: str = "run", start: float = 0.0, seed: int = 0) ->
     return FrictionRecord(log=log, joint="j1", t=t, dq=dq, q=q, tau_load=load, tau=tau)
 
 
-def test_records_stand_one_after_the_other() -> None:
+def test_records_are_concatenated() -> None:
     first, second = record(5), record(3, log="two", start=100.0, seed=1)
     samples = JointRows.of([first, second], coefficients=3)
     for name in ("dq", "q", "tau_load", "tau"):
@@ -36,7 +36,7 @@ def test_no_time_passes_from_one_record_to_the_next() -> None:
     assert samples.dt.max() < 0.03
 
 
-def test_a_state_starts_anew_in_every_record() -> None:
+def test_a_state_restarts_in_every_record() -> None:
     samples = JointRows.of([record(5), record(3, start=100.0, seed=1)], coefficients=3)
     factors, increments = np.full(8, 0.5), np.arange(8.0) + 1.0
     steady = np.arange(8.0) - 3.0
@@ -50,7 +50,7 @@ def test_a_state_starts_anew_in_every_record() -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-14)
 
 
-def test_rows_must_be_as_many_as_coefficients() -> None:
+def test_fewer_rows_than_coefficients_are_refused() -> None:
     samples = JointRows.of([record(5)], coefficients=5)
     assert len(samples.tau) == 5
     with pytest.raises(FitError) as caught:
@@ -81,20 +81,20 @@ def test_folds_are_records_or_blocks_of_time() -> None:
 # --- linear problems --------------------------------------------------------------------------
 
 
-def test_least_squares_recovers_what_was_put_in() -> None:
+def test_least_squares_recovers_the_generating_coefficients() -> None:
     rng = np.random.default_rng(2)
     columns = rng.normal(size=(50, 3))
     np.testing.assert_allclose(least_squares(columns, columns @ [1.0, -2.0, 3.0]), [1, -2, 3])
 
 
-def test_least_squares_takes_the_least_norm_of_equal_columns() -> None:
+def test_least_squares_has_the_least_norm_for_equal_columns() -> None:
     column = np.arange(1.0, 6.0)
     np.testing.assert_allclose(least_squares(np.stack([column, column], axis=1), column), [0.5] * 2)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
 def test_non_negative_least_squares_finds_the_constrained_optimum(seed: int, bounded: int) -> None:
-    """Columns that are nearly orthogonal, as those of friction laws, and a random target."""
+    """Nearly orthogonal columns, as in friction laws, and a random target."""
     rng = np.random.default_rng(seed)
     columns = np.linalg.qr(rng.normal(size=(60, 5)))[0] @ (
         np.eye(5) + 0.05 * rng.normal(size=(5, 5))
@@ -110,7 +110,7 @@ def test_non_negative_least_squares_finds_the_constrained_optimum(seed: int, bou
     assert cost <= 2.0 * best.cost * (1.0 + 1e-2)
 
 
-def test_columns_that_are_not_bounded_may_be_negative() -> None:
+def test_unbounded_columns_may_be_negative() -> None:
     columns = np.eye(4)
     solution, cost = non_negative_least_squares(
         columns, np.array([1.0, -2.0, -3.0, 4.0]), non_negative=2
@@ -119,18 +119,18 @@ def test_columns_that_are_not_bounded_may_be_negative() -> None:
     assert cost == pytest.approx(4.0)
 
 
-def test_a_column_of_zeros_gets_no_coefficient() -> None:
+def test_a_column_of_zeros_gets_a_zero_coefficient() -> None:
     columns = np.stack([np.zeros(6), np.arange(6.0)], axis=1)
     solution, cost = non_negative_least_squares(columns, 2.0 * np.arange(6.0), non_negative=1)
     np.testing.assert_allclose(solution, [0.0, 2.0], atol=1e-12)
     assert cost == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_worst_coefficient_is_the_one_that_counts_most_not_the_largest_number() -> None:
-    """Two unit vectors at 120 degrees, the second in units a thousand times as fine.
+def test_the_worst_coefficient_is_scaled_by_its_column() -> None:
+    """Two unit vectors at 120 degrees, the second in units a thousand times smaller.
 
-    Both coefficients are negative at first, -1.13 and -0.27 of the unit vectors. Without the first
-    one the second is 0.3; without the second one the first is -1, so that nothing would be left.
+    Both coefficients start negative, -1.13 and -0.27 for unit vectors. Without the first, the
+    second is 0.3; without the second, the first is -1, so nothing would be left.
     """
     fine = 1e-3
     columns = np.array([[1.0, -0.5 * fine], [0.0, np.sqrt(0.75) * fine]])

@@ -1,4 +1,4 @@
-"""Factors on Coulomb and viscous friction: what they act on, and what they leave."""
+"""Factors on Coulomb and viscous friction, and the terms they leave unchanged."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,7 +23,7 @@ LINEAR = ["1", "dq", "h", "dh", "h_load"]
 
 
 def jumping() -> LawForm:
-    """No memory: Coulomb friction that rises with the load, a cubic viscous term, ripple."""
+    """No memory: Coulomb friction rising with the load, a cubic viscous term and ripple."""
     own = tuple(Coefficient(name=n, unit="1", description=n) for n in ("F", "mu", "b", "a", "r"))
     f, mu, b, a, r = (c.symbol for c in own)
     output = (f + mu * TAU_LOAD**2) * sgn(DQ) + b * DQ**3 + a + r * sympy.cos(5 * (Q - DQ / 9))
@@ -49,7 +49,7 @@ FORMS: dict[str, Callable[[], LawForm]] = {
 
 
 def law_of(form: LawForm) -> FrictionLaw:
-    """A law whose coefficients are all different, and positive."""
+    """A law with distinct positive coefficients."""
     values = {c.name: 0.3 + 0.37 * k % 1.9 for k, c in enumerate(form.coefficients)}
     values |= {n: x for n, x in {"d_dq": 0.2, "d_h": 0.1, "mu_dif": 0.01}.items() if n in values}
     return FrictionLaw(name="by_hand", form=form, values=values)
@@ -73,20 +73,20 @@ def law(request: pytest.FixtureRequest) -> FrictionLaw:
     return law_of(FORMS[request.param]())
 
 
-def test_factors_of_one_leave_the_law(law: FrictionLaw) -> None:
+def test_factors_of_one_leave_the_law_unchanged(law: FrictionLaw) -> None:
     dq = np.sin(0.05 * np.arange(300))
     np.testing.assert_allclose(torque(law, dq, 1.0, 1.0), run(law, dq), rtol=1e-14, atol=1e-14)
 
 
 @pytest.mark.parametrize("speed", [0.4, -1.1])
 def test_a_slide_is_a_sum_of_parts(law: FrictionLaw, speed: float) -> None:
-    """Coulomb and viscous friction have their factors; offset and ripple have none."""
+    """Coulomb and viscous friction are scaled; offset and ripple are not."""
     dq = np.full(3000, speed)
     whole, none = torque(law, dq, 1.0, 1.0)[-200:], torque(law, dq, 0.0, 0.0)[-200:]
     coulomb, viscous = torque(law, dq, 1.0, 0.0)[-200:], torque(law, dq, 0.0, 1.0)[-200:]
     sliding = law.form.output.free_symbols & {s for m in law.form.memory for s in [m.state]}
     tolerance = 1e-6 if sliding else 1e-12
-    if "d_h" not in law.values:  # under a denominator with memory nothing is a sum
+    if "d_h" not in law.values:  # a denominator with memory prevents a sum of parts
         np.testing.assert_allclose(coulomb + viscous - none, whole, atol=tolerance)
         np.testing.assert_allclose(
             torque(law, dq, 2.5, 1.0)[-200:], whole + 1.5 * (coulomb - none), atol=tolerance
@@ -96,7 +96,7 @@ def test_a_slide_is_a_sum_of_parts(law: FrictionLaw, speed: float) -> None:
     assert np.all(np.sign(speed) * (viscous - none) > 1e-3)
 
 
-def test_what_is_left_is_offset_and_ripple() -> None:
+def test_factors_of_zero_leave_offset_and_ripple() -> None:
     law = law_of(jumping())
     dq = np.full(50, 0.5)
     q, k = 0.01 * np.cumsum(dq), law.values
@@ -104,8 +104,8 @@ def test_what_is_left_is_offset_and_ripple() -> None:
     np.testing.assert_allclose(torque(law, dq, 0.0, 0.0), left, atol=1e-12)
 
 
-def test_stiffness_at_rest_stays() -> None:
-    """A level twice as high is reached along the same slope, after twice the way."""
+def test_stiffness_at_rest_is_unchanged() -> None:
+    """A doubled level is reached along the same slope after twice the distance."""
     law = law_of(Structure.of({"stops": [["1", 8]], "viscous": []}).form())
     dq = np.r_[0.0, np.full(60, 0.05)]
     one, two = (torque(law, dq, level, 1.0) - law.values["tau_0"] for level in (1.0, 2.0))

@@ -1,4 +1,4 @@
-"""Laws that are linear in most coefficients: columns, points, non-negativity, left-out rows."""
+"""Laws linear in most coefficients: columns, points, non-negativity and left-out rows."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -49,7 +49,7 @@ def problem_of(name: str, samples: JointRows) -> tuple[Separable, np.ndarray]:
 
 
 def torque(problem: Separable, values: Mapping[str, float]) -> np.ndarray:
-    """What the law itself says of the rows, record by record."""
+    """Torque from the law itself, record by record."""
     s = problem.samples
     made = FrictionLaw(name="made", form=problem.form, values=values)
     parts = []
@@ -68,8 +68,8 @@ def torque(problem: Separable, values: Mapping[str, float]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_columns_are_the_derivatives_of_the_torque(name: str, samples: JointRows) -> None:
-    """Exact differences, since the torque is linear in the unknowns."""
+def test_columns_are_derivatives_of_the_torque(name: str, samples: JointRows) -> None:
+    """Differences are exact, because the torque is linear in the unknowns."""
     problem, point = problem_of(name, samples)
     unknowns = 1.0 + np.random.default_rng(1).random(len(problem.space.linear))
     columns = problem.columns(point)
@@ -110,9 +110,7 @@ def coefficient(name: str) -> Coefficient:
         (sympy.Symbol("a", real=True) * DQ + TAU_LOAD, "an offset"),
     ],
 )
-def test_a_form_that_is_not_linear_is_refused(
-    output: sympy.Expr, said: str, samples: JointRows
-) -> None:
+def test_a_nonlinear_form_is_refused(output: sympy.Expr, said: str, samples: JointRows) -> None:
     form = LawForm(coefficients=(coefficient("a"), coefficient("b")), output=output)
     with pytest.raises(ValueError, match="not linear in") as caught:
         Separable(form, SearchSpace(bounds=(), linear=("a", "b")), samples)
@@ -141,7 +139,7 @@ def linear_and_logarithmic(samples: JointRows) -> Separable:
     return Separable(form, SearchSpace(bounds=bounds, linear=("gain",)), samples)
 
 
-def test_numbers_survive_the_way_to_a_point_and_back(samples: JointRows) -> None:
+def test_values_survive_the_conversion_to_a_point_and_back(samples: JointRows) -> None:
     problem = linear_and_logarithmic(samples)
     for positive, either in ((0.02, -1.5), (1.0, 0.0), (700.0, 4.9)):
         point = problem.point({"either": either, "positive": positive, "unused": 1.0})
@@ -149,7 +147,7 @@ def test_numbers_survive_the_way_to_a_point_and_back(samples: JointRows) -> None
         assert point[0] == pytest.approx(np.log(positive))
 
 
-def test_numbers_outside_the_bounds_are_moved_inside(samples: JointRows) -> None:
+def test_values_outside_the_bounds_are_moved_inside(samples: JointRows) -> None:
     problem = linear_and_logarithmic(samples)
     for positive, either in ((1e-9, -7.0), (1e9, 7.0)):
         point = problem.point({"positive": positive, "either": either})
@@ -185,7 +183,7 @@ def test_polish_lowers_the_cost_within_the_bounds(name: str, samples: JointRows)
         assert after == before
 
 
-def test_polish_finds_what_generated_the_data() -> None:
+def test_polish_finds_the_generating_values() -> None:
     clean = samples_of(law("lugre", {}, **LUGRE))
     problem, point = problem_of("lugre", clean)
     found = problem.polish(point, evaluations=60)
@@ -194,7 +192,7 @@ def test_polish_finds_what_generated_the_data() -> None:
         assert values[name] == pytest.approx(value, rel=1e-3), name
 
 
-def test_polish_looks_at_its_rows_only(samples: JointRows) -> None:
+def test_polish_uses_its_rows_only(samples: JointRows) -> None:
     problem, point = problem_of("lugre", samples)
     rows = samples.record == 0
     spoilt = replace(samples, tau=np.where(rows, samples.tau, 1e3 * samples.dq**2))
@@ -214,7 +212,7 @@ def test_the_search_finds_the_basin_for_every_seed() -> None:
     assert np.sqrt(min(costs) / len(clean.tau)) == pytest.approx(0.3, rel=0.05)
 
 
-def test_a_law_without_searched_numbers_is_solved_at_once(samples: JointRows) -> None:
+def test_a_law_without_searched_values_is_solved_directly(samples: JointRows) -> None:
     problem, point = problem_of("dahl_load", samples)
     assert point.shape == (0,)
     assert problem.search(np.random.default_rng(0)).shape == (0,)
@@ -225,7 +223,7 @@ def test_a_law_without_searched_numbers_is_solved_at_once(samples: JointRows) ->
 
 
 def test_the_first_unknowns_are_not_negative(samples: JointRows) -> None:
-    """Friction that drives: the forces become zero, the offset may be negative."""
+    """Friction that drives: the forces become zero; the offset may be negative."""
     driving = replace(samples, tau=-5.0 * np.tanh(50.0 * samples.dq) - 2.0 * samples.dq - 0.7)
     problem, point = problem_of("lugre", driving)
     unknowns, cost = problem.solve(point)
@@ -233,7 +231,7 @@ def test_the_first_unknowns_are_not_negative(samples: JointRows) -> None:
     assert unknowns[problem.space.linear.index("tau_0")] < 0.0
     residual = driving.tau - problem.columns(point) @ unknowns
     assert cost == pytest.approx(float(residual @ residual), rel=1e-9)
-    # F_c divides others, so the law gets the least value instead of zero, and still runs.
+    # Other terms are divided by F_c, so it gets its least value instead of zero, and the law runs.
     values = problem.values(point, unknowns)
     assert values["F_c"] == LEAST
     assert np.all(np.isfinite(torque(problem, values)))
@@ -243,7 +241,7 @@ def test_the_first_unknowns_are_not_negative(samples: JointRows) -> None:
 
 
 @pytest.mark.parametrize("logs", [1, 2, 3])
-def test_left_out_cost_is_that_of_refits_one_by_one(logs: int) -> None:
+def test_left_out_cost_equals_individual_refits(logs: int) -> None:
     truth = law("lugre", {}, **LUGRE)
     records = [along(truth, path(k, seconds=4.0 + k), noise=0.5, seed=k) for k in range(logs)]
     samples = JointRows.of(records, coefficients=3)

@@ -1,4 +1,4 @@
-"""How results show themselves in a notebook and a shell, and as tables of other libraries."""
+"""Display of results in a notebook and a shell, and as tables of other libraries."""
 
 import sys
 from pathlib import Path
@@ -27,14 +27,14 @@ def cells(page: str) -> list[list[str]]:
     return [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]
 
 
-def test_a_table_escapes_what_it_shows() -> None:
+def test_a_table_escapes_its_cells() -> None:
     page = table("a<b", ("x & y",), [("<script>",), (0.123456,), (7,)])
     assert "<script>" not in page
     assert cells(page) == [["x & y"], ["<script>"], ["0.1235"], ["7"]]
     assert ElementTree.fromstring(page).findtext("caption") == "a<b"
 
 
-def test_a_log_shows_what_each_joint_did(arm_log: Log) -> None:
+def test_a_log_shows_the_motion_of_each_joint(arm_log: Log) -> None:
     head, *rows = cells(arm_log._repr_html_())
     assert head == ["joint", "travel of q", "largest |tau|", "largest |dq|"]
     travel = np.ptp(arm_log.q, axis=0)
@@ -99,7 +99,7 @@ def test_a_log_as_a_data_set(arm_log: Log) -> None:
 
 
 @pytest.mark.parametrize(("library", "call"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
-def test_a_library_that_is_missing_is_named(
+def test_a_missing_library_is_named(
     arm_log: Log, monkeypatch: pytest.MonkeyPatch, library: str, call: str
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)

@@ -12,7 +12,7 @@ from hesr_model.logs.signals import smooth
 
 
 def sine_log(t: np.ndarray, frequency: float, noise: float = 0.0) -> Log:
-    """Two joints on a sine of 1 rad/s, a quarter of a period apart."""
+    """Two joints on a 1 rad/s sine, a quarter of a period apart."""
     w = 2 * np.pi * frequency
     angle = w * t[:, None] + np.array([0.4, 0.4 + np.pi / 2])
     rng = np.random.default_rng(0)
@@ -26,7 +26,7 @@ def sine_log(t: np.ndarray, frequency: float, noise: float = 0.0) -> Log:
 
 
 def uneven(seconds: float = 10.0) -> np.ndarray:
-    """Stamps in whole ms, 10 to 12 ms apart, as a robot's controller writes them."""
+    """Stamps in whole ms, 10 to 12 ms apart, as a robot controller writes them."""
     steps = np.random.default_rng(3).choice([0.010, 0.012], size=round(seconds / 0.011))
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -48,7 +48,7 @@ def test_a_slow_motion_passes_unchanged_and_unshifted(t: np.ndarray, frequency: 
     assert np.abs(motion.ddq - acceleration(t, frequency))[inner].max() < 20 * bound
 
 
-def test_the_first_and_last_samples_are_as_good_as_the_others() -> None:
+def test_the_first_and_last_samples_are_as_accurate_as_the_others() -> None:
     t = uneven()
     motion = smooth(sine_log(t, 0.3))
     error = np.abs(motion.ddq - acceleration(t, 0.3)).max(axis=1)
@@ -57,7 +57,7 @@ def test_the_first_and_last_samples_are_as_good_as_the_others() -> None:
     assert np.abs(motion.dq - sine_log(t, 0.3).dq).max() < 5e-3
 
 
-def test_noise_is_taken_out_of_the_acceleration() -> None:
+def test_noise_is_removed_from_the_acceleration() -> None:
     t = np.arange(0, 20, 0.005)
     noisy = sine_log(t, 0.3, noise=1e-3)
     motion = smooth(noisy)
@@ -66,8 +66,8 @@ def test_noise_is_taken_out_of_the_acceleration() -> None:
     assert left < 0.25 * np.std(raw - acceleration(t, 0.3))
 
 
-def test_noise_is_taken_out_of_the_first_and_last_velocity() -> None:
-    """Laws start there, and the first break-away tells most of static friction."""
+def test_noise_is_removed_from_the_first_and_last_velocity() -> None:
+    """Laws start there, and the first break-away largely determines static friction."""
     t = np.arange(0, 4, 0.005)
     clean = sine_log(t, 0.3)
     rng, left = np.random.default_rng(0), []
@@ -77,7 +77,7 @@ def test_noise_is_taken_out_of_the_first_and_last_velocity() -> None:
     assert np.std(left) < 0.6e-3
 
 
-def test_raw_signals_stay_raw() -> None:
+def test_raw_signals_are_not_filtered() -> None:
     log = sine_log(uneven(), 0.3, noise=1e-3)
     motion = smooth(log)
     assert motion.name == "sine"
@@ -86,7 +86,7 @@ def test_raw_signals_stay_raw() -> None:
     assert motion.q_raw is log.q
 
 
-def test_velocity_that_is_not_logged_comes_from_the_position() -> None:
+def test_missing_velocity_is_derived_from_the_position() -> None:
     t = uneven()
     log = sine_log(t, 0.3)
     motion = smooth(Log(name="sine", t=t, q=log.q, dq=None, tau=log.tau))
@@ -98,7 +98,7 @@ def test_velocity_that_is_not_logged_comes_from_the_position() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(start=st.floats(-3, 3), slope=st.floats(-2, 2))
-def test_a_straight_line_is_kept_to_its_ends(start: float, slope: float) -> None:
+def test_a_straight_line_is_preserved_to_its_ends(start: float, slope: float) -> None:
     t = uneven(3.0)
     line = np.column_stack([start + slope * t])
     log = Log(name="line", t=t, q=line, dq=np.full_like(line, slope), tau=line)

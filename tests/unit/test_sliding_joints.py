@@ -1,4 +1,4 @@
-"""Joints that slide: their units, in a model, in its file, and from a fit."""
+"""Sliding joints: their units in a model, in its file and from a fit."""
 
 import json
 from dataclasses import replace
@@ -22,7 +22,7 @@ SLIDES = replace(TURNS, joint="lift", sliding=True)
 
 @pytest.fixture(scope="module")
 def model() -> FrictionModel:
-    """A joint that turns, and one that slides."""
+    """A revolute and a sliding joint."""
     return fit("lugre", [TURNS, SLIDES])
 
 
@@ -55,13 +55,13 @@ def model() -> FrictionModel:
         ("N.m2", "N.m2"),
     ],
 )
-def test_units_of_a_joint_that_slides(turning: str, sliding: str) -> None:
+def test_units_of_a_sliding_joint(turning: str, sliding: str) -> None:
     assert unit_of_joint(turning, slides=True) == sliding
     assert unit_of_joint(sliding, slides=True) == sliding
     assert unit_of_joint(turning, slides=False) == turning
 
 
-def test_a_text_is_no_unit() -> None:
+def test_other_texts_are_refused_as_units() -> None:
     with pytest.raises(ValueError, match=r"'3 N\.m' is no unit"):
         unit_of_joint("3 N.m", slides=True)
 
@@ -73,12 +73,12 @@ def test_units_of_several_joints() -> None:
     assert unit_of_joints("J", (False, True)) == "J"
 
 
-def test_no_law_of_the_registry_turns_where_it_slides() -> None:
+def test_every_law_uses_linear_units_on_a_sliding_joint() -> None:
     for name, entry in registry().items():
         try:
             form = entry.form({})
         except (ArtifactError, KeyError):
-            continue  # a family, which needs its structure
+            continue  # a family, which needs a structure
         units = [c.unit for c in form.sliding.coefficients]
         units += [r.unit for r in form.sliding.relaxations]
         assert not [u for u in units if "rad" in u or "N.m" in u], name
@@ -87,7 +87,7 @@ def test_no_law_of_the_registry_turns_where_it_slides() -> None:
         assert form.sliding.output == form.output
 
 
-def test_a_fit_carries_which_joints_slide(model: FrictionModel) -> None:
+def test_a_fit_records_sliding_joints(model: FrictionModel) -> None:
     assert model.sliding == (False, True)
     turns, slides = model.laws
     assert slides.values == turns.values
@@ -107,9 +107,7 @@ def test_the_prediction_does_not_depend_on_units(model: FrictionModel) -> None:
     assert (predicted[:, 0] == predicted[:, 1]).all()
 
 
-def test_a_file_says_which_joints_slide_and_only_those(
-    model: FrictionModel, tmp_path: Path
-) -> None:
+def test_a_file_lists_sliding_joints_only(model: FrictionModel, tmp_path: Path) -> None:
     file = tmp_path / "law.json"
     model.write(file)
     turns, slides = json.loads(file.read_text())["joints"]
@@ -119,7 +117,7 @@ def test_a_file_says_which_joints_slide_and_only_those(
     assert FrictionModel.read(file) == model
 
 
-def test_a_model_without_the_field_turns(model: FrictionModel) -> None:
+def test_joints_are_revolute_by_default(model: FrictionModel) -> None:
     plain = FrictionModel(
         law="lugre", robot="bench", joints=("j1",), laws=model.laws[:1], sample_time=0.01
     )
@@ -128,7 +126,7 @@ def test_a_model_without_the_field_turns(model: FrictionModel) -> None:
     assert (two.sliding, two.slides) == ((), (False, False))
 
 
-def test_files_that_are_wrong_about_it(model: FrictionModel, tmp_path: Path) -> None:
+def test_wrong_fields_are_refused(model: FrictionModel, tmp_path: Path) -> None:
     file = tmp_path / "law.json"
     model.write(file)
     data = json.loads(file.read_text())
@@ -144,12 +142,12 @@ def test_files_that_are_wrong_about_it(model: FrictionModel, tmp_path: Path) -> 
         FrictionModel.read(file)
 
 
-def test_one_entry_for_each_joint(model: FrictionModel) -> None:
+def test_one_entry_per_joint_is_needed(model: FrictionModel) -> None:
     with pytest.raises(ArtifactError, match="1 flags of prismatic joints for 2 joints"):
         replace(model, sliding=(True,))
 
 
-def test_a_log_that_never_reverses_is_refused_in_its_units() -> None:
+def test_a_missing_reversal_is_reported_in_units_of_the_joint() -> None:
     one_way = replace(SLIDES, dq=abs(SLIDES.dq) + 1.0)
     with pytest.raises(LogError, match=r"speeds of more than 0\.02 m/s; at least one log"):
         require_reversals([one_way])

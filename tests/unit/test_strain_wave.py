@@ -1,4 +1,4 @@
-"""The strain-wave law: found in its own data; what currents cannot tell is not found."""
+"""The strain-wave law: recovery from its own data, and coefficients currents cannot determine."""
 
 import numpy as np
 import pytest
@@ -22,19 +22,19 @@ def test_generating_coefficients_are_found() -> None:
         assert found[name] == pytest.approx(value, rel=1e-2), name
 
 
-def test_noise_costs_its_share() -> None:
+def test_noise_costs_only_its_share() -> None:
     fitted = StrainWave().fit(training(TRUTH, noise=0.5), np.random.default_rng(0))
     assert error_on(fitted, unseen(TRUTH)) < 0.08
 
 
-def test_forces_do_not_drive() -> None:
+def test_forces_never_drive() -> None:
     record = along(TRUTH, path(0))
     found = fitted_to([with_tau(record, -3.0 * np.tanh(30.0 * record.dq) - 2.0 * record.dq)])
     assert found["F_c"] == 0.0
     assert found["sigma_2"] == 0.0
 
 
-def test_the_torque_is_that_of_the_equation() -> None:
+def test_the_torque_follows_the_equation() -> None:
     way = path(2, from_rest=True)
     z, expected = 0.0, []
     for k, (v, load) in enumerate(zip(way.dq, way.load, strict=True)):
@@ -46,7 +46,7 @@ def test_the_torque_is_that_of_the_equation() -> None:
 
 
 def test_an_error_of_the_rigid_body_is_taken_for_mu_dif() -> None:
-    """While sliding z^2 = 1, so mu_dif tau_load is a share of the rigid-body torque itself."""
+    """In sliding z^2 = 1, so mu_dif tau_load is a share of the rigid-body torque itself."""
     records = training(TRUTH, noise=0.0)
     scaled = [with_tau(r, r.tau + 0.04 * r.tau_load) for r in records]
     before, after = fitted_to(records), fitted_to(scaled)
@@ -55,8 +55,8 @@ def test_an_error_of_the_rigid_body_is_taken_for_mu_dif() -> None:
         assert after[name] == pytest.approx(before[name], rel=0.05), name
 
 
-def test_beside_an_unknown_rigid_body_mu_dif_is_hardly_determined() -> None:
-    """Its standard error rises many times over, that of mu_avg does not."""
+def test_an_unknown_rigid_body_leaves_mu_dif_undetermined() -> None:
+    """Its standard error grows many times over, unlike that of mu_avg."""
     record = along(TRUTH, path(0, seconds=20.0, rests=False), noise=0.5)
 
     def torque(values: dict[str, float]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Identification motion by motion: the estimate of the batch, whatever the motions are cut into."""
+"""Streamed identification: the estimate equals that of the batch for any split into motions."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,7 +18,7 @@ MakeMotion = Callable[..., Motion]
 
 @pytest.fixture
 def motions(make_motion: MakeMotion) -> list[Motion]:
-    """Three logs with noise."""
+    """Three noisy logs."""
     rng = np.random.default_rng(1)
     made = [make_motion(name=f"log{k}", seconds=2.0 + k, friction=2.0) for k in range(3)]
     return [replace(m, tau=m.tau + 0.1 * rng.standard_normal(m.tau.shape)) for m in made]
@@ -47,17 +47,17 @@ def assert_alike(one: RigidBody, other: RigidBody) -> None:
     )  # fmt: skip
 
 
-def test_the_batch_s_body(
+def test_the_body_equals_that_of_the_batch(
     arm_model: Robot, motions: list[Motion], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(streamed, "AT_ONCE", 300)
     assert_alike(of(arm_model, motions), identify_motions(motions, arm_model))
 
 
-def test_the_batch_s_body_where_a_joint_is_always_slow(
+def test_the_body_equals_that_of_the_batch_with_a_slow_joint(
     arm_model: Robot, motions: list[Motion]
 ) -> None:
-    """Which of its rows are too slow is known at the end only."""
+    """Its slow rows are known only at the end."""
     slow = np.array([1.0, 0.1, 1.0])
     slower = [replace(m, dq=m.dq * slow) for m in motions]
     stream = Streamed(arm_model)
@@ -67,7 +67,7 @@ def test_the_batch_s_body_where_a_joint_is_always_slow(
     assert_alike(of(arm_model, slower), identify_motions(slower, arm_model))
 
 
-def test_the_covariance_of_a_sample_is_on_the_safe_side(
+def test_the_covariance_of_a_sample_is_conservative(
     arm_model: Robot, motions: list[Motion]
 ) -> None:
     stream = Streamed(arm_model)
@@ -79,7 +79,7 @@ def test_the_covariance_of_a_sample_is_on_the_safe_side(
     assert np.median(part.standard_errors / whole.standard_errors) > 1.0
 
 
-def test_too_little(arm_model: Robot, motions: list[Motion]) -> None:
+def test_too_few_rows_are_refused(arm_model: Robot, motions: list[Motion]) -> None:
     stream = Streamed(arm_model)
     stream.add(motions[0].rows(slice(0, 20)))
     with pytest.raises(FitError, match="robot 'R7': 20 samples cannot determine"):

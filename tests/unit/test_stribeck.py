@@ -1,4 +1,4 @@
-"""Stribeck: finds the coefficients from which noise-free data were made."""
+"""Stribeck: recovery of the coefficients behind noise-free data."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def velocity(t: np.ndarray, peak: float = 1.2) -> np.ndarray:
 
 
 def torque(dq: np.ndarray, f_c: float, f_s: float, v_s: float, viscous: float, offset: float):
-    """Eq. 3 as a map from velocity, written out."""
+    """Eq. 3 as a function of velocity, written out."""
     level = f_c + (f_s - f_c) * np.exp(-((dq / v_s) ** 2))
     return np.sign(dq) * level + viscous * dq + offset
 
@@ -59,7 +59,7 @@ def test_noise_costs_only_its_share(case: tuple[float, ...]) -> None:
 
 
 def test_levels_and_viscous_friction_are_never_negative() -> None:
-    """Data that ask for negative ones: torque along the motion, falling with speed."""
+    """Data that favour negative values: torque along the motion, falling with speed."""
     data = record((5.0, 8.0, 0.1, -3.0, 0.4))
     law = fitted(data)
     assert min(law.values[n] for n in ("F_c", "F_s", "sigma_2")) >= 0.0
@@ -72,7 +72,7 @@ def test_the_law_is_static_and_of_velocity_alone() -> None:
     law = fitted(record(CASES[0]))
     assert law.form.relaxations == ()
     assert [symbol.name for symbol in law.form.inputs] == ["dq"]
-    # At rest it is the offset: no sign, no Coulomb friction.
+    # At rest it is the offset, without Coulomb friction.
     assert predict(law, t=[0.0], dq=[0.0])[0] == law.values["tau_0"]
 
 

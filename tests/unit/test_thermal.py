@@ -1,4 +1,4 @@
-"""Temperature in friction: how it is found in logs, carried in a model, and followed."""
+"""Temperature in friction: identification from logs, storage in a model, and adaptation."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,14 +27,14 @@ TRUE = Thermal(
     coulomb=0.004, viscous=0.02, reference=30.0, resistance=0.3, time_constant=400.0, ambient=22.0
 )
 WHITE = 0.5
-"""[N.m] Standard deviation of white noise at 50 Hz."""
+"""Standard deviation [N.m] of white noise at 50 Hz."""
 LAWS = [pytest.param(lugre, id="LuGre"), pytest.param(stops, id="ParFam-S")]
 
 
 def log(
     law: FrictionLaw, seconds: float, seed: int, thermal: Thermal = TRUE, *, start: float = 0.0
 ) -> FrictionRecord:
-    """A log whose friction heats the joint, from `start` above the ambient on [K]."""
+    """A log whose friction heats the joint, from `start` [K] above ambient."""
     t, dq, q, load = motion(seconds, seed, step=0.02)
     power = np.abs(18.0 * dq)
     for _ in range(2):
@@ -61,13 +61,13 @@ def fitted(logs: list[list[FrictionRecord]]) -> tuple[FrictionModel, ThermalFit]
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_held_factors_are_those_of_the_stepped_equations(law) -> None:
+def test_held_factors_equal_the_stepped_equations(law) -> None:
     t, dq, q, load = motion(10.0, 4)
     level, viscosity = 1.0 + 0.2 * np.sin(t), 1.0 - 0.3 * np.cos(t)
     record = truth(law(), t, dq, q, load, noise=0.0, level=lambda _: level,
                    viscosity=lambda _: viscosity)  # fmt: skip
     torque = Factored(law()).torque(record, level, viscosity)
-    # The first row begins in another steady state.
+    # The first row begins in a different steady state.
     late = t > 1.0
     np.testing.assert_allclose(torque[late], record.tau[late], atol=1e-9)
     one = np.ones_like(t)
@@ -75,7 +75,7 @@ def test_held_factors_are_those_of_the_stepped_equations(law) -> None:
     np.testing.assert_allclose(torque, predict_record(law(), record), rtol=1e-12, atol=1e-12)
 
 
-def test_both_coefficients_are_found_where_temperature_is_measured(fitted) -> None:
+def test_measured_temperature_determines_both_coefficients(fitted) -> None:
     known, found = fitted
     [thermal] = known.thermal
     assert thermal == found.thermal
@@ -90,21 +90,21 @@ def test_both_coefficients_are_found_where_temperature_is_measured(fitted) -> No
     assert found.rmse < 0.7 * found.rmse_fixed
 
 
-def test_heat_alone_is_found_in_long_logs() -> None:
+def test_long_logs_determine_heating_alone() -> None:
     long = [[replace(log(lugre(), 900.0, 5), temperature=None)]]
     known, [found] = fit_thermal(model(lugre()), long)
     [thermal] = known.thermal
     assert not thermal.measured
     assert thermal.time_constant == pytest.approx(TRUE.time_constant, rel=0.2)
-    # Of b and R only the product is known, and c_0 at the ambient takes the rest.
+    # Only the product of b and R is determined; c_0 at ambient absorbs the rest.
     assert thermal.resistance * thermal.viscous == pytest.approx(
         TRUE.resistance * TRUE.viscous, rel=0.15
     )
     assert found.rmse < 0.8 * found.rmse_fixed
 
 
-def test_a_law_that_knows_temperature_predicts_a_warm_day(fitted) -> None:
-    """Nothing adapts: what a thermometer says is enough, and without one what friction heats."""
+def test_a_thermal_law_predicts_a_warm_day(fitted) -> None:
+    """Without adaptation: the thermometer suffices, or else the frictional heat."""
     known, _ = fitted
     day = log(stops(), 60.0, 7, start=30.0)
     errors = {}
@@ -118,11 +118,11 @@ def test_a_law_that_knows_temperature_predicts_a_warm_day(fitted) -> None:
         np.testing.assert_allclose(own.predict([record])[:, 0], one.outputs["tau"], atol=1e-9)
         errors[name] = rmse(one.outputs["tau"] - record.tau)
     assert errors["thermometer"] < 1.02 * WHITE < 0.5 * errors["fixed"]
-    # The ambient is known from what short logs cool to.
+    # The ambient temperature follows from the cooling between short logs.
     assert errors["heat"] < 1.15 * WHITE < 0.7 * errors["cold"]
 
 
-def test_it_is_written_and_read(fitted, tmp_path: Path) -> None:
+def test_a_thermal_model_survives_its_file(fitted, tmp_path: Path) -> None:
     known, _ = fitted
     path = tmp_path / "law.json"
     known.write(path)
@@ -140,9 +140,7 @@ def test_factors_stay_within_their_limits() -> None:
 
 @pytest.mark.parametrize("ripple", [(), (200,)])
 @pytest.mark.parametrize("adapts", [True, False])
-def test_no_energy_is_given_whatever_a_thermometer_says(
-    ripple: tuple[int, ...], adapts: bool
-) -> None:
+def test_no_thermometer_reading_generates_energy(ripple: tuple[int, ...], adapts: bool) -> None:
     law = stops(ripple=ripple)
     least = least_viscosity(law)
     own = (
@@ -172,14 +170,14 @@ def test_no_energy_is_given_whatever_a_thermometer_says(
         after = float(k @ np.square(run.states))
         torque = seen[0] - offset - law.values["tau_0"]
         given = torque * dq * dt - (after - stored)
-        # Of ripple no more than its amplitude for one step.
+        # Ripple may contribute at most its amplitude for one step.
         most = float(np.hypot(*ripples)) * abs(dq) * dt if ripple else 0.0
         assert given >= -1e-9 * max(1.0, abs(torque * dq * dt)) - most
         offset, stored = seen[1] if adapts else 0.0, after
         assert np.all(np.isfinite(seen))
 
 
-def test_what_is_refused(logs) -> None:
+def test_logs_without_thermal_information_are_refused(logs) -> None:
     [first], [second] = logs
     with pytest.raises(FitError, match="holds no temperatures, but others do"):
         fit_thermal(model(stops()), [[first], [replace(second, temperature=None)]])

@@ -1,4 +1,4 @@
-"""Choices among candidates that round-off must not decide."""
+"""Choices among candidates, independent of round-off."""
 
 import numpy as np
 import pytest

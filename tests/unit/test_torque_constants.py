@@ -1,4 +1,4 @@
-"""Torque constants against masses and payloads that are known, and sentences where they are not."""
+"""Torque constants from known masses and payloads, and refusals."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,7 +19,7 @@ NOISE = np.array([0.5, 0.5, 0.2])
 
 
 def logged(motion: Motion, seed: int) -> Motion:
-    """The motion, its currents taken for torques by the assumed constants."""
+    """The motion, with currents converted to torques by the assumed constants."""
     noise = NOISE * np.random.default_rng(seed).standard_normal(motion.tau.shape)
     return replace(motion, tau=(motion.tau + noise) / TRUE * ASSUMED)
 
@@ -31,7 +31,7 @@ def with_load(motion: Motion, model: Robot, payload: np.ndarray) -> Motion:
     )
 
 
-def test_weights_of_the_model_give_constants_of_the_joints_that_bear_them(
+def test_model_weights_give_constants_of_loaded_joints(
     arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     motion = logged(make_motion(seconds=20.0, friction=0.2), 1)
@@ -45,7 +45,7 @@ def test_weights_of_the_model_give_constants_of_the_joints_that_bear_them(
         assert f"{found[k].value:.4g} +- " in found[k].sentence
 
 
-def test_a_weight_that_is_lost_in_friction_tells_nothing(
+def test_a_weight_hidden_by_friction_determines_nothing(
     arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     motion = logged(make_motion(seconds=20.0, friction=3.0), 1)
@@ -53,7 +53,7 @@ def test_a_weight_that_is_lost_in_friction_tells_nothing(
     assert not any(constant.determined for constant in found)
 
 
-def test_no_interval_is_narrow_where_masses_are_wrong_by_what_is_declared(
+def test_declared_mass_errors_widen_the_intervals(
     arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     motion = make_motion(seconds=20.0, friction=0.2)
@@ -78,7 +78,7 @@ def test_no_interval_is_narrow_where_masses_are_wrong_by_what_is_declared(
 def test_a_known_payload_needs_no_masses(arm_model: Robot, make_motion: MakeMotion) -> None:
     payload = point_payload(5.0, [0.15, -0.05, 0.1])
     free = make_motion(seconds=20.0, friction=2.0)
-    heavy = np.repeat([1.4, 0.7, 1.3], 10)  # against the model file
+    heavy = np.repeat([1.4, 0.7, 1.3], 10)  # differs from the model file
     parameters = arm_model.nominal_parameters.copy()
     parameters[:30] *= heavy
     tau = arm_model.torque(parameters, free.q, free.dq, free.ddq)
@@ -95,7 +95,7 @@ def test_a_known_payload_needs_no_masses(arm_model: Robot, make_motion: MakeMoti
     np.testing.assert_allclose([c.value for c in found], TRUE, rtol=0.03)
 
 
-def test_what_cannot_be_asked_is_refused(arm_model: Robot, make_motion: MakeMotion) -> None:
+def test_invalid_requests_are_refused(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = make_motion()
     with pytest.raises(FitError, match="the declared error of the masses is 0"):
         torque_constants([motion], arm_model, ASSUMED, mass_error=0.0)
@@ -103,7 +103,7 @@ def test_what_cannot_be_asked_is_refused(arm_model: Robot, make_motion: MakeMoti
         torque_constants([motion], arm_model, ASSUMED, mass_error=0.1, loaded=[motion])
 
 
-def test_a_point_has_the_inertia_of_its_distance() -> None:
+def test_a_point_mass_has_the_inertia_of_its_distance() -> None:
     m, mx, my, mz, ixx, ixy, iyy, ixz, iyz, izz = point_payload(2.0, [0.1, 0.2, -0.3])
     assert (m, mx, my, mz) == (2.0, 0.2, 0.4, -0.6)
     np.testing.assert_allclose([ixx, iyy, izz], 2 * np.array([0.13, 0.10, 0.05]))

@@ -1,4 +1,4 @@
-"""What a law has seen: ranges that follow a model into its file, and logs that leave them."""
+"""Trained ranges: kept from the fit to the model file, and compared with logs."""
 
 import json
 from dataclasses import replace
@@ -20,13 +20,13 @@ RECORDS = [along(TRUTH, path(k), log=f"{k}") for k in range(2)]
 
 @pytest.fixture(scope="module")
 def model() -> FrictionModel:
-    """Two joints, of which the second moves less."""
+    """Two joints; the second moves less."""
     slow = [along(TRUTH, path(k, peak=0.4), log=f"{k}") for k in range(2)]
     records = [RECORDS, [replace(r, joint="j2") for r in slow]]
     return fit_models(["stribeck"], records, robot="bench", seed=0, workers=1)["stribeck"]
 
 
-def test_a_fit_knows_the_range_of_each_joint(model: FrictionModel) -> None:
+def test_a_fit_records_the_range_of_each_joint(model: FrictionModel) -> None:
     assert model.trained[0] == TrainedRange.of(RECORDS)
     assert model.trained[1].speed < 0.6 * model.trained[0].speed
     for name in ("dq", "q", "tau_load", "tau"):
@@ -35,21 +35,23 @@ def test_a_fit_knows_the_range_of_each_joint(model: FrictionModel) -> None:
         assert high == max(getattr(r, name).max() for r in RECORDS)
 
 
-def test_ranges_follow_the_model_into_its_file(model: FrictionModel, tmp_path: File) -> None:
+def test_ranges_are_saved_with_the_model(model: FrictionModel, tmp_path: File) -> None:
     model.write(tmp_path / "law.json")
     read = FrictionModel.read(tmp_path / "law.json")
     assert read.trained == model.trained
     assert read.training_rmse == model.training_rmse
 
 
-def test_a_fit_knows_its_errors(model: FrictionModel) -> None:
+def test_a_fit_records_its_errors(model: FrictionModel) -> None:
     stribeck = model.laws[0]
     errors = np.concatenate([predict_record(stribeck, r) - r.tau for r in RECORDS])
     assert model.training_rmse[0] == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-12)
     assert 0.0 < model.training_rmse[1] < model.training_rmse[0]
 
 
-def test_a_file_without_ranges_gives_a_model_without(model: FrictionModel, tmp_path: File) -> None:
+def test_a_file_without_ranges_gives_a_model_without_ranges(
+    model: FrictionModel, tmp_path: File
+) -> None:
     replace(model, trained=(), training_rmse=()).write(tmp_path / "law.json")
     read = FrictionModel.read(tmp_path / "law.json")
     assert (read.trained, read.training_rmse) == ((), ())
@@ -86,20 +88,20 @@ def test_the_sample_time_is_the_median_of_all_rows() -> None:
     assert TrainedRange.of([gap]).sample_time == pytest.approx(0.01)
 
 
-def test_the_middle_and_the_speed_are_of_the_whole_range() -> None:
+def test_middle_and_speed_cover_the_whole_range() -> None:
     trained = replace(TrainedRange.of(RECORDS), q=(-1.0, 2.0), dq=(-0.9, 0.4))
     assert trained.middle == 0.5
     assert trained.speed == 0.9
 
 
-def test_logs_within_the_range_leave_nothing() -> None:
+def test_logs_within_the_range_give_no_excess() -> None:
     trained = TrainedRange.of(RECORDS)
     assert outside(trained, RECORDS) == {}
     for record in RECORDS:
         assert outside(trained, [record]) == {}
 
 
-def test_a_faster_log_leaves_the_range_by_what_it_is_faster() -> None:
+def test_a_faster_log_exceeds_the_range_by_its_extra_speed() -> None:
     trained = TrainedRange.of(RECORDS)
     faster = replace(RECORDS[0], dq=1.5 * RECORDS[0].dq)
     found = outside(trained, [RECORDS[1], faster])

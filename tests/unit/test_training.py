@@ -1,4 +1,4 @@
-"""One hidden layer's least-squares problem and its iterations, against their definitions."""
+"""The least-squares problem of one hidden layer and its iterations, against their definitions."""
 
 import numpy as np
 import pytest
@@ -18,14 +18,14 @@ def data() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def cost(z: np.ndarray, y: np.ndarray, point: np.ndarray) -> float:
-    """Mean squared residual, and squares of all but the offset."""
+    """Mean squared residual plus the squares of all weights except the offset."""
     theta = point[3:].reshape(4, 2)
     found = point[0] + np.tanh(np.column_stack([np.ones(60), z]) @ theta) @ point[1:3]
     return float(np.mean((found - y) ** 2) + DECAY * np.sum(point[1:] ** 2))
 
 
 def jacobian(problem: _Problem, point: np.ndarray) -> np.ndarray:
-    """Of the output, by differences."""
+    """Derivatives of the output by differences."""
 
     def output(p: np.ndarray) -> np.ndarray:
         return p[0] + np.tanh(problem.x @ p[3:].reshape(4, 2)) @ p[1:3]
@@ -34,7 +34,7 @@ def jacobian(problem: _Problem, point: np.ndarray) -> np.ndarray:
     return np.stack([(output(point + s) - output(point - s)) / 2e-6 for s in steps], axis=1)
 
 
-def test_cost_and_normal_equations_are_those_of_the_output(data: tuple) -> None:
+def test_cost_and_normal_equations_follow_from_the_output(data: tuple) -> None:
     z, y, theta = data
     problem = _Problem(z, y, 2)
     point = np.concatenate([[0.3, -0.7, 1.1], theta.ravel()])
@@ -49,7 +49,7 @@ def test_cost_and_normal_equations_are_those_of_the_output(data: tuple) -> None:
     np.testing.assert_allclose(2.0 * half, gradient, rtol=1e-6, atol=1e-9)
 
 
-def test_at_the_start_the_output_layer_is_the_best_one(data: tuple) -> None:
+def test_the_initial_output_layer_is_optimal(data: tuple) -> None:
     z, y, theta = data
     problem = _Problem(z, y, 2)
     point = problem.start(theta, DECAY)
@@ -59,7 +59,7 @@ def test_at_the_start_the_output_layer_is_the_best_one(data: tuple) -> None:
 
 
 def iterations(problem: _Problem, point: np.ndarray, count: int) -> np.ndarray:
-    """Levenberg-Marquardt: damped at first by a hundredth of the diagonal."""
+    """Levenberg-Marquardt with an initial damping of a hundredth of the diagonal."""
     shrinkage, damping = problem._shrinkage(DECAY, 11), 1e-2
     for _ in range(count):
         gram, gradient = problem._normal_equations(point, shrinkage)
@@ -72,7 +72,7 @@ def iterations(problem: _Problem, point: np.ndarray, count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 15])
-def test_iterations_are_those_of_levenberg_and_marquardt(
+def test_iterations_follow_levenberg_marquardt(
     data: tuple, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     z, y, theta = data
@@ -88,7 +88,7 @@ def test_iterations_are_those_of_levenberg_and_marquardt(
     assert found == pytest.approx(cost(z, y, expected), rel=1e-9)
 
 
-def test_an_iteration_that_gains_a_hundred_thousandth_is_the_last(data: tuple) -> None:
+def test_iterations_end_at_a_gain_of_a_hundred_thousandth(data: tuple) -> None:
     z, y, theta = data
     problem = _Problem(z, y, 2)
     start = 1.02 * iterations(problem, problem.start(theta, DECAY), 200)
@@ -99,7 +99,7 @@ def test_an_iteration_that_gains_a_hundred_thousandth_is_the_last(data: tuple) -
     assert problem.train(start, DECAY)[1] == pytest.approx(costs[last], rel=1e-12)
 
 
-def test_each_decay_goes_on_where_the_one_before_ended(data: tuple) -> None:
+def test_each_decay_starts_at_the_end_of_the_previous_one(data: tuple) -> None:
     z, y, theta = data
     problem = _Problem(z, y, 2)
     point = problem.start(theta, 1e-2)

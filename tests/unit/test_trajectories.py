@@ -1,4 +1,4 @@
-"""Motions: closed forms against finite differences, rest, reversal, peaks."""
+"""Motions: closed forms against finite differences, rest, reversal and peaks."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def differentiate(values, h):
 @every_motion
 def test_derivatives_equal_finite_differences(motion):
     h = 1e-3
-    t = np.linspace(2.0 * h, motion.duration - 2.0 * h, 501)  # at its ends it begins and stops
+    t = np.linspace(2.0 * h, motion.duration - 2.0 * h, 501)  # it starts and stops at the ends
     around = [motion.sample(t + k * h) for k in (-2, -1, 0, 1, 2)]
     _, dq, ddq = around[2]
     np.testing.assert_allclose(dq, differentiate([s[0] for s in around], h), atol=1e-9)
@@ -135,12 +135,12 @@ def test_seed_decides_the_fourier_motion():
     assert not np.allclose(fourier(5).a, fourier(6).a)
 
 
-def test_joints_of_a_random_fourier_move_differently():
+def test_joints_of_a_random_fourier_motion_differ():
     a = fourier().a
     assert abs(np.corrcoef(a)[0, 1]) < 0.99
 
 
-def test_fourier_that_does_not_start_at_rest_is_refused():
+def test_fourier_must_start_at_rest():
     a, b = np.zeros((2, 3)), np.zeros((2, 3))
     a[1, 0] = 0.2
     with pytest.raises(ConfigError, match="joint 2 does not start at rest"):
@@ -191,7 +191,7 @@ def test_chirp_of_the_paper_passes_0_6_hz_at_2_6_s():
     assert np.abs(dq).max() == pytest.approx(1.2, rel=1e-6)
 
 
-def test_sweep_keeps_within_its_envelope():
+def test_sweep_stays_within_its_envelope():
     motion = sweep()
     t = np.linspace(0.0, 42.0, 20_001)
     dq = motion.sample(t)[1]
@@ -210,7 +210,7 @@ def test_sweep_must_rise():
         sweep(first=0.45, last=0.1)
 
 
-def test_a_robot_that_rests_altogether_is_a_motion():
+def test_a_robot_at_rest_is_a_valid_motion():
     still = Fourier(offset=np.array([0.1, 0.2]), a=np.zeros((2, 2)), b=np.zeros((2, 2)), period=1.0)
     q, dq, ddq = still.sample(np.linspace(0.0, 1.0, 5))
     np.testing.assert_array_equal(q, [[0.1, 0.2]] * 5)

@@ -1,4 +1,4 @@
-"""Motors that turn with several joints: description, logs, rigid body, friction, files."""
+"""Motors coupled to several joints: description, logs, rigid body, friction and files."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import Coupling, Transmission
 
 MATRIX = ((50.0, 0.0, 0.0), (0.0, -80.0, 0.0), (0.0, 40.0, 40.0))
-"""Motor 2 turns against its joint; motor 3 turns with joint 2 as well."""
+"""Motor 2 turns against its joint; motor 3 also turns with joint 2."""
 C = np.array([[1, 0, 0], [0, 1, 0], [0, 1, 1.0]])
 
 TOML = """
@@ -41,13 +41,13 @@ def coupled_model(coupled: RobotDescription) -> Robot:
 
 
 def rubbed(motion: Motion, model: Robot) -> Motion:
-    """The motion with rotors and friction of the motors, by virtual work."""
+    """The motion with rotors and motor friction, by virtual work."""
     tau = model.torque(model.nominal_parameters, motion.q, motion.dq, motion.ddq)
     du = motion.dq @ C.T
     return replace(motion, tau=tau + (3.0 * np.sign(du) + 1.5 * du) @ C)
 
 
-def test_friction_coordinates_keep_the_scale_of_joints(coupled: RobotDescription) -> None:
+def test_friction_coordinates_keep_the_joint_scale(coupled: RobotDescription) -> None:
     assert coupled.gear_ratio == (50.0, 80.0, 40.0)
     assert coupled.coupling is not None
     assert np.array_equal(coupled.coupling.forward, C)
@@ -77,7 +77,7 @@ def test_rotors_turn_with_the_motors(coupled_model: Robot) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-def test_logs_of_motors_are_those_of_the_joints(
+def test_motor_logs_convert_to_joint_logs(
     coupled: RobotDescription, arm_log: Log, tmp_path: Path
 ) -> None:
     r, zero = np.array(MATRIX), np.array([0.1, -0.2, 0.3])
@@ -104,9 +104,7 @@ def test_logs_of_motors_are_those_of_the_joints(
     assert coupled.logged is None
 
 
-def test_friction_of_motors_is_identified_and_fitted_where_it_sits(
-    coupled_model: Robot, make_motion
-) -> None:
+def test_motor_friction_is_identified_at_the_motors(coupled_model: Robot, make_motion) -> None:
     motion = rubbed(make_motion(seconds=20.0), coupled_model)
     body = identify_motions([motion], coupled_model)
     np.testing.assert_allclose(body.friction[:, :2], [[3.0, 1.5]] * 3, atol=1e-6)
@@ -126,7 +124,7 @@ def test_friction_of_motors_is_identified_and_fitted_where_it_sits(
         for name in ("dq", "q", "tau_load")
     }
     np.testing.assert_allclose(model.predict(t=motion.t, **arrays), predicted, atol=1e-9)
-    # One law per joint cannot hold it: joint 2 then sees the friction of two motors.
+    # One law per joint cannot describe it: joint 2 then sees the friction of two motors.
     alone = fit("stribeck", [replace(r, coupling=None) for r in records])
     error = alone.predict([replace(r, coupling=None) for r in records]) - measured
     assert np.sqrt(np.mean(error[:, 1] ** 2)) > 4 * np.sqrt(
@@ -147,7 +145,7 @@ def test_the_papers_method_averages_at_the_motors(coupled_model: Robot, make_mot
     assert np.sqrt(np.mean((found - expected) ** 2)) < 0.05
 
 
-def test_a_model_keeps_its_coupling_in_a_file(coupled_model, make_motion, tmp_path: Path) -> None:
+def test_a_model_file_keeps_the_coupling(coupled_model, make_motion, tmp_path: Path) -> None:
     motion = rubbed(make_motion(), coupled_model)
     body = identify_motions([motion], coupled_model)
     log = Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
@@ -175,7 +173,7 @@ def test_a_coupling_of_other_joints_is_refused(table1: FrictionModel) -> None:
         ("matrix = [[5.0]]\nlogs = 'gear'", "'motor' or 'joint'"),
     ],
 )
-def test_what_no_transmission_can_be_is_refused(
+def test_invalid_transmissions_are_refused(
     table: str, sentence: str, arm: RobotDescription, tmp_path: Path
 ) -> None:
     path = tmp_path / "robot.toml"
@@ -197,7 +195,7 @@ def test_a_transmission_needs_a_motor_per_joint(arm: RobotDescription, tmp_path:
         RobotDescription.read(path)
 
 
-def test_what_slides_and_what_turns_are_not_coupled() -> None:
+def test_sliding_and_revolute_joints_cannot_be_coupled() -> None:
     transmission = Transmission(matrix=((50.0, 0.0), (3.0, 50.0)))
     transmission.require_turning(["a", "b"], [False, False])
     with pytest.raises(RobotError, match="couples the motor of joint 'b' to joint 'a'"):

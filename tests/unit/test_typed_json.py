@@ -1,4 +1,4 @@
-"""Data classes as JSON and back: every digit, and one sentence on what is wrong."""
+"""Data classes as JSON and back: exact numbers, and one sentence for each mistake."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -37,7 +37,7 @@ def back(data: Any) -> Whole:
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False)), st.floats(allow_infinity=False))
-def test_numbers_come_back_bit_for_bit(values: list[float], gap: float) -> None:
+def test_numbers_are_read_back_bit_for_bit(values: list[float], gap: float) -> None:
     part = Part(kind="a", values=np.array(values), gaps=np.array([[gap, np.inf]]))
     found = back(to_json(Whole(parts=(part,)))).parts[0]
     assert found.values.tobytes() == np.array(values).tobytes()
@@ -45,7 +45,7 @@ def test_numbers_come_back_bit_for_bit(values: list[float], gap: float) -> None:
     np.testing.assert_array_equal(found.gaps, [[gap, np.nan]])
 
 
-def test_a_class_that_is_sparse_keeps_what_its_user_gave() -> None:
+def test_a_sparse_class_keeps_nested_none() -> None:
     whole = Whole(parts=(), free={"a": None, "b": {"c": None, "d": (1, 2)}})
     data = to_json(whole, sparse=True)
     assert data == {"parts": [], "x": 0.0, "free": {"a": None, "b": {"c": None, "d": [1, 2]}}}
@@ -60,7 +60,7 @@ def test_a_class_that_is_sparse_keeps_what_its_user_gave() -> None:
         Whole(parts=(Part(kind="a", values=np.array([np.nan])),)),
     ],
 )
-def test_what_json_does_not_know_is_never_written(whole: Whole) -> None:
+def test_non_finite_numbers_are_never_written(whole: Whole) -> None:
     with pytest.raises(ValueError, match="JSON compliant"):
         to_json(whole)
 
@@ -84,7 +84,7 @@ def test_what_json_does_not_know_is_never_written(whole: Whole) -> None:
         ({"parts": [{"kind": "a", "values": {}}]}, "not a whole (key 'parts.0.values': "),
     ],
 )
-def test_what_is_wrong_is_said_in_one_sentence(data: Any, said: str) -> None:
+def test_each_mistake_is_reported_in_one_sentence(data: Any, said: str) -> None:
     with pytest.raises(ArtifactError) as caught:
         back(data)
     assert str(caught.value).startswith(f"whole.json: {said}")

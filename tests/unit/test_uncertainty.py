@@ -1,4 +1,4 @@
-"""Standard errors against what repeated measurements really scatter."""
+"""Standard errors against the scatter of repeated measurements."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,14 +33,14 @@ CLEAN = along(TRUTH, path(0, from_rest=True))
 
 
 def noise(seed: int, memory: float) -> np.ndarray:
-    """White noise of 0.5 N.m, or the same with a memory from row to row."""
+    """White noise of 0.5 N.m, or autocorrelated noise of the same size."""
     white = np.random.default_rng(seed).normal(size=len(CLEAN.tau))
     coloured = lfilter([1.0], [1.0, -memory], white) * np.sqrt(1.0 - memory**2)
     return np.asarray(0.5 * coloured)
 
 
 def refitted(tau: np.ndarray) -> FrictionLaw:
-    """The law fitted from the truth on, so that no search comes in between."""
+    """Fit of the law started at the truth, without a search."""
     samples = JointRows.of([with_tau(CLEAN, tau)], coefficients=6)
     problem = Separable(StrainWave.core({}), StrainWave().space(), samples)
     point = problem.polish(problem.point({"x_0": 4e-3}), evaluations=20)
@@ -48,7 +48,7 @@ def refitted(tau: np.ndarray) -> FrictionLaw:
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.7])
-def test_standard_errors_are_the_scatter_of_repeated_fits(memory: float) -> None:
+def test_standard_errors_match_the_scatter_of_repeated_fits(memory: float) -> None:
     fits = [refitted(CLEAN.tau + noise(seed, memory)) for seed in range(60)]
     scatter = {name: np.std([f.values[name] for f in fits], ddof=1) for name in TRUTH.values}
     stated = [
@@ -59,7 +59,7 @@ def test_standard_errors_are_the_scatter_of_repeated_fits(memory: float) -> None
     ]
     for name in TRUTH.values:
         ratio = np.mean([s[name] for s in stated]) / scatter[name]
-        # 60 fits know their scatter to a tenth; the memory of what fast columns see is short.
+        # 60 fits determine the scatter to a tenth; fast columns see only a short memory.
         assert 0.7 < ratio < (1.45 if memory == 0.0 else 2.5), (name, ratio)
 
 
@@ -75,7 +75,7 @@ def test_the_truth_lies_within_two_errors_most_of_the_time() -> None:
     assert 0.9 < np.mean(inside) < 0.99
 
 
-def test_errors_of_a_linear_problem_are_those_of_regression() -> None:
+def test_errors_of_a_linear_problem_equal_those_of_regression() -> None:
     rng = np.random.default_rng(0)
     x = rng.normal(size=(400, 3)) * [1.0, 1e4, 1e-5]
     residual = rng.normal(size=400)
@@ -85,7 +85,7 @@ def test_errors_of_a_linear_problem_are_those_of_regression() -> None:
     np.testing.assert_allclose(standard_errors(x, residual), expected, rtol=1e-6)
 
 
-def test_equal_columns_leave_each_of_them_undetermined() -> None:
+def test_equal_columns_are_undetermined() -> None:
     rng = np.random.default_rng(0)
     x = rng.normal(size=(400, 2))
     residual = rng.normal(size=400)
@@ -116,17 +116,17 @@ def test_the_correlation_length_is_at_least_one() -> None:
     assert correlation_length(white) == pytest.approx(correlation_length(7.0 * white + 3.0))
 
 
-# --- what has an error ------------------------------------------------------------------------
+# --- existence of errors ----------------------------------------------------------------------
 
 
-def test_what_has_no_effect_has_no_error() -> None:
+def test_coefficients_without_effect_have_no_error() -> None:
     still = replace(CLEAN, tau_load=np.zeros_like(CLEAN.tau))
     found = with_standard_errors(TRUTH, [still])
     assert set(found.standard_errors) == set(TRUTH.values) - {"mu_avg", "mu_dif"}
     assert found.values == TRUTH.values
 
 
-def test_more_data_lower_the_errors() -> None:
+def test_more_data_reduce_the_errors() -> None:
     records = [with_tau(r, r.tau + 0.3 * np.random.default_rng(k).normal(size=len(r.tau)))
                for k, r in enumerate(along(TRUTH, path(k)) for k in range(4))]  # fmt: skip
     one = with_standard_errors(TRUTH, records[:1]).standard_errors
@@ -140,7 +140,7 @@ def test_a_fit_states_the_errors_of_its_law() -> None:
     assert bare.standard_errors == {}
     found = fit_joint("dahl", [record], seed=0)
     carried = {n for n, value in found.values.items() if n.startswith("F_") and value > 0.0}
-    # Deflections are given, and forces at zero are at their bound.
+    # Deflections are given, and forces of zero are at their bound.
     assert set(found.standard_errors) == {*carried, "sigma_2", "tau_0"}
     assert all(error > 0.0 for error in found.standard_errors.values())
     assert found.covariance is not None
@@ -148,7 +148,7 @@ def test_a_fit_states_the_errors_of_its_law() -> None:
 
 
 def test_coefficients_at_a_bound_have_no_interval() -> None:
-    """With F_s / F_c at its bound F_s has none, and F_c moves F_s along with it."""
+    """With F_s / F_c at its bound, F_s has none, and F_c moves F_s with it."""
     ratio = STATIC_RATIO_BOUNDS[1]
     values = {"sigma_0": 4e3, "sigma_1": 0.0, "sigma_2": 5.0, "F_c": 4.0, "F_s": 4.0 * ratio,
               "v_s": 0.05, "tau_0": 0.1}  # fmt: skip
@@ -160,7 +160,7 @@ def test_coefficients_at_a_bound_have_no_interval() -> None:
     matrix, names = found.covariance.matrix, found.covariance.names
     for name, error in found.standard_errors.items():
         plain = float(np.sqrt(matrix[names.index(name), names.index(name)]))
-        if name in ("sigma_2", "tau_0"):  # of which the torque is a straight line
+        if name in ("sigma_2", "tau_0"):  # the torque is linear in these
             assert error == pytest.approx(plain, rel=1e-4)
         else:
             assert plain <= error < 1.2 * plain
@@ -172,8 +172,8 @@ def test_coefficients_at_a_bound_have_no_interval() -> None:
     assert set(inside.standard_errors) == set(values)
 
 
-def test_where_the_torque_bends_the_wider_side_is_stated() -> None:
-    """Of log x the upper side, of x^2 the lower one, whatever else is fitted beside it."""
+def test_a_nonlinear_coefficient_states_the_wider_side() -> None:
+    """The upper side of log x and the lower one of x^2, whatever else is fitted."""
     rng = np.random.default_rng(4)
     rows = rng.normal(size=(50, 2)) @ np.array([[1.0, 0.6], [0.0, 1.0]])
     point, error = np.array([3.0, 0.5]), 0.4
@@ -194,7 +194,7 @@ def test_where_the_torque_bends_the_wider_side_is_stated() -> None:
         q, r = np.linalg.qr(rows * [slope, 1.0])
         found = wider_side(first, covariance, q, r, moved)
         assert found == pytest.approx(wanted, rel=1e-12)
-    # Where the law is not defined on one side, the other counts; nothing is wider than four times.
+    # If the law is undefined on one side, the other counts; the width is limited to four times.
     q, r = np.linalg.qr(rows)
     undefined = wider_side(
         first, covariance, q, r, lambda x: (x[0], rows @ (np.nan * x if x[0] > 0.0 else x))
@@ -204,7 +204,7 @@ def test_where_the_torque_bends_the_wider_side_is_stated() -> None:
     assert flat == 4.0
 
 
-def test_an_interval_may_reach_where_eulers_step_is_not_stable() -> None:
+def test_an_interval_may_include_unstable_euler_steps() -> None:
     values = {"sigma_0": 1.0, "sigma_1": 0.0, "sigma_2": 5.0, "F_c": 4.0, "F_s": 4.0, "v_s": 0.05,
               "tau_0": 0.1}  # fmt: skip
     quiet = path(0)
@@ -226,8 +226,8 @@ def test_a_chosen_structure_has_a_covariance_but_no_intervals() -> None:
     assert np.all(np.diag(found.covariance.matrix) > 0.0)
 
 
-def test_what_the_load_is_off_by_is_carried_on() -> None:
-    """A constant error of the load of 0.2 N.m makes the offset uncertain by as much."""
+def test_load_errors_are_propagated() -> None:
+    """A constant load error of 0.2 N.m makes the offset uncertain by the same amount."""
     record = with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))
     alone = with_standard_errors(TRUTH, [record], StrainWave().space())
     off = replace(record, tau_load_spread=np.full((len(record.t), 1), 0.2))
@@ -237,7 +237,7 @@ def test_what_the_load_is_off_by_is_carried_on() -> None:
     assert found.standard_errors["sigma_2"] == pytest.approx(alone.standard_errors["sigma_2"])
 
 
-def test_joints_share_what_logs_differ_by() -> None:
+def test_joints_share_differences_between_logs() -> None:
     one = with_standard_errors(TRUTH, [CLEAN, with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))])
     assert one.covariance is not None
     between = [replace(one.covariance, between=b, degrees=10.0) for b in (1.0, 9.0)]
@@ -258,7 +258,7 @@ def test_joints_share_what_logs_differ_by() -> None:
             assert law_.standard_errors[name] == pytest.approx(np.sqrt(5.0) * error, rel=1e-12)
 
 
-def test_single_coefficients_of_networks_mean_nothing() -> None:
+def test_network_coefficients_have_no_errors() -> None:
     record = with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))
     network = fit_joint("rbfnn_h", [record], seed=0)
     assert len(network.values) > MOST_COEFFICIENTS

@@ -1,4 +1,4 @@
-"""Rows that are missing throughout are told, and refused where they cost friction's accuracy."""
+"""Missing rows are reported, and refused if they make friction too uncertain."""
 
 from collections.abc import Callable
 
@@ -19,7 +19,7 @@ def lossy(log: Log, share: float) -> Log:
 
 @pytest.fixture
 def noisy(make_motion: Callable[..., Motion]) -> Callable[[float], Log]:
-    """Logs of 20 s with noise of the torque [N.m] on friction of 3 N.m."""
+    """20 s logs of 3 N.m of friction with torque noise [N.m]."""
 
     def make(deviation: float) -> Log:
         motion = make_motion(name="run", seconds=20.0, friction=3.0)
@@ -29,12 +29,14 @@ def noisy(make_motion: Callable[..., Motion]) -> Callable[[float], Log]:
     return make
 
 
-def test_rows_that_cost_nothing_are_told(noisy: Callable[[float], Log], arm_model: Robot) -> None:
+def test_harmless_missing_rows_are_reported(
+    noisy: Callable[[float], Log], arm_model: Robot
+) -> None:
     (told,) = checked([lossy(noisy(0.2), 0.5)], arm_model)
     assert (told.check, told.severity) == ("missing-rows", "warning")
 
 
-def test_rows_whose_want_makes_friction_uncertain_are_refused(
+def test_missing_rows_that_make_friction_uncertain_are_refused(
     noisy: Callable[[float], Log], arm_model: Robot
 ) -> None:
     log = noisy(3.0)
@@ -47,8 +49,10 @@ def test_rows_whose_want_makes_friction_uncertain_are_refused(
     assert {finding.check for finding in told} == {"missing-rows"}
 
 
-def test_the_uncertainty_is_what_losses_do(noisy: Callable[[float], Log], arm_model: Robot) -> None:
-    """Estimates without other halves of the rows scatter as one log's own halves say."""
+def test_uncertainty_matches_the_effect_of_missing_rows(
+    noisy: Callable[[float], Log], arm_model: Robot
+) -> None:
+    """Estimates from other halves of the rows scatter as predicted by one log's own halves."""
     from hesr_model.health.evidence import Torques, motionwise
     from hesr_model.health.loss import _sliding
 

@@ -1,6 +1,4 @@
-"""Every mistake in a robot file is told, with its joint and its likely cause; clean logs are
-not.
-"""
+"""Every mistake in a robot file is reported with joint and likely cause; clean logs pass."""
 
 import re
 from collections.abc import Callable
@@ -27,7 +25,7 @@ Mistake = Callable[[Log], Log]
 
 @pytest.fixture
 def log(make_motion: Callable[..., Motion]) -> Log:
-    """The arm with noise of torque, and with friction that lets its little gravity be seen."""
+    """The arm with torque noise and low friction, so that its small gravity torque is visible."""
     motion = make_motion(name="run", friction=0.8)
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
     return Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
@@ -215,7 +213,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
 }  # fmt: skip
 
 
-def test_speeds_beyond_the_models_are_told(log: Log, arm_model: Robot) -> None:
+def test_speeds_above_the_model_limits_are_reported(log: Log, arm_model: Robot) -> None:
     lower, upper, _ = arm_model.limits
     limited = Robot(arm_model.description)
     limited.__dict__["limits"] = (lower, upper, np.array([0.5, 5.0, 0.0]))
@@ -224,7 +222,7 @@ def test_speeds_beyond_the_models_are_told(log: Log, arm_model: Robot) -> None:
     assert "times the model's limit: the time stamps come from a wrong" in finding.sentence
 
 
-def test_inertia_beside_gravity_tells_the_rate_of_the_stamps(
+def test_inertia_against_gravity_reveals_the_time_stamp_rate(
     make_motion: Callable[..., Motion], arm_model: Robot
 ) -> None:
     motion = make_motion(name="run", seconds=30.0, friction=0.8)
@@ -237,7 +235,7 @@ def test_inertia_beside_gravity_tells_the_rate_of_the_stamps(
     assert re.search(r"a motion that is 2(\.\d)? times slower: .* sample rate", told.sentence)
 
 
-def test_torques_that_were_computed_are_told(
+def test_computed_torques_are_reported(
     make_motion: Callable[..., Motion], arm_model: Robot
 ) -> None:
     m = make_motion()
@@ -248,7 +246,7 @@ def test_torques_that_were_computed_are_told(
     assert "they were computed or commanded instead of measured" in finding.remedy
 
 
-def test_torques_without_their_gravity_are_refused(log: Log, arm_model: Robot) -> None:
+def test_torques_without_gravity_are_refused(log: Log, arm_model: Robot) -> None:
     nothing = np.zeros_like(log.q)
     gravity = arm_model.torque(arm_model.nominal_parameters, log.q, nothing, nothing)
     found = examine(
@@ -264,7 +262,7 @@ def test_a_clean_log_has_no_finding(log: Log, arm_model: Robot) -> None:
 
 
 @pytest.mark.parametrize("what", MISTAKES)
-def test_a_mistake_is_told_with_joint_and_cause(what: str, log: Log, arm_model: Robot) -> None:
+def test_a_mistake_is_reported_with_joint_and_cause(what: str, log: Log, arm_model: Robot) -> None:
     spoil, check, joints, sentence = MISTAKES[what]
     findings = examine([spoil(log)], arm_model.description, arm_model).findings
     named = [f for f in findings if f.check == check and set(joints) <= set(f.joints)]
@@ -272,7 +270,7 @@ def test_a_mistake_is_told_with_joint_and_cause(what: str, log: Log, arm_model: 
     assert re.search(sentence, named[0].sentence), named[0].sentence
 
 
-def test_gravity_is_told_where_it_points_elsewhere(log: Log, arm_model: Robot) -> None:
+def test_a_wrong_gravity_direction_is_reported(log: Log, arm_model: Robot) -> None:
     for gravity, words in (((0.0, 0.0, 9.81), "upside down"), ((9.81, 0.0, 0.0), "another side")):
         other = Robot(arm_model.description.model_copy(update={"gravity": gravity}))
         (finding,) = examine([log], other.description, other).findings
@@ -280,7 +278,7 @@ def test_gravity_is_told_where_it_points_elsewhere(log: Log, arm_model: Robot) -
         assert words in finding.remedy
 
 
-def test_all_problems_are_told_at_once_and_can_be_accepted(log: Log, arm_model: Robot) -> None:
+def test_all_problems_are_reported_at_once_and_can_be_accepted(log: Log, arm_model: Robot) -> None:
     wrong = replace(log, dq=column(log.dq, 2, -1.0), tau=column(log.tau, 1, -1.0))
     with pytest.raises(HealthError, match=r"^2 things in the data cannot be right\.") as refused:
         checked([wrong], arm_model)

@@ -1,4 +1,4 @@
-"""What the motion of logs does not show is listed joint by joint."""
+"""Gaps in the excitation are listed joint by joint."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,7 +19,9 @@ def words(log: Log, model: Robot) -> dict[str, set[str]]:
     return found
 
 
-def test_what_a_motion_lacks_is_told(make_motion: Callable[..., Motion], arm_model: Robot) -> None:
+def test_missing_excitation_is_reported(
+    make_motion: Callable[..., Motion], arm_model: Robot
+) -> None:
     motion = make_motion(name="run", friction=0.8)
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
     tau = motion.tau + noise
@@ -27,7 +29,7 @@ def test_what_a_motion_lacks_is_told(make_motion: Callable[..., Motion], arm_mod
         name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=tau, robot=arm_model.description
     )
     whole = words(log, arm_model)
-    # The first joint stands upright.
+    # The axis of the first joint is vertical.
     assert "no gravity torque" in whole["j1"]
     assert "no gravity torque" not in whole.get("j2", set())
     assert all("fewer than 4 reversals" not in said for said in whole.values())
