@@ -1,4 +1,4 @@
-"""FMUs to run, alone and as a system."""
+"""FMUs, alone and as a system."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +23,7 @@ def friction_fmu(table1_fmu: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def lag_fmu(shared: Shared) -> Path:
-    """A first-order lag from u to y, which refuses steps past a time."""
+    """A first-order lag from u to y that refuses steps beyond a given time."""
     return shared("lag", lag) / "Lag.fmu"
 
 
@@ -35,7 +35,7 @@ def bench(shared: Shared, table1: FrictionModel) -> Bench:
 
 @pytest.fixture(scope="session")
 def study_run(shared: Shared) -> Run:
-    """A run of the small study with all tables, printed as into a pipe."""
+    """A run of the small study with all tables; its output goes to a pipe."""
 
     def make(folder: Path) -> None:
         Run.make(folder, "-o", Run.of(folder).results, "--verbose")
@@ -45,13 +45,13 @@ def study_run(shared: Shared) -> Run:
 
 @pytest.fixture(scope="session")
 def study_run_for_programs(shared: Shared) -> Run:
-    """The same once more, for programs and into a folder that is named from the current one."""
+    """The same run with JSON output and a relative output folder."""
     options = ("-o", "results", "--json", "-", "--verbose")
     return Run.of(shared("study for programs", lambda folder: Run.make(folder, *options)))
 
 
 @pytest.fixture
 def fakes(monkeypatch: pytest.MonkeyPatch) -> Callable[..., SystemSpec]:
-    """Masters make slaves in Python; gives what describes a system of them."""
+    """Replace the slaves that masters load by Python ones; give the system description."""
     stand_ins.install(monkeypatch)
     return stand_ins.system

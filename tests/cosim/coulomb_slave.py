@@ -1,4 +1,4 @@
-"""A friction FMU of another exporter, with HESR's connectors: Coulomb, viscous and load."""
+"""A friction FMU of another exporter with HESR's connectors: Coulomb, viscous and load terms."""
 
 import math
 

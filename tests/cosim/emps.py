@@ -1,7 +1,7 @@
 """Logs in the format of the EMPS benchmark: a sliding axis under position control, as MATLAB files.
 
 The benchmark (Janot, Gautier and Brunot 2019, "Data set and reference models of EMPS") has qm, qg,
-vir, gtau and t at 1 kHz. Its files are not here: these are simulated with its published figures.
+vir, gtau and t at 1 kHz. Its files are not included: these are simulated with its published values.
 """
 
 from pathlib import Path
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.io import savemat
 
 MASS, VISCOUS, COULOMB, OFFSET = 95.1, 203.5, 20.4, -3.2
-"""kg, N.s/m, N, N."""
+"""Mass [kg], viscous [N.s/m], Coulomb and offset [N]."""
 GAIN = 35.15
 """Force over voltage [N/V]."""
 _KP, _KV = 160.2, 243.5
@@ -41,7 +41,7 @@ MODEL = """
 
 
 def write(path: Path, *, seconds: float, pulses: bool = False, seed: int = 0) -> None:
-    """Simulate the axis and write its log; with pulses the voltage jumps by half a volt."""
+    """Simulate the axis and write its log; with pulses, the voltage jumps by 0.5 V."""
     rng = np.random.default_rng(seed)
     t = 1e-3 * np.arange(round(1000 * seconds))
     wave = 0.08 * np.sin(2.0 * t) + 0.05 * np.sin((4.1 if pulses else 3.3) * t + 1.0)

@@ -1,4 +1,4 @@
-"""Slaves in Python that stand in for FMUs: they log what a master calls, and fail on demand."""
+"""Python slaves that replace FMUs: they log the calls of a master and fail on demand."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from hesr_model.errors import SimulationError
 
 
 def variable(name: str, causality: str, **more: Any) -> SimpleNamespace:
-    """A variable as FMPy describes one."""
+    """A variable as FMPy describes it."""
     data = {"type": "Real", "unit": None, "declaredType": None, "valueReference": 0} | more
     return SimpleNamespace(name=name, causality=causality, **data)
 
@@ -26,7 +26,7 @@ def description(
     units: Mapping[str, Any] | None = None,
     exchange: bool = False,
 ) -> SimpleNamespace:
-    """What FMPy makes of a description; outputs depend on nothing where `feedthrough` is silent."""
+    """FMPy's view of a description; outputs missing from `feedthrough` depend on no input."""
     named = {v.name: v for v in variables}
     needed = dict.fromkeys((v.name for v in variables if v.causality == "output"), ())
     needed |= feedthrough or {}
@@ -49,7 +49,7 @@ def description(
 
 
 class Fake:
-    """A slave with inputs u[1], u[2] and outputs y[1], y[2]: y' = u, by Euler, from y = y0."""
+    """A slave with inputs u[1], u[2] and outputs y[1], y[2]: y' = u by Euler, from y = y0."""
 
     about = description(
         *(variable(f"u[{i}]", "input") for i in (1, 2)),
@@ -125,7 +125,7 @@ class FakeBuffer:
 
 
 class Gain(Fake):
-    """y = 2 u, at once."""
+    """y = 2 u, with direct feedthrough."""
 
     about = description(
         variable("u", "input"), variable("y", "output"), feedthrough={"y": ["u"]}, exchange=True
@@ -142,13 +142,13 @@ class Gain(Fake):
 
 
 class Hidden(Gain):
-    """A gain that says that its output depends on nothing, which may hold after the start only."""
+    """A gain that declares no dependency, which is allowed to hold only after initialisation."""
 
     about = description(variable("u", "input"), variable("y", "output"))
 
 
 class Pair(Gain):
-    """Two gains in one, b = 2 a and d = 2 c."""
+    """Two gains in one slave, b = 2 a and d = 2 c."""
 
     about = description(
         *(variable(name, "input") for name in "ac"), *(variable(name, "output") for name in "bd"),
@@ -172,7 +172,7 @@ class Clock(Fake):
 
 
 class Failing(Clock):
-    """A clock that cannot go past 0.3 s."""
+    """A clock that cannot step past 0.3 s."""
 
     def move(self, time: float, step: float) -> None:
         if time > 0.25:
@@ -181,7 +181,7 @@ class Failing(Clock):
 
 
 class Broken(Clock):
-    """A clock that gives NaN from 0.3 s on, and says that all is well."""
+    """A clock that returns NaN from 0.3 s without reporting an error."""
 
     def move(self, time: float, step: float) -> None:
         self.v["y"] = math.nan if time > 0.15 else time + step
@@ -191,7 +191,7 @@ KINDS = {kind.__name__.lower(): kind for kind in (Fake, Gain, Hidden, Pair, Cloc
 
 
 def install(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let masters make fakes, by the names of their files, instead of loading FMUs."""
+    """Make masters create fakes, selected by file name, instead of loading FMUs."""
     Fake.calls, Fake.alive = [], set()
     monkeypatch.setattr(
         "cosim.systems.simulation.FmuInstance",
@@ -204,7 +204,7 @@ def system(
     connections: Mapping[str, str] | None = None,
     **more: Any,
 ) -> SystemSpec:
-    """Return a system of fakes: by name, the kind or more of each component."""
+    """Return a system of fakes from the kind (or more) of each named component."""
     given = {n: {"fmu": c} if isinstance(c, str) else c for n, c in components.items()}
     data = {
         "step": 0.1,

@@ -1,4 +1,4 @@
-"""A PythonFMU with parameters of every type, whose output is NaN from 0.3 s on without an error."""
+"""A PythonFMU with parameters of every type; its output is NaN after 0.3 s without an error."""
 
 import math
 

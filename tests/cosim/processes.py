@@ -1,4 +1,4 @@
-"""Commands in processes of their own, to be interrupted and killed; and what they leave."""
+"""Commands in separate processes, to be interrupted and killed, and the traces they leave."""
 
 import os
 import signal
@@ -16,7 +16,7 @@ COMMAND = ("-c", "from hesr.cli import main; main()")
 def started(
     *arguments: object, folder: Path, program: tuple[str, ...] = COMMAND, **environment: str
 ) -> Iterator["subprocess.Popen[str]"]:
-    """Run Python in a group of its own, with temporary files of its own."""
+    """Run Python in its own process group with its own temporary folder."""
     temporary = folder / "tmp"
     temporary.mkdir(exist_ok=True)
     process = subprocess.Popen(
@@ -47,11 +47,11 @@ def wait_for(happened: Callable[[], object], process: "subprocess.Popen[str]") -
 
 
 def running(group: int) -> dict[int, str]:
-    """Command lines of a group's processes by their number, without those that have ended."""
+    """Command lines of a group's processes by PID, without zombies."""
     found = {}
     for status in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
-            # After the name, which stands in brackets: state, parent, group.
+            # Fields after the bracketed name: state, parent, group.
             state, _, of_group = status.read_text().rpartition(")")[2].split()[:3]
             if int(of_group) == group and state not in "ZX":
                 command = (status.parent / "cmdline").read_bytes()
@@ -60,7 +60,7 @@ def running(group: int) -> dict[int, str]:
 
 
 def workers(group: int) -> list[int]:
-    """Numbers of the worker processes of a group."""
+    """PIDs of the worker processes of a group."""
     return [
         number
         for number, command in running(group).items()
@@ -69,7 +69,7 @@ def workers(group: int) -> list[int]:
 
 
 def assert_nothing_left(group: int, folder: Path) -> None:
-    """Check that a command that `started` ran has left no process and no temporary file."""
+    """Check that a command run by `started` has left no process and no temporary file."""
     assert_nothing_runs(group)
     assert not list((folder / "tmp").iterdir())
 

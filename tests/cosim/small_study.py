@@ -1,4 +1,4 @@
-"""A study of the digital twin that takes seconds, and the command line to run it by."""
+"""A study of the digital twin that takes seconds, and the command line to run it."""
 
 import os
 import subprocess
@@ -54,7 +54,7 @@ def write_study(folder: Path) -> Path:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What a command said and how it ended."""
+    """Output and exit code of a command."""
 
     code: int
     out: str
@@ -62,7 +62,7 @@ class Answer:
 
 
 def hesr_in_a_process(*arguments: object, cwd: Path | None = None) -> Answer:
-    """Run the command line in a process of its own."""
+    """Run the command line in a separate process."""
     result = subprocess.run(
         [sys.executable, "-c", "from hesr.cli import main; main()", *map(str, arguments)],
         capture_output=True,
@@ -76,7 +76,7 @@ def hesr_in_a_process(*arguments: object, cwd: Path | None = None) -> Answer:
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A run of the small study in a process of its own."""
+    """A run of the small study in a separate process."""
 
     study: Path
     results: Path
@@ -84,7 +84,7 @@ class Run:
 
     @classmethod
     def make(cls, folder: Path, *options: object) -> None:
-        """Run it in a folder, from which `of` reads it."""
+        """Run the study in a folder; `of` reads that folder."""
         (folder / "study").mkdir()
         study = write_study(folder / "study")
         command = (sys.executable, "-c", "from hesr.cli import main; main()", "run", study)
@@ -101,7 +101,7 @@ class Run:
 
     @classmethod
     def of(cls, folder: Path) -> "Run":
-        """What a run has left in a folder."""
+        """Files that a run has left in a folder."""
         said = {
             name: (folder / name).read_text(encoding="utf-8") if (folder / name).exists() else ""
             for name in ("out", "err", "code")
@@ -125,7 +125,7 @@ Hesr = Callable[..., Answer]
 
 
 def hesr_here(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
-    """The command line in this process: its own entry point, without a process to start."""
+    """The command line in this process, by its entry point."""
     from hesr.cli import main
 
     def call(*arguments: object) -> Answer:
@@ -142,7 +142,7 @@ def hesr_here(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatc
 
 
 def contents(folder: Path, *, without: Sequence[str] = ()) -> dict[str, bytes]:
-    """Bytes of every file below a folder, hidden ones too."""
+    """Bytes of every file below a folder, including hidden ones."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))

@@ -1,7 +1,7 @@
-"""What a user can get wrong, through the real command line.
+"""User mistakes through the real command line.
 
-Each mistake ends with exit code 2, one sentence that names the file, the column or key and the row
-where it applies, no traceback, and nothing written.
+Each mistake ends with exit code 2, one sentence with the file, the column or key and the row where
+it applies, no traceback, and nothing written.
 """
 
 import json
@@ -35,7 +35,7 @@ JOINTS = ("joint1", "joint2", "joint3")
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Files that are right, to be spoiled one at a time."""
+    """Valid files, to be damaged one at a time."""
 
     folder: Path
     robot: Path
@@ -49,7 +49,7 @@ class Bench:
     def command(
         self, name: str, *, output: Path, log: Path | None = None, study: Path | None = None
     ) -> list[object]:
-        """A command that works, or would if `log` were right; a study stands beside the output."""
+        """A command that works, or would if `log` were valid; a study is next to the output."""
         log = log or self.log
         if name == "run":
             return ["run", self.study(study or output.parent, log), "-o", output]
@@ -107,7 +107,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 
 def without_finished(files: dict[str, bytes]) -> dict[str, bytes]:
-    """Files but for laws that a run finished before it ended: the next one goes on from them."""
+    """Files other than laws that a run finished before it ended: the next run reuses them."""
     law = re.compile(r"\.\w+-unfinished/laws/\w+\.\w+\.\w+\.json")
     finished = {name for name in files if law.fullmatch(name)}
     assert all(json.loads(files[name])["format"] for name in finished)
@@ -116,7 +116,7 @@ def without_finished(files: dict[str, bytes]) -> dict[str, bytes]:
 
 @pytest.fixture
 def refused(hesr: Hesr, tmp_path: Path) -> Callable[..., str]:
-    """Run a command that must fail and return its sentence; what stood there must not change."""
+    """Run a command that must fail and return its sentence; existing files must not change."""
 
     def call(*arguments: object) -> str:
         before = contents(tmp_path)
@@ -141,7 +141,7 @@ Rows = list[list[str]]
 
 
 def cell(row: int, column: str, value: str) -> Callable[[Rows], None]:
-    """Set a cell; rows are counted as an editor does, the header being row 1."""
+    """Set a cell; rows are counted as in an editor, the header being row 1."""
 
     def change(rows: Rows) -> None:
         rows[row - 1][rows[0].index(column)] = value
@@ -158,7 +158,7 @@ def without(*columns: str) -> Callable[[Rows], None]:
 
 
 def shifted(row: int, seconds: float) -> Callable[[Rows], None]:
-    """Move the time of a row and of all rows after it."""
+    """Shift the time of a row and of all later rows."""
 
     def change(rows: Rows) -> None:
         for line in rows[row - 1 :]:
@@ -177,7 +177,7 @@ def in_milliseconds(rows: Rows) -> None:
 
 
 def few(rows: Rows) -> None:
-    """From where every joint moves."""
+    """First row with all joints in motion."""
     q = np.array([row[1:4] for row in rows[1:]], dtype=float)
     k = int(np.argmax(np.abs(q[18:] - q[:-18]).min(axis=1)))
     rows[1:] = rows[k + 1 : k + 20]
@@ -240,8 +240,8 @@ def spoiled(bench: Bench, folder: Path, change: Callable[[Rows], object]) -> Pat
 
 
 @pytest.mark.ci
-def test_commands_work_where_nothing_is_wrong(bench: Bench, hesr: Hesr, tmp_path: Path) -> None:
-    """Otherwise every test below could pass for a wrong reason."""
+def test_commands_work_on_valid_files(bench: Bench, hesr: Hesr, tmp_path: Path) -> None:
+    """Guards the tests below against passing for the wrong reason."""
     log = spoiled(bench, tmp_path, len)
     for name in (*READERS, "export"):
         output = tmp_path / f"output_{name}"
@@ -252,7 +252,7 @@ def test_commands_work_where_nothing_is_wrong(bench: Bench, hesr: Hesr, tmp_path
 
 @pytest.mark.parametrize("command", READERS)
 @pytest.mark.parametrize("fault", LOG_FAULTS)
-def test_a_log_with(
+def test_a_damaged_log_is_refused(
     fault: str, command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     change, expected = LOG_FAULTS[fault]
@@ -263,7 +263,7 @@ def test_a_log_with(
 
 @pytest.mark.parametrize("command", ["identify", "fit", "test law"])
 @pytest.mark.parametrize("copied", [False, True])
-def test_a_log_that_is_given_twice(
+def test_a_repeated_log_is_refused(
     command: str, copied: bool, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     log = spoiled(bench, tmp_path, len)
@@ -291,7 +291,7 @@ def test_a_log_that_is_given_twice(
         (b"\x00\xff\xfe\x89PNG", "cannot be read as CSV text."),
     ],
 )
-def test_a_file_that_is_no_log(
+def test_a_file_other_than_a_log_is_refused(
     content: bytes | None,
     expected: str,
     command: str,
@@ -306,7 +306,7 @@ def test_a_file_that_is_no_log(
     assert refused(*arguments) == f"{log}: {expected}"
 
 
-def test_a_parquet_file_that_is_none(
+def test_an_invalid_parquet_file_is_refused(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     log = tmp_path / "log.parquet"
@@ -317,7 +317,7 @@ def test_a_parquet_file_that_is_none(
 
 
 def rewritten(bench: Bench, folder: Path, change: Callable[[Log], Log]) -> Path:
-    """A log that is well formed, but of a motion that does not serve."""
+    """A well-formed log of an unsuitable motion."""
     log = Log.read(bench.log, RobotDescription.read(bench.robot))
     path = folder / "log.csv"
     change(log).write(path)
@@ -325,7 +325,7 @@ def rewritten(bench: Bench, folder: Path, change: Callable[[Log], Log]) -> Path:
 
 
 def one_way(log: Log) -> Log:
-    """Joint 2 moves forwards all the time."""
+    """Joint 2 always moves forwards."""
     q, dq = log.q.copy(), log.dq.copy()
     q[:, 1] = np.linspace(-0.5, 1.0, len(log.t)) + 0.02 * np.sin(log.t)
     dq[:, 1] = 1.5 / log.t[-1] + 0.02 * np.cos(log.t)
@@ -333,14 +333,14 @@ def one_way(log: Log) -> Log:
 
 
 def constant(log: Log) -> Log:
-    """Joint 3 stands still."""
+    """Joint 3 is at rest."""
     q, dq = log.q.copy(), log.dq.copy()
     q[:, 2], dq[:, 2] = -1.9, 0.0
     return replace(log, q=q, dq=dq)
 
 
 @pytest.mark.parametrize("command", ["fit", "run"])
-def test_a_log_without_a_velocity_reversal(
+def test_a_log_without_a_velocity_reversal_is_refused(
     command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     log = rewritten(bench, tmp_path, one_way)
@@ -380,7 +380,7 @@ def test_the_friction_of_a_constant_joint_cannot_be_fitted(
         ("fit", 10, "joint 'joint1': 10 rows for 11 coefficients; more data needed."),
     ],
 )
-def test_fewer_samples_than_parameters(
+def test_fewer_samples_than_parameters_are_refused(
     command: str,
     rows: int,
     expected: str,
@@ -388,7 +388,7 @@ def test_fewer_samples_than_parameters(
     refused: Callable[..., str],
     tmp_path: Path,
 ) -> None:
-    """Few, slow rows of the whole motion, and a low pass that is content with them."""
+    """Few, slow rows of the whole motion, with a low-pass filter that accepts them."""
 
     def thin(lines: Rows) -> None:
         lines[1:] = lines[1 :: len(lines) // rows][:rows]
@@ -447,7 +447,7 @@ def toml_fault(
     ],
 )
 @pytest.mark.parametrize("command", ["identify", "fit", "run"])
-def test_a_robot_file_that_is_wrong(
+def test_an_invalid_robot_file_is_refused(
     command: str,
     old: str,
     new: str,
@@ -471,7 +471,7 @@ def test_a_robot_file_that_is_wrong(
         ("uf850.xml", "LICENSE.figures", "cannot be parsed as a URDF ("),
     ],
 )
-def test_a_robot_that_does_not_fit_its_model(
+def test_a_robot_that_contradicts_its_model_is_refused(
     old: str, new: str, expected: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     robot = toml_fault(bench, tmp_path, old, new, source=bench.robot, name="robot.toml")
@@ -480,10 +480,10 @@ def test_a_robot_that_does_not_fit_its_model(
     assert sentence.startswith(f"{uf850(model)}: {expected}")
 
 
-def test_a_log_of_another_joint_count(
+def test_a_log_of_another_joint_count_is_refused(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
-    """The log has three joints, the robot two."""
+    """The log has three joints, the robot has two."""
     robot = toml_fault(
         bench, tmp_path, '"joint2", "joint3"', '"joint2"', source=bench.robot, name="robot.toml"
     )
@@ -568,7 +568,7 @@ STUDY_FAULTS = {
 
 
 @pytest.mark.parametrize("fault", STUDY_FAULTS)
-def test_a_study_with(
+def test_an_invalid_study_is_refused(
     fault: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     old, new, expected = STUDY_FAULTS[fault]
@@ -594,7 +594,7 @@ def test_a_study_with(
         ("plant.toml", "seed = 1", "seed = 1\nlevel = 2", "noise.level"),
     ],
 )
-def test_a_file_of_the_twin_that_is_wrong(
+def test_an_invalid_twin_file_is_refused(
     file: str,
     old: str,
     new: str,
@@ -614,7 +614,7 @@ def test_a_file_of_the_twin_that_is_wrong(
 
 
 @pytest.mark.parametrize("key", ["robot", "plant", "motions"])
-def test_a_study_that_names_a_missing_file(
+def test_missing_files_of_a_study_are_reported(
     key: str, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     study = write_study(tmp_path)
@@ -624,14 +624,14 @@ def test_a_study_that_names_a_missing_file(
     assert sentence == f"{tmp_path / 'none.toml'}: no such file."
 
 
-def test_a_missing_study(refused: Callable[..., str], tmp_path: Path) -> None:
+def test_a_missing_study_is_reported(refused: Callable[..., str], tmp_path: Path) -> None:
     assert refused("run", tmp_path / "none.toml") == f"{tmp_path / 'none.toml'}: no such file."
 
 
 # --- laws and platforms -----------------------------------------------------------------------
 
 
-def test_an_unknown_law_is_named_with_those_that_there_are(
+def test_the_known_laws_are_listed_for_an_unknown_one(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     arguments = bench.command("fit", output=tmp_path / "output")
@@ -641,7 +641,7 @@ def test_an_unknown_law_is_named_with_those_that_there_are(
 
 
 @pytest.mark.parametrize("command", ["export", "run"])
-def test_an_unknown_platform(
+def test_an_unknown_platform_is_refused(
     command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     arguments = bench.command(command, output=tmp_path / "output")
@@ -651,14 +651,16 @@ def test_an_unknown_platform(
     )
 
 
-def test_an_fmu_of_another_name(bench: Bench, refused: Callable[..., str], tmp_path: Path) -> None:
+def test_an_fmu_of_another_name_is_refused(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
     output = tmp_path / "Friction.zip"
     assert refused("export", bench.law, "-o", output) == (
         f"{output}: the name of an FMU ends in .fmu."
     )
 
 
-def test_an_unknown_method(bench: Bench, hesr: Hesr, tmp_path: Path) -> None:
+def test_an_unknown_method_is_refused(bench: Bench, hesr: Hesr, tmp_path: Path) -> None:
     arguments = bench.command("identify", output=tmp_path / "output")
     answer = hesr(*arguments, "--method", "guess")
     assert (answer.code, answer.out) == (2, "")
@@ -666,7 +668,7 @@ def test_an_unknown_method(bench: Bench, hesr: Hesr, tmp_path: Path) -> None:
     assert not (tmp_path / "output").exists()
 
 
-def test_a_counterpart_that_is_none(
+def test_an_invalid_counterpart_is_refused(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     arguments = bench.command("identify", output=tmp_path / "output")
@@ -688,7 +690,7 @@ def changed_json(path: Path, folder: Path, **values: object) -> Path:
     return changed
 
 
-def test_a_model_in_the_place_of_a_rigid_body_and_the_other_way_round(
+def test_swapped_model_and_rigid_body_are_refused(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     swapped = replace(bench, rigid_body=bench.law, law=bench.rigid_body)
@@ -705,7 +707,7 @@ def test_a_model_in_the_place_of_a_rigid_body_and_the_other_way_round(
 
 @pytest.mark.parametrize("content", ["", "{", "[1, 2]", "null"])
 @pytest.mark.parametrize("command", ["fit", "test law", "test fmu"])
-def test_a_rigid_body_that_is_no_artifact(
+def test_an_invalid_rigid_body_is_refused(
     command: str, content: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     path = tmp_path / "body.json"
@@ -718,7 +720,7 @@ def test_a_rigid_body_that_is_no_artifact(
 
 
 @pytest.mark.parametrize("command", ["test law", "export"])
-def test_a_model_of_an_unknown_law(
+def test_a_model_of_an_unknown_law_is_refused(
     command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     data = json.loads(bench.law.read_text(encoding="utf-8"))
@@ -729,7 +731,7 @@ def test_a_model_of_an_unknown_law(
     assert refused(*arguments).startswith(f"{path}: law 'lugree' is unknown; known are ")
 
 
-def test_artifacts_that_are_missing(
+def test_missing_artifacts_are_reported(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     for key, command in (
@@ -742,7 +744,7 @@ def test_artifacts_that_are_missing(
         assert refused(*arguments) == f"{missing}: no such file."
 
 
-def test_a_model_for_other_joints(
+def test_a_model_for_other_joints_is_refused(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     data = json.loads(bench.law.read_text(encoding="utf-8"))
@@ -755,7 +757,7 @@ def test_a_model_for_other_joints(
     )
 
 
-def test_a_rigid_body_of_another_robot(
+def test_a_rigid_body_of_another_robot_is_refused(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     data = json.loads(bench.rigid_body.read_text(encoding="utf-8"))
@@ -779,7 +781,9 @@ def test_a_prediction_needs_a_log_and_a_rigid_body(
 # --- FMUs -------------------------------------------------------------------------------------
 
 
-def test_files_that_are_no_fmus(bench: Bench, refused: Callable[..., str], tmp_path: Path) -> None:
+def test_invalid_fmus_are_refused(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
     missing, other = tmp_path / "none.fmu", tmp_path / "log.fmu"
     other.write_bytes(bench.log.read_bytes())
     for path in (missing, other):
@@ -787,7 +791,7 @@ def test_files_that_are_no_fmus(bench: Bench, refused: Callable[..., str], tmp_p
         assert refused(*arguments).startswith(f"{path}: ")
 
 
-def test_an_fmu_for_another_number_of_joints(
+def test_an_fmu_for_another_number_of_joints_is_refused(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     whole = FrictionModel.read(model_file("uf850-table1"))
@@ -800,14 +804,14 @@ def test_an_fmu_for_another_number_of_joints(
     assert "2 joints" in sentence
 
 
-# --- where nothing can be written -------------------------------------------------------------
+# --- unwritable outputs ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("command", [*READERS, "export"])
-def test_a_folder_below_a_regular_file(
+def test_an_output_below_a_regular_file_is_refused(
     command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
-    """Not a matter of permissions, which root has everywhere."""
+    """Independent of permissions, so that it also fails for root."""
     blocking = tmp_path / "file"
     blocking.write_text("mine")
     output = blocking / "output"
@@ -819,7 +823,7 @@ def test_a_folder_below_a_regular_file(
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="this system has no /proc")
 @pytest.mark.parametrize("command", [*READERS, "export"])
-def test_a_file_system_that_takes_no_files(
+def test_a_read_only_file_system_is_reported(
     command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     output = Path("/proc/hesr")
@@ -829,7 +833,7 @@ def test_a_file_system_that_takes_no_files(
 
 
 @pytest.mark.parametrize("command", ["identify", "fit", "test law", "export"])
-def test_a_folder_in_the_place_of_the_output(
+def test_a_folder_as_output_file_is_refused(
     command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     arguments = bench.command(command, output=tmp_path)
@@ -837,11 +841,11 @@ def test_a_folder_in_the_place_of_the_output(
     assert refused(*arguments) == f"{arguments[-1]}: cannot be written there (Is a directory)."
 
 
-# --- a process of its own ---------------------------------------------------------------------
+# --- separate processes ------------------------------------------------------------------------
 
 
 @pytest.mark.ci
-def test_the_installed_command_answers_the_same(bench: Bench, tmp_path: Path) -> None:
+def test_the_installed_command_gives_the_same_error(bench: Bench, tmp_path: Path) -> None:
     log = spoiled(bench, tmp_path, cell(17, "dq2", "nan"))
     for command in ("identify", "run"):
         arguments = bench.command(command, output=tmp_path / "o", log=log)
@@ -859,7 +863,7 @@ def test_the_installed_command_answers_the_same(bench: Bench, tmp_path: Path) ->
 @pytest.mark.skipif(os.name != "posix", reason="interrupts are sent to a group of processes")
 @pytest.mark.parametrize("after", [0.05, 0.6, 3.0])
 def test_an_interrupt_ends_a_run_quietly_and_at_once(after: float, tmp_path: Path) -> None:
-    """Ctrl-C reaches the command and its workers alike, here while they fit for minutes."""
+    """Ctrl-C reaches the command and its workers, here during a fit of minutes."""
     study = write_study(tmp_path)
     text = study.read_text(encoding="utf-8")
     assert "starts = 4\n" in text
@@ -869,7 +873,7 @@ def test_an_interrupt_ends_a_run_quietly_and_at_once(after: float, tmp_path: Pat
     (results / "evaluation.json").write_text("old")
     before = contents(tmp_path)
     with started("run", study, "-o", results, folder=tmp_path) as process:
-        # Written just before the fits begin.
+        # Written just before the fits start.
         wait_for(lambda: list(results.glob(".hesr-*/rigid_body.json")), process)
         time.sleep(after)
         os.killpg(process.pid, signal.SIGINT)

@@ -1,4 +1,4 @@
-"""Every command of the command line, end to end on a small study of the digital twin."""
+"""All commands of the command line, end to end on a small study of the digital twin."""
 
 import json
 import re
@@ -43,7 +43,7 @@ def read(path: Path) -> Any:
 
 
 def scored(path: Path) -> Any:
-    """Scores in the JSON of `hesr test`."""
+    """Scores in the JSON output of `hesr test`."""
     return read(path)["result"]["prediction"]
 
 
@@ -52,7 +52,7 @@ def on(*logs: Path) -> list[object]:
 
 
 def assert_scores(data: Any, laws: set[str]) -> None:
-    """The format of section 7 of the design, whatever else there is beside it."""
+    """The format of section 7 of the design; further columns are allowed."""
     assert data["joints"] == JOINTS
     assert len(data["tau_std"]) == 3
     assert set(data["laws"]) >= laws
@@ -68,7 +68,7 @@ def assert_scores(data: Any, laws: set[str]) -> None:
 # --- run --------------------------------------------------------------------------------------
 
 
-def test_run_ends_with_a_table_of_laws_and_the_fmus_that_it_wrote(ran: Run) -> None:
+def test_run_ends_with_a_table_of_laws_and_the_list_of_fmus(ran: Run) -> None:
     out = ran.answer.out
     summary = out[: out.index("Rigid body:")].splitlines()
     recommended = re.match(r"Recommended: (\S+) \(", summary[0])
@@ -87,13 +87,13 @@ def test_run_ends_with_a_table_of_laws_and_the_fmus_that_it_wrote(ran: Run) -> N
     assert "Traceback" not in ran.answer.err
 
 
-def test_run_writes_everything_and_nothing_else(ran: Run) -> None:
+def test_run_writes_exactly_the_expected_files(ran: Run) -> None:
     names = set(contents(ran.results))
     logs = {f"logs/{n}.csv" for n in ("excitation", "excitation_reversed", "sweep", "trial")}
     laws = {"laws/stribeck.json", "laws/parfam_h.json"}
     fmus = {"fmus/stribeck.fmu", "fmus/parfam_h.fmu"}
     assert names >= {"rigid_body.json", "evaluation.json"} | logs | laws | fmus
-    # No temporary folder is left, here or beside the results.
+    # No temporary folder is left here or next to the results.
     assert not [name for name in names if "/." in f"/{name}"]
     assert {p.name for p in ran.results.parent.iterdir()} == {
         "results",
@@ -113,7 +113,7 @@ def test_run_writes_valid_fmus(ran: Run) -> None:
         assert validate_fmu(str(ran.results / "fmus" / f"{law}.fmu")) == []
 
 
-def test_results_say_where_they_come_from(ran: Run) -> None:
+def test_results_state_their_provenance(ran: Run) -> None:
     source = FrictionModel.read(ran.law("parfam_h")).provenance
     assert source["seed"] == 3
     hashes = {entry["name"]: entry["sha256"] for entry in source["files"]}
@@ -133,10 +133,10 @@ def test_the_same_study_gives_the_same_bytes(ran: Run, study_run_for_programs: R
 
 
 @pytest.mark.ci
-def test_run_without_an_output_writes_below_the_current_folder(
+def test_the_default_output_is_below_the_current_folder(
     ran: Run, tmp_path: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On measured logs this time: those that the twin wrote."""
+    """On measured logs: those written by the twin."""
     study = tmp_path / "measured.toml"
     study.write_text(
         f"""
@@ -158,7 +158,7 @@ def test_run_without_an_output_writes_below_the_current_folder(
     assert not any(name.startswith("logs/") for name in written)
 
 
-# --- one step at a time -----------------------------------------------------------------------
+# --- single steps ------------------------------------------------------------------------------
 
 
 def test_identify_gives_the_rigid_body_of_the_run(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
@@ -174,7 +174,7 @@ def test_identify_gives_the_rigid_body_of_the_run(ran: Run, tmp_path: Path, hesr
     np.testing.assert_array_equal(found.parameters, expected.parameters)
 
 
-def test_identify_by_the_papers_method(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
+def test_identify_supports_the_papers_method(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
     output = tmp_path / "rigid_body.json"
     answer = hesr(
         *("identify", ran.log("excitation"), "--robot", ROBOT, "-o", output, "--method", "paper"),
@@ -225,7 +225,7 @@ def test_prediction_pools_the_rows_of_all_logs(ran: Run, tmp_path: Path, hesr: H
     np.testing.assert_allclose(together, squares("trial") + squares("sweep"), rtol=1e-9)
 
 
-def test_prediction_names_models_of_one_law_by_their_files(
+def test_predictions_of_one_law_are_named_after_the_model_files(
     ran: Run, tmp_path: Path, hesr: Hesr
 ) -> None:
     scores = tmp_path / "scores.json"
@@ -239,7 +239,7 @@ def test_prediction_names_models_of_one_law_by_their_files(
         return set(scored(scores)["laws"])
 
     assert names(tmp_path / "other.json") == {"stribeck", "other"}
-    # As two runs leave them.
+    # As left by two runs.
     same = tmp_path / "run2" / "stribeck.json"
     assert names(same) == {str(first), str(same)}
 
@@ -264,7 +264,7 @@ def test_export_gives_the_fmu_of_the_run(ran: Run, tmp_path: Path, hesr: Hesr) -
     new, of_run = (members(fmu) for fmu in (output, ran.results / "fmus" / "parfam_h.fmu"))
     page, of_run_page = (m.pop("documentation/index.html").decode() for m in (new, of_run))
     assert new == of_run
-    assert 'id="properties"' in of_run_page  # what the run found out goes into its FMU's page
+    assert 'id="properties"' in of_run_page  # the findings of the run are in the page of its FMU
     assert 'id="properties"' not in page
 
 
@@ -283,7 +283,7 @@ def test_the_papers_model_is_exported_by_name_from_any_folder(
     assert [p.name for p in tmp_path.iterdir()] == ["Friction.fmu"]
 
 
-def test_an_fmu_predicts_as_its_model(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
+def test_an_fmu_predicts_like_its_model(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
     scores = tmp_path / "scores.json"
     fmu = ran.results / "fmus" / "parfam_h.fmu"
     answer = hesr("test", fmu, *on(ran.log("trial")), *options(ran), "--json", scores, "--verbose")
@@ -305,7 +305,7 @@ def test_laws_lists_the_registry(hesr: Hesr) -> None:
         assert entry.title in answer.out
 
 
-def test_help_shows_every_command(hesr: Hesr) -> None:
+def test_help_lists_every_command(hesr: Hesr) -> None:
     answer = hesr("--help")
     assert answer.code == 0
     commands = ("run", "identify", "fit", "test", "export", "check")

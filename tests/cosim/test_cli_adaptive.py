@@ -1,4 +1,4 @@
-"""Commands for friction that is followed: the adaptive FMU, and the monitor of logs."""
+"""Commands for adaptive friction: the adaptive FMU and the monitor of logs."""
 
 import json
 from dataclasses import replace
@@ -21,7 +21,7 @@ from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 
 
-def test_an_adaptive_fmu(tmp_path: Path, capsys, monkeypatch) -> None:
+def test_an_adaptive_fmu_is_exported(tmp_path: Path, capsys, monkeypatch) -> None:
     hesr = hesr_here(capsys, monkeypatch)
     law, fmu = tmp_path / "law.json", tmp_path / "Adaptive.fmu"
     values = {"sigma_0": 4e4, "sigma_1": 0.0, "sigma_2": 14.0, "F_c": 12.0, "F_s": 14.0,
@@ -114,7 +114,7 @@ def test_friction_is_monitored_over_logs(
         (log, joint) for log in ("sweep", "trial") for joint in joints
     ]
     for state in data["states"]:
-        # The law was fitted to the sweep: it stays near what it is.
+        # The law was fitted to the sweep, so its scale stays near one.
         assert abs(state["level"] - 1.0) < 0.1
         assert 0.0 < state["level_sd"] <= TUNING.level_sd
         assert state["rmse"] < 1.02 * state["rmse_fixed"]
@@ -125,7 +125,7 @@ def test_friction_is_monitored_over_logs(
     assert not list(tmp_path.glob("*.png"))
 
 
-def test_a_law_that_cannot_be_monitored(
+def test_unsupported_laws_are_not_monitored(
     study_run: Run, tmp_path: Path, capsys, monkeypatch
 ) -> None:
     hesr = hesr_here(capsys, monkeypatch)

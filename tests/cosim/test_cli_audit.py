@@ -1,4 +1,4 @@
-"""The command `hesr test --kind passivity`: proofs and cycles, and what it cannot read."""
+"""The command `hesr test --kind passivity`: proofs, cycles and unreadable input."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def test_table_i_is_refuted_by_its_cycles(hesr: Hesr) -> None:
     assert "joint3: open: no cycle was found that gives energy, and no proof" in said
 
 
-def test_a_law_of_stops_is_proven(hesr: Hesr, tmp_path: Path) -> None:
+def test_a_law_of_stops_is_proven_passive(hesr: Hesr, tmp_path: Path) -> None:
     structure = {"stops": [["1", 0]], "viscous": ["1"]}
     law = FrictionLaw(
         name="parfam_s",
@@ -42,7 +42,7 @@ def test_a_law_of_stops_is_proven(hesr: Hesr, tmp_path: Path) -> None:
     assert "j1: passive, proven at any step: S = 3e-05 x_1^2; F(x_1) = 2 >= 0" in said
 
 
-def test_what_is_no_law_is_refused(hesr: Hesr) -> None:
+def test_other_artifacts_than_laws_are_refused(hesr: Hesr) -> None:
     answer = hesr("test", "lugre")
     assert answer.code == 2
     assert "'lugre' is neither a friction model (.json), nor an FMU (.fmu)" in answer.err

@@ -1,4 +1,4 @@
-"""How loud commands are: --quiet, --verbose, --json, progress, tables of 80 columns."""
+"""Verbosity and output of commands: --quiet, --verbose, --json, progress, 80-column tables."""
 
 import json
 import logging
@@ -34,10 +34,10 @@ def scoring(ran: Run) -> list[object]:
     ]
 
 
-# --- for programs -----------------------------------------------------------------------------
+# --- JSON --------------------------------------------------------------------------------------
 
 
-def test_a_run_answers_a_program_in_json_alone(ran: Run) -> None:
+def test_json_is_the_only_output_of_a_run(ran: Run) -> None:
     answer = json.loads(ran.answer.out)
     answer = answer["result"]
     assert answer["folder"] == "results"
@@ -58,7 +58,7 @@ def test_json_goes_to_standard_output_or_to_a_file(ran: Run, tmp_path: Path, hes
     assert not Path("-").exists()
 
 
-def test_laws_answer_a_program(hesr: Hesr) -> None:
+def test_laws_are_listed_as_json(hesr: Hesr) -> None:
     answer = json.loads(hesr("fit", "--list", "--json", "-").out)["result"]
     assert list(answer) == list(registry())
     assert answer["parfam_h"]["title"] == "ParFam-H"
@@ -70,7 +70,7 @@ def test_an_error_leaves_standard_output_empty(hesr: Hesr, tmp_path: Path) -> No
     assert answer.err.startswith(f"hesr: {tmp_path / 'none.fmu'}")
 
 
-def test_a_check_that_fails_still_answers(hesr: Hesr, tmp_path: Path) -> None:
+def test_a_failed_check_still_prints_json(hesr: Hesr, tmp_path: Path) -> None:
     fmu = tmp_path / "none.fmu"
     fmu.write_text("no archive", encoding="utf-8")
     answer = hesr("check", fmu, "--json", "-")
@@ -82,9 +82,7 @@ def test_a_check_that_fails_still_answers(hesr: Hesr, tmp_path: Path) -> None:
     assert envelope["result"][0]["problems"]
 
 
-def test_a_file_that_cannot_be_written_is_found_out_before_the_run(
-    hesr: Hesr, tmp_path: Path
-) -> None:
+def test_an_unwritable_file_is_reported_before_the_run(hesr: Hesr, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     answer = hesr("run", write_study(tmp_path), "--json", tmp_path / "file" / "answer.json")
     assert answer.code == 2
@@ -94,7 +92,7 @@ def test_a_file_that_cannot_be_written_is_found_out_before_the_run(
 # --- quiet and verbose ------------------------------------------------------------------------
 
 
-def test_quiet_says_nothing_where_all_is_well(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
+def test_quiet_prints_nothing_on_success(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
     for command in (
         [*scoring(ran), "--json", tmp_path / "scores.json"],
         ["export", "uf850-table1", "-o", tmp_path / "Friction.fmu"],
@@ -106,19 +104,19 @@ def test_quiet_says_nothing_where_all_is_well(ran: Run, tmp_path: Path, hesr: He
     assert (tmp_path / "Friction.fmu").is_file()
 
 
-def test_quiet_still_says_what_is_wrong(hesr: Hesr, tmp_path: Path) -> None:
+def test_quiet_still_prints_errors(hesr: Hesr, tmp_path: Path) -> None:
     answer = hesr("export", "none.json", "-o", tmp_path / "Friction.fmu", "--quiet")
     assert (answer.code, answer.out) == (2, "")
     assert answer.err.startswith("hesr: none.json")
 
 
-def test_quiet_and_verbose_are_not_for_one_command(hesr: Hesr) -> None:
+def test_quiet_and_verbose_exclude_each_other(hesr: Hesr) -> None:
     answer = hesr("fit", "--list", "--quiet", "--verbose")
     assert (answer.code, answer.out) == (2, "")
     assert answer.err == "hesr: --quiet does not go with --verbose; give one of them.\n"
 
 
-def test_verbose_logs_what_is_done_with_times(ran: Run) -> None:
+def test_verbose_logs_steps_with_times(ran: Run) -> None:
     lines = ran.answer.err.splitlines()
     pattern = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ [a-z_.]+: .")
     assert [line for line in lines if not pattern.match(line)] == []
@@ -126,14 +124,14 @@ def test_verbose_logs_what_is_done_with_times(ran: Run) -> None:
         assert any(line.endswith(text) for line in lines)
 
 
-def test_verbose_shows_where_an_error_was_found_out(hesr: Hesr) -> None:
+def test_verbose_shows_the_origin_of_an_error(hesr: Hesr) -> None:
     answer = hesr("export", "none.json", "-o", "Friction.fmu", "--verbose")
     assert answer.code == 2
     assert "Traceback" in answer.err
     assert answer.err.splitlines()[-1] == hesr("export", "none.json", "-o", "F.fmu").err.strip()
 
 
-def test_logging_is_as_before_when_a_command_has_ended(hesr: Hesr) -> None:
+def test_logging_is_restored_after_a_command(hesr: Hesr) -> None:
     before = [(logging.getLogger(n).level, logging.getLogger(n).handlers[:]) for n in ("cosim",)]
     hesr("fit", "--list", "--verbose")
     assert [
@@ -145,7 +143,7 @@ def test_logging_is_as_before_when_a_command_has_ended(hesr: Hesr) -> None:
 
 
 def on_a_terminal(*arguments: object) -> str:
-    """What a command draws on a terminal of 80 columns as its standard error."""
+    """Output of a command whose standard error is a terminal of 80 columns."""
     pty = pytest.importorskip("pty", reason="pseudo-terminals are for POSIX")
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
@@ -169,7 +167,7 @@ def on_a_terminal(*arguments: object) -> str:
     return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", drawn.decode())
 
 
-def test_long_work_shows_how_far_it_is_and_what_is_left(ran: Run, tmp_path: Path) -> None:
+def test_long_work_shows_progress_and_remaining_time(ran: Run, tmp_path: Path) -> None:
     results = ran.results
     drawn = on_a_terminal(
         *("fit", results / "logs" / "sweep.csv", "--robot", ROBOT),
@@ -178,12 +176,12 @@ def test_long_work_shows_how_far_it_is_and_what_is_left(ran: Run, tmp_path: Path
     )
     assert re.search(r"fitting lugre .* 0% \d:\d\d:\d\d left: -:--:--", drawn)
     assert re.search(r"fitting lugre .* 100%", drawn)
-    # Sentences, as of what is odd in a log, are left whole.
+    # Sentences, such as findings in a log, are not wrapped.
     bars = [line for line in re.split(r"[\r\n]+|\x1b\[[\d;?]*[A-Za-z]", drawn) if "━" in line]
     assert max(map(len, bars)) <= 80
 
 
-def test_work_that_cannot_be_counted_shows_that_it_goes_on(tmp_path: Path) -> None:
+def test_uncountable_work_shows_that_it_is_running(tmp_path: Path) -> None:
     arguments = ("--robot", uf850("uf850.xml"))
     drawn = on_a_terminal("new", tmp_path / "loud", *arguments)
     assert re.search(r"making sample logs .* \d:\d\d:\d\d", drawn)
@@ -209,7 +207,7 @@ def test_no_progress_is_drawn_into_a_file(tmp_path: Path) -> None:
 
 
 def test_tables_fit_80_columns_in_a_pipe(study_run: Run) -> None:
-    """All that a run of the small study and its evaluation print, as `| less` would get it."""
+    """All output of a run of the small study and of its evaluation, as piped to `less`."""
     variables = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
     printed = [study_run.answer.out]
     for command in ([*scoring(study_run), "--verbose"], ["fit", "--list"]):
@@ -222,7 +220,7 @@ def test_tables_fit_80_columns_in_a_pipe(study_run: Run) -> None:
         )
         printed.append(result.stdout)
     for text in printed:
-        # Paths and sentences are left whole, so that they can be copied.
+        # Paths and sentences are not wrapped, so that they can be copied.
         whole = ("  /", "Report:", "FMUs:", "Rigid body:", "joint", "Written:")
         lines = [
             line
@@ -235,7 +233,7 @@ def test_tables_fit_80_columns_in_a_pipe(study_run: Run) -> None:
         assert "\x1b" not in text
 
 
-def test_a_reader_that_goes_away_is_no_error() -> None:
+def test_a_closed_pipe_is_not_an_error() -> None:
     """As `hesr fit --list | head -1`."""
     process = subprocess.Popen(
         [sys.executable, "-c", "from hesr.cli import main; main()", "fit", "--list"],

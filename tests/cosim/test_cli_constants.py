@@ -1,4 +1,4 @@
-"""hesr inspect --torque-constants: in the terminal, as JSON, and one sentence for what is wrong."""
+"""hesr inspect --torque-constants: output in the terminal and as JSON, and its error messages."""
 
 import json
 from pathlib import Path
@@ -30,7 +30,7 @@ def write(folder: Path, log: Log) -> tuple[Path, Path]:
     return robot, file
 
 
-def test_constants_are_said_and_written(hesr: Hesr, tmp_path: Path, arm_log: Log) -> None:
+def test_constants_are_printed_and_written(hesr: Hesr, tmp_path: Path, arm_log: Log) -> None:
     robot, log = write(tmp_path, arm_log)
     out = tmp_path / "constants.json"
     answer = hesr("inspect", log, "--robot", robot, "--torque-constants", "--json", out)
@@ -43,7 +43,7 @@ def test_constants_are_said_and_written(hesr: Hesr, tmp_path: Path, arm_log: Log
     assert len(found) == len(told)
 
 
-def test_a_payload_is_four_numbers(hesr: Hesr, tmp_path: Path, arm_log: Log) -> None:
+def test_a_payload_needs_four_numbers(hesr: Hesr, tmp_path: Path, arm_log: Log) -> None:
     robot, log = write(tmp_path, arm_log)
     answer = hesr("inspect", log, "--robot", robot, "--torque-constants", "--payload", "2.0,0.1")
     assert answer.code == 2

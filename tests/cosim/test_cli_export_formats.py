@@ -1,4 +1,4 @@
-"""The command that writes a friction model for other tools, and what it says when it cannot."""
+"""The command that exports a friction model to other tools, and its refusals."""
 
 import re
 from dataclasses import replace
@@ -23,7 +23,7 @@ def hesr(capsys, monkeypatch) -> Hesr:
     return hesr_here(capsys, monkeypatch)
 
 
-def test_a_drive(hesr, tmp_path):
+def test_a_drive_is_exported(hesr, tmp_path):
     fmu = tmp_path / "Drive.fmu"
     answer = hesr("export", TABLE_1, "--format", "drive", "--inertia", "3,3,0.6",
                   "--stiffness", "1e4", "-o", fmu)  # fmt: skip
@@ -38,14 +38,14 @@ def test_a_drive(hesr, tmp_path):
         assert drive.get(["dq[3]"])[0] > 0.0
 
 
-def test_modelica(hesr, tmp_path):
+def test_modelica_is_exported(hesr, tmp_path):
     path = tmp_path / "Friction.mo"
     answer = hesr("export", TABLE_1, "--format", "modelica", "-o", path)
     assert answer.code == 0, answer.err
     assert '\npackage Friction "' in path.read_text()
 
 
-def test_a_c_header_and_its_data(hesr, tmp_path):
+def test_a_c_header_is_exported_with_its_data(hesr, tmp_path):
     path = tmp_path / "friction.h"
     answer = hesr("export", TABLE_1, "--format", "c", "-o", path)
     assert answer.code == 0, answer.err
@@ -54,7 +54,7 @@ def test_a_c_header_and_its_data(hesr, tmp_path):
     assert path.with_suffix(".csv").read_text().startswith("t,dq[1],dq[2],dq[3],q[1],")
 
 
-def test_fmi_3(hesr, tmp_path):
+def test_fmi_3_is_exported(hesr, tmp_path):
     fmu = tmp_path / "Friction.fmu"
     answer = hesr("export", TABLE_1, "--fmi", "3", "-o", fmu)
     assert answer.code == 0, answer.err
@@ -64,7 +64,7 @@ def test_fmi_3(hesr, tmp_path):
 
 
 @pytest.mark.parametrize("library", ["torch", "jax"])
-def test_tensor_code_and_its_data(hesr, tmp_path, library):
+def test_tensor_code_is_exported_with_its_data(hesr, tmp_path, library):
     path = tmp_path / "friction.py"
     answer = hesr("export", TABLE_1, "--format", library, "-o", path)
     assert answer.code == 0, answer.err
@@ -73,7 +73,7 @@ def test_tensor_code_and_its_data(hesr, tmp_path, library):
     assert len(path.with_suffix(".csv").read_text().splitlines()) == 1001
 
 
-def test_mjcf_says_how_far_off_a_projection_is(hesr, tmp_path):
+def test_mjcf_export_states_the_projection_error(hesr, tmp_path):
     path = tmp_path / "friction.xml"
     answer = hesr("export", TABLE_1, "--format", "mjcf", "-o", path)
     assert answer.code == 2
@@ -85,7 +85,7 @@ def test_mjcf_says_how_far_off_a_projection_is(hesr, tmp_path):
     assert path.exists()
 
 
-def test_properties_stand_in_the_pages_of_the_fmu(hesr, tmp_path):
+def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
     fmu = tmp_path / "Friction.fmu"
     answer = hesr("export", TABLE_1, "--properties", "-o", fmu)
     assert answer.code == 0, answer.err
@@ -139,7 +139,7 @@ def test_properties_stand_in_the_pages_of_the_fmu(hesr, tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_written(hesr, tmp_path, monkeypatch, arguments, sentence):
+def test_unsupported_exports_are_refused(hesr, tmp_path, monkeypatch, arguments, sentence):
     monkeypatch.chdir(tmp_path)
     answer = hesr("export", TABLE_1, *arguments)
     assert answer.code == 2
@@ -147,7 +147,7 @@ def test_what_cannot_be_written(hesr, tmp_path, monkeypatch, arguments, sentence
     assert not list(tmp_path.iterdir())
 
 
-def test_the_body_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monkeypatch):
+def test_the_rigid_body_is_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monkeypatch):
     robot, body = uf850("robot.toml"), study_run.rigid_body
     given = ("--robot", robot, "--rigid-body", body)
     monkeypatch.chdir(tmp_path)
@@ -171,7 +171,7 @@ def test_the_body_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monkeypatch):
         assert answer.code == 2
         assert sentence in answer.err
     sizes = []
-    for more in ((), given):  # the page of one is not taken for that of the other
+    for more in ((), given):  # the pages do not share a cache entry
         answer = hesr("export", TABLE_1, *more, "-o", "F.fmu")
         assert answer.code == 0, answer.err
         with ZipFile("F.fmu") as archive:
@@ -189,7 +189,9 @@ def test_the_body_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monkeypatch):
         (["--properties"], "--properties is for friction laws, not for a robot."),
     ],
 )
-def test_options_that_a_robot_does_not_have(hesr, tmp_path, monkeypatch, arguments, sentence):
+def test_options_unsupported_by_the_robot_are_refused(
+    hesr, tmp_path, monkeypatch, arguments, sentence
+):
     monkeypatch.chdir(tmp_path)
     answer = hesr("export", "robot.xml", *arguments, "-o", "A.fmu")
     assert answer.code == 2
@@ -206,7 +208,7 @@ def test_options_that_a_robot_does_not_have(hesr, tmp_path, monkeypatch, argumen
         ["--format", "mjcf", "--project", "-o", "f.xml"],
     ],
 )
-def test_a_law_that_divides_by_zero(hesr, tmp_path, monkeypatch, arguments):
+def test_a_law_that_divides_by_zero_is_refused(hesr, tmp_path, monkeypatch, arguments):
     values = {"sigma_0": 1e4, "sigma_1": 10.0, "sigma_2": 5.0, "F_c": 0.0, "F_s": 8.0, "v_s": 0.1,
               "tau_0": 0.0}  # fmt: skip
     law = FrictionLaw(name="lugre", form=LuGre.core({}), values=values)

@@ -1,4 +1,4 @@
-"""The command that makes an FMU of an MJCF, and what it says when it cannot."""
+"""The command that converts an MJCF model to an FMU, and its refusals."""
 
 import pytest
 from small_study import Hesr, hesr_here, uf850
@@ -39,7 +39,7 @@ def test_an_mjcf_becomes_an_fmu(hesr, mjcf, tmp_path):
         assert swing.get(["y"])[0] > 0.0
 
 
-def test_the_twin_with_its_table(hesr, tmp_path):
+def test_the_twin_is_exported_with_its_table(hesr, tmp_path):
     fmu = tmp_path / "Arm.fmu"
     answer = hesr("export", uf850("uf850.xml"), "-o", fmu, "--signals", uf850("arm.toml"))
     assert answer.code == 0, answer.err
@@ -50,7 +50,7 @@ def test_the_twin_with_its_table(hesr, tmp_path):
     assert answer.code == 0, answer.out
 
 
-def test_the_same_for_hosts_in_python(hesr, mjcf, tmp_path):
+def test_python_hosts_get_the_same_arm(hesr, mjcf, tmp_path):
     native, python = tmp_path / "Swing.fmu", tmp_path / "PythonSwing.fmu"
     assert hesr("export", mjcf, "-o", native).code == 0
     answer = hesr("export", mjcf, "-o", python, "--format", "python-arm")
@@ -87,9 +87,7 @@ def test_the_same_for_hosts_in_python(hesr, mjcf, tmp_path):
          "--signals is for an MJCF (.xml)."),
     ],
 )  # fmt: skip
-def test_what_cannot_be_done_is_one_sentence(
-    arguments, sentence, hesr, mjcf, tmp_path, monkeypatch
-):
+def test_refusals_are_one_sentence(arguments, sentence, hesr, mjcf, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")

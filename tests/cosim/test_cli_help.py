@@ -1,4 +1,4 @@
-"""What the command line says of itself: examples, exit codes, completion; and how soon."""
+"""Help of the command line: examples, exit codes, completion and start-up time."""
 
 import os
 import re
@@ -26,7 +26,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 
 def examples(help_text: str) -> list[list[str]]:
-    """Commands below "Example:", each as the shell would split it."""
+    """Commands below "Example:", split as by the shell."""
     _, _, below = re.split(r"\n  (Examples?):\n", help_text)
     lines = re.sub(r" \\\n\s+", " ", below).splitlines()
     return [shlex.split(line) for line in lines if line.strip()]
@@ -40,20 +40,20 @@ def asked_for_help(hesr: Hesr, monkeypatch: pytest.MonkeyPatch, *command: str) -
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_shows_an_example_that_can_be_typed(
+def test_every_command_has_a_valid_example(
     name: str, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown = examples(asked_for_help(hesr, monkeypatch, name))
     assert shown
     for program, command, *arguments in shown:
         assert (program, command) == ("hesr", name)
-        # Fails for an option that there is not, a value it does not take, a missing argument.
+        # Fails for an unknown option, an invalid value or a missing argument.
         with COMMANDS[name].make_context(name, list(arguments)) as context:
             assert any(context.params.values()) or not arguments
 
 
-def test_an_example_with_an_option_that_there_is_not_is_found() -> None:
-    """Otherwise the test above could pass for nothing."""
+def test_an_example_with_an_unknown_option_is_detected() -> None:
+    """Guards the test above against passing vacuously."""
     with pytest.raises(Exception, match="no-such-option"):
         COMMANDS["fit"].make_context("fit", ["a.csv", "--no-such-option"])
 
@@ -62,7 +62,7 @@ def test_an_example_with_an_option_that_there_is_not_is_found() -> None:
 def test_help_fits_80_columns(name: str, hesr: Hesr, monkeypatch: pytest.MonkeyPatch) -> None:
     text = asked_for_help(hesr, monkeypatch, *([name] if name else []))
     assert max(map(len, text.splitlines())) <= 80
-    assert not re.search(r"--[a-z-]+ <list", text)  # Python's types are nothing for users
+    assert not re.search(r"--[a-z-]+ <list", text)  # Python types mean nothing to users
     assert "[[" not in text
 
 
@@ -75,7 +75,7 @@ def test_every_command_can_be_quiet_and_verbose(
     assert re.search(r"\n  --verbose +Log to standard error,", text)
 
 
-def test_the_overview_has_whole_sentences_in_the_order_of_work(
+def test_the_overview_has_full_sentences_in_order_of_use(
     hesr: Hesr, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = asked_for_help(hesr, monkeypatch)
@@ -93,13 +93,13 @@ def test_exit_codes_are_documented(hesr: Hesr, monkeypatch: pytest.MonkeyPatch) 
     assert "143: ended by another program" in text
 
 
-def test_version(hesr: Hesr) -> None:
+def test_version_is_printed(hesr: Hesr) -> None:
     answer = hesr("--version")
     assert (answer.code, answer.out, answer.err) == (0, f"hesr {version('hesr')}\n", "")
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["fit", "--help"], ["no-such"]])
-def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
+def test_help_imports_no_heavy_modules(arguments: list[str]) -> None:
     program = (
         "import sys, contextlib\nfrom hesr.cli import main\n"
         "with contextlib.suppress(SystemExit):\n    main()\n"
@@ -157,7 +157,7 @@ def test_bash_completes(typed: str, completed: str) -> None:
 
 @installed
 @pytest.mark.skipif(not Path("/bin/bash").is_file(), reason="there is no bash")
-def test_the_script_for_bash_is_one_that_bash_runs(tmp_path: Path) -> None:
+def test_the_bash_script_runs_in_bash(tmp_path: Path) -> None:
     script = tmp_path / "hesr.sh"
     script.write_text(ask(_HESR_COMPLETE="bash_source"), encoding="utf-8")
     program = (

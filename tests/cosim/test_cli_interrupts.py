@@ -1,6 +1,6 @@
-"""Ctrl-C and SIGTERM, sent to the real process: nothing half-written, one sentence, what is kept.
+"""Ctrl-C and SIGTERM sent to the real process: no partial files, one sentence, checkpoints kept.
 
-An interrupt while laws are fitted in many processes is in test_bad_input.py.
+test_bad_input.py tests an interrupt while many processes fit laws.
 """
 
 import os
@@ -41,7 +41,7 @@ drift = 1.0
 
 
 def ended(process: "subprocess.Popen[str]", number: int, folder: Path) -> str:
-    """Send a signal to the group, as a terminal does; return what the command says then."""
+    """Send a signal to the group, as a terminal does; return the output after it."""
     os.killpg(process.pid, number)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 128 + number, (out, err)
@@ -59,16 +59,16 @@ def one_sentence(text: str, beginning: str) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("seconds", [0.2, 0.7, 1.5])
-def test_at_any_time_from_the_first_imports_on(
+def test_interrupts_work_from_the_first_import_to_the_build(
     number: signal.Signals, seconds: float, tmp_path: Path, empty_cache: Path
 ) -> None:
-    """The command runs for longer than that: it builds for all platforms."""
+    """The command builds for all platforms, which takes longer than the delay."""
     output = tmp_path / "Friction.fmu"
     output.write_text("old", encoding="utf-8")
     arguments = ("export", "uf850-table1", "--platform", "all", "-o", output, "--verbose")
     with started(*arguments, folder=tmp_path) as process:
         assert process.stderr
-        assert "building Friction.fmu" in process.stderr.readline()  # then it is in the command
+        assert "building Friction.fmu" in process.stderr.readline()  # then the command is running
         time.sleep(seconds)
         if process.poll() is not None:
             pytest.skip("this machine has built four platforms in that time")
@@ -78,7 +78,7 @@ def test_at_any_time_from_the_first_imports_on(
     assert {p.name for p in tmp_path.iterdir()} == {"Friction.fmu", "tmp"}
 
 
-def test_while_the_arm_runs(tmp_path: Path) -> None:
+def test_interrupts_work_while_the_arm_runs(tmp_path: Path) -> None:
     study = write_study(tmp_path)
     before = contents(tmp_path)
     with started("run", study, "-o", "results", folder=tmp_path) as process:
@@ -89,7 +89,7 @@ def test_while_the_arm_runs(tmp_path: Path) -> None:
 
 
 class Freed:
-    """Gets a signal while it is being freed, where nothing can be raised."""
+    """An object that receives a signal in its finaliser, where exceptions are ignored."""
 
     def __init__(self, number: signal.Signals) -> None:
         self.number = number
@@ -99,7 +99,7 @@ class Freed:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_that_comes_while_something_is_freed_is_not_lost(number: signal.Signals) -> None:
+def test_a_signal_in_a_finaliser_is_not_lost(number: signal.Signals) -> None:
     kept = [Freed(number)]
 
     def work() -> None:
@@ -111,7 +111,7 @@ def test_a_signal_that_comes_while_something_is_freed_is_not_lost(number: signal
     assert (raised.type is KeyboardInterrupt) == (number == signal.SIGINT)
 
 
-def test_in_the_closed_loop_it_says_what_the_next_run_goes_on_from(tmp_path: Path) -> None:
+def test_an_interrupted_closed_loop_names_its_checkpoint(tmp_path: Path) -> None:
     study = write_study(tmp_path)
     text = study.read_text(encoding="utf-8").replace(
         'laws = ["stribeck", "parfam_h"]', 'laws = ["stribeck"]'
@@ -122,7 +122,7 @@ def test_in_the_closed_loop_it_says_what_the_next_run_goes_on_from(tmp_path: Pat
     kept = tmp_path / ".results-unfinished"
     command = ("run", study, "-o", tmp_path / "results")
     with started(*command, folder=tmp_path) as process:
-        wait_for(lambda: len(list(kept.glob("[!.]*.json"))) >= 2, process)  # not half of one
+        wait_for(lambda: len(list(kept.glob("[!.]*.json"))) >= 2, process)  # no partial files
         said = ended(process, signal.SIGINT, tmp_path)
     one_sentence(said, STOPPED)
     found = re.search(r"(\d+) finished rows of the closed loop are kept in (\S+): the", said)
@@ -133,9 +133,9 @@ def test_in_the_closed_loop_it_says_what_the_next_run_goes_on_from(tmp_path: Pat
     assert rows == len(list(kept.glob("*.json"))) >= 2
     assert "and 3 laws of joints, " in said
     assert {p.suffix for p in kept.rglob("*") if p.is_file()} == {".json"}
-    assert not list(kept.rglob(".*"))  # nothing half-written among them
+    assert not list(kept.rglob(".*"))  # no partial files among them
     assert contents(tmp_path, without=[p.name for p in kept.rglob("*")]) == before
-    # It does go on from there.
+    # The next run does resume from there.
     with started(*command, "--verbose", folder=tmp_path) as process:
         assert process.stderr
         known: dict[str, int] = {}
@@ -150,8 +150,8 @@ def test_in_the_closed_loop_it_says_what_the_next_run_goes_on_from(tmp_path: Pat
     assert said.splitlines()[-1].startswith(f"{ENDED}, and ")
 
 
-def test_a_command_that_may_not_be_interrupted_goes_on(tmp_path: Path) -> None:
-    """As one that a script starts in the background."""
+def test_a_command_that_ignores_interrupts_completes(tmp_path: Path) -> None:
+    """Like a background command of a script."""
     program = (
         "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
         "from hesr.cli import main; main()"
@@ -170,7 +170,7 @@ def test_a_command_that_may_not_be_interrupted_goes_on(tmp_path: Path) -> None:
     assert "ParFam-H" in out
 
 
-# --- what must not be torn apart --------------------------------------------------------------
+# --- atomic blocks -----------------------------------------------------------------------------
 
 
 def test_an_interrupt_waits_until_the_block_is_done() -> None:
@@ -188,8 +188,8 @@ def test_an_interrupt_waits_until_the_block_is_done() -> None:
         signal.raise_signal(signal.SIGINT)
 
 
-def test_an_interrupt_that_another_thread_takes_waits_too() -> None:
-    """As the threads of BLAS or of a pool of processes do while the main one holds it back."""
+def test_an_interrupt_received_by_another_thread_also_waits() -> None:
+    """Threads of BLAS or of a process pool receive it while the main thread blocks it."""
     done = []
     over = threading.Event()
     other = threading.Thread(target=over.wait)
@@ -210,8 +210,8 @@ def test_an_interrupt_that_another_thread_takes_waits_too() -> None:
     assert done
 
 
-def test_a_process_begins_with_interrupts_held_back() -> None:
-    """Or Ctrl-C would end it before it can say that it leaves that to its parent."""
+def test_a_process_starts_with_interrupts_blocked() -> None:
+    """Otherwise Ctrl-C could end it before it leaves the signal to its parent."""
     program = (
         "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()),"
         " signal.SIGTERM in signal.pthread_sigmask(signal.SIG_BLOCK, ()))"
@@ -227,8 +227,8 @@ def test_a_process_begins_with_interrupts_held_back() -> None:
     assert begun() == "False False\n"
 
 
-def test_results_are_moved_all_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C at the first of many files that are moved to their place."""
+def test_results_are_moved_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C arrives at the first of many files being moved."""
     moved = []
     replace = Path.replace
 

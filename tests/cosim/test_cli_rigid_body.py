@@ -1,4 +1,4 @@
-"""What the command line does with the rigid body beyond the plain identification."""
+"""Rigid-body commands beyond plain identification."""
 
 import json
 import re
@@ -54,7 +54,7 @@ def test_limits_that_admit_no_motion_are_refused(hesr: Hesr, tmp_path: Path) -> 
     assert not (tmp_path / "motion.csv").exists()
 
 
-def test_a_physical_body_says_that_it_is_one(
+def test_a_physical_body_is_reported_as_such(
     hesr: Hesr, logs: dict[str, Path], tmp_path: Path
 ) -> None:
     output = tmp_path / "body.json"
@@ -63,7 +63,7 @@ def test_a_physical_body_says_that_it_is_one(
     assert RigidBody.read(output).physical
 
 
-def test_a_body_is_refined_with_the_friction_that_was_fitted(
+def test_a_body_is_refined_with_the_fitted_friction(
     hesr: Hesr, logs: dict[str, Path], tmp_path: Path
 ) -> None:
     first, law, second = (tmp_path / f"{n}.json" for n in ("first", "law", "second"))
@@ -83,7 +83,7 @@ def test_a_body_is_refined_with_the_friction_that_was_fitted(
     assert {"law.json", "first.json"} <= set(names)
 
 
-def test_a_log_without_payload_holds_none(
+def test_a_log_without_payload_gives_a_zero_payload(
     hesr: Hesr, logs: dict[str, Path], tmp_path: Path
 ) -> None:
     body, loaded = tmp_path / "body.json", tmp_path / "loaded.json"
@@ -109,7 +109,7 @@ def test_a_log_without_payload_holds_none(
         ),
     ],
 )
-def test_options_that_exclude_each_other(
+def test_exclusive_options_are_refused(
     hesr: Hesr, logs: dict[str, Path], tmp_path: Path, options: tuple[str, ...], sentence: str
 ) -> None:
     output = tmp_path / "body.json"
@@ -120,9 +120,7 @@ def test_options_that_exclude_each_other(
     assert not output.exists()
 
 
-def test_an_option_of_a_law_is_written_as_in_toml(
-    hesr: Hesr, logs: dict[str, Path], tmp_path: Path
-) -> None:
+def test_law_options_use_toml_syntax(hesr: Hesr, logs: dict[str, Path], tmp_path: Path) -> None:
     body, law = tmp_path / "body.json", tmp_path / "law.json"
     assert hesr("identify", logs["excitation"], "--robot", ROBOT, "-o", body).code == 0
     fit = ("fit", logs["sweep"], "--robot", ROBOT, "--rigid-body", body, "-o", law)

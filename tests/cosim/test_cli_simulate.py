@@ -1,4 +1,4 @@
-"""hesr simulate: a system of FMUs from its file to a table, through the real command line."""
+"""hesr simulate: from a system file to a table, through the real command line."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +20,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.fixture
 def write(tmp_path: Path, lag_fmu: Path) -> Write:
-    """Write the system, with something in it replaced."""
+    """Write the system with some text replaced."""
 
     def file(old: str = "", new: str = "") -> Path:
         assert old in LAGS
@@ -33,7 +33,9 @@ def write(tmp_path: Path, lag_fmu: Path) -> Write:
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_a_system_is_run_and_written(write: Write, tmp_path: Path, hesr: Hesr, suffix: str) -> None:
+def test_a_system_is_simulated_and_written(
+    write: Write, tmp_path: Path, hesr: Hesr, suffix: str
+) -> None:
     output = tmp_path / "results" / f"lags.{suffix}"
     answer = hesr("simulate", write(), "-o", output)
     assert answer.code == 0, answer.err
@@ -52,7 +54,7 @@ def test_the_installed_program_does_the_same(write: Write, tmp_path: Path, hesr:
     assert one.read_bytes() == other.read_bytes()
 
 
-def test_what_there_is_after_a_failure_is_written(write: Write, tmp_path: Path, hesr: Hesr) -> None:
+def test_rows_before_a_failure_are_written(write: Write, tmp_path: Path, hesr: Hesr) -> None:
     output = tmp_path / "lags.csv"
     answer = hesr("simulate", write("u = 2.0", "refused = 0.45, u = 2.0"), "-o", output)
     assert answer.code == 2
@@ -91,7 +93,7 @@ def test_limits_name_time_and_signal(write: Write, tmp_path: Path, hesr: Hesr) -
         ("T = 0.5", "T = -1.0", "Lag.fmu ('a') at t = 0 s: T is -1 s; it must be positive."),
     ],
 )  # fmt: skip
-def test_systems_that_are_wrong(
+def test_invalid_systems_are_refused(
     write: Write, tmp_path: Path, hesr: Hesr, old: str, new: str, said: str
 ) -> None:
     path = write(old, new)
@@ -104,13 +106,13 @@ def test_systems_that_are_wrong(
     assert contents(tmp_path) == before
 
 
-def test_a_file_that_is_not_there(tmp_path: Path, hesr: Hesr) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path, hesr: Hesr) -> None:
     path = tmp_path / "system.toml"
     answer = hesr("simulate", path, "-o", tmp_path / "lags.csv")
     assert (answer.code, answer.err) == (2, f"hesr: {path}: no such file.\n")
 
 
-def test_outputs_that_cannot_be_written(write: Write, tmp_path: Path, hesr: Hesr) -> None:
+def test_unwritable_outputs_are_reported(write: Write, tmp_path: Path, hesr: Hesr) -> None:
     answer = hesr("simulate", write(), "-o", tmp_path / "lags.txt")
     assert (answer.code, answer.err) == (
         2,

@@ -1,4 +1,4 @@
-"""Commands as calls in Python: they find what the command line finds."""
+"""Commands as Python calls: same results as the command line."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +22,7 @@ def file(arm: RobotDescription, arm_log: Log) -> Path:
     return path
 
 
-def test_from_a_log_to_scores_in_four_calls(arm: RobotDescription, file: Path) -> None:
+def test_four_calls_lead_from_a_log_to_scores(arm: RobotDescription, file: Path) -> None:
     log = hesr.Log.read(str(file), robot=str(arm.model))
     body = hesr.identify(log)
     assert body.joints == arm.joints
@@ -48,7 +48,7 @@ def test_results_of_calls_and_of_the_command_line_are_equal(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Also in their provenance."""
+    """Includes the provenance."""
     run = hesr_here(capsys, monkeypatch)
     written = {name: file.with_name(f"{name}.json") for name in ("body", "again", "law", "other")}
     hesr.identify(str(file), robot=str(arm.model), output=written["body"])
@@ -78,20 +78,20 @@ def test_a_start_from_measured_torques_has_a_row_of_its_own(
     assert scores.laws["own"] != scores.laws["own + start"]
 
 
-def test_models_are_those_of_the_robots_owner(arm: RobotDescription, file: Path) -> None:
+def test_models_are_those_given_by_the_robot(arm: RobotDescription, file: Path) -> None:
     owned = arm.model_copy(update={"owner": Owner(author="A", license="MIT")})
     for robot, owner in ((arm, {}), (owned, {"author": "A", "license": "MIT"})):
         model = hesr.fit(str(file), law="stribeck", robot=robot)
         assert Owner.of(model.provenance).known == owner
 
 
-def test_a_log_is_looked_at(arm: RobotDescription, file: Path) -> None:
+def test_a_log_is_inspected(arm: RobotDescription, file: Path) -> None:
     found = hesr.inspect(str(file), robot=str(arm.model))
     assert [log.name for log in found.proposal.logs] == ["run"]
     assert hesr.inspect([file]).proposal.robot.joints == ("joint1", "joint2", "joint3")
 
 
-def test_a_folder_is_laid(arm: RobotDescription, tmp_path: Path) -> None:
+def test_a_project_folder_is_created(arm: RobotDescription, tmp_path: Path) -> None:
     made = hesr.new(str(tmp_path / "mine"), str(arm.model))
     assert made.joints == arm.joints
     assert (tmp_path / "mine" / "study.toml").is_file()
@@ -101,7 +101,7 @@ def test_the_laws_are_listed() -> None:
     assert "lugre" in hesr.laws()
 
 
-def test_what_cannot_be_used_is_refused(
+def test_unusable_arguments_are_refused(
     arm_log: Log, table1: FrictionModel, tmp_path: Path
 ) -> None:
     fleet, board = tmp_path / "fleet.toml", tmp_path / "board.toml"

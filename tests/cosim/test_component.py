@@ -1,4 +1,4 @@
-"""One slave: values by name, errors that say what and when, always freed."""
+"""A single slave: access by name, errors with variable and time, always freed."""
 
 import math
 import re
@@ -18,7 +18,7 @@ from hesr_model.errors import ConfigError, SimulationError
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Where FMUs are extracted."""
+    """Folder of extracted FMUs."""
     place = tmp_path / "extracted"
     place.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(place))
@@ -55,7 +55,7 @@ def test_batches_use_one_buffer(friction_fmu):
         np.testing.assert_array_equal(values, friction.get(["tau[1]", "tau[2]"]))
 
 
-def test_outputs_can_be_read_during_the_initialisation(friction_fmu):
+def test_outputs_are_readable_during_initialisation(friction_fmu):
     with FmuInstance(friction_fmu) as friction:
         friction.enter_initialisation(time=2.0)
         friction.set({"dq[1]": 0.4})
@@ -64,7 +64,7 @@ def test_outputs_can_be_read_during_the_initialisation(friction_fmu):
         assert friction.get(["tau[1]"]) == before
 
 
-def test_reset_goes_back_to_the_start(friction_fmu):
+def test_reset_restores_the_start(friction_fmu):
     with FmuInstance(friction_fmu) as friction:
         friction.initialise(start={"dq[1]": 0.4})
         friction.step(0.0, 0.005)
@@ -86,14 +86,14 @@ def test_errors_name_the_fmu_the_time_and_the_variable(friction_fmu):
     assert friction.messages == ["fmi2SetReal: dq[2] is nan; a finite number is needed."]
 
 
-def test_steps_that_fail_name_the_time_at_which_they_began(friction_fmu):
+def test_failed_steps_name_their_start_time(friction_fmu):
     with FmuInstance(friction_fmu) as friction:
         friction.initialise(time=1.5)
         with pytest.raises(SimulationError, match=r"at t = 1\.5 s: h\[1\]: Euler needs rate \* st"):
             friction.step(1.5, 1.0)
 
 
-def test_unknown_variables(friction_fmu):
+def test_unknown_variables_are_refused(friction_fmu):
     with FmuInstance(friction_fmu) as friction:
         with pytest.raises(SimulationError) as caught:
             friction.get(["tau[9]"])
@@ -104,7 +104,7 @@ def test_unknown_variables(friction_fmu):
             friction.buffer(["discretisation"])
 
 
-def test_nothing_stays_behind(friction_fmu, folder):
+def test_nothing_is_left_behind(friction_fmu, folder):
     with FmuInstance(friction_fmu) as friction:
         friction.initialise()
         friction.step(0.0, 0.005)
@@ -115,7 +115,7 @@ def test_nothing_stays_behind(friction_fmu, folder):
 @pytest.mark.parametrize(
     "error", [KeyboardInterrupt(), SimulationError("it is off."), ValueError()]
 )
-def test_nothing_stays_behind_after_an_error(friction_fmu, folder, error):
+def test_nothing_is_left_behind_after_an_error(friction_fmu, folder, error):
     def use():
         with FmuInstance(friction_fmu) as friction:
             friction.initialise()
@@ -126,7 +126,7 @@ def test_nothing_stays_behind_after_an_error(friction_fmu, folder, error):
     assert not list(folder.iterdir())
 
 
-def test_slaves_that_refuse_to_end_are_freed(friction_fmu, folder):
+def test_slaves_that_fail_to_terminate_are_freed(friction_fmu, folder):
     with FmuInstance(friction_fmu) as friction:
         friction.initialise()
         friction._instance.slave.terminate()
@@ -134,7 +134,7 @@ def test_slaves_that_refuse_to_end_are_freed(friction_fmu, folder):
     assert not list(folder.iterdir())
 
 
-def test_files_that_are_no_fmu(tmp_path, folder):
+def test_files_other_than_fmus_are_refused(tmp_path, folder):
     path = tmp_path / "X.fmu"
     path.write_text("not an archive")
     for fmu, said in ((path, "not a readable FMU"), (tmp_path / "missing.fmu", "no such file")):
@@ -143,8 +143,8 @@ def test_files_that_are_no_fmu(tmp_path, folder):
     assert not list(folder.iterdir())
 
 
-def test_an_fmu_that_cannot_be_stepped(friction_fmu, tmp_path, folder):
-    """One for model exchange only, which a master has no solver for."""
+def test_an_fmu_for_model_exchange_only_is_refused(friction_fmu, tmp_path, folder):
+    """The master has no solver for it."""
     fmu = tmp_path / "X.fmu"
     with zipfile.ZipFile(friction_fmu) as old, zipfile.ZipFile(fmu, "w") as new:
         for name in old.namelist():
@@ -163,14 +163,14 @@ def test_an_fmu_that_cannot_be_stepped(friction_fmu, tmp_path, folder):
     assert str(caught.value) == f"{where}: {fmu} is not an FMI 2.0 FMU for co-simulation."
 
 
-def test_fmus_for_other_platforms(friction_fmu, tmp_path, folder):
+def test_fmus_for_other_platforms_are_refused(friction_fmu, tmp_path, folder):
     fmu = without(friction_fmu, tmp_path / "X.fmu", "binaries/")
     with pytest.raises(SimulationError, match="has no binary for this platform; needed is"):
         FmuInstance(fmu).__enter__()
     assert not list(folder.iterdir())
 
 
-def test_binaries_that_are_not_of_the_description(friction_fmu, tmp_path, folder):
+def test_binaries_of_another_description_are_refused(friction_fmu, tmp_path, folder):
     fmu = without(friction_fmu, tmp_path / "X.fmu", "modelDescription")
     with zipfile.ZipFile(friction_fmu) as old, zipfile.ZipFile(fmu, "a") as new:
         text = old.read("modelDescription.xml").decode()
@@ -181,7 +181,7 @@ def test_binaries_that_are_not_of_the_description(friction_fmu, tmp_path, folder
     assert not list(folder.iterdir())
 
 
-def test_binaries_that_are_broken(friction_fmu, tmp_path, folder):
+def test_broken_binaries_are_refused(friction_fmu, tmp_path, folder):
     fmu = without(friction_fmu, tmp_path / "X.fmu", "binaries/")
     with zipfile.ZipFile(friction_fmu) as old, zipfile.ZipFile(fmu, "a") as new:
         name = next(n for n in old.namelist() if n.startswith("binaries/"))
@@ -191,7 +191,7 @@ def test_binaries_that_are_broken(friction_fmu, tmp_path, folder):
     assert not list(folder.iterdir())
 
 
-def test_many_components_of_one_file(friction_fmu, tmp_path):
+def test_one_file_serves_many_components(friction_fmu, tmp_path):
     copy = Path(shutil.copy(friction_fmu, tmp_path / "Copy.fmu"))
     with (
         FmuInstance(friction_fmu) as one,
@@ -205,14 +205,14 @@ def test_many_components_of_one_file(friction_fmu, tmp_path):
     assert first == third != second
 
 
-def test_fmus_may_take_memory_from_the_host(friction_fmu):
+def test_fmus_may_allocate_memory_from_the_host(friction_fmu):
     with FmuInstance(friction_fmu) as friction:
         callbacks = friction._instance.slave.callbacks
         assert callbacks.allocateMemory
         assert callbacks.freeMemory
 
 
-def test_a_message_of_an_earlier_call_is_no_reason(friction_fmu):
+def test_messages_of_earlier_calls_are_not_given_as_reasons(friction_fmu):
     with FmuInstance(friction_fmu) as friction:
         friction._log(0, "all is well")
         friction._log(1, "almost")
@@ -221,7 +221,7 @@ def test_a_message_of_an_earlier_call_is_no_reason(friction_fmu):
     assert friction.messages == ["all is well", "almost"]
 
 
-def test_batches_may_use_memory_of_their_host(friction_fmu):
+def test_batches_may_use_memory_of_the_host(friction_fmu):
     values = np.zeros(4)
     with FmuInstance(friction_fmu) as friction:
         friction.initialise(start={"dq[1]": 0.1, "dq[2]": 0.2})

@@ -1,4 +1,4 @@
-"""What each way of handing inputs over costs, measured on an FMU."""
+"""Cost of each input convention, measured on an FMU."""
 
 import zipfile
 from pathlib import Path
@@ -29,7 +29,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
     return hesr_here(capsys, monkeypatch)
 
 
-def test_table_1_pays_for_held_inputs(friction_fmu: Path) -> None:
+def test_held_inputs_cost_accuracy_for_table_1(friction_fmu: Path) -> None:
     found = measure(friction_fmu)
     assert found.joints == ("joint1", "joint2", "joint3")
     assert found.step == 0.005
@@ -46,7 +46,7 @@ def test_table_1_pays_for_held_inputs(friction_fmu: Path) -> None:
         assert error.rmse > 0.05
 
 
-def test_the_fmu_does_what_its_law_says_of_each_setting(friction_fmu: Path) -> None:
+def test_the_fmu_matches_its_law_in_each_setting(friction_fmu: Path) -> None:
     model = FrictionModel.read(model_file("uf850-table1"))
     motion = reference_motion(model, frequency=0.8, periods=2.0, phase=0.4)
     for setting in SETTINGS:
@@ -100,7 +100,7 @@ def test_an_fmu_with_other_connectors_is_refused_before_it_is_checked(
     assert (answer.code, answer.out, answer.err) == (2, "", f"hesr: {sentence}\n")
 
 
-def test_a_friction_fmu_whose_description_is_broken_is_checked_all_the_same(
+def test_a_friction_fmu_with_a_broken_description_is_still_checked(
     friction_fmu: Path, tmp_path: Path, hesr: Hesr
 ) -> None:
     broken = tmp_path / "broken.fmu"
@@ -113,7 +113,7 @@ def test_a_friction_fmu_whose_description_is_broken_is_checked_all_the_same(
     assert f"not run: Convention: {broken}: not a readable FMU (" in answer.out
 
 
-def test_results_as_a_table_and_as_json(friction_fmu: Path) -> None:
+def test_results_are_given_as_table_and_json(friction_fmu: Path) -> None:
     found = measure(friction_fmu, periods=1.0)
     console = Console(width=80, record=True)
     console.print(Drawn(convention("[x].fmu", found)))

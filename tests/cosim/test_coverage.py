@@ -1,4 +1,4 @@
-"""How often 95 % intervals cover the truth: the twin's arm and motions, again and again.
+"""Coverage of 95 % intervals over repeated seeds of the twin's arm and motions.
 
 Torque is that of the rigid body and of a friction law of known form; torque and encoder noise are
 those of the twin. Body and friction are estimated as a study does it.
@@ -40,7 +40,7 @@ SEARCHED = {"deflection": 2e-3, "ratio": 1.3, "v_s": 0.04}
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """What is true, without noise."""
+    """Noise-free truth."""
 
     model: Robot
     plant: Plant
@@ -84,7 +84,7 @@ def case() -> Case:
 
 
 def fitted(case: Case, log: Log, body: RigidBody) -> list[FrictionLaw]:
-    """Laws of the true form from the sweep, searched from the truth on."""
+    """Laws of the true form, fitted to the sweep starting at the truth."""
     laws, space = [], LuGre().space()
     for record, true in zip(friction_records(log, case.model, body), case.laws, strict=True):
         problem = Separable(true.form, space, JointRows.of([record], coefficients=7))
@@ -118,7 +118,7 @@ def scores(case: Case, seed: int) -> dict[str, float]:
 
 
 def coverage(case: Case, seeds: int) -> dict[str, float]:
-    """Share of seeds in which each estimate's 95 % interval covers the truth, printed, too."""
+    """Share of seeds whose 95 % interval covers the truth, by estimate; also printed."""
     drawn = [scores(case, seed) for seed in range(seeds)]
     covered = {
         name: float(np.mean([abs(of[name]) < 1.96 for of in drawn if name in of]))
@@ -131,30 +131,30 @@ def coverage(case: Case, seeds: int) -> dict[str, float]:
     return covered
 
 
-def test_errors_are_of_the_size_that_is_stated(case: Case) -> None:
-    """A few seeds: the root mean square of errors over standard errors is about one."""
+def test_errors_have_the_stated_size(case: Case) -> None:
+    """Over a few seeds, the RMS of errors over standard errors is about one."""
     squares = {"body": [], "J": []}  # type: dict[str, list[float]]
     for seed in range(3):
         for name, error in scores(case, seed).items():
             squares["J" if name.startswith("J") else "body"].append(error**2)
     for group, found in squares.items():
-        # 48 and 63 errors, alike in parts: about 25 effective ones know their size to a sixth.
+        # 48 and 63 partly correlated errors: about 25 effective ones determine the RMS to 1/6.
         assert 0.65 < np.sqrt(np.mean(found)) < 1.4, group
 
 
 @pytest.fixture(scope="module")
 def covered(case: Case) -> dict[str, float]:
-    """Of 200 seeds, or of HESR_SEEDS."""
+    """200 seeds, or HESR_SEEDS."""
     return coverage(case, int(os.environ.get("HESR_SEEDS", "200")))
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("group", ["body", "J"])
-def test_intervals_cover_what_they_say(covered: dict[str, float], group: str) -> None:
+def test_intervals_have_their_nominal_coverage(covered: dict[str, float], group: str) -> None:
     shares = [share for name, share in covered.items() if name.startswith(group)]
     assert 0.93 <= np.mean(shares) <= 0.97
 
 
 @pytest.mark.soak
-def test_each_interval_covers_nine_of_ten(covered: dict[str, float]) -> None:
+def test_each_interval_covers_nine_seeds_of_ten(covered: dict[str, float]) -> None:
     assert min(covered.values()) >= 0.90, covered

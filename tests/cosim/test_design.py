@@ -1,4 +1,4 @@
-"""Excitation design: the files, and what the twin's rigid body is worth after running one."""
+"""Excitation design: its files, and the quality of the twin's rigid body identified from it."""
 
 from dataclasses import replace
 
@@ -62,7 +62,7 @@ def read(path):
 # --- files ------------------------------------------------------------------------------------
 
 
-def test_setpoints_are_those_of_the_motion(designed):
+def test_setpoints_match_the_motion(designed):
     names, rows = read(designed.forward)
     assert list(names) == ["t", *(f"{kind}{k}" for kind in ("q", "dq", "ddq") for k in (1, 2, 3))]
     t, q, dq, ddq = designed.excitation.setpoints()
@@ -70,7 +70,7 @@ def test_setpoints_are_those_of_the_motion(designed):
     assert rows[-1, 0] == pytest.approx(designed.excitation.motion.period)
 
 
-def test_counterpart_is_the_same_path_backwards(designed):
+def test_counterpart_is_the_reversed_path(designed):
     assert designed.backward.name == "motion_reversed.csv"
     (names, forward), (others, backward) = read(designed.forward), read(designed.backward)
     assert names == others
@@ -80,7 +80,7 @@ def test_counterpart_is_the_same_path_backwards(designed):
     np.testing.assert_array_equal(backward[:, 7:], forward[::-1, 7:])
 
 
-def test_picture_is_written_and_repeats(designed, tmp_path):
+def test_picture_is_reproducible(designed, tmp_path):
     assert designed.picture.name == "motion.png"
     assert designed.picture.read_bytes().startswith(b"\x89PNG")
     again = tmp_path / "again.png"
@@ -88,7 +88,7 @@ def test_picture_is_written_and_repeats(designed, tmp_path):
     assert again.read_bytes() == designed.picture.read_bytes()
 
 
-def test_parquet_works_too(tmp_path):
+def test_parquet_is_supported(tmp_path):
     settings = tmp_path / "quick.toml"
     settings.write_text(QUICK)
     found = design(ROBOT, tmp_path / "motion.parquet", settings)
@@ -96,7 +96,7 @@ def test_parquet_works_too(tmp_path):
     assert len(read(found.forward)[1]) == len(found.excitation.setpoints()[0])
 
 
-# --- what it is worth -------------------------------------------------------------------------
+# --- quality -----------------------------------------------------------------------------------
 
 
 def test_condition_is_a_third_of_the_median_random_motion(designed, model):
@@ -127,7 +127,7 @@ def test_rigid_body_of_the_twin_is_identified(designed, recorded, model, method,
         assert np.all(np.sqrt(np.mean(error**2, axis=0)) < largest)
 
 
-def test_random_motions_keep_what_the_twin_can_do(model):
+def test_random_motions_respect_the_limits_of_the_twin(model):
     plant = Plant.read(FOLDER / "plant.toml")
     motion = random_motions(model, ExcitationSettings(), 1, seed=3)[0]
     with loaded_arm(plant) as arm:
@@ -135,10 +135,10 @@ def test_random_motions_keep_what_the_twin_can_do(model):
     assert condition(model, base_columns(model), motion) > 15.0
 
 
-# --- what is refused --------------------------------------------------------------------------
+# --- refusals ----------------------------------------------------------------------------------
 
 
-def test_a_suffix_that_is_no_table_is_refused(tmp_path):
+def test_other_suffixes_than_tables_are_refused(tmp_path):
     message = r"motion\.txt: the motion is written as a table; the suffix must be one of \.csv, "
     with pytest.raises(ConfigError, match=message):
         design(ROBOT, tmp_path / "motion.txt")
@@ -152,7 +152,7 @@ def test_a_suffix_that_is_no_table_is_refused(tmp_path):
         ("speed = [1.0]", ConfigError, "unknown key 'limits.speed'"),
     ],
 )
-def test_limits_are_refused_with_the_file_that_holds_them(tmp_path, text, kind, sentence):
+def test_refused_limits_are_reported_with_their_file(tmp_path, text, kind, sentence):
     settings = tmp_path / "excitation.toml"
     settings.write_text(f"{QUICK}[limits]\n{text}\n")
     with pytest.raises(kind) as caught:

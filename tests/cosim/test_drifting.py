@@ -1,4 +1,4 @@
-"""The twin over a day: friction that drifts, and the closed loop that follows it."""
+"""The twin over a day: drifting friction and the closed loop that tracks it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -43,7 +43,7 @@ PLANT = Plant.read(UF850 / "plant.toml")
 
 
 def truth() -> FrictionModel:
-    """The twin's own friction, as if it had been fitted."""
+    """The twin's own friction, as if fitted."""
     seen = TrainedRange(sample_time=0.005, dq=(-1.2, 1.2), q=(-3, 3), tau_load=(-60, 60),
                         tau=(-60, 60))  # fmt: skip
     known = true_friction(PLANT.model, PLANT.joints, sample_time=0.005)
@@ -90,7 +90,7 @@ def test_friction_of_the_arm_is_scaled() -> None:
             out = arm.step([0.4, 0.4, 0.4], 0.005)
         found.append(out.tau_f_true)
     sliding = np.array([0.4 * 16.6, 0.4 * 12.5, 0.4 * 4.0])
-    # What is left of the difference is ripple.
+    # The rest of the difference is ripple.
     change = 0.1 * (found[0] - sliding) + 0.3 * sliding
     np.testing.assert_allclose(found[0] - found[1], change, atol=0.35)
 
@@ -113,7 +113,7 @@ def test_a_load_and_a_push_are_measured() -> None:
         DriftingArm(PLANT, "hand")
 
 
-def test_the_loop_follows_a_drift(simple: DriftingLoop) -> None:
+def test_the_loop_tracks_a_drift(simple: DriftingLoop) -> None:
     drift = Drift(coulomb=lambda _, n: np.full(n, 0.8), viscous=lambda _, n: np.full(n, 0.6))
     followed, fixed = (run_drifting(simple, drift, 10.0, adapt=adapt) for adapt in (True, False))
     undrifted = replace(fixed, tau_true=fixed.fixed(simple.model))
@@ -124,12 +124,12 @@ def test_the_loop_follows_a_drift(simple: DriftingLoop) -> None:
     assert to_json(found).keys() >= {"cut", "tracking"}
 
 
-# --- soak -------------------------------------------------------------------------------------
+# --- long runs ---------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def fitted(study_run: Run, tmp_path_factory: pytest.TempPathFactory) -> DriftingLoop:
-    """A law that was fitted to one log of the twin, whose friction is none of its form."""
+    """A law fitted to one log of the twin, whose friction has another form."""
     model = fit_to(
         study_run.log("sweep"),
         law="parfam_s_load",
@@ -141,13 +141,13 @@ def fitted(study_run: Run, tmp_path_factory: pytest.TempPathFactory) -> Drifting
 
 
 def first(run: Drifted, alarm: str) -> list[float]:
-    """When an alarm of each joint begins [s]; inf for never."""
+    """Start of the alarm of each joint [s]; inf for none."""
     rows = [np.flatnonzero(column) for column in run.learned[alarm].T]
     return [float(run.t[own[0]]) if len(own) else np.inf for own in rows]
 
 
 def long_motion(seed: int) -> Fourier:
-    """A motion of two minutes that does not come back: nobody has seen what is next."""
+    """A motion of two minutes that never repeats, so that every row is new."""
     return random_fourier(
         seed=seed, harmonics=60, period=120.0, peak_velocity=np.array([1.0, 0.9, 1.0]),
         offset=np.array([0.0, 0.3, -1.9]),
@@ -155,7 +155,7 @@ def long_motion(seed: int) -> Fourier:
 
 
 def log_of(run: Drifted, rows: slice = slice(None), *, name: str = "loop") -> Log:
-    """What the twin's encoders and torque sensors have recorded."""
+    """Readings of the twin's encoders and torque sensors."""
     q = run.q + encoder_error(PLANT.noise, np.arange(len(run.t)))
     return Log(name=name, t=run.t[rows], q=q[rows], dq=None, tau=run.tau_meas[rows])
 
@@ -167,7 +167,7 @@ def cold(simple: DriftingLoop) -> Log:
 
 @pytest.mark.soak
 def test_the_drift_of_a_warm_up_is_cut_within_a_minute(fitted: DriftingLoop) -> None:
-    # The end of the 20 minutes.
+    # The last of the 20 minutes.
     fitted, drift, seconds = replace(fitted, motion=long_motion(11)), warm_up(1020.0), 120.0
     followed = run_drifting(fitted, drift, seconds)
     fixed = run_drifting(fitted, drift, seconds, adapt=False)
@@ -178,7 +178,7 @@ def test_the_drift_of_a_warm_up_is_cut_within_a_minute(fitted: DriftingLoop) -> 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("law", ["parfam_s_load", "lugre_load"])
-def test_a_law_that_is_followed_tracks_like_one_fitted_anew_every_minute(
+def test_an_adaptive_law_tracks_like_one_refitted_every_minute(
     law: str, cold: Log, tmp_path: Path
 ) -> None:
     robot = Robot(RobotDescription.read(UF850 / "robot.toml"))
@@ -204,7 +204,7 @@ def test_a_law_that_is_followed_tracks_like_one_fitted_anew_every_minute(
 
 
 @pytest.mark.soak
-def test_what_temperature_does_to_the_twin_is_found(simple: DriftingLoop, cold: Log) -> None:
+def test_the_effect_of_temperature_on_the_twin_is_found(simple: DriftingLoop, cold: Log) -> None:
     known = Thermal(coulomb=0.006, viscous=0.02, reference=30.0)
 
     def course(t: Any) -> Any:
@@ -222,7 +222,7 @@ def test_what_temperature_does_to_the_twin_is_found(simple: DriftingLoop, cold: 
 
 
 @pytest.mark.soak
-def test_wear_is_told_from_a_load_a_collision_and_a_sensor(fitted: DriftingLoop) -> None:
+def test_wear_differs_from_load_collision_and_sensor_faults(fitted: DriftingLoop) -> None:
     worn = run_drifting(fitted, wear(60.0, 0), 120.0)
     assert 60.0 < first(worn, "drift")[0] < 120.0
     assert first(worn, "drift")[1:] == [np.inf, np.inf]

@@ -1,4 +1,4 @@
-"""A sliding axis the whole way: MATLAB log, mass and friction, open loop, output error, FMU."""
+"""A sliding axis end to end: MATLAB log, mass and friction, open loop, output error, FMU."""
 
 import json
 from pathlib import Path
@@ -23,7 +23,7 @@ from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 
 MOST = 5e-3
-"""Open loop [m]."""
+"""Open-loop error [m]."""
 
 STUDY = """
 name = "emps"
@@ -71,7 +71,7 @@ def refined(identified: Identified, logs: tuple[Log, Log]) -> Refined:
     return refine(robot, body, law, smoothed([logs[0]], robot))
 
 
-def test_mass_and_friction_are_found(identified: Identified) -> None:
+def test_mass_and_friction_are_identified(identified: Identified) -> None:
     _, body, law = identified
     assert body.parameters[body.names.index("axis.m")] == pytest.approx(emps.MASS, rel=0.05)
     coulomb, viscous, offset = body.friction[0]
@@ -88,7 +88,7 @@ def torque_error(robot: Robot, body: RigidBody, law: FrictionModel, log: Log) ->
 
 
 def position(robot: Robot, body: RigidBody, law: FrictionModel, log: Log, length: float) -> float:
-    """RMS over windows of a length [s], or open loop where it is 0 [m]."""
+    """RMS [m] over windows of the given length [s]; 0 is the open loop."""
     records = friction_records(log, robot, body)
     one = Simulator(robot=robot, parameters=body.parameters, friction=law)
     cut = windows_of([records], length) if length else whole(records)
@@ -96,7 +96,7 @@ def position(robot: Robot, body: RigidBody, law: FrictionModel, log: Log, length
     return np.inf if found is None else found
 
 
-def test_output_error_pays_on_a_log_that_it_has_not_seen(
+def test_output_error_improves_on_an_unseen_log(
     identified: Identified, refined: Refined, logs: tuple[Log, Log]
 ) -> None:
     robot, body, law = identified
@@ -110,14 +110,14 @@ def test_output_error_pays_on_a_log_that_it_has_not_seen(
     assert mass == pytest.approx(emps.MASS, rel=0.01)
 
 
-def test_torque_is_kept_on_the_training_log(
+def test_torque_error_is_unchanged_on_the_training_log(
     identified: Identified, refined: Refined, logs: tuple[Log, Log]
 ) -> None:
     robot, body, law = identified
     after = torque_error(robot, refined.body, refined.friction, logs[0])
     assert after <= MOST_TORQUE * torque_error(robot, body, law, logs[0])
     np.testing.assert_allclose(refined.friction.training_rmse, [after], rtol=1e-9)
-    assert not refined.friction.laws[0].standard_errors  # those of another estimate
+    assert not refined.friction.laws[0].standard_errors  # those belong to another estimate
 
 
 def test_a_study_refines_by_output_error(folder: Path, logs: tuple[Log, Log]) -> None:
@@ -131,7 +131,7 @@ def test_a_study_refines_by_output_error(folder: Path, logs: tuple[Log, Log]) ->
     assert body.parameters[0] != once.parameters[0]
 
 
-def test_the_command_line_goes_the_whole_way(
+def test_the_command_line_covers_all_steps(
     folder: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

@@ -1,4 +1,4 @@
-"""The default motions on the twin: what the logs hold, and that they repeat."""
+"""The default motions on the twin: contents and reproducibility of their logs."""
 
 import numpy as np
 import pytest
@@ -109,7 +109,7 @@ def test_torque_is_far_from_the_servo_limits(everything):
         assert np.all(np.abs(recording.truth.tau_meas).max(axis=0) < [100.0, 100.0, 45.0])
 
 
-def test_log_is_the_truth_with_the_stated_noise(everything, plant):
+def test_log_is_the_truth_plus_the_stated_noise(everything, plant):
     for recording in everything.values():
         log, truth, n = recording.log, recording.truth, len(recording.log.t)
         for measured, true, sigma in (
@@ -121,10 +121,10 @@ def test_log_is_the_truth_with_the_stated_noise(everything, plant):
             np.testing.assert_allclose(noise.mean(axis=0), 0.0, atol=4 / np.sqrt(n))
 
 
-def test_logged_velocity_is_what_the_encoder_gives(everything):
+def test_logged_velocity_is_differentiated_from_the_encoder(everything):
     log, truth = everything["sine_joint1"].log, everything["sine_joint1"].truth
     np.testing.assert_allclose(log.dq[1:-1], (log.q[2:] - log.q[:-2]) * 100, atol=1e-12)
-    # Central differences of independent errors: sqrt(2) sigma over two periods. Not late.
+    # Central differences of independent errors: sqrt(2) sigma over two periods. No lag.
     error = log.dq - truth.dq
     np.testing.assert_allclose(error[:, 1:].std(axis=0), 2e-5 * np.sqrt(2) * 100, rtol=0.1)
     lags = [np.corrcoef(log.dq[50:-50, 0], truth.dq[50 + k : -50 + k, 0])[0, 1] for k in (-1, 0, 1)]
@@ -143,13 +143,13 @@ def test_noise_of_different_logs_is_independent(everything):
 def test_reversed_excitation_is_the_counterpart(everything):
     forward, back = everything["excitation"], everything["excitation_reversed"]
     np.testing.assert_allclose(back.desired[1:], forward.desired[:0:-1], atol=1e-12)
-    # Friction is odd: where the joints are fast, it cancels in the mean of the two directions.
+    # Friction is odd: in fast motion it cancels in the mean of the two directions.
     fast = np.abs(forward.truth.dq[1:]) > 0.3
     mean = 0.5 * (forward.truth.tau_f_true[1:] + back.truth.tau_f_true[:0:-1])
     assert np.abs(mean[fast]).mean() < 0.05 * np.abs(forward.truth.tau_f_true[1:][fast]).mean()
 
 
-def test_excitation_is_periodic_when_it_is_logged(arm):
+def test_logged_excitation_is_periodic(arm):
     trajectory = random_fourier(
         seed=3, harmonics=3, period=4.0, peak_velocity=np.ones(3), offset=HOME, periods=3
     )
@@ -158,7 +158,7 @@ def test_excitation_is_periodic_when_it_is_logged(arm):
     np.testing.assert_allclose(truth.q[800:], truth.q[:800], atol=1e-5)
 
 
-def test_resting_joints_rest(everything):
+def test_resting_joints_stay_at_rest(everything):
     for joint in (1, 2, 3):
         speed = np.abs(everything[f"sine_joint{joint}"].truth.dq).max(axis=0)
         assert speed[joint - 1] == pytest.approx(1.2, rel=0.02)
@@ -178,7 +178,7 @@ def test_rigid_body_and_friction_explain_the_log(everything, robot):
     ddq = np.gradient(truth.dq, 5e-3, axis=0)
     rigid = model.torque(model.nominal_parameters, truth.q, truth.dq, ddq)
     residual = truth.tau_meas - rigid - truth.tau_f_true
-    # What is left is ripple that differences over 10 ms flatten.
+    # The residual is ripple that differences over 10 ms smooth out.
     assert np.all(np.sqrt(np.mean(residual**2, axis=0)) < [0.5, 0.5, 0.3])
     assert np.all(np.abs(residual.mean(axis=0)) < 0.05)
 
@@ -200,7 +200,7 @@ def test_excitation_is_well_conditioned(everything, robot):
 # --- files ------------------------------------------------------------------------------------
 
 
-def test_logs_are_written_and_can_be_read(motions, plant, robot, everything, tmp_path):
+def test_written_logs_can_be_read(motions, plant, robot, everything, tmp_path):
     paths = excite(only(motions, "chirp", "sine_joint2"), plant, tmp_path / "new")
     assert list(paths) == ["sine_joint2", "chirp"]
     for name, path in paths.items():
@@ -211,7 +211,7 @@ def test_logs_are_written_and_can_be_read(motions, plant, robot, everything, tmp
             np.testing.assert_array_equal(getattr(read, column), getattr(recorded, column))
 
 
-def test_same_seed_same_bytes_and_other_seed_other_noise(motions, plant, tmp_path):
+def test_the_seed_determines_noise_and_bytes(motions, plant, tmp_path):
     chosen = only(motions, "chirp")
     texts = [
         excite(chosen, plant, tmp_path / str(k), seed=seed)["chirp"].read_bytes()
@@ -221,14 +221,14 @@ def test_same_seed_same_bytes_and_other_seed_other_noise(motions, plant, tmp_pat
     assert texts[0] != texts[2]
 
 
-def test_other_seed_leaves_the_truth_alone(motions, plant):
+def test_the_truth_does_not_depend_on_the_seed(motions, plant):
     one, other = (next(recordings(only(motions, "chirp"), plant, seed=seed)) for seed in (7, 8))
     assert np.array_equal(one.truth.q, other.truth.q)
     assert np.array_equal(one.truth.tau_f_true, other.truth.tau_f_true)
     assert not np.any(one.log.tau == other.log.tau)
 
 
-# --- what is refused --------------------------------------------------------------------------
+# --- refusals ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -243,7 +243,7 @@ def test_other_seed_leaves_the_truth_alone(motions, plant):
         ('name = "chirp"', 'name = "../chirp"', "name' is '../chirp'"),
     ],
 )
-def test_motions_that_are_wrong_are_refused_with_a_sentence(tmp_path, old, new, sentence):
+def test_invalid_motions_are_refused(tmp_path, old, new, sentence):
     text = MOTIONS.read_text()
     assert old in text
     path = tmp_path / "motions.toml"
@@ -267,6 +267,6 @@ def test_motion_for_another_number_of_joints_is_refused(arm):
         record(arm, trajectory, 1, name="two")
 
 
-def test_motion_that_is_over_before_the_log_begins_is_refused(arm):
+def test_motion_that_ends_before_the_log_starts_is_refused(arm):
     with pytest.raises(ConfigError, match="motion 'short': 1 of 1 s are not logged"):
         record(arm, sine(), 1, name="short", unlogged=1.0)

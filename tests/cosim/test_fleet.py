@@ -1,4 +1,5 @@
-"""Fleets: laws of each robot as `hesr fit` finds them, who deviates, who changes, nothing lost."""
+"""Fleets: laws of each robot equal those of `hesr fit`, outliers, changes, and recovery from
+errors."""
 
 import json
 import os
@@ -43,7 +44,7 @@ Command = Callable[..., int]
 
 @pytest.fixture(scope="session")
 def cell(shared: Shared) -> Path:
-    """Two robots with five days of logs; friction of the second grows by a tenth each day."""
+    """Two robots with five days of logs; friction of the second grows by 10 % each day."""
 
     def fill(folder: Path) -> None:
         file = write_fleet(folder, robots=2, logs=5, scale=lambda r, k: 1.0 + 0.1 * k * r)
@@ -54,7 +55,7 @@ def cell(shared: Shared) -> Path:
 
 @pytest.fixture
 def copied(cell: Path, tmp_path: Path) -> Path:
-    """The same with its results, to be changed."""
+    """A modifiable copy of the fleet with its results."""
     shutil.copytree(cell, tmp_path / "cell")
     return tmp_path / "cell"
 
@@ -85,7 +86,7 @@ def logs_of(cell: Path, robot: str) -> tuple[Robot, list[Log]]:
 # --- each robot ---------------------------------------------------------------------------------
 
 
-def test_the_rigid_body_is_that_of_all_logs_at_once(cell: Path) -> None:
+def test_the_rigid_body_is_identified_from_all_logs(cell: Path) -> None:
     model, logs = logs_of(cell, "R0")
     found, batch = RigidBody.read(cell / "out/robots/R0/rigid_body.json"), identify(logs, model)
     scale = np.abs(batch.parameters).max()
@@ -97,7 +98,7 @@ def test_the_rigid_body_is_that_of_all_logs_at_once(cell: Path) -> None:
 
 
 def test_laws_of_all_rows_are_those_of_hesr_fit(cell: Path) -> None:
-    """Five logs of 1001 rows are fewer than a sample may have."""
+    """Five logs of 1001 rows are fewer than the sample limit."""
     _, logs = logs_of(cell, "R1")
     folder = cell / "out" / "robots" / "R1"
     robot = cell / "robot.toml"
@@ -108,7 +109,9 @@ def test_laws_of_all_rows_are_those_of_hesr_fit(cell: Path) -> None:
     assert found.trained == fitted.trained
 
 
-def test_laws_of_a_sample_are_those_of_hesr_fit_on_the_same(copied: Path, tmp_path: Path) -> None:
+def test_laws_of_a_sample_are_those_of_hesr_fit_on_that_sample(
+    copied: Path, tmp_path: Path
+) -> None:
     file = copied / "fleet.toml"
     file.write_text("rows = 1500\n" + file.read_text(encoding="utf-8"), encoding="utf-8")
     study = FleetStudy.read(file)
@@ -122,7 +125,7 @@ def test_laws_of_a_sample_are_those_of_hesr_fit_on_the_same(copied: Path, tmp_pa
     assert 1000 < sum(len(of[0].t) for of in records) <= 1500
     found = FrictionModel.read(tmp_path / "R0" / "stribeck.json")
     assert found.laws[0].values == fit("stribeck", *records).laws[0].values
-    # The rigid body is still that of all rows, and so are the errors.
+    # The rigid body and the errors are still those of all rows.
     assert body.rows == 5005
     np.testing.assert_allclose(body.parameters, identify(logs, model).parameters, rtol=1e-7)
     (one,) = read_result(tmp_path / "R0").of_law("stribeck")
@@ -132,7 +135,7 @@ def test_laws_of_a_sample_are_those_of_hesr_fit_on_the_same(copied: Path, tmp_pa
     assert one.tau_std == pytest.approx(np.std(np.concatenate([of[0].tau for of in every])))
 
 
-def test_who_got_worse_is_told_and_by_how_much(cell: Path) -> None:
+def test_growing_friction_is_reported_with_its_size(cell: Path) -> None:
     rows = parquet.read_table(cell / "out" / "fleet.parquet").to_pylist()
     assert [(row["robot"], row["law"], row["joint"]) for row in rows] == [
         (robot, law, joint) for robot in ("R0", "R1")
@@ -141,7 +144,7 @@ def test_who_got_worse_is_told_and_by_how_much(cell: Path) -> None:
     _, steady, _, growing = rows
     assert (steady["worse"], steady["changes"]) == (False, [])
     assert (growing["worse"], growing["changes"]) == (True, ["drift"])
-    # Of 1 to 1.4 about their mean of 1.2.
+    # From 1 to 1.4 about their mean of 1.2.
     assert growing["level_change"] == pytest.approx(0.4 / 1.2, abs=0.05)
     assert growing["level_per_day"] == pytest.approx(growing["level_change"] / 4.0)
     assert dict(growing["coefficients"])["F_c"] > dict(steady["coefficients"])["F_c"]
@@ -154,18 +157,18 @@ def test_who_got_worse_is_told_and_by_how_much(cell: Path) -> None:
 # --- many robots --------------------------------------------------------------------------------
 
 
-def test_the_same_bytes_whoever_does_it_and_nothing_twice(copied: Path) -> None:
+def test_results_do_not_depend_on_workers_and_are_reused(copied: Path) -> None:
     before = files(copied / "out")
     assert run_fleet(copied / "fleet.toml", copied / "out", workers=1).reused == 2
     assert files(copied / "out") == before
-    # As if killed while the second robot was being done, and the first one's result was written.
+    # As if killed during the second robot, with the first result written.
     (copied / "out/robots/R1/result.json").unlink()
     (copied / "out/robots/R0/result.json").write_text('{"format": "hesr-fl', encoding="utf-8")
     assert run_fleet(copied / "fleet.toml", copied / "out", workers=2).reused == 0
     assert files(copied / "out") == before
 
 
-def test_a_new_day_is_added(copied: Path, command: Command, capsys) -> None:
+def test_a_new_day_of_logs_is_added(copied: Path, command: Command, capsys) -> None:
     logs = copied / "logs" / "robot=R0"
     shutil.copytree(logs / "day=2026-01-03", logs / "day=2026-01-09")
     assert (
@@ -180,7 +183,7 @@ def test_a_new_day_is_added(copied: Path, command: Command, capsys) -> None:
     assert read_result(copied / "out" / "robots" / "R0").logs == 6
 
 
-def test_broken_logs_stop_nobody(copied: Path, command: Command, capsys) -> None:
+def test_broken_logs_do_not_stop_other_robots(copied: Path, command: Command, capsys) -> None:
     logs = copied / "logs"
     (logs / "robot=R0/day=2026-01-02/part-0.parquet").write_bytes(b"PAR1 cut short")
     turned = Log.read(
@@ -204,7 +207,7 @@ def test_broken_logs_stop_nobody(copied: Path, command: Command, capsys) -> None
     assert [row["robot"] for row in rows if row["failure"]] == ["R3", "R4"]
 
 
-def test_what_a_law_cannot_do_is_told(copied: Path, tmp_path: Path) -> None:
+def test_unfitted_laws_are_reported(copied: Path, tmp_path: Path) -> None:
     file = copied / "fleet.toml"
     text = file.read_text(encoding="utf-8")
     both = '["lugre_load_ripple", "stribeck"]'
@@ -216,8 +219,8 @@ def test_what_a_law_cannot_do_is_told(copied: Path, tmp_path: Path) -> None:
     assert "law 'lugre_load_ripple' needs the key 'gear_ratio'" in found.refused[0]
 
 
-def test_what_cannot_be_written_is_no_fault_of_a_robot(copied: Path) -> None:
-    """It would be kept as its result when the disk has room again."""
+def test_write_errors_are_not_attributed_to_a_robot(copied: Path) -> None:
+    """Otherwise the error would be kept as its result once the disk has space again."""
     file, folder = copied / "fleet.toml", copied / "R0"
     study = FleetStudy.read(file)
     (folder / "stribeck.json").mkdir(parents=True)
@@ -227,18 +230,18 @@ def test_what_cannot_be_written_is_no_fault_of_a_robot(copied: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in folders")
-def test_a_pipe_among_logs_is_not_waited_for(copied: Path) -> None:
+def test_a_named_pipe_among_logs_does_not_block(copied: Path) -> None:
     file, folder = copied / "fleet.toml", copied / "R0"
     shutil.rmtree(copied / "logs" / "robot=R0")
     (copied / "logs" / "robot=R0").mkdir()
-    os.mkfifo(copied / "logs" / "robot=R0" / "run.csv")  # nor can it be hashed
+    os.mkfifo(copied / "logs" / "robot=R0" / "run.csv")  # it cannot be hashed either
     study = FleetStudy.read(file)
     look_at(members(study, file)[0], study, folder)
     assert "run.csv: no such log file." in read_result(folder).failure
 
 
 def fleet_of(count: int, seed: int = 0) -> list[RobotResult]:
-    """Robots of one type with two joints, their numbers drawn alike."""
+    """Robots of one type with two joints and random coefficients of one distribution."""
     rng = np.random.default_rng(seed)
 
     def joint(name: str) -> JointResult:
@@ -261,7 +264,7 @@ def with_first(robots: list[RobotResult], joint: int, **new: object) -> list[Rob
     return [replace(robots[0], joints=tuple(joints)), *robots[1:]]
 
 
-def test_who_deviates_from_the_type() -> None:
+def test_outliers_of_a_type_are_found() -> None:
     robots = fleet_of(40)
     z, none = compared(robots, 0.05)
     assert none == []
@@ -272,13 +275,13 @@ def test_who_deviates_from_the_type() -> None:
         ("R000", "arm", "j2", "rmse"), ("R000", "arm", "j2", "F_c"),
     }  # fmt: skip
     assert abs(found[0].z) >= abs(found[1].z) > 5.0
-    # Of another structure, and of another type, there is nobody to deviate from.
+    # Another structure or another type gives no population to compare with.
     assert compared(with_first(odd, 1, structure='{"terms": 2}'), 0.05)[1] == []
     assert compared([replace(odd[0], type="other"), *odd[1:]], 0.05)[1] == []
     assert compared(odd[:4], 0.05) == ({}, [])
 
 
-def test_what_changed_and_what_it_points_to() -> None:
+def test_changes_are_reported_with_their_likely_cause() -> None:
     robots = fleet_of(20)
     assert changed(robots, 0.05, 0.0) == []
 
@@ -302,7 +305,7 @@ def test_what_changed_and_what_it_points_to() -> None:
 # --- one FMU for all ----------------------------------------------------------------------------
 
 
-def test_one_fmu_and_a_parameter_set_each(table1: FrictionModel, tmp_path: Path) -> None:
+def test_one_fmu_has_a_parameter_set_per_robot(table1: FrictionModel, tmp_path: Path) -> None:
     robots = []
     for name, factor in (("A", 0.9), ("B", 1.0), ("C", 1.1)):
         laws = [
@@ -338,7 +341,7 @@ def test_one_fmu_and_a_parameter_set_each(table1: FrictionModel, tmp_path: Path)
     assert np.abs(replay(fmu, t, dq) - expected).max() > 1e-3
 
 
-# --- what a fleet is ----------------------------------------------------------------------------
+# --- definition of a fleet ---------------------------------------------------------------------
 
 
 def study_of(folder: Path, **types: str) -> tuple[FleetStudy, Path]:
@@ -388,7 +391,7 @@ def test_logs_are_found_in_folders_and_partitions(tmp_path: Path) -> None:
          "robot 'R0' is of the types 'arm' and 'b'; give each robot one type."),
     ],
 )  # fmt: skip
-def test_fleets_that_are_wrong(
+def test_invalid_fleets_are_refused(
     cell: Path, copied: Path, old: str, new: str, said: str, command: Command, capsys
 ) -> None:
     file = copied / "fleet.toml"
@@ -402,10 +405,10 @@ def test_fleets_that_are_wrong(
     assert files(copied / "out") == files(cell / "out")
 
 
-def test_a_link_that_leads_back_is_refused(tmp_path: Path) -> None:
-    """Its logs would be read until a path is too long: 41 times."""
+def test_a_cyclic_link_is_refused(tmp_path: Path) -> None:
+    """Its logs would be read until the path is too long: 41 times."""
     laid(tmp_path, "b/arm2/run2.mat", "c/arm3/run3.mat")
-    (tmp_path / "b/arm2/far").symlink_to(tmp_path / "c")  # on another disk, say
+    (tmp_path / "b/arm2/far").symlink_to(tmp_path / "c")  # for example on another disk
     (arm,) = members(*study_of(tmp_path, two="b/*"))
     assert [name for name, _ in arm.logs] == ["arm2/far/arm3/run3", "arm2/run2"]
     (tmp_path / "b/arm2/loop").symlink_to("..")
@@ -413,7 +416,7 @@ def test_a_link_that_leads_back_is_refused(tmp_path: Path) -> None:
         members(*study_of(tmp_path, two="b/*"))
 
 
-def test_folders_of_others(copied: Path, command: Command, capsys) -> None:
+def test_folders_with_other_files_are_refused(copied: Path, command: Command, capsys) -> None:
     file = copied / "fleet.toml"
     with (
         FileLock(copied / "out" / ".fleet-lock"),
@@ -438,7 +441,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
 def peak(file: Path, output: Path) -> float:
-    """Return the peak memory [MB] of a process that looks at a fleet."""
+    """Return the peak memory [MB] of a process that evaluates a fleet."""
     done = subprocess.run(
         [sys.executable, "-c", _MEASURED, file, output], capture_output=True, text=True, check=True
     )
@@ -457,8 +460,8 @@ def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
 
 
 @pytest.mark.soak
-def test_two_hundred_robots(tmp_path: Path) -> None:
-    """Of 6 joints and 10 logs, 10^7 rows: one robot is 30 % off, one grows by 5 % a day."""
+def test_two_hundred_robots_are_evaluated(tmp_path: Path) -> None:
+    """6 joints and 10 logs each, 10^7 rows: one robot is 30 % off, one grows by 5 % a day."""
 
     def scale(robot: int, log: int) -> float:
         return {17: 1.3, 23: 1.0 + 0.05 * log}.get(robot, 1.0)

@@ -1,4 +1,4 @@
-"""FMUs of FMI 3.0 in systems: by the same names, with the same results."""
+"""FMUs of FMI 3.0 in systems: same names and same results."""
 
 from pathlib import Path
 from zipfile import ZipFile
@@ -31,7 +31,7 @@ def friction3(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -
 
 @pytest.fixture(params=["own", "foreign"])
 def fmu(request: pytest.FixtureRequest, friction3: Path, tmp_path: Path) -> Path:
-    """The same friction in this process and in one of its own."""
+    """The same friction FMU in this process and in a separate one."""
     if request.param == "own":
         return friction3
     foreign = tmp_path / "F.fmu"
@@ -42,8 +42,8 @@ def fmu(request: pytest.FixtureRequest, friction3: Path, tmp_path: Path) -> Path
     return foreign
 
 
-def test_elements_of_arrays_are_set_and_read_alone(fmu: Path, friction_fmu: Path) -> None:
-    """What is not set keeps its value, though FMI 3.0 sets arrays as a whole."""
+def test_elements_of_arrays_are_set_and_read_individually(fmu: Path, friction_fmu: Path) -> None:
+    """Elements not set keep their values, though FMI 3.0 sets arrays as a whole."""
     found = []
     for file in (fmu, friction_fmu):
         with FmuInstance(file) as friction:
@@ -65,7 +65,7 @@ def test_elements_of_arrays_are_set_and_read_alone(fmu: Path, friction_fmu: Path
     assert found[0][-1, 3] == 0.0
 
 
-def test_what_is_wrong_is_said_as_of_fmi_2(fmu: Path) -> None:
+def test_errors_read_as_those_of_fmi_2(fmu: Path) -> None:
     with FmuInstance(fmu) as friction:
         with pytest.raises(SimulationError, match="there is no variable 'dv\\[1\\]'; did you mean"):
             friction.get(["dv[1]"])
@@ -81,8 +81,8 @@ def test_what_is_wrong_is_said_as_of_fmi_2(fmu: Path) -> None:
             friction.slopes(["dq[1]"])(np.array([1.0]))
 
 
-def test_a_system_of_both_versions(lag_fmu: Path, lag3: Path) -> None:
-    """Bit for bit that of FMI 2.0 alone."""
+def test_a_system_may_mix_both_versions(lag_fmu: Path, lag3: Path) -> None:
+    """Bitwise equal to the system of FMI 2.0 FMUs."""
     results = []
     for first, second in ((lag_fmu, lag_fmu), (lag3, lag_fmu), (lag3, lag3)):
         parts = (ComponentSpec(name="a", fmu=first, start={"u": 2.0, "T": 0.3}),
@@ -96,7 +96,7 @@ def test_a_system_of_both_versions(lag_fmu: Path, lag3: Path) -> None:
             np.testing.assert_array_equal(other[name], values)
 
 
-def test_start_values_of_parts_of_arrays_become_whole(friction3: Path) -> None:
+def test_partial_start_values_of_arrays_are_completed(friction3: Path) -> None:
     case = driven(friction3, start={"tau_load[2]": 3.0})
     assert case.arrays["tau_load"] == ("tau_load[1]", "tau_load[2]", "tau_load[3]")
     assert case.start == {"tau_load[1]": 0.0, "tau_load[2]": 3.0, "tau_load[3]": 0.0}
@@ -115,8 +115,8 @@ def test_start_values_of_parts_of_arrays_become_whole(friction3: Path) -> None:
         ('start="0.0 0.0"', 'start="0.0 x"', "could not convert string to float: 'x'"),
     ],
 )
-def test_arrays_that_cannot_be(tmp_path: Path, old: str, new: str, said: str) -> None:
-    """Of a billion elements each would have a name."""
+def test_oversized_arrays_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    """Each of a billion elements would need a name."""
     block, fmu = velocity(2), tmp_path / "Odd.fmu"
     text = to_xml3(block.table, block.about, "{7f}").decode()
     assert old in text

@@ -1,4 +1,4 @@
-"""Foreign FMUs run in a process of their own, and what they do there stays there."""
+"""Foreign FMUs run in a separate process and cannot harm this one."""
 
 import os
 import re
@@ -39,7 +39,7 @@ def hostile_friction(friction_fmu: Path, tmp_path_factory: pytest.TempPathFactor
 
 @pytest.fixture
 def foreign_lag(lag_fmu: Path, tmp_path: Path) -> Path:
-    """The same binary under another hash."""
+    """The same binary with another hash."""
     with zipfile.ZipFile(lag_fmu) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     return archived(members | {"extra/hesr/note.txt": b"mine"}, tmp_path / "Lag.fmu")
@@ -51,7 +51,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 
 def go(fmu: Path, *, seconds: float = 20.0) -> None:
-    """Take an FMU through its whole life."""
+    """Run an FMU through its whole life cycle."""
     with FmuInstance(fmu, name="a", seconds=seconds) as lag:
         inputs, outputs = lag.buffer(["u"]), lag.buffer(["y"])
         lag.initialise(start={"u": 2.0})
@@ -66,7 +66,7 @@ def children() -> list[int]:
     return [child.pid for child in psutil.Process().children(recursive=True)]
 
 
-def test_ours_stay_in_this_process_and_others_do_not(lag_fmu: Path, foreign_lag: Path) -> None:
+def test_only_foreign_fmus_run_in_a_separate_process(lag_fmu: Path, foreign_lag: Path) -> None:
     before = children()
     with FmuInstance(lag_fmu):
         assert children() == before
@@ -76,7 +76,7 @@ def test_ours_stay_in_this_process_and_others_do_not(lag_fmu: Path, foreign_lag:
     assert children() == before
 
 
-def test_a_foreign_fmu_gives_the_same_to_the_last_bit(lag_fmu: Path, foreign_lag: Path) -> None:
+def test_a_foreign_fmu_gives_bitwise_equal_results(lag_fmu: Path, foreign_lag: Path) -> None:
     text = LAGS.replace("[connections]", '[connections]\n"a.u" = "b.y"')
     for order in ("gauss_seidel", "jacobi"):
         found = []
@@ -114,7 +114,9 @@ def test_a_step_is_one_message(foreign_lag: Path, monkeypatch: pytest.MonkeyPatc
         assert len(sent) == 10
 
 
-def test_its_own_refusals_are_told_as_those_of_ours(lag_fmu: Path, foreign_lag: Path) -> None:
+def test_errors_of_foreign_fmus_read_as_those_of_trusted_ones(
+    lag_fmu: Path, foreign_lag: Path
+) -> None:
     said = []
     for fmu in (lag_fmu, foreign_lag):
         with FmuInstance(fmu, name="a") as lag:
@@ -149,13 +151,13 @@ EXIT = r"ended its process with exit code 0\."
         ("fmi2DoStep crash beside", f"fmi2DoStep {CRASH}"),
         ("fmi2DoStep memory", r"fmi2DoStep crashed with signal 6 \(SIGABRT\)\."),
         ("fmi2DoStep file", r"fmi2DoStep ended its process with exit code 9\."),
-        # Into every file, also the one from which is known which call it is.
+        # Into every file, including the one that records the current call.
         ("fmi2DoStep talk", r"fmi2\w+ gave an answer that makes no sense and was ended\."),
         ("fmi2DoStep pull away", f"fmi2DoStep {EXIT}"),
         ("fmi2DoStep hang up", "fmi2DoStep closed its connection and was ended."),
     ],
 )
-def test_what_it_does_to_its_process_is_one_sentence(
+def test_a_crash_of_its_process_is_one_sentence(
     hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, deed: str, said: str
 ) -> None:
     here, before = Path.cwd(), children()
@@ -169,7 +171,7 @@ def test_what_it_does_to_its_process_is_one_sentence(
 @pytest.mark.parametrize(
     "deed", ["load loop", "fmi2DoStep loop", "fmi2DoStep half a word", "fmi2DoStep dribble"]
 )
-def test_what_never_comes_back_is_ended(
+def test_a_call_that_never_returns_is_ended(
     hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, deed: str
 ) -> None:
     monkeypatch.setenv("DEED", deed)
@@ -189,7 +191,7 @@ def test_what_never_comes_back_is_ended(
         *("fmi2Terminate abort", "fmi2Terminate sleep"),
     ],
 )
-def test_what_harms_nobody_else_passes(
+def test_harmless_side_effects_are_allowed(
     hostile_lag: Path,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -207,7 +209,7 @@ def test_what_harms_nobody_else_passes(
     assert capfd.readouterr() == ("", "")
 
 
-def test_all_that_it_has_started_is_ended(
+def test_all_its_child_processes_are_ended(
     hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     file = tmp_path / "pid"
@@ -216,7 +218,7 @@ def test_all_that_it_has_started_is_ended(
     with pytest.raises(SimulationError, match=rf"fmi2DoStep {EXIT}"):
         go(hostile_lag)
     with suppress(psutil.NoSuchProcess):
-        # Where nobody waits for orphans, what was ended remains as a number.
+        # Where orphans are not reaped, a killed process remains as a zombie.
         assert psutil.Process(int(file.read_text())).status() == psutil.STATUS_ZOMBIE
 
 
@@ -247,7 +249,7 @@ def test_signals_end_a_run_at_once(
         parent = psutil.Process(process.pid)
 
         def looping() -> bool:
-            with suppress(psutil.NoSuchProcess):  # others come and go meanwhile
+            with suppress(psutil.NoSuchProcess):  # other processes start and end meanwhile
                 return any(child.cpu_times().user > 1.5 for child in parent.children())
             return False
 
@@ -267,7 +269,7 @@ def test_signals_end_a_run_at_once(
     assert not output.exists()
 
 
-def test_the_commands_say_it_in_one_sentence(
+def test_commands_report_a_crash_in_one_sentence(
     hostile_friction: Path,
     hostile_lag: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -289,14 +291,14 @@ def test_the_commands_say_it_in_one_sentence(
         assert re.search(rf"{name} .* fmi2DoStep ended its process with exit code 0", last), ended
         assert "Traceback" not in ended.err
         assert not answer.exists()
-    # The battery says of each experiment whether it could be done.
+    # The physics checks state for each experiment whether it could be run.
     ended = hesr("test", hostile_friction, "--kind", "properties", "--verbose")
     assert ended.code == 0
     assert all(" INFO " in line for line in ended.err.splitlines()), ended.err
     assert "fmi2DoStep ended its process with exit code 0" in " ".join(ended.out.split())
 
 
-def test_outputs_that_are_no_numbers(
+def test_non_finite_outputs_are_reported(
     hostile_friction: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from fmu_src.check.convention import measure
@@ -311,10 +313,10 @@ def test_outputs_that_are_no_numbers(
         measure(hostile_friction)
 
 
-def test_hashes_that_cannot_be_kept(
+def test_unwritable_hashes_leave_an_fmu_foreign(
     lag_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An FMU whose hash cannot be kept runs all the same, as a foreign one."""
+    """An FMU whose hash cannot be stored still runs, as a foreign one."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert not is_ours(lag_fmu)
     hash_folder().write_text("a file where the folder should be")
@@ -328,7 +330,7 @@ def test_hashes_that_cannot_be_kept(
     assert is_ours(lag_fmu)
 
 
-def test_trust_is_kept(
+def test_trust_is_persistent(
     foreign_lag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hesr: Hesr
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

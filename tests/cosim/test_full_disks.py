@@ -1,4 +1,4 @@
-"""Full disks, as they really are: one sentence, and nothing that is half-written."""
+"""Real full disks: one error message and no partial files."""
 
 import os
 import subprocess
@@ -63,18 +63,18 @@ def full(tmp_path: Path) -> Iterator[Path]:
         (folder / "filled").write_bytes(bytes(1024 * 984))
         yield folder
     finally:
-        # A process that has just ended may hold a file for a moment yet.
+        # A process that has just ended may hold a file briefly.
         subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
 def fill(folder: Path) -> None:
-    """Take the last bytes of a disk."""
+    """Fill the last bytes of a disk."""
     with suppress(OSError), (folder / "filled").open("ab") as file:
         file.write(bytes(2**20))
 
 
 def refuse(hesr: Hesr, full: Path, output: Path, *arguments: object) -> None:
-    """Check that a command says that `output` cannot be written, and leaves the disk as it was."""
+    """Check that a command reports `output` as unwritable and leaves the disk unchanged."""
     before = contents(full)
     answer = hesr(*arguments)
     assert (answer.code, answer.err) == (2, f"hesr: {output}: {FULL}"), (arguments, answer)
@@ -83,7 +83,7 @@ def refuse(hesr: Hesr, full: Path, output: Path, *arguments: object) -> None:
 
 
 @pytest.mark.parametrize("command", ["export", "new", "run"])
-def test_a_disk_that_gets_full_is_one_sentence(
+def test_a_disk_that_fills_up_is_one_sentence(
     command: str, full: Path, tmp_path: Path, hesr: Hesr
 ) -> None:
     output = full / "out"
@@ -122,7 +122,7 @@ def test_a_full_disk_is_one_sentence(full: Path, lag_fmu: Path, tmp_path: Path, 
 
 
 @pytest.mark.soak
-def test_a_full_disk_for_what_comes_of_logs(
+def test_a_full_disk_is_one_sentence_for_results_of_logs(
     full: Path, study_run: Run, tmp_path: Path, hesr: Hesr
 ) -> None:
     fill(full)
@@ -151,8 +151,8 @@ def test_a_full_disk_for_what_comes_of_logs(
         refuse(hesr, full, full / str(name), *arguments, full / str(name))
 
 
-def test_the_file_that_is_named_is_the_one_that_was_asked_for(full: Path) -> None:
-    """Also where a temporary file of a temporary file does not find room; and no folder stays."""
+def test_the_reported_file_is_the_requested_one(full: Path) -> None:
+    """Includes nested temporary files; no folder is left."""
     fill(full)
     output = full / "new" / "folder" / "out.csv"
     with (
@@ -185,7 +185,7 @@ def test_a_full_disk_for_temporary_files_is_one_sentence(full: Path, tmp_path: P
 @pytest.mark.parametrize(
     "arguments", [("fit", "--list"), ("fit", "--list", "--json", "-"), ("--help",)]
 )
-def test_an_output_that_is_full_is_one_sentence(arguments: tuple[str, ...]) -> None:
+def test_a_full_standard_output_is_one_sentence(arguments: tuple[str, ...]) -> None:
     with Path("/dev/full").open("w") as output:
         result = subprocess.run(
             [sys.executable, *COMMAND, *arguments],

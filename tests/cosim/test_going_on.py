@@ -1,4 +1,4 @@
-"""A run that was killed goes on from what it had finished, and ends as one that was not."""
+"""A killed run resumes from its finished parts and gives the results of an uninterrupted one."""
 
 import json
 import os
@@ -17,7 +17,7 @@ pytestmark = [
 
 
 def laws(folder: Path) -> dict[str, object]:
-    """What the run fitted; the twin's logs bear the same rows in every run."""
+    """Laws that the run fitted; the twin's logs have the same rows in every run."""
     found = {}
     for file in sorted((folder / "laws").glob("*.json")):
         data = json.loads(file.read_text(encoding="utf-8"))
@@ -26,9 +26,9 @@ def laws(folder: Path) -> dict[str, object]:
 
 
 @pytest.mark.soak
-def test_a_killed_run_goes_on_and_ends_as_if_it_had_not_been(tmp_path: Path) -> None:
+def test_a_killed_run_resumes_with_the_same_results(tmp_path: Path) -> None:
     study = write_study(tmp_path)
-    # Fits that take long enough to be told of on their way.
+    # Fits long enough to report progress.
     text = study.read_text(encoding="utf-8")
     assert "starts = 4\n" in text
     study.write_text(text.replace("starts = 4\n", "starts = 60\n"), encoding="utf-8")
@@ -42,7 +42,7 @@ def test_a_killed_run_goes_on_and_ends_as_if_it_had_not_been(tmp_path: Path) -> 
     assert not list(tmp_path.glob("results/[!.]*"))
     before = {file: file.stat().st_mtime_ns for file in kept.glob("*.json")}
     assert len(before) >= 2
-    # One that is damaged is fitted again.
+    # A damaged fit is repeated.
     damaged = max(before)
     damaged.write_text("{", encoding="utf-8")
     with started(*command, folder=tmp_path) as process:
@@ -50,7 +50,7 @@ def test_a_killed_run_goes_on_and_ends_as_if_it_had_not_been(tmp_path: Path) -> 
         _, told = process.communicate()
         assert process.returncode == 0, told
     assert not kept.parent.exists()
-    # Half a fit is a share of the whole.
+    # Half a fit counts as a fraction of the whole.
     shares = [int(n) for n in re.findall(r"fitting laws: (\d+) of 900", told)]
     assert shares[-1] == 900
     assert any(share % 100 for share in shares)

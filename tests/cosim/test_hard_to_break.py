@@ -1,4 +1,4 @@
-"""Killed runs, two at once, plain outputs and hostile files, as they really are."""
+"""Real killed runs, concurrent runs, plain outputs and hostile files."""
 
 import json
 import os
@@ -48,7 +48,7 @@ def refused(hesr: Hesr) -> Refused:
     return call
 
 
-# --- killed runs, and two at once -------------------------------------------------------------
+# --- killed and concurrent runs ----------------------------------------------------------------
 
 SLEEPER = """
 import sys, time
@@ -61,12 +61,12 @@ with folder_written_whole(Path(sys.argv[1])) as folder:
 """
 
 
-def test_the_next_run_removes_what_a_killed_one_has_left(tmp_path: Path) -> None:
+def test_the_next_run_removes_files_of_a_killed_run(tmp_path: Path) -> None:
     results = tmp_path / "results"
     program = ("-c", SLEEPER)
     with started(results, folder=tmp_path, program=program) as process:
         wait_for(lambda: list(results.glob(".hesr-*/half")), process)
-        # It lives, so what it has is its own, whoever comes.
+        # That process is alive, so its files are left alone.
         with (
             pytest.raises(ArtifactError, match="another run is writing into this folder"),
             folder_written_whole(results),
@@ -83,7 +83,7 @@ def test_the_next_run_removes_what_a_killed_one_has_left(tmp_path: Path) -> None
     assert not [path for path in results.iterdir() if path.name != "whole"]
 
 
-def test_of_two_runs_into_one_folder_the_second_is_refused(tmp_path: Path) -> None:
+def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
     study, results = write_study(tmp_path), tmp_path / "results"
     with started("run", study, "-o", results, folder=tmp_path) as first:
         wait_for(lambda: list(results.glob(".hesr-*/*")), first)
@@ -100,17 +100,17 @@ def test_of_two_runs_into_one_folder_the_second_is_refused(tmp_path: Path) -> No
         first.send_signal(signal.SIGKILL)
         first.communicate()
     assert_nothing_runs(first.pid)
-    # What a run does first is to remove what that one has left.
+    # A run first removes the files of the killed one.
     with started("run", study, "-o", results, folder=tmp_path) as third:
         left = set(results.glob(".hesr-*/"))
         wait_for(lambda: not left & set(results.glob(".hesr-*/")), third)
 
 
-# --- outputs that take some characters only -----------------------------------------------------
+# --- outputs with a limited character set -------------------------------------------------------
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-def test_marks_are_plain_where_the_output_is(encoding: str) -> None:
+def test_marks_are_plain_for_a_plain_output(encoding: str) -> None:
     result = subprocess.run(
         [sys.executable, *COMMAND, "test", "uf850-table1", "--kind", "properties", "--verbose"],
         capture_output=True,
@@ -124,7 +124,7 @@ def test_marks_are_plain_where_the_output_is(encoding: str) -> None:
     assert "?" not in text.partition("x fail")[0]
 
 
-# --- homes that cannot be written ---------------------------------------------------------------
+# --- unwritable home ---------------------------------------------------------------------------
 
 DRAWING = """
 from hesr.cli import main
@@ -136,7 +136,7 @@ finally:
 """
 
 
-def test_without_a_home_nobody_else_complains(tmp_path: Path) -> None:
+def test_other_packages_are_quiet_without_a_home(tmp_path: Path) -> None:
     env = {key: value for key, value in os.environ.items() if not key.startswith("XDG_")}
     result = subprocess.run(
         [sys.executable, "-c", DRAWING, "fit", "--list", "--quiet"],
@@ -156,7 +156,7 @@ def test_without_a_home_nobody_else_complains(tmp_path: Path) -> None:
 
 @pytest.fixture(params=["pipe", "endless", "round"])
 def odd(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str], Path]:
-    """What opening waits for, what has no end, and a link to itself, under a name."""
+    """A path that blocks on opening, an endless file and a link to itself, under a given name."""
 
     def make(name: str) -> Path:
         path = tmp_path / name
@@ -170,7 +170,9 @@ def odd(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str], Path]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes and devices in folders are those of POSIX")
-def test_what_is_no_file(odd: Callable[[str], Path], refused: Refused, tmp_path: Path) -> None:
+def test_paths_other_than_regular_files_are_refused(
+    odd: Callable[[str], Path], refused: Refused, tmp_path: Path
+) -> None:
     robot, output = robot_file(tmp_path), tmp_path / "out.csv"
     for name in ("log.csv", "log.parquet", "log.mat", "log.bag", "log.mcap"):
         log = odd(name)
@@ -207,12 +209,12 @@ def test_what_is_no_file(odd: Callable[[str], Path], refused: Refused, tmp_path:
         ('<geom type="hfield" hfield="huge"/>', "cannot be compiled as an MJCF"),
     ],
 )
-def test_models_that_nobody_could_wait_for(
+def test_oversized_models_are_refused(
     more: str, reason: str, refused: Refused, tmp_path: Path
 ) -> None:
     os.mkfifo(tmp_path / "odd.stl")
     path, asset = tmp_path / "model.xml", '<mesh name="odd" file="odd.stl"/>' * ("mesh" in more)
-    if "hfield" in more:  # of which MuJoCo finds out itself that it is wrong
+    if "hfield" in more:  # MuJoCo detects this error itself
         asset = '<hfield name="huge" nrow="-1" ncol="100000" size="1 1 1 1"/>'
     path.write_text(
         f"<mujoco><asset>{asset}</asset><worldbody>{more}</worldbody></mujoco>", encoding="utf-8"
@@ -220,7 +222,7 @@ def test_models_that_nobody_could_wait_for(
     assert reason in refused("export", path, "-o", tmp_path / "Arm.fmu")
 
 
-def test_names_of_files_stay_on_one_line(refused: Refused, tmp_path: Path) -> None:
+def test_file_names_stay_on_one_line(refused: Refused, tmp_path: Path) -> None:
     path = tmp_path / "a\n\x1b[2Jb.toml"
     sentence = refused("simulate", path, "-o", tmp_path / "out.csv")
     assert sentence == f"{tmp_path}/a\\n\\x1b[2Jb.toml: no such file.\n"
@@ -241,9 +243,7 @@ DEEP = 100_000
         ('{"format": "\ud800"}', "codec can't decode byte 0xed"),
     ],
 )
-def test_json_that_no_program_should_read(
-    text: str, reason: str, refused: Refused, tmp_path: Path
-) -> None:
+def test_hostile_json_is_refused(text: str, reason: str, refused: Refused, tmp_path: Path) -> None:
     path = tmp_path / "law.json"
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     sentence = refused("export", path, "-o", tmp_path / "Friction.fmu")
@@ -262,9 +262,7 @@ def test_json_that_no_program_should_read(
         (f"name = '{'x' * 100_000}'\nlaws = 3", "key "),
     ],
 )
-def test_toml_that_no_program_should_read(
-    text: str, reason: str, refused: Refused, tmp_path: Path
-) -> None:
+def test_hostile_toml_is_refused(text: str, reason: str, refused: Refused, tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_text(text, encoding="utf-8")
     sentence = refused("run", path, "-o", tmp_path / "results")
@@ -281,7 +279,7 @@ def test_toml_that_no_program_should_read(
         (5e-324, 1e308, "inf communication steps of"),
     ],
 )
-def test_more_steps_than_anybody_waits_for(
+def test_too_many_steps_are_refused(
     step: float, stop: float, reason: str, refused: Refused, tmp_path: Path
 ) -> None:
     path = tmp_path / "system.toml"
@@ -306,8 +304,8 @@ def columns(**changed: object) -> dict[str, object]:
     return {"t": t, "q1": np.sin(t), "dq1": np.cos(t), "tau1": np.cos(t)} | changed
 
 
-def test_stamps_that_are_no_numbers(refused: Refused, tmp_path: Path) -> None:
-    """Nanoseconds that Python's dates cannot show, and a position that is a date."""
+def test_invalid_time_stamps_are_refused(refused: Refused, tmp_path: Path) -> None:
+    """Nanoseconds beyond the range of Python's dates, and a date as a position."""
     stamps = pyarrow.array(np.arange(500) + 1, pyarrow.timestamp("ns", tz="Nowhere/Never"))
     log = tmp_path / "log.parquet"
     for changed in ({"q1": stamps}, {"q1": pyarrow.array([[1.0]] * 500)}):
@@ -321,7 +319,7 @@ def test_stamps_that_are_no_numbers(refused: Refused, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["q1", "dq1", "tau1"])
 @pytest.mark.parametrize("number", [1e300, -1.7e308])
-def test_numbers_that_nobody_can_use(
+def test_unusable_numbers_are_refused(
     name: str, number: float, refused: Refused, tmp_path: Path
 ) -> None:
     values = np.array(columns()[name])
@@ -335,7 +333,7 @@ def test_numbers_that_nobody_can_use(
     assert f"is {number:g}; numbers up to 1e+20 can be used" in sentence
 
 
-def test_times_that_nobody_can_use(refused: Refused, tmp_path: Path) -> None:
+def test_unusable_times_are_refused(refused: Refused, tmp_path: Path) -> None:
     log = tmp_path / "log.parquet"
     pyarrow.parquet.write_table(pyarrow.table(columns(t=1e300 * np.arange(500))), log)
     sentence = refused(*identify(log, robot_file(tmp_path)))
@@ -343,14 +341,14 @@ def test_times_that_nobody_can_use(refused: Refused, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_200_000_columns(suffix: str, refused: Refused, tmp_path: Path) -> None:
+def test_200_000_columns_are_handled_quickly(suffix: str, refused: Refused, tmp_path: Path) -> None:
     log = tmp_path / f"log{suffix}"
     names = [f"c{k}" for k in range(200_000)]
     if suffix == ".csv":
         row = ",".join(["1.5"] * len(names))
         log.write_text(f"{','.join(names)}\n{row}\n{row}\n", encoding="utf-8")
     else:
-        few = names[:20_000]  # of which writing takes seconds already
+        few = names[:20_000]  # writing even these takes seconds
         pyarrow.parquet.write_table(pyarrow.table({name: [1.5] for name in few}), log)
         names = few
     assert refused(*identify(log, robot_file(tmp_path))) == (
@@ -358,7 +356,7 @@ def test_200_000_columns(suffix: str, refused: Refused, tmp_path: Path) -> None:
     )
 
 
-def test_of_many_columns_a_sentence_lists_some(refused: Refused, tmp_path: Path) -> None:
+def test_messages_list_only_some_of_many_columns(refused: Refused, tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
     log.write_text(",".join(f"c{k}" for k in range(5000)) + "\n", encoding="utf-8")
     with log.open("a", encoding="utf-8") as file:
@@ -400,7 +398,7 @@ def sparse(path: Path, head: bytes) -> Path:
         ("robot.toml", b"name = 'r'"),
     ],
 )
-def test_10_gb_of_nothing_take_no_memory(name: str, head: bytes, tmp_path: Path) -> None:
+def test_10_gb_of_zeros_take_no_memory(name: str, head: bytes, tmp_path: Path) -> None:
     path = sparse(tmp_path / name, head)
     if path.suffix == ".json":
         arguments: tuple[object, ...] = ("export", path, "-o", tmp_path / "Friction.fmu")
@@ -415,15 +413,15 @@ def test_10_gb_of_nothing_take_no_memory(name: str, head: bytes, tmp_path: Path)
     assert sentence.startswith(f"hesr: {path}: ")
     if head.startswith(b"t;"):
         assert "is 10.0 GB long; a CSV of up to 2.1 GB can be read; write it as" in sentence
-    assert int(memory) < 500_000  # kB; what the command imports takes 230 MB
+    assert int(memory) < 500_000  # kB; the imports of the command take 230 MB
 
 
 def limited() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (700 * 2**20, 700 * 2**20))
 
 
-def test_memory_that_does_not_suffice_is_one_sentence(tmp_path: Path) -> None:
-    """A law of 60 MB of JSON, for a process that may have 700 MB."""
+def test_insufficient_memory_is_one_sentence(tmp_path: Path) -> None:
+    """A law of 60 MB of JSON in a process limited to 700 MB."""
     path = tmp_path / "law.json"
     path.write_text("[" + ",".join(["[1.5]"] * 10_000_000) + "]", encoding="utf-8")
     result = subprocess.run(
@@ -440,7 +438,7 @@ def test_memory_that_does_not_suffice_is_one_sentence(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["klingon", "utf-7", "idna"])
-def test_encodings_that_there_are_not(encoding: str, refused: Refused, tmp_path: Path) -> None:
+def test_unknown_encodings_are_refused(encoding: str, refused: Refused, tmp_path: Path) -> None:
     text = uf850("uf850.xml").read_text(encoding="utf-8")
     model = tmp_path / "model.xml"
     model.write_text(f'<?xml version="1.0" encoding="{encoding}"?>\n{text}', encoding="utf-8")
@@ -450,7 +448,7 @@ def test_encodings_that_there_are_not(encoding: str, refused: Refused, tmp_path:
 
 
 @pytest.mark.parametrize("letter", ["\\u0000", "\\u0007", "\\u202e"])
-def test_names_that_cannot_be_printed(letter: str, refused: Refused, tmp_path: Path) -> None:
+def test_unprintable_names_are_escaped(letter: str, refused: Refused, tmp_path: Path) -> None:
     robot = robot_file(tmp_path, joint=f"joint{letter}1")
     assert "which cannot be printed" in refused(*identify(tmp_path / "log.csv", robot))
     data = json.loads(uf850("table1.json").read_text(encoding="utf-8"))
@@ -463,7 +461,7 @@ def test_names_that_cannot_be_printed(letter: str, refused: Refused, tmp_path: P
 
 
 @pytest.mark.parametrize("number", [1e308, -1e101])
-def test_numbers_of_a_law_that_no_friction_has(
+def test_absurd_coefficients_of_a_law_are_refused(
     number: float, refused: Refused, tmp_path: Path
 ) -> None:
     data = json.loads(uf850("table1.json").read_text(encoding="utf-8"))
@@ -480,7 +478,7 @@ def test_numbers_of_a_law_that_no_friction_has(
         assert not (tmp_path / "Friction.fmu").exists()
 
 
-def test_logs_that_unpack_into_far_more_than_they_are(refused: Refused, tmp_path: Path) -> None:
+def test_decompression_bombs_as_logs_are_refused(refused: Refused, tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py", reason="h5py is not installed")
     robot = robot_file(tmp_path)
     log = tmp_path / "log.parquet"
@@ -495,7 +493,7 @@ def test_logs_that_unpack_into_far_more_than_they_are(refused: Refused, tmp_path
     assert "holds far more data than a file of its length can; leave out variables" in sentence
 
 
-def test_a_motion_without_end() -> None:
+def test_an_endless_motion_is_refused() -> None:
     plant = Plant.read(uf850("plant.toml"))
     slow = Sine(offset=np.zeros(3), amplitude=np.ones(3), frequency=1e-300, periods=1)
     sentence = r"2e\+302 samples; at most 1e\+08 can be logged"

@@ -1,4 +1,4 @@
-"""FMUs and SSPs that are hostile or damaged as archives: refused in a sentence by every command."""
+"""FMUs and SSPs as hostile or damaged archives: every command refuses them in one sentence."""
 
 import re
 import resource
@@ -51,7 +51,7 @@ def lags_ssp(lag_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def commands(fmu: Path) -> list[tuple[object, ...]]:
-    """All commands that open FMUs, with an output that must not appear."""
+    """All commands that open FMUs, with an output that must not be created."""
     folder = fmu.parent
     system = folder / "system.toml"
     system.write_text(LAGS.replace("FMU", str(fmu)), encoding="utf-8")
@@ -65,7 +65,7 @@ def commands(fmu: Path) -> list[tuple[object, ...]]:
 
 
 def refuse(fmu: Path, hesr: Hesr, said: str, *, known_to_check: bool = False) -> None:
-    """Check that every command refuses an FMU in a sentence, and leaves nothing behind."""
+    """Check that every command refuses an FMU in one sentence and leaves no files."""
     for command in commands(fmu):
         before = contents(fmu.parent)
         ended = hesr(*command)
@@ -79,15 +79,17 @@ NAMES = ("../evil.txt", "/tmp/evil.txt", "C:evil.txt", "a/../../evil", "a\\..\\.
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_names_that_lead_out(
+def test_names_outside_the_archive_are_refused(
     members: dict[str, bytes], tmp_path: Path, hesr: Hesr, name: str
 ) -> None:
     fmu = archived(members | {name: b"evil"}, tmp_path / "Evil.fmu")
     refuse(fmu, hesr, r"Evil\.fmu: not a readable FMU \(the entry '.*' (leads out|has control)")
 
 
-def test_a_bomb(members: dict[str, bytes], tmp_path: Path, hesr: Hesr) -> None:
-    """Six megabytes that would be six gigabytes."""
+def test_a_decompression_bomb_is_refused(
+    members: dict[str, bytes], tmp_path: Path, hesr: Hesr
+) -> None:
+    """6 MB that decompress to 6 GB."""
     fmu = tmp_path / "Bomb.fmu"
     with zipfile.ZipFile(fmu, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in members.items():
@@ -98,7 +100,7 @@ def test_a_bomb(members: dict[str, bytes], tmp_path: Path, hesr: Hesr) -> None:
     refuse(fmu, hesr, r"Bomb\.fmu: not a readable FMU \(the entry 'resources/zeros' claims")
 
 
-def test_a_link(members: dict[str, bytes], tmp_path: Path, hesr: Hesr) -> None:
+def test_a_symbolic_link_is_refused(members: dict[str, bytes], tmp_path: Path, hesr: Hesr) -> None:
     fmu = archived(members, tmp_path / "Link.fmu")
     link = zipfile.ZipInfo("resources/link")
     link.create_system, link.external_attr = 3, (stat.S_IFLNK | 0o777) << 16
@@ -110,7 +112,7 @@ def test_a_link(members: dict[str, bytes], tmp_path: Path, hesr: Hesr) -> None:
 @pytest.mark.parametrize(
     "identifier", ["../../evil", "/tmp/evil", "a b", "", "1a", "a\u202eb", "l" * 1000, "lag&#10;"]
 )
-def test_identifiers_that_are_paths(
+def test_paths_as_identifiers_are_refused(
     members: dict[str, bytes], tmp_path: Path, hesr: Hesr, identifier: str
 ) -> None:
     text = members["modelDescription.xml"].decode()
@@ -131,8 +133,8 @@ def test_identifiers_that_are_paths(
         assert re.search(said, ended.err), (command, ended.err)
 
 
-def test_sizes_are_those_of_the_content(members: dict[str, bytes], tmp_path: Path) -> None:
-    """A file with more in it than the table of contents says."""
+def test_sizes_are_measured_on_the_content(members: dict[str, bytes], tmp_path: Path) -> None:
+    """A file larger than stated in the table of contents."""
     fmu = archived(members, tmp_path / "Lag.fmu")
     data = bytearray(fmu.read_bytes())
     place = data.rindex(b"binaries/linux64/lag.so") - 46  # its entry in the table of contents
@@ -154,7 +156,7 @@ def test_sizes_are_those_of_the_content(members: dict[str, bytes], tmp_path: Pat
         ("MOST_BYTES", 100, r"claims \d+ bytes; more than 100 are not read"),
     ],
 )
-def test_limits(
+def test_size_limits_are_enforced(
     lag_fmu: Path, monkeypatch: pytest.MonkeyPatch, limit: str, value: int, said: str
 ) -> None:
     monkeypatch.setattr(f"fmu_src.run.archive.{limit}", value)
@@ -184,7 +186,7 @@ def read_ssp(path: Path, folder: Path, *, run: bool) -> None:
 
 
 def survive(real: Path, folder: Path, count: int, runs: int) -> None:
-    """Read damaged copies of a file, and run the first few of those that can be read."""
+    """Read damaged copies of a file and run the first few readable ones."""
     read = read_ssp if real.suffix == ".ssp" else read_fmu
     refused, original = 0, real.read_bytes()
     for seed in range(count):
@@ -210,19 +212,19 @@ def survive(real: Path, folder: Path, count: int, runs: int) -> None:
     assert 0.2 * count < refused < count
 
 
-def test_damaged_fmus(lag_fmu: Path, tmp_path: Path) -> None:
+def test_damaged_fmus_are_handled(lag_fmu: Path, tmp_path: Path) -> None:
     survive(lag_fmu, tmp_path, FEW, 5)
 
 
-def test_damaged_ssps(lags_ssp: Path, tmp_path: Path) -> None:
+def test_damaged_ssps_are_handled(lags_ssp: Path, tmp_path: Path) -> None:
     survive(lags_ssp, tmp_path, FEW, 3)
 
 
 @pytest.mark.soak
-def test_many_damaged_fmus(lag_fmu: Path, tmp_path: Path) -> None:
+def test_many_damaged_fmus_are_handled(lag_fmu: Path, tmp_path: Path) -> None:
     survive(lag_fmu, tmp_path, MANY, 200)
 
 
 @pytest.mark.soak
-def test_many_damaged_ssps(lags_ssp: Path, tmp_path: Path) -> None:
+def test_many_damaged_ssps_are_handled(lags_ssp: Path, tmp_path: Path) -> None:
     survive(lags_ssp, tmp_path, MANY, 100)

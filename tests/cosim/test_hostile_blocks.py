@@ -1,4 +1,4 @@
-"""Parts of a loop, and the whole, bear a master at its worst."""
+"""Parts of a loop, and the whole loop, under hostile call sequences of a master."""
 
 from pathlib import Path
 
@@ -19,18 +19,18 @@ def complaints(fmu: Path) -> list[str]:
 
 @pytest.mark.ci
 @pytest.mark.parametrize("name", ["trajectory", "body", "controller", "velocity"])
-def test_a_part_bears_everything(bench: Bench, name: str) -> None:
+def test_a_part_survives_hostile_calls(bench: Bench, name: str) -> None:
     assert complaints(getattr(bench.fmus, name)) == []
 
 
 @pytest.mark.soak
-def test_the_arm_bears_everything(bench: Bench) -> None:
+def test_the_arm_survives_hostile_calls(bench: Bench) -> None:
     assert complaints(bench.fmus.arm) == []
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("compensation", ["torque_error", "servo_inversion"])
-def test_a_container_bears_everything(
+def test_a_container_survives_hostile_calls(
     bench: Bench, compensation: Compensation, tmp_path: Path
 ) -> None:
     spec = bench.system(bench.loop(Scheme(compensation=compensation, Kx=5.0)))

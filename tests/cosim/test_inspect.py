@@ -1,4 +1,4 @@
-"""hesr inspect: a stranger's log becomes a robot file without a hand laid on it."""
+"""hesr inspect: a foreign log gives a robot file without manual edits."""
 
 import json
 import tomllib
@@ -73,7 +73,7 @@ def test_a_messy_log_gets_a_robot_file_that_reads_it(
     log = Log.read(messy, robot)
     assert len(log.parts()) == 2
     assert log.dropped == 2
-    # Constants from the model's gravity alone are rough, but never another unit.
+    # Constants from the model's gravity alone are rough but never of another unit.
     assert robot.log.torque_per_ampere == pytest.approx(GAINS, rel=0.5)
     html = page.read_text("utf-8")
     assert "torque_per_ampere: guess" in html
@@ -81,7 +81,7 @@ def test_a_messy_log_gets_a_robot_file_that_reads_it(
     assert "http://" not in html.replace("http://www.w3.org", "")
 
 
-def test_torques_of_other_names_need_no_constants(messy: Path, arm: RobotDescription) -> None:
+def test_renamed_torque_columns_need_no_constants(messy: Path, arm: RobotDescription) -> None:
     text = messy.read_text("utf-8").replace("_current", "_torque")
     messy.write_text(text, encoding="utf-8")
     log = propose([messy], arm, known=False).robot.log
@@ -89,7 +89,7 @@ def test_torques_of_other_names_need_no_constants(messy: Path, arm: RobotDescrip
     assert "torque" in str(log.columns.tau)
 
 
-def test_the_proposed_study_reads_what_was_inspected(
+def test_the_proposed_study_reads_the_inspected_log(
     messy: Path, arm: RobotDescription, hesr: Hesr
 ) -> None:
     folder = messy.parent / "cell 7"
@@ -119,7 +119,7 @@ def test_the_proposed_study_reads_what_was_inspected(
     assert refused.err.startswith("hesr: --study needs --write: a study names the robot file")
 
 
-def test_training_goes_on_until_each_joint_has_reversed(
+def test_training_lasts_until_each_joint_has_reversed(
     messy: Path, arm: RobotDescription, make_motion: Callable[..., Motion]
 ) -> None:
     robot = messy.with_name("robot.toml")
@@ -143,7 +143,7 @@ def test_training_goes_on_until_each_joint_has_reversed(
     assert stop(0.95 * whole) == pytest.approx(0.8 * whole, rel=1e-3)
 
 
-def test_a_clean_log_is_called_clean(
+def test_a_clean_log_has_no_findings(
     tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription, hesr: Hesr
 ) -> None:
     motion = make_motion(name="clean", friction=0.8)
@@ -160,7 +160,7 @@ def test_a_clean_log_is_called_clean(
     assert envelope["result"] == empty
 
 
-def test_logs_are_looked_at_without_a_robot(messy: Path, hesr: Hesr) -> None:
+def test_logs_are_inspected_without_a_robot(messy: Path, hesr: Hesr) -> None:
     said = hesr("inspect", messy, "--verbose")
     assert said.code == 0
     assert "joint3" in said.out
@@ -169,7 +169,7 @@ def test_logs_are_looked_at_without_a_robot(messy: Path, hesr: Hesr) -> None:
     assert refused.err == "hesr: --write needs --robot: a robot file names the robot's model.\n"
 
 
-def test_mistakes_are_mended_in_the_proposal(
+def test_mistakes_are_fixed_in_the_proposal(
     tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription
 ) -> None:
     motion = make_motion(name="wrong", friction=0.8)
@@ -185,10 +185,10 @@ def test_mistakes_are_mended_in_the_proposal(
     assert {f.check for f in proposal.first} == {"velocity-columns", "torque-sign"}
 
 
-def test_torque_constants_that_are_stated_stay(
+def test_stated_torque_constants_are_kept(
     tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription
 ) -> None:
-    """A sign is mended; the model's masses, which are rougher, do not replace the maker's word."""
+    """A sign is fixed; the rougher constants from the model's masses do not replace the maker's."""
     motion = make_motion(name="wrong", friction=0.8)
     noise = np.random.default_rng(1).normal(0.0, 0.05, motion.tau.shape)
     current = (motion.tau + noise) / GAINS * [1.0, 1.0, -1.0]
@@ -220,7 +220,7 @@ def test_damaged_findings_of_a_run_are_refused(tmp_path: Path) -> None:
     assert read_findings(tmp_path / "earlier") == []
 
 
-def test_a_part_of_a_log_must_hold_rows(messy: Path, arm: RobotDescription) -> None:
+def test_a_part_of_a_log_must_have_rows(messy: Path, arm: RobotDescription) -> None:
     part = {"log": messy.name, "start": 50.0}
     logs = {"identification": ["a"], "test": {"b": ["b"]}, "parts": {"a": part}}
     robot = messy.with_name("robot.toml")
@@ -234,8 +234,8 @@ def test_a_part_of_a_log_must_hold_rows(messy: Path, arm: RobotDescription) -> N
         job.read("a", messy)
 
 
-def test_a_part_is_tested_behind_what_is_before_it(messy: Path, arm: RobotDescription) -> None:
-    """The log has a gap at 4 s, which divides the part in two."""
+def test_a_part_is_tested_after_the_earlier_rows(messy: Path, arm: RobotDescription) -> None:
+    """The log has a gap at 4 s, which splits the part in two."""
     robot = messy.with_name("robot.toml")
     robot.write_text(robot_file(propose([messy], arm, known=True), robot), encoding="utf-8")
     log = Log.read(messy, RobotDescription.read(robot))
@@ -284,7 +284,7 @@ def test_a_table_without_positions_is_refused(tmp_path: Path, hesr: Hesr) -> Non
     assert "no columns look like positions of several joints; it has time, a, b" in said.err
 
 
-def test_a_number_of_5000_digits_in_a_name_is_no_joint(tmp_path: Path, hesr: Hesr) -> None:
+def test_a_number_of_5000_digits_in_a_name_is_not_a_joint(tmp_path: Path, hesr: Hesr) -> None:
     path = tmp_path / "odd.csv"
     names = ["t", "q1", "q2", f"q{'9' * 5000}"]
     rows = [f"{0.01 * k},1,2,3" for k in range(9)]
@@ -305,7 +305,7 @@ def test_a_number_of_5000_digits_in_a_name_is_no_joint(tmp_path: Path, hesr: Hes
         (["J1 vel [deg/s]", "J2 vel [deg/s]"], "dq", "deg/s"),
     ],
 )
-def test_a_word_for_the_joint_hides_no_quantity(
+def test_a_joint_word_does_not_hide_the_quantity(
     names: list[str], quantity: str, unit: str | None
 ) -> None:
     columns = {"t": 0.01 * np.arange(5), "q1": np.arange(5.0), "q2": np.arange(5.0)}

@@ -1,4 +1,4 @@
-"""Leaderboards: FMUs on the twin's logs, ranked in classes, with intervals."""
+"""Leaderboards: FMUs on the twin's logs, ranked by class, with intervals."""
 
 import json
 import shutil
@@ -97,7 +97,7 @@ def board(laid: Path, entries: list[Path]) -> Leaderboard:
 
 
 def called(file: Path, fmus: object, page: Path | None = None) -> Any:
-    """Return the leaderboard of FMUs on a file."""
+    """Return the leaderboard of a file."""
     return test_laws(fmus, on=[file], output=page).others["leaderboard"]  # type: ignore[arg-type]
 
 
@@ -107,7 +107,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 
 def changed(laid: Path, to: Path, *changes: tuple[str, str]) -> Path:
-    """Write the leaderboard file with other text, its files next to it."""
+    """Write the leaderboard file with some text replaced, next to its FMUs."""
     for name in ("body.json", "trial.csv"):
         shutil.copy(laid / name, to / name)
     text = (laid / "board.toml").read_text(encoding="utf-8")
@@ -118,7 +118,7 @@ def changed(laid: Path, to: Path, *changes: tuple[str, str]) -> Path:
     return to / "board.toml"
 
 
-def test_entries_stand_in_the_class_of_what_they_use(board: Leaderboard) -> None:
+def test_entries_are_classed_by_their_inputs(board: Leaderboard) -> None:
     found = {s.name: (s.group, s.inputs, s.law, s.foreign) for s in board.standings}
     assert found == {
         "stribeck": ("v", ("dq",), "stribeck", False),
@@ -136,7 +136,9 @@ def test_errors_are_those_of_an_evaluation(board: Leaderboard, laid: Path) -> No
         [replace(r, **{n: getattr(r, n)[r.t - r.t[0] >= 0.5] for n in columns}) for r in part]
         for part in ground.records
     ]
-    model = embedded_model(laid / "stribeck.fmu")  # without memory: it knows not when a log began
+    model = embedded_model(
+        laid / "stribeck.fmu"
+    )  # no memory, so the start of a log does not matter
     assert model is not None
     records = by_joint(late)
     expected = compare(records, {"stribeck": predict_model(model, records)})
@@ -151,7 +153,7 @@ def test_errors_are_those_of_an_evaluation(board: Leaderboard, laid: Path) -> No
     np.testing.assert_allclose(found.relative["all"].value, relative, rtol=1e-9)
 
 
-def test_intervals_hold_their_values(board: Leaderboard) -> None:
+def test_intervals_contain_their_values(board: Leaderboard) -> None:
     first, second, alone = board.standings
     assert first.ratio is None
     assert alone.ratio is None
@@ -165,8 +167,8 @@ def test_intervals_hold_their_values(board: Leaderboard) -> None:
             assert interval.low < interval.value < interval.high
 
 
-def test_an_interval_covers_what_is_true(laid: Path) -> None:
-    """Of white errors of known size the relative error is known."""
+def test_an_interval_covers_the_truth(laid: Path) -> None:
+    """The relative error of white errors of known size is known."""
     (ground,) = read_grounds(BoardFile.read(laid / "board.toml")).values()
     judge = Judge(ground, warm_up=0.5, block=0.05)
     rows, n = len(ground.records[0][0].t), ground.model.n
@@ -196,7 +198,7 @@ def test_a_command_writes_page_and_json(
     text = page.read_text(encoding="utf-8")
     for standing in data["standings"]:
         assert standing["sha256"] in text
-        assert str(standing["relative"]["all"]["value"]) in text  # behind the rounded figure
+        assert str(standing["relative"]["all"]["value"]) in text  # before rounding
     assert "the digital twin, motion" in text
     again = called(laid / "board.toml", entries[1], tmp_path / "again.html")
     (own,) = again.standings
@@ -204,7 +206,7 @@ def test_a_command_writes_page_and_json(
     assert own.relative["all"].value == data["standings"][0]["relative"]["all"]["value"]
 
 
-def test_properties_are_those_of_the_battery(
+def test_properties_are_those_of_the_physics_checks(
     laid: Path, table1_fmu: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (ground,) = read_grounds(BoardFile.read(laid / "board.toml")).values()
@@ -219,7 +221,7 @@ def test_properties_are_those_of_the_battery(
 
 
 @pytest.mark.soak
-def test_the_battery_stands_on_the_page(laid: Path, table1_fmu: Path, tmp_path: Path) -> None:
+def test_the_physics_checks_are_on_the_page(laid: Path, table1_fmu: Path, tmp_path: Path) -> None:
     path = changed(laid, tmp_path, ('"time"]', '"properties"]'))
     board = called(path, table1_fmu, tmp_path / "board.html")
     (standing,) = board.standings
@@ -255,7 +257,7 @@ def test_unusable_leaderboard_files_are_refused(
         called(path, laid / "Coulomb.fmu")
 
 
-def test_robots_are_told_apart(laid: Path, tmp_path: Path, table1_fmu: Path) -> None:
+def test_robots_are_distinguished(laid: Path, tmp_path: Path, table1_fmu: Path) -> None:
     text = (laid / "board.toml").read_text(encoding="utf-8")
     robot = text[text.index("[[robots]]") : text.index("[[logs]]")]
     log = text[text.index("[[logs]]") :]
@@ -274,7 +276,7 @@ def test_robots_are_told_apart(laid: Path, tmp_path: Path, table1_fmu: Path) -> 
         called(path, table1_fmu)
 
 
-def test_a_log_that_is_another_one_is_refused(laid: Path, tmp_path: Path, table1_fmu: Path) -> None:
+def test_a_changed_log_is_refused(laid: Path, tmp_path: Path, table1_fmu: Path) -> None:
     path = changed(laid, tmp_path)
     with (tmp_path / "trial.csv").open("a", encoding="utf-8") as file:
         file.write("\n")
@@ -282,7 +284,7 @@ def test_a_log_that_is_another_one_is_refused(laid: Path, tmp_path: Path, table1
         called(path, table1_fmu)
 
 
-def test_entries_that_cannot_compete_are_refused(
+def test_unsuitable_entries_are_refused(
     laid: Path, lag_fmu: Path, table1: FrictionModel, tmp_path: Path
 ) -> None:
     path = laid / "board.toml"
@@ -297,7 +299,7 @@ def test_entries_that_cannot_compete_are_refused(
             called(path, given)
 
 
-def test_an_entry_that_gives_no_number_is_refused(laid: Path, tmp_path: Path) -> None:
+def test_an_entry_with_non_finite_output_is_refused(laid: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(laid / "Coulomb.fmu") as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     script = "resources/coulomb_slave.py"
@@ -308,7 +310,7 @@ def test_an_entry_that_gives_no_number_is_refused(laid: Path, tmp_path: Path) ->
     assert not (tmp_path / "board.html").exists()
 
 
-def test_the_page_is_the_same_for_the_same_results(board: Leaderboard, tmp_path: Path) -> None:
+def test_the_page_is_reproducible(board: Leaderboard, tmp_path: Path) -> None:
     for name in ("a.html", "b.html"):
         write_page(board, tmp_path / name)
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()

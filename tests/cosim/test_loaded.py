@@ -1,4 +1,4 @@
-"""FMUs that stay loaded: taken again while their file stays the same, freed where a call failed."""
+"""Cached FMUs: reused while their file is unchanged, freed after a failed call."""
 
 import shutil
 import tempfile
@@ -15,7 +15,7 @@ from hesr_model.errors import SimulationError
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Where FMUs are extracted."""
+    """Folder of extracted FMUs."""
     place = tmp_path / "extracted"
     place.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(place))
@@ -29,7 +29,7 @@ def loaded():
     kept.clear()
 
 
-def test_one_that_went_well_is_taken_again_as_new(lag_fmu, loaded):
+def test_an_fmu_is_reused_in_its_initial_state(lag_fmu, loaded):
     with loaded.lend(lag_fmu, name="a") as first:
         first.initialise(start={"u": 5.0, "T": 3.0})
         first.step(0.0, 0.5)
@@ -40,7 +40,7 @@ def test_one_that_went_well_is_taken_again_as_new(lag_fmu, loaded):
         assert again.get(["x", "T"]).tolist() == [0.25, 0.5]
 
 
-def test_one_is_lent_once_at_a_time_and_under_its_own_name(lag_fmu, loaded, folder):
+def test_an_instance_has_one_user_at_a_time_and_its_own_name(lag_fmu, loaded, folder):
     with loaded.lend(lag_fmu, name="a") as one, loaded.lend(lag_fmu, name="a") as other:
         assert one is not other
     assert len(list(folder.iterdir())) == 1
@@ -48,7 +48,7 @@ def test_one_is_lent_once_at_a_time_and_under_its_own_name(lag_fmu, loaded, fold
         assert third.name == "b"
 
 
-def test_one_whose_call_failed_is_freed(lag_fmu, loaded, folder):
+def test_an_fmu_is_freed_after_a_failed_call(lag_fmu, loaded, folder):
     with loaded.lend(lag_fmu, name="a") as first:
         first.initialise(start={"refused": 0.5})
         with pytest.raises(SimulationError):
@@ -56,13 +56,13 @@ def test_one_whose_call_failed_is_freed(lag_fmu, loaded, folder):
     assert not list(folder.iterdir())
 
 
-def test_one_in_whose_use_anything_failed_is_freed(lag_fmu, loaded, folder):
+def test_an_fmu_is_freed_after_an_error_of_its_user(lag_fmu, loaded, folder):
     with pytest.raises(KeyError), loaded.lend(lag_fmu, name="a"):
         raise KeyError
     assert not list(folder.iterdir())
 
 
-def test_a_file_that_was_written_again_is_loaded_again(lag_fmu, loaded, tmp_path):
+def test_a_rewritten_file_is_reloaded(lag_fmu, loaded, tmp_path):
     copy = tmp_path / "Lag.fmu"
     shutil.copy(lag_fmu, copy)
     with loaded.lend(copy, name="a") as first:
@@ -73,7 +73,7 @@ def test_a_file_that_was_written_again_is_loaded_again(lag_fmu, loaded, tmp_path
         assert second is not first
 
 
-def test_so_many_are_kept_and_all_can_be_freed(lag_fmu, folder):
+def test_the_cache_is_limited_and_can_be_cleared(lag_fmu, folder):
     kept = FmuPool(most=2)
     for name in "abcd":
         with kept.lend(lag_fmu, name=name):
@@ -83,7 +83,7 @@ def test_so_many_are_kept_and_all_can_be_freed(lag_fmu, folder):
     assert not list(folder.iterdir())
 
 
-def test_a_file_that_is_missing_is_said_as_ever(tmp_path, loaded):
+def test_a_missing_file_gives_the_usual_error(tmp_path, loaded):
     with (
         pytest.raises(SimulationError, match=r"no\.fmu: no such file"),
         loaded.lend(tmp_path / "no.fmu", name="a"),
@@ -91,7 +91,7 @@ def test_a_file_that_is_missing_is_said_as_ever(tmp_path, loaded):
         pass
 
 
-def test_a_system_gives_the_same_bits_from_kept_fmus(lag_fmu, tmp_path, loaded):
+def test_cached_fmus_give_bitwise_equal_results(lag_fmu, tmp_path, loaded):
     path = tmp_path / "lags.toml"
     path.write_text(LAGS.replace("FMU", str(lag_fmu)), encoding="utf-8")
     spec = SystemSpec.read(path)

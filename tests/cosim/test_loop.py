@@ -1,4 +1,4 @@
-"""Co-simulation against the same loop without FMI, and against exact solutions."""
+"""Co-simulation compared with the same loop without FMI and with exact solutions."""
 
 import re
 from dataclasses import replace
@@ -29,13 +29,13 @@ def run(spec: SystemSpec) -> Signals:
 
 
 def difference(bench: Bench, loop: Any) -> float:
-    """Largest difference of a position between co-simulation and monolithic loop [rad]."""
+    """Largest position difference between co-simulation and monolithic loop [rad]."""
     expected, result = run_loop(loop), run(bench.system(loop))
     np.testing.assert_allclose(result.t, expected.t, rtol=1e-15)
     np.testing.assert_allclose(result.vector("trajectory.q"), expected.q_d, atol=1e-12)
     np.testing.assert_allclose(result.vector("controller.dq_cmd"), expected.dq_cmd, atol=1e-8)
     error = np.abs(expected.q_d - expected.q_true)
-    assert 1e-4 < error.max() < 0.2  # the loop follows its motion, and has something to follow
+    assert 1e-4 < error.max() < 0.2  # the loop follows a motion that is not trivial
     return float(np.abs(result.vector("arm.q_true") - expected.q_true).max())
 
 
@@ -68,8 +68,8 @@ def test_ten_seconds_agree_with_the_loop_without_fmi(bench: Bench, scheme: Schem
     ],
     ids=["sine", "chirp"],
 )  # fmt: skip
-def test_other_motions_agree_too(bench: Bench, motion: Any, compensation: Any) -> None:
-    """Their acceleration jumps at the end of the rest, at an instant that rounding may miss."""
+def test_other_motions_agree(bench: Bench, motion: Any, compensation: Any) -> None:
+    """Their acceleration jumps at the end of the rest, at a time that rounding may miss."""
     loop = bench.loop(Scheme(compensation=compensation, Kx=5.0), motion=motion, stop=4.0)
     assert difference(bench, loop) <= 1e-10
 
@@ -97,13 +97,13 @@ def lugre_bench(bench: Bench, tmp_path_factory: pytest.TempPathFactory) -> Bench
 
 
 @pytest.mark.parametrize("source", ["desired", "filtered"])
-def test_another_law_agrees_too(lugre_bench: Bench, source: Any) -> None:
+def test_another_law_agrees(lugre_bench: Bench, source: Any) -> None:
     loop = lugre_bench.loop(Scheme(compensation="servo_inversion", source=source), stop=4.0)
     assert difference(lugre_bench, loop) <= 1e-10
 
 
-def test_the_oracle_is_not_blind(bench: Bench) -> None:
-    """Half a percent of one gain shows a hundred thousand times above the tolerance."""
+def test_the_oracle_detects_a_gain_error(bench: Bench) -> None:
+    """A gain error of 0.5 % exceeds the tolerance a hundred thousand times."""
     loop = bench.loop(Scheme(compensation="servo_inversion"), stop=2.0)
     spec = bench.system(loop)
     changed = {"Kv": (90.5 * 1.005, 150.8, 52.8)}
@@ -113,7 +113,7 @@ def test_the_oracle_is_not_blind(bench: Bench) -> None:
 
 
 def test_runs_of_one_master_are_identical(bench: Bench) -> None:
-    """With another run between them, whose parameters must not stay behind."""
+    """Parameters of another run in between must not remain set."""
     spec = bench.system(bench.loop(Scheme(compensation="torque_error"), stop=1.0))
     with Master(spec) as master:
         first = master.run().require_success()
@@ -125,7 +125,7 @@ def test_runs_of_one_master_are_identical(bench: Bench) -> None:
 
 
 def test_a_loop_that_diverges_is_stopped_at_its_limits(bench: Bench) -> None:
-    """Time and joint are named, and what there is until then is kept."""
+    """Time and joint are named, and earlier rows are kept."""
     q = MOTION.sample(np.linspace(0.0, 10.0, 500))[0]
     limits = {"arm.q_true": tuple(zip(q.min(axis=0) - 0.1, q.max(axis=0) + 0.1, strict=True))}
     loop = bench.loop(Scheme(compensation="torque_error"))
@@ -147,7 +147,7 @@ START = {"a": 1.0, "b": -0.4}
 
 
 def lags(fmu: Any, step: float, order: str) -> SystemSpec:
-    """Two lags that feed each other."""
+    """Two coupled lags."""
     return SystemSpec.model_validate(
         {
             "step": step,
@@ -164,8 +164,8 @@ def lags(fmu: Any, step: float, order: str) -> SystemSpec:
 
 
 @pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
-def test_couplings_hold_values_as_the_order_says(lag_fmu: Any, order: str) -> None:
-    """Against the recurrence itself: with Jacobi each lag sees the other of the step before."""
+def test_couplings_hold_values_by_call_order(lag_fmu: Any, order: str) -> None:
+    """Compared with the recurrence: with Jacobi, each lag uses the other's previous value."""
     step, count = 0.1, 12
     keep = {name: np.exp(-step / T) for name, T in LAGS.items()}
     a, b = [START["a"]], [START["b"]]
@@ -180,13 +180,13 @@ def test_couplings_hold_values_as_the_order_says(lag_fmu: Any, order: str) -> No
 
 
 def orders(errors: list[float]) -> np.ndarray:
-    """Order of convergence between runs, each with half the step of the one before."""
+    """Order of convergence between runs with halved steps."""
     return -np.diff(np.log2(errors))
 
 
 @pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
 def test_coupled_lags_converge(lag_fmu: Any, order: str) -> None:
-    """First order or better towards the exact solution of the coupled system."""
+    """At least first order towards the exact solution of the coupled system."""
     matrix = np.array([[-1.0, 1.0], [1.0, -1.0]]) / np.array(list(LAGS.values()))[:, None]
     errors = []
     for step in (0.1, 0.05, 0.025, 0.0125, 0.00625):
@@ -203,7 +203,7 @@ QUIET = {"q_noise": (0.0, 0.0, 0.0), "tau_meas_noise": (0.0, 0.0, 0.0)}
 
 @pytest.mark.parametrize("compensation", ["none", "torque_error"])
 def test_the_closed_loop_converges(bench: Bench, compensation: Any) -> None:
-    """Towards the loop at the arm's own step, without noise: first order or better."""
+    """At least first order towards the loop at the arm's own step, without noise."""
     motion = Sine(offset=MOTION.offset, amplitude=np.array([0.8, 0.7, 0.9]), frequency=0.5)
 
     def positions(step: float) -> np.ndarray:

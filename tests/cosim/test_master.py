@@ -1,4 +1,4 @@
-"""The master: in which order it calls, what it keeps when a run fails, that every FMU is freed."""
+"""The master: call order, results kept after a failure, and release of every FMU."""
 
 from pathlib import Path
 
@@ -24,11 +24,11 @@ def steps_of(name):
     return [call[1:] for call in Fake.calls if call[0] == name and call[1] != "start"]
 
 
-# --- in which order ---------------------------------------------------------------------------
+# --- call order --------------------------------------------------------------------------------
 
 
-def test_a_component_is_given_the_newest_outputs(fakes):
-    """Gauss-Seidel: y[k+1] of a clock is what the integrator after it gets in the same step."""
+def test_a_component_gets_the_newest_outputs(fakes):
+    """Gauss-Seidel: the integrator after a clock gets the clock's y[k+1] in the same step."""
     spec = fakes(
         {"clock": "clock", "sum": "fake"}, {"sum.u[1]": "clock.y", "sum.u[2]": "sum.y[1]"},
         observe=["sum.y"],
@@ -37,13 +37,13 @@ def test_a_component_is_given_the_newest_outputs(fakes):
     np.testing.assert_allclose(result.t, 0.1 * np.arange(11), rtol=1e-15)
     y = np.concatenate([[0.0], np.cumsum(0.1 * 0.1 * np.arange(1, 11))])
     np.testing.assert_allclose(result.vector("sum.y")[:, 0], y, rtol=1e-13)
-    # Its own output is that of the step before.
+    # Its own output is that of the previous step.
     z = np.concatenate([[0.0], np.cumsum(0.1 * y[:-1])])
     np.testing.assert_allclose(result.vector("sum.y")[:, 1], z, rtol=1e-13, atol=1e-15)
 
 
 @pytest.mark.parametrize("first", ["clock", "sum"])
-def test_jacobi_gives_what_was_at_the_beginning_whatever_the_order(fakes, first):
+def test_jacobi_uses_values_at_the_start_in_any_order(fakes, first):
     names = {"clock": "clock", "sum": "fake"}
     spec = fakes(
         {first: names[first]} | names, {"sum.u[1]": "clock.y", "sum.u[2]": "clock.y"},
@@ -61,7 +61,7 @@ def test_components_step_in_their_order_by_a_step_counter(fakes):
 
 
 @pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
-def test_components_of_several_rates(fakes, order):
+def test_components_may_have_different_rates(fakes, order):
     spec = fakes(
         {"clock": "clock", "slow": {"fmu": "fake", "step": 0.3},
          "slower": {"fmu": "clock", "step": 0.6}},
@@ -71,7 +71,7 @@ def test_components_of_several_rates(fakes, order):
     result = run(spec).require_success()
     np.testing.assert_allclose(steps_of("slow"), [(0.3 * k, 0.3) for k in range(4)], atol=1e-15)
     np.testing.assert_allclose(steps_of("slower"), [(0, 0.6), (0.6, 0.6)], atol=1e-15)
-    # Held between its steps; inputs are those at the step's end, or with Jacobi at its beginning.
+    # Held between its steps; inputs are those at the end of the step, with Jacobi at its start.
     inputs = 0.3 * np.arange(1, 5) if order == "gauss_seidel" else 0.3 * np.arange(4)
     y = np.repeat(np.concatenate([[0.0], np.cumsum(0.3 * inputs)]), 3)[:13]
     np.testing.assert_allclose(result.vector("slow.y")[:, 0], y, rtol=1e-13, atol=1e-15)
@@ -80,8 +80,8 @@ def test_components_of_several_rates(fakes, order):
     )
 
 
-def test_values_go_through_chains_before_the_first_step(fakes):
-    """Twice through the same component, against the order in which components are listed."""
+def test_values_pass_through_chains_before_the_first_step(fakes):
+    """Twice through the same component, against the listed order."""
     spec = fakes(
         {"last": "gain", "pair": "pair", "middle": "gain",
          "source": {"fmu": "fake", "start": {"y0": 3.0}}},
@@ -93,8 +93,8 @@ def test_values_go_through_chains_before_the_first_step(fakes):
     assert [signals[name][0] for name in spec.observe] == [6.0, 24.0, 48.0]
 
 
-def test_values_settle_before_the_first_step_whatever_depends_on_what_then(fakes):
-    """Each of four gains hides that it depends on the one before; one pass would not do."""
+def test_values_settle_before_the_first_step_without_declared_dependencies(fakes):
+    """Each of four gains hides its dependency on the previous one; one pass is not enough."""
     names = ["d", "c", "b", "a"]
     spec = fakes(
         dict.fromkeys(names, "hidden") | {"source": {"fmu": "fake", "start": {"y0": 3.0}}},
@@ -106,7 +106,7 @@ def test_values_settle_before_the_first_step_whatever_depends_on_what_then(fakes
     assert [signals[f"{n}.y"][0] for n in names] == [48.0, 24.0, 12.0, 6.0]
 
 
-# --- what is kept -----------------------------------------------------------------------------
+# --- results -----------------------------------------------------------------------------------
 
 
 def test_runs_of_one_master_are_identical(fakes):
@@ -124,7 +124,7 @@ def test_runs_of_one_master_are_identical(fakes):
 
 
 @pytest.mark.parametrize("kind", ["failing", "broken"])
-def test_a_failure_ends_the_run_and_keeps_what_there_is(fakes, kind):
+def test_a_failure_ends_the_run_and_keeps_earlier_rows(fakes, kind):
     spec = fakes(
         {"sum": "fake", "late": kind}, {"sum.u[1]": "late.y", "sum.u[2]": "late.y"},
         observe=["sum.y", "late.y"],
@@ -146,7 +146,7 @@ def test_a_failure_ends_the_run_and_keeps_what_there_is(fakes, kind):
     assert not Fake.alive
 
 
-def test_who_gives_nan_is_named_not_who_refuses_it(fakes):
+def test_the_source_of_nan_is_named(fakes):
     spec = fakes(
         {"late": "broken", "sum": "fake"}, {"sum.u[1]": "late.y", "sum.u[2]": "late.y"},
     )  # fmt: skip
@@ -161,7 +161,7 @@ def test_nan_at_the_start_is_named_with_its_time(fakes):
     assert str(run(spec).failure) == "at t = 0 s gain.y is not a finite number."
 
 
-def test_what_a_study_asks_of_a_system_is_checked_by_name(fakes):
+def test_names_in_a_study_are_checked_against_the_system(fakes):
     asked = Path("study.toml")
     links = {"sum.u[1]": "clock.y", "sum.u[2]": "clock.y"}
     spec = fakes({"sum": "fake", "clock": "clock"}, links, observe=["sum.y", "clock.y"])
@@ -192,11 +192,11 @@ def test_limits_end_a_run(fakes):
     )  # fmt: skip
     result = run(spec)
     assert str(result.failure) == ("at t = 0.6 s sum.y[2] is -1.2, outside its limits -1.1 to 1.1.")
-    # What left its limits is kept as well.
+    # The row that exceeds its limits is also kept.
     np.testing.assert_allclose(result.vector("sum.y")[-1], [0.6, -1.2])
 
 
-def test_limits_hold_at_the_start(fakes):
+def test_limits_apply_at_the_start(fakes):
     spec = fakes(
         {"sum": {"fmu": "fake", "start": {"u": 0.0, "y0": 2.0}}}, limits={"sum.y": [-1.0, 1.0]}
     )
@@ -215,13 +215,13 @@ def test_results_are_written(fakes, tmp_path, suffix):
     )
 
 
-def test_signals_that_were_not_observed(fakes):
+def test_unobserved_signals_are_refused(fakes):
     result = run(fakes({"clock": "clock"}, observe=["clock.y"]))
     with pytest.raises(SimulationError, match=r"signal 'clock.z' has not been observed\."):
         result.vector("clock.z")
 
 
-def test_progress_is_told(fakes):
+def test_progress_is_reported(fakes):
     told = []
     spec = fakes({"clock": "clock"}, stop=50.0)
     with Master(spec) as master:
@@ -229,7 +229,7 @@ def test_progress_is_told(fakes):
     assert told == [(0, 500), (200, 500), (400, 500), (500, 500)]
 
 
-# --- freed ------------------------------------------------------------------------------------
+# --- release -----------------------------------------------------------------------------------
 
 
 def test_every_component_is_freed(fakes):
@@ -292,7 +292,7 @@ def test_components_are_freed_if_another_cannot_be_loaded(lag_fmu, tmp_path, mon
 # --- FMUs -------------------------------------------------------------------------------------
 
 
-def test_fmus_that_refuse_a_step(lag_fmu, tmp_path):
+def test_refused_steps_are_reported(lag_fmu, tmp_path):
     spec = SystemSpec.model_validate(
         {
             "step": 0.1,
@@ -316,7 +316,7 @@ def test_fmus_that_refuse_a_step(lag_fmu, tmp_path):
     assert len(read_table(tmp_path / "result.csv").numbers(["t"])) == 5
 
 
-def test_fmus_that_refuse_to_start(lag_fmu):
+def test_failed_starts_are_reported(lag_fmu):
     spec = SystemSpec.model_validate(
         {
             "step": 0.1,
@@ -349,7 +349,7 @@ def odd_system(fmu, **more):
     return SystemSpec.model_validate(data | more)
 
 
-def test_fmus_with_parameters_of_every_type_that_give_nan_without_an_error(odd_fmu):
+def test_silent_nan_is_reported_with_parameters_of_every_type(odd_fmu):
     with Master(odd_system(odd_fmu)) as master:
         for _ in range(2):
             result = master.run()
@@ -357,7 +357,7 @@ def test_fmus_with_parameters_of_every_type_that_give_nan_without_an_error(odd_f
             assert str(result.failure) == "at t = 0.3 s odd.y is not a finite number."
 
 
-def test_fmus_that_do_not_say_what_their_outputs_depend_on(odd_fmu):
+def test_undeclared_dependencies_are_handled(odd_fmu):
     spec = odd_system(odd_fmu, connections={"odd.u": "odd.y"})
     with pytest.raises(ConfigError) as error:
         System(spec, Path("system")).run()
@@ -365,7 +365,7 @@ def test_fmus_that_do_not_say_what_their_outputs_depend_on(odd_fmu):
     assert "('odd' does not say what its outputs depend on: every input" in str(error.value)
 
 
-def test_fmus_whose_numbers_overflow_name_the_variable(lag_fmu):
+def test_overflow_is_reported_with_the_variable(lag_fmu):
     start = {"u": -1e308, "x_start": 1e308, "T": 1e3}
     spec = SystemSpec.model_validate(
         {
@@ -394,7 +394,7 @@ fmu = "B.fmu"
 """
 
 
-def test_files_of_fmus_are_beside_the_toml(tmp_path):
+def test_fmu_paths_are_relative_to_the_toml_file(tmp_path):
     path = tmp_path / "system.toml"
     path.write_text(GOOD)
     spec = SystemSpec.read(path)
@@ -426,7 +426,7 @@ MANY = "".join(f'name = "c{k}"\nfmu = "B.fmu"\n\n[[components]]\n' for k in rang
         ("stop = 1.0", "", "key 'stop' is missing."),
     ],
 )  # fmt: skip
-def test_files_that_are_wrong(tmp_path, old, new, said):
+def test_invalid_files_are_refused(tmp_path, old, new, said):
     path = tmp_path / "system.toml"
     path.write_text(GOOD.replace(old, new))
     with pytest.raises(ConfigError) as error:

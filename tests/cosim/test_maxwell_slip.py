@@ -1,4 +1,4 @@
-"""A law of ten stops that a user writes in 25 lines goes everywhere that other laws go."""
+"""A user-defined law of ten stops in 25 lines works wherever other laws do."""
 
 import sys
 from pathlib import Path
@@ -63,12 +63,12 @@ def torque(model: FrictionModel, t: np.ndarray, dq: np.ndarray) -> np.ndarray:
     return predict(model.laws[0], t=t, dq=dq)
 
 
-def test_it_is_short() -> None:
+def test_the_definition_is_short() -> None:
     lines = SOURCE.read_text(encoding="utf-8").splitlines()
     assert len([line for line in lines if line.strip()]) <= 25
 
 
-def test_it_is_fitted(maxwell_slip: type[estimator.Estimator], model: FrictionModel) -> None:
+def test_the_law_is_fitted(maxwell_slip: type[estimator.Estimator], model: FrictionModel) -> None:
     noise = np.random.default_rng(1).normal(0.0, 0.05, len(T))
     record = FrictionRecord(
         log="made", joint="axis", t=T, dq=DQ, q=np.cumsum(DQ) * DT,
@@ -79,19 +79,19 @@ def test_it_is_fitted(maxwell_slip: type[estimator.Estimator], model: FrictionMo
         assert found.values[name] == pytest.approx(value, abs=0.05)
 
 
-def test_it_is_read_back(model: FrictionModel, tmp_path: Path) -> None:
+def test_the_model_is_read_back(model: FrictionModel, tmp_path: Path) -> None:
     model.write(tmp_path / "law.json")
     assert FrictionModel.read(tmp_path / "law.json").laws == model.laws
 
 
-def test_its_fmu_is_it(model: FrictionModel, fmu: Path) -> None:
+def test_the_fmu_matches_the_law(model: FrictionModel, fmu: Path) -> None:
     expected = torque(model, T, DQ)
     found = replay(fmu, T, DQ[:, None])[:, 0]
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
     assert check(fmu).problems == ()
 
 
-def test_power_is_one_equation_with_its_derivative(fmu: Path) -> None:
+def test_power_is_consistent_with_its_derivative(fmu: Path) -> None:
     with FmuInstance(fmu) as component:
         about = {v.name: v for v in component.description.modelVariables}
         assert about["power[1]"].unit == "W"
@@ -107,12 +107,12 @@ def test_power_is_one_equation_with_its_derivative(fmu: Path) -> None:
         known, unknown = about["dq[1]"].valueReference, about["power[1]"].valueReference
         slave = component._instance.slave
         [found] = slave.getDirectionalDerivative([unknown], [known], [1.0])
-        # At held states: tau + dq sigma_2.
+        # At frozen states: tau + dq sigma_2.
         assert found == pytest.approx(tau + 0.3 * 3.0, rel=1e-12)
         assert np.isfinite(slope)
 
 
-def test_model_exchange_is_co_simulation(model: FrictionModel, fmu: Path) -> None:
+def test_model_exchange_matches_co_simulation(model: FrictionModel, fmu: Path) -> None:
     from fmpy import simulate_fmu
 
     t = 1e-3 * np.arange(6000)
@@ -129,21 +129,23 @@ def test_model_exchange_is_co_simulation(model: FrictionModel, fmu: Path) -> Non
     assert np.abs(error).max() <= 0.005 * np.abs(truth).max()
 
 
-def test_it_goes_into_a_drive_and_into_modelica(model: FrictionModel, tmp_path: Path) -> None:
+def test_the_law_is_exported_to_a_drive_and_to_modelica(
+    model: FrictionModel, tmp_path: Path
+) -> None:
     drive = export_drive(model, tmp_path / "Drive.fmu", inertia=[0.5])
     with FmuInstance(drive) as component:
         component.initialise(start={"tau_motor[1]": 5.0})
         for k in range(400):
             component.step(DT * k, DT)
         held = component.get(["q[1]", "dq[1]"])
-        # Ten stops hold 15.5 N.m: it rests where they carry the torque.
+        # Ten stops hold 15.5 N.m: it rests where their torque balances the load.
         assert abs(held[1]) < 1e-6
         assert 0.0 < held[0] < 1e-3
     export_modelica(model, tmp_path / "MaxwellSlip.mo")
     assert "der(x10)" in (tmp_path / "MaxwellSlip.mo").read_text(encoding="utf-8")
 
 
-def test_it_has_the_memory_that_no_relaxation_has(model: FrictionModel) -> None:
+def test_the_law_has_a_memory_that_relaxation_lacks(model: FrictionModel) -> None:
     [found] = run_battery([Subject(name="maxwell_slip", model=model)])
     [joint] = found.joints
     assert joint.findings["memory"].verdict == "pass"

@@ -1,4 +1,4 @@
-"""The steps in C against those in Python: the same calls, so the same bits and sentences."""
+"""The stepping loop in C compared with Python: same calls, so the same bits and messages."""
 
 import shutil
 import zipfile
@@ -23,7 +23,7 @@ from hesr_model.support.files import models_folder
 
 
 def both(spec: SystemSpec, runs: int = 1) -> tuple[Signals, Signals]:
-    """The last of several runs in C and in Python."""
+    """The last of several runs in C and Python."""
     found = []
     for native, kind in ((True, NativeStepper), (False, PythonStepper)):
         with Master(spec, native=native) as master:
@@ -41,7 +41,7 @@ def assert_same(one: Signals, other: Signals) -> None:
 
 
 def lags(fmu: Path, **more: object) -> SystemSpec:
-    """Two lags of different rates in a circle."""
+    """Two lags of different rates in a loop."""
     data = {
         "step": 0.1,
         "stop": 60.0,
@@ -56,7 +56,7 @@ def lags(fmu: Path, **more: object) -> SystemSpec:
 
 
 @pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
-def test_components_of_several_rates(lag_fmu, order):
+def test_components_of_different_rates_agree(lag_fmu, order):
     one, other = both(lags(lag_fmu, order=order), runs=2)
     assert one.failure is None
     assert len(one.t) == 601
@@ -64,13 +64,13 @@ def test_components_of_several_rates(lag_fmu, order):
     assert_same(one, other)
 
 
-def test_the_orders_differ(lag_fmu):
+def test_call_orders_differ(lag_fmu):
     one, other = (both(lags(lag_fmu, order=order))[0] for order in ("gauss_seidel", "jacobi"))
     assert np.abs(one.signals["b.y"] - other.signals["b.y"]).max() > 1e-3
 
 
 @pytest.mark.parametrize("names", [("a.y", "b.y"), ("b.y", "a.y")])
-def test_limits(lag_fmu, names):
+def test_limits_agree(lag_fmu, names):
     limits = {"b.y": (0.5, 1.5), "a.y": (0.2, 0.6)}
     one, other = both(lags(lag_fmu, limits={name: limits[name] for name in names}))
     assert "a.y is 0." in str(one.failure)
@@ -80,7 +80,7 @@ def test_limits(lag_fmu, names):
 
 @pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
 @pytest.mark.parametrize("component", [0, 1])
-def test_a_step_that_fails(lag_fmu, order, component):
+def test_a_failed_step_gives_the_same_error(lag_fmu, order, component):
     spec = lags(lag_fmu, order=order)
     spec.components[component].start["refused"] = 25.0
     one, other = both(spec)
@@ -88,8 +88,8 @@ def test_a_step_that_fails(lag_fmu, order, component):
     assert_same(one, other)
 
 
-def test_an_input_that_is_refused(lag_fmu):
-    """A value near the largest number overflows on its way."""
+def test_a_refused_input_gives_the_same_error(lag_fmu):
+    """A value near the largest double overflows on its way."""
     start = {"T": 1e-3, "x_start": 1.7e308, "u": -1.7e308}
     spec = lags(
         lag_fmu,
@@ -105,14 +105,14 @@ def test_an_input_that_is_refused(lag_fmu):
 
 
 @pytest.mark.parametrize("source", ["desired", "filtered"])
-def test_the_closed_loop_of_the_default_system(bench: Bench, source):
+def test_the_default_closed_loop_agrees(bench: Bench, source):
     loop = bench.loop(Scheme(compensation="servo_inversion", Kx=5.0, source=source), stop=2.0)
     one, other = both(bench.system(loop))
     assert one.failure is None
     assert_same(one, other)
 
 
-def test_an_fmu_in_python_is_stepped_in_c_as_well(bench: Bench, tmp_path):
+def test_a_python_fmu_is_also_stepped_in_c(bench: Bench, tmp_path):
     folder = models_folder() / "uf850"
     arm = export_python_arm(folder / "uf850.xml", folder / "arm.toml", tmp_path / "Arm.fmu")
     mixed = replace(bench, fmus=replace(bench.fmus, arm=arm))
@@ -120,8 +120,8 @@ def test_an_fmu_in_python_is_stepped_in_c_as_well(bench: Bench, tmp_path):
     assert_same(one, other)
 
 
-def test_a_foreign_fmu_keeps_its_process_and_is_stepped_in_python(lag_fmu, tmp_path):
-    """One that was not exported here: another byte in it makes it a stranger's."""
+def test_a_foreign_fmu_stays_in_its_process_and_is_stepped_in_python(lag_fmu, tmp_path):
+    """An FMU that was not exported here: one changed byte makes it foreign."""
     foreign = tmp_path / "Lag.fmu"
     shutil.copy(lag_fmu, foreign)
     with zipfile.ZipFile(foreign, "a") as archive:
@@ -136,7 +136,7 @@ def test_a_foreign_fmu_keeps_its_process_and_is_stepped_in_python(lag_fmu, tmp_p
         assert_same(master.run().require_success(), own.run())
 
 
-def test_without_a_compiler_the_steps_are_those_in_python(lag_fmu, monkeypatch, caplog):
+def test_python_steps_are_the_fallback_without_a_compiler(lag_fmu, monkeypatch, caplog):
     def refused(*_: object) -> bytes:
         raise ExportError("the C compiler cannot be run.")
 
@@ -149,7 +149,7 @@ def test_without_a_compiler_the_steps_are_those_in_python(lag_fmu, monkeypatch, 
 
 
 def rows_of_a_lag(fmu: Path, refused: float, count: int) -> tuple[bytes, str, float]:
-    """Outputs, failure and time of a lag that is taken through rows of uneven length."""
+    """Outputs, failure and time of a lag stepped through uneven rows."""
     sizes = np.tile([0.1, 0.25, 0.03], count)
     times = np.concatenate([[0.0], np.cumsum(sizes)[:-1]])
     with FmuInstance(fmu) as component:
@@ -165,21 +165,21 @@ def rows_of_a_lag(fmu: Path, refused: float, count: int) -> tuple[bytes, str, fl
 
 
 @pytest.mark.parametrize("refused", [1e9, 5.0])
-def test_rows_are_gone_through_as_in_python(lag_fmu, refused, monkeypatch):
+def test_rows_are_stepped_as_in_python(lag_fmu, refused, monkeypatch):
     own = rows_of_a_lag(lag_fmu, refused, 40)
     assert ("where it is refused" in own[1]) == (refused < 10.0)
     monkeypatch.setattr(fmu_src.run.native, "_library", lambda: None)
     assert rows_of_a_lag(lag_fmu, refused, 40) == own
 
 
-def test_signals_are_seen_between_many_rows(lag_fmu, monkeypatch):
+def test_signals_are_handled_between_many_rows(lag_fmu, monkeypatch):
     whole = rows_of_a_lag(lag_fmu, 1e9, 40)
     monkeypatch.setattr(fmu_src.run.native, "_AT_ONCE", 7)
     assert rows_of_a_lag(lag_fmu, 1e9, 40) == whole
 
 
-def test_an_input_that_is_refused_among_rows(lag_fmu, monkeypatch):
-    """A number that is none is refused where it is set, after the rows before it."""
+def test_a_refused_input_ends_the_rows_before_it(lag_fmu, monkeypatch):
+    """NaN is refused when it is set, after the rows before it."""
 
     def found() -> tuple[str, float]:
         with FmuInstance(lag_fmu) as component:

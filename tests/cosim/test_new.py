@@ -1,4 +1,4 @@
-"""A newcomer's path: a folder is laid, run, filled with own logs and run again."""
+"""`hesr new`: a project folder is created, run, given own logs and run again."""
 
 import re
 import tomllib
@@ -36,7 +36,7 @@ ONE_JOINT = f"""
 </robot>
 """
 
-# Turns without end, slides, and has a gripper whose second finger follows the first.
+# A continuous joint, a slide, and a gripper whose second finger mimics the first.
 MANY_JOINTS = f"""
 <robot name="many">
   <link name="base"/><link name="turret">{LINK}</link><link name="boom">{LINK}</link>
@@ -79,7 +79,7 @@ def model_file(folder: Path, text: str, name: str = "arm.urdf") -> Path:
 
 
 @pytest.mark.ci
-def test_what_is_laid_runs_at_once_and_again_with_own_logs(
+def test_a_new_project_runs_at_once_and_with_own_logs(
     tmp_path: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -98,7 +98,7 @@ def test_what_is_laid_runs_at_once_and_again_with_own_logs(
     before = FrictionModel.read(Path("results/my_arm/laws/lugre.json"))
     assert "Sample data, not measured" in Path("results/my_arm/report.html").read_text("utf-8")
 
-    # The newcomer's own logs, of another friction and at another rate, and another choice of laws.
+    # Own logs with other friction and another rate, and another choice of laws.
     study = Path("my_arm/study.toml")
     laws = '["stribeck", "lugre", "parfam_h"]'
     study.write_text(study.read_text().replace(f"\nlaws = {laws}", '\nlaws = ["lugre"]'))
@@ -112,7 +112,7 @@ def test_what_is_laid_runs_at_once_and_again_with_own_logs(
     after = FrictionModel.read(Path("results/my_arm/laws/lugre.json"))
     recorded = {f["name"]: f["sha256"] for f in after.provenance["files"]}
     assert recorded["sample_training.csv"] == sha256(Path("my_arm/logs/sample_training.csv"))
-    assert after.laws[0].values["F_c"] == pytest.approx(3.0, rel=0.1)  # of the own log, see below
+    assert after.laws[0].values["F_c"] == pytest.approx(3.0, rel=0.1)  # from the own log, see below
     assert before.laws[0].values["F_c"] < 2.0
 
 
@@ -132,7 +132,7 @@ def own_log(description: RobotDescription, name: str, phase: float) -> Log:
     return Log(name=name, t=t, q=q, dq=dq, tau=tau + noise)
 
 
-def test_everything_is_there_and_says_that_its_logs_are_samples(tmp_path: Path) -> None:
+def test_the_project_is_complete_and_states_that_its_logs_are_samples(tmp_path: Path) -> None:
     model = model_file(tmp_path, ONE_JOINT)
     start(tmp_path / "new", model)
     assert set(contents(tmp_path / "new")) == {
@@ -160,13 +160,13 @@ def test_the_same_robot_gives_the_same_folder(tmp_path: Path) -> None:
 
 
 BLOCK = re.compile(r"(?:^# (?:[a-z_]+ = |\[|  \[|\]).*\n)+", re.MULTILINE)
-"""Lines of a template that are commented out, as opposed to prose."""
+"""Lines of a template that are commented out, without prose."""
 
 
 @pytest.mark.parametrize(
     ("file", "schema", "blocks"), [("robot.toml", RobotDescription, 8), ("study.toml", Study, 4)]
 )
-def test_everything_that_is_commented_out_can_be_used(
+def test_every_commented_out_option_is_valid(
     tmp_path: Path, file: str, schema: type[RobotDescription] | type[Study], blocks: int
 ) -> None:
     model = model_file(tmp_path, MANY_JOINTS)
@@ -178,7 +178,7 @@ def test_everything_that_is_commented_out_can_be_used(
     for block in found:
         used = re.sub(r"^# ", "", block.group(), flags=re.MULTILINE)
         rest = text[: block.start()]
-        if tomllib.loads(used).keys() == {"laws"}:  # another choice in place of the given one
+        if tomllib.loads(used).keys() == {"laws"}:  # an alternative to the given choice
             rest = re.sub(r"^laws = .*\n", "", rest, flags=re.MULTILINE)
         path.write_text(rest + used + text[block.end() :], encoding="utf-8")
         read = schema.read(path)
@@ -186,7 +186,7 @@ def test_everything_that_is_commented_out_can_be_used(
             Robot(read)
 
 
-def test_joints_of_all_kinds_and_those_that_stand_still(tmp_path: Path, hesr: Hesr) -> None:
+def test_all_kinds_of_joints_are_supported(tmp_path: Path, hesr: Hesr) -> None:
     model = model_file(tmp_path, MANY_JOINTS)
     answer = hesr("new", tmp_path / "all", "--robot", model)
     assert (answer.code, answer.err) == (0, "")
@@ -200,7 +200,7 @@ def test_joints_of_all_kinds_and_those_that_stand_still(tmp_path: Path, hesr: He
     assert np.all(log.q > lower)
     assert np.all(log.q < upper)
     assert np.all(np.abs(log.dq).max(axis=0) < 1.01 * speed)
-    # The rigid body is found again: what is left is friction.
+    # The rigid body is identified again, so the residual is friction.
     body = identify([log], robot)
     still = np.zeros((1, 3))
     q = np.array([[0.3, 0.2, 0.5]])
@@ -216,7 +216,7 @@ def test_joints_of_all_kinds_and_those_that_stand_still(tmp_path: Path, hesr: He
     assert "--joints A,B,.." in (tmp_path / "two" / "README.txt").read_text()
 
 
-def test_an_mjcf_and_a_folder_with_an_odd_name_are_taken(tmp_path: Path) -> None:
+def test_an_mjcf_and_an_odd_folder_name_are_accepted(tmp_path: Path) -> None:
     start(tmp_path / "-my arm é", uf850("uf850.xml"))
     study = Study.read(tmp_path / "-my arm é" / "study.toml")
     assert study.name == "my_arm_"
@@ -231,7 +231,9 @@ def test_an_mjcf_and_a_folder_with_an_odd_name_are_taken(tmp_path: Path) -> None
     ],
     ids=["UR10e", "UFACTORY 850"],
 )
-def test_arms_of_the_world(tmp_path: Path, path: Path, joints: tuple[str, str]) -> None:
+def test_public_arm_models_are_accepted(
+    tmp_path: Path, path: Path, joints: tuple[str, str]
+) -> None:
     if not path.is_file():
         pytest.skip(f"{path} is not there")
     made = start(tmp_path / "new", path)
@@ -280,7 +282,7 @@ ERRORS = [
 
 
 @pytest.mark.parametrize(("name", "text", "joints", "message"), ERRORS)
-def test_a_robot_that_cannot_be_used_leaves_nothing(
+def test_an_unusable_robot_leaves_no_files(
     tmp_path: Path, name: str, text: str, joints: list[str], message: str
 ) -> None:
     model = model_file(tmp_path, text, name)
@@ -290,7 +292,7 @@ def test_a_robot_that_cannot_be_used_leaves_nothing(
     assert not (tmp_path / "new").exists()
 
 
-def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path, hesr: Hesr) -> None:
+def test_a_non_empty_folder_is_left_alone(tmp_path: Path, hesr: Hesr) -> None:
     model = model_file(tmp_path, ONE_JOINT)
     with pytest.raises(RobotError, match=r"none\.urdf: no such model file\.$"):
         start(tmp_path / "new", tmp_path / "none.urdf")

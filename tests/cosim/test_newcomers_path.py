@@ -1,7 +1,7 @@
-"""A newcomer's path: from the README to an own FMU, with logs as recorders of others write them.
+"""The path of a new user: from the README to an FMU, with logs as other recorders write them.
 
-The commands are those of the README, with the names of the log and of the robot's model in them.
-Each runs in a process of its own, and no file is edited between them.
+The commands are those of the README, with the names of the log and of the robot's model filled in.
+Each runs in a separate process, and no file is edited between them.
 """
 
 import re
@@ -47,7 +47,7 @@ LINKS = (
 
 
 def urdf(names: Sequence[str]) -> str:
-    """A serial arm with as many joints as names."""
+    """A serial arm with one joint per name."""
     links, joints = ['<link name="base"/>'], []
     for k, (name, (axis, origin, mass, centre)) in enumerate(zip(names, LINKS, strict=False)):
         size = 0.02 * mass
@@ -67,15 +67,15 @@ def urdf(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """What a log was made of."""
+    """Truth behind a log."""
 
     log: Log
     laws: Sequence[FrictionLaw]
     unseen: Fourier
 
     def errors(self, fmu: Path, scale: np.ndarray) -> np.ndarray:
-        """RMSE of an FMU in an unseen motion, over the standard deviation of true friction times
-        a scale; one per joint."""
+        """RMSE of an FMU in an unseen motion, relative to the standard deviation of true friction
+        times a scale; one per joint."""
         t = np.arange(4000) / 200.0
         q, dq, _ = self.unseen.sample(t)
         truth = np.column_stack(
@@ -86,7 +86,7 @@ class Truth:
 
 
 def measured(model: Path, joints: Sequence[str], seconds: float) -> Truth:
-    """Drive the model, whose masses the newcomer knows no better, with friction that he seeks."""
+    """Simulate the model with the true friction; its masses are those in the user's model file."""
     robot = Robot(RobotDescription(name="arm", model=model, joints=tuple(joints)))
     motion, unseen = random_motions(robot, sample_settings(robot), 2, 3)
     laws = plausible_friction(robot, motion)
@@ -95,11 +95,11 @@ def measured(model: Path, joints: Sequence[str], seconds: float) -> Truth:
 
 
 Write = Callable[[Path, Log], str]
-"""Writes a log into a folder; returns its name there."""
+"""Write a log into a folder; return its file name."""
 
 
 def table(names: Sequence[str], columns: np.ndarray, *, separator: str) -> list[str]:
-    """Lines of a table, head first."""
+    """Lines of a table, header first."""
     return [
         separator.join(names),
         *(separator.join(f"{value:.7g}" for value in row) for row in columns),
@@ -107,7 +107,7 @@ def table(names: Sequence[str], columns: np.ndarray, *, separator: str) -> list[
 
 
 def rtde(folder: Path, log: Log) -> str:
-    """As the recorder of Universal Robots writes: joints from 0, currents, targets beside them."""
+    """Format of Universal Robots: joints from 0, currents, also target columns."""
     n = log.q.shape[1]
     parts = {"target_q": log.q, "target_qd": log.dq, "target_moment": log.tau, "actual_q": log.q,
              "actual_qd": log.dq, "actual_current": log.tau / constants(n)}  # fmt: skip
@@ -121,12 +121,13 @@ def rtde(folder: Path, log: Log) -> str:
 
 
 def constants(joints: int) -> np.ndarray:
-    """[N.m/A] which nobody tells the newcomer."""
+    """Torque constants [N.m/A], unknown to the user."""
     return np.array([13.1, 13.1, 12.4, 9.8, 9.5, 9.2])[:joints]
 
 
 def bag(folder: Path, log: Log) -> str:
-    """As `ros2 bag record` writes: joints by the alphabet, a gripper among them, stamps of 1970."""
+    """Format of `ros2 bag record`: joints in alphabetical order, a gripper among them, stamps from
+    1970."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -153,7 +154,7 @@ def bag(folder: Path, log: Log) -> str:
 
 
 def messy(folder: Path, log: Log) -> str:
-    """A spreadsheet's: degrees, decimal commas, jitter, a gap, empty cells, words between rows."""
+    """A spreadsheet: degrees, decimal commas, jitter, a gap, empty cells, text between rows."""
     rng = np.random.default_rng(0)
     n = log.q.shape[1]
     t = np.sort(log.t + rng.normal(0.0, 3e-4, len(log.t)))
@@ -176,7 +177,7 @@ def messy(folder: Path, log: Log) -> str:
 
 
 def commands_of_the_readme() -> list[str]:
-    """Those that lead from a log of one's own to a checked FMU: the section's first block."""
+    """Commands from an own log to a checked FMU: the first block of the section."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     section = text.partition("\n## Your own robot\n")[2]
     found = re.match(r"\n((?: {4}hesr .*\n)+)", section)
@@ -185,7 +186,7 @@ def commands_of_the_readme() -> list[str]:
 
 
 def hesr(folder: Path, command: str) -> str:
-    """Run a command as a shell does; return what it says."""
+    """Run a command as a shell does; return its output."""
     program = Path(sys.executable).with_name("hesr")
     said = subprocess.run(
         [program, *shlex.split(command)[1:]],
@@ -202,7 +203,7 @@ def hesr(folder: Path, command: str) -> str:
     ("write", "joints", "seconds"),
     [
         (messy, 1, 12.0),
-        # The first joint reverses late, and once only.
+        # The first joint reverses late and only once.
         pytest.param(messy, 2, 12.0, marks=pytest.mark.soak),
         pytest.param(rtde, 6, 60.0, marks=pytest.mark.soak),
         pytest.param(bag, 6, 20.0, marks=pytest.mark.soak),
@@ -229,7 +230,7 @@ def test_a_log_becomes_an_fmu(write: Write, joints: int, seconds: float, tmp_pat
         assert "rows lack a number" in (tmp_path / report[1]).read_text("utf-8")
     checked = check.replace("results/my_arm/fmus/lugre.fmu", recommended[1])
     assert "no problem found." in hesr(tmp_path, checked)
-    # In the torque of the constants that were proposed where the log holds currents.
+    # In the torque of the proposed constants if the log has currents.
     robot = RobotDescription.read(tmp_path / "robot.toml")
     scale = np.ones(joints)
     if write is rtde:
@@ -238,8 +239,8 @@ def test_a_log_becomes_an_fmu(write: Write, joints: int, seconds: float, tmp_pat
     assert np.all(truth.errors(fmu, scale) < 0.05)
 
 
-def test_it_is_short() -> None:
-    """Installing, the commands above, and a look at what came out."""
+def test_the_path_is_short() -> None:
+    """Installation, the commands above, and a look at the results."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(readme.splitlines()) <= 150
     start = readme.partition("\n## Start\n")[2]

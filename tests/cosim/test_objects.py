@@ -1,4 +1,4 @@
-"""Objects of `import hesr` for FMUs, systems and their signals."""
+"""Objects of `import hesr` for FMUs, systems and signals."""
 
 import doctest
 import gc
@@ -28,14 +28,14 @@ def system(tmp_path: Path, lag_fmu: Path) -> Path:
 
 @pytest.fixture
 def foreign(tmp_path: Path, lag_fmu: Path) -> Path:
-    """Return a lag that is not trusted: its hash is another one."""
+    """Return a foreign lag: its hash is changed."""
     path = tmp_path / "Foreign.fmu"
     path.write_bytes(lag_fmu.read_bytes() + b"\0")
     return path
 
 
 @pytest.mark.parametrize("name", ["Fmu", "System", "Signals", "simulate"])
-def test_the_examples_run(
+def test_the_docstring_examples_run(
     name: str, system: Path, friction_fmu: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(system.parent)
@@ -49,7 +49,7 @@ def test_the_examples_run(
 # --- FMUs -------------------------------------------------------------------------------------
 
 
-def test_an_fmu_has_typed_variables_and_its_model(friction_fmu: Path, lag_fmu: Path) -> None:
+def test_an_fmu_gives_typed_variables_and_its_model(friction_fmu: Path, lag_fmu: Path) -> None:
     fmu = hesr.Fmu(friction_fmu)
     assert repr(fmu) == f"Fmu('{friction_fmu}', FMI 2.0, {len(fmu.variables)} variables)"
     speed = fmu.variables["dq[1]"]
@@ -76,7 +76,7 @@ def test_an_fmu_replays_a_log_as_its_model_predicts(friction_fmu: Path) -> None:
         fmu.replay(t=t, dq=dq, tau_load=dq[:, :1])
 
 
-def test_an_fmu_serves_as_a_path(friction_fmu: Path) -> None:
+def test_an_fmu_is_accepted_as_a_path(friction_fmu: Path) -> None:
     fmu = hesr.Fmu(friction_fmu)
     assert hesr.check(fmu).passed
     assert [law.fmu for law in hesr.test(fmu).laws] == [friction_fmu]
@@ -105,7 +105,7 @@ def test_an_instance_is_freed_on_every_exit(
     assert list(temporary.iterdir()) == []
 
 
-def test_files_that_are_no_fmus_are_refused(tmp_path: Path) -> None:
+def test_files_other_than_fmus_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SimulationError, match=r"none\.fmu: no such file\.$"):
         hesr.Fmu(tmp_path / "none.fmu", trust=True)
     with pytest.raises(ConfigError, match="an FMU is given as int; needed is a path"):
@@ -115,7 +115,7 @@ def test_files_that_are_no_fmus_are_refused(tmp_path: Path) -> None:
 # --- systems ----------------------------------------------------------------------------------
 
 
-def test_a_system_gives_signals(system: Path, tmp_path: Path) -> None:
+def test_a_system_returns_signals(system: Path, tmp_path: Path) -> None:
     read = hesr.System.read(str(system))
     assert repr(read) == "System('lags', 2 components, 1 s in steps of 0.1 s)"
     signals = read.run()
@@ -140,7 +140,7 @@ def test_simulate_gives_the_same_signals(system: Path, tmp_path: Path) -> None:
             np.testing.assert_array_equal(found.signals[name], values)
 
 
-def test_the_fmus_of_an_ssp_stay_as_long_as_the_system(
+def test_the_fmus_of_an_ssp_live_as_long_as_the_system(
     system: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read = hesr.System.read(system)

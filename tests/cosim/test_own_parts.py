@@ -1,4 +1,4 @@
-"""A component and a log format of others: what their pages in docs show."""
+"""The user-defined component and log format of the pages in docs."""
 
 import csv
 import tomllib
@@ -27,7 +27,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
     return hesr_here(capsys, monkeypatch)
 
 
-def test_the_component_of_the_page_warms_as_its_equation_says(
+def test_the_documented_component_follows_its_equation(
     tmp_path: Path, table1_fmu: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -44,7 +44,7 @@ def test_the_component_of_the_page_warms_as_its_equation_says(
     for joint in (1, 2, 3):
         watts = 0.5 * np.abs([row[f"friction.tau[{joint}]"] for row in rows])
         rise, kept = 0.0, np.exp(-0.1 / 600.0)
-        for held in watts[5::5]:  # in steps of 0.1 s, behind those of friction
+        for held in watts[5::5]:  # in steps of 0.1 s, one step after friction
             rise = kept * rise + (1.0 - kept) * 0.5 * held
         assert rise > 0.01
         assert rows[-1][f"warming.rise[{joint}]"] == pytest.approx(rise, rel=1e-9)
@@ -68,7 +68,7 @@ def test_a_block_with_states_is_refused() -> None:
 
 @pytest.fixture
 def own_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Install the package of the page."""
+    """Install the package of the docs page."""
     project = tomllib.loads(block("add-a-log-format.md", "toml"))["project"]
     points = project["entry-points"]["hesr.logs"]
     module = next(iter(points.values())).partition(":")[0]
@@ -87,7 +87,7 @@ def recording(path: Path, log: Log, *, joints: int = 3) -> Path:
 
 
 @pytest.mark.usefixtures("own_format")
-def test_the_format_of_the_page_is_read_and_inspected(
+def test_the_documented_format_is_read_and_inspected(
     tmp_path: Path, arm: RobotDescription, arm_log: Log, hesr: Hesr
 ) -> None:
     path = recording(tmp_path / "run.rec", arm_log)
@@ -102,7 +102,7 @@ def test_the_format_of_the_page_is_read_and_inspected(
 
 
 @pytest.mark.usefixtures("own_format")
-def test_what_is_wrong_in_a_file_of_the_format_is_one_sentence(
+def test_errors_in_a_file_of_the_format_are_one_sentence(
     tmp_path: Path, arm: RobotDescription, arm_log: Log, hesr: Hesr
 ) -> None:
     six = recording(tmp_path / "six.rec", arm_log, joints=6)

@@ -1,4 +1,4 @@
-"""Results that all FMUs but friction's record of themselves: what they hold, and that it is so."""
+"""Reference results of all FMUs other than friction: contents and reproduction."""
 
 import csv
 import io
@@ -33,7 +33,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 
 def table(fmu: Path, kind: str) -> dict[str, np.ndarray]:
-    """A table that an FMU carries for co-simulation."""
+    """A table of co-simulation results in an FMU."""
     with zipfile.ZipFile(fmu) as archive:
         (name,) = (n for n in archive.namelist() if n.endswith(f"co_simulation/{kind}"))
         head, *rows = csv.reader(io.StringIO(archive.read(name).decode()))
@@ -46,7 +46,7 @@ def vector(columns: dict[str, np.ndarray], name: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_the_fmus_of_a_loop_give_what_they_carry(bench: Bench, name: str) -> None:
+def test_the_fmus_of_a_loop_reproduce_their_results(bench: Bench, name: str) -> None:
     found = verify(getattr(bench.fmus, name))
     assert (found.problems, found.skipped, found.passed) == ([], [], BOTH)
 
@@ -80,7 +80,7 @@ def test_results_of_the_trajectory_are_those_of_its_motion(bench: Bench) -> None
             np.testing.assert_allclose(own, right, atol=1e-11 * np.abs(right).max())
 
 
-def test_a_container_carries_results_of_the_whole(bench: Bench, tmp_path: Path) -> None:
+def test_a_container_carries_results_of_the_system(bench: Bench, tmp_path: Path) -> None:
     spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
     contents = read_contents(spec.model_copy(update={"name": "closed"}), Path("closed.toml"))
     fmu = write_container(contents, tmp_path / "Closed.fmu")
@@ -113,7 +113,7 @@ def test_a_drive_carries_results_in_motion(table1: FrictionModel, tmp_path: Path
     assert experiment.startswith("experiment 'hold': q[1] is ")
 
 
-def test_without_a_binary_for_this_machine_there_are_none(bench: Bench) -> None:
+def test_results_need_a_binary_for_this_machine(bench: Bench) -> None:
     with zipfile.ZipFile(bench.fmus.velocity) as archive:
         members = {n: archive.read(n) for n in archive.namelist() if not n.startswith("binaries/")}
     assert result_files(members, Stimuli(step=STEP)) == {}
@@ -134,7 +134,7 @@ def test_an_ssp_carries_results_of_each_coupling(bench: Bench, tmp_path: Path, h
     assert len(set(results.values())) == 3  # engines differ
     answer = hesr("check", ssp, "--kind", "references")
     assert (answer.code, answer.out.strip()) == (0, f"{ssp}: no problem found.")
-    # Those of another coupling are not an engine's own.
+    # Results of another coupling do not belong to an engine.
     members["extra/results/system_hold.csv"] = results["refreshed"]
     swapped = tmp_path / "swapped.ssp"
     zip_members(swapped, members, "1980-01-01T00:00:00Z")
@@ -144,7 +144,7 @@ def test_an_ssp_carries_results_of_each_coupling(bench: Bench, tmp_path: Path, h
 
 
 @pytest.mark.parametrize("options", [(), ("--kind", "references", "--kind", "hostile")])
-def test_of_an_ssp_nothing_else_is_checked(
+def test_only_results_of_an_ssp_are_checked(
     options: tuple[str, ...], tmp_path: Path, hesr: Hesr
 ) -> None:
     answer = hesr("check", tmp_path / "a.ssp", *options)
@@ -152,8 +152,8 @@ def test_of_an_ssp_nothing_else_is_checked(
     assert "a.ssp: of an SSP the reference results are checked and nothing else; give" in answer.err
 
 
-def test_systems_of_foreign_fmus_carry_none(lag_fmu: Path, tmp_path: Path) -> None:
-    # By their hash: one byte more makes it another file.
+def test_systems_of_foreign_fmus_carry_no_results(lag_fmu: Path, tmp_path: Path) -> None:
+    # Judged by their hash: one additional byte changes it.
     foreign = tmp_path / "Lag.fmu"
     foreign.write_bytes(lag_fmu.read_bytes() + b"\0")
     lag = ComponentSpec(name="a", fmu=foreign, start={"u": 1.0})

@@ -1,4 +1,4 @@
-"""Reference results that FMUs carry: ours give theirs, and what does not is told."""
+"""Reference results in FMUs: ours reproduce theirs, and differences are reported."""
 
 import zipfile
 from collections.abc import Callable
@@ -27,7 +27,7 @@ STEPS = "extra/steps"
 
 
 def repacked(fmu: Path, target: Path, more: dict[str, bytes]) -> Path:
-    """Copy an FMU with some members changed or added."""
+    """Copy an FMU with members changed or added."""
     with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(target, "w") as new:
         for name in {*old.namelist(), *more}:
             new.writestr(name, more.get(name) or old.read(name))
@@ -55,7 +55,7 @@ AFTER = 0.8187307530779818  # exp(-0.1 / T), T = 0.5
 
 
 def results(*inputs: float) -> str:
-    """Results of the lag from x = 0.25 for the inputs that are held over its steps."""
+    """Results of the lag from x = 0.25 for inputs held over each step."""
     rows, x = [0.25], 0.25
     for u in inputs:
         x = u + (x - u) * AFTER
@@ -63,7 +63,7 @@ def results(*inputs: float) -> str:
     return "time,y\n" + "".join(f"{0.1 * k:g},{y:.17g}\n" for k, y in enumerate(rows))
 
 
-def test_friction_fmus_give_their_own(friction_fmu: Path) -> None:
+def test_friction_fmus_reproduce_their_results(friction_fmu: Path) -> None:
     found = verify(friction_fmu)
     assert found.problems == []
     assert found.passed == {"hold": "hold", "shown": "shown"}
@@ -71,14 +71,14 @@ def test_friction_fmus_give_their_own(friction_fmu: Path) -> None:
 
 
 @pytest.mark.parametrize(("way", "inputs"), [("hold", (1.0, 2.0)), ("direct", (2.0, 2.0))])
-def test_the_way_of_an_experiment_is_found(
+def test_the_input_convention_of_an_experiment_is_found(
     with_results: Callable[..., Path], way: str, inputs: tuple[float, ...]
 ) -> None:
     found = verify(with_results(STIMULI, results(*inputs)))
     assert (found.problems, found.passed) == ([], {"own": way})
 
 
-def test_other_results_are_told(with_results: Callable[..., Path]) -> None:
+def test_different_results_are_reported(with_results: Callable[..., Path]) -> None:
     found = verify(with_results(STIMULI, results(1.0, 3.0), name="hold"))
     assert found.passed == {}
     (text,) = found.problems
@@ -97,14 +97,14 @@ def test_other_results_are_told(with_results: Callable[..., Path]) -> None:
         (f"time,u\n0,{200_000 * '1'}\n", "time,y\n0,1\n", "field larger than field limit"),
     ],
 )
-def test_what_cannot_be_run_is_told(
+def test_experiments_that_fail_are_reported(
     with_results: Callable[..., Path], stimuli: str, answers: str, problem: str
 ) -> None:
     (text,) = verify(with_results(stimuli, answers)).problems
     assert problem in text
 
 
-def test_changed_and_missing_files_are_told(
+def test_changed_and_missing_files_are_reported(
     with_results: Callable[..., Path], tmp_path: Path
 ) -> None:
     fmu = with_results(STIMULI, results(1.0, 2.0))
@@ -124,18 +124,18 @@ def test_changed_and_missing_files_are_told(
     with zipfile.ZipFile(fmu) as archive:
         manifest = archive.read(MANIFEST).replace(b"SHA3-256", b"shake_128")
     found = verify(repacked(fmu, tmp_path / "Sums.fmu", {MANIFEST: manifest}))
-    assert found.problems == []  # a sum without a length is none that is known
+    assert found.problems == []  # a checksum without a length is of an unknown kind
 
 
-def test_what_is_not_run_is_said(with_results: Callable[..., Path], lag_fmu: Path) -> None:
+def test_skipped_experiments_are_reported(with_results: Callable[..., Path], lag_fmu: Path) -> None:
     assert verify(lag_fmu).skipped == [f"Reference results: {MANIFEST} is missing."]
     later = results(1.0, 2.0).replace("0.2,", "0.3,")
     found = verify(with_results(STIMULI, later))
     assert found.skipped == ["Experiment 'own': its results are at other times."]
 
 
-def test_outputs_shown_leave_stops_where_they_are(tmp_path: Path) -> None:
-    """New inputs lower the bound; the next step alone brings the stop there."""
+def test_reading_outputs_does_not_move_stops(tmp_path: Path) -> None:
+    """New inputs lower the bound; only the next step moves the stop there."""
     level = Coefficient(name="F", unit="N.m", description="level")
     stop = Stop(
         name="e", unit="1", velocity=DQ, deflection=2e-3, bound=1 / (1 + absolute(TAU_LOAD))

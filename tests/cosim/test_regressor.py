@@ -1,4 +1,4 @@
-"""Friction laws in the manner of scikit-learn: fitted to tables and to logs."""
+"""Friction laws with the interface of scikit-learn, fitted to tables and logs."""
 
 import pickle
 from pathlib import Path
@@ -16,7 +16,7 @@ from hesr_model.robots.robot import RobotDescription
 
 T = 0.005 * np.arange(1500)
 DQ = np.cos(T) + 0.5 * np.cos(3.1 * T)
-# Multiples of powers of two: their sum, and what is left of it, has no rounding.
+# Multiples of powers of two: sums and residuals are free of round-off.
 LOAD = np.round(5.0 * np.sin(T) * 8.0) / 8.0
 FRICTION = np.round((4.0 * np.tanh(80.0 * DQ) + 2.0 * DQ) * 2.0**20) / 2.0**20
 TABLE = {"t": T, "q": np.sin(T), "dq": DQ, "load": LOAD}
@@ -27,11 +27,11 @@ EXPECTED = {
     "check_methods_subset_invariance": _NO_MEMORY,
     "check_regressor_multioutput": "y has a column for each joint in X, not any number of them",
 }
-"""Checks of scikit-learn that do not hold, with the reason."""
+"""Expected failures of scikit-learn's checks, with the reason."""
 
 
 class OfAnyTable(hesr.FrictionRegressor):
-    """Makes a motion of the random numbers of scikit-learn's checks: to and fro at 100 Hz."""
+    """Turn the random numbers of scikit-learn's checks into a reciprocating motion at 100 Hz."""
 
     def _motion(self, values: Any, names: Any) -> MotionTable:
         t = 0.01 * np.arange(len(values))
@@ -43,7 +43,7 @@ class OfAnyTable(hesr.FrictionRegressor):
 
 @pytest.mark.parametrize("law", ["stribeck", pytest.param("lugre", marks=pytest.mark.soak)])
 @pytest.mark.filterwarnings("ignore")
-def test_what_an_estimator_promises_holds(law: str) -> None:
+def test_scikit_learn_checks_pass(law: str) -> None:
     checks = pytest.importorskip("sklearn.utils.estimator_checks", reason="needs hesr[sklearn]")
     found = checks.check_estimator(OfAnyTable(law), on_skip=None, on_fail=None)
     failed = {c["check_name"]: str(c["exception"]) for c in found if c["status"] == "failed"}
@@ -67,7 +67,7 @@ def test_a_table_is_fitted_and_predicted(fitted: hesr.FrictionRegressor) -> None
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(fitted)).predict(TABLE), found)
 
 
-def test_an_array_and_a_data_frame_are_the_same_table(fitted: hesr.FrictionRegressor) -> None:
+def test_an_array_and_a_data_frame_are_equivalent(fitted: hesr.FrictionRegressor) -> None:
     array = np.column_stack(list(TABLE.values()))
     np.testing.assert_array_equal(fitted.predict(array), fitted.predict(TABLE))
     pandas = pytest.importorskip("pandas", reason="needs hesr[tables]")
@@ -80,7 +80,7 @@ def test_joint_torque_is_friction_and_load(fitted: hesr.FrictionRegressor) -> No
     np.testing.assert_array_equal(whole.predict(TABLE), fitted.predict(TABLE) + LOAD)
 
 
-def test_two_joints_have_a_column_each() -> None:
+def test_each_joint_has_a_column() -> None:
     table = {"t": T, "dq1": DQ, "dq2": 0.5 * DQ}
     both = hesr.FrictionRegressor("stribeck").fit(table, np.column_stack([FRICTION, 2 * FRICTION]))
     assert both.predict(table).shape == (1500, 2)
@@ -96,7 +96,7 @@ def test_parameters_are_set_by_name() -> None:
         regressor.set_params(speed=1)
 
 
-def test_what_is_not_fitted_says_so() -> None:
+def test_unfitted_estimators_raise() -> None:
     with pytest.raises(FitError, match="this friction regressor is not fitted yet; call fit"):
         hesr.FrictionRegressor().predict(TABLE)
 
@@ -116,7 +116,7 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
     assert [axis.get_title(loc="left") for axis in figure.axes] == list(arm.joints)
     assert len(figure.axes[0].lines) == 2
     with ZipFile(regressor.to_fmu(str(tmp_path / "Friction.fmu"))) as archive:
-        assert b'"ddq"' in archive.read("documentation/index.html")  # of the rigid body
+        assert b'"ddq"' in archive.read("documentation/index.html")  # from the rigid body
     assert "import torch" in regressor.to_torch(tmp_path / "friction.py").read_text("utf-8")
     whole = hesr.FrictionRegressor("stribeck", target="torque", robot=arm).fit([str(file)])
     assert whole.score(str(file)) > regressor.score(log)
@@ -154,7 +154,7 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
         (lambda: REGRESSOR.set_params(target="x").fit(TABLE, T), "target of a friction regressor"),
     ],
 )
-def test_tables_that_cannot_be_used_are_refused(call: Any, sentence: str) -> None:
+def test_unusable_tables_are_refused(call: Any, sentence: str) -> None:
     with pytest.raises(HesrError, match=sentence) as caught:
         call()
     assert isinstance(caught.value, ValueError)

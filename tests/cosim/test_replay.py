@@ -30,13 +30,13 @@ def test_the_first_sample_is_read_before_any_step(friction_fmu, log):
     np.testing.assert_array_equal(replay(friction_fmu, t[:1], dq[:1]), both[:1])
 
 
-def test_start_values(friction_fmu, log):
+def test_start_values_are_set(friction_fmu, log):
     t, dq = (x[:50] for x in log)
     start = {"start_mode": 2, "h_start[1]": 0.9, "joint[2].c_0": 1.0}
     assert not np.allclose(replay(friction_fmu, t, dq, start=start), replay(friction_fmu, t, dq))
 
 
-def test_logs_that_do_not_fit(friction_fmu, log):
+def test_unsuitable_logs_are_refused(friction_fmu, log):
     t, dq = (x[:50] for x in log)
     with pytest.raises(SimulationError, match=r"'dq' has the shape \(50, 2\); needed is \(50, 3\)"):
         replay(friction_fmu, t, dq[:, :2])
@@ -48,7 +48,7 @@ def test_logs_that_do_not_fit(friction_fmu, log):
         replay(friction_fmu, [], np.zeros((0, 3)))
 
 
-def test_values_that_are_missing_name_the_time(friction_fmu, log):
+def test_missing_values_are_reported_with_their_time(friction_fmu, log):
     t, dq = (x[:50].copy() for x in log)
     dq[30, 1] = np.nan
     with pytest.raises(SimulationError, match=r"at t = 0\.145 s: fmi2SetReal: dq\[2\] is nan"):

@@ -1,4 +1,4 @@
-"""Scores: what is compared, with which certainty, and that an FMU scores as its model does."""
+"""Scores: comparisons, their significance, and equality of FMU and model scores."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -64,7 +64,7 @@ def model_of(*laws: FrictionLaw) -> FrictionModel:
 
 
 def record(joint: str, seed: int, rows: int = 700) -> FrictionRecord:
-    """Rows of uneven time steps; the torque is that of a bristle which is bent at the start."""
+    """Rows of uneven steps; the torque is that of a bristle deflected at the start."""
     rng = np.random.default_rng(seed)
     t = 3.0 + np.cumsum(rng.uniform(0.005, 0.011, rows))
     phase = rng.uniform(0.0, 2.0 * np.pi)
@@ -87,13 +87,13 @@ def records() -> list[list[FrictionRecord]]:
     return by_joint(logs)
 
 
-# --- comparing --------------------------------------------------------------------------------
+# --- comparisons -------------------------------------------------------------------------------
 
 
 def wrong_by(
     records: list[list[FrictionRecord]], size: float, seed: int, memory: float = 0.9
 ) -> list[list[np.ndarray]]:
-    """Predictions whose errors have this RMSE and a memory of several rows."""
+    """Predictions with this RMSE and an error correlation over several rows."""
     from scipy.signal import lfilter
 
     rng = np.random.default_rng(seed)
@@ -105,7 +105,7 @@ def wrong_by(
 
 
 def test_the_interval_of_a_ratio_contains_the_truth() -> None:
-    """Errors of known size, many times over: about 95 of 100 intervals hold the true ratio."""
+    """Repeated errors of known size: about 95 of 100 intervals contain the true ratio."""
     rows = [[record("j1", 0, rows=5000), record("j1", 1, rows=5000)]]
     held, widths = [], []
     for seed in range(40):
@@ -144,7 +144,7 @@ def test_scores_pool_the_logs_of_a_joint(records: list[list[FrictionRecord]]) ->
         assert scores.laws["made"].rmse[joint] == pytest.approx(rmse(pooled), rel=1e-12)
 
 
-def test_a_comparison_is_json(records: list[list[FrictionRecord]]) -> None:
+def test_a_comparison_is_written_as_json(records: list[list[FrictionRecord]]) -> None:
     scores = compare(
         records, {"lugre": wrong_by(records, 1.0, 0), "other": wrong_by(records, 0.5, 1)}
     )
@@ -164,7 +164,7 @@ def test_a_comparison_is_json(records: list[list[FrictionRecord]]) -> None:
     )
 
 
-def test_bands_are_scored_where_laws_have_them(records: list[list[FrictionRecord]]) -> None:
+def test_uncertainty_bands_are_scored(records: list[list[FrictionRecord]]) -> None:
     band = Band(floor=0.5, slow=0.4, slow_speed=0.05, rest=0.3, fast=0.1, load=0.02, tail=0.6,
                 envelope=0.0)  # fmt: skip
     wide = model_of(*(replace(stribeck(), band=band) for _ in range(2)))
@@ -203,7 +203,7 @@ def test_each_class_of_inputs_has_its_strongest_classic_law_as_reference(
             "parfam_hx": "lugre_load",
         }.items()
     }
-    assert "lugre_load" not in scores.ratios.laws  # which is stronger than what has fewer inputs
+    assert "lugre_load" not in scores.ratios.laws  # it is stronger than laws with fewer inputs
     found = scores.ratios.laws["parfam_hx"][0].value
     rmses = [scores.laws[law].rmse[0] for law in ("parfam_hx", "lugre_load")]
     assert found == pytest.approx(rmses[0] / rmses[1], rel=1e-12)
@@ -211,8 +211,8 @@ def test_each_class_of_inputs_has_its_strongest_classic_law_as_reference(
     assert "the strongest classic law" in " ".join(text.split())
 
 
-def test_probabilities_of_a_table_are_adjusted_for_all_its_comparisons() -> None:
-    """Twice as many equal comparisons double the probability of the smallest."""
+def test_p_values_are_adjusted_for_all_comparisons_of_a_table() -> None:
+    """Twice as many equal comparisons double the smallest p-value."""
     rows = [[record("j1", 0, rows=9000)]]
     base = {"lugre": wrong_by(rows, 1.0, 0), "other": wrong_by(rows, 0.8, 1)}
     (alone,) = compare(rows, base).ratios.laws["other"]
@@ -224,11 +224,13 @@ def test_probabilities_of_a_table_are_adjusted_for_all_its_comparisons() -> None
     assert alone.verdict == "better"
     assert replace(alone, p=0.2).verdict == "alike"
     assert replace(alone, value=1.2).verdict == "worse"
-    assert replace(alone, p=None).verdict == "better"  # by its interval, as earlier versions
+    assert (
+        replace(alone, p=None).verdict == "better"
+    )  # judged by its interval, as in earlier versions
     assert replace(alone, p=None, high=1.1).verdict == "alike"
 
 
-def test_records_turn_from_logs_to_joints_and_back(records: list[list[FrictionRecord]]) -> None:
+def test_records_convert_between_logs_and_joints(records: list[list[FrictionRecord]]) -> None:
     assert [[r.joint for r in of_joint] for of_joint in records] == [["j1", "j1"], ["j2", "j2"]]
     assert by_joint(by_joint(records)) == records
 
@@ -237,7 +239,7 @@ def test_records_turn_from_logs_to_joints_and_back(records: list[list[FrictionRe
 
 
 def test_bands_divide_the_rows(records: list[list[FrictionRecord]]) -> None:
-    """Time counts from the beginning of each log, whatever the log's own time says."""
+    """Time counts from the start of each log, whatever its time stamps are."""
     wrong = wrong_by(records, 1.0, 0)
     middle = 2.0
     bands = [within(records, wrong, *band) for band in ((0.0, middle), (middle, 1e9))]
@@ -254,7 +256,7 @@ def test_bands_divide_the_rows(records: list[list[FrictionRecord]]) -> None:
 
 
 def test_a_band_is_scored_on_its_own_rows(records: list[list[FrictionRecord]]) -> None:
-    """An error that is only in the second half is not seen in the first."""
+    """An error in the second half only does not affect the first."""
     wrong = [
         [r.tau + np.where(r.t - r.t[0] < 2.0, 0.1, 1.0) for r in of_joint] for of_joint in records
     ]
@@ -286,10 +288,10 @@ def _first(data: FrictionRecord, rows: int) -> FrictionRecord:
     return replace(data, **columns)
 
 
-# --- classes of inputs ------------------------------------------------------------------------
+# --- input classes -----------------------------------------------------------------------------
 
 
-def test_a_class_is_named_by_what_any_joint_uses() -> None:
+def test_a_class_is_named_by_the_inputs_of_any_joint() -> None:
     loaded = law("lugre_load", {}, {"sigma_0": 2e3, "sigma_1": 1.0, "sigma_2": 1.0, "F_c": 5.0,
                                     "F_s": 6.0, "v_s": 0.1, "tau_0": 0.0, "mu": 0.1})  # fmt: skip
     assert inputs_of(model_of(stribeck(), stribeck())) == "v"
@@ -314,7 +316,7 @@ def shown(table: object, width: int = 120) -> str:
     return out.getvalue()
 
 
-def test_tables_group_laws_of_equal_inputs_the_fewest_first(
+def test_tables_group_laws_by_inputs_fewest_first(
     records: list[list[FrictionRecord]],
 ) -> None:
     sizes = {"parfam_hx": 0.5, "lugre": 1.0, "hx_bare": 0.9, "lugre_load": 0.8}
@@ -341,12 +343,12 @@ def test_tables_group_laws_of_equal_inputs_the_fewest_first(
 def fmu(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[FrictionModel, Path]:
-    """A model of which one joint takes its start from the first torques."""
+    """A model with one joint whose start is estimated from the first torques."""
     model = model_of(bristle(), stribeck())
     return model, request.param(model, tmp_path_factory.mktemp("fmu") / "made.fmu")
 
 
-def test_an_fmu_with_estimated_start_predicts_what_its_model_does(
+def test_an_fmu_with_estimated_start_matches_its_model(
     fmu: tuple[FrictionModel, Path], records: list[list[FrictionRecord]]
 ) -> None:
     model, path = fmu

@@ -1,4 +1,4 @@
-"""The prediction part of a twin's study over draws: what differs, what it says, and its command."""
+"""Repeated seeds of a twin's prediction study: variation, statistics and command."""
 
 import json
 from pathlib import Path
@@ -25,7 +25,7 @@ def study(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_draw_is_the_same_again_and_another_one_is_not(study: Path) -> None:
+def test_a_seed_determines_its_draw(study: Path) -> None:
     read = Study.read(study)
     first, again, other = (one_draw(read, seed, ["stribeck"]) for seed in (1, 1, 2))
     assert first == again
@@ -35,7 +35,7 @@ def test_a_draw_is_the_same_again_and_another_one_is_not(study: Path) -> None:
 
 
 @pytest.mark.ci
-def test_the_command(study: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_the_command_runs_all_seeds(study: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     hesr = hesr_here(capsys, monkeypatch)
     answer = hesr("run", study, "--seeds", "2", "-o", tmp_path / "out")
     assert answer.code == 0, answer.err
@@ -46,7 +46,7 @@ def test_the_command(study: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     for joint, spread in enumerate(scores["rmse"]["stribeck"]):
         values = [d["stribeck"][joint] for d in drawn]
         assert spread["mean"] == pytest.approx(np.mean(values), rel=1e-12)
-        # Student's quantile of one degree of freedom, and the standard error of two.
+        # Student's quantile for one degree of freedom, and the standard error of two values.
         half = 12.7062047 * abs(values[0] - values[1]) / 2.0
         assert spread["high"] - spread["mean"] == pytest.approx(half, rel=1e-6)
         ratio = np.sqrt(np.prod([d["stribeck"][joint] / d["lugre"][joint] for d in drawn]))
@@ -54,7 +54,7 @@ def test_the_command(study: Path, tmp_path: Path, capsys, monkeypatch) -> None:
         assert f"{spread['mean']:.3f} [" in answer.out
 
 
-def test_what_seeds_cannot_be_drawn_for(study: Path) -> None:
+def test_unsuitable_studies_are_refused(study: Path) -> None:
     with pytest.raises(ConfigError, match=r"--seeds is 1; at least 2 are needed"):
         run_seeds(study, 1)
     text = study.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A robot with a joint that slides, all the way: laid, fitted, and its friction beside its arm."""
+"""A robot with a prismatic joint end to end: created, fitted, its friction connected to its arm."""
 
 from pathlib import Path
 
@@ -57,7 +57,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
     return hesr_here(capsys, monkeypatch)
 
 
-def test_from_a_log_to_an_arm_and_its_friction(tmp_path: Path, hesr: Hesr) -> None:
+def test_a_log_leads_to_an_arm_with_its_friction(tmp_path: Path, hesr: Hesr) -> None:
     mjcf, law, body = (tmp_path / name for name in ("lift.xml", "law.json", "body.json"))
     mjcf.write_text(LIFT, encoding="utf-8")
     (tmp_path / "system.toml").write_text(SYSTEM, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Where a component is after so many communication steps of its system."""
+"""Time of a component after a number of communication steps of its system."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from fmu_src.run.master import Station
 @pytest.mark.parametrize(
     ("every", "steps", "time"), [(1, 0, 0.0), (1, 7, 0.7), (4, 3, 0.0), (4, 8, 0.8), (4, 11, 0.8)]
 )
-def test_a_component_comes_as_far_as_its_own_last_step(every: int, steps: int, time: float) -> None:
+def test_a_component_ends_at_its_own_last_step(every: int, steps: int, time: float) -> None:
     slave = Fake(Path("fake.fmu"), name="fake")
     station = Station(
         slave=slave,

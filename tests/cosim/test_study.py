@@ -1,4 +1,4 @@
-"""Studies: what may stand in their files, and what variants, refinement and bands do in a run."""
+"""Studies: the file schema, and variants, refinement and time bands in a run."""
 
 import json
 from collections.abc import Callable
@@ -71,7 +71,7 @@ def write(tmp_path: Path) -> Callable[[str], Path]:
 # --- the schema -------------------------------------------------------------------------------
 
 
-def test_everything_that_may_stand_in_a_study(write: Callable[[str], Path]) -> None:
+def test_all_keys_of_a_study_are_read(write: Callable[[str], Path]) -> None:
     path = write(WHOLE)
     study = Study.read(path)
     assert study.name == "whole-1"
@@ -96,7 +96,7 @@ def test_everything_that_may_stand_in_a_study(write: Callable[[str], Path]) -> N
     assert dict(study.logs.test) == {"unseen": ("two",), "other": ("four", "five")}
 
 
-def test_what_may_be_left_out(write: Callable[[str], Path]) -> None:
+def test_optional_keys_have_defaults(write: Callable[[str], Path]) -> None:
     study = Study.read(write(f'name = "x"\nrobot = "r.toml"\n{LOGS}'))
     assert (study.seed, study.laws, study.options, study.variants) == (0, (), {}, {})
     assert (study.refinement, study.bands, study.twin) == (None, (), None)
@@ -173,7 +173,7 @@ HEAD = 'name = "x"\nrobot = "r.toml"\n'
         (f"{HEAD}[logs", "not valid TOML"),
     ],
 )
-def test_what_may_not_stand_in_a_study(write: Callable[[str], Path], text: str, said: str) -> None:
+def test_invalid_studies_are_refused(write: Callable[[str], Path], text: str, said: str) -> None:
     path = write(text)
     with pytest.raises(ConfigError) as caught:
         Study.read(path)
@@ -182,7 +182,7 @@ def test_what_may_not_stand_in_a_study(write: Callable[[str], Path], text: str, 
     assert "\n" not in str(caught.value)
 
 
-def test_a_study_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_missing_study_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"nowhere.toml: no such file\.$"):
         Study.read(tmp_path / "nowhere.toml")
 
@@ -247,7 +247,7 @@ def test_variants_are_rows_like_laws(outcome: Outcome) -> None:
     rows = ["stribeck", "lugre", "hx", "hx_bare"]
     assert list(outcome.models) == rows
     for compared in outcome.comparisons.values():
-        # A law whose start was measured stands there with that start, too.
+        # A law whose start was measured also has a row with that start.
         assert list(compared.laws) == ["stribeck", "lugre", "hx", "hx + start", "hx_bare", ORACLE]
         assert compared.ratios.reference == "lugre"
         assert set(compared.ratios.laws) == set(compared.laws) - {"lugre"}
@@ -257,7 +257,7 @@ def test_variants_are_rows_like_laws(outcome: Outcome) -> None:
         assert FrictionModel.read(folder / "laws" / f"{row}.json") == outcome.models[row]
 
 
-def test_variants_have_their_options(outcome: Outcome) -> None:
+def test_variants_use_their_options(outcome: Outcome) -> None:
     for one in outcome.models["hx"].laws:
         assert one.name == "parfam_hx"
         assert one.start_samples == 5
@@ -268,7 +268,7 @@ def test_variants_have_their_options(outcome: Outcome) -> None:
     assert outcome.models["hx"].law == "hx"
 
 
-def test_bands_are_scored_beside_the_whole(outcome: Outcome) -> None:
+def test_bands_are_scored_in_addition_to_the_whole(outcome: Outcome) -> None:
     assert list(outcome.comparisons) == ["unseen", "early", "late"]
     for row in outcome.models:
         for joint in range(3):
@@ -277,7 +277,7 @@ def test_bands_are_scored_beside_the_whole(outcome: Outcome) -> None:
                 for name in ("unseen", "early", "late")
             )
             assert min(early, late) < whole < max(early, late)
-    # 2 s of 5 s: the squares of the parts, weighted by their rows, are those of the whole.
+    # 2 s of 5 s: the squares of the parts, weighted by their rows, give those of the whole.
     squares = {
         name: np.square(compared.laws["lugre"].rmse)
         for name, compared in outcome.comparisons.items()
@@ -287,7 +287,7 @@ def test_bands_are_scored_beside_the_whole(outcome: Outcome) -> None:
 
 
 def test_the_rigid_body_is_the_refined_one(outcome: Outcome, tmp_path: Path) -> None:
-    """Its residual is the noise of the arm and little more."""
+    """Its residual is hardly more than the noise of the arm."""
     folder = outcome.fmus["hx"].parents[1]
     written = RigidBody.read(folder / "rigid_body.json")
     np.testing.assert_array_equal(written.parameters, outcome.rigid_body.parameters)
@@ -316,21 +316,21 @@ def test_scores_are_written(outcome: Outcome) -> None:
     }
 
 
-def test_laws_are_scored_as_simulators_too(outcome: Outcome) -> None:
+def test_laws_are_also_scored_as_simulators(outcome: Outcome) -> None:
     folder = outcome.fmus["hx"].parents[1]
     data = json.loads((folder / "simulation.json").read_text())
     assert data
     for of_test in data.values():
         assert set(of_test["windows"]) == set(outcome.models)
         assert of_test["lengths"] == [0.2, 0.5]
-        assert of_test["open_loop"] == {}  # an upright arm diverges, whatever its friction
+        assert of_test["open_loop"] == {}  # an upright arm diverges with any friction
         for short, long in of_test["windows"].values():
             assert all(0.0 < a < b < 0.05 for a, b in zip(short, long, strict=True))
     assert "As simulators: torque in, position out" in (folder / "report.html").read_text()
 
 
 def test_the_true_friction_is_the_floor_of_the_twin(outcome: Outcome) -> None:
-    """What is left then is noise and the error of the rigid body, large on so short a motion."""
+    """The residual is noise and the error of the rigid body, large on so short a motion."""
     for name in ("unseen", "early", "late"):
         scores = outcome.comparisons[name].laws
         floor = np.array(scores[ORACLE].rmse)
@@ -338,7 +338,7 @@ def test_the_true_friction_is_the_floor_of_the_twin(outcome: Outcome) -> None:
         np.testing.assert_array_less(floor, [3.0, 3.0, 1.2])
 
 
-def test_progress_is_told_for_every_step(
+def test_progress_is_reported_for_every_step(
     outcome: Outcome, told: list[tuple[str, int, int]]
 ) -> None:
     steps = list(dict.fromkeys(what for what, _, _ in told))
@@ -369,7 +369,7 @@ def test_progress_is_told_for_every_step(
         ("[variants.hx]", "[options.lugra]\na = 1\n[variants.hx]", "law 'lugra' is unknown"),
     ],
 )
-def test_unknown_laws_are_found_before_the_arm_runs(
+def test_unknown_laws_are_reported_before_the_arm_runs(
     tmp_path: Path, old: str, new: str, said: str
 ) -> None:
     study = tiny(tmp_path)
@@ -381,7 +381,7 @@ def test_unknown_laws_are_found_before_the_arm_runs(
     assert not (tmp_path / "results").exists()
 
 
-def test_a_test_log_that_is_no_motion_is_named(tmp_path: Path) -> None:
+def test_a_test_log_without_motion_is_named(tmp_path: Path) -> None:
     study = tiny(tmp_path)
     study.write_text(study.read_text().replace('["trial"]', '["trail"]'), encoding="utf-8")
     with pytest.raises(ConfigError, match="'trail' is not a motion of"):
@@ -389,7 +389,7 @@ def test_a_test_log_that_is_no_motion_is_named(tmp_path: Path) -> None:
     assert {p.name for p in tmp_path.iterdir()} == {"study.toml", "motions.toml"}
 
 
-def test_a_study_without_laws_runs_those_that_the_robot_file_allows(tmp_path: Path) -> None:
+def test_the_default_laws_are_those_allowed_by_the_robot_file(tmp_path: Path) -> None:
     robot = (models_folder() / "uf850" / "robot.toml").read_text()
     lines = [line for line in robot.splitlines() if not line.startswith("gear_ratio")]
     text = "\n".join(lines).replace('"uf850.xml"', f'"{models_folder() / "uf850" / "uf850.xml"}"')
@@ -402,7 +402,7 @@ def test_a_study_without_laws_runs_those_that_the_robot_file_allows(tmp_path: Pa
         assert {"stribeck", "parfam_h", "parfam_hx"} <= set(laws)
 
 
-def test_a_variant_may_not_be_named_as_a_law(tmp_path: Path) -> None:
+def test_a_variant_must_not_have_the_name_of_a_law(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_text(f'{HEAD}{LOGS}[variants.lugre]\nlaw = "stribeck"')
     with pytest.raises(ConfigError) as caught:
@@ -411,7 +411,7 @@ def test_a_variant_may_not_be_named_as_a_law(tmp_path: Path) -> None:
 
 
 @pytest.mark.ci
-def test_a_quick_run_has_the_classic_laws_only(tmp_path: Path) -> None:
+def test_a_quick_run_uses_only_the_classic_laws(tmp_path: Path) -> None:
     found = run_study(tiny(tmp_path), tmp_path / "results", quick=True)
     assert tuple(found.models) == ("stribeck", "lugre", "parfam_h")
     assert all(found.fmus[law].is_file() for law in found.models)

@@ -1,4 +1,4 @@
-"""Many runs of one system: how they are chosen, what is kept, and that nothing is lost."""
+"""Sweeps of one system: choice of runs, results, and recovery from interrupts."""
 
 import os
 import signal
@@ -57,7 +57,7 @@ def study(lag_fmu: Path, tmp_path: Path) -> Path:
     return written(tmp_path, STUDY)
 
 
-def test_the_share_of_the_only_input_is_all(study: Path) -> None:
+def test_a_single_input_explains_all_variance(study: Path) -> None:
     before, after = STUDY.split('[[inputs]]\nvariables = ["a.T"')[0], STUDY[STUDY.index("[[out") :]
     one = (before + after).replace("monte_carlo", "sobol").replace("runs = 12", "runs = 16")
     found = run_sweep(written(study.parent, one), study.parent / "out", workers=1)
@@ -87,7 +87,7 @@ def of(**more: object) -> SweepStudy:
     return SweepStudy.validated(Path("study.toml"), data | more)
 
 
-# --- how runs are chosen ----------------------------------------------------------------------
+# --- choice of runs ----------------------------------------------------------------------------
 
 
 def test_a_latin_hypercube_has_one_run_in_each_stratum():
@@ -104,7 +104,7 @@ def test_a_grid_has_every_combination():
     assert found == [[x, s] for x in (0.0, 0.5, 1.0) for s in (4.0, 9.0)]
 
 
-def test_random_runs_have_the_moments_that_were_asked_for():
+def test_random_runs_have_the_requested_moments():
     covariance = [[4.0, 1.8], [1.8, 1.0]]
     together = [{"variables": ["a.p", "a.r"], "mean": [5.0, -2.0], "covariance": covariance}]
     inputs = [
@@ -128,7 +128,7 @@ def test_a_sobol_design_changes_one_input_in_each_block():
         np.testing.assert_array_equal(np.delete(block, k, 1), np.delete(a, k, 1))
 
 
-def test_sensitivities_of_a_known_function():
+def test_sensitivities_match_a_known_function():
     """Ishigami's function; indices by Sobol and Levitan (1999)."""
     from hesr.extras.sweep.sensitivity import sensitivities
 
@@ -143,10 +143,10 @@ def test_sensitivities_of_a_known_function():
     assert np.all(one.total_interval[:, 0] <= one.total)
 
 
-# --- what is kept -----------------------------------------------------------------------------
+# --- results -----------------------------------------------------------------------------------
 
 
-def test_each_run_is_that_of_its_inputs(study: Path, tmp_path: Path):
+def test_each_run_uses_its_inputs(study: Path, tmp_path: Path):
     found = run_sweep(study, tmp_path / "out", workers=1)
     table = parquet.read_table(tmp_path / "out" / "runs")
     assert table.column_names == ["run", "a.u", "a.T", "end", "difference", "failure"]
@@ -157,7 +157,7 @@ def test_each_run_is_that_of_its_inputs(study: Path, tmp_path: Path):
         plan, result = replay(study, run)
         assert plan.values[run].tolist() == [u[run], factor[run]]
         assert plan.task.measured(result).tobytes() == found.table.outputs[run].tobytes()
-    # Of the lag T x' = u - x that feeds the other one, in closed form.
+    # The lag T x' = u - x that drives the other one, in closed form.
     k = int(np.argmax(factor))
     _, result = replay(study, k)
     y = result.signals["a.y"]
@@ -165,17 +165,17 @@ def test_each_run_is_that_of_its_inputs(study: Path, tmp_path: Path):
     assert 0.0 < end[k] < u[k]
 
 
-def test_the_same_seed_gives_the_same_bytes_whoever_does_the_runs(study: Path, tmp_path: Path):
-    """Intervals of sensitivities included."""
+def test_the_same_seed_gives_the_same_bytes_for_any_workers(study: Path, tmp_path: Path):
+    """Includes intervals of sensitivities."""
     text = STUDY.replace('"monte_carlo"', '"sobol"').replace("runs = 12", "runs = 4")
     study = written(study.parent, text)
     for name, workers in (("alone", 1), ("shared", 2)):
         run_sweep(study, tmp_path / name, workers=workers)
     assert files(tmp_path / "alone") == files(tmp_path / "shared")
-    assert len(files(tmp_path / "alone")) == 6  # four chunks, what they are, and the page
+    assert len(files(tmp_path / "alone")) == 6  # four chunks, their description and the page
 
 
-def test_what_is_there_is_not_done_again(study: Path, tmp_path: Path):
+def test_finished_runs_are_not_repeated(study: Path, tmp_path: Path):
     out = tmp_path / "out"
     assert run_sweep(study, out, workers=1).reused == 0
     before = files(out)
@@ -188,7 +188,7 @@ def test_what_is_there_is_not_done_again(study: Path, tmp_path: Path):
 
 @pytest.mark.ci
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no kill -9")
-def test_a_sweep_that_is_killed_goes_on(study: Path, tmp_path: Path):
+def test_a_killed_sweep_resumes(study: Path, tmp_path: Path):
     study.write_text(STUDY.replace("runs = 12", "runs = 150"), encoding="utf-8")
     out, script = tmp_path / "out", "from hesr.cli import main; main()"
     command = (
@@ -215,7 +215,7 @@ def test_a_sweep_that_is_killed_goes_on(study: Path, tmp_path: Path):
     assert files(out) == files(tmp_path / "whole")
 
 
-def test_runs_that_fail_are_told_and_come_first(study: Path, tmp_path: Path):
+def test_failed_runs_are_listed_first(study: Path, tmp_path: Path):
     text = STUDY.replace('variables = ["a.u"]\nlow = 1.0\nhigh = 3.0',
                          'variables = ["b.refused"]\nvalues = [0.5, 9.0]')  # fmt: skip
     found = run_sweep(written(tmp_path, text), tmp_path / "out", workers=1)
@@ -236,7 +236,7 @@ def command(*words: object, monkeypatch: pytest.MonkeyPatch) -> int:
     return int(ended.value.code or 0)
 
 
-def test_the_command_sums_up_and_replays(study: Path, tmp_path: Path, monkeypatch, capsys):
+def test_the_command_summarises_and_replays(study: Path, tmp_path: Path, monkeypatch, capsys):
     text = STUDY.replace('"monte_carlo"', '"sobol"').replace("runs = 12", "runs = 8")
     study = written(tmp_path, text)
     monkeypatch.chdir(tmp_path)
@@ -281,7 +281,7 @@ def test_the_command_sums_up_and_replays(study: Path, tmp_path: Path, monkeypatc
         ("seed = 3", "sed = 3", "unknown key 'sed'; allowed here: chunk,"),
     ],
 )  # fmt: skip
-def test_studies_that_are_wrong(study: Path, tmp_path: Path, old: str, new: str, said: str,
+def test_invalid_studies_are_refused(study: Path, tmp_path: Path, old: str, new: str, said: str,
                                 monkeypatch, capsys):  # fmt: skip
     assert old in STUDY
     bad = written(tmp_path, STUDY.replace(old, new))
@@ -305,19 +305,19 @@ def test_studies_that_are_wrong(study: Path, tmp_path: Path, old: str, new: str,
          "the covariance of 'a.p' and others is not symmetric and positive semidefinite."),
     ],
 )  # fmt: skip
-def test_designs_that_cannot_be(more: dict[str, object], said: str):
+def test_impossible_designs_are_refused(more: dict[str, object], said: str):
     with pytest.raises(ConfigError) as error:
         of(**more)
     assert said in str(error.value)
 
 
-def test_grids_beyond_all_measure():
+def test_oversized_grids_are_refused():
     inputs = [{"variables": [f"a.x{k}"], "low": 0, "high": 1, "levels": 100} for k in range(4)]
     with pytest.raises(ConfigError, match=r"the grid of 'sweep' has 1e\+08 runs; at most 10000000"):
         chosen(of(design="grid", runs=None, inputs=inputs))
 
 
-def test_folders_of_others(study: Path, tmp_path: Path):
+def test_folders_with_other_files_are_refused(study: Path, tmp_path: Path):
     out = tmp_path / "out"
     run_sweep(study, out, workers=1)
     before = files(out)
@@ -337,21 +337,21 @@ def test_folders_of_others(study: Path, tmp_path: Path):
         run_sweep(study, tmp_path / "file", workers=1)
 
 
-def test_where_every_run_fails_the_first_reason_is_said(study: Path, tmp_path: Path):
+def test_the_first_error_is_reported_if_every_run_fails(study: Path, tmp_path: Path):
     text = STUDY.replace('variables = ["a.u"]\nlow = 1.0\nhigh = 3.0',
                          'variables = ["b.refused"]\nvalues = [0.5]')  # fmt: skip
     with pytest.raises(SimulationError, match="all 12 runs failed, the first because"):
         run_sweep(written(tmp_path, text), tmp_path / "out", workers=1)
 
 
-def test_replays_that_cannot_be(study: Path, tmp_path: Path, monkeypatch, capsys):
+def test_impossible_replays_are_refused(study: Path, tmp_path: Path, monkeypatch, capsys):
     assert command("simulate", study, "--only", 12, monkeypatch=monkeypatch) == 2
     assert "run 12 is not one of 0 to 11." in capsys.readouterr().err
     assert command("simulate", study, "--only", 1, "-o", "x.txt", monkeypatch=monkeypatch) == 2
     assert "x.txt: results are written as .csv or .parquet." in capsys.readouterr().err
 
 
-def test_a_reference_of_another_size(friction_fmu: Path, tmp_path: Path):
+def test_a_reference_of_another_size_is_refused(friction_fmu: Path, tmp_path: Path):
     system = f"""
 step = 0.01
 stop = 0.1

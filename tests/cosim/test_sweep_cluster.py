@@ -1,4 +1,4 @@
-"""A sweep on two real workers of dask.distributed, one of which is killed in the middle."""
+"""A sweep on two real workers of dask.distributed, one of them killed during the sweep."""
 
 import os
 import signal
@@ -34,7 +34,7 @@ if __name__ == "__main__":
 
 @contextmanager
 def local(folder: Path, workers: int) -> Iterator[tuple[str, list[int]]]:
-    """A scheduler with workers: its address, and the numbers of their processes."""
+    """A scheduler with workers: its address and the PIDs of the workers."""
     pytest.importorskip("distributed", reason="dask.distributed is not installed")
     script = written(folder, LOCAL, "local.py")
     command = (sys.executable, script, str(workers))
@@ -54,7 +54,7 @@ def study(lag_fmu: Path, tmp_path: Path) -> Path:
     return written(tmp_path, STUDY.replace("runs = 12", "runs = 200"))
 
 
-def test_nothing_is_lost_with_a_worker(study: Path, tmp_path: Path):
+def test_a_lost_worker_loses_no_runs(study: Path, tmp_path: Path):
     with local(tmp_path, 2) as (address, workers):
         assert len(workers) == 2
         killed = []
@@ -70,7 +70,7 @@ def test_nothing_is_lost_with_a_worker(study: Path, tmp_path: Path):
     assert files(tmp_path / "cluster") == files(tmp_path / "here")
 
 
-def test_what_cannot_be_a_cluster(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_invalid_clusters_are_refused(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(cluster, "_SECONDS", 1)
     with (
         local(tmp_path, 0) as (address, _),
@@ -86,7 +86,7 @@ def test_what_cannot_be_a_cluster(study: Path, tmp_path: Path, monkeypatch: pyte
         run_sweep(study, tmp_path / "out", cluster="tcp://127.0.0.1:9")
 
 
-def test_workers_that_die_again_and_again(
+def test_workers_that_keep_dying_end_the_sweep(
     study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(cluster, "_ROUNDS", 0)

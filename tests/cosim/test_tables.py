@@ -1,4 +1,4 @@
-"""Tables: described once, whole in a terminal of 80 columns, and the same figures on a page."""
+"""Tables: defined once, complete in a terminal of 80 columns, with the same figures on a page."""
 
 import re
 from dataclasses import replace
@@ -32,7 +32,7 @@ def terminal(table: ResultTable, width: int = 80) -> str:
 
 
 def comparison(joints: int) -> Comparison:
-    """Numbers of which no two are alike, so that each can be looked for."""
+    """Distinct numbers, so that each can be searched for."""
     rng = np.random.default_rng(joints)
 
     def errors() -> tuple[float, ...]:
@@ -74,7 +74,7 @@ def test_no_figure_of_many_joints_is_cut(joints: int, measure: str) -> None:
 
 
 @pytest.mark.parametrize("joints", [1, 6, 7])
-def test_what_bands_hold_is_shown_for_every_joint(joints: int) -> None:
+def test_coverage_is_shown_for_every_joint(joints: int) -> None:
     rng = np.random.default_rng(joints)
     bands = tuple(
         BandScore(held=held, held_moving=moving, held_reversal=None, least_log=0.5, width=width)
@@ -88,7 +88,7 @@ def test_what_bands_hold_is_shown_for_every_joint(joints: int) -> None:
     assert text.count("–") == joints
 
 
-def test_names_are_folded_and_no_letter_of_them_is_lost() -> None:
+def test_names_are_wrapped_without_loss() -> None:
     text = terminal(scores.errors("unseen", comparison(7)))
     heads = "".join(line[: text.splitlines()[2].index("J1") - 6] for line in text.splitlines())
     letters = re.sub(r"[\s\d.–]", "", heads)
@@ -132,7 +132,7 @@ def findings(joints: int, keys: list[str]) -> Properties:
     )
 
 
-def test_thirteen_experiments_stand_in_two_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_thirteen_experiments_are_split_into_two_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """More than fit side by side; every figure has its mark."""
     last = EXPECTATIONS["coupling"]
     more = {f"own{k}": replace(last, key=f"own{k}", short=f"own{k}") for k in range(3)}
@@ -152,7 +152,7 @@ def test_thirteen_experiments_stand_in_two_blocks(monkeypatch: pytest.MonkeyPatc
     assert page(table).count('class="pass"') == sum(mark == "✓" for _, mark in marked)
 
 
-def test_what_is_not_to_be_had_for_any_joint_stands_once_on_a_page() -> None:
+def test_unavailable_results_are_stated_once_on_a_page() -> None:
     found = findings(3, list(EXPECTATIONS))
     none = PropertyResult(verdict="not applicable", reason="No states.")
     joints = tuple(replace(j, findings={**j.findings, "hold": none}) for j in found.joints)
@@ -168,7 +168,7 @@ def tracked(scheme: Scheme, law: str, joints: int) -> Tracked:
 
 
 @pytest.mark.parametrize("joints", [3, 7, 13])
-def test_a_closed_loop_of_many_joints_is_whole(joints: int) -> None:
+def test_a_closed_loop_of_many_joints_is_complete(joints: int) -> None:
     scheme = Scheme(compensation="servo_inversion", Kx=5.0, source="filtered")
     rows = [tracked(scheme, law, joints) for law in (*StandIn, *LAWS)]
     lost = replace(rows[-1], rmse=np.full((1, joints), np.nan), last=np.full((1, joints), np.nan))
@@ -180,7 +180,7 @@ def test_a_closed_loop_of_many_joints_is_whole(joints: int) -> None:
     assert "servo inversion, Kx = 5" in text
 
 
-def test_changes_of_an_arm_stand_by_scheme() -> None:
+def test_changes_of_an_arm_are_grouped_by_scheme() -> None:
     schemes = [Scheme(compensation="none"), Scheme(compensation="servo_inversion", Kx=5.0)]
     rows = [
         tracked(replace(scheme, change=change), law, 7)
@@ -199,7 +199,7 @@ def test_changes_of_an_arm_stand_by_scheme() -> None:
         terminal(table)
 
 
-def test_markup_in_a_name_is_text() -> None:
+def test_markup_in_a_name_is_escaped() -> None:
     table = ResultTable(
         caption="[bold]x[/] <b>",
         head=("[red]", "[/]"),

@@ -1,4 +1,4 @@
-"""A known payload gives the torque constants of the digital twin, whose friction nobody knows."""
+"""A known payload gives the torque constants of the digital twin with unknown friction."""
 
 from pathlib import Path
 
@@ -24,11 +24,11 @@ offset = [0.0, 0.3, -1.9]
 """
 PAYLOAD = '<body name="payload" pos="0 0 0.1">\n                    <inertial pos="0 0 0" mass="0"'
 WRONG = np.array([0.5, 2.0, 1.3])
-"""Times the true constants that are assumed."""
+"""Ratios of assumed to true constants."""
 
 
 def motion(folder: Path, mass: float) -> Motion:
-    """Run the arm with a payload; currents are taken for torques by wrong constants."""
+    """Run the arm with a payload; wrong constants turn currents into torques."""
     text = uf850("uf850.xml").read_text(encoding="utf-8")
     assert PAYLOAD in text
     heavier = PAYLOAD.replace('mass="0"', f'mass="{mass}"')
@@ -43,9 +43,9 @@ def motion(folder: Path, mass: float) -> Motion:
     return Motion(**{**vars(smoothed), "tau": smoothed.tau * WRONG})
 
 
-def test_all_that_a_known_payload_moves_is_known_within_3_percent(tmp_path: Path) -> None:
+def test_joints_moving_the_payload_are_known_within_3_percent(tmp_path: Path) -> None:
     robot = Robot(RobotDescription.read(uf850("robot.toml")))
-    # The payload hangs at the flange; the welded wrist is one body with the last joint's link.
+    # The payload is at the flange; the welded wrist is one body with the last joint's link.
     import mujoco
 
     model = mujoco.MjModel.from_xml_path(str(uf850("uf850.xml")))

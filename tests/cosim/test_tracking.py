@@ -1,4 +1,4 @@
-"""Rows of the tracking study: what they give, that they can go on after an interrupt."""
+"""Rows of the tracking study: their values and resuming after an interrupt."""
 
 import re
 from dataclasses import replace
@@ -49,7 +49,7 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="module")
 def body(robot: Robot) -> RigidBody:
-    """What the excitation of the default study gives."""
+    """Rigid body and laws from the excitation of the default study."""
     plant = Plant.read(UF850 / "plant.toml")
     found = Motions.read(models_folder() / "studies" / "uf850_motions.toml")
     sweep = tuple(m for m in found.motions if m.name == "excitation")
@@ -90,7 +90,7 @@ def by_name(rows: list[Tracked]) -> dict[tuple[str, str], Tracked]:
         ({"offset": (0.0, 0.3)}, r"tracking: key 'offset' has 2 entries; the robot has 3 joints\."),
     ],
 )
-def test_motions_that_the_arm_cannot_make_are_refused(
+def test_infeasible_motions_are_refused(
     change: dict[str, tuple[float, ...]], sentence: str, loop: StudyLoop, robot: Robot
 ) -> None:
     with pytest.raises(ConfigError, match=sentence):
@@ -135,7 +135,7 @@ class InterruptedForTestError(Exception):
     pass
 
 
-def test_an_interrupted_study_goes_on_where_it_was(
+def test_an_interrupted_study_resumes(
     loop: StudyLoop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = [
@@ -157,14 +157,14 @@ def test_an_interrupted_study_goes_on_where_it_was(
     again = track(rows, motions(loop.tracking), **settings)
     assert ran == [StandIn.ORACLE]
     assert list(map(to_json, again)) == list(map(to_json, whole))
-    # What was kept counts for the very same loop only.
+    # Checkpoints count only for the very same loop.
     gains = rows[0].setting.gains.model_copy(update={"latency": 0.011})
     other = replace(rows[0], setting=replace(rows[0].setting, gains=gains))
     track([other], motions(loop.tracking), **settings)
     assert ran == [StandIn.ORACLE, StandIn.BODY_ONLY]
 
 
-def test_a_loop_that_runs_away_is_a_result(loop: StudyLoop) -> None:
+def test_a_diverging_loop_is_a_result(loop: StudyLoop) -> None:
     row = loop.row("parfam_h", Scheme(compensation="servo_inversion", Kx=-20.0))
     near = np.array([[-1.0, 1.0], [-0.7, 1.3], [-2.9, -0.9]])
     (found,) = track([row], motions(loop.tracking), duration=3.0, limits=near, workers=1)
@@ -173,7 +173,7 @@ def test_a_loop_that_runs_away_is_a_result(loop: StudyLoop) -> None:
     assert from_json(Tracked, to_json(found), Path("row.json"), "a row").failures == found.failures
 
 
-def test_sweeps_change_what_they_say(
+def test_sweeps_change_the_stated_parameter(
     loop: StudyLoop, robot: Robot, body: RigidBody, tmp_path: Path
 ) -> None:
     short = replace(loop, tracking=loop.tracking.model_copy(update={"seeds": (11,)}))
@@ -197,16 +197,16 @@ def test_sweeps_change_what_they_say(
     assert not list(tmp_path.glob("*.xml"))
 
 
-def test_feed_forward_never_cycles_and_feedback_of_friction_does(loop: StudyLoop) -> None:
+def test_only_feedback_of_friction_causes_limit_cycles(loop: StudyLoop) -> None:
     found = {one.scheme.name: one.factor for one in run_overcompensation(loop)}
     assert found["servo_inversion"] is None
     measured = found["servo_inversion, friction of measured velocity"]
     assert measured in FACTORS
-    assert CYCLING == 10 * 2e-5  # of the encoder's noise
+    assert CYCLING == 10 * 2e-5  # of the encoder noise
 
 
-def test_one_loop_stands_in_a_file_of_its_own(loop: StudyLoop, tmp_path: Path) -> None:
-    """The file gives what the study gives for the same law, scheme and motion."""
+def test_one_loop_is_written_to_its_own_file(loop: StudyLoop, tmp_path: Path) -> None:
+    """The file gives the result of the study for the same law, scheme and motion."""
     path = write_system(example(loop), tmp_path / "closed_loop.toml")
     with Master(SystemSpec.read(path), path) as master:
         result = master.run().require_success()
@@ -220,7 +220,7 @@ def test_one_loop_stands_in_a_file_of_its_own(loop: StudyLoop, tmp_path: Path) -
 
 
 def test_the_python_and_the_native_master_agree(loop: StudyLoop) -> None:
-    """With the arm as a PythonFMU and, in the native master, as a native FMU."""
+    """The arm is a PythonFMU and, in the native master, a native FMU."""
     plant, signals = Plant.read(UF850 / "plant.toml"), SignalTable.read(UF850 / "arm.toml")
     assert check_masters(loop, plant, signals) == []
     other = signals.model_copy(update={"seed": 2})

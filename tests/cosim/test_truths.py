@@ -1,4 +1,4 @@
-"""Laws under other truths of a twin: what a run says of them, and mistakes in asking for them."""
+"""Laws on alternative plants of a twin: results of a run and invalid requests."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,7 +25,7 @@ SIGNALS = 'motions = "motions.toml"\n'
 
 
 def study_with(folder: Path, keys: str, laws: str = '"stribeck", "lugre"') -> Path:
-    """Write the small study with further keys of its twin."""
+    """Write the small study with further twin settings."""
     path = write_study(folder)
     text = path.read_text(encoding="utf-8").replace(SIGNALS, SIGNALS + keys)
     path.write_text(text.replace('"stribeck", "parfam_h"', laws), encoding="utf-8")
@@ -37,7 +37,7 @@ def signals(keys: str) -> str:
 
 
 @pytest.mark.ci
-def test_a_run_scores_its_laws_under_the_further_truths(tmp_path: Path, capsys, monkeypatch):
+def test_a_run_scores_its_laws_on_the_alternative_plants(tmp_path: Path, capsys, monkeypatch):
     path = study_with(tmp_path, signals('truths = ["strain_wave"]'))
     answer = hesr_here(capsys, monkeypatch)("run", path, "-o", tmp_path / "out", "--json", "-")
     assert answer.code == 0, answer.err
@@ -59,7 +59,7 @@ def test_a_run_scores_its_laws_under_the_further_truths(tmp_path: Path, capsys, 
 
 
 @pytest.mark.ci
-def test_a_run_under_another_truth_says_so(tmp_path: Path, capsys, monkeypatch):
+def test_a_run_on_an_alternative_plant_states_it(tmp_path: Path, capsys, monkeypatch):
     path = study_with(tmp_path, signals('truth = "rate_and_state"'))
     answer = hesr_here(capsys, monkeypatch)("run", path, "--quick", "-o", tmp_path / "out")
     assert answer.code == 0, answer.err
@@ -68,13 +68,13 @@ def test_a_run_under_another_truth_says_so(tmp_path: Path, capsys, monkeypatch):
     assert "Its friction is ‘rate_and_state’ of its plant" in (
         tmp_path / "out/report.html"
     ).read_text(encoding="utf-8")
-    # Viscous friction is what the arm has there, and dry friction stands in the written MJCF.
+    # Viscous friction is in the arm, and dry friction is in the written MJCF.
     text = (tmp_path / "out" / "arm.xml").read_text(encoding="utf-8")
     assert "lugre=" not in text.partition("<worldbody>")[2]
     assert 'frictionloss="6.0"' in text
 
 
-def test_the_table_of_truths():
+def test_the_table_of_alternative_plants_is_complete():
     errors = {
         "gear": {"a": {"stribeck": [2.0, 2.0], "lugre": [1.0, 4.0], ORACLE: [0.5, 0.5]}},
         "age": {"a": {"stribeck": [1.0, 8.0], "lugre": [2.0, 2.0], ORACLE: [0.5, 0.5]}},
@@ -102,14 +102,14 @@ def test_the_table_of_truths():
         ('truth = "strain_wave"\n', "other truths need the key 'signals'"),
     ],
 )
-def test_other_truths_need_an_fmu(keys, sentence, tmp_path: Path, capsys, monkeypatch):
+def test_alternative_plants_need_an_fmu(keys, sentence, tmp_path: Path, capsys, monkeypatch):
     answer = hesr_here(capsys, monkeypatch)("run", study_with(tmp_path, keys))
     assert answer.code == 2
     assert sentence in answer.err
 
 
 @pytest.mark.parametrize("keys", ['truth = "cheese"', 'truths = ["cheese"]'])
-def test_an_unknown_truth_is_named_with_those_that_are_known(keys, tmp_path: Path):
+def test_the_known_plants_are_listed_for_an_unknown_one(keys, tmp_path: Path):
     path = study_with(tmp_path, signals(keys))
     study = Study.read(path)
     assert study.twin is not None
@@ -120,14 +120,14 @@ def test_an_unknown_truth_is_named_with_those_that_are_known(keys, tmp_path: Pat
         twin_plant(twin, path, tmp_path)
 
 
-def test_seeds_are_not_drawn_for_another_truth(tmp_path: Path, capsys, monkeypatch):
+def test_seeds_are_refused_on_an_alternative_plant(tmp_path: Path, capsys, monkeypatch):
     path = study_with(tmp_path, signals('truth = "strain_wave"'))
     answer = hesr_here(capsys, monkeypatch)("run", path, "--seeds", "2")
     assert answer.code == 2
     assert "--seeds needs the friction of the MJCF; remove the key 'twin.truth'" in answer.err
 
 
-def test_the_default_study_shows_both():
+def test_the_default_study_has_both_plants():
     twin = Study.read(models_folder() / "studies" / "default.toml").twin
     assert twin is not None
     assert twin.truths == NAMES
@@ -136,7 +136,8 @@ def test_the_default_study_shows_both():
 @pytest.mark.soak
 @pytest.mark.parametrize("truth", [None, *NAMES])
 def test_stops_are_never_significantly_worse_than_lugre(truth, tmp_path: Path):
-    """On the test motions of the default study, 45 s: by blocks, Holm over laws and joints."""
+    """On the test motions of the default study, 45 s: in blocks, Holm-adjusted over laws and
+    joints."""
     laws = ("parfam_s_v", "parfam_s_load", "parfam_s")
     path = models_folder() / "studies" / "default.toml"
     study = Study.read(path)

@@ -1,4 +1,4 @@
-"""What the laws must reach on the digital twin, trained on the sweep: the shipped study itself."""
+"""Required performance of the laws on the digital twin after the shipped study."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.ci
 STUDY = models_folder() / "studies" / "default.toml"
 
 LEAST_GAIN = [0.35, 0.45, 0.45]
-"""By which share ParFam-H is below the laws of velocity alone on joints 1 to 3."""
+"""Minimum relative improvement of ParFam-H over the velocity-only laws on joints 1 to 3."""
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +39,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 LAWS = ("stribeck", "lugre", "parfam_v", "parfam_h", "parfam_hx",
         "parfam_s", "parfam_s_load", "parfam_s_v")  # fmt: skip
-"""Those of which something is asked here; the whole study has all."""
+"""Laws used by the tests here; the whole study has all."""
 COMPENSATING = ("parfam_h", "parfam_hx")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Scores of the shipped study, and its closed loop: all motions, and the long one."""
+    """Scores of the shipped study, and its closed loop on all motions and on the long one."""
 
     run: Scored
     comparisons: Mapping[str, Comparison]
@@ -102,12 +102,12 @@ def errors(scores: Comparison, law: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("other", ["parfam_v", "stribeck"])
-def test_memory_pays_on_the_fourier_test(fourier: Comparison, other: str) -> None:
+def test_memory_reduces_the_error_on_the_fourier_test(fourier: Comparison, other: str) -> None:
     ratio = errors(fourier, "parfam_h") / errors(fourier, other)
     assert np.all(ratio <= 1.0 - np.array(LEAST_GAIN)), ratio
 
 
-def test_the_extended_law_keeps_up_with_exact_lugre_where_friction_is_bristles(
+def test_the_extended_law_matches_exact_lugre_on_bristle_friction(
     fourier: Comparison,
 ) -> None:
     ratio = errors(fourier, "parfam_hx") / errors(fourier, "lugre")
@@ -139,7 +139,7 @@ def test_both_bands_of_the_chirp_are_scored_for_every_law(outcome: Outcome) -> N
 def test_on_the_chirp_the_extended_law_extrapolates_as_well_as_the_truth(
     outcome: Outcome,
 ) -> None:
-    """High over low band, in geometric mean: what rises with speed is the rigid body's error."""
+    """High over low band, geometric mean: the error of the rigid body grows with speed."""
     low, high = (outcome.comparisons[f"chirp {band}"] for band in ("to 0.6 Hz", "from 0.6 Hz"))
     extended, truth, paper = (
         np.exp(np.mean(np.log(errors(high, law) / errors(low, law))))
@@ -149,7 +149,7 @@ def test_on_the_chirp_the_extended_law_extrapolates_as_well_as_the_truth(
     assert extended < 0.95 * paper
 
 
-# --- in closed loop ---------------------------------------------------------------------------
+# --- closed loop -------------------------------------------------------------------------------
 
 PAPER_BASELINE = np.array([0.0417, 0.0744, 0.0324])
 """Table III without friction compensation [rad]."""
@@ -173,7 +173,7 @@ def assert_inversion_pays(rows: Sequence[Tracked]) -> None:
     for law in ("parfam_h", "parfam_hx"):
         assert np.all(plain[law] <= 0.1 * plain[StandIn.BODY_ONLY]), plain
         assert np.all(outer[law] <= 1.0e-3), outer
-    # True friction and rigid body leave 0.1 to 0.3 mrad, of which no fitted law comes near.
+    # True friction and rigid body leave 0.1 to 0.3 mrad; no fitted law comes close.
     assert np.all(plain["parfam_hx"] - plain[StandIn.ORACLE] <= 0.6e-3), plain
 
 
@@ -182,15 +182,15 @@ def test_the_papers_scheme_has_the_papers_baseline(outcome: Outcome) -> None:
     assert np.all(np.abs(baseline / PAPER_BASELINE - 1.0) <= 0.25), baseline
 
 
-def test_the_papers_scheme_pays(outcome: Outcome) -> None:
+def test_the_papers_scheme_reduces_the_error(outcome: Outcome) -> None:
     assert_paper_scheme_pays(outcome.tracking)
 
 
-def test_inverting_the_servo_pays(outcome: Outcome) -> None:
+def test_inverting_the_servo_reduces_the_error(outcome: Outcome) -> None:
     assert_inversion_pays(outcome.tracking)
 
 
-def test_both_pay_on_motions_that_nobody_has_tuned_on(outcome: Outcome, folder: Path) -> None:
+def test_both_schemes_improve_unseen_motions(outcome: Outcome, folder: Path) -> None:
     study = Study.read(STUDY)
     assert study.tracking
     tracking = study.tracking.model_copy(update={"seeds": tuple(range(301, 311))})
@@ -203,7 +203,7 @@ def test_both_pay_on_motions_that_nobody_has_tuned_on(outcome: Outcome, folder: 
     assert_inversion_pays(rows)
 
 
-def test_a_long_run_shows_drift_where_nothing_holds_the_position(outcome: Outcome) -> None:
+def test_a_long_run_drifts_without_position_feedback(outcome: Outcome) -> None:
     last = {(row.scheme.name, row.law): np.abs(row.last[0]).max() for row in outcome.long}
     assert last["torque_error", "parfam_hx"] > 0.1
     assert last["servo_inversion, Kx = 5", "parfam_hx"] < 1e-3

@@ -1,4 +1,4 @@
-"""A payload on the twin: known to MuJoCo, unknown to the robot file, found from logs."""
+"""A payload on the twin, unknown to the robot file, identified from logs."""
 
 import shutil
 
@@ -38,7 +38,7 @@ def fourier(seed, periods, velocity):
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """The arm as it is, and with a payload on its flange."""
+    """The unloaded arm, and the arm with a payload on its flange."""
     with_payload = tmp_path_factory.mktemp("loaded") / "uf850"
     shutil.copytree(FOLDER, with_payload)
     text = (FOLDER / "uf850.xml").read_text()
@@ -75,12 +75,12 @@ def unloaded(models, logs):
     return identify([forward], models[0], reversed_logs=[backward])
 
 
-def test_mass_and_centre_are_found(models, logs, unloaded):
+def test_mass_and_centre_are_identified(models, logs, unloaded):
     payload = identify_payload(logs[1], models[0], unloaded)
     true = (models[1].nominal_parameters - models[0].nominal_parameters)[20:30]
     assert payload.mass == pytest.approx(1.5, rel=0.012)
     assert abs(payload.mass - 1.5) < 3 * payload.standard_errors[0]
-    # In the plane in which this joint moves; along its axis gravity says little.
+    # In this joint's plane of motion; along its axis gravity gives little information.
     np.testing.assert_allclose(payload.centre_of_mass[:2], true[1:3] / 1.5, atol=5e-3)
 
 
@@ -103,7 +103,7 @@ def test_a_log_without_payload_is_refused(models, logs, unloaded):
         identify_payload(logs[0][:1], models[0], unloaded)
 
 
-def test_another_motion_without_payload_is_refused_too(folders, models, unloaded):
+def test_another_motion_without_payload_is_also_refused(folders, models, unloaded):
     plant = Plant.read(folders[0] / "plant.toml")
     with loaded_arm(plant) as arm:
         recording = record(arm, fourier(3, 1, [1.2, 1.0, 1.2]), 1, name="other")

@@ -1,4 +1,4 @@
-"""What a run comes to, in words, and the marks in its tables: no more than the intervals say."""
+"""The verdict of a run and the marks in its tables: no more than the intervals support."""
 
 from dataclasses import replace
 from functools import cache
@@ -31,7 +31,7 @@ JOINTS = ("base", "arm")
 
 
 def record(joint: str, *, peak: float, seed: int, load: float = 0.0) -> FrictionRecord:
-    """Friction with a memory of position, which a static law cannot hold."""
+    """Friction with a memory of position, beyond the reach of a static law."""
     t = np.arange(10_000) * 0.01
     dq = peak * (np.sin(1.7 * t + seed) + 0.3 * np.sin(6.1 * t))
     q = np.cumsum(dq) * 0.01
@@ -73,7 +73,9 @@ def judged(scores, models, trained, tested, **more: bool) -> Verdict:  # type: i
     return verdict(scores, models, trained, tested, {}, **settings)
 
 
-def test_it_says_which_fmu_why_and_what_is_left(scores, models, trained, tested) -> None:
+def test_a_verdict_names_the_fmu_the_reason_and_the_residual(
+    scores, models, trained, tested
+) -> None:
     found = judged(scores, models, trained, tested)
     assert (found.law, found.fmu, found.test) == ("lugre", "fmus/lugre.fmu", "unseen")
     of_law = scores["unseen"].laws["lugre"].rmse
@@ -87,7 +89,7 @@ def test_it_says_which_fmu_why_and_what_is_left(scores, models, trained, tested)
     assert f"J1 {expected[0]:.0f} %, J2 {expected[1]:.0f} %." in text
 
 
-def test_it_says_what_would_improve_it(scores, models, trained, tested) -> None:
+def test_a_verdict_recommends_improvements(scores, models, trained, tested) -> None:
     text = "\n".join(judged(scores, models, trained, tested).improve)
     assert "J1, J2: the test is faster than the training logs" in text
     assert "payload" in text
@@ -103,7 +105,7 @@ def test_it_says_what_would_improve_it(scores, models, trained, tested) -> None:
     assert not any("rests" in s and "J1" in s for s in said)
 
 
-def test_laws_that_chance_may_order_lead_together(tested) -> None:
+def test_laws_without_significant_difference_lead_together(tested) -> None:
     truth = [[r.tau for r in of_joint] for of_joint in tested]
     rng = np.random.default_rng(1)
 
@@ -124,7 +126,7 @@ def test_laws_that_chance_may_order_lead_together(tested) -> None:
     assert not any(cell.best for cell in errors("unseen", old).rows[1].cells)  # type: ignore[union-attr]
 
 
-def test_a_law_that_explains_little_is_called_weak(scores, models, trained, tested) -> None:
+def test_a_law_that_explains_little_is_called_inadequate(scores, models, trained, tested) -> None:
     whole = scores["unseen"]
     bad = replace(whole, tau_std=tuple(0.01 * s for s in whole.tau_std))
     weak = judged({"unseen": bad}, models, trained, tested).weak
@@ -193,7 +195,7 @@ def test_the_simpler_of_two_equal_laws_is_recommended() -> None:
     assert "simplest (inputs v)" in why
 
 
-def test_a_law_that_is_better_on_two_of_six_joints_is_named_there() -> None:
+def test_a_law_better_on_two_of_six_joints_is_named_for_them() -> None:
     rmse = {"lugre": [1.0] * 6, "lugre_load": [1.3, 1.3, 1.3, 1.3, 0.5, 0.5]}
     leading = [("lugre",)] * 4 + [("lugre_load",)] * 2
     law, why = recommend(case(rmse, leading), {law: model_of(law, 6) for law in rmse})
@@ -252,8 +254,8 @@ def test_a_failed_check_of_all_laws_is_stated(scores, models, trained, tested) -
     assert any(EXPECTATIONS[key].title in sentence for sentence in found.weak)
 
 
-def test_the_reason_is_true_of_the_scores(scores, models, trained, tested) -> None:
-    """Derived from the scores alone: the law leads on both joints, and no other one does."""
+def test_the_reason_agrees_with_the_scores(scores, models, trained, tested) -> None:
+    """The scores alone decide: only this law leads on both joints."""
     found = judged(scores, models, trained, tested)
     assert all(found.law in of_joint for of_joint in scores["unseen"].leading)
     others = set(models) - {found.law}

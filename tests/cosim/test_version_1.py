@@ -1,4 +1,4 @@
-"""Files that were written before results were typed are read, and written again as they were."""
+"""Files from before results were typed can be read and are written unchanged."""
 
 import json
 from pathlib import Path
@@ -25,8 +25,8 @@ def written(name: str) -> Any:
     return json.loads((FILES / name).read_text(encoding="utf-8"))
 
 
-def test_a_friction_model(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """All is as it was but for the audit, which follows from the rest and is not run any more."""
+def test_a_friction_model_is_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Everything is unchanged except the audit, which is derived and no longer run."""
     monkeypatch.setattr(audit, "audit", lambda *_: pytest.fail("the audit was run"))
     model = FrictionModel.read(FILES / "law.json")
     expected = written("law.json")
@@ -38,29 +38,29 @@ def test_a_friction_model(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> No
     assert list(text["joints"][0]) == list(expected["joints"][0])
 
 
-def test_a_rigid_body(tmp_path: Path) -> None:
+def test_a_rigid_body_is_read(tmp_path: Path) -> None:
     expected = written("rigid_body.json")
     RigidBody.read(FILES / "rigid_body.json").write(tmp_path / "body.json")
     assert json.loads((tmp_path / "body.json").read_text(encoding="utf-8")) == expected
 
 
-def test_the_scores_of_a_run() -> None:
+def test_the_scores_of_a_run_are_read() -> None:
     for data in written("evaluation.json").values():
         found = to_json(from_json(Comparison, data, Path("x"), "scores"))
         for ratios in found["ratios"]["laws"].values():
             assert all(ratio.pop("p") is None for ratio in ratios)
         assert found["ratios"].pop("references") == {}
-        newer = {"leading": [], "per_log": None, "bands": {}}  # which nobody had asked for
+        newer = {"leading": [], "per_log": None, "bands": {}}  # not yet in that version
         assert found == data | newer
 
 
-def test_the_description_of_a_run() -> None:
+def test_the_description_of_a_run_is_read() -> None:
     expected = written("run.json") | {"truth": ""}
     del expected["format"]
     assert to_json(SavedRun.read(FILES / "run.json")) == expected
 
 
-def test_the_findings_of_the_battery(tmp_path: Path) -> None:
+def test_the_findings_of_the_physics_checks_are_read(tmp_path: Path) -> None:
     write_properties(tmp_path / "found.json", read_properties(FILES / "properties.json"))
     found = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     for model in found["laws"].values():
@@ -68,11 +68,11 @@ def test_the_findings_of_the_battery(tmp_path: Path) -> None:
             for newer in ("nested", "start", "drive"):
                 assert joint["findings"].pop(newer)["verdict"] == "not run"
             for finding in joint["findings"].values():
-                assert finding["plot"].pop("units") == ["", ""]  # they stood in the labels
+                assert finding["plot"].pop("units") == ["", ""]  # they were part of the labels
     assert found["laws"] == written("properties.json")["laws"]
 
 
-def test_a_closed_loop_whose_schemes_are_values_now() -> None:
+def test_a_closed_loop_with_schemes_as_text_is_read() -> None:
     data = written("closed_loop.json")
     loop = from_json(LoopOutcome, data, Path("closed_loop.json"), "a closed loop")
     assert to_json(loop) == data
@@ -94,14 +94,14 @@ def test_a_closed_loop_whose_schemes_are_values_now() -> None:
         Scheme(compensation="none", source="measured", change="payload 1 kg, identified: known"),
     ],
 )
-def test_a_scheme_is_its_name(scheme: Scheme) -> None:
+def test_a_scheme_equals_its_name(scheme: Scheme) -> None:
     assert Scheme.of_name(scheme.name) == scheme
 
 
 @pytest.mark.parametrize(
     "name", ["", "pid", "none, Kx = fast", "none, friction of true velocity", "none, none", "none:"]
 )
-def test_what_is_no_scheme_names_file_and_key(name: str) -> None:
+def test_an_unknown_scheme_is_reported_with_file_and_key(name: str) -> None:
     data = written("closed_loop.json")
     data["long"][1]["scheme"] = name
     with pytest.raises(ArtifactError) as caught:

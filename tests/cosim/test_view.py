@@ -1,4 +1,4 @@
-"""The arm of a closed loop, shown: which runs, where the arms stand, videos, what is refused."""
+"""Display of the arm of a closed loop: choice of runs, poses, videos and refusals."""
 
 import ctypes.util
 import importlib.util
@@ -61,7 +61,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a run of a closed loop leaves: the arm, the paper's law, one second of its motion."""
+    """Files of a closed-loop run: the arm, the paper's law, one second of its motion."""
     folder = tmp_path_factory.mktemp("result")
     plant = Plant.read(UF850 / "plant.toml")
     robot = Robot(RobotDescription.read(UF850 / "robot.toml"))
@@ -88,7 +88,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     arguments = {"duration": 1.0, "limits": wide, "traced": True, "workers": 1}
     found = track(rows, motions(settings), kept=folder / "kept", **arguments)
     again = track(rows, motions(settings), kept=folder / "kept", **arguments)
-    for one, other in zip(found, again, strict=True):  # what an interrupted run goes on from
+    for one, other in zip(found, again, strict=True):  # checkpoints of an interrupted run
         assert_same(one, other)
     write_traces(folder / TRACES, [(t.scheme, t.law, t.trace) for t in found if t.trace])
     (folder / "rmse.json").write_text(json.dumps(list(map(to_json, found))), encoding="utf-8")
@@ -113,10 +113,10 @@ def _excitation(robot: Robot) -> Log:
     return next(iter(recordings(found.model_copy(update={"motions": wanted}), plant))).log
 
 
-# --- what is saved ----------------------------------------------------------------------------
+# --- traces ------------------------------------------------------------------------------------
 
 
-def test_traces_are_the_runs_that_were_scored(result: Path) -> None:
+def test_traces_are_those_of_the_scored_runs(result: Path) -> None:
     traces = read_traces(result / TRACES)
     rows = json.loads((result / "rmse.json").read_text(encoding="utf-8"))
     assert [(s.name, law) for s, law in traces] == [(row["scheme"], row["law"]) for row in rows]
@@ -128,7 +128,7 @@ def test_traces_are_the_runs_that_were_scored(result: Path) -> None:
         np.testing.assert_allclose(error, row["rmse"][0], rtol=1e-12)
 
 
-def test_files_that_hold_no_traces(tmp_path: Path) -> None:
+def test_files_without_traces_are_refused(tmp_path: Path) -> None:
     path = tmp_path / TRACES
     with pytest.raises(ArtifactError) as missing:
         read_traces(path)
@@ -142,10 +142,10 @@ def test_files_that_hold_no_traces(tmp_path: Path) -> None:
     assert str(wrong.value) == f"{path}: is not a file of closed-loop traces."
 
 
-# --- what is chosen ---------------------------------------------------------------------------
+# --- choice of runs ----------------------------------------------------------------------------
 
 
-def test_the_best_law_is_shown_beside_none(result: Path) -> None:
+def test_the_best_law_is_shown_next_to_no_compensation(result: Path) -> None:
     shown = choose(result, ViewOptions())
     assert shown.scheme == INVERSION
     assert list(shown.runs) == [StandIn.BODY_ONLY.words, "ParFam-H"]
@@ -158,7 +158,7 @@ def test_laws_and_scheme_can_be_chosen(result: Path) -> None:
     assert list(choose(result, ViewOptions(scheme="none")).runs) == [StandIn.VELOCITY_ONLY.words]
 
 
-def test_what_cannot_be_shown_is_refused(result: Path, hesr: Hesr, tmp_path: Path) -> None:
+def test_unknown_choices_are_refused(result: Path, hesr: Hesr, tmp_path: Path) -> None:
     cases = {
         ("--law", "lugre"): "--law is 'lugre'; with scheme 'servo_inversion' there are '(rigid "
         f"body only)', 'parfam_h', '(oracle)' in {result}.",
@@ -179,7 +179,7 @@ def test_what_cannot_be_shown_is_refused(result: Path, hesr: Hesr, tmp_path: Pat
     )
 
 
-def test_results_without_their_arm(result: Path, tmp_path: Path) -> None:
+def test_results_without_their_arm_are_refused(result: Path, tmp_path: Path) -> None:
     for name in (TRACES, "rigid_body.json"):
         shutil.copy(result / name, tmp_path)
     fmu = tmp_path / "fmus" / "Arm.fmu"
@@ -194,12 +194,12 @@ def test_results_without_their_arm(result: Path, tmp_path: Path) -> None:
     assert str(empty.value) == (f"{fmu}: holds no resources/model.xml to show.")
 
 
-# --- where the arms stand ---------------------------------------------------------------------
+# --- poses -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("magnify", [1.0, 20.0])
-def test_ghost_and_arm_stand_where_the_run_had_them(result: Path, magnify: float) -> None:
-    """Beside MuJoCo's own kinematics of the shipped model."""
+def test_ghost_and_arm_have_the_poses_of_the_run(result: Path, magnify: float) -> None:
+    """Compared with MuJoCo's own kinematics of the shipped model."""
     choice = ViewOptions(laws=["parfam_h", StandIn.BODY_ONLY], magnify=magnify)
     shown = choose(result, choice)
     stage = Stage(shown, choice)
@@ -222,10 +222,10 @@ def test_ghost_and_arm_stand_where_the_run_had_them(result: Path, magnify: float
                         atol=1e-12,
                     )
             ways.append(stage.data.body(f"actual{k}/payload").xpos.copy())
-    assert np.ptp(ways, axis=0).max() > 0.1  # it does move, and the arms stand apart
+    assert np.ptp(ways, axis=0).max() > 0.1  # the arm moves, and ghost and arm differ
 
 
-def test_an_arm_without_shapes_gets_some_and_others_keep_theirs() -> None:
+def test_only_an_arm_without_shapes_gets_new_ones() -> None:
     mjcf = (UF850 / "uf850.xml").read_text(encoding="utf-8")
     joints = ["joint1", "joint2", "joint3"]
     drawn = arm(mjcf, joints, paint=PAINT).compile()
@@ -239,7 +239,7 @@ def test_an_arm_without_shapes_gets_some_and_others_keep_theirs() -> None:
     assert kept.geom_size[0, 0] == 0.07
 
 
-def test_meshes_that_are_not_at_hand_do_not_matter() -> None:
+def test_missing_meshes_do_not_matter() -> None:
     mjcf = (UF850 / "uf850.xml").read_text(encoding="utf-8")
     mjcf = mjcf.replace("<worldbody>", '<asset><mesh name="m" file="no.stl"/></asset><worldbody>')
     mjcf = mjcf.replace('<body name="payload"', '<geom type="mesh" mesh="m"/><body name="payload"')
@@ -248,7 +248,7 @@ def test_meshes_that_are_not_at_hand_do_not_matter() -> None:
     assert arm(mjcf, ["joint1"], paint=PAINT).compile().ngeom > 5
 
 
-def test_a_sliding_joint_is_drawn_too() -> None:
+def test_a_sliding_joint_is_drawn() -> None:
     mjcf = """<mujoco><worldbody><body name="a"><joint name="j" type="slide" axis="1 0 0"/>
     <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><body name="b" pos="0 0 1"/></body>
     </worldbody></mujoco>"""
@@ -256,7 +256,7 @@ def test_a_sliding_joint_is_drawn_too() -> None:
     assert mujoco.mjtGeom.mjGEOM_BOX in drawn.geom_type
 
 
-def test_models_that_cannot_be_shown() -> None:
+def test_unsuitable_models_are_refused() -> None:
     with pytest.raises(RobotError, match=r"^the arm's model has no joint 'j', so it cannot be"):
         arm("<mujoco><worldbody/></mujoco>", ["j"], paint=PAINT)
     with pytest.raises(RobotError, match=r"^the arm's model cannot be shown \(.+\)\.$"):
@@ -281,13 +281,13 @@ def test_the_picture_shows_both_poses_and_changes(result: Path) -> None:
         for which in ("commanded0", "actual0"):
             colours = model.geom_rgba.copy()
             model.geom_rgba[[name.startswith(which) for name in names], 3] = 0.0
-            assert seen(last, draw(0.6).astype(float)) > 0.02  # it is missed
+            assert seen(last, draw(0.6).astype(float)) > 0.02  # it fails to reach the target
             model.geom_rgba[:] = colours
         np.testing.assert_array_equal(draw(0.6), last)
 
 
 def seen(one: np.ndarray, other: np.ndarray) -> float:
-    """Share of the pixels that an eye sees to differ."""
+    """Share of pixels with a visible difference."""
     return float(np.mean(np.abs(one - other).max(axis=2) > 12.0))
 
 
@@ -338,7 +338,7 @@ def test_an_animated_picture_for_a_page_needs_no_encoder(
 @pytest.mark.ci
 @draws
 @encodes
-def test_an_interrupt_leaves_no_half_a_video(result: Path, tmp_path: Path) -> None:
+def test_an_interrupt_leaves_no_partial_video(result: Path, tmp_path: Path) -> None:
     path = tmp_path / "arm.mp4"
     path.write_text("old", encoding="utf-8")
 
@@ -353,11 +353,11 @@ def test_an_interrupt_leaves_no_half_a_video(result: Path, tmp_path: Path) -> No
     assert [p.name for p in tmp_path.iterdir()] == ["arm.mp4"]
 
 
-# --- machines that cannot ---------------------------------------------------------------------
+# --- unsuitable machines -----------------------------------------------------------------------
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a screen")
-def test_without_a_screen_it_says_so(
+def test_a_missing_screen_is_reported(
     result: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
@@ -372,7 +372,7 @@ def test_without_a_screen_it_says_so(
 @pytest.mark.ci
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere OpenGL is part of the system")
 @encodes
-def test_without_opengl_it_says_so(
+def test_missing_opengl_is_reported(
     result: Path, hesr: Hesr, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("MUJOCO_GL", raising=False)
@@ -388,8 +388,8 @@ def test_without_opengl_it_says_so(
 @pytest.mark.ci
 @pytest.mark.skipif(sys.platform != "linux", reason="a display is set for X")
 @encodes
-def test_opengl_that_fails_is_told(result: Path, tmp_path: Path) -> None:
-    """As where a driver is there but no device: here GLFW on a display that does not exist."""
+def test_failing_opengl_is_reported(result: Path, tmp_path: Path) -> None:
+    """A driver without a device: here GLFW on a display that does not exist."""
     program = "from hesr.cli import main; main()"
     path = tmp_path / "arm.mp4"
     answer = subprocess.run(
@@ -407,7 +407,7 @@ def test_opengl_that_fails_is_told(result: Path, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_without_an_encoder_it_says_so(
+def test_a_missing_encoder_is_reported(
     result: Path, hesr: Hesr, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
@@ -418,10 +418,10 @@ def test_without_an_encoder_it_says_so(
     )
 
 
-def test_a_package_without_its_encoder(
+def test_a_package_without_its_encoder_is_reported(
     result: Path, hesr: Hesr, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As on platforms for which the package carries none."""
+    """As on platforms without an encoder in the package."""
     package = pytest.importorskip("imageio_ffmpeg")
 
     def nothing() -> str:
@@ -433,7 +433,7 @@ def test_a_package_without_its_encoder(
     assert answer.err.startswith("hesr: ffmpeg is missing (No ffmpeg exe could be found.")
 
 
-def test_an_encoder_that_dies_is_told(
+def test_a_crashed_encoder_is_reported(
     result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("imageio_ffmpeg")
@@ -451,10 +451,10 @@ def test_an_encoder_that_dies_is_told(
 # --- the window -------------------------------------------------------------------------------
 
 
-def test_a_viewer_that_wants_another_interpreter(
+def test_a_viewer_that_needs_another_interpreter_is_reported(
     result: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As on macOS; the viewer itself cannot be loaded where there is no screen."""
+    """As on macOS; without a screen the viewer itself cannot be loaded."""
 
     def refused(*_: object, **__: object) -> None:
         raise RuntimeError("`launch_passive` requires that the script be run under `mjpython`.")
@@ -473,8 +473,8 @@ def test_a_viewer_that_wants_another_interpreter(
 
 @pytest.mark.ci
 @pytest.mark.skipif(shutil.which("Xvfb") is None, reason="there is no Xvfb to open a window on")
-def test_the_viewer_opens_moves_and_ends(result: Path, tmp_path: Path) -> None:
-    """On a screen of its own; Ctrl-C ends it."""
+def test_the_viewer_opens_moves_and_closes(result: Path, tmp_path: Path) -> None:
+    """On a virtual screen; Ctrl-C ends it."""
     number = tmp_path / "display"
     with number.open("w") as written:
         screen = subprocess.Popen(
@@ -519,7 +519,7 @@ def test_the_viewer_opens_moves_and_ends(result: Path, tmp_path: Path) -> None:
             env=variables,
         )
         time.sleep(8.0)
-        assert viewing.poll() is None  # it goes on until it is closed
+        assert viewing.poll() is None  # it runs until it is closed
         viewing.send_signal(signal.SIGINT)
         _, err = viewing.communicate(timeout=30)
         assert viewing.returncode == 130

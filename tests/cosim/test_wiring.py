@@ -1,4 +1,4 @@
-"""Systems that do not fit their FMUs: each mistake has its sentence."""
+"""Systems inconsistent with their FMUs: a message for each mistake."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -80,7 +80,7 @@ def test_vectors_are_connected_element_by_element():
     }
 
 
-def test_values_are_ordered_after_what_they_depend_on():
+def test_values_are_ordered_by_dependency():
     order = wire().order
     for i in (1, 2):
         chain = [("arm", f"q[{i}]"), ("controller", f"q[{i}]"), ("controller", f"dq_cmd[{i}]"),
@@ -114,18 +114,18 @@ def test_values_are_ordered_after_what_they_depend_on():
          "'arm.q[2]'."),
     ],
 )  # fmt: skip
-def test_connections_that_cannot_be(connection, said):
+def test_impossible_connections_are_refused(connection, said):
     with pytest.raises(ConfigError) as error:
         wire(CONNECTIONS | connection)
     assert str(error.value).startswith("loop.toml: connection '")
     assert said in str(error.value)
 
 
-def test_units_that_are_spelt_in_two_ways_are_one():
+def test_spellings_of_a_unit_are_equivalent():
     wire(CONNECTIONS | {"controller.tau": "arm.tau[1]", "controller.plain": "arm.q[1]"})
 
 
-def test_inputs_without_a_value():
+def test_inputs_without_a_value_are_refused():
     with pytest.raises(ConfigError) as error:
         wire({"arm.dq_cmd": "controller.dq_cmd", "controller.q[1]": "arm.q[1]"})
     assert str(error.value) == (
@@ -136,7 +136,7 @@ def test_inputs_without_a_value():
     wire({"controller.q": "arm.q"}, {"arm": {"dq_cmd": [0.0, 0.1]}})
 
 
-def test_algebraic_loops():
+def test_algebraic_loops_are_refused():
     loop = {"silent.u": "echo.y", "echo.u": "silent.y"}
     with pytest.raises(ConfigError) as error:
         wire(loop, names=("silent", "echo"))
@@ -145,7 +145,7 @@ def test_algebraic_loops():
     assert "('silent' does not say what its outputs depend on: every input counts)" in said
     cycle = said.split("feedthrough: ")[1].split(" (")[0].split(" -> ")
     assert cycle[0] == cycle[-1]
-    # Each value goes into the next one.
+    # Each value feeds the next one.
     arrows = set(pairwise(cycle))
     assert arrows == {
         ("silent.u", "silent.y"), ("silent.y", "echo.u"), ("echo.u", "echo.y"),
@@ -167,7 +167,7 @@ def test_algebraic_loops():
         ({"file": 2}, "'file' is of type String; it cannot be 2."),
     ],
 )
-def test_start_values_that_do_not_fit(start, said):
+def test_invalid_start_values_are_refused(start, said):
     with pytest.raises(ConfigError) as error:
         wire(start={"controller": start})
     assert str(error.value).startswith("loop.toml: start values of 'controller': ")
@@ -176,7 +176,7 @@ def test_start_values_that_do_not_fit(start, said):
         wire().started({"controller": start})
 
 
-def test_start_values_of_a_run_come_before_those_of_the_system():
+def test_start_values_of_a_run_override_those_of_the_system():
     wiring = wire(
         start={"controller": {"q": 3, "Kp": 1.0, "mode": "fast", "on": True, "file": "x"}}
     )
@@ -200,13 +200,13 @@ def test_start_values_of_a_run_come_before_those_of_the_system():
          "limits of 'arm.q': 3 pairs for 2 elements."),
     ],
 )  # fmt: skip
-def test_signals_that_are_not_there(keys, said):
+def test_unknown_signals_are_refused(keys, said):
     with pytest.raises(ConfigError) as error:
         wire(**keys)
     assert str(error.value).startswith(f"loop.toml: {said}")
 
 
-def test_limits_are_for_all_elements_or_for_each():
+def test_limits_apply_to_all_elements_or_to_each():
     one, each = (wire(limits={"arm.q": b}).limited for b in ([0, 1], [[0, 1], [2, 3]]))
     assert one == [(("arm", "q[1]"), (0, 1)), (("arm", "q[2]"), (0, 1))]
     assert each == [(("arm", "q[1]"), (0, 1)), (("arm", "q[2]"), (2, 3))]

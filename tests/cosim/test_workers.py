@@ -1,4 +1,4 @@
-"""Worker processes as they are: fresh, killed, interrupted, orphaned; nothing of them is left."""
+"""Real worker processes: fresh, killed, interrupted, orphaned; none is left behind."""
 
 import os
 import re
@@ -77,26 +77,26 @@ def script(folder: Path, text: str) -> tuple[str, ...]:
 
 
 def output_of(text: str, folder: Path) -> str:
-    """Return what a script prints that ends well and says nothing else."""
+    """Return the output of a script that succeeds without standard error."""
     with started(folder=folder, program=script(folder, text)) as process:
         out, err = process.communicate(timeout=120)
     assert (process.returncode, err) == (0, "")
     return out
 
 
-def test_a_plain_script_fits_in_processes_without_a_main_guard(tmp_path: Path) -> None:
+def test_a_script_needs_no_main_guard(tmp_path: Path) -> None:
     with started(folder=tmp_path, program=script(tmp_path, FITS)) as process:
         out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
-    assert err == "imported\n"  # once: workers do not run the script
+    assert err == "imported\n"  # once: workers do not rerun the script
     same, *levels = re.findall(r"True|False|[0-9.]+", out)
     assert same == "True"
     assert [round(float(level)) for level in levels] == [2, 3, 4]
     assert_nothing_left(process.pid, tmp_path)
 
 
-def test_jobs_of_a_script_run_in_fresh_processes_with_one_thread_each(tmp_path: Path) -> None:
-    """Numbers of threads are 1 for every library, also for those that are imported later."""
+def test_jobs_run_in_fresh_processes_with_one_thread_each(tmp_path: Path) -> None:
+    """One thread for every library, including those imported later."""
     text = JOBS + (
         "for _ in range(2):\n"
         "    with results_of([Mine(k) for k in range(5)], 2) as results:\n"
@@ -139,7 +139,7 @@ def test_blocks_share_processes_until_one_fails(tmp_path: Path) -> None:
     assert_nothing_left(process.pid, tmp_path)
 
 
-def test_processes_import_while_their_parent_works(tmp_path: Path) -> None:
+def test_workers_import_while_their_parent_works(tmp_path: Path) -> None:
     text = JOBS + (
         "import sys\n"
         "from hesr_model.support.parallel import one_pool\n"
@@ -151,7 +151,7 @@ def test_processes_import_while_their_parent_works(tmp_path: Path) -> None:
     assert output_of(text, tmp_path) == "[True, True, True, True] False\n"
 
 
-def test_what_comes_first_is_done_while_nobody_waits(tmp_path: Path) -> None:
+def test_the_first_job_runs_before_its_result_is_requested(tmp_path: Path) -> None:
     text = JOBS + (
         "from pathlib import Path\n"
         "from hesr_model.support.parallel import one_pool\n"
@@ -169,7 +169,7 @@ def test_what_comes_first_is_done_while_nobody_waits(tmp_path: Path) -> None:
     assert output_of(text, tmp_path) == f"{['done'] * 4}\n"
 
 
-def test_the_dearest_jobs_begin_first_and_results_keep_their_order(tmp_path: Path) -> None:
+def test_expensive_jobs_start_first_and_results_keep_their_order(tmp_path: Path) -> None:
     text = JOBS + (
         "from functools import partial\n"
         "def timed(k):\n"
@@ -185,7 +185,7 @@ def test_the_dearest_jobs_begin_first_and_results_keep_their_order(tmp_path: Pat
     assert output_of(text, tmp_path) == "[0, 1, 2, 3, 4, 5] {1, 3} {4, 5}\n"
 
 
-def test_a_worker_that_has_grown_stays_as_it_is_ready(tmp_path: Path) -> None:
+def test_a_worker_within_the_memory_limit_is_kept(tmp_path: Path) -> None:
     """Imports alone may take 600 MB, and a new worker needs seconds for them."""
     text = JOBS + (
         "def grown(k):\n"
@@ -200,7 +200,7 @@ def test_a_worker_that_has_grown_stays_as_it_is_ready(tmp_path: Path) -> None:
     assert output_of(text, tmp_path) == "2 {100000}\n"
 
 
-def test_a_worker_that_has_grown_too_much_starts_afresh(tmp_path: Path) -> None:
+def test_a_worker_beyond_the_memory_limit_is_replaced(tmp_path: Path) -> None:
     text = JOBS + (
         "def grow():\n"
         "    import builtins\n"
@@ -218,7 +218,7 @@ def test_a_worker_that_has_grown_too_much_starts_afresh(tmp_path: Path) -> None:
 
 
 def test_a_job_may_print_and_read(tmp_path: Path) -> None:
-    """Neither disturbs the pipes on which workers get their jobs."""
+    """Neither disturbs the pipes that carry the jobs."""
     text = JOBS + (
         "def talk():\n"
         "    os.write(1, b'by a library\\n')\n"
@@ -231,7 +231,7 @@ def test_a_job_may_print_and_read(tmp_path: Path) -> None:
     assert (out, err) == (f"{[('', 3)] * 3}\n", "by a library\n" * 3)
 
 
-def test_an_error_of_a_job_keeps_its_place(tmp_path: Path) -> None:
+def test_an_error_of_a_job_keeps_its_position(tmp_path: Path) -> None:
     text = JOBS + (
         "class Odd(Exception):\n"
         "    def __reduce__(self): raise TypeError\n"
@@ -253,7 +253,7 @@ def test_a_killed_worker_is_one_sentence(tmp_path: Path) -> None:
     answer = tmp_path / "answer.json"
     command = ("test", "uf850-table1", TABLE_1, "--kind", "properties", "-o", answer)
     with started(*command, folder=tmp_path) as process:
-        # Some compile, some already run FMUs; either has files and may have processes.
+        # Some compile and some already run FMUs; both have files and possibly processes.
         wait_for(lambda: list((tmp_path / "tmp").glob("hesr-*/hesr-*")), process)
         os.kill(workers(process.pid)[0], signal.SIGKILL)
         out, err = process.communicate(timeout=60)
@@ -264,7 +264,7 @@ def test_a_killed_worker_is_one_sentence(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("crash", ["os.abort()", "os._exit(0)"])
-def test_a_worker_that_crashes_says_nothing_itself(crash: str, tmp_path: Path) -> None:
+def test_a_crashed_worker_prints_nothing(crash: str, tmp_path: Path) -> None:
     text = JOBS + (
         f"def crash(): {crash}\n"
         "try:\n"
@@ -283,10 +283,10 @@ def test_a_worker_that_crashes_says_nothing_itself(crash: str, tmp_path: Path) -
     ("number", "seconds"),
     [(signal.SIGINT, 0.0), (signal.SIGINT, 0.5), (signal.SIGINT, 1.0), (signal.SIGTERM, 0.5)],
 )
-def test_signals_to_the_group_are_answered_once(
+def test_signals_to_the_group_are_handled_once(
     number: signal.Signals, seconds: float, tmp_path: Path
 ) -> None:
-    """Also while workers start, which then know nothing of it yet."""
+    """Also during the start of workers, before they handle signals."""
     with started(
         "test", "uf850-table1", TABLE_1, "--kind", "properties", folder=tmp_path
     ) as process:
@@ -300,8 +300,8 @@ def test_signals_to_the_group_are_answered_once(
     assert_nothing_left(process.pid, tmp_path)
 
 
-def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
-    """They sleep for minutes, and nobody tells them."""
+def test_workers_end_with_a_killed_parent(tmp_path: Path) -> None:
+    """They sleep for minutes and get no signal."""
     with started(folder=tmp_path, program=script(tmp_path, JOBS + SLEEPERS)) as process:
         wait_for(lambda: len(workers(process.pid)) == 2, process)
         time.sleep(1.0)
@@ -310,7 +310,7 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     assert_nothing_left(process.pid, tmp_path)
 
 
-def test_where_a_job_fails_the_others_are_stopped_and_its_error_is_raised(tmp_path: Path) -> None:
+def test_a_failing_job_stops_the_others_and_its_error_is_raised(tmp_path: Path) -> None:
     text = JOBS + (
         "def fail(): raise ZeroDivisionError('of a job')\n"
         "def sleep(): time.sleep(600)\n"

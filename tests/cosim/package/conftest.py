@@ -1,4 +1,4 @@
-"""An open and a closed system, and what is packaged of them."""
+"""An open and a closed system and their packages."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +23,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.fixture
 def lags(tmp_path: Path, lag_fmu: Path) -> Write:
-    """Write a system of two lags, the second half as fast, with things in it replaced."""
+    """Write a system of two lags, the second half as fast, with some text replaced."""
 
     def file(*changes: tuple[str, str]) -> Path:
         text = LAGS
@@ -39,14 +39,14 @@ def lags(tmp_path: Path, lag_fmu: Path) -> Write:
 
 @pytest.fixture(scope="session")
 def closed(bench: Bench) -> SystemContents:
-    """The whole loop with models fed forward through the servo's inverse."""
+    """The whole loop with model feed-forward through the inverse of the servo."""
     spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
     return read_contents(spec.model_copy(update={"name": "closed"}), Path("closed.toml"))
 
 
 @pytest.fixture(scope="session")
 def opened(bench: Bench) -> SystemContents:
-    """A motion that feeds friction."""
+    """A motion that drives friction."""
     spec = SystemSpec(
         name="open",
         step=0.005,

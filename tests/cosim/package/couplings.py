@@ -1,4 +1,4 @@
-"""How engines couple FMUs, each in a few lines, as the reference that they are compared with."""
+"""Reference couplings of FMUs as engines perform them, each in a few lines."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -22,7 +22,7 @@ class Slaves:
     slaves: dict[str, FmuInstance]
 
     def start(self, between: Callable[[], None] = lambda: None) -> None:
-        """Initialise all; `between` is called in the middle of it."""
+        """Initialise all FMUs; call `between` inside initialisation mode."""
         for name, slave in self.slaves.items():
             slave.enter_initialisation(start=self.contents.wiring.start[name])
         between()
@@ -30,7 +30,7 @@ class Slaves:
             slave.exit_initialisation()
 
     def step(self, k: int) -> None:
-        """Step all of them."""
+        """Step all FMUs."""
         step = self.contents.spec.step
         for slave in self.slaves.values():
             slave.step(k * step, step)
@@ -53,10 +53,10 @@ def loaded(contents: SystemContents) -> Iterator[Slaves]:
 
 
 def refreshed(contents: SystemContents, observed: list[Element], steps: int) -> Array:
-    """Step all, then pass values on in the order in which they become known: FMPy's container.
+    """Step all, then pass values on in dependency order: FMPy's container.
 
-    What a step gives is read only after all that is passed on before, so an output with direct
-    feedthrough is that of the newest inputs. Returns the observed values at each instant.
+    Outputs of a step are read after all earlier values are passed on, so an output with direct
+    feedthrough uses the newest inputs. Returns the observed values at each instant.
     """
     sources = contents.wiring.sources
     with loaded(contents) as slaves:
@@ -76,9 +76,9 @@ def refreshed(contents: SystemContents, observed: list[Element], steps: int) -> 
 
 
 def delayed(contents: SystemContents, observed: list[Element], steps: int) -> Array:
-    """Inputs are the outputs of the step before, zero in the first step: FMPy's SSP runner.
+    """Use the outputs of the previous step as inputs, zero in the first: FMPy's SSP runner.
 
-    Nothing is passed on in the initialisation. Returns the observed values after each step.
+    Nothing is passed on during initialisation. Returns the observed values after each step.
     """
     sources = contents.wiring.sources
     with loaded(contents) as slaves:
@@ -95,5 +95,5 @@ def delayed(contents: SystemContents, observed: list[Element], steps: int) -> Ar
 
 
 def error(found: Array, expected: Array) -> float:
-    """Largest difference of a signal, relative to the largest that it is."""
+    """Largest difference of a signal relative to its largest value."""
     return float((np.abs(found - expected).max(axis=0) / np.abs(expected).max(axis=0)).max())

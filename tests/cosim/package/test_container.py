@@ -1,4 +1,4 @@
-"""Systems inside one FMU: the numbers of the runtime's coupling, parameters, inputs, refusals."""
+"""Systems inside one FMU: results of the runtime's coupling, parameters, inputs, refusals."""
 
 import re
 import zipfile
@@ -52,7 +52,7 @@ def run(
     return np.array(rows)
 
 
-def test_ten_seconds_are_those_of_its_coupling(
+def test_ten_seconds_match_the_reference_coupling(
     either: SystemContents, containers: dict[str, Path]
 ) -> None:
     expected = refreshed(either, either.wiring.observed, STEPS)
@@ -62,15 +62,15 @@ def test_ten_seconds_are_those_of_its_coupling(
     assert np.abs(np.diff(found, axis=0)).max() > 1e-3
 
 
-def test_the_arm_follows_its_motion(closed: SystemContents, containers: dict[str, Path]) -> None:
-    """The coupling loses nothing that matters: 7 mrad, as when the FMUs are stepped in order."""
+def test_the_arm_tracks_its_motion(closed: SystemContents, containers: dict[str, Path]) -> None:
+    """The coupling costs no accuracy: 7 mrad, as with FMUs stepped in order."""
     with FmuInstance(containers["closed"]) as fmu:
         rows = run(fmu, closed)
     error = rows[:, :3] - rows[:, 3:6]
     assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.008
 
 
-def test_one_long_step_is_many_short_ones(
+def test_one_long_step_equals_many_short_ones(
     closed: SystemContents, containers: dict[str, Path]
 ) -> None:
     with FmuInstance(containers["closed"]) as fmu:
@@ -81,7 +81,7 @@ def test_one_long_step_is_many_short_ones(
         np.testing.assert_array_equal(fmu.get(names(closed)), expected)
 
 
-def test_a_reset_and_a_second_instance_begin_anew(
+def test_a_reset_and_a_second_instance_start_afresh(
     opened: SystemContents, containers: dict[str, Path]
 ) -> None:
     with FmuInstance(containers["open"]) as fmu, FmuInstance(containers["open"]) as other:
@@ -113,20 +113,24 @@ def test_start_values_are_kept_and_can_be_changed(
     np.testing.assert_array_equal(found, refreshed(other, other.wiring.observed, 200))
 
 
-def test_what_it_shows(closed: SystemContents, containers: dict[str, Path]) -> None:
+def test_inputs_outputs_and_parameters_are_exposed(
+    closed: SystemContents, containers: dict[str, Path]
+) -> None:
     about = read_model_description(containers["closed"])
     shown = {causality: {v.name for v in about.modelVariables if v.causality == causality}
              for causality in ("input", "output", "parameter", "local")}  # fmt: skip
     assert shown["output"] == set(names(closed))
-    # All that nothing feeds: velocity and acceleration of the gravity torque.
+    # The unconnected inputs: velocity and acceleration of the gravity torque.
     assert shown["input"] == {f"gravity.{n}[{i}]" for n in ("dq", "ddq") for i in (1, 2, 3)}
     assert {"controller.tau_d[1]", "arm.tau_meas[3]", "friction.tau[2]"} <= shown["local"]
     assert about.coSimulation.modelIdentifier == "closed"
     assert about.defaultExperiment.stepSize == "0.005"
 
 
-def test_choices_are_integers_with_their_names(opened: SystemContents, tmp_path: Path) -> None:
-    """Of an FMU with an Enumeration, as those of other tools have them."""
+def test_enumerations_become_integers_with_their_names(
+    opened: SystemContents, tmp_path: Path
+) -> None:
+    """An FMU with an Enumeration, as other tools write it."""
     given = opened.spec.components[0].fmu
     changed = tmp_path / "trajectory.fmu"
     with zipfile.ZipFile(given) as old, zipfile.ZipFile(changed, "w") as new:
@@ -156,10 +160,10 @@ def test_choices_are_integers_with_their_names(opened: SystemContents, tmp_path:
     np.testing.assert_array_equal(found, refreshed(opened, opened.wiring.observed, 100))
 
 
-def test_outputs_say_on_which_inputs_they_depend(
+def test_outputs_declare_their_dependencies(
     opened: SystemContents, closed: SystemContents, containers: dict[str, Path]
 ) -> None:
-    """The command depends on the gravity torque, so on what that depends on; positions do not."""
+    """The command depends on the gravity torque and so on its inputs; positions do not."""
     about = read_model_description(containers["closed"])
     needed = {u.variable.name: {v.name for v in u.dependencies} for u in about.outputs}
     assert needed["arm.q_true[1]"] == needed["trajectory.q[1]"] == set()
@@ -170,7 +174,7 @@ def test_outputs_say_on_which_inputs_they_depend(
     assert "trajectory.offset[2]" in initial["controller.dq_cmd[2]"]
 
 
-def test_the_same_bytes_every_time(
+def test_the_export_is_reproducible(
     opened: SystemContents, containers: dict[str, Path], tmp_path: Path
 ) -> None:
     again = write_container(read_contents(opened.spec, opened.path), tmp_path / "open.fmu")
@@ -178,8 +182,8 @@ def test_the_same_bytes_every_time(
 
 
 @pytest.mark.ci
-def test_checks_find_nothing(containers: dict[str, Path]) -> None:
-    """What FMPy has left in its own runtime is told, and is no problem."""
+def test_checks_find_no_problem(containers: dict[str, Path]) -> None:
+    """Properties of FMPy's runtime are noted, not reported as problems."""
     for path in containers.values():
         own = [n for n in zipfile.ZipFile(path).namelist() if n.startswith("binaries/")]
         assert own
@@ -193,7 +197,7 @@ def test_checks_find_nothing(containers: dict[str, Path]) -> None:
         ]
 
 
-def test_steps_between_multiples_hold_what_the_last_one_gave(
+def test_steps_between_multiples_hold_the_last_values(
     opened: SystemContents, containers: dict[str, Path]
 ) -> None:
     step = opened.spec.step
@@ -221,7 +225,7 @@ def test_fmpy_simulates_it_from_another_folder(
     assert error(found, expected) <= 1e-12
 
 
-def test_a_failure_inside_is_told(lag_fmu: Path, tmp_path: Path) -> None:
+def test_an_inner_failure_is_reported(lag_fmu: Path, tmp_path: Path) -> None:
     spec = SystemSpec.model_validate(
         {
             "name": "one",
@@ -239,7 +243,7 @@ def test_a_failure_inside_is_told(lag_fmu: Path, tmp_path: Path) -> None:
             fmu.step(0.2, 0.1)
 
 
-def test_a_step_of_its_own_is_refused(lags: Write, tmp_path: Path) -> None:
+def test_a_component_step_is_refused(lags: Write, tmp_path: Path) -> None:
     path = lags()
     with pytest.raises(
         ConfigError,
@@ -250,7 +254,9 @@ def test_a_step_of_its_own_is_refused(lags: Write, tmp_path: Path) -> None:
     assert not (tmp_path / "lags.fmu").exists()
 
 
-def test_a_platform_for_all_components_is_needed(opened: SystemContents, tmp_path: Path) -> None:
+def test_a_platform_shared_by_all_components_is_required(
+    opened: SystemContents, tmp_path: Path
+) -> None:
     source, bare = opened.spec.components[0].fmu, tmp_path / "bare.fmu"
     with zipfile.ZipFile(source) as old, zipfile.ZipFile(bare, "w") as new:
         for name in old.namelist():
@@ -267,10 +273,10 @@ def test_a_platform_for_all_components_is_needed(opened: SystemContents, tmp_pat
         write_container(contents, tmp_path / "open.fmu")
 
 
-def test_a_runtime_is_needed(
+def test_a_runtime_is_required(
     opened: SystemContents, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As with an FMPy from before it had one."""
+    """As with FMPy versions that have no runtime."""
     from fmpy import container_fmu
 
     monkeypatch.setattr(container_fmu, "__file__", str(tmp_path / "__init__.py"))

@@ -1,7 +1,7 @@
-"""Random lives of a container under sanitizers: a share of them here, all with `-m soak`.
+"""Random life cycles of a container under sanitizers: some here, all with `-m soak`.
 
-What steps within is FMPy's runtime and our FMUs, as they are built; the latter have lives of their
-own in tests/fmu/test_lives.py.
+The container runs FMPy's runtime and our FMUs as built; tests/fmu/test_lives.py tests the life
+cycles of the latter.
 """
 
 import shutil
@@ -30,7 +30,7 @@ pytestmark = [
 def lives(
     closed: SystemContents, tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[[int], list[int]]:
-    """Go through lives; return the numbers of steps and of resets."""
+    """Run life cycles; return the numbers of steps and of resets."""
     folder = tmp_path_factory.mktemp("container")
     with zipfile.ZipFile(write_container(closed, folder / "Loop.fmu")) as archive:
         archive.extractall(folder)
@@ -61,14 +61,14 @@ def lives(
     return go
 
 
-def test_random_lives(lives: Callable[[int], list[int]]) -> None:
+def test_random_life_cycles_are_clean(lives: Callable[[int], list[int]]) -> None:
     steps, resets = lives(FEW)
     assert steps > 4 * FEW
     assert resets > FEW // 4
 
 
 @pytest.mark.soak
-def test_ten_thousand_random_lives(lives: Callable[[int], list[int]]) -> None:
+def test_ten_thousand_random_life_cycles_are_clean(lives: Callable[[int], list[int]]) -> None:
     steps, resets = lives(ALL)
     assert steps > 8 * ALL
     assert resets > ALL // 4

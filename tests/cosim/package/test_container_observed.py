@@ -1,4 +1,4 @@
-"""What a system observes and its container cannot have as an output: shown as what it is."""
+"""Observed signals that cannot be outputs of a container keep their kind."""
 
 import re
 import zipfile
@@ -19,8 +19,8 @@ from fmu_src.run.fmu import FmuInstance
 Write = Callable[..., Path]
 
 
-def test_whatever_can_be_observed_is_shown(lags: Write, tmp_path: Path) -> None:
-    """A fed input, a free one, a parameter, a state, its derivative: as in our own runs."""
+def test_all_observable_variables_are_exposed(lags: Write, tmp_path: Path) -> None:
+    """A connected input, a free one, a parameter, a state and its derivative match our own runs."""
     observed = ["a.y", "b.u", "a.u", "a.T", "a.x", "a.der(x)"]
     system = lags(('["a.y", "b.y"]', str(observed).replace("'", '"')), ("step = 0.2\n", ""))
     spec = SystemSpec.read(system)
@@ -33,13 +33,13 @@ def test_whatever_can_be_observed_is_shown(lags: Write, tmp_path: Path) -> None:
     kept = {"a.u": "input", "a.T": "parameter"}
     assert causality == dict.fromkeys(observed, "output") | kept
     found = fmpy.simulate_fmu(path, stop_time=1.0, output_interval=0.1, output=observed)
-    # The runtime passes on what a step gives, as Gauss-Seidel does within the step.
+    # The runtime passes on new values within the step, as Gauss-Seidel does.
     expected = System(spec, system).run()
     for name in observed:
         np.testing.assert_allclose(found[name], expected.signals[name], rtol=1e-12)
 
 
-def test_an_observed_parameter_that_is_tunable(opened: SystemContents, tmp_path: Path) -> None:
+def test_an_observed_tunable_parameter_is_exposed(opened: SystemContents, tmp_path: Path) -> None:
     spec = opened.spec.model_copy(
         update={"observe": (*opened.spec.observe, "friction.joint[1].alpha")}
     )
@@ -53,10 +53,8 @@ def test_an_observed_parameter_that_is_tunable(opened: SystemContents, tmp_path:
         assert fmu.get(["friction.joint[1].alpha"])[0] == float(alpha.start)
 
 
-def test_what_a_component_calculates_of_its_parameters_is_local(
-    opened: SystemContents, tmp_path: Path
-) -> None:
-    """It cannot be an output; of an FMU whose parameter is made one that is calculated."""
+def test_calculated_parameters_are_local(opened: SystemContents, tmp_path: Path) -> None:
+    """A calculated parameter cannot be an output; the FMU's parameter is turned into one."""
     given, changed = opened.spec.components[1].fmu, tmp_path / "friction.fmu"
     with zipfile.ZipFile(given) as old, zipfile.ZipFile(changed, "w") as new:
         for name in old.namelist():

@@ -1,4 +1,4 @@
-"""The whole closed loop as one FMU for Windows, run there by a host in plain C, under wine."""
+"""The whole closed loop as one FMU for Windows, run by a plain C host under wine."""
 
 import os
 import shutil
@@ -41,7 +41,7 @@ def rows(folder: Path, library: str, host: Path, *before: str, **environment: st
     return found
 
 
-def test_the_closed_loop_is_that_of_linux(wine: Wine, tmp_path: Path) -> None:
+def test_the_closed_loop_matches_linux(wine: Wine, tmp_path: Path) -> None:
     platforms = ("linux64", "win64")
     try:
         bench = build(tmp_path, FrictionModel.read(model_file("uf850-table1")), platforms)
@@ -64,6 +64,6 @@ def test_the_closed_loop_is_that_of_linux(wine: Wine, tmp_path: Path) -> None:
     found = rows(
         folder, f"win64/{name}.dll", host, wine.program, **wine.environment,
     )  # fmt: skip
-    assert np.ptp(expected, axis=0).max() > 0.1  # it has moved
+    assert np.ptp(expected, axis=0).max() > 0.1  # the arm has moved
     worst = np.abs(found - expected).max(axis=0) / np.ptp(expected, axis=0)
     assert np.all(worst <= 1e-9), worst

@@ -1,4 +1,4 @@
-"""SSPs as other tools write them: units of their own, URIs, names that ours could not have."""
+"""SSPs of other tools: their units, URIs, and names that ours cannot have."""
 
 import zipfile
 from collections.abc import Callable, Mapping
@@ -40,7 +40,7 @@ def si(**given: float) -> tuple[float, ...]:
 
 @pytest.fixture
 def edited(lags: Write, tmp_path: Path) -> Edit:
-    """Write the two lags as an SSP with texts of its members replaced, and members renamed."""
+    """Write the two lags as an SSP with texts of its members replaced and members renamed."""
     system = lags()
     whole = write_ssp(read_contents(SystemSpec.read(system), system), tmp_path / "whole.ssp")
 
@@ -59,7 +59,7 @@ def edited(lags: Write, tmp_path: Path) -> Edit:
 
 
 def test_start_values_in_other_units_are_converted(edited: Edit) -> None:
-    """In a file of their own, and within the description of the system."""
+    """In a separate file and within the system description."""
     inline = f"""<ssd:ParameterBindings><ssd:ParameterBinding prefix="b."><ssd:ParameterValues>
 <ssv:ParameterSet version="1.0" name="inside"><ssv:Parameters>
 <ssv:Parameter name="T"><ssv:Real {MS[0][1]}/></ssv:Parameter></ssv:Parameters>
@@ -97,7 +97,7 @@ FAHRENHEIT = ValueWithUnit(
         (None, None, ValueWithUnit(value=3.0, unit="anything", base=None), 3.0),
     ],
 )  # fmt: skip
-def test_a_number_in_the_unit_of_its_variable(
+def test_a_number_is_in_the_unit_of_its_variable(
     unit: str | None, relative: bool | None, given: ValueWithUnit, value: float
 ) -> None:
     about = description(
@@ -107,7 +107,7 @@ def test_a_number_in_the_unit_of_its_variable(
     assert found == pytest.approx(value, rel=1e-12)
 
 
-def test_a_unit_that_an_fmu_does_not_define() -> None:
+def test_a_unit_unknown_to_the_fmu_is_refused() -> None:
     about = description(variable("x", "parameter", unit="turn"), units=UNITS)
     with pytest.raises(
         ConfigError,
@@ -146,7 +146,7 @@ REFUSED: list[tuple[Changes, str]] = [
 
 
 @pytest.mark.parametrize(("changes", "sentence"), REFUSED)
-def test_what_is_refused(
+def test_unsupported_features_are_refused(
     changes: Changes, sentence: str, edited: Edit, tmp_path: Path, hesr: Hesr
 ) -> None:
     path = edited(changes)
@@ -161,14 +161,14 @@ def test_what_is_refused(
 
 @pytest.mark.parametrize("source", ["resources/My Fric.fmu", "resources/My%20Fric.fmu"])
 def test_a_source_is_a_uri(source: str, edited: Edit) -> None:
-    """Of tools that write it as a name, too, where that is what it is called."""
+    """Some tools write the plain file name even where it needs escaping."""
     changes = {SSD: [('source="resources/a.fmu"', 'source="resources/My%20Fric.fmu"')]}
     with opened_system(edited(changes, {"resources/a.fmu": source})) as spec:
         assert spec.components[0].fmu.is_file()
 
 
-def test_names_that_ours_could_not_have(edited: Edit, lags: Write) -> None:
-    """The same run, under names that a system allows; start values of the system follow them."""
+def test_foreign_names_are_converted(edited: Edit, lags: Write) -> None:
+    """The same run under valid names; start values of the system follow them."""
     inline = """<ssd:ParameterBindings><ssd:ParameterBinding><ssd:ParameterValues>
 <ssv:ParameterSet version="1.0" name="inside"><ssv:Parameters>
 <ssv:Parameter name="my-fric 1.T"><ssv:Real value="0.5"/></ssv:Parameter>
@@ -190,7 +190,7 @@ def test_names_that_ours_could_not_have(edited: Edit, lags: Write) -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_names_stay_apart() -> None:
+def test_converted_names_stay_distinct() -> None:
     names = ["my_fric", "my-fric", "my fric", "größe", "µ", "2nd", "a.b", "", "my_fric_2", "x²"]
     assert safe_names([*names, "µ"]) == {
         "my_fric": "my_fric",

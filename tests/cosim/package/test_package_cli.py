@@ -1,4 +1,4 @@
-"""hesr export of systems: each misuse has its sentence, through the real command line."""
+"""hesr export of systems: a message for each misuse, through the real command line."""
 
 import zipfile
 from collections.abc import Callable
@@ -18,7 +18,7 @@ Edit = Callable[..., Path]
 
 @pytest.fixture
 def edited(opened: SystemContents, tmp_path: Path) -> Edit:
-    """Write the open system as an SSP with texts in a member replaced, or without a member."""
+    """Write the open system as an SSP with texts in a member replaced, or without it."""
 
     def file(*changes: tuple[str, str], member: str = SSD, without: str = "") -> Path:
         whole, path = write_ssp(opened, tmp_path / "whole.ssp"), tmp_path / "open.ssp"
@@ -72,7 +72,7 @@ def test_an_ssp_and_a_container_are_written(
         ),
     ],
 )
-def test_what_cannot_be_asked_for(
+def test_unsupported_options_are_refused(
     arguments: list[str],
     sentence: str,
     opened: SystemContents,
@@ -105,7 +105,7 @@ TOML = [
 
 @pytest.mark.parametrize(("old", "new", "sentence"), TOML)
 @pytest.mark.parametrize("kind", ["ssp", "fmu"])
-def test_a_system_that_does_not_fit(
+def test_an_inconsistent_system_is_refused(
     old: str,
     new: str,
     sentence: str,
@@ -132,8 +132,8 @@ def test_a_system_that_does_not_fit(
     assert contents(tmp_path) == before
 
 
-def test_a_cyclic_connection(closed: SystemContents, tmp_path: Path, hesr: Hesr) -> None:
-    """The controller's command, fed back to the desired velocity on which it depends directly."""
+def test_a_cyclic_connection_is_refused(closed: SystemContents, tmp_path: Path, hesr: Hesr) -> None:
+    """The controller's command, connected to the desired velocity with direct feedthrough to it."""
     spec = closed.spec
     connections = dict(spec.connections) | {"controller.dq_d": "controller.dq_cmd"}
     path = write_system(
@@ -148,13 +148,13 @@ def test_a_cyclic_connection(closed: SystemContents, tmp_path: Path, hesr: Hesr)
     assert "controller.dq_cmd[1] -> controller.dq_d[1]" in answer.err
 
 
-def test_a_missing_system(tmp_path: Path, hesr: Hesr) -> None:
+def test_a_missing_system_is_reported(tmp_path: Path, hesr: Hesr) -> None:
     for name in ("gone.toml", "gone.ssp"):
         answer = hesr("export", tmp_path / name, "-o", tmp_path / "x.ssp")
         assert (answer.code, answer.err) == (2, f"hesr: {tmp_path / name}: no such file.\n")
 
 
-def test_an_ssp_without_one_of_its_fmus(edited: Edit, tmp_path: Path, hesr: Hesr) -> None:
+def test_a_missing_fmu_of_an_ssp_is_reported(edited: Edit, tmp_path: Path, hesr: Hesr) -> None:
     path = edited(without="resources/friction.fmu")
     answer = hesr("export", path, "-o", tmp_path / "x.ssp")
     assert (answer.code, answer.err) == (
@@ -163,7 +163,7 @@ def test_an_ssp_without_one_of_its_fmus(edited: Edit, tmp_path: Path, hesr: Hesr
     )
 
 
-def test_an_ssp_that_is_none(tmp_path: Path, hesr: Hesr) -> None:
+def test_an_invalid_ssp_is_refused(tmp_path: Path, hesr: Hesr) -> None:
     path = tmp_path / "text.ssp"
     path.write_text("no archive", encoding="utf-8")
     answer = hesr("simulate", path, "-o", tmp_path / "x.csv")
@@ -209,7 +209,7 @@ SSP: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("change", "sentence"), SSP)
-def test_an_ssp_that_cannot_be_read(
+def test_an_unreadable_ssp_is_refused(
     change: dict[str, Any], sentence: str, edited: Edit, tmp_path: Path, hesr: Hesr
 ) -> None:
     others = {key: value for key, value in change.items() if key != "changes"}
@@ -226,8 +226,10 @@ def test_an_ssp_that_cannot_be_read(
     assert not (tmp_path / "x.ssp").exists()
 
 
-def test_more_of_the_standard_is_read(edited: Edit, tmp_path: Path, hesr: Hesr) -> None:
-    """Values at the system, values inside the description, and a step of OMSimulator's alone."""
+def test_further_features_of_the_standard_are_read(
+    edited: Edit, tmp_path: Path, hesr: Hesr
+) -> None:
+    """Values at the system, values inside the description, and a step only for OMSimulator."""
     inline = """<ssd:ParameterBindings>
 <ssd:ParameterBinding prefix="friction."><ssd:ParameterValues>
 <ssv:ParameterSet version="1.0" name="inside"><ssv:Parameters>

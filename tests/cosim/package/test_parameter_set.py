@@ -1,4 +1,4 @@
-"""Coefficients and their covariance as a parameter set of SSP, by the schema of the standard."""
+"""Coefficients and their covariance as an SSP parameter set, by the schema of the standard."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +22,7 @@ SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
 
 @pytest.fixture
 def model() -> FrictionModel:
-    """The paper's, its first two coefficients of joint 2 being uncertain."""
+    """The paper's values, with the first two coefficients of joint 2 uncertain."""
     plain = FrictionModel.read(model_file("uf850-table1"))
     names = tuple(plain.laws[1].values)[:2]
     known = Covariance(
@@ -33,7 +33,7 @@ def model() -> FrictionModel:
     return replace(plain, laws=(first, replace(second, covariance=known), *more))
 
 
-def test_values_and_covariance(model: FrictionModel, tmp_path: Path) -> None:
+def test_values_and_covariance_are_written(model: FrictionModel, tmp_path: Path) -> None:
     path = export(model, tmp_path / "law.ssv", format="ssv")
     etree.XMLSchema(etree.parse(SCHEMA)).assertValid(etree.parse(path))
     root = ET.parse(path).getroot()
@@ -51,6 +51,6 @@ def test_values_and_covariance(model: FrictionModel, tmp_path: Path) -> None:
     assert rows == own.matrix.tolist()
 
 
-def test_it_is_a_file_in_ssv(model: FrictionModel, tmp_path: Path) -> None:
+def test_the_suffix_is_ssv(model: FrictionModel, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match=r"a parameter set of SSP must end in \.ssv"):
         export_ssv(model, tmp_path / "law.xml")

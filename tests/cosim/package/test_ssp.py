@@ -1,4 +1,4 @@
-"""Systems as SSP: valid, complete, run by FMPy with the numbers of FMPy's own coupling."""
+"""Systems as SSP: valid, complete, and run by FMPy with the results of FMPy's own coupling."""
 
 import zipfile
 from collections.abc import Callable
@@ -47,7 +47,7 @@ def parsed(path: Path, name: str = "SystemStructure.ssd") -> etree._Element:
 
 
 def start_values(path: Path) -> ParameterSet:
-    """FMPy reads the parameter sets, but its runner wants them as one, by full names."""
+    """FMPy reads the parameter sets, but its runner needs a single one with full names."""
     parameters = [
         Parameter(name=f"{component.name}.{parameter.name}", value=parameter.value)
         for component in read_ssd(path).system.elements
@@ -59,7 +59,7 @@ def start_values(path: Path) -> ParameterSet:
 
 
 @pytest.mark.parametrize("version", SCHEMAS)
-def test_its_files_are_valid(version: Version, either: SystemContents, tmp_path: Path) -> None:
+def test_the_files_are_valid(version: Version, either: SystemContents, tmp_path: Path) -> None:
     path = write_ssp(either, tmp_path / "system.ssp", version=version)
     schemas = {
         ".ssd": etree.XMLSchema(file=SCHEMAS[version] / "SystemStructureDescription.xsd"),
@@ -72,7 +72,7 @@ def test_its_files_are_valid(version: Version, either: SystemContents, tmp_path:
         schemas[Path(name).suffix].assertValid(parsed(path, name))
 
 
-def test_what_is_in_it(closed: SystemContents, tmp_path: Path) -> None:
+def test_the_archive_is_complete(closed: SystemContents, tmp_path: Path) -> None:
     path = write_ssp(closed, tmp_path / "closed.ssp")
     names = ["arm", "trajectory", "body", "friction", "gravity", "controller"]
     fmus = {f"resources/{name}.fmu" for name in names}
@@ -100,7 +100,7 @@ def test_what_is_in_it(closed: SystemContents, tmp_path: Path) -> None:
 
 
 def test_every_connector_is_connected_or_observed(either: SystemContents, tmp_path: Path) -> None:
-    """FMPy's runner takes a connection that is another's for an input that has none."""
+    """FMPy's runner treats the connection of another input as an unconnected one."""
     root = parsed(write_ssp(either, tmp_path / "system.ssp"))
     connectors = {
         (component.get("name"), connector.get("name")): connector.get("kind")
@@ -127,12 +127,12 @@ def test_units_are_those_of_the_fmus(closed: SystemContents, tmp_path: Path) -> 
     assert defined["N.m.s/rad"] == {"kg": "1", "m": "2", "s": "-1", "rad": "-1"}
 
 
-def test_a_choice_is_an_integer(closed: SystemContents, tmp_path: Path) -> None:
+def test_an_enumeration_becomes_an_integer(closed: SystemContents, tmp_path: Path) -> None:
     root = parsed(write_ssp(closed, tmp_path / "closed.ssp"), "resources/controller.ssv")
     assert root.find(".//*[@name='compensation']/ssv:Integer", NAMES).get("value") == "3"
 
 
-def test_a_step_of_its_own_is_a_hint(lags: Write, tmp_path: Path) -> None:
+def test_a_component_step_is_a_hint(lags: Write, tmp_path: Path) -> None:
     path = lags()
     contents = read_contents(SystemSpec.read(path), path)
     root = parsed(write_ssp(contents, tmp_path / "lags.ssp"))
@@ -144,7 +144,7 @@ def test_a_step_of_its_own_is_a_hint(lags: Write, tmp_path: Path) -> None:
     assert hints == {"b": "0.2"}
 
 
-def test_the_same_bytes_every_time(closed: SystemContents, tmp_path: Path) -> None:
+def test_the_export_is_reproducible(closed: SystemContents, tmp_path: Path) -> None:
     again = read_contents(closed.spec, closed.path)
     one, other = (
         write_ssp(contents, tmp_path / f"{i}.ssp") for i, contents in enumerate((closed, again))
@@ -156,8 +156,8 @@ def test_the_same_bytes_every_time(closed: SystemContents, tmp_path: Path) -> No
     assert parsed(one).get("generationDateAndTime") == newest
 
 
-def test_fmpy_runs_it(either: SystemContents, tmp_path: Path) -> None:
-    """FMPy adds up its steps, so its times are off by rounding; a motion carries that on."""
+def test_fmpy_runs_the_system(either: SystemContents, tmp_path: Path) -> None:
+    """FMPy accumulates its steps, so round-off of its times affects a motion."""
     path = write_ssp(either, tmp_path / "system.ssp")
     step = either.spec.step
     got = simulate_ssp(
@@ -181,7 +181,7 @@ def test_an_ssp_is_read_back(either: SystemContents, tmp_path: Path) -> None:
 
 
 def test_an_ssp_is_simulated(lags: Write, tmp_path: Path, hesr: Hesr) -> None:
-    """Moved to a folder of its own, with nothing of the system beside it."""
+    """Run from another folder, without any file of the system next to it."""
     path = lags()
     ssp = tmp_path / "elsewhere" / "lags.ssp"
     answer = hesr("export", path, "-o", ssp)
@@ -194,7 +194,7 @@ def test_an_ssp_is_simulated(lags: Write, tmp_path: Path, hesr: Hesr) -> None:
     assert results[0].read_bytes() == results[1].read_bytes()
 
 
-def test_what_an_ssp_leaves_out_is_told(lags: Write, tmp_path: Path, hesr: Hesr) -> None:
+def test_omissions_of_an_ssp_are_reported(lags: Write, tmp_path: Path, hesr: Hesr) -> None:
     path = lags(
         ('"b.y"]', '"b.y", "b.u", "a.u", "a.T", "a.x"]\nlimits = { "a.y" = [-9.0, 9.0] }'),
         ("step = 0.2\n", ""),

@@ -1,4 +1,4 @@
-"""Systems written as TOML: what is read again is what was written, wherever the folder goes."""
+"""Systems written as TOML: reading restores them, also after moving the folder."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def test_a_system_is_read_back(either: SystemContents, tmp_path: Path) -> None:
     assert SystemSpec.read(path) == either.spec
 
 
-def test_everything_that_a_system_can_say(tmp_path: Path) -> None:
+def test_all_settings_of_a_system_are_written(tmp_path: Path) -> None:
     spec = SystemSpec(
         name='with "quotes", ä and \\',
         step=0.001,
@@ -56,7 +56,7 @@ def test_the_folder_can_be_moved(opened: SystemContents, tmp_path: Path) -> None
         master.run().require_success()
 
 
-def test_a_file_that_cannot_be_written(opened: SystemContents, tmp_path: Path) -> None:
+def test_an_unwritable_file_is_reported(opened: SystemContents, tmp_path: Path) -> None:
     path = tmp_path / "folder"
     path.mkdir()
     with pytest.raises(ArtifactError, match=r"folder: cannot be written there \(Is a directory\)"):

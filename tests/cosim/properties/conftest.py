@@ -1,4 +1,4 @@
-"""What the battery finds on laws of known behaviour; measured once."""
+"""Physics checks of laws of known behaviour, run once."""
 
 from pathlib import Path
 
@@ -13,19 +13,19 @@ from hesr_model.friction.model import FrictionModel
 
 
 def put_to_test(name: str, *laws: FrictionLaw) -> Properties:
-    """Run the battery in this process."""
+    """Run the checks in this process."""
     return measure(Subject(name=name, model=model(*laws), inertia=(INERTIA,)))
 
 
 @pytest.fixture(scope="session")
 def bristles() -> Properties:
-    """LuGre of one level, without viscous friction; LuGre whose level falls with speed."""
+    """LuGre with constant level, no viscous friction; LuGre with a level that falls with speed."""
     return put_to_test("lugre", bristle(), bristle(static=12.0, sigma_1=50.0, sigma_2=1.0))
 
 
 @pytest.fixture(scope="session")
 def maps() -> Properties:
-    """A torque that jumps with the sign of the velocity; one that is viscous and nothing else."""
+    """A torque that jumps with the sign of velocity; a purely viscous one."""
     jumps = law("stribeck", F_c=8.0, F_s=12.0, v_s=0.05, sigma_2=1.0)
     return put_to_test("stribeck", jumps, law("stribeck", v_s=0.1, sigma_2=100.0))
 
@@ -38,5 +38,5 @@ def table_1() -> Properties:
 
 @pytest.fixture(scope="session")
 def slip_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A friction FMU that carries no law."""
+    """A friction FMU without a law."""
     return slip(tmp_path_factory.mktemp("slip"))

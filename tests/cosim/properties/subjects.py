@@ -1,4 +1,4 @@
-"""Laws of known behaviour, and a friction FMU that carries no law, to put to the test."""
+"""Laws of known behaviour, and a friction FMU without a law, as test subjects."""
 
 from pathlib import Path
 
@@ -14,11 +14,11 @@ SLIP = Path(__file__).with_name("slip.c")
 SPEED = 1.0
 """Trained speed of all laws here [rad/s]."""
 INERTIA = 0.7
-"""Of every joint [kg.m2]."""
+"""Inertia of every joint [kg.m2]."""
 
 
 def law(name: str, **values: float) -> FrictionLaw:
-    """A law of the registry; coefficients that are not given are zero."""
+    """A law of the registry; missing coefficients are zero."""
     form = estimator(name).form({})
     return FrictionLaw(
         name=name,
@@ -28,7 +28,7 @@ def law(name: str, **values: float) -> FrictionLaw:
 
 
 def model(*laws: FrictionLaw, robot: str = "bench", sample_time: float = 0.005) -> FrictionModel:
-    """One joint for each law."""
+    """One joint per law."""
     trained = TrainedRange(
         sample_time=sample_time,
         dq=(-SPEED, SPEED),
@@ -47,7 +47,7 @@ def model(*laws: FrictionLaw, robot: str = "bench", sample_time: float = 0.005) 
 
 
 def bristle(*, static: float = 8.0, sigma_1: float = 0.0, sigma_2: float = 0.0) -> FrictionLaw:
-    """LuGre of 8 N.m and 1 mrad."""
+    """LuGre with 8 N.m and 1 mrad."""
     return law(
         "lugre",
         F_c=8.0,
@@ -60,7 +60,7 @@ def bristle(*, static: float = 8.0, sigma_1: float = 0.0, sigma_2: float = 0.0) 
 
 
 def slip(folder: Path, *, output: str = "tau[1]") -> Path:
-    """A friction FMU as from another tool: spring-sliders; it carries no law."""
+    """A friction FMU of another tool: spring-sliders, without a law."""
     table = Interface(
         variables=(
             Variable(name="dq[1]", role="input", description="velocity", unit="rad/s"),

@@ -1,4 +1,4 @@
-"""The property battery on laws whose answers are known, some of them in closed form."""
+"""Physics checks on laws with known results, some in closed form."""
 
 import re
 from dataclasses import replace
@@ -38,11 +38,11 @@ def value(found: Properties, key: str, joint: int = 1, figure: int = 0) -> float
     return number
 
 
-# --- moved --------------------------------------------------------------------------------------
+# --- prescribed motion --------------------------------------------------------------------------
 
 
-def test_a_bristles_loop_is_that_of_its_closed_form(bristles: Properties) -> None:
-    """z = z_s - (z_s + z_r) exp(-x / z_s) from a reversal at -z_r = -z_s tanh(A / z_s) on."""
+def test_the_loop_of_a_bristle_matches_its_closed_form(bristles: Properties) -> None:
+    """z = z_s - (z_s + z_r) exp(-x / z_s) after a reversal at -z_r = -z_s tanh(A / z_s)."""
     amplitude = bristles.joints[0].deflection
     assert amplitude == pytest.approx(np.log(2.0) * SLIDES, rel=0.15)  # on a grid of deflections
     turned = SLIDES * tanh(amplitude / SLIDES)
@@ -55,7 +55,7 @@ def test_a_bristles_loop_is_that_of_its_closed_form(bristles: Properties) -> Non
     assert value(bristles, "presliding", figure=2) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_one_bristle_misses_the_point_where_it_turned_by_its_closed_form(
+def test_the_reversal_error_of_a_bristle_matches_its_closed_form(
     bristles: Properties,
 ) -> None:
     amplitude = bristles.joints[0].deflection
@@ -69,7 +69,7 @@ def test_one_bristle_misses_the_point_where_it_turned_by_its_closed_form(
     assert value(bristles, "memory") == pytest.approx(abs(back - at_turn) / (2 * turned), rel=0.01)
 
 
-def test_spring_sliders_remember_where_they_turned(slip_fmu: Path) -> None:
+def test_spring_sliders_remember_their_reversal(slip_fmu: Path) -> None:
     found = measure(Subject(name="slip", model=None, fmu=slip_fmu, inertia=(1.0,)))
     assert finding(found, "presliding").verdict == "pass"
     assert finding(found, "memory").verdict == "pass"
@@ -77,7 +77,7 @@ def test_spring_sliders_remember_where_they_turned(slip_fmu: Path) -> None:
     assert value(found, "memory", figure=2) < 0.5
 
 
-def test_a_map_of_velocity_has_no_loop_no_memory_and_no_lag(maps: Properties) -> None:
+def test_a_static_map_has_no_loop_memory_or_lag(maps: Properties) -> None:
     for joint in (1, 2):
         assert finding(maps, "presliding", joint).verdict == "fail"
         assert finding(maps, "presliding", joint).reason.startswith(
@@ -92,7 +92,7 @@ def test_a_map_of_velocity_has_no_loop_no_memory_and_no_lag(maps: Properties) ->
         assert value(maps, "lag", joint) == 0.0
 
 
-def test_a_bristle_lags_where_its_level_falls_and_not_where_it_is_constant(
+def test_a_bristle_lags_only_on_a_falling_level(
     bristles: Properties,
 ) -> None:
     assert value(bristles, "lag", 1) == 0.0
@@ -100,7 +100,7 @@ def test_a_bristle_lags_where_its_level_falls_and_not_where_it_is_constant(
     assert value(bristles, "lag", 2) > 10.0 * value(bristles, "lag", 2, figure=1) > 0.0
 
 
-def test_what_the_audit_says_of_the_law_the_battery_says_of_its_fmu(table_1: Properties) -> None:
+def test_checks_of_the_fmu_agree_with_the_audit_of_its_law(table_1: Properties) -> None:
     laws = FrictionModel.read(model_file("uf850-table1"))
     seen = TrainedRange(
         sample_time=laws.sample_time, dq=(-1.2, 1.2), q=(0.0, 0.0), tau_load=(0.0, 0.0),
@@ -116,8 +116,8 @@ def test_what_the_audit_says_of_the_law_the_battery_says_of_its_fmu(table_1: Pro
         )
 
 
-def test_a_law_is_run_at_the_loads_it_was_trained_at() -> None:
-    """Friction that falls with the load gives energy at the largest one only."""
+def test_a_law_is_run_at_its_training_loads() -> None:
+    """Friction that falls with the load supplies energy only at the largest one."""
     falls = law("lugre_load", F_c=8.0, F_s=8.0, sigma_0=8000.0, v_s=0.1, mu=-0.1)
     found = measure(Subject(name="load", model=model(falls), inertia=None))
     assert finding(found, "work").verdict == "fail"
@@ -126,7 +126,7 @@ def test_a_law_is_run_at_the_loads_it_was_trained_at() -> None:
     assert finding(found, "work").verdict == "pass"
 
 
-def test_the_load_that_is_given_counts_for_laws_that_use_it() -> None:
+def test_the_given_load_applies_to_load_dependent_laws() -> None:
     rises = law("lugre_load", F_c=8.0, F_s=8.0, sigma_0=8000.0, v_s=0.1, mu=0.1)
     levels = [
         measure(Subject(name="load", model=model(rises)), load=load).joints[0].level
@@ -138,15 +138,15 @@ def test_the_load_that_is_given_counts_for_laws_that_use_it() -> None:
 # --- coupled ------------------------------------------------------------------------------------
 
 
-def test_the_step_of_viscous_friction_lies_where_it_must(maps: Properties) -> None:
-    """dq+ = (1 - s dt / J) dq alternates from dt = J / s on, and for ever from 2 J / s on."""
+def test_the_stable_step_of_viscous_friction_is_exact(maps: Properties) -> None:
+    """dq+ = (1 - s dt / J) dq alternates for dt > J / s and never decays for dt > 2 J / s."""
     slope = 100.0
     assert finding(maps, "coupling", 2).verdict == "pass"
     assert INERTIA / slope < value(maps, "coupling", 2) < 2.0 * INERTIA / slope
     assert value(maps, "coupling", 2, figure=1) == pytest.approx(2.0 * INERTIA / slope, rel=1e-6)
 
 
-def test_a_torque_that_jumps_chatters_at_every_step(maps: Properties) -> None:
+def test_a_discontinuous_torque_chatters_at_every_step(maps: Properties) -> None:
     found = finding(maps, "coupling", 1)
     assert found.verdict == "fail"
     assert found.figures[0].value is None
@@ -157,29 +157,25 @@ def test_a_torque_that_jumps_chatters_at_every_step(maps: Properties) -> None:
 # --- driven -------------------------------------------------------------------------------------
 
 
-def test_a_joint_that_jumps_or_has_bristles_holds_and_one_that_is_viscous_creeps(
-    bristles: Properties, maps: Properties
-) -> None:
+def test_only_viscous_joints_creep(bristles: Properties, maps: Properties) -> None:
     assert finding(bristles, "hold", 1).verdict == "pass"
     assert finding(bristles, "hold", 2).verdict == "pass"
     assert finding(maps, "hold", 1).verdict == "pass"
     creep = finding(maps, "hold", 2)
     assert creep.verdict == "fail"
-    # Half the level, which is the slope at a tenth of the speed.
+    # Half the level: the slope at 10 % of the speed.
     assert value(maps, "hold", 2, figure=1) == pytest.approx(0.05 * SPEED, rel=1e-6)
     assert creep.reason == "It creeps."
 
 
-def test_bristles_walk_under_dither_and_a_jump_does_not(
-    bristles: Properties, maps: Properties
-) -> None:
+def test_only_bristles_drift_under_dither(bristles: Properties, maps: Properties) -> None:
     for joint in (1, 2):
         assert finding(bristles, "dither", joint).verdict == "fail"
         assert value(bristles, "dither", joint) > 0.01
     assert finding(maps, "dither", 1).verdict == "pass"
 
 
-def test_the_break_away_torque_of_bristles_falls_with_the_rate_and_that_of_a_map_does_not(
+def test_only_break_away_of_bristles_falls_with_the_rate(
     bristles: Properties, maps: Properties
 ) -> None:
     assert finding(bristles, "breakaway", 2).verdict == "pass"
@@ -190,7 +186,7 @@ def test_the_break_away_torque_of_bristles_falls_with_the_rate_and_that_of_a_map
     assert finding(maps, "breakaway", 2).reason.startswith("No break-away: ")
 
 
-def test_only_a_curve_that_falls_sticks_and_slips(bristles: Properties, maps: Properties) -> None:
+def test_only_a_falling_curve_shows_stick_slip(bristles: Properties, maps: Properties) -> None:
     for found, joint in ((bristles, 2), (maps, 1)):
         assert finding(found, "stick_slip", joint).verdict == "pass"
         assert value(found, "stick_slip", joint) > 0.01
@@ -200,8 +196,8 @@ def test_only_a_curve_that_falls_sticks_and_slips(bristles: Properties, maps: Pr
         assert value(found, "stick_slip", joint) == 0.0
 
 
-def test_table_1_is_no_friction(table_1: Properties) -> None:
-    """Joints 1 and 2 drive at low speed: they give energy, run away and come to no stop."""
+def test_table_1_fails_as_friction(table_1: Properties) -> None:
+    """Joints 1 and 2 are driven at low speed: they gain energy, run away and never stop."""
     for joint in (1, 2):
         verdicts = {key: finding(table_1, key, joint).verdict for key in EXPECTATIONS}
         assert verdicts.pop("coupling") == "not applicable"
@@ -215,10 +211,10 @@ def test_table_1_is_no_friction(table_1: Properties) -> None:
         assert finding(table_1, key, 3).verdict == "fail"
 
 
-# --- as a whole ---------------------------------------------------------------------------------
+# --- whole sheets -------------------------------------------------------------------------------
 
 
-def test_an_fmu_gives_what_its_model_gives_whatever_the_number_of_processes(
+def test_fmu_and_model_agree_for_any_number_of_processes(
     bristles: Properties, tmp_path: Path
 ) -> None:
     made = model(bristle(), bristle(static=12.0, sigma_1=50.0, sigma_2=1.0))
@@ -233,7 +229,7 @@ def test_an_fmu_gives_what_its_model_gives_whatever_the_number_of_processes(
     assert told == [(0, 2), (1, 2), (2, 2)]
 
 
-def test_without_an_inertia_nothing_is_driven_and_it_says_so() -> None:
+def test_driven_checks_need_an_inertia() -> None:
     found = measure(Subject(name="bench", model=model(bristle())))
     for key in ("breakaway", "stick_slip", "dither", "hold", "drive", "coupling"):
         assert finding(found, key).verdict == "not run"
@@ -245,7 +241,7 @@ def test_without_an_inertia_nothing_is_driven_and_it_says_so() -> None:
     assert [joint.inertia for joint in uf850.joints] == [3.0, 3.0, 0.6]
 
 
-def test_what_an_fmu_without_a_law_cannot_be_asked_is_said(slip_fmu: Path) -> None:
+def test_checks_that_need_a_law_are_reported_as_skipped(slip_fmu: Path) -> None:
     found = measure(Subject(name="slip", model=None, fmu=slip_fmu, inertia=(1.0,)))
     assert (found.law, found.robot) == ("slip", "")
     for key in ("breakaway", "stick_slip", "dither", "hold", "drive"):
@@ -255,8 +251,8 @@ def test_what_an_fmu_without_a_law_cannot_be_asked_is_said(slip_fmu: Path) -> No
     assert finding(found, "coupling").verdict in ("pass", "fail")
 
 
-def test_an_fmu_that_gives_up_has_not_the_property_and_says_why() -> None:
-    """Its torque is too large to be a number at the trained speed."""
+def test_a_failing_fmu_fails_the_check_with_its_reason() -> None:
+    """Its torque overflows at the trained speed."""
     steep = Coefficient(name="steep", unit="s/rad", description="far too steep")
     torque = sympy.exp(steep.symbol * DQ) - sympy.exp(-steep.symbol * DQ)
     form = LawForm(coefficients=(steep,), output=torque)
@@ -267,14 +263,14 @@ def test_an_fmu_that_gives_up_has_not_the_property_and_says_why() -> None:
         assert finding(found, key).reason.startswith("The FMU gives up: ")
 
 
-def test_something_has_to_be_put_to_the_test() -> None:
+def test_a_subject_is_required() -> None:
     with pytest.raises(ConfigError) as caught:
         measure(Subject(name="nothing", model=None))
     assert str(caught.value) == "nothing: there is neither a model nor an FMU."
 
 
-def test_a_load_that_is_a_factor_gives_energy_where_it_moves() -> None:
-    """Half of its motions hold the load as before, and take energy."""
+def test_a_load_factor_supplies_energy_while_it_varies() -> None:
+    """Half of its motions hold the load constant and dissipate energy."""
     dahl = law("dahl_load", kappa_1=5e3, F_1=2.0, mu_1=1.0)
     found = measure(Subject(name="load", model=model(dahl), inertia=(INERTIA,)))
     work = finding(found, "work")
@@ -286,8 +282,8 @@ def test_a_load_that_is_a_factor_gives_energy_where_it_moves() -> None:
     assert value(found, "drive") > 1e-6
 
 
-def test_a_load_that_is_a_bound_gives_none_and_erases_no_reversal() -> None:
-    """Maxwell-slip whose strength is the load: two loops, one in the other, close under it."""
+def test_a_load_bound_supplies_no_energy_and_keeps_reversals() -> None:
+    """Maxwell-slip whose strength is the load: two nested loops close under it."""
     deflections = (3e-4, 1e-3, 3e-3)
     stops = tuple(
         Stop(name=f"x{i}", unit="1", velocity=DQ, deflection=w, bound=1 + absolute(TAU_LOAD) / 10)
@@ -303,10 +299,10 @@ def test_a_load_that_is_a_bound_gives_none_and_erases_no_reversal() -> None:
     assert 0.1 < value(found, "nested", figure=2) < 0.5
 
 
-def test_what_begins_at_rest_in_motion_is_off_at_once(
+def test_starting_in_motion_from_relaxed_states_is_wrong_at_once(
     slip_fmu: Path, bristles: Properties, maps: Properties
 ) -> None:
-    """Spring-sliders begin unstretched: of the 5 v + 10 N.m of sliding the first torque has 5 v."""
+    """Spring-sliders start unstretched: first torque 5 v instead of 5 v + 10 N.m in sliding."""
     found = measure(Subject(name="slip", model=None, fmu=slip_fmu, inertia=(1.0,)))
     assert finding(found, "start").verdict == "fail"
     slowest = 0.05 * found.joints[0].speed
@@ -321,15 +317,15 @@ def test_what_begins_at_rest_in_motion_is_off_at_once(
             assert value(of_laws, "start", joint) < 1e-6
 
 
-def test_two_loops_of_one_bristle_miss_where_they_turned(bristles: Properties) -> None:
+def test_two_loops_of_one_bristle_miss_their_reversals(bristles: Properties) -> None:
     found = finding(bristles, "nested")
     assert found.verdict == "fail"
     assert found.reason.endswith("One first-order state cannot have non-local memory.")
     assert value(bristles, "nested") >= value(bristles, "memory")
 
 
-def test_dither_is_scaled_to_what_slow_sliding_bears() -> None:
-    """A level that rises with speed tenfold is not what a joint bears at rest."""
+def test_dither_is_scaled_to_slow_sliding() -> None:
+    """A level that rises tenfold with speed is not the one at rest."""
     rising = law("lugre", F_c=8.0, F_s=0.8, sigma_0=8e5, v_s=0.02)
     found = measure(Subject(name="rising", model=model(rising), inertia=(0.7,))).joints[0]
     drift = found.findings["dither"].figures[0].value

@@ -1,4 +1,4 @@
-"""The command `hesr test --kind properties`: its tables, its file and its errors."""
+"""The command `hesr test --kind properties`: its tables, file and errors."""
 
 import json
 import re
@@ -33,7 +33,7 @@ def lugre(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def test_laws_and_fmus_side_by_side(
+def test_laws_and_fmus_share_the_tables(
     hesr: Hesr, lugre: Path, slip_fmu: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "found.json"
@@ -87,7 +87,7 @@ def test_laws_and_fmus_side_by_side(
         (["uf850-table1", "--load", "nan"], "--load is nan; needed is a number."),
     ],
 )
-def test_what_cannot_be_tested_is_said_in_a_sentence(
+def test_unsuitable_subjects_are_refused_in_one_sentence(
     hesr: Hesr, arguments: list[str], said: str
 ) -> None:
     answer = hesr("test", *KIND, *arguments)
@@ -108,7 +108,7 @@ def test_an_fmu_without_the_connectors_is_refused(hesr: Hesr, tmp_path: Path) ->
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_file_that_cannot_be_written_is_said_before_the_run(hesr: Hesr, tmp_path: Path) -> None:
+def test_an_unwritable_file_is_reported_before_the_run(hesr: Hesr, tmp_path: Path) -> None:
     answer = hesr("test", "uf850-table1", *KIND, "-o", tmp_path)
     assert answer.code == 2
     assert f"{tmp_path}: cannot be written there" in answer.err

@@ -1,4 +1,4 @@
-"""The battery as a part of `hesr run`, and on every law of the registry."""
+"""Physics checks as part of `hesr run`, and on every law of the registry."""
 
 import zipfile
 from dataclasses import replace
@@ -21,7 +21,7 @@ from hesr_model.support.files import models_folder
 pytestmark = pytest.mark.ci
 
 
-def test_every_law_of_the_registry_is_put_to_the_test(
+def test_every_law_of_the_registry_is_checked(
     tmp_path: Path, registry_models: dict[str, FrictionModel]
 ) -> None:
     models = registry_models
@@ -37,7 +37,7 @@ def test_every_law_of_the_registry_is_put_to_the_test(
     assert read_properties(tmp_path / "found.json") == found
 
 
-def test_a_run_writes_what_it_finds_into_its_folder_and_into_the_fmus(
+def test_a_run_writes_findings_to_its_folder_and_the_fmus(
     study_run_for_programs: Run,
 ) -> None:
     results = study_run_for_programs.results
@@ -50,7 +50,7 @@ def test_a_run_writes_what_it_finds_into_its_folder_and_into_the_fmus(
 
 
 def body_of(model: Robot, robot: str) -> RigidBody:
-    """What identification would return of the model's own parameters."""
+    """The identification result for the model's own parameters."""
     n = model.n
     return RigidBody(
         robot=robot,
@@ -70,7 +70,7 @@ def body_of(model: Robot, robot: str) -> RigidBody:
     )
 
 
-def test_the_inertia_of_another_robot_is_that_of_its_identified_mass_matrix(
+def test_other_robots_use_the_inertia_of_their_identified_mass_matrix(
     registry_models: dict[str, FrictionModel],
 ) -> None:
     model = Robot(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
@@ -79,7 +79,7 @@ def test_the_inertia_of_another_robot_is_that_of_its_identified_mass_matrix(
     trained = tuple(replace(law.trained[0], q=(q - 0.1, q + 0.1)) for q in places)
     three = replace(law, joints=("a", "b", "c"), laws=law.laws * 3, trained=trained)
     found = standing_inertia(model, body_of(model, "other"), three)
-    own = model._model  # without the rotors, which are parameters of their own
+    own = model._model  # without the rotors, which are separate parameters
     matrix = pinocchio.crba(own, own.createData(), np.array(places))
     assert found == pytest.approx(np.diag(matrix) + model.rotor_nominal, rel=1e-9)
     assert standing_inertia(model, body_of(model, "uf850"), three) == INERTIA["uf850"]

@@ -1,4 +1,4 @@
-"""What the battery finds stands in the FMU's documentation."""
+"""Physics checks in the documentation of an FMU."""
 
 import zipfile
 from html.parser import HTMLParser
@@ -15,7 +15,7 @@ PAGE = "documentation/index.html"
 
 
 class Tags(HTMLParser):
-    """Elements of a page, and its words."""
+    """Elements and text of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -39,9 +39,7 @@ def page(fmu: Path) -> Tags:
         return Tags(archive.read(PAGE).decode())
 
 
-def test_the_table_and_the_plots_stand_in_the_documentation(
-    bristles: Properties, tmp_path: Path
-) -> None:
+def test_table_and_plots_are_in_the_documentation(bristles: Properties, tmp_path: Path) -> None:
     made = model(bristle(), bristle(static=12.0, sigma_1=50.0, sigma_2=1.0))
     found = page(export_fmu(made, tmp_path / "with.fmu", properties=bristles))
     assert {"properties", *(f"property-{key}" for key in EXPECTATIONS)} <= found.ids()
@@ -62,7 +60,7 @@ def test_without_findings_there_is_no_such_section(tmp_path: Path) -> None:
     assert "properties" not in page(export_fmu(model(bristle()), tmp_path / "bare.fmu")).ids()
 
 
-def test_what_was_not_run_has_no_plot_and_names_are_escaped(tmp_path: Path) -> None:
+def test_skipped_checks_have_no_plot_and_names_are_escaped(tmp_path: Path) -> None:
     hostile = '<b onclick="x">'
     made = model(bristle())
     named = type(made)(

@@ -1,4 +1,4 @@
-"""The picture of what logs hold, where there is no model to compare with."""
+"""The figure of the coverage of logs without a model for comparison."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from cosim.report.figures.chart import Line, Stroke
 from cosim.report.figures.motions import JointView, joints
 
 
-def test_panels_without_a_model_say_so() -> None:
+def test_panels_state_a_missing_model() -> None:
     t = np.linspace(0.0, 1.0, 20)
     line = Line(name="logged", x=t, y=t, stroke=Stroke(colour="C0"))
     view = JointView(

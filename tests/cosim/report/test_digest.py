@@ -20,7 +20,7 @@ def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def test_a_table_says_what_stands_out_what_is_beside_and_what_passes() -> None:
+def test_a_table_marks_best_similar_and_passed() -> None:
     rows = [
         TableRow(head="inputs v"),
         TableRow(head="a|b", cells=[TableCell(text="1.5", best=True, notes=("0.9", "0.8–1.0"))]),
@@ -38,7 +38,7 @@ def test_a_table_says_what_stands_out_what_is_beside_and_what_passes() -> None:
     ]
 
 
-def test_every_figure_is_that_of_the_runs_files(small_results: Path, tmp_path: Path) -> None:
+def test_every_figure_matches_the_files_of_the_runs(small_results: Path, tmp_path: Path) -> None:
     page = write_digest([small_results, small_results], tmp_path / "results.md")
     text = page.read_text(encoding="utf-8")
     results = Results.read(small_results)
@@ -59,20 +59,20 @@ def test_every_figure_is_that_of_the_runs_files(small_results: Path, tmp_path: P
         assert float(shown.replace("*", "").split()[0]) == pytest.approx(rmse, rel=0.01)
 
 
-def test_in_short_the_papers_law_stands_beside_the_best(small_results: Path) -> None:
+def test_the_summary_lists_the_papers_law_next_to_the_best(small_results: Path) -> None:
     results = Results.read(small_results)
     heads = [str(row.head) for row in short(results).rows]
     assert named(results.best) in heads
     assert len(heads) == len(set(heads)) <= 4
 
 
-def test_a_folder_without_results_is_told(tmp_path: Path) -> None:
+def test_a_folder_without_results_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match="no results of 'hesr run'"):
         write_digest([tmp_path], tmp_path / "results.md")
     assert not (tmp_path / "results.md").exists()
 
 
-def test_the_command_says_what_it_wrote(small_results: Path, tmp_path: Path) -> None:
+def test_the_command_prints_the_written_file(small_results: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     ended = CliRunner().invoke(app, ["report", str(small_results), "-o", str(page)])
     assert ended.exit_code == 0, ended.output

@@ -1,4 +1,4 @@
-"""The band in the report's figure of torques."""
+"""The uncertainty band in the report's figure of torques."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ BAND = Band(floor=0.7, slow=0.0, slow_speed=0.02, rest=0.0, fast=0.5, load=0.0, 
             envelope=0.0)  # fmt: skip
 
 
-def test_both_ends_are_drawn_where_there_is_a_band() -> None:
+def test_both_limits_of_a_band_are_drawn() -> None:
     values = {"F_c": 9.0, "F_s": 11.0, "v_s": 0.1, "sigma_0": 4e3, "sigma_1": 0.0, "sigma_2": 3.0,
               "tau_0": 0.0}  # fmt: skip
     law = FrictionLaw(name="lugre", form=LuGre.form({}), values=values, band=BAND)

@@ -6,7 +6,7 @@ import pytest
 from cosim.report.figures.plots import loops
 
 
-def test_a_joint_that_is_never_slow_is_drawn_whole() -> None:
+def test_a_joint_without_slow_motion_is_drawn_completely() -> None:
     dq, tau = np.linspace(0.8, 1.0, 50), np.linspace(3.0, 4.0, 50)
     figure = loops((dq, tau), {"LuGre": (dq, tau)}, x="dq", y="tau")
     (axis,) = figure.axes

@@ -1,4 +1,4 @@
-"""The report: its sections, numbers and files; what it does without some of its data; errors."""
+"""The report: sections, numbers, files, missing data and errors."""
 
 import json
 import re
@@ -34,7 +34,7 @@ MOST_BYTES, MOST_TABLES = 3e6, 25
 
 
 class Page(HTMLParser):
-    """What tests look at in a page."""
+    """The parts of a page that the tests use."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -67,7 +67,7 @@ class Page(HTMLParser):
         return [name.removeprefix("figure-") for name in ids if name.startswith("figure-")]
 
     def table(self, caption: str) -> list[list[float]]:
-        """The numbers of the table with a caption, row by row."""
+        """The numbers of the table with the given caption, row by row."""
         start = self.text.index(f"<caption>{caption}")
         body = self.text[start : self.text.index("</table>", start)]
         rows = [re.findall(r'data-value="([^"]+)"', row) for row in body.split("<tr")[1:]]
@@ -173,13 +173,13 @@ def test_every_table_is_a_csv_file_with_the_same_data(
                 assert value is None or float(text) == value, (name, head)
 
 
-def test_it_needs_nothing_but_itself(results: Path) -> None:
+def test_the_page_is_self_contained(results: Path) -> None:
     page = Page(results / "report.html")
     for tag, attrs in page.tags:
         assert tag not in ("link", "img", "iframe", "base", "object"), tag
         assert "src" not in attrs
         to = str(attrs.get("href") or attrs.get("xlink:href") or "#")
-        # A reader may follow links to files that stand beside the page; it loads none of them.
+        # Links to files next to the page are allowed; the page loads none of them.
         beside = tag == "a" and ".." not in to and (results / to).is_file()
         assert to.startswith("#") or beside, attrs
     targets = [str(a["href"]) for a in page.of("a") if str(a["href"]).startswith("#")]
@@ -189,7 +189,7 @@ def test_it_needs_nothing_but_itself(results: Path) -> None:
     assert str(results.parent) not in page.text
 
 
-def test_headings_stand_in_order_and_parts_have_names(results: Path) -> None:
+def test_headings_are_in_order_and_parts_have_names(results: Path) -> None:
     page = Page(results / "report.html")
     levels = [int(tag[1]) for tag, _ in page.tags if re.fullmatch(r"h\d", tag)]
     assert levels[0] == 1
@@ -202,7 +202,7 @@ def test_headings_stand_in_order_and_parts_have_names(results: Path) -> None:
     assert page.text.count('class="copy"') == len(captions)
 
 
-def test_its_numbers_are_those_that_were_saved(results: Path) -> None:
+def test_numbers_match_the_saved_results(results: Path) -> None:
     page = Page(results / "report.html")
     scores = json.loads((results / "evaluation.json").read_text())["trial & error"]
     rows = page.table("trial &amp; error: RMSE of the predicted torque [N.m] over all rows")
@@ -216,19 +216,19 @@ def test_its_numbers_are_those_that_were_saved(results: Path) -> None:
     assert shown[0][:3] == pytest.approx([1e3 * e for e in of_body["rmse"][0]])
 
 
-def test_names_are_text_and_no_markup(results: Path) -> None:
+def test_names_are_escaped(results: Path) -> None:
     text = Page(results / "report.html").text
     assert "first &lt;half&gt;" in text
     assert "<half>" not in text
 
 
 @pytest.mark.ci
-def test_the_same_results_give_the_same_page(results: Path, tmp_path: Path) -> None:
+def test_the_page_is_reproducible(results: Path, tmp_path: Path) -> None:
     pages = [write_report(results, tmp_path / name).read_bytes() for name in ("a", "b")]
     assert pages[0] == pages[1] == (results / "report.html").read_bytes()
 
 
-def test_measured_logs_have_no_loop_and_no_truth(copied: Path) -> None:
+def test_measured_logs_have_neither_loop_nor_truth(copied: Path) -> None:
     edit(copied / "run.json", lambda run: run.update(twin=False, controller={}, robot="other"))
 
     def without_truth(scores: Json) -> None:
@@ -258,7 +258,7 @@ def test_logs_of_one_name_in_two_folders_keep_their_hashes(copied: Path) -> None
         assert f"{k}" * 64 in (copied / "tables/hashes.csv").read_text(encoding="utf-8")
 
 
-def test_without_fmus_nothing_is_live_and_the_rest_is_there(copied: Path) -> None:
+def test_only_the_live_plots_need_fmus(copied: Path) -> None:
     shutil.rmtree(copied / "fmus")
     page = Page(write_report(copied))
     assert page.sections == SECTIONS
@@ -271,14 +271,14 @@ def test_variants_make_an_ablation(results: Path) -> None:
     assert "RMSE [N.m] of the variants, each with one part more" in text
 
 
-def test_the_command(hesr: Hesr, results: Path, tmp_path: Path) -> None:
+def test_the_command_rebuilds_the_page(hesr: Hesr, results: Path, tmp_path: Path) -> None:
     answer = hesr("report", results, "-o", tmp_path / "page.html")
     assert (answer.code, answer.err) == (0, "")
     assert answer.out == f"Written: {tmp_path / 'page.html'}\n"
     assert (tmp_path / "page.html").read_bytes() == (results / "report.html").read_bytes()
 
 
-def test_a_folder_without_results(hesr: Hesr, tmp_path: Path) -> None:
+def test_a_folder_without_results_is_refused(hesr: Hesr, tmp_path: Path) -> None:
     for folder, why in (
         (tmp_path, "'run.json' is missing in it"),
         (tmp_path / "none", "there is no such folder"),
@@ -345,7 +345,7 @@ def test_a_damaged_file_is_named(copied: Path, name: str, said: str) -> None:
         ("closed_loop.json", lambda d: d.update(long=[1]), "not the closed loop of a run"),
     ],
 )
-def test_what_is_wrong_in_a_file_is_said(
+def test_errors_in_a_file_are_reported(
     copied: Path,
     name: str,
     change: Callable[[Json], object],
@@ -357,7 +357,7 @@ def test_what_is_wrong_in_a_file_is_said(
     assert str(error.value).startswith(f"{copied / name}: {said}")
 
 
-def test_a_page_that_cannot_be_written(hesr: Hesr, results: Path, tmp_path: Path) -> None:
+def test_an_unwritable_page_is_reported(hesr: Hesr, results: Path, tmp_path: Path) -> None:
     answer = hesr("report", results, "-o", tmp_path)
     assert answer.code == 2
     assert answer.err == f"hesr: {tmp_path}: cannot be written there (Is a directory).\n"
