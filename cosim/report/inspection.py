@@ -17,8 +17,7 @@ from hesr_model.health.excitation_gaps import unseen
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
 from hesr_model.support.arrays import Array
 
-_POINTS = 700
-"""Maximum number of points of a line."""
+_POINTS = 700  # maximum number of points of a line
 
 
 def write_inspection(path: Path, proposal: Proposal) -> None:
@@ -44,7 +43,6 @@ def write_inspection(path: Path, proposal: Proposal) -> None:
 
 
 def _values(proposal: Proposal, path: Path) -> dict[str, Any]:
-    """Return the values of the template of all sections."""
     views = _views(proposal)
     gaps: dict[str, list[str]] = {}
     for joint, gap in unseen(proposal.examination, proposal.robot.joints):
@@ -80,15 +78,13 @@ def _joints(proposal: Proposal) -> ResultTable:
     rows = [row_of(f"{log}: {joint}", *cells) for log, joint, *cells in summary_rows(proposal)]
     caption = (
         "Moving joints with the proposed robot file. ‘dq slope’: velocity from the position over "
-        "the logged one; ‘gravity / model’: measured gravity torque over that of the model; "
-        "‘friction’: torque in phase with the velocity in N.m, and its distance from zero in "
-        "standard errors"
+        "the logged one; ‘gravity / model’: measured over modelled gravity torque; ‘friction’: "
+        "torque in phase with the velocity in N.m, and in standard errors"
     )
     return ResultTable(caption=caption, head=("log: joint", *HEAD[2:]), rows=rows)
 
 
 def _longest(proposal: Proposal) -> tuple[int, Motionwise]:
-    """Return index and value of the longest part of the logs."""
     return max(enumerate(proposal.examination.parts), key=lambda part: np.ptp(part[1].t))
 
 

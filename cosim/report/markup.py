@@ -22,11 +22,9 @@ if TYPE_CHECKING:
 # Pages share the style of the pages in FMUs.
 _FOLDERS = (Path(__file__).parent / "templates", TEMPLATES)
 
-_NUMBER = "\ue000"
-"""Placeholder of a figure's number; sections may be made in any order."""
+_NUMBER = "\ue000"  # placeholder of a figure's number; sections may be made in any order
 
-TABLES = "tables"
-"""Folder of CSV files next to the page."""
+TABLES = "tables"  # folder of CSV files next to the page
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,20 +47,20 @@ class Pictures:
     def figure(
         self, key: str, picture: "Figure", *, file: "Figure | None" = None, **texts: Any
     ) -> Markup:
-        """Write a figure, or another one of its key, and return its HTML; see `drawing`."""
+        """Write a figure, or `file` instead, and return its HTML; see `drawing`."""
         from cosim.report.figures.style import write
 
         write(file or picture, self.folder / key)
         return self.shown(key, picture, **texts)
 
     def shown(self, key: str, picture: "Figure", caption: str = "", **texts: Any) -> Markup:
-        """Return the HTML of a figure without writing files; see `drawing`."""
+        """Return the HTML of a figure; see `drawing`."""
         from cosim.report.figures.style import svg
 
         return self.drawing(key, Markup(svg(picture, key)), caption, **texts)
 
     def chart(self, key: str, chart: "Chart", **texts: Any) -> Markup:
-        """Write a chart with a zooming view and return its HTML; see `drawing`."""
+        """Write a chart and return its HTML with a zooming view; see `drawing`."""
         from cosim.report.figures.chart import drawn
 
         self.zooms[key] = zoom_data(chart)
@@ -78,10 +76,7 @@ class Pictures:
         small: bool = False,
         caller: Callable[[], str] = str,
     ) -> Markup:
-        """Return the HTML of a figure in SVG; `caller` is the caption in a template's call block.
-
-        `alt` describes the figure in words; a `small` one fits a phone.
-        """
+        """Return the HTML of a figure in SVG; a template's call block is its caption."""
         texts = {"caption": caption or caller().strip(), "alt": alt, "number": _NUMBER}
         zoom = key in self.zooms
         return render("figure.html.j2", key=key, svg=svg, zoom=zoom, small=small, **texts)

@@ -77,9 +77,9 @@ def write_report(
     audits: Mapping[str, ModelAudit] | None = None,
     progress: Stages = silent,
 ) -> Path:
-    """Write the report, its figures (PDF, PNG) and tables (CSV); return its path.
+    """Write the page, by default report.html in `folder`, figures and tables; return its path.
 
-    `output` is the page, by default report.html in `folder`; `audits` are those already known.
+    `audits` are those already known.
     """
     results = replace(Results.read(folder), audited=audits)
     path = output or folder / REPORT

@@ -29,10 +29,7 @@ from hesr_model.units import unit_of_joints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Results:
-    """Saved results of a run; mappings are by law, test set or (scheme, law), empty if not saved.
-
-    `audited` are audits that are already known.
-    """
+    """Saved results of a run; mappings are empty if not saved, `audited` are known audits."""
 
     folder: Path
     run: SavedRun
@@ -59,7 +56,7 @@ class Results:
 
     @property
     def numbered(self) -> list[tuple[int, str, str]]:
-        """Number from 1, short name and name of each joint."""
+        """Number, short name and name of each joint."""
         names = zip(self.joints, self.run.joints, strict=True)
         return [(k, short, name) for k, (short, name) in enumerate(names, start=1)]
 
@@ -70,7 +67,7 @@ class Results:
 
     @property
     def tests(self) -> list[str]:
-        """Names of the whole test sets, without bands."""
+        """Names of test sets without bands."""
         bands = {band.name for band in self.run.bands}
         return [name for name in self.comparisons if name not in bands]
 
@@ -102,7 +99,7 @@ class Results:
 
     @cached_property
     def key_laws(self) -> list[str]:
-        """Laws of figures: those of the paper, and the best one."""
+        """Laws of figures."""
         paper, *others = laws_of_paper()
         named = dict.fromkeys((paper, self.best, *others))
         return [law for law in named if law in self.models]
@@ -120,7 +117,7 @@ class Results:
         return found
 
     def shown(self, *laws: str) -> list[str]:
-        """Return the fitted ones of some laws, each once."""
+        """Return the fitted ones of some laws."""
         return [law for law in dict.fromkeys(laws) if law in self.models]
 
     def log_of(self, role: str) -> SavedLog | None:
@@ -129,7 +126,7 @@ class Results:
         return next(logs, None)
 
     def torques(self, log: SavedLog) -> dict[str, Array]:
-        """Return the torques of a log over time; see `cosim.study.results.write_torques`."""
+        """Return the torques of a log over time; see `write_torques`."""
         return read_torques(self.folder / TRACES / log.trace)
 
     @classmethod

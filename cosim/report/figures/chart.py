@@ -14,7 +14,7 @@ from cosim.report.figures.style import INK, SOFT, Stroke, style_axis, styled
 from hesr_model.support.arrays import Array
 
 _COLUMNS, _ROWS = 520, 4
-"""Columns of a line over the whole width in up to this many rows, each with its extreme values."""
+"""Columns of extreme values of a line over the whole width, fewer in more rows."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

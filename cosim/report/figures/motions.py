@@ -15,8 +15,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
 
 _ROW, _BINS = 1.55, 40
-_LEAST = 1e-9
-"""Round-off of a range of values."""
+_LEAST = 1e-9  # round-off of a range of values
 _DESIGN_ROW, _WIDTH, _DPI = 1.8, 9.0, 120
 
 

@@ -18,13 +18,10 @@ from hesr_model.support.arrays import Array
 _MARKERS = ("o", "s", "^", "D", "v", "P")
 _FINE = tuple(0.05 * k for k in range(10, 41))
 _COARSE = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
-_NARROW = 1.7
-"""Ticks of ratios, and the width of the range above which they are coarse."""
+_NARROW = 1.7  # width of the range above which ticks are coarse
 _LOOP_COLUMNS = 5
-_REACH = 0.25
-"""Range of loops over the maximum speed; laws differ little beyond it."""
-_SEEN = 700
-"""Maximum number of measured points of a loop."""
+_REACH = 0.25  # range of loops over the maximum speed; laws differ little beyond it
+_SEEN = 700  # maximum number of measured points of a loop
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,7 +174,6 @@ def _parts(near: NDArray[np.bool_], x: Array, y: Array, every: int = 1) -> tuple
 
 
 def _span(tau: Array) -> tuple[float, float]:
-    """Return the range of an axis for a torque, without outliers."""
     low, high = np.quantile(tau, (0.002, 0.998))
     margin = 0.15 * (high - low)
     return float(low - margin), float(high + margin)

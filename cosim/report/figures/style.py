@@ -1,7 +1,7 @@
-"""Colours and lines of figures, and their output as SVG, PDF and PNG.
+"""Style and files of figures.
 
-The colours suit colour-blind readers (after Okabe and Ito, contrast to white at least 3); dashes
-also differ. In a page each colour is a CSS variable for light and dark.
+Colours suit colour-blind readers (Okabe and Ito, contrast to white at least 3); in a page each is a
+CSS variable for light and dark.
 """
 
 import io
@@ -110,7 +110,6 @@ def style_axis(axis: Axes) -> None:
 
 
 def _settle(figure: Figure) -> None:
-    """Lay out a figure once for all formats."""
     if figure.get_layout_engine() is not None:
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
@@ -170,7 +169,6 @@ def _relative(path: str) -> str:
 
 
 def _inner(drawn: str, key: str) -> str:
-    """Return the content of an SVG with prefixed identifiers and short numbers."""
     body = drawn[drawn.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     used = set(re.findall(r"#([\w.-]+)", " ".join(re.findall(r'(?:href="|url\()#[\w.-]+', body))))

@@ -12,12 +12,9 @@ if TYPE_CHECKING:
     from cosim.report.figures.chart import Chart, Line, Panel
 
 _MODEL = re.compile(r'"p\d{4,}"')
-_PIXELS = 105
-"""Pixels per inch of a row's height."""
-_MOST_VALUES = 50_000
-"""Maximum number of values of a chart; more are thinned."""
-_ROUNDING = np.uint32(0xFFFFE000)
-"""Mask of the kept bits of a value; the others hardly compress."""
+_PIXELS = 105  # pixels per inch of a row's height
+_MOST_VALUES = 50_000  # maximum number of values of a chart; more are thinned
+_ROUNDING = np.uint32(0xFFFFE000)  # kept bits of a value; others hardly compress
 
 
 def zoom_data(chart: "Chart") -> str:
@@ -49,7 +46,6 @@ def zoom_data(chart: "Chart") -> str:
 
 
 def _renumbered(text: str) -> str:
-    """Renumber Bokeh's models from 1 for a reproducible page."""
     numbers: dict[str, str] = {}
     return _MODEL.sub(lambda m: numbers.setdefault(m[0], f'"p{len(numbers) + 1}"'), text)
 
@@ -69,7 +65,6 @@ def packed(text: str) -> str:
 
 
 def _draw(plot: Any, line: "Line", sources: dict[int, Any], every: int) -> None:
-    """Draw a line into a plot; lines over the same x share one of the data sources."""
     from bokeh.models import ColumnDataSource
 
     if id(line.x) not in sources:

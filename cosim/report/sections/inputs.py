@@ -13,8 +13,7 @@ from cosim.study.results import HEALTH, SavedLog, read_findings
 from cosim.study.verdict import VERDICT
 from hesr_model.rigid_body.identification import RigidBody
 
-_INTERVAL = 1.96
-"""Half width of a 95 % interval in standard errors."""
+_INTERVAL = 1.96  # half width of a 95 % interval in standard errors
 _ROLES = {"identification": "rigid body", "training": "training of the laws"}
 _FILES = ("evaluation.json", "rigid_body.json", VERDICT, HEALTH)
 """Linked files of a run, in addition to FMUs."""
@@ -56,7 +55,7 @@ def data(results: Results) -> dict[str, Any]:
 
 
 def body(results: Results) -> dict[str, Any]:
-    """Return the identified parameters, and their torque with the measured one."""
+    """Return the identified parameters and their torque."""
     found, log = results.body, results.log_of("identification")
     weighted = ", weighted by the noise of each joint" if found.weighting == "wls" else ""
     return {
@@ -101,7 +100,7 @@ def _parameters(body: RigidBody) -> ResultTable:
 
 
 def provenance(results: Results) -> dict[str, Any]:
-    """Return command, versions, and hashes of the input files."""
+    """Return command, versions, files and hashes."""
     run = results.run
     files = dict.fromkeys((log.file, log.sha256) for log in run.logs)
     logs = {log.sha256 for log in run.logs}

@@ -27,16 +27,11 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import papers_law, registry
 
-_INTERVAL = 1.96
-"""Half width of a 95 % interval in standard errors."""
-_FREQUENCY = 0.25
-"""Frequency of the paper's sine [Hz]."""
-_ROWS = 801
-"""Number of points of a period."""
-_FACTORS = {0.25: "a quarter", 1.0: "as fitted", 4.0: "four times"}
-"""Factors on alpha and beta."""
-_SPEED = 1.2
-"""Peak velocity [rad/s] if no trained range is known."""
+_INTERVAL = 1.96  # half width of a 95 % interval in standard errors
+_FREQUENCY = 0.25  # frequency of the paper's sine [Hz]
+_ROWS = 801  # number of points of a period
+_FACTORS = {0.25: "a quarter", 1.0: "as fitted", 4.0: "four times"}  # factors on alpha and beta
+_SPEED = 1.2  # peak velocity [rad/s] if no trained range is known
 _PAGE = "documentation/index.html"
 _DATA = re.compile(r'<script type="application/json">(.*?)</script>', re.DOTALL)
 
@@ -126,7 +121,6 @@ def hysteresis(results: Results) -> dict[str, Any] | None:
 
 
 def _loop(law: FrictionLaw, speed: float, name: str, styles: Mapping[str, Stroke]) -> Line:
-    """Return the state over velocity in one settled period of a sine."""
     relaxation = next(r for r in law.form.relaxations if r.name == "h")
     only = replace(law, form=replace(law.form, output=relaxation.state), discretisation="exact")
     t = np.linspace(0.0, 2.0 / _FREQUENCY, 2 * _ROWS - 1)
@@ -165,7 +159,6 @@ def ablation(results: Results) -> dict[str, Any] | None:
 
 
 def _steps() -> Iterator[tuple[str, str, str]]:
-    """Yield law, extended law and added part."""
     for name, law in registry().items():
         if law.adds is not None:
             yield law.adds[0], name, law.adds[1]

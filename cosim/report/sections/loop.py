@@ -50,13 +50,11 @@ def tracking(results: Results) -> dict[str, Any] | None:
 
 
 def _under(scheme: Scheme, rows: Sequence[Tracked]) -> list[Tracked]:
-    """Return the rows of a compensation, then those without any."""
     kinds = (scheme.compensation, "none")
     return [row for kind in kinds for row in rows if row.scheme.compensation == kind]
 
 
 def _figure(results: Results, scheme: Scheme) -> Chart | None:
-    """Draw position and absolute error of the first motion by joint."""
     laws = [law for law in results.key_laws if results.models[law].laws[0].form.memory]
     keys = [(scheme, law) for law in (StandIn.BODY_ONLY, *laws)]
     paths = {key[1]: results.paths[key] for key in keys if key in results.paths}

@@ -13,8 +13,7 @@ from fmu_src.pages.properties_sheet import section as sheet
 from hesr_model.audit.audit import Audit
 from hesr_model.audit.cycles import ENCODER
 
-_ROUNDING = 1e-6
-"""Energy of round-off [J]."""
+_ROUNDING = 1e-6  # energy of round-off [J]
 
 
 def passive(found: Audit) -> bool:

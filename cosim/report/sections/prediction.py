@@ -26,16 +26,11 @@ from hesr_model.friction.predict import predict_band
 from hesr_model.friction.registry import papers_law
 from hesr_model.support.arrays import Array
 
-_NETWORK = "rbfnn_h"
-"""Law compared with the paper's in its Fig. 5."""
-WINDOW = 10.0
-"""Time span of a static figure [s]; the zooming view shows all."""
-MOVING = 0.25
-"""Window of the moving error [s]; it averages out noise."""
-_LOOPS = 20.0
-"""Time span of friction loops [s]."""
-_POINTS = 400
-"""Maximum number of points of a loop in the page, fewer for more than 3 joints."""
+_NETWORK = "rbfnn_h"  # law compared with the paper's in its Fig. 5
+WINDOW = 10.0  # [s] in static figures
+MOVING = 0.25  # window of the moving error [s]; it averages out noise
+_LOOPS = 20.0  # time span of friction loops [s]
+_POINTS = 400  # points of a loop in the page, fewer for more than 3 joints
 _EDGE = Stroke(colour=SOFT, width=0.6, dash=(1.5, 1.5))
 
 
@@ -59,7 +54,6 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
 
 
 def _test(results: Results, test: str) -> dict[str, Any]:
-    """Return tables and traces of a test set; those of a split one are part of the chirp."""
     scores, log = results.comparisons[test], results.log_of(test)
     simulated = results.simulated.get(test)
     split = test != results.tests[0] and test in {band.test for band in results.run.bands}
@@ -86,7 +80,6 @@ def _errors(results: Results, name: str, measure: str = "rmse") -> ResultTable:
 
 
 def _key_laws(results: Results) -> list[str]:
-    """Return at most three laws for a static figure."""
     laws = results.shown(BASELINE, papers_law(), results.best)
     return laws if len(laws) > 1 else results.key_laws[:3]
 
@@ -121,7 +114,6 @@ def _chart(
     marks: tuple[tuple[float, str], ...] = (),
     window: tuple[float, float] | None = None,
 ) -> Chart:
-    """Return friction torque and moving error of the laws by joint, with the best law's band."""
     torques, styles = results.torques(log), strokes(results.key_laws)
     t, rows = torques["t"], []
     for k, short, name in results.numbered:

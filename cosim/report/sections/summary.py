@@ -17,12 +17,9 @@ from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Ratio
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.friction.registry import papers_law
 
-_FEW = 3
-"""Maximum number of joints whose figures are listed."""
-_FINDINGS = 2
-"""Number of findings in the first layer."""
-_WIDTH, _HEIGHT = 4.4, 1.9
-"""Size of the plot [in], readable on a phone."""
+_FEW = 3  # maximum number of joints whose figures are listed
+_FINDINGS = 2  # number of findings in the first layer
+_WIDTH, _HEIGHT = 4.4, 1.9  # size of the plot [in], readable on a phone
 
 
 def summary(results: Results) -> dict[str, Any]:
@@ -112,7 +109,6 @@ def _reference(scores: Comparison, law: str) -> tuple[list[str], Sequence[Ratio]
 
 
 def _plot(results: Results, law: str) -> dict[str, Any] | None:
-    """Draw friction of the joint with the largest unexplained share."""
     test = results.tests[0]
     log, scores = results.log_of(test), results.comparisons[test]
     if log is None:
@@ -134,7 +130,6 @@ def _plot(results: Results, law: str) -> dict[str, Any] | None:
 
 
 def _floor(results: Results) -> dict[str, str] | None:
-    """Return the error of the true friction, and that of the best law above it."""
     scores, best = results.comparisons[results.tests[0]].laws, results.best
     if ORACLE not in scores:
         return None

@@ -9,10 +9,8 @@ from hesr_model.audit.expectations import EXPECTATIONS, Expectation
 from hesr_model.audit.properties import Properties, PropertyResult
 from hesr_model.units import unit_of_joints
 
-_DIGITS = 4
-"""Maximum length of a figure without its sign."""
-_LITTLE = 1e-4
-"""Passing figures below this are shown as 0."""
+_DIGITS = 4  # maximum length of a figure without its sign
+_LITTLE = 1e-4  # passing figures below this are shown as 0
 
 
 def properties(found: Mapping[str, Properties], *, full: bool = False) -> ResultTable:

@@ -36,8 +36,7 @@ def errors(
 ) -> ResultTable:
     """Return one of `MEASURES` by law and joint, the lowest error first.
 
-    Laws are grouped by `inputs` if given. Bold: significantly better than all others. The true
-    friction and starts from measured torque are no candidates, since users cannot run them.
+    Bold: significantly better than all others that users can run.
     """
     values = {law: getattr(of_law, measure) for law, of_law in scores.laws.items()}
     places = [decimals(column) for column in zip(*values.values(), strict=True)]
@@ -205,7 +204,6 @@ def _fitted(per_log: Sequence[str] | None) -> str:
 
 
 def _relative(scores: Comparison, law: str) -> tuple[bool, float]:
-    """Return error over the size of friction, the true friction last."""
     pairs = zip(scores.laws[law].rmse, scores.tau_std, strict=True)
     return law == ORACLE, sum(error / max(size, 1e-300) for error, size in pairs)
 
@@ -220,7 +218,6 @@ def ratio_notes(ratio: Ratio) -> tuple[str, str]:
 def _by_inputs(
     laws: Sequence[str], inputs: Mapping[str, str] | None
 ) -> dict[str | None, list[str]]:
-    """Group laws by inputs, the fewest first."""
     if inputs is None:
         return {None: list(laws)}
     classes: dict[str | None, list[str]] = {}

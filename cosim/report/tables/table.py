@@ -84,7 +84,7 @@ def title(law: str) -> str:
 
 
 def named(law: str) -> str:
-    """Return the title of a law for the head of a row."""
+    """Return the title of a law in a row."""
     if law == papers_law():
         return f"{title(law)} (the paper’s)"
     return title(law)
@@ -108,7 +108,7 @@ def fixed(
 
 
 def decimals(values: Iterable[float | None], digits: int = 3) -> int:
-    """Return the decimals that show the smallest number with significant digits."""
+    """Return the decimals that show the smallest number."""
     sizes = [abs(v) for v in values if v is not None and v == v and v != 0.0]
     return max(0, digits - 1 - floor(log10(min(sizes)))) if sizes else 0
 

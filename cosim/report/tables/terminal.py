@@ -40,7 +40,6 @@ class Drawn:
         yield Text(f"{self._table.note}\n" if self._table.note else "")
 
     def _blocks(self, room: int) -> Iterator[dict[int, int | None]]:
-        """Yield the columns of each block, always with the first, and their widths."""
         head = self._table.head
         if not self._table.numeric:
             yield dict.fromkeys(range(len(head)))  # sentences may be folded
