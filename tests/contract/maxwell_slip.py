@@ -1,4 +1,4 @@
-"""Maxwell-slip: ten stops in parallel, as a law that a user writes."""
+"""Maxwell-slip law: ten stops in parallel, as a user would write it."""
 
 import numpy as np
 

@@ -10,9 +10,9 @@ import hesr_model
 ROOT = Path(hesr_model.__file__).parents[1]
 
 LAYERS = ("hesr_model", "fmu_src", "cosim", "hesr", "hesr.extras")
-"""Each may import those before it."""
+"""Layers, lowest first. Each may import the layers before it."""
 
-# Scripts for interpreters that have an FMI engine and need not have HESR.
+# Scripts for interpreters with an FMI engine but possibly without HESR.
 HOSTS = sorted(path.relative_to(ROOT) for path in ROOT.glob("tests/interop/hosts/*.py"))
 
 MODULES = {
@@ -21,11 +21,11 @@ MODULES = {
     for path in sorted(found.relative_to(ROOT) for found in (ROOT / layer).rglob("*.py"))
     if path not in HOSTS
 }
-"""Path of each module, by its dotted name."""
+"""Path of each module by dotted name."""
 
 
 def layer(name: str) -> str:
-    """Layer of a module or of a dotted name inside one."""
+    """Layer of a module or of a dotted name in a module."""
     return max((one for one in LAYERS if f"{name}.".startswith(f"{one}.")), key=len, default="")
 
 
@@ -35,7 +35,7 @@ def tree(path: Path) -> ast.Module:
 
 
 def imports(path: Path) -> Iterator[str]:
-    """Yield the full names of imported modules, those inside functions included."""
+    """Yield the full names of imported modules, including imports inside functions."""
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

@@ -1,4 +1,4 @@
-"""A script of a stranger that uses each public function and class; `mypy --strict` checks it."""
+"""A user script with every public function and class; `mypy --strict` checks it."""
 
 from pathlib import Path
 

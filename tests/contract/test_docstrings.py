@@ -1,6 +1,6 @@
-"""Docstrings do not mislead: the parameters, errors and names in them exist.
+"""Consistency of docstrings: the parameters, errors and names in them exist.
 
-That everything public has one is ruff's to see.
+Ruff checks that every public object has a docstring.
 """
 
 import ast
@@ -24,12 +24,12 @@ SOURCES = [
 ]
 TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
 Node = ast.ClassDef | ast.FunctionDef
-# Examples of names that are made by a program or come from other libraries.
+# Example names that are generated or come from other libraries.
 FOREIGN = {"q1", "q2", "a_0", "theta1_dq", "der", "R7", "ParfamH", "__dir__", "__getattr__"}
 
 
 def documented() -> Iterator[tuple[Path, Node, str]]:
-    """Classes and functions with their docstrings."""
+    """Yield classes and functions with their docstrings."""
     for path, tree in TREES.items():
         for node in ast.walk(tree):
             if isinstance(node, Node) and (text := ast.get_docstring(node)):
@@ -37,21 +37,21 @@ def documented() -> Iterator[tuple[Path, Node, str]]:
 
 
 def described(text: str, title: str) -> set[str]:
-    """Names that a section of a docstring describes."""
+    """Return the names described in a section of a docstring."""
     section = re.search(rf"(?ms)^{title}\n-+\n(.*?)(?:^\w[\w ]*\n-+\n|\Z)", text)
     heads = re.findall(r"(?m)^(\S.*?)(?: : .*)?$", section[1]) if section else []
     return {name.strip("* ") for head in heads for name in head.split(",")}
 
 
 def parameters(node: Node) -> set[str]:
-    """Of a function, or of what makes objects of a class; its fields among them."""
+    """Return the parameters of a function, or of a class's methods together with its fields."""
     own = [n for n in node.body if isinstance(n, ast.FunctionDef)] if _is_class(node) else [node]
     arguments = {a.arg for function in own for a in ast.walk(function) if isinstance(a, ast.arg)}
     return arguments | {ast.unparse(n.target) for n in node.body if isinstance(n, ast.AnnAssign)}
 
 
 def words(tree: ast.AST) -> set[str]:
-    """Words of the code of a module, its texts among them, but not of its docstrings."""
+    """Return the words in the code of a module, including strings except docstrings."""
     docstrings = {
         id(n.body[0].value)
         for n in ast.walk(tree)
@@ -69,7 +69,7 @@ def _is_class(node: Node) -> bool:
     return isinstance(node, ast.ClassDef)
 
 
-def test_parameters_that_are_described_exist() -> None:
+def test_described_parameters_exist() -> None:
     found = [
         (f"{path}:{node.lineno}", described(text, title) - known)
         for path, node, text in documented()
@@ -79,7 +79,7 @@ def test_parameters_that_are_described_exist() -> None:
 
 
 def test_names_in_docstrings_exist() -> None:
-    """They are words of their module, or defined elsewhere."""
+    """Each name is a word of its module or defined elsewhere."""
     defined = set(FOREIGN)
     for tree in TREES.values():
         nodes = list(ast.walk(tree))
@@ -87,7 +87,7 @@ def test_names_in_docstrings_exist() -> None:
         defined |= {n.arg for n in nodes if isinstance(n, ast.arg)}
         defined |= {ast.unparse(n.target) for n in nodes if isinstance(n, ast.AnnAssign)}
         defined |= {ast.unparse(n.targets[0]) for n in tree.body if isinstance(n, ast.Assign)}
-        # Names of choices and variables.
+        # Names of options and variables.
         texts = [n.value for n in nodes if isinstance(n, ast.Constant)]
         defined |= {text for text in texts if isinstance(text, str) and text.isidentifier()}
     for path in Path(fmu_src.__file__).parent.rglob("*.[ch]"):
@@ -103,9 +103,9 @@ def test_names_in_docstrings_exist() -> None:
     assert unknown == []
 
 
-def test_errors_that_are_described_exist() -> None:
+def test_described_errors_exist() -> None:
     known = {name for holder in (builtins, errors, np.linalg) for name in vars(holder)}
-    known |= {n.name for _, n, _ in documented() if _is_class(n)} | {"Exit"}  # typer's
+    known |= {n.name for _, n, _ in documented() if _is_class(n)} | {"Exit"}  # from typer
     found = []
     for path, node, text in documented():
         names = described(text, "Raises") | set(re.findall(r"\b[A-Z]\w*Error\b", text))

@@ -1,4 +1,4 @@
-"""Every sentence with which HESR refuses something is shown in a test: words of it stand there."""
+"""Coverage of error messages: some words of each appear in a test."""
 
 import ast
 import re
@@ -14,7 +14,7 @@ WORDS = 3
 
 
 def sentences() -> dict[str, list[str]]:
-    """By place the fixed parts of the texts with which errors are made."""
+    """Return the fixed parts of all error messages by place."""
     found = {}
     for package in (hesr_model, fmu_src, cosim):
         for path in sorted(Path(package.__file__).parent.rglob("*.py")):
@@ -29,9 +29,9 @@ def sentences() -> dict[str, list[str]]:
     return found
 
 
-def test_every_refusal_is_shown_in_a_test() -> None:
+def test_every_error_message_appears_in_a_test() -> None:
     tests = (path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("*.py"))
-    # Texts over several lines are one; regular expressions mean the characters that they escape.
+    # Join strings over several lines, and drop the escapes of regular expressions.
     shown = re.sub(r"[\"']\s*\n\s*[rf]*[\"']", "", "\n".join(tests)).replace("\\", "")
     missing = []
     for place, texts in sentences().items():

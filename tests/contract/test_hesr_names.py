@@ -1,4 +1,4 @@
-"""The names of `import hesr`: quick to import, documented, the same for checkers; and its help."""
+"""Names of `import hesr`: lazy import, documentation, type stub and help."""
 
 import ast
 import inspect
@@ -18,7 +18,7 @@ from hesr.cli.derive import Docstring
 from hesr_model.support.lazy import lazy
 
 
-def test_every_name_is_there_and_documented() -> None:
+def test_every_name_exists_and_is_documented() -> None:
     for name in dir(hesr):
         assert inspect.getdoc(getattr(hesr, name)), name
     with pytest.raises(AttributeError, match="module 'hesr' has no attribute 'fitt'"):
@@ -33,7 +33,7 @@ def test_every_verb_is_a_function() -> None:
         assert getattr(hesr, verb) is workflow(verb)
 
 
-def test_the_stub_has_imports_and_names_only() -> None:
+def test_the_stub_contains_only_imports() -> None:
     stub = Path(hesr.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
     body = ast.parse(stub).body
     imported = [node for node in body if isinstance(node, ast.ImportFrom)]
@@ -42,8 +42,8 @@ def test_the_stub_has_imports_and_names_only() -> None:
     assert names == set(dir(hesr))
 
 
-def test_options_of_the_command_line_are_those_of_the_functions() -> None:
-    """Arguments and options of each verb are the parameters of its function, and the reverse."""
+def test_command_line_options_match_the_functions() -> None:
+    """Arguments and options of each verb are the parameters of its function, and vice versa."""
     common = {"json_file", "fail_on", "quiet", "verbose"}
     with app.make_context("hesr", [], resilient_parsing=True) as context:
         for verb in app.list_commands(context):
@@ -63,7 +63,7 @@ def test_options_of_the_command_line_are_those_of_the_functions() -> None:
 SECTIONS = ("Parameters", "Returns", "Raises", "Examples")
 
 
-def test_every_function_has_a_full_docstring_from_which_its_help_comes() -> None:
+def test_every_function_has_a_full_docstring_used_as_help() -> None:
     with app.make_context("hesr", [], resilient_parsing=True) as context:
         for verb in app.list_commands(context):
             function = workflow(verb)
@@ -87,7 +87,7 @@ def test_help_fits_a_screen_and_names_everything() -> None:
     assert [name for name in dir(hesr) if name not in str(hesr.__doc__)] == []
 
 
-def test_importing_it_loads_nothing() -> None:
+def test_the_import_loads_no_modules() -> None:
     code = "import sys; before = set(sys.modules); import hesr; print(*set(sys.modules) - before)"
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -97,7 +97,7 @@ def test_importing_it_loads_nothing() -> None:
     assert not {"numpy", "sympy", "scipy", "pinocchio"} & set(loaded)
 
 
-def test_a_lazy_name_is_looked_up_once() -> None:
+def test_a_lazy_name_is_resolved_once() -> None:
     module = type(sys)("lazy_names")
     sys.modules[module.__name__] = module
     try:

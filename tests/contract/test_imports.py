@@ -1,4 +1,4 @@
-"""Structure of the imports: layers, libraries confined to their modules, help that loads little."""
+"""Structure of the imports: layers, libraries confined to modules, and lightweight help."""
 
 import ast
 import json
@@ -23,7 +23,7 @@ from sources import (
 )
 
 KNOWN_UPWARD: set[str] = set()
-"""Modules that import upwards today. Remove an entry with its last such import."""
+"""Modules that still import upwards. Remove an entry with its last such import."""
 
 LEVELS = 10
 """Longest chain of imports inside cosim. Target: 10."""
@@ -50,7 +50,7 @@ ONLY_IN = {
         "hesr/extras/fleet/*",
     ),
     "distributed": ("hesr/extras/sweep/cluster.py",),
-    # Optional: each reads one kind of log.
+    # Optional: each reads one log format.
     "h5py": ("hesr_model/logs/readers/matlab.py",),
     "rosbags": ("hesr_model/logs/readers/bag.py",),
     "sklearn": ("cosim/regressor.py",),
@@ -68,7 +68,7 @@ HEAVY |= {"lxml", "lief"}
 
 
 def named_extras(name: str) -> set[str]:
-    """Return the modules of extras that a module names in texts, to load them late."""
+    """Return the modules of extras that a module names in strings for late import."""
     texts = (
         node.value.partition(":")[0]
         for node in ast.walk(tree(MODULES[name]))
@@ -82,7 +82,7 @@ def own_imports(name: str) -> set[str]:
 
 
 def parents(name: str) -> list[str]:
-    """Return the packages of the same layer that Python runs before a module."""
+    """Return the packages of the same layer that Python executes before a module."""
     parts = name.split(".")
     packages = (".".join(parts[:count]) for count in range(1, len(parts)))
     return [package for package in packages if layer(package) == layer(name)]
@@ -109,8 +109,8 @@ def test_imports_go_down_only() -> None:
     assert KNOWN_UPWARD - upward.keys() == set(), "these no longer import upwards: remove them"
 
 
-def test_no_module_imports_one_that_imports_it() -> None:
-    """Indirect imports, those inside functions, and packages run on the way count as well."""
+def test_imports_are_acyclic() -> None:
+    """Counts indirect imports, imports inside functions, and packages executed on the way."""
     needs = {
         name: {
             needed
@@ -121,7 +121,7 @@ def test_no_module_imports_one_that_imports_it() -> None:
         for name in MODULES
     }
     assert sum(map(len, needs.values())) > 300
-    TopologicalSorter(needs).prepare()  # raises CycleError, which names them
+    TopologicalSorter(needs).prepare()  # raises CycleError with the cycle
 
 
 def test_cosim_has_two_files_at_its_top() -> None:
@@ -129,7 +129,7 @@ def test_cosim_has_two_files_at_its_top() -> None:
     assert files - {"__init__.py"} <= {"regressor.py", "monolithic.py"}
 
 
-def test_cosim_has_few_levels_of_imports() -> None:
+def test_import_chains_in_cosim_are_short() -> None:
     needs = {
         name: {other for other in own_imports(name) if layer(other) == "cosim"}
         for name in MODULES
@@ -142,9 +142,9 @@ def test_cosim_has_few_levels_of_imports() -> None:
     assert len(longest) <= LEVELS, longest
 
 
-def test_a_host_of_an_engine_needs_nothing_of_ours() -> None:
+def test_engine_hosts_do_not_import_hesr() -> None:
     known = {*sys.stdlib_module_names, "files", "numpy"}
-    # The last for a plain library.
+    # The last one is for a plain library.
     own = {"fmpy", "casadi", "ecospy", "libcosimpy", "pyfmi", "ctypes"}
     assert len(HOSTS) > 3
     wrong = {
@@ -156,7 +156,7 @@ def test_a_host_of_an_engine_needs_nothing_of_ours() -> None:
     assert wrong == {}
 
 
-def test_a_library_is_imported_in_its_own_modules_only() -> None:
+def test_libraries_are_imported_only_in_their_modules() -> None:
     strangers = {
         (library, str(path))
         for path in MODULES.values()
@@ -167,7 +167,7 @@ def test_a_library_is_imported_in_its_own_modules_only() -> None:
 
 
 def test_the_libraries_of_the_definition_are_in_use() -> None:
-    """A rule for a misspelt library would always hold; these seven must be imported somewhere."""
+    """A rule with a misspelt library would always hold, so these must be imported somewhere."""
     used = set().union(*map(libraries, MODULES.values()))
     assert {"fmpy", "numpy", "scipy", "pinocchio", "mujoco", "pythonfmu", "matplotlib"} <= used
 
@@ -178,8 +178,8 @@ def test_every_library_is_a_declared_dependency() -> None:
     extras = [name for extra, names in optional.items() if extra != "dev" for name in names]
     needed = [*project["dependencies"], *extras]
     declared = {re.split(r"[<>=!~\[ ]", name)[0].lower() for name in needed}
-    # The wheel of pinocchio installs outside the folder in which owners are looked up.
-    # What is optional need not be installed.
+    # Pinocchio's wheel installs outside the folder searched for owners; optional packages may be
+    # missing.
     owners = {"pinocchio": ["pin"], "sklearn": ["scikit-learn"]} | packages_distributions()
     free = sys.stdlib_module_names | set(map(top, LAYERS))
     undeclared = {
@@ -192,7 +192,7 @@ def test_every_library_is_a_declared_dependency() -> None:
 
 
 def called(node: ast.Call) -> str:
-    """Return the name of a called function, of methods only those of the module sympy."""
+    """Return the name of a called function; for methods, only those of the module sympy."""
     if isinstance(node.func, ast.Name):
         return node.func.id
     if isinstance(node.func, ast.Attribute) and isinstance(node.func.value, ast.Name):
@@ -200,7 +200,7 @@ def called(node: ast.Call) -> str:
     return ""
 
 
-def test_nothing_is_printed_and_no_text_is_run_as_code() -> None:
+def test_nothing_is_printed_or_evaluated() -> None:
     offenders = {
         (str(path), name)
         for path in MODULES.values()
@@ -214,7 +214,7 @@ def test_nothing_is_printed_and_no_text_is_run_as_code() -> None:
 
 
 def loaded_by(code: str) -> set[str]:
-    """Return the top-level modules that are loaded after code has run in a fresh process."""
+    """Return the top-level modules loaded after code has run in a fresh process."""
     report = "import json, sys; print(json.dumps(sorted({n.split('.')[0] for n in sys.modules})))"
     result = subprocess.run(
         [sys.executable, "-c", f"{code}\n{report}"], capture_output=True, text=True, check=True
@@ -222,7 +222,7 @@ def loaded_by(code: str) -> set[str]:
     return set(json.loads(result.stdout.splitlines()[-1]))
 
 
-def test_help_is_quick_because_it_loads_nothing_heavy() -> None:
+def test_help_loads_no_heavy_library() -> None:
     verbs = [[], *([verb] for verb in ("run", "new", "fit", "check", "export", "simulate"))]
     loaded = loaded_by(
         "from contextlib import suppress\n"
@@ -234,13 +234,13 @@ def test_help_is_quick_because_it_loads_nothing_heavy() -> None:
     assert not loaded & HEAVY
 
 
-def test_measured_logs_need_no_simulator() -> None:
+def test_measured_logs_do_not_load_the_simulator() -> None:
     loaded = loaded_by("import cosim.study.run, cosim.study.study, fmu_src.run.replay")
     assert "scipy" in loaded
     assert not loaded & {"mujoco", "matplotlib", "pythonfmu"}
 
 
-def test_the_science_needs_neither_fmi_nor_a_terminal() -> None:
+def test_the_models_load_neither_fmi_nor_a_terminal() -> None:
     science = sorted(name for name in MODULES if layer(name) == "hesr_model")
     loaded = loaded_by(f"import {', '.join(science)}")
     assert {"sympy", "scipy"} <= loaded

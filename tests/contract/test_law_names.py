@@ -1,4 +1,4 @@
-"""Facts about a law are attributes of its estimator: other modules do not list names of laws."""
+"""Facts about a law are attributes of its estimator: no other module lists law names."""
 
 import ast
 from collections import defaultdict
@@ -10,17 +10,17 @@ from hesr_model.friction.registry import laws_with, registry
 DEFAULTS = {
     "cosim/regressor.py": {"lugre"},  # default of `FrictionRegressor(law=..)`
     "cosim/report/paper.py": {"lugre", "parfam_h", "parfam_v", "rbfnn_h", "stribeck"},  # its tables
-    "cosim/report/sections/prediction.py": {"rbfnn_h"},  # comparison of the paper's Fig. 5
+    "cosim/report/sections/prediction.py": {"rbfnn_h"},  # comparison with Fig. 5 of the paper
     "cosim/study/scores.py": {"lugre", "stribeck"},  # REFERENCE and BASELINE
     "hesr/extras/fleet/study.py": {"lugre"},  # default of the key `laws`
-    # Not laws: a parameter of an alternative plant, an attribute of MuJoCo.
+    # Not laws: a parameter of an alternative plant and an attribute of MuJoCo.
     "fmu_src/arm/truth.py": {"stribeck"},
     "hesr/extras/mjcf/mjcf_file.py": {"lugre"},
 }
 """Documented defaults by module."""
 
 
-def test_names_of_laws_are_quoted_only_as_documented_defaults() -> None:
+def test_law_names_appear_only_as_documented_defaults() -> None:
     found = defaultdict(set)
     for layer in ("hesr_model", "fmu_src", "cosim", "hesr"):
         for file in sorted((ROOT / layer).rglob("*.py")):
@@ -40,7 +40,7 @@ def test_facts_about_a_law_are_not_inherited() -> None:
     assert child.classic
 
 
-def test_laws_are_in_the_order_of_tables() -> None:
+def test_laws_are_in_table_order() -> None:
     orders = [law.order for law in registry().values()]
     assert orders == sorted(orders)
     assert len(set(orders)) == len(orders)

@@ -1,7 +1,6 @@
-"""What every law of the registry promises.
+"""The contract of every law.
 
-The laws are hunted through the registry, so one that is registered tomorrow is tested tomorrow
-without a line written here.
+Tests are parametrised over the registry, so a newly registered law is tested without a change here.
 """
 
 import inspect
@@ -34,14 +33,14 @@ from hesr_model.friction.stepper import LawStepper
 from hesr_model.rigid_body.residual import FrictionRecord
 
 EXACT_ENOUGH = 1e-12
-"""Of the largest torque: what lowering the same expressions in two ways may cost."""
+"""Tolerance relative to the largest torque, for two lowerings of the same expressions."""
 GEAR_RATIO = 101.0
 
 
 def measured(log: str, seed: int, *, seconds: float = 15.0, peak: float = 1.0) -> FrictionRecord:
-    """A log of a joint whose friction is of no law's form, with all that logs have.
+    """A log of a joint whose friction follows no law exactly, with all optional signals.
 
-    Parallel elements that stick and slip, a level that falls with speed and rises with the load,
+    Parallel stick-slip elements, a level that falls with speed and rises with the load, viscous
     friction that bends with speed, ripple, an offset and noise; uneven time stamps and a rest.
     """
     rng = np.random.default_rng(seed)
@@ -85,7 +84,7 @@ def torque(law: FrictionLaw, data: FrictionRecord) -> np.ndarray:
 
 
 def model_of(law: FrictionLaw) -> FrictionModel:
-    """Two joints with the law, the second with other numbers."""
+    """Two joints with the law; the second has different coefficients."""
     other = replace(law, values={name: 0.9 * value for name, value in law.values.items()})
     return FrictionModel(
         law=law.name, robot="bench", joints=("j1", "j2"), laws=(law, other), sample_time=0.011
@@ -107,11 +106,11 @@ def law(name: str) -> FrictionLaw:
 # --- the estimator ----------------------------------------------------------------------------
 
 
-def test_the_registry_holds_the_laws_that_come_with_hesr() -> None:
+def test_the_registry_holds_the_laws_of_hesr() -> None:
     assert {"stribeck", "lugre", "parfam_h"} <= set(registry())
 
 
-def test_a_law_says_what_it_is(name: str) -> None:
+def test_a_law_describes_itself(name: str) -> None:
     entry = registry()[name]
     assert entry.name == name
     assert re.fullmatch(r"[a-z][a-z0-9_]*", name)
@@ -121,12 +120,12 @@ def test_a_law_says_what_it_is(name: str) -> None:
     assert entry.fit.__doc__
 
 
-def test_titles_and_equations_differ() -> None:
+def test_titles_and_equations_are_unique() -> None:
     assert len({entry.title for entry in registry().values()}) == len(registry())
     assert len({entry.as_text() for entry in registry().values()}) == len(registry())
 
 
-def test_hyper_parameters_go_into_the_constructor_by_name_and_have_defaults(name: str) -> None:
+def test_hyper_parameters_are_keywords_with_defaults(name: str) -> None:
     entry = registry()[name]
     entry()
     for parameter in list(inspect.signature(entry).parameters.values()):
@@ -142,23 +141,23 @@ def test_a_structure_of_another_law_is_refused(name: str) -> None:
     try:
         form = entry.form({})
     except ArtifactError:
-        return  # a family: a structure must be given
+        return  # a family: needs a structure
     assert entry.form({}) == form
 
 
 # --- over whole logs --------------------------------------------------------------------------
 
 
-def test_torque_over_a_log_in_c_is_that_in_numpy(law: FrictionLaw) -> None:
-    """With the numbers of the fit, and with others."""
+def test_torque_over_a_log_in_c_equals_numpy(law: FrictionLaw) -> None:
+    """Checked for the fitted coefficients and for others."""
     rows = {n: getattr(unseen(), n) for n in ("t", "dq", "q", "tau_load")}
     for own in (law, *model_of(law).laws):
         found, expected = predict(own, **rows), over_log.predicted(own, **rows)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
 
 
-def test_steps_of_many_motions_in_c_are_those_in_numpy(law: FrictionLaw) -> None:
-    """With the law's own coefficients, and with others for each motion."""
+def test_steps_of_many_motions_in_c_equal_numpy(law: FrictionLaw) -> None:
+    """Checked for the law's own coefficients and for different ones in each motion."""
     rng, motions = np.random.default_rng(3), 20
     dt, *inputs = rng.uniform(1e-4, 1e-2, motions), *rng.normal(size=(3, motions))
     x = 1e-3 * rng.normal(size=(len(law.form.memory), motions))
@@ -181,11 +180,11 @@ def test_a_law_fits_hysteretic_friction(law: FrictionLaw) -> None:
         assert error < 0.5 * np.std(data.tau), data.log
 
 
-def test_the_fit_is_the_same_for_the_same_seed(name: str, law: FrictionLaw) -> None:
+def test_the_same_seed_gives_the_same_fit(name: str, law: FrictionLaw) -> None:
     assert fit_joint(name, training(), seed=0) == law
 
 
-def test_an_estimator_keeps_nothing_of_a_fit(name: str, law: FrictionLaw) -> None:
+def test_an_estimator_has_no_state_after_a_fit(name: str, law: FrictionLaw) -> None:
     estimator = registry()[name]()
     before = json.dumps(vars(estimator), default=str)
     with threadpool_limits(1):
@@ -193,7 +192,7 @@ def test_an_estimator_keeps_nothing_of_a_fit(name: str, law: FrictionLaw) -> Non
     assert json.dumps(vars(estimator), default=str) == before
 
 
-def test_the_fit_leaves_the_records_alone(name: str, law: FrictionLaw) -> None:
+def test_the_fit_does_not_modify_the_records(name: str, law: FrictionLaw) -> None:
     for data, untouched in zip(
         training(), (measured("one", 0), measured("two", 1, peak=0.7)), strict=True
     ):
@@ -242,7 +241,7 @@ def test_coefficients_have_names_units_and_descriptions(law: FrictionLaw) -> Non
     assert np.all(np.isfinite(list(law.values.values())))
 
 
-def test_a_law_uses_known_inputs_only_and_others_have_no_effect(law: FrictionLaw) -> None:
+def test_a_law_uses_known_inputs_only(law: FrictionLaw) -> None:
     assert set(law.form.inputs) <= set(INPUTS)
     data = first_rows(unseen(), 300)
     expected = torque(law, data)
@@ -253,7 +252,7 @@ def test_a_law_uses_known_inputs_only_and_others_have_no_effect(law: FrictionLaw
         np.testing.assert_array_equal(torque(law, replace(data, **{column: noise})), expected)
 
 
-def test_a_log_at_once_is_the_log_step_by_step(law: FrictionLaw) -> None:
+def test_a_whole_log_equals_the_log_step_by_step(law: FrictionLaw) -> None:
     data = first_rows(unseen(), 400)
     stepper = Stepper(law)
     rows = np.stack(
@@ -295,7 +294,7 @@ def test_a_law_survives_its_file(law: FrictionLaw, tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Return the FMU of a law, which is made once."""
+    """Return the FMU of a law, exported once."""
     folder = tmp_path_factory.mktemp("fmus")
     return cache(lambda name: export_bare(model_of(fitted(name)), folder / f"{name}.fmu"))
 
@@ -319,7 +318,7 @@ def test_the_fmu_gives_the_torque_of_the_law(
 @pytest.mark.parametrize(
     ("law", "need"), [(name, need) for name, law in registry().items() for need in law.needs]
 )
-def test_a_law_says_which_input_the_records_lack(law: str, need: str) -> None:
+def test_a_missing_input_of_the_records_is_named(law: str, need: str) -> None:
     lacking = replace(measured("log", 0), **{need: None})
     with pytest.raises(HesrError) as caught:
         fit_joint(law, [lacking], seed=0)
@@ -331,7 +330,7 @@ def test_a_law_says_which_input_the_records_lack(law: str, need: str) -> None:
 def test_the_first_torque_of_the_fmu_is_the_steady_one(
     name: str, exported: Callable[[str], Path]
 ) -> None:
-    """At any speed of the training from that on which counts as motion."""
+    """Holds for any trained speed above the motion threshold."""
     trained = max(float(np.abs(data.dq).max()) for data in training())
     held = {"q": 0.3, "tau_load": 4.0}
     with FmuInstance(exported(name)) as friction:
@@ -347,8 +346,8 @@ def test_the_first_torque_of_the_fmu_is_the_steady_one(
 
 
 @pytest.mark.parametrize("speed", [-1.0, -0.3, -0.02, 0.02, 0.1, 1.0])
-def test_a_start_in_motion_is_no_kick(law: FrictionLaw, speed: float) -> None:
-    """The first torque is the steady one of the first inputs."""
+def test_a_start_in_motion_gives_no_kick(law: FrictionLaw, speed: float) -> None:
+    """The first torque is the steady torque of the first inputs."""
     held = np.full(3, speed)
     tau = predict(
         replace(law, discretisation="exact"),

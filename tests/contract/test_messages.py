@@ -1,4 +1,4 @@
-"""User-visible sentences: `messages.txt` lists them by module, so that a change shows up in a diff.
+"""User-visible sentences, listed by module in `messages.txt` so that changes show in a diff.
 
 `make messages` writes the file.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 SNAPSHOT = Path(__file__).with_name("messages.txt")
 PACKAGES = ("hesr", "hesr_model", "fmu_src", "cosim")
-# Literals that are code, markup or patterns rather than sentences.
+# Literals that are code, markup or patterns, not sentences.
 NOT_PROSE = re.compile(
     r"</?[a-z!]|/>|->|;\n|\(\?|\\[ndsbw(]|^\s*[\[(/#*]|==|&&|\bdouble\b|\breturn\b|[a-z]\(.*\);"
 )
@@ -90,14 +90,14 @@ def listed() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def test_the_snapshot_has_all_sentences() -> None:
+def test_the_snapshot_is_up_to_date() -> None:
     if "WRITE_MESSAGES" in os.environ:
         SNAPSHOT.write_text(listed(), encoding="utf-8")
     assert SNAPSHOT.read_text(encoding="utf-8") == listed(), "run `make messages` and read the diff"
 
 
 def _asserted() -> Iterator[tuple[str, str]]:
-    """Patterns of `pytest.raises(.., match=..)` in the tests, with their place."""
+    """Patterns of `pytest.raises(.., match=..)` in the tests, with their places."""
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if (
@@ -115,7 +115,7 @@ def _pairs(text: str) -> set[str]:
     return {" ".join(pair) for w in words for pair in pairwise(w)}
 
 
-def test_sentences_that_tests_assert_are_in_the_snapshot() -> None:
+def test_sentences_asserted_in_tests_are_in_the_snapshot() -> None:
     known = [_pairs(text) for texts in messages().values() for text in texts]
     unknown, asserted = [], 0
     for place, text in _asserted():
@@ -123,7 +123,7 @@ def test_sentences_that_tests_assert_are_in_the_snapshot() -> None:
         if len(pairs) < 3 or any(words in text for words in FOREIGN):
             continue
         asserted += 1
-        # Places and reasons are joined by colons and may come from different modules.
+        # Places and reasons, joined by colons, may come from different modules.
         clauses = [pairs, *filter(None, map(_pairs, text.split(": ")))]
         if not any(len(c & own) >= min(3, len(c) / 2) for c in clauses for own in known):
             unknown.append((place, text))

@@ -1,4 +1,4 @@
-"""The names of `import hesr_model`: few, documented, the same for checkers and at run time."""
+"""Names of `import hesr_model`: few, documented, and the same for type checkers as at run time."""
 
 import ast
 import inspect
@@ -20,7 +20,7 @@ from hesr_model.friction.records import predict_record
 SOURCE = Path(hesr_model.__file__)
 
 
-def test_every_public_name_is_there_and_documented() -> None:
+def test_every_public_name_exists_and_is_documented() -> None:
     assert set(hesr_model.__all__) <= set(dir(hesr_model))
     for name in hesr_model.__all__:
         value = getattr(hesr_model, name)
@@ -30,7 +30,7 @@ def test_every_public_name_is_there_and_documented() -> None:
         _ = hesr_model.fitt
 
 
-def test_checkers_see_the_same_names() -> None:
+def test_type_checkers_see_the_same_names() -> None:
     stub = ast.parse(SOURCE.with_suffix(".pyi").read_text(encoding="utf-8")).body
     imports = [node for node in stub if isinstance(node, ast.ImportFrom)]
     assert len(imports) == len(stub)
@@ -42,7 +42,7 @@ def test_checkers_see_the_same_names() -> None:
     assert (SOURCE.parent / "py.typed").is_file()
 
 
-def test_importing_the_package_loads_nothing() -> None:
+def test_the_import_loads_no_modules() -> None:
     code = (
         "import sys; before = set(sys.modules); import hesr_model; "
         "print(*set(sys.modules) - before)"
@@ -58,7 +58,7 @@ def test_importing_the_package_loads_nothing() -> None:
 def records(
     log: str, joints: tuple[str, ...] = ("a", "b"), rows: int = 800
 ) -> list[FrictionRecord]:
-    """A log of joints with friction that remembers, started in the middle of nowhere."""
+    """A log of joints whose friction has memory, with an arbitrary initial state."""
     t = 0.01 * np.arange(rows)
     made = []
     for k, joint in enumerate(joints):
@@ -93,7 +93,7 @@ def test_options_reach_the_estimator() -> None:
         fit("lugre", records("one"), options={"fast": True})
 
 
-def test_predict_over_a_log_is_that_of_the_records(model: FrictionModel) -> None:
+def test_predict_over_a_log_equals_the_records(model: FrictionModel) -> None:
     log = records("three")
     found = model.predict(log)
     assert found.shape == (800, 2)
@@ -101,7 +101,7 @@ def test_predict_over_a_log_is_that_of_the_records(model: FrictionModel) -> None
         np.testing.assert_array_equal(found[:, k], predict_record(model.laws[k], record))
 
 
-def test_predict_takes_the_start_from_a_log_where_the_law_wants_that() -> None:
+def test_predict_estimates_the_start_if_the_law_does() -> None:
     log = records("one")
     estimated = fit("parfam_hx", log)
     assert estimated.laws[0].start_samples
@@ -114,7 +114,7 @@ def test_predict_takes_the_start_from_a_log_where_the_law_wants_that() -> None:
     )
 
 
-def test_predict_over_arrays_is_that_of_the_laws(model: FrictionModel) -> None:
+def test_predict_over_arrays_equals_the_laws(model: FrictionModel) -> None:
     log = records("three")
     dq = np.column_stack([record.dq for record in log])
     found = model.predict(t=log[0].t, dq=dq)
@@ -141,7 +141,7 @@ def test_predict_over_arrays_is_that_of_the_laws(model: FrictionModel) -> None:
         ),
     ],
 )
-def test_arrays_that_do_not_fit_are_refused(
+def test_arrays_of_wrong_shape_are_refused(
     model: FrictionModel, change: dict[str, np.ndarray], sentence: str
 ) -> None:
     arrays = {"t": 0.1 * np.arange(10), "dq": np.zeros((10, 2))} | change
@@ -159,7 +159,7 @@ def test_records_of_other_joints_are_refused(model: FrictionModel) -> None:
     )
 
 
-def test_predict_without_a_motion_is_a_mistake_of_the_caller(model: FrictionModel) -> None:
+def test_predict_without_a_motion_is_a_type_error(model: FrictionModel) -> None:
     with pytest.raises(TypeError, match="the records of a log, or the arrays 't' and 'dq'"):
         model.predict(t=[0.0])  # type: ignore[call-overload]  # the mistake
 
@@ -175,9 +175,7 @@ def test_predict_without_a_motion_is_a_mistake_of_the_caller(model: FrictionMode
         ),
     ],
 )
-def test_logs_that_do_not_go_together_are_refused(
-    logs: list[list[FrictionRecord]], sentence: str
-) -> None:
+def test_incompatible_logs_are_refused(logs: list[list[FrictionRecord]], sentence: str) -> None:
     with pytest.raises(FitError) as caught:
         fit("lugre", *logs)
     assert str(caught.value) == sentence
@@ -188,7 +186,7 @@ def test_an_unknown_law_is_refused_by_name() -> None:
         fit("no", records("one"))
 
 
-def test_a_record_that_lacks_what_a_law_needs_is_refused() -> None:
+def test_a_record_without_a_required_input_is_refused() -> None:
     needy = [name for name, law in registry().items() if "gear_ratio" in law.needs]
     assert needy
     lacking = [replace(record, gear_ratio=None) for record in records("one")]

@@ -1,7 +1,7 @@
-"""A law of another package: every verb and table treats it as one of HESR's own.
+"""A law from another package: every verb and table treats it like one of HESR's own.
 
-The package is the example of docs/add-a-law.md, with a module and entry points as `pip install`
-leaves them.
+The package is the example of docs/add-a-law.md, with a module and entry points as installed by
+`pip install`.
 """
 
 import html
@@ -76,7 +76,7 @@ def run(site: Path, *command: object, cwd: Path) -> subprocess.CompletedProcess[
 
 
 def hesr(site: Path, *arguments: object, cwd: Path) -> str:
-    """Run the command line with the package installed; return what it says."""
+    """Run the command line with the package installed; return its output."""
     answer = run(site, "-c", "from hesr.cli import main; main()", *arguments, cwd=cwd)
     assert answer.returncode == 0, answer.stderr
     return answer.stdout
@@ -89,7 +89,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory, site: Path) -> Path:
-    """What `hesr run` makes of the law."""
+    """Results of `hesr run` with the law."""
     folder = tmp_path_factory.mktemp("toy")
     (folder / "motions.toml").write_text(MOTIONS, encoding="utf-8")
     (folder / "study.toml").write_text(STUDY + GAINS, encoding="utf-8")
@@ -107,12 +107,12 @@ def test_the_example_is_short() -> None:
     assert PROJECT["entry-points"]["hesr.laws"].keys() == {LAW}
 
 
-def test_it_is_listed(site: Path, tmp_path: Path) -> None:
+def test_the_law_is_listed(site: Path, tmp_path: Path) -> None:
     assert TITLE in hesr(site, "fit", "--list", cwd=tmp_path)
 
 
 @pytest.mark.ci
-def test_it_is_fitted_and_exported_by_the_command_line(site: Path, results: Path) -> None:
+def test_the_command_line_fits_and_exports_the_law(site: Path, results: Path) -> None:
     folder = results.parent
     said = hesr(
         site, "fit", "results/logs/excitation.csv", "--robot", UF850 / "robot.toml", "--rigid-body",
@@ -127,48 +127,48 @@ def test_it_is_fitted_and_exported_by_the_command_line(site: Path, results: Path
 
 
 @pytest.mark.ci
-def test_the_verdict_recommends_it(results: Path) -> None:
+def test_the_verdict_recommends_the_law(results: Path) -> None:
     found = read(results / "verdict.json")
     assert (found["law"], found["fmu"]) == (LAW, f"fmus/{LAW}.fmu")
     assert found["unexplained"]
 
 
 @pytest.mark.ci
-def test_a_run_scores_its_fmu_beside_the_truth(results: Path) -> None:
+def test_a_run_scores_its_fmu_against_the_truth(results: Path) -> None:
     scores = read(results / "evaluation.json")["unseen"]
     assert LAW in scores["laws"]
     assert not check(results / "fmus" / f"{LAW}.fmu").problems
 
 
 @pytest.mark.ci
-def test_it_is_put_to_the_property_battery(results: Path) -> None:
+def test_the_law_gets_the_physics_checks(results: Path) -> None:
     assert LAW in (results / "properties.json").read_text(encoding="utf-8")
 
 
 @pytest.mark.ci
-def test_it_tracks_in_the_closed_loop(results: Path) -> None:
+def test_the_law_tracks_in_the_closed_loop(results: Path) -> None:
     found = read(results / "closed_loop.json")
     rows = {row["scheme"]: row for row in found["tracking"] if row["law"] == LAW}
-    assert len(rows) == 8  # two compensations: without and with Kx, measured and filtered velocity
+    assert len(rows) == 8  # compensation without and with Kx, measured and filtered velocity
     assert not any(row["failures"] for row in rows.values())
     assert any(row["law"] == LAW for row in found["long"])
     assert any(row["law"] == LAW for row in found["sweeps"])
 
 
 @pytest.mark.ci
-def test_it_stands_in_the_report(results: Path) -> None:
+def test_the_law_is_in_the_report(results: Path) -> None:
     assert TITLE in (results / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.ci
-def test_the_contract_of_all_laws_is_put_to_it(site: Path) -> None:
+def test_the_law_fulfils_the_contract_of_all_laws(site: Path) -> None:
     tests = ROOT / "tests" / "contract" / "test_laws.py"
     options = ("-q", "-k", LAW, "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:benchmark")
     answer = run(site, "-m", "pytest", tests, *options, cwd=ROOT)
     assert answer.returncode == 0, answer.stdout
     passed = re.search(r"(\d+) passed", answer.stdout)
     assert passed
-    # As many as any other law has that needs nothing.
+    # As many tests as for any other law without needs.
     listed = run(site, "-m", "pytest", tests, *options[:1], "-k", "stribeck", "--co", cwd=ROOT)
     assert int(passed[1]) == listed.stdout.count("[stribeck")
     assert int(passed[1]) > 10
@@ -197,16 +197,14 @@ def test_the_contract_of_all_laws_is_put_to_it(site: Path) -> None:
         ),
     ],
 )
-def test_a_package_that_does_not_work_is_named(
-    module: str, law: str, sentence: str, tmp_path: Path
-) -> None:
+def test_a_broken_package_is_named(module: str, law: str, sentence: str, tmp_path: Path) -> None:
     broken = installed(tmp_path / "site", module=module, law=law)
     answer = run(broken, "-c", "from hesr.cli import main; main()", "fit", "--list", cwd=tmp_path)
     assert answer.returncode == 2
     assert answer.stderr == f"hesr: {sentence}\n"
 
 
-# --- a law that the logs do not determine -----------------------------------------------------
+# --- a law the logs do not determine ----------------------------------------------------------
 
 UNFIT = (
     MODULE
@@ -236,7 +234,7 @@ def ran(study: Path, text: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.ci
-def test_a_run_goes_on_without_it(study: Path) -> None:
+def test_a_run_continues_without_the_law(study: Path) -> None:
     answer = ran(study, MEASURED.replace(f'["{LAW}"]', f'["stribeck", "{LAW}"]'))
     assert answer.returncode == 0
     assert answer.stderr == f"hesr: law '{LAW}' is left out: {WHY}\n"
@@ -248,14 +246,14 @@ def test_a_run_goes_on_without_it(study: Path) -> None:
 
 
 @pytest.mark.ci
-def test_a_run_of_no_other_law_ends(study: Path) -> None:
+def test_a_run_without_another_law_ends(study: Path) -> None:
     answer = ran(study, MEASURED)
     assert (answer.returncode, answer.stderr) == (2, f"hesr: {WHY}\n")
     assert not (study.parent / "results").exists()
 
 
 @pytest.mark.ci
-def test_a_run_whose_closed_loop_needs_it_ends(study: Path) -> None:
+def test_a_run_whose_closed_loop_needs_the_law_ends(study: Path) -> None:
     answer = ran(study, STUDY.replace("laws = [", 'laws = ["stribeck", ') + GAINS)
     assert (answer.returncode, answer.stderr) == (2, f"hesr: {WHY}\n")
     assert not (study.parent / "results").exists()

@@ -1,4 +1,4 @@
-"""Public functions and classes are typed for a stranger's script: no error and no Any."""
+"""Types of public functions and classes: a user script passes without errors and without Any."""
 
 import subprocess
 import sys
@@ -11,8 +11,8 @@ STRICT = ("--strict", "--disallow-any-expr", "--no-error-summary")
 
 
 @pytest.mark.ci
-def test_a_script_of_a_stranger_passes_the_strictest_checks(tmp_path: Path) -> None:
-    """From a folder of its own, where nothing of HESR's configuration holds."""
+def test_a_user_script_passes_strict_checks(tmp_path: Path) -> None:
+    """The script runs from a separate folder, outside HESR's configuration."""
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.read_text(encoding="utf-8"), encoding="utf-8")
     checked = subprocess.run(
@@ -22,7 +22,7 @@ def test_a_script_of_a_stranger_passes_the_strictest_checks(tmp_path: Path) -> N
         cwd=tmp_path,
         check=False,
     )
-    # Mappings of JSON data and shapes of arrays contain Any by nature; no expression is one.
+    # Mappings of JSON data and shapes of arrays contain Any by nature; no expression is Any.
     ours = [
         line
         for line in checked.stdout.splitlines()
@@ -32,7 +32,7 @@ def test_a_script_of_a_stranger_passes_the_strictest_checks(tmp_path: Path) -> N
     assert "import-untyped" not in checked.stdout
 
 
-def test_the_packages_say_that_they_are_typed() -> None:
+def test_the_packages_are_marked_as_typed() -> None:
     root = Path(__file__).parents[2]
     for package in ("hesr", "cosim", "fmu_src", "hesr_model"):
         assert (root / package / "py.typed").is_file()

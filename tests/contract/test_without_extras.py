@@ -1,4 +1,4 @@
-"""The core without `hesr.extras`: laws, verbs and a whole quick run."""
+"""The core without `hesr.extras`: laws, verbs and a complete quick run."""
 
 import json
 import os
@@ -25,7 +25,7 @@ class NoExtras:
 
 sys.meta_path.insert(0, NoExtras())
 """
-"""Text of a `sitecustomize`, which all Python processes import."""
+"""Text of a `sitecustomize`, imported by every Python process."""
 
 VERBS = ("new", "inspect", "excite", "identify", "fit", "export", "check", "simulate", "run",
          "report")  # fmt: skip
@@ -85,7 +85,7 @@ def core_laws() -> list[str]:
     return [name for name in registry() if not entries[name].entry.module.startswith("hesr.extras")]
 
 
-def test_laws_of_the_core_are_listed_and_no_others(site: Path, tmp_path: Path) -> None:
+def test_only_laws_of_the_core_are_listed(site: Path, tmp_path: Path) -> None:
     code = "import json, hesr; print(json.dumps(list(hesr.laws())))"
     found = python(site, "-c", code, cwd=tmp_path)
     assert found.returncode == 0, found.stderr
@@ -99,7 +99,7 @@ def test_help_of_every_core_verb(site: Path, tmp_path: Path) -> None:
     assert found.returncode == 0, found.stderr
 
 
-def test_a_verb_and_a_format_of_an_extra_are_unknown(site: Path, tmp_path: Path) -> None:
+def test_verbs_and_formats_of_extras_are_unknown(site: Path, tmp_path: Path) -> None:
     found = hesr(site, "monitor", "log.csv", cwd=tmp_path)
     assert found.returncode == 2
     assert "No such command 'monitor'" in found.stderr
@@ -125,7 +125,7 @@ def test_a_quick_run(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.ci
-def test_laws_of_the_papers_table_are_fitted(site: Path, tmp_path: Path) -> None:
+def test_laws_of_the_paper_table_are_fitted(site: Path, tmp_path: Path) -> None:
     laws = f"laws = {json.dumps(laws_of_paper())}\n"
     (tmp_path / "motions.toml").write_text(MOTIONS, encoding="utf-8")
     (tmp_path / "study.toml").write_text(STUDY.replace("[twin]", f"{laws}[twin]"), encoding="utf-8")
