@@ -1,4 +1,4 @@
-"""Fixtures of all tests of this folder."""
+"""Fixtures of the recorded-number tests."""
 
 from collections.abc import Callable
 
@@ -22,7 +22,7 @@ TRUTH = law(
 
 @pytest.fixture
 def unchanged(num_regression: NumericRegressionFixture) -> Unchanged:
-    """Check numbers against those beside the test."""
+    """Compare numbers with those recorded for the test."""
 
     def check(of: object, *, rtol: float = 1e-6, atol: float = 1e-9) -> None:
         found = {name: np.asarray(value) for name, value in leaves(of) if len(value)}
@@ -33,7 +33,7 @@ def unchanged(num_regression: NumericRegressionFixture) -> Unchanged:
 
 @pytest.fixture(scope="session")
 def records() -> list[FrictionRecord]:
-    """Two logs of a law of LuGre with a load, and noise."""
+    """Two noisy logs of LuGre with load."""
     return [
         along(TRUTH, path(k, seconds=5.0 + k), noise=0.3, seed=k, log=str(k), gear_ratio=101.0)
         for k in range(2)
@@ -42,7 +42,7 @@ def records() -> list[FrictionRecord]:
 
 @pytest.fixture(scope="session")
 def exact(records: list[FrictionRecord]) -> HysteresisFeatures:
-    """Features of these, of the exact discretisation."""
+    """Features of the records with exact discretisation."""
     return HysteresisFeatures(
         samples=JointRows.of(records, coefficients=11), discretisation="exact"
     )

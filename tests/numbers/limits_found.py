@@ -1,4 +1,4 @@
-"""Where checks begin to speak: found by halving, and told in all their words."""
+"""Thresholds of checks, found by bisection, and the full text of findings."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -12,13 +12,13 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
 
 TWO = RobotDescription(name="two", model=Path("two.urdf"), joints=("a", "b"))
-"""Two joints that no test needs a model of."""
+"""Description of two joints, for tests that need no model."""
 
 
 def edge(
     speaks: Callable[[float], object], low: float, high: float, steps: int = 24
 ) -> list[float]:
-    """Return where between two numbers a check begins to speak, or falls silent, and whether."""
+    """Return the threshold of a check, and 1 if it reports above it, 0 if below."""
     at_low = bool(speaks(low))
     assert at_low != bool(speaks(high)), "it says the same at both ends"
     for _ in range(steps):
@@ -28,7 +28,7 @@ def edge(
 
 
 def said(findings: Iterable[Finding], check: str = "") -> list[str]:
-    """All that findings hold, a line each."""
+    """Return the full content of each finding in one line."""
     return [
         f"{f.check}, {f.severity}, {list(f.joints)}, {list(f.logs)}: {f.found} | {f.remedy} | "
         + ", ".join(f"{key} = {_short(value)}" for key, value in f.changes.items())
@@ -44,7 +44,7 @@ def _short(value: object) -> str:
 
 
 def two_joints(rows: int = 1000, period: float = 0.01) -> Log:
-    """Two joints on sines, with torques of which no two are equal."""
+    """Return a log of two joints on sines with distinct torques."""
     t = period * np.arange(rows)
     q = np.column_stack([np.sin(t), 0.5 * np.cos(0.7 * t)])
     dq = np.column_stack([np.cos(t), -0.35 * np.sin(0.7 * t)])
@@ -53,7 +53,7 @@ def two_joints(rows: int = 1000, period: float = 0.01) -> Log:
 
 
 def at(values: np.ndarray | None, rows: object, joint: int, value: object) -> np.ndarray:
-    """Values with others in some rows of one joint."""
+    """Return a copy with other values in some rows of one joint."""
     assert values is not None
     changed = values.copy()
     changed[rows, joint] = value
@@ -61,7 +61,7 @@ def at(values: np.ndarray | None, rows: object, joint: int, value: object) -> np
 
 
 def as_part(log: Log, **more: np.ndarray | None) -> Motionwise:
-    """A log as a part that is ready for its checks, without a low pass."""
+    """Return a log as a part ready for the checks, without low-pass filtering."""
     assert log.dq is not None
     own = Motionwise(log=log, t=log.t, q=log.q, v=log.dq, a=0.0 * log.q, dq=log.dq, tau=log.tau)
     return replace(own, **more)

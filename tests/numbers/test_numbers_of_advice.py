@@ -1,4 +1,4 @@
-"""When results are told to be odd, what motions lack, and which constants are proposed."""
+"""Thresholds of odd results, gaps in the excitation, and proposed constants."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,7 +28,7 @@ def fit(**changes: object) -> JointTorque:
     return JointTorque(**{**own, **changes})
 
 
-def test_what_motions_lack(unchanged: Unchanged, data_regression: DataRegressionFixture) -> None:
+def test_missing_excitation(unchanged: Unchanged, data_regression: DataRegressionFixture) -> None:
     wave = np.sin(np.linspace(0.0, 12.0 * np.pi, ROWS))
 
     def told(v: np.ndarray = wave, *fits: JointTorque, parts: int = 1) -> list[str]:
@@ -40,7 +40,8 @@ def test_what_motions_lack(unchanged: Unchanged, data_regression: DataRegression
         return [f"{joint}: {what}" for joint, what in unseen(found, ("a", "b"))]
 
     def slow(rows: int) -> np.ndarray:
-        """Back and forth at full speed, some rows at a twentieth of it, above what rests."""
+        """Back and forth at full speed, with some rows at a twentieth of it, above the rest
+        threshold."""
         v = np.where(np.arange(ROWS) % 100 < 50, 1.0, -1.0)
         v[np.arange(rows) * 7] = 0.05
         return v
@@ -138,7 +139,7 @@ def test_odd_results(
     )
 
 
-def test_what_is_put_into_a_robot_file(
+def test_proposed_constants(
     arm: RobotDescription, unchanged: Unchanged, data_regression: DataRegressionFixture
 ) -> None:
     reasons: dict[str, str] = {}

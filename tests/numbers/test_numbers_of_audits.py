@@ -1,4 +1,4 @@
-"""What is audited, proven and refuted of laws, with the figures of the proofs and of the cycles."""
+"""Audits, proofs and refutations of laws, with the numbers of proofs and cycles."""
 
 from dataclasses import asdict, replace
 
@@ -90,7 +90,7 @@ def test_proofs_and_audits(name: str, unchanged: Unchanged) -> None:
     )
 
 
-def test_waves_ask_for_viscous_friction(unchanged: Unchanged) -> None:
+def test_waves_need_viscous_friction(unchanged: Unchanged) -> None:
     groups = [(0.5, 50.0, 0.003, 0.0, -1.0), (0.3, 200.0, 0.001, 0.02, 0.015)]
     need = certificate._needed(groups, 0.01)
     unchanged({"need": need, "longer": certificate._needed(groups, 0.05), "speeds": SPEEDS})
@@ -99,12 +99,12 @@ def test_waves_ask_for_viscous_friction(unchanged: Unchanged) -> None:
     assert not certificate._holds(groups, need * (1.0 - 1.1e-6), 0.01)
 
 
-def test_steps_that_are_looked_at() -> None:
+def test_examined_steps() -> None:
     steps = certificate._STEPS
     assert (steps[0], steps[-1], len(steps)) == (1e-6, 10.0, 141)
 
 
-def test_signs_that_show() -> None:
+def test_signs_of_expressions() -> None:
     shown = certificate.never_negative
     assert shown(sympy.Integer(0))
     assert not shown(sympy.Integer(-1))
@@ -120,7 +120,7 @@ def test_signs_that_show() -> None:
 # --- cycles -----------------------------------------------------------------------------------
 
 
-def test_motions_that_are_closed(unchanged: Unchanged) -> None:
+def test_closed_motions(unchanged: Unchanged) -> None:
     found = {}
     for wanted in (0.05, 1.0, 30.0):
         motions = cycles.closed_motions(TRAINED, np.array([0.2, 0.9]), wanted)
@@ -133,9 +133,11 @@ def test_motions_that_are_closed(unchanged: Unchanged) -> None:
     unchanged({**found, "noise": {"dq": dq, "q": q, "rows": [len(q), settling]}})
 
 
-def test_work_that_is_rounding_is_none() -> None:
+def test_round_off_work_counts_as_zero() -> None:
     motions = cycles.closed_motions(TRAINED, np.array([1.0]), 1.0)
-    turned = np.sin(np.arccos(np.clip(motions.dq, -1.0, 1.0)))  # of position alone, but for signs
+    turned = np.sin(
+        np.arccos(np.clip(motions.dq, -1.0, 1.0))
+    )  # a function of position alone, except for signs
     for share, counts in ((0.9e-9, False), (1.1e-9, True)):
         moved = np.abs(turned * motions.dq)[:, -motions.rows :].sum()
         own_work = (motions.dq**2)[:, -motions.rows :].sum()
@@ -146,7 +148,7 @@ def test_work_that_is_rounding_is_none() -> None:
     assert (still.work, still.share) == (0.0, 0.0)
 
 
-def test_motions_with_a_load_that_swings(unchanged: Unchanged) -> None:
+def test_motions_with_an_oscillating_load(unchanged: Unchanged) -> None:
     found = list(attacks.loaded_motions(TRAINED, angles=(1e-3, 1e-2), phases=(0.0, 1.0), turns=3))
     given = [m.given(-0.1 * m.dq + 0.01 * m.load * np.sign(m.dq)) for m in found]
     unchanged({
@@ -156,7 +158,7 @@ def test_motions_with_a_load_that_swings(unchanged: Unchanged) -> None:
     })  # fmt: skip
 
 
-def test_energy_counts_once_cycles_agree() -> None:
+def test_energy_counts_if_cycles_agree() -> None:
     motion = next(attacks.loaded_motions(TRAINED, turns=3))
     rows = motion.rows
     for ratio, counts in ((0.96, True), (0.94, False), (1.04, True), (1.06, False)):
@@ -183,7 +185,7 @@ def test_loads_of_an_audit() -> None:
     assert audits.loads_of(laws()["lugre"], replace(only, tau_load=(-9.0, -3.0))) == (-3.0,)
 
 
-def test_where_power_is_negative() -> None:
+def test_ranges_of_negative_power() -> None:
     v = np.array([-2.0, -1.0, 1.0, 2.0, 3.0])
     negative = audits._negative
     assert negative(v, np.array([1.0, 1.0, 1.0, 1.0, 1.0])) == ()
@@ -194,8 +196,8 @@ def test_where_power_is_negative() -> None:
     assert negative(v, np.zeros(5)) == ()
 
 
-def test_a_torque_that_explodes() -> None:
-    """More than two and a half times the largest torque that was seen."""
+def test_exploding_torque() -> None:
+    """The limit is two and a half times the largest torque in training."""
     for size, refused in ((2.5, False), (2.501, True)):
         cubic = own(20.0 * size * sgn(DQ))
         assert audits.explodes(cubic, TRAINED) == refused
@@ -203,7 +205,7 @@ def test_a_torque_that_explodes() -> None:
     assert audits._too_large(float("nan"), TRAINED)
 
 
-def test_ranges_and_what_lies_outside() -> None:
+def test_ranges_and_excess() -> None:
     t = 0.01 * np.arange(5)
     dq = np.array([-1.5, 0.0, 0.8, 0.9, 0.0])
     one = FrictionRecord(log="a", joint="j1", t=t, dq=dq, q=dq, tau_load=30.0 + 0.0 * dq, tau=dq)
@@ -218,7 +220,7 @@ def test_ranges_and_what_lies_outside() -> None:
     assert seen.sample_time == pytest.approx(0.02)
 
 
-def test_a_coefficient_of_a_law_has_a_largest_number() -> None:
+def test_coefficients_have_an_upper_limit() -> None:
     form = LawForm(coefficients=(Coefficient(name="k", unit="1", description="any"),),
                    output=sympy.Symbol("k", real=True) * DQ)  # fmt: skip
     assert FrictionLaw(name="own", form=form, values={"k": -1e100}).values["k"] == -1e100

@@ -1,4 +1,4 @@
-"""Rigid bodies, payloads and torque constants from motions of the arm with noise."""
+"""Rigid bodies, payloads and torque constants from noisy motions of the arm."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -72,7 +72,7 @@ def test_with_reversed_logs(
     unchanged({"body": body, "pair": {"forward": there, "backward": back}})
 
 
-def test_in_a_stream(motions: list[Motion], arm_model: Robot, unchanged: Unchanged) -> None:
+def test_streamed(motions: list[Motion], arm_model: Robot, unchanged: Unchanged) -> None:
     stream = Streamed(arm_model)
     for motion in motions:
         stream.add(motion)
@@ -103,7 +103,7 @@ def test_a_payload(motions: list[Motion], arm_model: Robot, unchanged: Unchanged
     unchanged({"payload": payload, "loaded": loaded(unloaded, payload, arm_model)}, rtol=1e-5)
 
 
-def test_constants_of_torque(motions: list[Motion], arm_model: Robot, unchanged: Unchanged) -> None:
+def test_torque_constants(motions: list[Motion], arm_model: Robot, unchanged: Unchanged) -> None:
     assumed = [10.0, 20.0, 5.0]
     alone = torque_constants(motions, arm_model, assumed, mass_error=0.05)
     payload = point_payload(2.0, (0.05, 0.0, 0.1))
@@ -117,7 +117,7 @@ def test_constants_of_torque(motions: list[Motion], arm_model: Robot, unchanged:
     unchanged({"alone": alone, "known": known}, rtol=1e-5)
 
 
-def test_a_motion_that_excites(arm_model: Robot, unchanged: Unchanged) -> None:
+def test_an_exciting_motion(arm_model: Robot, unchanged: Unchanged) -> None:
     settings = ExcitationSettings(starts=2, harmonics=3)
     found = design(arm_model, settings)
     unchanged(

@@ -1,4 +1,4 @@
-"""Which mistakes are thought of, what they leave unexplained, and what is advised then."""
+"""Mistakes considered, their unexplained torque, and the resulting advice."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -84,7 +84,7 @@ def test_mistakes(
     data_regression.check(told)
 
 
-def test_gravity_that_is_tilted(part: Motionwise, arm_model: Robot, unchanged: Unchanged) -> None:
+def test_tilted_gravity(part: Motionwise, arm_model: Robot, unchanged: Unchanged) -> None:
     rows = pooled([part], arm_model.description.gravity)
     axes = _by_axis(rows.q, arm_model)
     own = torques_of(rows, arm_model).gravity
@@ -129,7 +129,7 @@ def test_causes(
         return replace(back, tau=back.tau + noise)
 
     def weak(share: float) -> Motionwise:
-        """A torque that is turned around in a share of the rows."""
+        """A torque with reversed sign in a share of the rows."""
         ways = np.where(np.arange(len(part.t)) < share * len(part.t), -1.0, 1.0)
         return replace(part, tau=part.tau * ways[:, None] * [0.0, 1.0, 0.0] + part.tau * [1, 0, 1])
 

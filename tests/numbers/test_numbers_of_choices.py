@@ -1,4 +1,4 @@
-"""What searches may try: bounds, grids and limits of every law; motor ripple; scores."""
+"""Search spaces: bounds, grids and limits of every law; motor ripple; scores."""
 
 from dataclasses import replace
 
@@ -70,7 +70,7 @@ def test_limits_of_searches() -> None:
     assert len(ripple._TIMES) == 125
 
 
-def test_what_is_expected_of_laws(unchanged: Unchanged) -> None:
+def test_expectations_of_laws(unchanged: Unchanged) -> None:
     own = {
         name: value
         for name, value in vars(expectations).items()
@@ -91,7 +91,7 @@ def samples(records: list[FrictionRecord]) -> JointRows:
     return replace(made, tau=tau)
 
 
-def test_ripple_of_a_motor(samples: JointRows, unchanged: Unchanged) -> None:
+def test_motor_ripple(samples: JointRows, unchanged: Unchanged) -> None:
     base = np.stack([np.sign(samples.dq), samples.dq, np.ones_like(samples.dq)], axis=1)
     chosen = ripple.select(base, samples, 101.0, samples.folds)
     assert chosen is not None
@@ -108,7 +108,7 @@ def test_ripple_of_a_motor(samples: JointRows, unchanged: Unchanged) -> None:
     }, rtol=1e-6)  # fmt: skip
 
 
-def test_no_ripple_where_there_is_none(records: list[FrictionRecord]) -> None:
+def test_no_ripple_in_coulomb_friction(records: list[FrictionRecord]) -> None:
     rng = np.random.default_rng(0)
     made = JointRows.of(records, coefficients=5)
     made = replace(made, tau=np.sign(made.dq) + rng.normal(size=len(made.dq)))
@@ -144,10 +144,10 @@ def test_scores(records: list[FrictionRecord], unchanged: Unchanged) -> None:
     assert (exact.held, exact.held_moving, exact.width) == (1.0, None, None)
 
 
-# --- where a solver has to stop ---------------------------------------------------------------
+# --- termination of a solver ------------------------------------------------------------------
 
 
-def test_signs_of_coefficients_alone_never_change() -> None:
+def test_jumps_ignore_signs_of_coefficients() -> None:
     k = Coefficient(name="k", unit="N.m", description="any")
     output = sgn(DQ) * absolute(k.symbol) + sgn(k.symbol - 1) * DQ + 0.1 * absolute(Q) * DQ
     form = LawForm(coefficients=(k,), output=output)

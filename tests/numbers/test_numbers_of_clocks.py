@@ -1,4 +1,4 @@
-"""Whose clock is late: delays of torques, rates of stamps."""
+"""Timing checks: torque lag and time-stamp rate."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,7 +33,7 @@ COUPLED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.5, 1.0))
 
 
 def late(values: np.ndarray, rows: int) -> np.ndarray:
-    """Values that come so many rows later, or earlier."""
+    """Values delayed by the given number of rows, or advanced."""
     return values[np.clip(np.arange(len(values)) - rows, 0, len(values) - 1)]
 
 

@@ -1,4 +1,4 @@
-"""Adaptive equations step by step in odd conditions, and functions to the last digits."""
+"""Adaptive equations step by step under odd conditions, and functions to the last digits."""
 
 from collections.abc import Callable
 
@@ -40,10 +40,10 @@ START = {"noise": 0.8, "level_start": 1.0, "viscosity_start": 1.0, "torque_limit
 @pytest.mark.parametrize("tuning", [TUNING, NARROW], ids=["as chosen", "narrow"])
 @pytest.mark.parametrize("law", [lugre, stops], ids=["LuGre", "ParFam-S"])
 @pytest.mark.parametrize("thermal", [None, WARM], ids=["cold", "warm"])
-def test_steps_of_a_law_that_follows(
+def test_steps_of_an_adaptive_law(
     tuning: Tuning, law: Callable[[], FrictionLaw], thermal: Thermal | None, unchanged: Unchanged
 ) -> None:
-    """It rests, is switched off, saturates, meets outliers and no numbers, and friction rises."""
+    """The joint rests, is switched off, saturates, meets outliers and NaN, and friction rises."""
     of = law()
     component = adaptive_component(
         of, tuning, noise=0.8, speed=SPEED, viscosity_least=0.85, thermal=thermal
@@ -51,7 +51,7 @@ def test_steps_of_a_law_that_follows(
     values = {p.name: p.start for p in component.parameters if p.name not in of.values}
     start = (0.0, *of.start) if thermal else of.start
     if thermal:
-        values["thermometer"] = 0.4  # so that heat and temperature count
+        values["thermometer"] = 0.4  # makes heat and temperature count
     names = [q.name for q in component.inputs]
     run = Steps(component, OUTPUTS).run(values | of.values | START, start, names)
     t, dq, q, load = motion(9.0, 3, 0.02)
@@ -116,7 +116,7 @@ def test_functions_are_exact_on_either_side_of_their_series(name: str) -> None:
                 np.testing.assert_allclose(each, wanted, rtol=rtol)
 
 
-def test_functions_at_nothing_and_by_euler() -> None:
+def test_functions_at_zero_and_with_euler() -> None:
     zero = np.zeros(2)
     of = functions.NUMPY
     assert of["share"](zero, zero, False).tolist() == [1.0, 1.0]
@@ -134,7 +134,7 @@ def test_functions_at_nothing_and_by_euler() -> None:
 
 
 @pytest.mark.parametrize("name", ["sgn", "absolute", "positive", "larger", "clip", "exceeds"])
-def test_functions_of_one_number_are_those_of_arrays(name: str) -> None:
+def test_functions_of_scalars_equal_those_of_arrays(name: str) -> None:
     points = (-2.0, -0.5, 0.0, 0.5, 1.0, 2.0, 0.25)
     count = {"larger": 2, "clip": 2, "exceeds": 2}.get(name, 1)
     for x in points:
@@ -148,7 +148,7 @@ def test_functions_of_one_number_are_those_of_arrays(name: str) -> None:
             assert float(symbolic) == one
 
 
-def test_derivatives_of_functions_of_two_numbers() -> None:
+def test_derivatives_of_functions_of_two_arguments() -> None:
     a, b, c = sympy.symbols("a b c", real=True)
     of = functions
     at = {a: 0.3, b: 0.7, c: 2.0}
@@ -170,7 +170,7 @@ def test_derivatives_of_functions_of_two_numbers() -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 2, 127, 128, 129, 600])
-def test_clips_of_all_rows_are_those_row_by_row(rows: int) -> None:
+def test_clips_of_all_rows_equal_those_row_by_row(rows: int) -> None:
     rng = np.random.default_rng(rows)
     way, bound = rng.normal(size=(2, rows)), np.abs(rng.normal(size=(2, rows)))
     begins = rng.random(rows) < 0.05
@@ -190,7 +190,7 @@ def test_clips_of_all_rows_are_those_row_by_row(rows: int) -> None:
         np.testing.assert_allclose(found[:, k], x, atol=1e-12)
 
 
-def test_a_recurrence_is_that_of_a_loop() -> None:
+def test_a_recurrence_equals_a_loop() -> None:
     a, c = np.linspace(0.1, 0.9, 7), np.linspace(1.0, -2.0, 7)
     x = [3.0]
     for k in range(1, 7):
@@ -199,7 +199,7 @@ def test_a_recurrence_is_that_of_a_loop() -> None:
     np.testing.assert_allclose(recurrence(a[:1], c[:1], 3.0), [3.0])
 
 
-# --- what expressions are made of -------------------------------------------------------------
+# --- structure of expressions -----------------------------------------------------------------
 
 
 def test_whole_powers_up_to_eight_are_products() -> None:
@@ -214,7 +214,7 @@ def test_whole_powers_up_to_eight_are_products() -> None:
         assert [n.operation for n in graph.nodes].count("POWER") == 1
 
 
-def test_where_a_rate_can_go() -> None:
+def test_range_of_a_rate() -> None:
     x, y = sympy.symbols("x y", real=True)
     box = {x: (-2.0, 1.0), y: (1.0, 3.0)}
     cases = {

@@ -1,4 +1,4 @@
-"""Covariances, comparisons, deviations and bands of numbers that are drawn."""
+"""Covariances, comparisons, deviations and bands of random data."""
 
 from dataclasses import replace
 
@@ -62,15 +62,15 @@ def test_a_covariance(logs: int, unchanged: Unchanged) -> None:
     })  # fmt: skip
 
 
-def test_a_row_that_decides_alone_has_a_bound() -> None:
-    """Its leverage counts as nine tenths at the most."""
+def test_the_leverage_of_a_row_is_limited() -> None:
+    """Leverage counts as nine tenths at most."""
     jacobian = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0]])
     found = left_out(jacobian, np.ones(5), jacobian.T @ jacobian)
     np.testing.assert_allclose(found, [10.0, *[4.0 / 3.0] * 4], rtol=1e-9)
 
 
-def test_logs_that_differ_by_chance_have_no_factor() -> None:
-    """Of 4 comparisons chi squared exceeds 9.488 by chance in one of twenty cases."""
+def test_chance_differences_between_logs_give_no_factor() -> None:
+    """With 4 degrees of freedom, chi squared exceeds 9.488 by chance in one of twenty cases."""
 
     def of(between: float, degrees: float = 4.0) -> Covariance:
         one = np.eye(1)
@@ -154,7 +154,7 @@ SPACE = SearchSpace(
 
 @pytest.mark.parametrize("spread", [False, True])
 @pytest.mark.parametrize("space", [None, SPACE])
-def test_what_coefficients_are_worth(
+def test_intervals_of_coefficients(
     spread: bool, space: SearchSpace | None, records: list[FrictionRecord], unchanged: Unchanged
 ) -> None:
     of = law("lugre_load", {}, **LUGRE)
@@ -196,7 +196,7 @@ def test_parts_of_a_band(records: list[FrictionRecord], unchanged: Unchanged) ->
     }, rtol=1e-5)  # fmt: skip
 
 
-def test_a_rest_takes_half_a_second() -> None:
+def test_a_rest_lasts_half_a_second() -> None:
     t = 0.125 * np.arange(40)
     flat = np.zeros(40)
     one = FrictionRecord(log="a", joint="j1", t=t, dq=flat, q=flat, tau_load=flat, tau=flat)
@@ -215,7 +215,7 @@ def test_a_rest_takes_half_a_second() -> None:
 
 
 @pytest.mark.parametrize(("rests", "envelope"), [(9, 1.0), (10, 0.0)])
-def test_ten_rests_tell_what_a_rest_holds(rests: int, envelope: float) -> None:
+def test_ten_rests_determine_the_band_at_rest(rests: int, envelope: float) -> None:
     t = 0.1 * np.arange(400)
     dq = 0.5 * np.sin(t)
     for k in range(rests):
@@ -228,7 +228,7 @@ def test_ten_rests_tell_what_a_rest_holds(rests: int, envelope: float) -> None:
     assert band.envelope == envelope
 
 
-def test_numbers_at_the_ends_of_their_bounds_are_held() -> None:
+def test_values_at_their_bounds_are_fixed() -> None:
     for number, held in ((1.0069, True), (1.0070, False), (992.0, False), (993.2, True)):
         assert uncertainty._at_end(number, 1.0, 1000.0) == held
     for number, held in ((-0.9981, True), (-0.9979, False), (0.9979, False), (0.9981, True)):

@@ -67,7 +67,7 @@ def test_a_law_over_a_log(name: str, unchanged: Unchanged) -> None:
 
 
 @pytest.mark.parametrize("name", ["lugre", "stops"])
-def test_a_start_that_the_first_torques_tell(name: str, unchanged: Unchanged) -> None:
+def test_an_estimated_start(name: str, unchanged: Unchanged) -> None:
     of = LAWS[name]()
     found = {}
     for share in (-0.8, 0.3):
@@ -105,7 +105,7 @@ def test_columns_of_logs_from_rest(state: str, how: str, unchanged: Unchanged) -
     }, rtol=1e-5, atol=1e-7)  # fmt: skip
 
 
-def test_a_search_draws_what_it_is_told_to(
+def test_a_search_draws_the_given_points(
     records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem = trial.pose(
@@ -127,7 +127,7 @@ def test_a_search_draws_what_it_is_told_to(
     assert told == [(k, 4) for k in range(1, len(told) + 1)]
 
 
-def test_ripple_has_to_gain_and_to_pay(
+def test_ripple_must_gain_and_pay(
     records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     samples = JointRows.of(records, coefficients=5)

@@ -1,4 +1,4 @@
-"""What explains torques, and what lost rows cost."""
+"""Explanations of torques, and the cost of lost rows."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -34,7 +34,7 @@ def part_of(log: Log) -> Motionwise:
     return part
 
 
-def test_what_explains_a_torque(unchanged: Unchanged) -> None:
+def test_explanations_of_a_torque(unchanged: Unchanged) -> None:
     t = np.linspace(0.0, 9.0, 800)
     v, gravity, inertial = np.cos(t) + 0.4 * np.sin(2.7 * t), np.sin(t), np.sin(3.1 * t + 0.4)
     noise = 0.2 * np.random.default_rng(1).normal(size=len(t))
@@ -81,7 +81,7 @@ def test_what_explains_a_torque(unchanged: Unchanged) -> None:
     )
 
 
-def test_parts_made_ready(log: Log, arm_model: Robot, unchanged: Unchanged) -> None:
+def test_prepared_parts(log: Log, arm_model: Robot, unchanged: Unchanged) -> None:
     part = part_of(log)
     long = two_joints(9000)
     coupling = Coupling(COUPLED)
@@ -108,7 +108,7 @@ def test_parts_made_ready(log: Log, arm_model: Robot, unchanged: Unchanged) -> N
     )
 
 
-def test_what_lost_rows_cost(
+def test_cost_of_lost_rows(
     log: Log, arm_model: Robot, unchanged: Unchanged,
     data_regression: DataRegressionFixture,
 ) -> None:  # fmt: skip

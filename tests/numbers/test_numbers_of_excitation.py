@@ -1,4 +1,4 @@
-"""Motions to the last digit, what a search for them is given, and how settings are refused."""
+"""Motions to the last digit, inputs of the search, and refused settings."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -74,7 +74,7 @@ def test_motions_to_the_last_digit(unchanged: Unchanged) -> None:
     )
 
 
-def test_how_motions_are_refused(arm_model: Robot, data_regression: DataRegressionFixture) -> None:
+def test_refused_motions(arm_model: Robot, data_regression: DataRegressionFixture) -> None:
     def fourier(*a: float, b: tuple[float, ...] = (0.0, 0.0)) -> Callable[[], object]:
         own = np.array([[1.0, -1.0], a])
         return lambda: Fourier(offset=START, a=own, b=np.array([[0.0, 0.0], b]), period=1.0)
@@ -150,7 +150,7 @@ def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: Robo
     )
 
 
-def test_what_a_search_is_given(
+def test_inputs_of_a_search(
     arm_model: Robot, unchanged: Unchanged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limits = replace(Limits.of(arm_model, MotionLimits()), torque=np.array([3.0, 8.0, 1.0]))
@@ -161,7 +161,7 @@ def test_what_a_search_is_given(
     given: list[list[float]] = []
 
     def minimize(objective: object, x0: np.ndarray, **more: object) -> SimpleNamespace:
-        """Search for nothing."""
+        """Stub that records the search and skips it."""
         bounds = [y for pair in more["bounds"] for y in pair if y is not None]
         given.append([*more["args"], more["options"]["maxiter"], more["jac"], *x0, *bounds])
         return SimpleNamespace(x=x0)

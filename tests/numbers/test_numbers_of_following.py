@@ -1,4 +1,4 @@
-"""Friction that is followed, warms up and is watched over days, on motions of known truth."""
+"""Adaptive and thermal friction and its monitoring over days, on motions with known truth."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ WARM = Thermal(
 
 
 def worn(law: FrictionLaw, seconds: float, seed: int, *, step: float = 0.01) -> FrictionRecord:
-    """A record whose level rises by a quarter and whose viscous part falls, in the middle."""
+    """A record whose level rises by a quarter halfway and whose viscous part falls."""
     t, dq, q, load = motion(seconds, seed, step)
     later = t > 0.5 * seconds
     return truth(
@@ -30,7 +30,7 @@ def worn(law: FrictionLaw, seconds: float, seed: int, *, step: float = 0.01) -> 
 
 
 @pytest.mark.parametrize("law", [lugre, stops], ids=["LuGre", "ParFam-S"])
-def test_one_that_follows(law, unchanged: Unchanged) -> None:
+def test_an_adaptive_law(law, unchanged: Unchanged) -> None:
     record = worn(law(), 20.0, 3)
     tau = record.tau.copy()
     tau[1500:1530] += 60.0  # a collision
@@ -38,7 +38,7 @@ def test_one_that_follows(law, unchanged: Unchanged) -> None:
     unchanged(found, rtol=1e-5)
 
 
-def test_days_that_are_watched(unchanged: Unchanged) -> None:
+def test_monitored_days(unchanged: Unchanged) -> None:
     laws = [lugre(), stops(), lugre()]
     known = model(*laws)
     days = [
@@ -53,7 +53,7 @@ def test_days_that_are_watched(unchanged: Unchanged) -> None:
 
 
 @pytest.mark.parametrize("measured", [True, False])
-def test_what_warms_up(measured: bool, unchanged: Unchanged) -> None:
+def test_warm_up(measured: bool, unchanged: Unchanged) -> None:
     warm = WARM if measured else replace(WARM, resistance=2.0, time_constant=120.0)
     records = []
     for seed, start in ((1, 0.0), (2, 25.0 if measured else 0.0)):

@@ -1,4 +1,4 @@
-"""What the checks measure in a log, sound and with a mistake, and the figures of their advice."""
+"""Measurements of the checks on a sound and a faulty log, and the numbers of their advice."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -61,7 +61,7 @@ MISTAKES: dict[str, Callable[[Log], Log]] = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_what_is_found(mistake: str, log: Log, arm_model: Robot, unchanged: Unchanged) -> None:
+def test_findings(mistake: str, log: Log, arm_model: Robot, unchanged: Unchanged) -> None:
     robot = arm_model.description.model_copy(update={"gear_ratio": (100.0, 100.0, 50.0)})
     found = examine([MISTAKES[mistake](log)], robot, Robot(robot))
     about = sum(map(ord, "".join(f.check + "".join(f.joints) for f in found.findings)))
@@ -77,11 +77,11 @@ def test_what_is_found(mistake: str, log: Log, arm_model: Robot, unchanged: Unch
     )
 
 
-def test_a_log_made_smooth(log: Log, unchanged: Unchanged) -> None:
+def test_a_smoothed_log(log: Log, unchanged: Unchanged) -> None:
     unchanged({str(cutoff): smooth(log, cutoff) for cutoff in (5.0, 15.0)})
 
 
-def test_what_is_proposed(log: Log, arm_model: Robot, tmp_path: Path, unchanged: Unchanged) -> None:
+def test_proposals(log: Log, arm_model: Robot, tmp_path: Path, unchanged: Unchanged) -> None:
     path = tmp_path / "run.csv"
     names = ["time", *(f"{x}_{k}" for x in ("angle_deg", "speed_degs", "amps") for k in (1, 2, 3))]
     columns = [log.t[:, None], np.rad2deg(log.q), np.rad2deg(rates(log)), log.tau / [9.0, 8.0, 7.0]]

@@ -1,4 +1,4 @@
-"""Every law of the registry: what its fit finds, and what is known of it then."""
+"""The fit of every law: its coefficients and further results."""
 
 import pytest
 from joint_data import GEAR_RATIO, along, law, path
@@ -17,7 +17,7 @@ TRUTH = law(
 )  # fmt: skip
 
 FLAT = ("parfam_h",)
-"""Where its torque hardly tells its coefficients, a fit ends where rounding lets it."""
+"""Laws with poorly determined coefficients: round-off decides where their fit ends."""
 
 
 def fitted(name: str) -> FrictionModel:
@@ -29,7 +29,7 @@ def fitted(name: str) -> FrictionModel:
 
 
 @pytest.mark.parametrize("name", registry())
-def test_a_fit_finds_what_it_found(name: str, unchanged: Unchanged) -> None:
+def test_fits_are_unchanged(name: str, unchanged: Unchanged) -> None:
     model = fitted(name)
     own, trained = model.laws[0], model.trained[0]
     way = path(9, seconds=5.0)

@@ -1,4 +1,4 @@
-"""Logs as they are read, guessed, cut, shown, smoothed and sampled."""
+"""Logs: reading, guessed columns, splitting, display, smoothing and sampling."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -150,7 +150,7 @@ def test_phases(unchanged: Unchanged) -> None:
     )
 
 
-def test_what_is_sampled(unchanged: Unchanged) -> None:
+def test_samples(unchanged: Unchanged) -> None:
     def motion(k: int) -> Motion:
         rng = np.random.default_rng(k)
         t = np.arange(round(100 * (3.0 + 0.6 * k))) / 100.0
@@ -179,7 +179,7 @@ def _cut(motion: Motion) -> list[tuple[Motion, dict[tuple[int, str, int], int]]]
     return list(sample._cut(motion))
 
 
-def test_what_columns_are_guessed(tmp_path: Path, data_regression: DataRegressionFixture) -> None:
+def test_guessed_columns(tmp_path: Path, data_regression: DataRegressionFixture) -> None:
     path = tmp_path / "run.csv"
 
     def told(header: str, period: float = 0.01, joints: tuple[str, ...] = (), *,
@@ -230,7 +230,7 @@ def test_what_columns_are_guessed(tmp_path: Path, data_regression: DataRegressio
     data_regression.check(tables)
 
 
-def test_names_that_are_listed(tmp_path: Path, data_regression: DataRegressionFixture) -> None:
+def test_listed_names(tmp_path: Path, data_regression: DataRegressionFixture) -> None:
     path = tmp_path / "of.csv"
     path.write_bytes(b"x" * 17)
     counts = tmp_path / "counts.csv"

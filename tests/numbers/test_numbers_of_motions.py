@@ -1,4 +1,4 @@
-"""Motions of references and what simulates the robot along them."""
+"""Reference motions and the simulation of the robot along them."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Steps of fits of bodies, constants and payloads, and of the simulation of what they describe."""
+"""Steps in the fits of bodies, torque constants and payloads, and in their simulation."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -35,9 +35,7 @@ LAW = made(
 
 
 @pytest.mark.parametrize("condition", [100.0, 990.0, 1010.0, 1e5])
-def test_least_squares_with_a_ridge_where_it_is_needed(
-    condition: float, unchanged: Unchanged
-) -> None:
+def test_least_squares_with_a_ridge_if_needed(condition: float, unchanged: Unchanged) -> None:
     rng = np.random.default_rng(1)
     blocks = []
     for k, size in enumerate((0.3, 2.0)):
@@ -64,7 +62,7 @@ LINKS = {
 
 
 @pytest.mark.parametrize("name", LINKS)
-def test_where_the_search_of_a_link_starts(name: str, unchanged: Unchanged) -> None:
+def test_search_start_of_a_link(name: str, unchanged: Unchanged) -> None:
     start = physical._start(np.array(LINKS[name]))
     unchanged({"start": start, "factor": physical._upper_factor(start)})
     assert np.linalg.eigvalsh(start).min() > 0.0
@@ -96,13 +94,13 @@ def test_weights_of_joints() -> None:
     np.testing.assert_allclose(found, 1.0 / np.sqrt(70.0 / 40.0))
 
 
-# --- constants of torque ----------------------------------------------------------------------
+# --- torque constants -------------------------------------------------------------------------
 
 
-def test_how_far_a_model_file_is_in_doubt() -> None:
+def test_uncertainty_of_a_model_file() -> None:
     links = [
-        [4.0, 0.8, 0.0, 0.0, 0.5, 0.0, -0.7, 0.0, 0.0, 0.1],  # its arm is 0.2 m
-        [2.0, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],  # at the least arm of 0.05 m
+        [4.0, 0.8, 0.0, 0.0, 0.5, 0.0, -0.7, 0.0, 0.0, 0.1],  # the lever arm is 0.2 m
+        [2.0, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],  # at the least lever arm of 0.05 m
         [0.001, 0.0, 0.0, 4e-4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],  # a thousandth of the heaviest
     ]
     model = SimpleNamespace(nominal_parameters=np.array([*np.ravel(links), 0.1, 0.2, 0.3]), n=3)
@@ -120,7 +118,7 @@ def test_how_far_a_model_file_is_in_doubt() -> None:
 
 
 @pytest.mark.parametrize("error", [0.0, 1.0, -0.1])
-def test_a_declared_error_is_a_share(error: float, arm_model: Robot) -> None:
+def test_a_declared_error_is_relative(error: float, arm_model: Robot) -> None:
     with pytest.raises(FitError, match="needed is a share"):
         torque_constants.torque_constants([], arm_model, [1.0] * 3, mass_error=error)
 
@@ -140,7 +138,7 @@ def test_a_point_has_the_inertia_of_its_place() -> None:
 def test_steps_of_a_constant(
     arm_model: Robot, make_motion: MakeMotion, unchanged: Unchanged
 ) -> None:
-    """Of a joint with two kinds of logs, whose starts, residuals and slopes are kept."""
+    """A joint with two kinds of logs; its starts, residuals and slopes are recorded."""
     motion = make_motion(seconds=4.0, friction=0.5)
     noise = 0.2 * np.random.default_rng(0).normal(size=motion.tau.shape)
     logs = [replace(motion, tau=motion.tau * 1.2 + noise)]
@@ -261,7 +259,7 @@ def test_costs_of_an_output_error(
     }, rtol=1e-3, atol=1e-6)  # fmt: skip
 
 
-def test_what_an_output_error_tries() -> None:
+def test_trials_of_an_output_error() -> None:
     of = output_error
     assert (of.WINDOW, of.MOST_TORQUE, of._STEP, of._TORQUE) == (0.5, 1.02, 1e-3, 0.5)
     assert (of._MOST, of._SPREAD, of._LEAST) == (0.7, 0.15, 1e-3)

@@ -1,4 +1,4 @@
-"""When stamps, positions and columns are told to be wrong, and in which words."""
+"""Thresholds and messages of the checks of stamps, positions and columns."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +33,7 @@ MJCF = """
 
 @pytest.fixture
 def lift(tmp_path: Path) -> Robot:
-    """One joint that turns and one that slides."""
+    """A revolute and a sliding joint."""
     path = tmp_path / "lift.xml"
     path.write_text(MJCF, encoding="utf-8")
     return Robot(RobotDescription(name="lift", model=path, joints=("turn", "lift")))
@@ -52,7 +52,7 @@ def cut(*, breaks: tuple[int, ...], by: float = 0.5, rows: int = 1000) -> Log:
 
 
 def lossy(long: int, *, by: float = 2.0) -> Log:
-    """Of 1000 steps some are longer."""
+    """A log with some of its 1000 steps longer."""
     log = two_joints(1001)
     steps = np.full(1000, 0.01)
     steps[np.arange(long) * 1000 // max(long, 1)] *= by
@@ -103,7 +103,7 @@ def test_leaps(unchanged: Unchanged, data_regression: DataRegressionFixture) -> 
         return said(of_log(log, check_jumps(log, TWO)), check)
 
     def leaping(by: float, *, step: float = 0.01, row: int = 500) -> Log:
-        """All positions from a row on are further, behind a step of some length."""
+        """Shift all positions from a row on, after a step of the given length."""
         log = two_joints()
         later = np.arange(len(log.t)) >= row
         return replace(
@@ -117,7 +117,7 @@ def test_leaps(unchanged: Unchanged, data_regression: DataRegressionFixture) -> 
         return replace(log, q=at(scale * log.q, row, 0, scale * log.q[row, 0] + by))
 
     def fast(speed: float) -> Log:
-        """A joint that often goes so far in one step, and sometimes by a turn."""
+        """A joint with frequent large steps and one jump by a turn."""
         log = two_joints()
         q = at(log.q, slice(None), 0, speed * (np.arange(1000) % 2))
         q[500:, 0] += 2.0 * np.pi
@@ -170,12 +170,12 @@ def test_coarse_positions(unchanged: Unchanged, data_regression: DataRegressionF
         return step * (np.arange(1000) % count)
 
     def uneven(share: float) -> np.ndarray:
-        """Stairs some of which are twice as high."""
+        """A staircase with some steps twice as high."""
         steps = np.where(np.arange(999) < round(999 * share), 0.01, 0.02 + 1e-4 * np.arange(999))
         return np.concatenate([[0.0], np.cumsum(steps)])
 
     def wavy(by: float) -> np.ndarray:
-        """Steps that differ by a share."""
+        """A staircase whose steps vary by the given share."""
         return np.concatenate([[0.0], np.cumsum(0.01 * (1.0 + by * (np.arange(999) % 3 - 1)))])
 
     unchanged(
@@ -241,7 +241,7 @@ def test_columns(unchanged: Unchanged, data_regression: DataRegressionFixture) -
         return said(of_log(own, check_columns(as_part(own, dq=own.dq), TWO)), check)
 
     def clipped(rows: int, run: int = 6) -> np.ndarray:
-        """Of 2000 rows some stand at the largest torque, some of them in a run."""
+        """2000 rows with some at the largest torque, part of them in one run."""
         places = [*range(50, 50 + run), *(100 + 4 * np.arange(rows - run))]
         return at(log.tau, places, 0, 9.0)
 

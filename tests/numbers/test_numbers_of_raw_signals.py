@@ -1,4 +1,4 @@
-"""When raw signals are told to stand still, to leap or to be held, and in which words."""
+"""Thresholds and messages of the checks for stuck, jumping and held raw signals."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,7 @@ def spiked(height: float, *, beside: float = 0.0, rows: int = 1000, row: int = 5
 def still(
     rows: int, *, of: int = 1000, period: float = 0.01, quantity: str = "q", begin: int = 300
 ) -> Log:
-    """A log in which a signal of the first joint repeats its value so many times."""
+    """A log whose first joint repeats one signal value the given number of times."""
     log = two_joints(of, period)
     values = at(getattr(log, quantity), slice(begin, begin + rows + 1), 0, 0.123456)
     return replace(log, **{quantity: values})
@@ -55,18 +55,16 @@ def test_spikes_of_torque(unchanged: Unchanged, data_regression: DataRegressionF
     )
 
 
-def test_signals_that_are_stuck(
-    unchanged: Unchanged, data_regression: DataRegressionFixture
-) -> None:
+def test_stuck_signals(unchanged: Unchanged, data_regression: DataRegressionFixture) -> None:
     moving = two_joints()
 
     def slow(speed: float) -> Log:
-        """The position stands while its velocity has a size."""
+        """The position is constant while the velocity is not zero."""
         log = still(60)
         return replace(log, dq=np.full_like(log.q, speed))
 
     def creeping(speed: float) -> Log:
-        """The torque stands while the position has a speed."""
+        """The torque is constant while the position moves."""
         log = still(60, quantity="tau")
         return replace(log, q=speed * log.t[:, None] * [1.0, 1.0])
 
@@ -75,7 +73,7 @@ def test_signals_that_are_stuck(
         return replace(log, dq=at(0.0 * log.q, slice(300, 300 + rows), 0, 1.0))
 
     def among(rows: int, others: int) -> Log:
-        """Runs of 1, 2, .. repeats stand beside it."""
+        """Further runs of 1, 2, .. repeats."""
         log = still(rows)
         q, row = log.q.copy(), 500
         for k in range(1, others + 1):
@@ -117,25 +115,23 @@ def test_signals_that_are_stuck(
     )
 
 
-def test_torques_that_are_held(
-    unchanged: Unchanged, data_regression: DataRegressionFixture
-) -> None:
+def test_held_torques(unchanged: Unchanged, data_regression: DataRegressionFixture) -> None:
     log = two_joints(1001)
 
     def repeated(rows: int) -> Log:
-        """Every third row repeats the one before, up to a row."""
+        """Every third row repeats the previous one, up to some row."""
         places = 3 * np.arange(rows) + 1
         tau = log.tau.copy()
         tau[places] = tau[places - 1]
         return replace(log, tau=tau)
 
     def levels(count: int) -> Log:
-        """Pairs of equal rows, of so many values in the second joint."""
+        """Pairs of equal rows, with the given number of levels in the second joint."""
         tau = np.repeat(np.arange(501) % count, 2)[: len(log.t)]
         return replace(log, tau=np.column_stack([0.0 * tau, tau.astype(float)]))
 
     def briefly(rows: int) -> Log:
-        """It moves in so many rows, in both of which torques repeat."""
+        """The joint moves in the given number of rows; torques repeat throughout."""
         q = np.minimum(log.t, 0.01 * rows)[:, None] * [0.0, 1.0]
         return replace(repeated(333), q=q, dq=None, tau=np.repeat(log.tau[::2], 2, axis=0)[:1001])
 
@@ -160,11 +156,11 @@ def test_torques_that_are_held(
 @pytest.mark.parametrize(
     ("period", "around"), [(0.005, 10), (0.01, 5), (0.03, 2), (0.05, 1), (0.2, 1)]
 )
-def test_speeds_are_over_a_tenth_of_a_second(period: float, around: int) -> None:
+def test_speeds_are_differences_over_a_tenth_of_a_second(period: float, around: int) -> None:
     log = two_joints(60, period)
     found = _speeds(replace(log, q=np.column_stack([log.t**3, log.t**2])))
     inner = slice(around, -around)
-    # What central differences of a cube and a square are.
+    # Central differences of a cube and a square.
     wide = (around * period) ** 2
     np.testing.assert_allclose(found[inner, 0], 3.0 * log.t[inner] ** 2 + wide, rtol=1e-9)
     np.testing.assert_allclose(found[:1, 1], log.t[around], rtol=1e-9)

@@ -1,4 +1,4 @@
-"""Robots as files describe them: places of joints, limits, torques, motors, and refusals."""
+"""Robots from files: joint positions, limits, torques, motors and refusals."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -68,7 +68,7 @@ def four(path: Path, **more: object) -> RobotDescription:
     )
 
 
-def test_a_robot_of_all_kinds_of_joints(model_file: Path, unchanged: Unchanged) -> None:
+def test_a_robot_with_all_kinds_of_joints(model_file: Path, unchanged: Unchanged) -> None:
     path = model_file
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace('type="planar"', 'type="fixed"'), encoding="utf-8")
@@ -117,7 +117,7 @@ def test_ranges_of_an_mjcf(tmp_path: Path, angle: str, unchanged: Unchanged) -> 
         joint.slides for joint in joints_of(path)]}, rtol=1e-9)  # fmt: skip
 
 
-def test_motors_that_are_coupled(arm: RobotDescription, unchanged: Unchanged) -> None:
+def test_coupled_motors(arm: RobotDescription, unchanged: Unchanged) -> None:
     transmission = Transmission(matrix=MATRIX, logs="motor", friction=("motor", "motor", "joint"))
     model = Robot(RobotDescription(**{**dict(arm), "transmission": transmission}))
     coupling = Coupling.of(transmission.motors)
@@ -141,7 +141,7 @@ def test_motors_that_are_coupled(arm: RobotDescription, unchanged: Unchanged) ->
     )
 
 
-def test_how_robots_are_refused(
+def test_refused_robots(
     model_file: Path, arm: RobotDescription, data_regression: DataRegressionFixture
 ) -> None:
     path = model_file

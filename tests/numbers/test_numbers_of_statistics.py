@@ -1,4 +1,4 @@
-"""Covariances, comparisons, deviations, scores and noise of data that are drawn here."""
+"""Covariances, comparisons, deviations, scores and noise of random data."""
 
 import numpy as np
 from joint_data import along, law, path

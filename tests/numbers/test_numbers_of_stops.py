@@ -1,4 +1,4 @@
-"""Stops, ripple and networks: the steps of their fits, before an optimum hides them."""
+"""Stops, ripple and networks: intermediate steps of their fits."""
 
 from dataclasses import replace
 
@@ -86,7 +86,7 @@ def test_the_search_of_stops(load: bool, samples: JointRows, unchanged: Unchange
     unchanged(found, rtol=1e-3, atol=1e-6)
 
 
-def test_ripple_beside_columns(samples: JointRows, unchanged: Unchanged) -> None:
+def test_ripple_with_columns(samples: JointRows, unchanged: Unchanged) -> None:
     base = np.stack([np.sign(samples.dq), samples.dq, np.ones_like(samples.dq)], axis=1)
     weights = terms.weights(samples)
     problem = waves._Problem(base=base, samples=samples, weights=weights)
@@ -106,13 +106,13 @@ def test_ripple_beside_columns(samples: JointRows, unchanged: Unchanged) -> None
     )  # fmt: skip
 
 
-def test_what_ripple_is_tried() -> None:
+def test_ripple_candidates() -> None:
     assert list(waves.ORDERS) == list(range(1, 17))
     np.testing.assert_allclose(waves.LAGS, np.linspace(0.0, 0.012, 25), atol=1e-12)
     assert (waves.NEAR, waves.MOST, waves.GAIN) == (3, 6, 0.002)
 
 
-def test_ripple_that_is_bounded(unchanged: Unchanged) -> None:
+def test_bounded_ripple(unchanged: Unchanged) -> None:
     rng = np.random.default_rng(2)
     v = rng.uniform(-1.0, 1.0, 400)
     phase = 200.0 * rng.uniform(0.0, 1.0, 400)
@@ -161,7 +161,7 @@ def test_least_squares_with_signs(samples: JointRows, unchanged: Unchanged) -> N
     )  # fmt: skip
 
 
-def test_a_gain_pays_from_one_standard_error_on() -> None:
+def test_a_gain_pays_from_one_standard_error() -> None:
     blocks = np.repeat(np.arange(4), 2)
     before = np.ones(8)
     gains = np.array([3.0, -1.0, 3.0, -1.0])  # mean 1, standard error of their sum 2 s
@@ -176,7 +176,7 @@ def test_a_gain_pays_from_one_standard_error_on() -> None:
 # --- networks ---------------------------------------------------------------------------------
 
 
-def test_networks_are_trained(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
+def test_trained_networks(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
     inputs = Inputs.of(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
     y = (exact.samples.tau - exact.samples.tau.mean()) / exact.samples.tau.std()
     start = np.random.default_rng(0).normal(size=(4, 3))
@@ -201,7 +201,7 @@ def test_steps_of_training(exact: HysteresisFeatures, unchanged: Unchanged) -> N
     unchanged({"left out": left, "decays": mlp.DECAYS, "rows": mlp.SEARCHED_ROWS}, rtol=1e-3)
 
 
-def test_gaussians_are_solved_for(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
+def test_weights_of_gaussians(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
     inputs = Inputs.of(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
     centres, spacing = rbf.clustered(inputs.z, 5, np.random.default_rng(0))
     columns = rbf.gaussians(inputs.z, centres, 1.5 * spacing)

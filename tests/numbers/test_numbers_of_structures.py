@@ -1,4 +1,4 @@
-"""Structures of the symbolic family as separable problems, and what estimators make of them."""
+"""Structures of the symbolic family as separable problems, and the decisions of estimators."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def test_a_structure_as_a_problem(
     )
 
 
-def test_a_unit_more(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
+def test_an_additional_unit(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
     structure = STRUCTURES["paper"]
     problem = trial.pose(structure, exact.samples)
     base = trial.Trial(
@@ -61,7 +61,7 @@ def test_a_unit_more(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
     assert all(t.structure["units"][0]["arguments"] == list(family.FEATURES) for t in more)
 
 
-def test_what_comes_later_has_to_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_later_extensions_must_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     costs = {"base": 1.0, "barely": 0.96, "enough": 0.94}
     trials = [trial.Trial(structure={"is": n}, problem=None, point=np.zeros(0)) for n in costs]
     monkeypatch.setattr(trial, "left_out", lambda t: costs[t.structure["is"]])
@@ -94,9 +94,7 @@ def test_a_law_of_velocity(records: list[FrictionRecord], unchanged: Unchanged) 
 
 
 @pytest.mark.parametrize("state", ["bristle", "generalised", "paper"])
-def test_terms_that_a_state_keeps(
-    state: str, exact: HysteresisFeatures, unchanged: Unchanged
-) -> None:
+def test_terms_kept_by_a_state(state: str, exact: HysteresisFeatures, unchanged: Unchanged) -> None:
     of = ParFamHX()
     linear = [x for x in of.linear if state != "bristle" or x != "h_bump"]
     structure = {"linear": linear, "units": [], "state": state}

@@ -1,4 +1,4 @@
-"""The stages of the symbolic search, step by step, before an optimum hides how it was reached."""
+"""The stages of the symbolic search: intermediate steps of each."""
 
 from dataclasses import replace
 
@@ -53,7 +53,7 @@ def test_the_first_stage(features: HysteresisFeatures, unchanged: Unchanged) -> 
 
 
 def test_slow_loops_and_loops_in_fast_samples(unchanged: Unchanged) -> None:
-    """Reversals that are more rows apart than are looked at, and ones that hardly settle."""
+    """Reversals more rows apart than are examined, and reversals that hardly settle."""
     found = {}
     for name, rate, step in (("slow", 0.6, 0.005), ("fast", 9.0, 0.004)):
         t = step * np.arange(4000)
@@ -76,11 +76,11 @@ def test_slow_loops_and_loops_in_fast_samples(unchanged: Unchanged) -> None:
 
 
 def test_cells_whose_neighbours_are_better_come_last() -> None:
-    """Each of the eight neighbours hides a cell, and no other does."""
+    """Each of the eight neighbours hides a cell, and no other cell does."""
     for better in set(range(25)) - {12}:
         costs = np.full(25, 10.0) + 0.01 * np.arange(25)
         costs[12], costs[better] = 5.0, 4.0
-        far = 24 * (better < 12)  # a corner that the better one does not touch
+        far = 24 * (better < 12)  # a corner that does not touch the better one
         costs[far] = 6.0
         cells = [
             Cell(alpha=2.0 ** (k // 5), beta=2.0 ** (k % 5), cost=float(costs[k]))
@@ -103,7 +103,7 @@ def test_the_second_stage(g: str, exact: HysteresisFeatures, unchanged: Unchange
     problem = evolve._Projected(g, x / [1.0, *x[:, 1:].std(axis=0)], x, tau, 2.0)
     theta = np.random.default_rng(6).uniform(-0.4, 0.4, (4, 6))
     gram, gradient = problem._normal_equations(theta)
-    # An offset in the argument of exp is a gain, so rounding alone tells how far to step there.
+    # An offset inside exp acts as a gain, so round-off alone decides the step length there.
     step = problem._step(theta, np.geomspace(1e-3, 1e2, 6))[1 if g == "exp" else 0 :]
     unchanged(
         {
@@ -118,10 +118,10 @@ def test_the_second_stage(g: str, exact: HysteresisFeatures, unchanged: Unchange
     )
 
 
-def test_how_the_search_of_a_unit_goes_on(
+def test_selection_in_the_search_of_a_unit(
     exact: HysteresisFeatures, monkeypatch: pytest.MonkeyPatch, unchanged: Unchanged
 ) -> None:
-    """Which starts go on is kept: costs of all of them after each round."""
+    """Recorded: the costs of all starts after each round, which select the survivors."""
     x, tau = exact.columns(CELL.alpha, CELL.beta)[::3], exact.samples.tau[::3]
     starts = evolve.starting_points(np.random.default_rng(3), 8, 4)
     found = {"rounds": np.array(evolve.ROUNDS).ravel(), "limits": [evolve.ARGUMENT_LIMIT]}
@@ -180,8 +180,8 @@ def test_the_third_stage(
     unchanged(found, rtol=1e-5)
 
 
-def test_how_much_the_third_stage_does() -> None:
-    """How far candidates are refined decides what is found only where time is short."""
+def test_effort_of_the_third_stage() -> None:
+    """The extent of refinement matters only if time is short."""
     assert refine.ROUNDS == ((8, 10), (16, 4))
     assert (refine.LONG, refine.PRUNED, refine.FOLD) == (60, 12, 8)
     assert (refine.SIGNIFICANCE, refine.HOPEFUL, refine.SAME) == (2.0, 1.1, 1e-6)
@@ -218,7 +218,7 @@ def test_candidates_are_pruned_and_chosen(
             "pruned": {"c": pruned.c_active, "theta": pruned.theta_active, "cost": pruned.cost},
             "evaluations": before,
             "chosen": {"c": chosen.c_active, "theta": chosen.theta_active, "cost": chosen.cost},
-            "of those": evaluations[:7],  # round-off decides the path further on
+            "of those": evaluations[:7],  # round-off decides the later path
             "kinds": sorted(set(evaluations)),
         },
         rtol=1e-3,

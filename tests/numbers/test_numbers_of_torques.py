@@ -1,4 +1,4 @@
-"""When torques are told to be of another sign, size or signal, and in which words."""
+"""Thresholds and messages of the checks of torque sign, size and signal."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -30,9 +30,9 @@ SOUND = JointTorque(
     residual=0.3,
     deviation=5.0,
 )
-"""What no check finds odd."""
+"""Baseline without any finding."""
 LIGHT = replace(SOUND, gravity=Estimate(value=0.0, error=np.inf), gravity_size=0.0)
-"""The same of a joint that bears no gravity."""
+"""The same baseline for a joint without gravity torque."""
 
 
 @pytest.fixture
@@ -115,9 +115,7 @@ def test_signs_of_torques(
     )
 
 
-def test_how_signs_are_changed(
-    robot: RobotDescription, data_regression: DataRegressionFixture
-) -> None:
+def test_changes_of_sign(robot: RobotDescription, data_regression: DataRegressionFixture) -> None:
     mixed = logged(robot, q=("rad", "-deg", 2.0, "m", "-rad"), tau=("N.m", "-mN.m", -3.0, "N", 1.0))
     amperes = logged(robot, torque_per_ampere=(1.0, -2.5, 3.0, 4.0, 5.123456))
     data_regression.check(

@@ -1,4 +1,4 @@
-"""When velocities are told not to be those of the positions, and in which words."""
+"""Thresholds and messages of the checks of velocity against position."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ ROWS = 1200
 def wave(
     rate: float = 3.0, late: float = 0.0, rows: int = ROWS, period: float = 0.01
 ) -> np.ndarray:
-    """Velocity of two joints, of several harmonics each."""
+    """Velocity of two joints with several harmonics each."""
     t = period * np.arange(rows) - late
     a = np.sin(rate * t) + 0.5 * np.sin(2.3 * rate * t + 1.0)
     b = np.cos(1.3 * rate * t) - 0.4 * np.sin(2.9 * rate * t + 2.0)
@@ -54,7 +54,7 @@ def noisy(size: float, scale: float = 1.0) -> np.ndarray:
 
 
 def sized(noise: float, scale: float) -> np.ndarray:
-    """Noise beside a velocity, both together of a size."""
+    """Noise added to a velocity, keeping the given overall size."""
     dq = noisy(noise)
     return np.asarray(scale * dq / dq.std(axis=0) * V.std(axis=0))
 
@@ -146,11 +146,11 @@ def test_velocities_of_another_signal(
         return told(dq, "velocity-lag", v=v, period=period)
 
     def mixed(share: float) -> np.ndarray:
-        """The second joint's velocity holds some of the first one's."""
+        """The second joint's velocity contains part of the first one's."""
         return np.column_stack([V[:, 0], share * V[:, 0] + (1.0 - share) * V[:, 1]])
 
     def also_late(rows: int) -> bool:
-        """Noise hides most of the signal, but not by how much it is late."""
+        """Noise hides most of the signal, but not its lag."""
         v = wave(rate=5.0, period=1 / 256)
         noise = np.random.default_rng(4).normal(size=v.shape)
         dq = wave(rate=5.0, late=rows / 256, period=1 / 256) + noise
@@ -193,7 +193,7 @@ def test_velocities_of_another_signal(
     )
 
 
-def test_how_velocities_match(unchanged: Unchanged) -> None:
+def test_velocity_matches(unchanged: Unchanged) -> None:
     v = V[:, 0]
     noise = np.random.default_rng(5).normal(size=len(v))
     unchanged(

@@ -1,8 +1,8 @@
-"""Figures of the science as they were when they were last looked at.
+"""Recorded numbers of the models, to detect unintended changes.
 
-That they are right, other tests show: by closed forms, by truths that are found again, by engines
-that agree. These show that they are still the same, so that a constant or a sign cannot change
-unseen. After a change that is meant: `pytest tests/numbers --regen-all`, and read the difference.
+Other tests verify that they are right: by closed forms, recovered truths and agreeing engines.
+These detect an unnoticed change of a constant or sign. After an intended change, run
+`pytest tests/numbers --regen-all` and review the difference.
 """
 
 import re
@@ -14,7 +14,7 @@ import numpy as np
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")
 MOST = 24
-"""Elements of an array that are kept, evenly apart."""
+"""Elements recorded of each array, evenly spaced."""
 
 
 class Unchanged(Protocol):
@@ -22,7 +22,7 @@ class Unchanged(Protocol):
 
 
 def leaves(of: object, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Numbers and arrays within nested data, each with its way there."""
+    """Yield the numbers and arrays in nested data with their paths."""
     if isinstance(of, bool | np.bool_ | int | float | np.number):
         yield name, [float(of)]
     elif isinstance(of, np.ndarray) and of.dtype.kind in "biuf":
