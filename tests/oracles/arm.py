@@ -1,4 +1,4 @@
-"""The arm stepped by MuJoCo's Python package: an oracle for its FMUs."""
+"""The arm stepped by MuJoCo's Python package: reference for its FMUs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class ArmOutput:
     tau_meas
         (n,) torque of the servo with gravity compensation [N.m]: rigid body plus friction.
     tau_f_true
-        (n,) friction torque [N.m], positive where it opposes positive velocity.
+        (n,) friction torque [N.m], positive if it opposes positive velocity.
     """
 
     q: Array
@@ -57,12 +57,12 @@ class Arm:
     Parameters
     ----------
     plant
-        The MJCF and the names in it.
+        The MJCF and its names.
 
     Raises
     ------
     ConfigError
-        If the MJCF is missing or cannot be compiled, or lacks a part that `plant` names.
+        If the MJCF is missing, cannot be compiled or lacks a part named by `plant`.
     """
 
     def __init__(self, plant: Plant) -> None:
@@ -105,7 +105,7 @@ class Arm:
     def reset(self, q0: ArrayLike) -> ArmOutput:
         """Put the arm at rest at `q0` (n,) [rad], in equilibrium, with bristles unloaded.
 
-        Gravity is compensated; what ripple there is at `q0`, the servo's integral holds.
+        Gravity is compensated; the integral part of the servo holds the ripple torque at `q0`.
         """
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[self._qpos] = q0
@@ -115,19 +115,19 @@ class Arm:
         return self._output()
 
     def step(self, dq_cmd: ArrayLike, dt: float) -> ArmOutput:
-        """Hold a velocity command for `dt` and return what the arm does at the end.
+        """Hold a velocity command for `dt` and return the state at the end.
 
         Parameters
         ----------
         dq_cmd
-            (n,) [rad/s]; the servo sees it after its latency.
+            (n,) [rad/s]; reaches the servo after its latency.
         dt
             A positive integer multiple of `timestep` [s].
 
         Raises
         ------
         SimulationError
-            If `dt` is no such multiple, or a command is not a finite number.
+            If `dt` is not such a multiple, or a command is not finite.
         """
         count = round(dt / self.timestep)
         if count < 1 or abs(dt - count * self.timestep) > 1e-6 * self.timestep:
@@ -148,16 +148,16 @@ class Arm:
         return self._output()
 
     def _output(self) -> ArmOutput:
-        """Read the instant that has been reached.
+        """Read the current instant.
 
-        Commands act through the delay line only, so that evaluating the forces here depends on
-        the state alone and changes nothing of it.
+        Commands act only through the delay line, so evaluating the forces here depends on the state
+        alone and does not change it.
         """
         data = self._data
         mujoco.mj_forward(self._model, data)
         dof = self._dof
         tau_meas = data.sensordata[self._servo_torque] + data.qfrc_gravcomp[dof]
-        # Whatever else acts on a joint is friction.
+        # All other forces on a joint are friction.
         passive = data.qfrc_actuator[dof] + data.qfrc_passive[dof] - tau_meas
         return ArmOutput(
             q=data.qpos[self._qpos],

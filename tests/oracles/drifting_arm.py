@@ -1,7 +1,7 @@
-"""The twin's arm over a day: its friction drifts, it is loaded, and something hits it.
+"""The twin's arm over a day, with drifting friction, a payload and collisions.
 
 Coulomb friction is scaled by the levels of its bristles, which keep their stiffness, and viscous
-friction by its damping, as the factors of a friction law are; both may change at every step.
+friction by its damping, like the factors of a friction law; both may change at every step.
 """
 
 import mujoco
@@ -12,7 +12,7 @@ from oracles.arm import Arm
 from fmu_src.arm.plant import Plant
 
 _LEVELS = [3, 4]
-"""Of Coulomb and static friction among MuJoCo's parameters of a bias."""
+"""Indices of Coulomb and static friction in MuJoCo's bias parameters."""
 
 
 class DriftingArm(Arm):
@@ -20,13 +20,13 @@ class DriftingArm(Arm):
 
     Parameters
     ----------
-    plant : as of `Arm`.
+    plant : as for `Arm`.
     load : body that carries a payload.
 
     Raises
     ------
     ConfigError
-        As `Arm`, or if there is no such body.
+        As for `Arm`, or if the body does not exist.
     """
 
     def __init__(self, plant: Plant, load: str) -> None:
@@ -44,7 +44,7 @@ class DriftingArm(Arm):
         self._damping = model.actuator_damping[self._elements].copy()
 
     def scale(self, coulomb: ArrayLike, viscous: ArrayLike) -> None:
-        """Scale Coulomb and viscous friction of each joint, (n,) against the arm's own."""
+        """Scale Coulomb and viscous friction of each joint, (n,) relative to the arm's own."""
         level = np.asarray(coulomb, dtype=float)[self._of]
         model = self._model
         for k, element in enumerate(self._elements):
@@ -54,10 +54,10 @@ class DriftingArm(Arm):
         )
 
     def load(self, mass: float) -> None:
-        """Carry a payload of a mass [kg] at the body's centre."""
+        """Carry a payload of the given mass [kg] at the body's centre."""
         self._model.body_mass[self._body] = self._mass + mass
         mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
 
     def push(self, torque: ArrayLike) -> None:
-        """Push with torques (n,) [N.m] on the joints, until told otherwise."""
+        """Apply external torques (n,) [N.m] to the joints until the next call."""
         self._data.qfrc_applied[self._dof] = torque

@@ -1,9 +1,9 @@
-"""The twin over a day under the adaptive FMU: it warms up, wears, is loaded, is hit.
+"""The twin over a day with the adaptive FMU: warm-up, wear, payload and collisions.
 
-At 200 Hz, with native FMUs around MuJoCo: the adaptive FMU observes the arm's motion and torque;
-what it learns are the factors and the offset of a friction FMU of the same law, which looks ahead
-by the servo's latency and is the feed-forward of the controller (servo inversion). Truth is known,
-so that errors are those of friction alone, without the noise of the torque.
+Runs at 200 Hz with native FMUs around MuJoCo. The adaptive FMU observes the arm's motion and
+torque. Its factors and offset go to a friction FMU of the same law, which looks ahead by the
+servo's latency and is the feed-forward of the controller (servo inversion). The truth is known,
+so errors are those of friction alone, without torque noise.
 """
 
 from collections.abc import Callable, Mapping
@@ -48,19 +48,19 @@ def _zeros(_: float, n: int) -> Array:
 
 
 Course = Callable[[float, int], Array]
-"""Of time [s] and the number of joints: one number per joint."""
+"""Function of time [s] and the number of joints: one value per joint."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """What happens to the arm.
+    """Events during a run.
 
     Attributes
     ----------
     coulomb, viscous : factors on the true friction.
-    torque_offset : of the torque sensors [N.m].
-    push : torque from outside on the joints [N.m].
-    payload : mass [kg], from `loaded` on [s].
+    torque_offset : offset of the torque sensors [N.m].
+    push : external torque on the joints [N.m].
+    payload : mass [kg], carried from `loaded` [s].
     """
 
     coulomb: Course = _ones
@@ -72,7 +72,7 @@ class Drift:
 
 
 def warm_up(begin: float = 0.0, *, seconds: float = 1200.0) -> Drift:
-    """Return a warm-up that takes 30 % of viscous and 10 % of Coulomb friction in 20 minutes."""
+    """Return a warm-up that removes 30 % of viscous and 10 % of Coulomb friction in 20 minutes."""
 
     def left(share: float) -> Course:
         return lambda t, n: np.full(n, 1.0 - share * min((begin + t) / seconds, 1.0))
@@ -81,7 +81,7 @@ def warm_up(begin: float = 0.0, *, seconds: float = 1200.0) -> Drift:
 
 
 def wear(at: float, joint: int, share: float = 0.25) -> Drift:
-    """Return a step of the friction of one joint, counted from 0, at a time [s]."""
+    """Return a step in the friction of one joint (counted from 0) at a time [s]."""
 
     def course(t: float, n: int) -> Array:
         factors = np.ones(n)
@@ -92,7 +92,7 @@ def wear(at: float, joint: int, share: float = 0.25) -> Drift:
 
 
 def heated(thermal: Thermal, temperature: Callable[[float], float]) -> Drift:
-    """Return a drift by temperature [degC], the same in all joints, over time [s]."""
+    """Return a drift with temperature [degC] over time [s], the same in all joints."""
 
     def factor(which: int) -> Course:
         return lambda t, n: np.repeat(thermal.factors(np.array([temperature(t)]))[which], n)
@@ -102,16 +102,16 @@ def heated(thermal: Thermal, temperature: Callable[[float], float]) -> Drift:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriftingLoop:
-    """All that a run consists of.
+    """The parts of a run.
 
     Attributes
     ----------
-    plant, robot : the twin, and its rigid body.
-    parameters : (P,) of the rigid body, as it was identified.
-    model : friction, as it was fitted.
-    motion : desired, one period of which is repeated.
-    gains : of the controller.
-    folder : where its FMUs stand; `build` writes them.
+    plant, robot : the twin and its rigid body.
+    parameters : (P,) identified rigid-body parameters.
+    model : fitted friction.
+    motion : desired motion; one period is repeated.
+    gains : gains of the controller.
+    folder : folder of the FMUs, written by `build`.
     """
 
     plant: Plant
@@ -124,7 +124,7 @@ class DriftingLoop:
 
     @property
     def step(self) -> float:
-        """Between commands [s]."""
+        """Period of the commands [s]."""
         return 1.0 / self.plant.sample_rate
 
     def build(self) -> None:
@@ -144,15 +144,15 @@ class DriftingLoop:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drifted:
-    """What a run did, (N, n) at times (N,).
+    """Results of a run, (N, n) at times (N,).
 
     Attributes
     ----------
-    t : [s].
+    t : time [s].
     q_d, q : desired and true position [rad].
     dq_d, tau_rigid : desired velocity [rad/s] and rigid-body torque [N.m].
-    tau_meas, tau_true : measured torque, and true friction [N.m].
-    learned : by name what the adaptive FMU says; empty where there was none.
+    tau_meas, tau_true : measured torque and true friction [N.m].
+    learned : outputs of the adaptive FMU by name; empty without one.
     """
 
     t: Array
@@ -165,7 +165,7 @@ class Drifted:
     learned: Mapping[str, Array] = field(default_factory=dict)
 
     def records(self, joints: tuple[str, ...], rows: slice = slice(None)) -> list[FrictionRecord]:
-        """Return what was measured as records of friction."""
+        """Return the measurements as friction records."""
         return [
             FrictionRecord(
                 log="loop", joint=name, t=self.t[rows], dq=self.dq_d[rows, k], q=self.q_d[rows, k],
@@ -176,7 +176,7 @@ class Drifted:
         ]  # fmt: skip
 
     def fixed(self, model: FrictionModel) -> Array:
-        """Return the torque (N, n) of a model that knows of no drift [N.m]."""
+        """Return the torque (N, n) of a model without adaptation [N.m]."""
         return _predicted(model, self.t, self.q_d, self.dq_d, self.tau_rigid)
 
 
@@ -188,7 +188,7 @@ def _predicted(model: FrictionModel, t: Array, q: Array, dq: Array, tau_load: Ar
 
 
 FeedForward = Callable[[Drifted, int], FrictionModel]
-"""The model from a sample on, by what was measured before; see `run_drifting`."""
+"""Model used from a sample on, given the earlier measurements; see `run_drifting`."""
 
 
 def run_drifting(
@@ -199,11 +199,11 @@ def run_drifting(
 
     Parameters
     ----------
-    loop : with its FMUs built.
-    drift : what happens.
+    loop : loop with its FMUs built.
+    drift : events during the run.
     seconds : length of the run [s].
-    adapt : whether the feed-forward follows what is learned.
-    refitted : a law refitted at every `every` seconds in place of the feed-forward.
+    adapt : whether the feed-forward uses the learned factors.
+    refitted : a law refitted every `every` seconds in place of the feed-forward.
     """
     n, step = len(loop.model.joints), loop.step
     count = round(seconds / step) + 1
@@ -284,7 +284,7 @@ def _advance(
     fmu: FmuInstance, write: Callable[[], None], k: int, step: float,
     *, start: Mapping[str, Value] | None = None,
 ) -> None:  # fmt: skip
-    """Set the inputs of sample k and step there; before the first one, initialise."""
+    """Set the inputs of sample k and step to it; initialise before the first one."""
     if k == 0:
         fmu.enter_initialisation(start=fmu.variables.expanded(start or {}))
         write()
@@ -305,7 +305,7 @@ def _controller_start(loop: DriftingLoop) -> dict[str, Value]:
 def _torques(
     model: FrictionModel, t: Array, ahead: tuple[Array, Array, Array], rows: slice
 ) -> Array:
-    """Return the torque of a model over some rows, run from a little before them."""
+    """Return the torque of a model over some rows, including a short run-in."""
     before = max(rows.start - 400, 0)
     own = slice(before, rows.stop)
     return _predicted(model, t[own], *(values[own] for values in ahead))[rows.start - before :]
@@ -313,13 +313,13 @@ def _torques(
 
 @dataclass(frozen=True, kw_only=True)
 class DriftScore:
-    """What following a drift is worth, of each joint.
+    """Benefit of adaptation to a drift, for each joint.
 
     Attributes
     ----------
-    cut : share of the torque error that the drift causes which is gone.
-    tracking, tracking_fixed : RMS position errors [rad] with the factors followed, and without.
-    level, viscosity, offset : at the end of the run.
+    cut : removed share of the torque error caused by the drift.
+    tracking, tracking_fixed : RMS position errors [rad] with and without adaptation.
+    level, viscosity, offset : values at the end of the run.
     """
 
     cut: tuple[float, ...]
@@ -335,7 +335,7 @@ def score(
 ) -> DriftScore:
     """Compare runs of one motion from a time on [s].
 
-    The error that a drift causes is what the mean square grows by against a run without drift.
+    The error caused by a drift is the increase of the mean square over a run without drift.
     """
 
     def squares(run: Drifted, torque: Array) -> Array:

@@ -1,10 +1,9 @@
-"""Where expressions can go: bounds by interval arithmetic with subdivision.
+"""Ranges of expressions: bounds by interval arithmetic with subdivision.
 
-A rate or a bound lies within what `reach` returns wherever in a box its symbols are: natural
-interval extensions (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009,
-chapters 5 and 6) of every subexpression, the box cut along its sides, since a symbol that stands
-twice makes a single extension too wide. Bounds are those of real numbers; roundings are not
-followed.
+A rate or bound lies within the result of `reach` for all symbol values in a box: natural interval
+extensions (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009, chapters 5 and 6)
+of every subexpression. The box is subdivided, because a single extension is too wide if a symbol
+occurs twice. Bounds are those of real numbers; round-off is ignored.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,17 +22,17 @@ Interval = tuple[Array, Array]
 Box = Mapping[sympy.Symbol, tuple[float, float]]
 
 _BOXES = 4096
-"""Into about how many parts a box is cut."""
+"""Approximate number of parts of a box."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reach:
-    """What interval arithmetic shows of the rate or bound of an element over a box.
+    """Interval bounds of the rate or bound of an element over a box.
 
     Attributes
     ----------
-    low, high : between which it lies; infinite where it may have no value.
-    guarded : parts of the box, as many boxes, in which it may be negative, so that the guard acts.
+    low, high : its range; infinite if it may be undefined.
+    guarded : parts of the box, as boxes, that may make it negative, so that the guard acts.
     """
 
     low: float
@@ -42,12 +41,12 @@ class Reach:
 
     @property
     def finite(self) -> bool:
-        """Whether it has a finite value everywhere."""
+        """Whether it is finite everywhere."""
         return self.low > -inf and self.high < inf
 
 
 def reach(element: Element, box: Box) -> Reach:
-    """Return where the rate or bound of an element can go over a box of what it reads."""
+    """Return the range of the rate or bound of an element over a box of its inputs."""
     expression = element.parts[1]
     parts = _cut({s: box[s] for s in expression.free_symbols})
     low, high = _over(expression, parts)
@@ -61,7 +60,7 @@ def reach(element: Element, box: Box) -> Reach:
 
 
 def _cut(box: Box) -> dict[sympy.Symbol, Interval]:
-    """Return the parts of a box, the sides of each symbol as arrays over the parts."""
+    """Return the parts of a box: the sides of each symbol as arrays over the parts."""
     wide = [s for s, (low, high) in box.items() if low < high]
     each = max(1, round(_BOXES ** (1.0 / len(wide)))) if wide else 1
     edges = {s: np.linspace(*box[s], each + 1) if s in wide else np.array(box[s]) for s in box}
@@ -71,7 +70,7 @@ def _cut(box: Box) -> dict[sympy.Symbol, Interval]:
 
 
 def _over(expression: sympy.Expr, parts: Mapping[sympy.Symbol, Interval]) -> Interval:
-    with np.errstate(all="ignore"):  # what is no number is everything
+    with np.errstate(all="ignore"):  # undefined values become unbounded
         return _visit(expression, dict(parts))
 
 
@@ -125,7 +124,7 @@ _RISING: Mapping[str, Callable[..., Array]] = {
 
 
 def _product(a: Array, b: Array) -> Array:
-    """Return a b, where nothing of something infinite is nothing."""
+    """Return a b, with 0 times infinity = 0."""
     return np.where((a == 0.0) | (b == 0.0), 0.0, a * b)
 
 
@@ -140,7 +139,7 @@ def _power(low: Array, high: Array, exponent: float) -> Interval:
         low, high = _power(low, high, -exponent)
         through = (low <= 0.0) & (high >= 0.0)
         return np.where(through, -inf, 1.0 / high), np.where(through, inf, 1.0 / low)
-    least, most = _hull([low**exponent, high**exponent])  # no number for a root of what is below 0
+    least, most = _hull([low**exponent, high**exponent])  # NaN for a root of a negative number
     if exponent % 2.0 == 0.0:
         least = np.where((low < 0.0) & (high > 0.0), 0.0, least)
     return least, most

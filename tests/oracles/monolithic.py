@@ -1,7 +1,7 @@
-"""The closed loop without FMI: what a co-simulation of the same parts is held against.
+"""The closed loop without FMI: reference for a co-simulation of the same parts.
 
-Desired motion, rigid-body torque, friction laws, controller and arm are those of Python; nothing of
-the FMUs' C takes part. What does not depend on measurements is computed for the whole run at once.
+Desired motion, rigid-body torque, friction laws, controller and arm are in Python, without the C
+code of the FMUs. Quantities independent of measurements are computed for the whole run at once.
 """
 
 from dataclasses import dataclass
@@ -18,24 +18,24 @@ from hesr_model.motions.trajectories import Trajectory
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
-_ROUNDING = 1e-9  # [s] by which a time may miss the instant at which the motion begins
+_ROUNDING = 1e-9  # [s] tolerance of the start of the motion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MonolithicLoop:
-    """A closed loop, of n joints.
+    """A closed loop of n joints.
 
     Attributes
     ----------
     plant : the arm.
     robot : its rigid-body model.
     parameters : (P,) of `robot.parameter_names`.
-    friction : one law for each joint.
-    motion : the desired one; the arm starts at rest where it starts.
+    friction : one law per joint.
+    motion : desired motion; the arm starts at rest at its start.
     scheme, gains : of the controller.
-    step : between commands, and between measurements [s].
+    step : period of commands and measurements [s].
     stop : end of the run [s].
-    rest : before the motion begins [s].
+    rest : rest before the motion begins [s].
     time_constant : of the filter of measured velocities [s].
     """
 
@@ -54,12 +54,12 @@ class MonolithicLoop:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopResult:
-    """What a closed loop did.
+    """Results of a closed loop.
 
     Attributes
     ----------
     t : (N,) sampling instants [s].
-    q_d, q_true : (N, n) desired position, and that of the arm without noise [rad].
+    q_d, q_true : (N, n) desired position, and noise-free position of the arm [rad].
     dq_cmd : (N, n) velocity command from each instant on [rad/s].
     """
 
@@ -70,15 +70,15 @@ class LoopResult:
 
 
 def run_loop(loop: MonolithicLoop) -> LoopResult:
-    """Run a closed loop: measure, command, hold the command for a step, and again.
+    """Run a closed loop: repeatedly measure, command, and hold the command for a step.
 
     Raises
     ------
     ConfigError
         If the arm's model is missing or lacks a part.
     SimulationError
-        If the step is no multiple of the arm's own, a law is not stable at it, or a command is not
-        a finite number.
+        If the step is not a multiple of the arm's, a law is unstable at it, or a command is not
+        finite.
     """
     count = round(loop.stop / loop.step) + 1
     t = loop.step * np.arange(count, dtype=float)
@@ -99,14 +99,14 @@ def run_loop(loop: MonolithicLoop) -> LoopResult:
 
 
 def _motion(loop: MonolithicLoop, t: Array) -> tuple[Array, Array, Array]:
-    """Position, velocity and acceleration (N, n) at times (N,), of which the first are at rest."""
+    """Position, velocity and acceleration (N, n) at times (N,); the first of them are at rest."""
     q, dq, ddq = loop.motion.sample(np.maximum(t - loop.rest, 0.0))
     moving = (t >= loop.rest - _ROUNDING)[:, None]
     return q, dq * moving, ddq * moving
 
 
 class _Desired:
-    """Velocity and torque of the desired motion, some time ahead.
+    """Velocity and torque of the desired motion, with a lead time.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class _Desired:
         self._velocity = np.zeros(self.dq.shape[1])
 
     def torque(self, k: int, q: Array) -> Array:
-        """Return the torque (n,) [N.m] at sample k; its friction may be that of measured motion."""
+        """Return the torque (n,) [N.m] at sample k, with friction of desired or measured motion."""
         if self._torque is not None:
             return np.asarray(self._torque[k])
         loop = self._loop
@@ -146,7 +146,7 @@ class _Desired:
         return np.asarray(self._rigid[k] + loop.scheme.friction_gain * np.array(friction))
 
     def _measured(self, q: Array) -> Array:
-        """Differences of measured positions, through a first-order low-pass; zero at first."""
+        """Differences of measured positions through a first-order low-pass; zero at first."""
         loop = self._loop
         lag = loop.time_constant if loop.scheme.source == "filtered" else 0.0
         share = 1.0 - np.exp(-loop.step / lag) if lag > 0.0 else 1.0
@@ -159,7 +159,7 @@ class _Desired:
 
 
 class _Controller:
-    """The laws that the Controller FMU's C describes, for all joints at once."""
+    """The laws of the Controller FMU's C code, for all joints at once."""
 
     def __init__(self, loop: MonolithicLoop, q_d: Array, desired: _Desired) -> None:
         self._loop, self._q_d, self._desired = loop, q_d, desired
@@ -173,7 +173,7 @@ class _Controller:
         self._error: Array | None = None
 
     def command(self, k: int, q: Array, tau: Array) -> Array:
-        """Return dq_cmd (n,) [rad/s] from what sample k measures [rad, N.m]."""
+        """Return dq_cmd (n,) [rad/s] from the measurements of sample k [rad, N.m]."""
         scheme = self._loop.scheme
         outer = scheme.Kx * (self._q_d[k] - q)
         inner: Array | float = 0.0
@@ -193,7 +193,7 @@ class _Controller:
         loop = self._loop
         gravity = loop.robot.torque(loop.parameters, q[None], self._rest, self._rest)[0]
         wanted = tau_d - gravity
-        if self._integral is None:  # at rest the servo's own integral holds the torque already
+        if self._integral is None:  # at rest the servo's own integral already holds the torque
             self._integral = np.divide(
                 wanted, self._Ki, out=np.zeros_like(wanted), where=self._Ki > 0.0
             )

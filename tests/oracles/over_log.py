@@ -1,7 +1,7 @@
-"""Laws over logs in NumPy: the oracle of `rows.c`.
+"""Laws over logs in NumPy: reference for `rows.c`.
 
-Relaxations compose to relaxations, so a log runs without a Python loop; only a relaxation whose
-rate depends on its own state goes row by row, by a scalar function without NumPy.
+Relaxations compose to relaxations, so a log runs without a Python loop. Only a relaxation whose
+rate depends on its own state runs row by row, in a scalar function without NumPy.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -29,9 +29,9 @@ class StatesOverLog:
     Parameters
     ----------
     memory : its elements.
-    arguments : symbols of all that they read besides states: numbers, then inputs.
-    read : symbols that are asked for; a stop's derivative that is not among them is left at 0.
-    settling : share of the steady state in where they begin, see `Component.settling`.
+    arguments : symbols of all inputs other than states: numbers, then inputs.
+    read : requested symbols; the derivative of a stop not among them stays 0.
+    settling : weight of the steady state in the initial state, see `Component.settling`.
     """
 
     def __init__(
@@ -49,12 +49,12 @@ class StatesOverLog:
         self._alone = [
             i for i, m in enumerate(memory) if not states & sympy.Tuple(*m.parts).free_symbols
         ]
-        # Together, since elements share subexpressions.
+        # Lowered together, because elements share subexpressions.
         self._parts = lowered(
             arguments, [part for i in self._alone for part in self._memory[i].parts]
         )
         self._groups = tuple(groups_of(self._memory))
-        # Stops that read what moves before them go together, too.
+        # Stops that depend on earlier elements are also lowered together.
         self._later = {
             i: lowered(
                 (*arguments, *(e.state for e in memory[: i + 1])),
@@ -79,12 +79,12 @@ class StatesOverLog:
         }
 
     def beginning(self, values: Sequence[Any], start: Sequence[Any]) -> list[Any]:
-        """Return where each state begins for the first inputs among `values`, from its start."""
+        """Return the initial states for the first inputs among `values`, given the start values."""
         found = self._beginning(*values, *start)
         return [found[i] for i in self._begun]
 
     def parts(self, values: Sequence[Any], shape: tuple[int, ...]) -> list[tuple[Array, Array]]:
-        """Return both parts of each element that sees no state, the second one guarded."""
+        """Return both parts of each element independent of states, the second one guarded."""
         found = [np.broadcast_to(e, shape) for e in self._parts(*values)]
         return [(b, NUMPY["positive"](r)) for b, r in zip(found[::2], found[1::2], strict=True)]
 
@@ -100,10 +100,10 @@ class StatesOverLog:
 
         Parameters
         ----------
-        values : of the arguments: scalars or (N,).
+        values : values of the arguments: scalars or (N,).
         dt : (N,) step that ends at each row [s].
-        begins : (N,) True where a record begins, at whose first row the states have their start.
-        start : value of each state there, or (N,) of which those of these rows count.
+        begins : (N,) True if a record begins; the states have their start values at its first row.
+        start : start value of each state, or (N,) with the values at these rows.
         discretisation : exact, or explicit Euler (eq. 10).
 
         Raises
@@ -163,7 +163,7 @@ class StatesOverLog:
                     raise _unstable(z)
                 found.append(x)
             return np.array(found, dtype=float)
-        except (ArithmeticError, ValueError, TypeError):  # where NumPy goes on with inf or nan
+        except (ArithmeticError, ValueError, TypeError):  # NumPy would continue with inf or nan
             return self._in_arrays(i, values, states, dt, begins, start, discretisation)
 
     def _in_arrays(
@@ -188,7 +188,7 @@ class StatesOverLog:
 
 
 def _scalar_step(arguments: Sequence[sympy.Symbol], element: Element) -> Any:
-    """Return a function of arguments, dt, euler and state: the state after, and rate times dt."""
+    """Return a function of arguments, dt, euler and state: the next state, and rate times dt."""
     first, second = element.parts
     guarded = positive(second)
     return sympy.lambdify(
@@ -233,7 +233,7 @@ def step_coefficients(
     """
     z = r * dt
     if discretisation == "exact":
-        # exp rather than 1 + expm1, which the share has its own of: fitted laws depend on the bits.
+        # exp instead of 1 + expm1, as used for the share: fitted laws depend on every bit.
         return np.exp(-z), b * dt * NUMPY["share"](z, np.expm1(-z), False)
     if np.any(z >= 1.0):
         raise _unstable(float(z.max()))
@@ -291,7 +291,7 @@ def over_rows(
 ) -> list[Array]:
     """Return outputs of symbols, states, derivatives and DT over rows, (N,) each.
 
-    Records start in `start`, or where `settling` takes them from there.
+    Records begin at `start`, or at the settled state given by `settling`.
     """
     states = tuple(s for m in memory for s in (m.state, m.derivative))
     read = set().union(*(e.free_symbols for e in outputs))

@@ -1,4 +1,4 @@
-"""A law run one step at a time, as a controller would run it."""
+"""A law run step by step, as in a controller."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ class Stepper:
     Parameters
     ----------
     law : the law of one joint.
-    start : initial states; `first_states` of the inputs of the first step by default.
+    start : initial states; by default `first_states` of the inputs of the first step.
 
     Attributes
     ----------
