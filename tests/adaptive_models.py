@@ -1,4 +1,4 @@
-"""Laws by hand whose friction is followed, and motions with known truth."""
+"""Hand-made laws for adaptation, and motions with known truth."""
 
 from collections.abc import Callable
 
@@ -24,14 +24,14 @@ STEP = 0.01
 
 
 def lugre() -> FrictionLaw:
-    """LuGre with a load, of 12 N.m."""
+    """LuGre with load; friction of 12 N.m."""
     values = {"sigma_0": 4e4, "sigma_1": 0.0, "sigma_2": 14.0, "F_c": 12.0, "F_s": 14.0,
               "v_s": 0.1, "tau_0": 0.3, "mu": 0.01}  # fmt: skip
     return FrictionLaw(name="lugre_load", form=LuGreLoad.form({}), values=values)
 
 
 def stops(ripple: tuple[int, ...] = (200,)) -> FrictionLaw:
-    """ParFam-S with a load and ripple, of 12 N.m."""
+    """ParFam-S with load and ripple; friction of 12 N.m."""
     structure = {
         "stops": [["1", 0], ["1", 4], ["p", 0], ["load", 2]],
         "viscous": ["1", "b"],
@@ -52,7 +52,7 @@ def stops(ripple: tuple[int, ...] = (200,)) -> FrictionLaw:
 
 
 def model(*laws: FrictionLaw) -> FrictionModel:
-    """A model of one joint for each law."""
+    """A model with one joint per law."""
     seen = TrainedRange(
         sample_time=STEP, dq=(-SPEED, SPEED), q=(-3, 3), tau_load=(-30, 30), tau=(-40, 40)
     )
@@ -64,7 +64,7 @@ def model(*laws: FrictionLaw) -> FrictionModel:
 
 
 def motion(seconds: float, seed: int = 0, step: float = STEP) -> tuple[Array, Array, Array, Array]:
-    """Return t, dq, q and a load of a joint in steady work."""
+    """Return t, dq, q and load of a joint in steady work."""
     t = step * np.arange(round(seconds / step))
     phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 3)
     rates, sizes = np.array([0.7, 1.3, 2.9]), np.array([0.5, 0.4, 0.2])
@@ -80,8 +80,8 @@ def truth(
 ) -> FrictionRecord:  # fmt: skip
     """Return a record whose factors are known functions of time, with coloured noise.
 
-    Its friction is that of the adaptive equations with their factors held at the truth at each row:
-    they start there and nothing adapts.
+    Friction follows the adaptive equations with the factors fixed to the truth at each row: they
+    start there and do not adapt.
     """
     loose = Tuning(level=(0.1, 10.0), viscosity=(0.1, 10.0))
     component = adaptive_component(law, loose, noise=1.0, speed=SPEED)
@@ -104,7 +104,7 @@ def truth(
 
 
 def coloured(rows: int, step: float, correlation: float, noise: float, seed: int) -> Array:
-    """Return noise of a standard deviation and a correlation time [s]."""
+    """Return noise of the given standard deviation and correlation time [s]."""
     a = np.exp(-step / correlation)
     white = np.random.default_rng(seed).normal(size=rows) * noise
     return recurrence(np.full(rows, a), np.sqrt(1.0 - a**2) * white, float(white[0]))

@@ -10,21 +10,20 @@ from hesr_model.support.compiler import compile_c
 
 HOSTS = Path(__file__).with_name("fmu")
 LINUX = ("-target", *TARGETS["linux64"].triples, "-O2")
-"""For every program of the tests: another target or level has the compiler make its own libraries
-anew, which takes 3 to 15 s."""
+"""Options of all test programs; for others the compiler rebuilds its own libraries (3 to 15 s)."""
 
 
 def build_host(name: str, folder: Path, target: str = "x86_64-linux-gnu.2.17") -> Path:
-    """Compile a host of the tests in a folder and return the program.
+    """Compile a test host in a folder and return the program.
 
-    The target's plainest processor is meant, which emulators and valgrind know.
+    The target's baseline processor is used, which emulators and valgrind support.
     """
     sources = {"fmi2.h": own_source("fmi2.h")}
     sources |= {n: (HOSTS / n).read_text(encoding="utf-8") for n in ("host.h", "motion.h", name)}
     for file, text in sources.items():
         (folder / file).write_text(text, encoding="utf-8")
     program = folder / f"host-{target}"
-    # Contracted multiply-adds would make another motion of the same formula.
+    # Fused multiply-adds would change the motion of the same formula.
     contract = "-ffp-contract=off"
     flags = ("-target", target, "-std=gnu99", "-O2", contract, "-Wall", "-Wextra", "-Werror")
     compile_c(folder / name, flags, program, _WINDOWS if "windows" in target else ("-ldl",))
@@ -43,7 +42,7 @@ _WINDOWS = (
 
 @dataclass(frozen=True)
 class Wine:
-    """What runs Windows programs: its own program, and the environment that it needs."""
+    """Command for Windows programs: the program and its environment."""
 
     program: str
     environment: Mapping[str, str]

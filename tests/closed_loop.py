@@ -48,7 +48,7 @@ MOTION = random_fourier(
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """The FMUs of a loop and what they are made of."""
+    """The FMUs of a loop and their models."""
 
     fmus: Fmus
     robot: Robot
@@ -57,7 +57,7 @@ class Bench:
 
     @classmethod
     def of(cls, folder: Path, friction: FrictionModel) -> "Bench":
-        """The FMUs that `write_fmus` has written into a folder."""
+        """The FMUs written into a folder by `write_fmus`."""
         return cls(
             fmus=Fmus(
                 arm=folder / "Arm.fmu",

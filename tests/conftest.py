@@ -1,4 +1,4 @@
-"""A small arm whose parameters are known, and what takes long and is made once for all workers."""
+"""A small arm with known parameters, and slow fixtures shared by all workers."""
 
 import os
 import shutil
@@ -24,13 +24,13 @@ from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import cache
 
-# How long an example takes says how busy the machine is.
+# The duration of an example depends on the load of the machine.
 settings.register_profile("unhurried", deadline=None)
 settings.load_profile("unhurried")
 
 TESTS = Path(__file__).parent
 CI_FOLDERS = [TESTS / name for name in ("browser", "fuzz", "interop", "real")]
-"""Folders of tests that only `make test-all` runs."""
+"""Folders of tests run only by `make test-all`."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -39,7 +39,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     CpuTime.measure(config)
-    # Shells start background jobs with SIGINT ignored, which the processes of tests would inherit.
+    # Shells start background jobs with SIGINT ignored, which test processes would inherit.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -80,7 +80,7 @@ Shared = Callable[[str, Callable[[Path], object]], Path]
 def install_plugin(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> InstallPlugin:
-    """Return a function that installs a package with entry points of a group for this test."""
+    """Return a function that installs a package with entry points of one group for this test."""
 
     def install(group: str, **points: str) -> None:
         site = lay_package(tmp_path_factory.mktemp("site"), {group: points})
@@ -91,20 +91,20 @@ def install_plugin(
 
 @pytest.fixture(scope="session")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Shared:
-    """Give the folder of a name, which the first of all workers that asks has filled.
+    """Return the folder of a name, filled by the first worker that requests it.
 
-    Tests do not write into it.
+    Tests must not write to it.
     """
     base = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
-        base = base.parent  # that of all workers
+        base = base.parent  # shared by all workers
 
     def filled(name: str, fill: Callable[[Path], object]) -> Path:
         folder, done = base / name / "shared", base / name / "done"
         folder.parent.mkdir(exist_ok=True)
         with FileLock(base / name / "lock"):
             if not done.exists():
-                shutil.rmtree(folder, ignore_errors=True)  # of one who failed
+                shutil.rmtree(folder, ignore_errors=True)  # left by a failed worker
                 folder.mkdir()
                 fill(folder)
                 done.touch()
@@ -115,11 +115,11 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Shared:
 
 @pytest.fixture(scope="session")
 def wine(shared: Shared) -> Wine:
-    """Wine with one folder of settings for all tests: making it takes longer than any of them."""
+    """Wine with one settings folder for all tests, because creating it is slower than any test."""
     program = shutil.which("wine") or shutil.which("wine64")
     if program is None:
         pytest.skip("wine, which runs Windows programs, is not installed")
-    # Neither .NET nor a browser is looked for.
+    # Do not search for .NET or a browser.
     own = {"WINEDEBUG": "-all", "DISPLAY": "", "WINEDLLOVERRIDES": "mscoree,mshtml="}
 
     def make(folder: Path) -> None:
@@ -131,7 +131,7 @@ def wine(shared: Shared) -> Wine:
 
 @pytest.fixture(scope="session")
 def table1() -> FrictionModel:
-    """The paper's law with the paper's numbers."""
+    """The paper's law with the paper's coefficients."""
     return FrictionModel.read(model_file("uf850-table1"))
 
 
@@ -142,7 +142,7 @@ def table1_fmu(table1: FrictionModel, shared: Shared) -> Path:
 
 @pytest.fixture(scope="session")
 def registry_models(shared: Shared) -> dict[str, FrictionModel]:
-    """A fitted model of every law of everyday tests, in the order of the registry."""
+    """A fitted model of every law of everyday tests, in registry order."""
 
     def fit(folder: Path) -> None:
         for model in models_of_registry():
@@ -154,15 +154,15 @@ def registry_models(shared: Shared) -> dict[str, FrictionModel]:
 
 @pytest.fixture(scope="session")
 def small_results(shared: Shared) -> Path:
-    """Results of a study in which everything is done, but little of it."""
-    from small_results import write_results  # slow to import
+    """Results of a minimal study that covers every step."""
+    from small_results import write_results  # slow import
 
     return shared("results", write_results) / "results"
 
 
 @pytest.fixture
 def empty_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder in which nothing is kept yet but the compiler's own C libraries."""
+    """An empty cache folder, except for the compiler's own C libraries."""
     libraries = cache.folder() / "zig"
     libraries.mkdir(exist_ok=True)
     home = tmp_path_factory.mktemp("cache")
@@ -173,7 +173,7 @@ def empty_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mo
 
 @pytest.fixture
 def arm(tmp_path: Path) -> RobotDescription:
-    """Description of a three-joint arm, its MJCF beside it in a temporary folder."""
+    """Description of a three-joint arm, with its MJCF in a temporary folder."""
     model = tmp_path / "arm.xml"
     model.write_text(ARM_MJCF, encoding="utf-8")
     return RobotDescription(
@@ -214,6 +214,6 @@ def make_motion(arm_model: Robot) -> MakeMotion:
 
 @pytest.fixture
 def arm_log(make_motion: MakeMotion) -> Log:
-    """A log of the arm, with friction."""
+    """A log of the arm with friction."""
     motion = make_motion(name="run", friction=3.0)
     return Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)

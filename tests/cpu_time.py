@@ -1,4 +1,4 @@
-"""CPU time of every test, its processes included: recorded by `make durations`, limited in CI."""
+"""CPU time of every test with its processes: recorded by `make durations`, limited in CI."""
 
 import os
 from collections import defaultdict
@@ -9,10 +9,10 @@ import psutil
 import pytest
 
 LIMIT = 10.0
-"""CPU seconds allowed to a test of `make test`, without the fixtures that tests share."""
+"""CPU seconds allowed per test of `make test`, without shared fixtures."""
 
 _NAMED = 2.0
-"""CPU seconds from which a test has its own line in the record."""
+"""Minimum CPU seconds for a test to have its own line in the record."""
 
 _HEAD = """\
 # CPU seconds of each test file and of its slow tests, their processes included.
@@ -23,13 +23,13 @@ _PROPERTY = "cpu"
 
 
 def used() -> float:
-    """Return the CPU seconds of this process and of all that it has started."""
+    """Return the CPU seconds of this process and all processes it has started."""
     me = psutil.Process()
     total = 0.0
     for process in (me, *me.children(recursive=True)):
         try:
             total += sum(process.cpu_times()[:4])
-        except psutil.NoSuchProcess:  # ended meanwhile: its parent has its time
+        except psutil.NoSuchProcess:  # has ended: its time is included in the parent's
             continue
     return total
 
@@ -46,7 +46,7 @@ class CpuTime:
 
     @classmethod
     def measure(cls, config: pytest.Config) -> None:
-        """Measure if in CI or if asked for a record."""
+        """Measure in CI or if a record is requested."""
         record = config.getoption("--record-cpu")
         limited = os.environ.get("CI") == "true"
         if limited or record:
@@ -56,7 +56,7 @@ class CpuTime:
     def pytest_fixture_setup(
         self, fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
     ) -> Generator[None, object, object]:
-        """Charge shared fixtures to no test; the first one would pay for all."""
+        """Do not charge shared fixtures to the first test that uses them."""
         if fixturedef.scope == "function" or self.sharing:
             return (yield)
         self.sharing, start = True, used()

@@ -1,4 +1,4 @@
-"""Damage to files, as bad disks, cut transfers and bad will do it."""
+"""Damage to files, as from bad disks, cut transfers and malice."""
 
 import io
 import re
@@ -30,9 +30,9 @@ _PLAIN = (
     *(b"0", b"-1", b"1e-300", b"1e300", b"-1e308", b"5e-324", b"1e20", b"1e9", b"7", b"2000000000"),
     *(b"9999999999999999999999", b"nan", b"inf", b"true", b"null", b'""', b"[]", b"{}", b"x" * 300),
 )
-"""What may stand in a text in place of a number or a name without breaking its syntax."""
+"""Texts that can replace a number or name without breaking the syntax."""
 _GENTLY = 0.4
-"""Share of damage that a syntax does not see, so that what is behind it is reached."""
+"""Share of damage that keeps the syntax valid, so that later code is reached."""
 _NUMBERS = (
     *(struct.pack("<I", n) for n in (0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)),
     *(struct.pack("<Q", n) for n in (2**31, 2**40, 2**63 - 1, 2**64 - 1)),
@@ -41,7 +41,7 @@ _NUMBERS = (
 
 
 def damaged(content: bytes, rng: np.random.Generator) -> bytes:
-    """Return content with one to four kinds of damage, or with one word put in another's place."""
+    """Return content with one to four kinds of damage, or with one word replaced."""
     data = bytearray(content)
     if rng.random() < _GENTLY:
         _replace_word(data, rng)
@@ -123,16 +123,16 @@ _ODD_NAMES = (
     *("../evil", "/evil", "C:/evil", "a\\..\\..\\evil", "x" * 5000),
     *("é/\u202e", "binaries", ".", "a//b"),
 )
-"""That no file in an archive should have."""
+"""Names that no file in an archive should have."""
 
 
 def damaged_archive(content: bytes, rng: np.random.Generator) -> bytes:
-    """Return an archive that is damaged itself, or holds a file that is, all sums being right."""
+    """Return a damaged archive, or one with a damaged file and correct checksums."""
     if rng.random() < 1 / 3:
         return damaged(content, rng)
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
-    # What is read of it: XML and JSON above all.
+    # Files that are parsed: mainly XML and JSON.
     texts = [name for name in members if name.endswith((".xml", ".ssd", ".ssv", ".json"))]
     victim = str(rng.choice(texts if rng.random() < 3 / 4 else list(members)))
     members[victim] = damaged(members[victim], rng)

@@ -1,4 +1,4 @@
-"""The documentation as tests read it: its code blocks, and a folder in which they can run."""
+"""The documentation for tests: its code blocks, and a folder for running them."""
 
 import re
 from collections.abc import Iterator
@@ -21,11 +21,11 @@ class Block:
 
     Attributes
     ----------
-    page : file that it stands in.
-    line : where it begins.
-    language : as the fence names it.
-    text : what stands between the fences.
-    runs : False where the paragraph before, or the heading, says that it has not been run.
+    page : file of the block.
+    line : its first line.
+    language : language given by the fence.
+    text : text between the fences.
+    runs : False if the preceding paragraph or heading says that it has not been run.
     """
 
     page: Path
@@ -44,7 +44,7 @@ def blocks(language: str) -> list[Block]:
 
 
 def block(page: str, language: str) -> str:
-    """The only block of a language in a page of docs."""
+    """The only block of a language on a page of the documentation."""
     (only,) = (b.text for b in _of(ROOT / "docs" / page) if b.language == language)
     return only
 

@@ -1,4 +1,4 @@
-"""Fleets of simulated robots, made as `hesr new` makes its sample logs."""
+"""Fleets of simulated robots, made like the sample logs of `hesr new`."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,7 +23,7 @@ _FORCES = np.isin([c.name for c in LuGre.form({}).coefficients], ["F_c", "F_s", 
 
 
 def urdf(joints: int) -> str:
-    """Return a robot whose joints turn about vertical and horizontal axes by turns."""
+    """Return a robot whose joints alternate between vertical and horizontal axes."""
     parts = ['<robot name="chain"><link name="link0"/>']
     for k in range(1, joints + 1):
         axis = "0 1 0" if k % 2 else "0 0 1"
@@ -49,7 +49,7 @@ def write_fleet(
 ) -> Path:
     """Write a partitioned data set of robots R0, R1, .. of one model, and return the fleet's file.
 
-    Coefficients of each robot's friction are drawn about those of the sample logs, by a share of
+    Friction coefficients of each robot scatter about those of the sample logs by a share of
     `spread`; `scale` is a factor on its friction in a log.
     """
     model = folder / "chain.urdf"
@@ -88,6 +88,6 @@ def write_fleet(
 
 
 def _times(law: FrictionLaw, factors: Array) -> FrictionLaw:
-    """Return a law (of LuGre) with a factor on each of its coefficients."""
+    """Return a LuGre law with a factor on each of its coefficients."""
     pairs = zip(law.values.items(), factors, strict=True)
     return replace(law, values={name: value * float(factor) for (name, value), factor in pairs})

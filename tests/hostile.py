@@ -1,4 +1,4 @@
-"""FMUs that do harm: ours, with `hostile.c` compiled into them. They are foreign by their hash."""
+"""Malicious FMUs: ours with `hostile.c` compiled in. Their hash marks them as foreign."""
 
 import re
 import zipfile
@@ -17,7 +17,7 @@ CALLS = {
     "fmi2FreeInstance": "fmi2.c",
     "fmi2ExitInitializationMode": "fmi2.c",
 }
-"""Functions in which they may misbehave, and where these stand."""
+"""Functions that may misbehave, and their files."""
 
 NOT_A_NUMBER = """
     if (getenv("DEED") && strcmp(getenv("DEED"), "fmi2GetReal nan") == 0) {
@@ -36,7 +36,7 @@ UNDEFINED = """
 
 
 def infected(fmu: Path, copy: Path) -> Path:
-    """Write a copy of an FMU of ours that misbehaves as the environment wants it."""
+    """Write a copy of one of our FMUs that misbehaves as set in the environment."""
     with zipfile.ZipFile(fmu) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     folder = copy.with_suffix("")
@@ -60,7 +60,7 @@ def infected(fmu: Path, copy: Path) -> Path:
 
 
 def archived(members: dict[str, bytes], path: Path) -> Path:
-    """Write an archive as others do."""
+    """Write an archive as other tools do."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in members.items():
             archive.writestr(name, content)

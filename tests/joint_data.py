@@ -1,4 +1,4 @@
-"""Motions of one joint, and what laws of known coefficients make of them."""
+"""Motions of one joint, and the friction of known laws along them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ HX_PAPER = {"linear": ["1", "dq", "h", "dh"], "units": [], "state": "paper"}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Path:
-    """Rows of a motion: uneven time stamps, reversals, rests, a load that is not the velocity's."""
+    """Rows of a motion: uneven time stamps, reversals, rests, a load independent of velocity."""
 
     t: np.ndarray
     dq: np.ndarray
@@ -29,7 +29,7 @@ class Path:
 
 def path(seed: int = 0, *, seconds: float = 12.0, peak: float = 1.0, rests: bool = True,
          from_rest: bool = False) -> Path:  # fmt: skip
-    """A few harmonics, each path with other phases; at a third and two thirds the joint rests."""
+    """A few harmonics with different phases per path; the joint rests at one and two thirds."""
     rng = np.random.default_rng(1000 + seed)
     t = np.cumsum(rng.uniform(0.005, 0.011, round(seconds / 0.008)))
     pause = 0.05 * t[-1] if rests else 0.0
@@ -52,7 +52,7 @@ def path(seed: int = 0, *, seconds: float = 12.0, peak: float = 1.0, rests: bool
 
 
 def law(name: str, structure: Mapping[str, Any], /, **values: float) -> FrictionLaw:
-    """A law of the registry with these coefficients."""
+    """A law of the registry with the given coefficients."""
     form = estimator(name).form(structure)
     return FrictionLaw(name=name, structure=structure, form=form, values=values)
 
@@ -67,7 +67,7 @@ def along(
     gear_ratio: float | None = None,
     start: tuple[float, ...] | None = None,
 ) -> FrictionRecord:
-    """What a law makes of a motion, with white noise."""
+    """Friction of a law along a motion, with white noise."""
     tau = predict(truth, t=way.t, dq=way.dq, q=way.q, tau_load=way.load, start=start)
     return FrictionRecord(
         log=log,
@@ -82,19 +82,19 @@ def along(
 
 
 def training(truth: FrictionLaw, *, noise: float, **more: Any) -> list[FrictionRecord]:
-    """Two logs to fit."""
+    """Two logs for fitting."""
     return [
         along(truth, path(k), noise=noise, seed=k, log=f"train{k}", **more) for k in range(2)
     ]  # fmt: skip
 
 
 def unseen(truth: FrictionLaw, **more: Any) -> FrictionRecord:
-    """A log of another motion, without noise."""
+    """A noise-free log of another motion."""
     return along(truth, path(7, peak=0.9), log="unseen", **more)
 
 
 def error_on(fitted: FrictionLaw, record: FrictionRecord, **more: Any) -> float:
-    """Root of the mean squared error of a law on a record [N.m]."""
+    """Root mean square error of a law on a record [N.m]."""
     predicted = predict(
         fitted, t=record.t, dq=record.dq, q=record.q, tau_load=record.tau_load, **more
     )

@@ -1,4 +1,4 @@
-"""Packages with plug-ins, as an installer leaves them in a folder of `sys.path`."""
+"""Packages with plug-ins, as installed in a folder of `sys.path`."""
 
 from collections.abc import Mapping
 from pathlib import Path

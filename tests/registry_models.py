@@ -1,4 +1,4 @@
-"""Models of every law that is registered."""
+"""Models of every registered law."""
 
 from collections.abc import Iterator
 
@@ -12,11 +12,11 @@ from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord
 
 _ONE_OF_EACH_KIND = ("bam_m6", "strain_wave_bound", "gms")
-"""Of the laws that no study has unless it names them; soak tests run all of them."""
+"""Samples of the classic laws, which are available by name only; soak tests run all of them."""
 
 
 STUDIED = tuple(name for name, law in registry().items() if law.everyday)
-"""Laws of studies that name none, for tests that take long for each."""
+"""Laws of the default study, for tests that are slow for each law."""
 
 
 def everyday() -> dict[str, type[Estimator]]:

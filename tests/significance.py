@@ -1,4 +1,4 @@
-"""Whether laws are significantly worse than another one; Holm over all joints."""
+"""Significance of law comparisons, with Holm's adjustment over all joints."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from hesr_model.inference.comparison import SIGNIFICANCE, ErrorRatio, holm, law_
 
 @dataclass(frozen=True, kw_only=True)
 class Against:
-    """Laws against another one, by law and number of the joint; p is adjusted in `adjusted`."""
+    """Comparisons with a reference law by law and joint number; p is adjusted in `adjusted`."""
 
     found: Mapping[tuple[str, int], ErrorRatio]
     adjusted: Mapping[tuple[str, int], float]
@@ -23,7 +23,7 @@ class Against:
         return [k for k, p in self.adjusted.items() if p < SIGNIFICANCE and self.found[k].value > 1]
 
     def mean(self, law: str) -> float:
-        """Return the geometric mean of a law's ratios over the joints."""
+        """Return the geometric mean over the joints of a law's ratios."""
         return float(
             np.exp(np.mean([np.log(r.value) for k, r in self.found.items() if k[0] == law]))
         )
@@ -36,7 +36,7 @@ class Against:
 
 
 def against(run: Scored, tests: str, laws: Iterable[str], other: str = "lugre") -> Against:
-    """Compare laws with another one on a set of test logs, joint by joint."""
+    """Compare laws with a reference law on test logs, joint by joint."""
     records, torque, laws = (
         records_of(run.study.logs.test[tests], run.records),
         run.predictions[tests],

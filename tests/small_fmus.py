@@ -1,4 +1,4 @@
-"""A small FMU, of which systems can be made."""
+"""A small FMU for building systems."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ step = 0.2
 [connections]
 "b.u" = "a.y"
 """
-"""A system of two of them; FMU stands for the file."""
+"""A system of two instances; FMU is a placeholder for the file."""
 
 SOURCE = Path(__file__).with_name("fmu") / "lag.c"
 
@@ -45,7 +45,7 @@ def lag(folder: Path, fmi: Version = 2) -> Path:
             Variable(name="x_start", role="fixed", description="x at the start", unit="1",
                      start=0.25),
         ),
-        own=1,  # STARTED of lag.c
+        own=1,  # STARTED in lag.c
         directional_derivatives=False,
     )  # fmt: skip
     about = Description(

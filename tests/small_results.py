@@ -1,4 +1,4 @@
-"""Results of a study of the digital twin in which everything is done, but little of it."""
+"""Results of a minimal study of the digital twin that covers every step."""
 
 from pathlib import Path
 
@@ -60,11 +60,11 @@ FEWER = {
     "GAIN_ERRORS": (),
     "FACTORS": (0.5, 1.0),
 }
-"""Of the changes in the closed loop; all of them take minutes."""
+"""Changes in the closed loop; all of them take minutes."""
 
 
 def write_results(folder: Path) -> Path:
-    """Run the study; return the folder of its results."""
+    """Run the study and return its results folder."""
     (folder / "motions.toml").write_text(MOTIONS, encoding="utf-8")
     study = folder / "study.toml"
     study.write_text(STUDY.format(uf850=models_folder() / "uf850") + GAINS, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Motions of the digital twin that take seconds, and gains of its closed loop, as TOML."""
+"""Short motions of the digital twin and gains of its closed loop, as TOML."""
 
 MOTIONS = """
 [[motions]]
