@@ -51,8 +51,7 @@ FACTORED = Factored(lugre())
 def worked(
     seed: int, seconds: float, step: float, correlation: float, level: Callable[[Array], Array]
 ) -> FrictionRecord:
-    """Return the signals of a joint whose friction level is a function of time, with coloured
-    noise."""
+    """Return the signals of a joint with a time-varying friction level and coloured noise."""
     t, dq, q, load = motion(seconds, seed, step=step)
     clean = FrictionRecord(log="", joint="j1", t=t, dq=dq, q=q, tau_load=load, tau=t)
     torque = FACTORED.torque(clean, level(t), np.ones_like(t))

@@ -128,7 +128,7 @@ def test_coefficients_have_interval_and_unit() -> None:
     ]
 
 
-def test_numbers_without_a_unit_have_none() -> None:
+def test_dimensionless_coefficients_have_no_unit() -> None:
     lines = coefficient_lines(with_errors(LAWS["parfam_hx"], rho=0.1))
     assert "rho = 1.3 +- 0.2" in lines
     assert "c_h_load = -0.25" in lines

@@ -271,7 +271,7 @@ def test_torque_below_gravity_admits_no_motion(arm_model: Robot) -> None:
         design(arm_model, with_limits(position=position, torque=(50.0, 5.0, 5.0)))
 
 
-def test_torque_that_gravity_uses_up_admits_no_motion(arm_model: Robot) -> None:
+def test_torque_limits_used_up_by_gravity_admit_no_motion(arm_model: Robot) -> None:
     message = r"^robot 'arm': the limits admit no motion: gravity alone uses up limits\.torque"
     with pytest.raises(FitError, match=message):
         design(arm_model, with_limits(torque=(1e-4, 1e-4, 1e-4)))

@@ -50,7 +50,7 @@ def test_possibly_undefined_values_are_unbounded(expression: sympy.Expr) -> None
     assert low == -inf or high == inf
 
 
-def test_a_rate_that_is_finite_and_never_guarded() -> None:
+def test_a_finite_non_negative_rate_is_not_guarded() -> None:
     rate = absolute(X) / (1 + sympy.exp(-((X / Y) ** 2)))
     found = reach(Relaxation(name="z", unit="1", drive=X, rate=rate), BOX)
     assert found.finite

@@ -35,7 +35,7 @@ def test_weights_favour_the_quiet_block() -> None:
     assert np.all(np.mean(errors[True], axis=0) < 0.1 * np.mean(errors[False], axis=0))
 
 
-def test_residuals_are_those_of_each_block() -> None:
+def test_residuals_are_computed_per_block() -> None:
     solution = solve(blocks(1.0, 0.1), scale=SCALE, weighted=True)
     np.testing.assert_allclose(solution.rmse, [1.0, 0.1], rtol=0.1)
 

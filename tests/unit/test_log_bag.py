@@ -151,7 +151,7 @@ def test_joints_of_messages_may_have_other_names(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.q, content()["position"][:, ::-1])
 
 
-def test_units_of_messages_become_si(tmp_path: Path) -> None:
+def test_message_units_are_converted_to_si(tmp_path: Path) -> None:
     units = LogUnits(t="ms", q="deg", dq="deg/s", tau="mN.m")  # t is for tables: stamps are in ns
     log = Log.read(write(tmp_path / "run", messages()), robot(units=units))
     assert log.dq is not None

@@ -217,7 +217,7 @@ def test_units_are_converted_to_si(
     np.testing.assert_allclose(found, expected, rtol=1e-15)
 
 
-def test_milliamperes_become_torques(read: Read) -> None:
+def test_milliamperes_are_converted_to_torques(read: Read) -> None:
     header = [name.replace("tau", "i") for name in HEADER]
     log = LogFormat(units=LogUnits(current="mA"), torque_per_ampere=(10.0, -4.0))
     expected = rows()[:, 5:] * [0.01, -0.004]

@@ -355,7 +355,7 @@ def test_an_unknown_law_lists_the_known_ones(tmp_path: Path) -> None:
         assert name in said
 
 
-def test_files_that_are_no_artifacts_are_refused(tmp_path: Path) -> None:
+def test_other_files_are_refused(tmp_path: Path) -> None:
     assert refused(tmp_path / "none.json") == "no such file."
     path = tmp_path / "law.json"
     for content in (b"", b"{", b"\xff\xfe{}", b"{'format': 1}"):

@@ -98,7 +98,7 @@ def test_mlp_is_a_sum_of_tanh() -> None:
     np.testing.assert_allclose(predict(law, t=data.t, dq=data.dq), expected, rtol=1e-12)
 
 
-def test_units_are_those_of_the_inputs() -> None:
+def test_units_follow_from_the_inputs() -> None:
     units = {c.name: c.unit for c in RbfnnH.form({"centres": 2}).coefficients}
     assert (units["w_1"], units["m2_dq"], units["m2_h"], units["m2_dh"]) == (
         "N.m",

@@ -294,7 +294,7 @@ def test_acceleration_is_the_derivative_of_velocity(arm):
     assert np.sqrt(np.mean(difference**2)) < 0.05
 
 
-def test_friction_of_the_arm_is_that_of_its_elements(arm, simulator):
+def test_friction_of_the_arm_is_the_sum_of_its_elements(arm, simulator):
     arm.reset(HOME)
     for k in range(200):
         output = arm.step(np.sin(0.01 * k) * np.ones(3), 5e-3)

@@ -70,7 +70,7 @@ def test_an_unwritable_log_names_its_path(tmp_path: Path, arm_log: Log) -> None:
         arm_log.write(tmp_path / "taken" / "out.csv")
 
 
-def test_currents_become_torques_by_the_gains(read: Callable[..., Log]) -> None:
+def test_gains_convert_currents_to_torques(read: Callable[..., Log]) -> None:
     text = [line.replace("tau", "i") for line in lines()]
     log = read(text, LogFormat(torque_per_ampere=(10.0, -4.0)))
     np.testing.assert_array_equal(log.tau[0], [5.0, -2.0])
