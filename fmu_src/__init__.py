@@ -1,6 +1,6 @@
 """FMUs from models: a model in, an FMU of FMI 2.0 out.
 
-Every name is imported when it is first used, so `import fmu_src` takes no time.
+Names are imported on first use.
 """
 
 from typing import TYPE_CHECKING

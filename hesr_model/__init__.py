@@ -1,6 +1,20 @@
 """The science of HESR: logs, rigid bodies, friction laws and their fits.
 
-Names for notebooks (`docs/tutorial.ipynb`), imported on first use.
+Names for notebooks, imported on first use; `docs/tutorial.ipynb` is the long form of::
+
+    from pathlib import Path
+
+    from fmu_src import export_fmu
+    from hesr_model import RobotLog, RobotModel, fit, friction_records, identify
+
+    robot = RobotModel("robot.toml")
+    excitation, sweep, test = (
+        RobotLog.read(f"{name}.csv", robot) for name in ("excitation", "sweep", "test")
+    )
+    body = identify([excitation], robot)
+    model = fit("lugre", friction_records(sweep, robot, body))
+    tau_f = model.predict(friction_records(test, robot, body))  # (N, n) [N.m]
+    export_fmu(model, Path("Friction.fmu"))
 """
 
 from hesr_model.support.lazy import lazy_stub

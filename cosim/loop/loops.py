@@ -146,10 +146,7 @@ class StudyLoop:
 def build(
     folder: Path, robot: Robot, body: RigidBody, plant: Plant, *, oracle: FrictionModel
 ) -> None:
-    """Write the FMUs of a loop, without arm and laws, for the true friction `oracle`.
-
-    The true rigid body is that of the robot's model file.
-    """
+    """Write the FMUs of a loop, without arm and laws, for the true friction `oracle`."""
     step = 1.0 / plant.sample_rate
     contents: dict[str, Callable[[], Content]] = {
         "Trajectory": partial(trajectory, robot.n, step=step),

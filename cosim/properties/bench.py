@@ -108,7 +108,7 @@ class FrictionBench(_Bench):
     ) -> Array:
         """Hold dq (K, n) [rad/s] for dt (K,) [s]; return the torque at each end (K, n) [N.m].
 
-        The position q (K, n) [rad] is constant by default, to exclude effects of position.
+        The position q (K, n) [rad] is constant by default.
         """
         q = np.broadcast_to(self.places, dq.shape) if q is None else q
         held = np.broadcast_to(self._rows[2], dq.shape) if load is None else load

@@ -133,7 +133,7 @@ class Results:
     def read(cls, folder: Path) -> "Results":
         """Read a folder written by `hesr run`, or raise ArtifactError or LogError."""
         if not (folder / RUN).is_file():
-            what = f"'{RUN}' is missing in it" if folder.is_dir() else "there is no such folder"
+            what = f"'{RUN}' is missing in it" if folder.is_dir() else "the folder does not exist"
             raise ArtifactError(f"{folder}: no results of 'hesr run'; {what}.")
         run = SavedRun.read(folder / RUN)
         body, battery = RigidBody.read(folder / "rigid_body.json"), folder / "properties.json"
@@ -157,7 +157,7 @@ class Results:
 def _comparisons(path: Path) -> dict[str, Comparison]:
     if found := _by_test(Comparison, path, "the scores of a run"):
         return found
-    raise ArtifactError(f"{path}: not the scores of a run (there is no test set in it).")
+    raise ArtifactError(f"{path}: not the scores of a run (it has no test set).")
 
 
 def _by_test(kind: Any, path: Path, what: str) -> dict[str, Any]:

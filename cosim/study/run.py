@@ -72,9 +72,9 @@ def run_study(
 ) -> Outcome:
     """Run a study and write all results into a folder, or nothing on an error.
 
-    Finished parts of long work are kept next to the folder for an interrupted run. FMUs are scored
-    by replaying the test logs in FMPy. `quick` runs the `quick` laws only, without variants,
-    refinement, closed loop and physics checks; log checks in `accepted` only warn.
+    An interrupted run continues from checkpoints next to the folder. `quick` runs the `quick` laws
+    only, without variants, refinement, closed loop and physics checks; log checks in `accepted`
+    only warn.
     """
     study = Study.read(path)
     if quick:

@@ -97,7 +97,7 @@ class LawScores:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Scores of several laws on the same logs; defaults are those of earlier versions.
+    """Scores of several laws on the same logs.
 
     By joint, `leading` has the law with the lowest error and all not significantly worse (Holm),
     `detectable` the smallest ratio at which each other law would be found worse, if any.
@@ -214,7 +214,7 @@ def _against_best(
 ) -> tuple[tuple[str, ...], dict[str, float], float]:
     """Return leading laws, detectable ratios, and the duration of a test [s].
 
-    One family per joint: a family over all joints would have little power.
+    One family per joint; one over all would have little power.
     """
     best = min(ranked, key=lambda law: table.log_rmse[table.laws.index(law)])
     others = [law for law in ranked if law != best]

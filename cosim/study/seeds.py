@@ -1,4 +1,4 @@
-"""Prediction part of a twin's study over random draws, which give the intervals of tables.
+"""Prediction part of a twin's study over random draws.
 
 Each draw has its own noise, motions, and friction level and viscosity of each joint.
 """

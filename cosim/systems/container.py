@@ -2,12 +2,11 @@
 
 The runtime steps all components at the system's step, then passes values along the connections in
 the order of known values. Outputs with direct feedthrough use the newest inputs; states use those
-at the beginning of the step. The runtime accepts only multiples of its step; our library in front
-of it accepts any step and holds the outputs.
+at the beginning of the step. It accepts only multiples of its step; our library in front of it
+accepts any step.
 
-FMPy's builder cannot be used. For FMI 2.0 it writes connections of type Real, which the runtime
-refuses, and value reference 0, which is the time. It also packs the unfinished archive, today's
-date, and runtimes of platforms without binaries of the components.
+FMPy's builder cannot be used: for FMI 2.0 it writes connections of type Real, which the runtime
+refuses, and value reference 0, the time, and its archives are not reproducible.
 """
 
 import hashlib

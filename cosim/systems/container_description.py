@@ -129,7 +129,7 @@ def _scalar(
 def _text(variable: Any) -> str | None:
     """Return the description of a variable, with names of choices.
 
-    Choices are integers, as in our own FMUs, because some engines cannot load Enumerations.
+    Choices are integers, because some engines cannot load Enumerations.
     """
     described: str | None = variable.description
     if variable.type != "Enumeration":

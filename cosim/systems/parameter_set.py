@@ -7,7 +7,7 @@ The covariance of each joint is in an annotation of the set, which other tools i
       <hesr:Row>-0.003 0.04</hesr:Row>
     </hesr:Joint>
 
-with one row per name, in products of the parameters' units.
+with one row per name.
 """
 
 from importlib.metadata import version as installed

@@ -186,7 +186,7 @@ class Master:
     def _propagate(self) -> None:
         """Pass the initial values on until they settle.
 
-        Outputs may depend on more inputs at the start than later, so one pass may not suffice.
+        Outputs may depend on more inputs at the start than later.
         """
         before = None
         for _ in self._wiring.order:

@@ -51,7 +51,7 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
 
 
 def left_out(contents: SystemContents) -> str | None:
-    """Return one sentence on missing parts of the SSP of a system, if any.
+    """Return a sentence on missing parts of a system's SSP, if any.
 
     Engines refuse connectors of unconnected inputs, parameters and local variables.
     """

@@ -249,7 +249,7 @@ def _all(node: ET.Element, path: str) -> list[ET.Element]:
 def safe_names(names: Iterable[str]) -> dict[str, str]:
     """Map names of components to unique names that a system allows.
 
-    Other names get `_` for all but ASCII letters and digits, and a number if they collide.
+    Other characters become `_`; colliding names get a number.
     """
     names = list(dict.fromkeys(names))
     found = {name: name for name in names if _allowed(name)}

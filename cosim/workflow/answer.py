@@ -20,7 +20,7 @@ MOST_LINES = 25
 class Answer(ABC):
     """Result of a command: `format` names its JSON format, `findings` has errors first.
 
-    `shows_tables` shows the tables without `--verbose` for commands whose tables are the result.
+    `shows_tables` shows the tables without `--verbose`.
     """
 
     format: str = "hesr-answer-1"

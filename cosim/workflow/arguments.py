@@ -40,7 +40,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedLogs:
-    """Logs that passed the checks, with their robot and, as far as known, the files of both.
+    """Logs that passed the checks, with their robot and known files of both.
 
     `findings` has the warnings of the checks and the accepted errors.
     """

@@ -99,10 +99,10 @@ def identify(
         raise ArgumentError("'friction' and 'rigid_body' go together; only one of them was given.")
     if payload is not None and (physical or friction is not None or method != "stacked"):
         raise ArgumentError(
-            "'payload' does not go with 'physical', 'friction' or 'method' paper; give it alone."
+            "'payload' excludes 'physical', 'friction' and 'method' paper; give it alone."
         )
     if physical and friction is not None:
-        raise ArgumentError("'physical' does not go with 'friction'; give one of them.")
+        raise ArgumentError("'physical' excludes 'friction'; give one of them.")
     forward_logs = listed(logs)
     read = checked_logs([*forward_logs, *listed(reversed_logs)], robot, accept, progress)
     forward, backward = read.logs[: len(forward_logs)], read.logs[len(forward_logs) :]

@@ -6,8 +6,8 @@ elastic transmission replace its passive dcmotor elements:
     rotor  --elastic with dead band, in parallel with yielding elements-->  link
     I r'' = servo - level(load) sgn(r') - damping r' - torsion              (dry friction sticks)
 
-As in most arms, servo, encoder and measured torque are those of the rotor, which takes the joint's
-name; rigid-body motion and gravity compensation are those of the link.
+Servo, encoder and measured torque are those of the rotor, which takes the joint's name; rigid-body
+motion and gravity compensation are those of the link.
 """
 
 from collections.abc import Iterable
@@ -125,8 +125,7 @@ def _divided(
 ) -> Element:
     """Divide a joint into rotor and link; return the rotor's joint.
 
-    The rotor turns about its own axis; in link coordinates its reaction is that of a gear, up to
-    one part in the gear ratio.
+    In link coordinates the rotor's reaction is that of a gear, up to one part in the gear ratio.
     """
     name, link = known.name, _link(known.name)
     joint.attrib |= {"name": link, "armature": "0"}

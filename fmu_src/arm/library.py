@@ -20,7 +20,7 @@ _SECONDS = 600.0
 
 @dataclass(frozen=True, kw_only=True)
 class _Wheel:
-    """Source of a platform's library: platform tags of wheels, and the file's name pattern.
+    """Source of a platform's library: platform tags and file pattern of wheels.
 
     `place` is relative to the FMU's binary. Without linker flags the component looks the library
     up.

@@ -40,8 +40,8 @@ def export_mjcf(
 ) -> Path:
     """Write an MJCF as an FMI 2.0 FMU for co-simulation, simulated by MuJoCo.
 
-    By default its signals are all controls and sensors. MuJoCo for other platforms than this
-    machine's comes from the package registry.
+    By default its signals are all controls and sensors. MuJoCo for other platforms comes from the
+    package registry.
     """
     wanted = check_request(path, platforms)
     signals = table if isinstance(table, ArmSignals) else signals_of(model, table)

@@ -80,12 +80,11 @@ def joint_limits(plant: Plant) -> Array:
 def servo_signals(
     plant: Plant, coulomb: Array | float = 1.0, viscous: Array | float = 1.0
 ) -> ArmSignals:
-    """Return the signals of an arm without a signal table: command, motion, torque, friction.
+    """Return the signals of an arm without a signal table.
 
     Friction is that of the passive dcmotors and the damping of the joints; the measured torque is
     everything else that drives a joint, gravity compensation included. The factors, scalar or (n,),
-    apply to Coulomb and static friction with its stiffness, and to viscous friction of the
-    dcmotors.
+    apply to the dcmotors.
     """
     joint_limits(plant)  # rejects files that MuJoCo's specification reader accepts
     spec = mujoco.MjSpec.from_file(str(plant.model))

@@ -38,7 +38,7 @@ class OutputTable(Config):
     """Vector of outputs: the summed sensors of each element, with their factors.
 
     Losses of joints are added as torque against the motion; `scaled` sensors follow the friction
-    scale; `noise` is a standard deviation. The default noise stream is the index among all outputs.
+    scale; `noise` is a standard deviation.
     """
 
     unit: str
@@ -58,7 +58,7 @@ class StartTable(Config):
     """Vector of start values: the joint whose position each element sets.
 
     Joints in `others` get the same position, actuators in `integrals` the same activation; with
-    `hold`, these balance all other torques on the joints at rest.
+    `hold`, these balance the joints at rest.
     """
 
     unit: str
@@ -79,10 +79,9 @@ class Losses(Config):
         level = constant + load |torque| + direct ln(1 + |v| / speed) + evolution ln(1 + s / age)
         s' = 1 - (|v| / slip + 1 / longest) s
 
-    The last two terms are rate-and-state friction with the ageing law of Dieterich and Ruina:
-    contacts strengthen with the logarithm of time at rest and are renewed over a slip distance
-    [rad]. Units are N.m, rad/s and s; `load` is a share of the transmitted torque. Lists have one
-    entry per joint; omitted terms are zero.
+    The last two terms are rate-and-state friction with the ageing law of Dieterich and Ruina. Units
+    are N.m, rad, rad/s and s; `load` is a share of the transmitted torque. Lists have one entry per
+    joint; omitted terms are zero.
     """
 
     constant: tuple[NotNegative, ...] = Field(min_length=1)
@@ -127,8 +126,7 @@ class SignalTable(Config):
     """Signals of an MJCF; inputs, outputs and start values by the name of the vector.
 
     The dcmotors in `friction` and the losses follow the friction scale. The payload is a point mass
-    at the centre of mass of a body. `step` [s] is by default that of the simulation; `seed` is the
-    noise's.
+    at the centre of mass of a body. `step` [s] is by default that of the simulation.
     """
 
     inputs: dict[Element, InputTable] = Field(default_factory=dict)

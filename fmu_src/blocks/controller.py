@@ -3,7 +3,7 @@
     dq_cmd = dq_d + dq_comp + Kx (q_d - q),   tau_d = tau_rb + friction_gain tau_f
 
 with dq_comp from one of three schemes. A command is held over a sample, so the inverse of the servo
-acts on it at mid-sample on average. The loop starts at rest, with the servo in equilibrium.
+acts at mid-sample on average.
 """
 
 from dataclasses import replace

@@ -1,7 +1,6 @@
 """Errors of an FMU for one motion under different input conventions.
 
-Importers differ in when they set the inputs of a step (`fmu_src.friction.settings`), which matters
-for laws that change fast around reversals.
+See `fmu_src.friction.settings`; the conventions matter around reversals.
 """
 
 from collections.abc import Mapping

@@ -1,8 +1,7 @@
 """Equations in C99.
 
-Each distinct component becomes functions of the parameters k, the inputs u followed by shared
-parameters, the held signs s, the states x, previous values p, the step dt and a flag for Euler
-relaxations. See `Functions` for the results.
+Arguments are the parameters k, the inputs u followed by shared parameters, the held signs s, the
+states x, previous values p, the step dt and a flag for Euler relaxations.
 """
 
 from collections.abc import Iterable, Mapping
@@ -218,8 +217,7 @@ class Functions:
     def lanes(self) -> str:
         """Do as `step` for LANES instances with the same parameters, computing signs.
 
-        The C function returns whether all angles are small enough for the branch-free sine;
-        otherwise its results are invalid.
+        The C function returns whether all angles are small enough for the branch-free sine.
         """
         own = self._invariants
         places = Arguments().plus(self._parameters, "k").plus(own.kept, "c").single(DT, "dt")

@@ -86,8 +86,7 @@ class Description:
     """Model description of an FMU apart from its variables.
 
     The C identifier is the name of the binaries; `created` is ISO 8601 in UTC with a final Z; the
-    step is in s. `sources` are compiled from sources/, none if they need a library. Every FMU also
-    has the licence of HESR's code.
+    step is in s. `sources` are compiled from sources/, none if they need a library.
     """
 
     name: str
@@ -115,7 +114,7 @@ def shown_as(unit: str) -> dict[str, str]:
 def si_exponents(unit: str) -> dict[str, int]:
     """Return the exponents of kg, m, s, A, K and rad of a unit such as "N.m.s/rad".
 
-    Everything after the slash divides, in parentheses if it has several factors.
+    Everything after the slash divides.
     """
     exponents: dict[str, int] = {}
     for i, group in enumerate(unit.split("/")):
@@ -230,7 +229,7 @@ def _types(root: ET.Element, table: Interface) -> None:
 def common_attributes(variable: Variable, name: str, place: int, text: str) -> dict[str, str]:
     """Return the attributes of a variable common to both versions and all types.
 
-    For an array, `variable` is its first element. The text of an enumeration lists its choices.
+    For an array, `variable` is its first element.
     """
     causality, variability, initial = variable.attributes
     if variable.enumeration:

@@ -75,8 +75,8 @@ class Binary:
 class Content:
     """Contents of the FMU of a component.
 
-    All .c files of `sources` form one translation unit. Libraries are by platform. `stimuli` are
-    the inputs of reference results, unless the members already contain results.
+    All .c files of `sources` form one translation unit. `stimuli` are the inputs of reference
+    results, unless the members already contain results.
     """
 
     table: Interface

@@ -61,8 +61,8 @@ def export_fmu(
 
     FMUs of thermal models are for co-simulation only, without pages. Physics checks (`properties`)
     and the audit, by default computed, are for documentation. `power` and `band` add outputs:
-    dissipated power, `tau_lower[i]` and `tau_upper[i]`. With the rigid `body`, the FMU's page
-    computes the friction in a log of measured torques.
+    dissipated power, `tau_lower[i]` and `tau_upper[i]`. With `body`, the FMU's page accepts logs of
+    measured torques.
 
     The same model gives the same bytes. The date is SOURCE_DATE_EPOCH, otherwise that of the
     model's provenance ("created"), otherwise a fixed one. Raises ExportError if C or FMI cannot

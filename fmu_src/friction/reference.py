@@ -68,9 +68,8 @@ def reference_motion(
         dq = A w(t) sin(2 pi f t + i phase),  q = middle + integral of dq,  w(t) from 0 to 1
 
     A is the largest speed trained in both directions, or `UNKNOWN_SPEED`. The position oscillates
-    about the middle of the trained positions, or 0. The frequency is in Hz; the phase [rad] also
-    leads in the first joint. Rows are by default at the model's sample time; the velocity grows
-    smoothly from rest over `lead_in` [s].
+    about the middle of the trained positions, or 0. Rows are by default at the model's sample time;
+    the velocity grows from rest over `lead_in` [s].
     """
     count = round(periods / (frequency * model.sample_time)) if rows is None else rows
     step = model.sample_time if rows is None else periods / (frequency * rows)

@@ -4,8 +4,8 @@ The step from row k to row k + 1 uses
     hold    the constant inputs of row k, as most masters do;
     linear  the inputs of row k and their slopes (fmi2SetRealInputDerivatives) to row k + 1;
     direct  the inputs of row k + 1, as in the replay of a log.
-The torque is always read after the step, at the time of row k + 1. These results are those of the
-law itself; `fmu_src.check.convention` runs the FMU.
+The torque is read after the step. These results are those of the law; `fmu_src.check.convention`
+runs the FMU.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

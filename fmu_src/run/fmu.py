@@ -1,7 +1,6 @@
 """FMUs as co-simulation slaves: variables by name, trusted or not, pooled, freed on every exit.
 
-Exported and trusted FMUs have empty files in the user's cache folder, named after their hashes;
-writing there already takes the user's rights.
+Trusted FMUs have empty files in the user's cache folder, named after their hashes.
 """
 
 import logging

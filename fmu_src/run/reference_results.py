@@ -1,8 +1,7 @@
 """Reference results in the folder `extra/` of an FMU or SSP, written and verified.
 
-Friction FMUs carry results of their law in Python (`friction.reference`), others those of their
-binary. The files follow the FMI cross-check, the manifest FMI-LS-REF 1.0.0-alpha.1. The latter does
-not fix the order of setting inputs, stepping and reading outputs, so all known orders are tried.
+The files follow the FMI cross-check, the manifest FMI-LS-REF 1.0.0-alpha.1, which does not fix the
+order of setting inputs, stepping and reading outputs: all known orders are tried.
 """
 
 import csv

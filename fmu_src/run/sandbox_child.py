@@ -3,8 +3,8 @@
 python -m fmu_src.run.sandbox_child SOCKET
 
 Messages are JSON, except for packed ones of steps (`Exchange`), after their length. The first byte
-of the file `POSITION` is the position of the running call within its request, in case it never
-returns. The process ends with its parent.
+of the file `POSITION` is the position of the running call within its request. The process ends with
+its parent.
 """
 
 import importlib

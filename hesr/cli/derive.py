@@ -1,8 +1,8 @@
 """Click commands derived from the signatures and docstrings of workflow functions.
 
-A positional parameter becomes an argument, a keyword-only one an option; `bool` a flag, `Literal`
-a choice, `Sequence` a repeatable option, `Mapping` KEY=VALUE, `PerJoint` numbers with commas.
-Annotations are read as text, so that the help of a command loads nothing heavy.
+A positional parameter becomes an argument, a keyword-only one an option; `bool` a flag, `Literal` a
+choice, `Sequence` a repeatable option, `Mapping` KEY=VALUE, `PerJoint` numbers with commas.
+Annotations are read as text, which keeps the help fast.
 """
 
 import inspect

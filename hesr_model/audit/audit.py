@@ -1,8 +1,7 @@
 """Audit of a friction law: dissipation, stiffness at rest and range of the torque.
 
-Published laws drive the joint at low speed, generate energy, chatter on encoder noise or explode
-just outside their training data. Torques of position alone can drive the joint without generating
-net energy, so steady sliding is audited with (`driving`) and without them (`driving_both_ways`).
+Torques of position alone can drive the joint without generating net energy, so steady sliding is
+audited with (`driving`) and without them (`driving_both_ways`).
 """
 
 from collections.abc import Callable, Iterator, Sequence

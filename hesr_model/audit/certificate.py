@@ -1,8 +1,7 @@
 """Passivity of a law: proven by a storage function, refuted by a cycle with net energy, or open.
 
-A storage function S >= 0 with tau dq >= dS for every step dq = v dt proves that a law never
-generates energy. S is a sum of k x^2 over states, and tau is read after they have moved. Torques of
-position alone are left out.
+A storage function S >= 0 with tau dq >= dS for every step dq = v dt proves passivity. S is a sum of
+k x^2 over states, and tau is read after they have moved. Torques of position alone are left out.
 
     stop       F x, F >= 0                 S = F w x^2 / 2, any step and change of its bound: a clip
                                            is a projection on a set that contains 0

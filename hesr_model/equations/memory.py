@@ -88,8 +88,8 @@ class Relaxation(_Element):
     def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
         """Return drive / rate, the zero of x'; x itself if the rate is 0.
 
-        If the rate depends on x, return the point halfway there, as in Heron's square root: some
-        such steps converge where whole steps would oscillate.
+        If the rate depends on x, return the point halfway there, as in Heron's square root; whole
+        steps could oscillate.
         """
         if not self.seeks:
             return over(first, second, self.state)

@@ -2,9 +2,8 @@
 
     tau = level_k f(...) + offset_k    in log k,    mean of the levels 1, of the offsets 0
 
-Friction falls with temperature, and torque sensors drift. The nuisances are estimated with Coulomb
-and viscous friction by alternating least squares and removed before a law is fitted. Blind
-predictions do not use them.
+The nuisances are estimated with Coulomb and viscous friction by alternating least squares and
+removed before a law is fitted. Blind predictions do not use them.
 """
 
 from collections.abc import Mapping, Sequence

@@ -94,8 +94,7 @@ def non_negative_least_squares(
 ) -> tuple[Array, float]:
     """Return (K,) coefficients, the leading ones non-negative, and the sum of squared residuals.
 
-    Negative ones are set to zero one by one, the worst first: exact for nearly orthogonal columns,
-    and much faster than a general solver.
+    Negative ones are set to zero one by one, the worst first: exact for nearly orthogonal columns.
     """
     gram, moment = columns.T @ columns, columns.T @ target
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))

@@ -1,7 +1,6 @@
 """Separable least squares for laws that are linear in most coefficients.
 
-Columns are the derivatives of the torque by its linear coefficients. For given non-linear
-coefficients the linear ones follow by least squares (variable projection, Golub and Pereyra 1973).
+Variable projection (Golub and Pereyra 1973); columns are derivatives by the linear coefficients.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,7 @@
 """Uncertainty of the coefficients of a law: covariance from the Jacobian of its prediction.
 
-Coefficients at a bound, or in a structure chosen by the data, have a covariance but no interval,
-since it would ignore the choice. If the torque is curved over a coefficient, its interval is that
-of the wider side.
+Coefficients at a bound, or in a structure chosen by the data, have a covariance but no interval. If
+the torque is curved over a coefficient, its interval is that of the wider side.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -6,7 +6,7 @@
 
 In motion tau - w and tau + w bound friction. At rest friction is any torque that holds the joint,
 so the band spans the torques of the law creeping at `MOVING` both ways, and the floor, unless the
-calibration logs contain rests. The tail of the standardised error is Weibull's.
+calibration logs contain rests. The tail is Weibull's.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -4,8 +4,7 @@
     x_i+ = clip(x_i + v dt / w_i, -s_i, s_i)    stops: deflection w, bound s >= 0
     tau  = f(v, x, x', u)
 
-v is the joint velocity, u are the other inputs (`inputs.INPUTS`). All code that runs or shows a law
-is lowered from the component of its form.
+v is the joint velocity, u are the other inputs (`inputs.INPUTS`).
 """
 
 from collections.abc import Mapping

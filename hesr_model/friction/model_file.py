@@ -1,6 +1,6 @@
 """JSON form of a friction model: names, structures, numbers and units, never code.
 
-The registry rebuilds a law's expressions, so no text of a file is parsed as a formula.
+The registry rebuilds a law's expressions.
 """
 
 from collections.abc import Mapping

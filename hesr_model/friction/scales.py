@@ -5,8 +5,8 @@
     torque     c T(x / c) + n v f(v) + ripple + offset
 
 Viscous terms have the velocity as a factor and no memory; ripple and offset have neither; all
-others are Coulomb friction. Terms linear in stops and bristles are scaled by their bounds alone:
-stiffness at rest stays, and changing the factor under load adds no energy.
+others are Coulomb friction. Terms linear in stops and bristles are scaled by their bounds alone,
+which adds no energy.
 """
 
 from collections.abc import Collection

@@ -1,7 +1,7 @@
 """Mistakes in a robot file that explain the torques better than the file as it is.
 
-To logs corrected for a mistake, the rigid body of the model file and friction are fitted with
-non-negative weights, so wrong signs and swapped columns fit badly.
+The model file's rigid body and friction are fitted with non-negative weights to the corrected logs,
+so wrong signs and swapped columns fit badly.
 """
 
 from collections.abc import Sequence

@@ -30,7 +30,7 @@ def loses_rows(log: Log) -> bool:
 
 
 def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[Finding]:
-    """Check that the remaining rows determine the sliding torque of each joint.
+    """Check that the remaining rows determine each joint's sliding torque.
 
     Estimates with random halves of the rows differ by four times the variance of that with all
     rows, and lost rows cause their share of it.

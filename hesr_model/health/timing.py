@@ -1,8 +1,7 @@
 """Timing checks: torque lag and wrong time-stamp rate.
 
 Friction after a reversal looks like a lag, and unknown rotor inertias look like a wrong rate. So
-both tests fit a body with free parameters, whose gravity and inertia follow the joints without
-delay, in addition to friction with memory.
+both tests fit a body with free parameters in addition to friction with memory.
 """
 
 from collections.abc import Iterator, Sequence

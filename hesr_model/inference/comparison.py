@@ -2,8 +2,7 @@
 
 Errors of neighbouring rows are correlated and peak at reversals. The variance of the log ratio of
 two RMSEs is therefore estimated from low-frequency cosines of the squared errors (equally weighted
-cosines: Müller 2007; Lazarus, Lewis and Stock 2021) and from the differences between logs. The
-result holds for motions of this kind.
+cosines: Müller 2007; Lazarus, Lewis and Stock 2021) and from the differences between logs.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -94,7 +93,7 @@ class LawErrors:
     def standard_errors(self, other: int) -> Array:
         """Return the standard errors (L,) of the log ratios to another law.
 
-        The variance is the largest of three estimates, since each one alone misses a cause.
+        The variance is the largest of three estimates.
         """
         squares = (self.rows - self.rows[:, [other]]) ** 2
         of = (np.ones(self.degrees, dtype=bool), self.slow, self.between)
@@ -104,8 +103,7 @@ class LawErrors:
     def ratios(self, other: str, family: int | None = None) -> dict[str, ErrorRatio]:
         """Return the ratios of all other laws to a law.
 
-        `family` is the number of comparisons that a detectable difference has to hold against; by
-        default that of the other laws.
+        `family` is the number of simultaneous comparisons, by default that of the other laws.
         """
         k = self.laws.index(other)
         values = np.exp(self.log_rmse - self.log_rmse[k])
@@ -224,7 +222,7 @@ def two_sided(t: Array, degrees: float) -> Array:
 def detection_factor(degrees: float, level: float) -> float:
     """Return the smallest log ratio, in standard errors, that is found with probability `POWER`.
 
-    The standard error is itself estimated; the factor covers a low estimate.
+    The factor covers a low estimate of the standard error.
     """
     low = chdtri(degrees, POWER)
     t = stdtrit(degrees, 1.0 - level / 2.0) + stdtrit(degrees, POWER)

@@ -1,9 +1,9 @@
 """Outliers and trends over days.
 
-The score of a value is z = (x - median) / s, with s the MAD scaled to a normal distribution;
-positive values are compared by their logarithms. The MAD estimates s as well as the standard
-deviation of 0.37 times as many values (Rousseeuw and Croux 1993), so z has Student's t distribution
-with 0.37 (n - 1) degrees of freedom: conservative in simulations with at least 5 values.
+Scores are z = (x - median) / s, with s the scaled MAD; of logarithms for positive values. The MAD
+estimates s as well as the standard deviation of 0.37 times as many values (Rousseeuw and Croux
+1993), so z has Student's t distribution with 0.37 (n - 1) degrees of freedom: conservative in
+simulations with at least 5 values.
 """
 
 from collections.abc import Sequence

@@ -37,8 +37,7 @@ def bristle_space(
 ) -> SearchSpace:
     """Search the sliding deflection, F_s / F_c and v_s, within other `bounds` if given.
 
-    With sigma_0 = F_c / deflection and F_s = ratio F_c the rate of z does not depend on F_c, so
-    eq. 1 is linear in the others.
+    With sigma_0 = F_c / deflection and F_s = ratio F_c, eq. 1 is linear in the others.
     """
     f_c, deflection, ratio = sympy.symbols("F_c deflection ratio", real=True)
     usual = {"deflection": DEFLECTION_BOUNDS, "ratio": STATIC_RATIO_BOUNDS, "v_s": VELOCITY_BOUNDS}

@@ -2,9 +2,9 @@
 
     sum_k (a_k cos(k N (q - lag dq)) + b_k sin(k N (q - lag dq))) / (1 + (k N smoothing dq)^2)
 
-N is the gear ratio, k the order per turn of the motor. The logged torque lags the logged position;
-without the lag the ripple averages out (3 ms on a UR10e change its phase by a quarter turn at
-0.5 rad/s). The smoothing attenuates fast ripple in the logged torque, as a servo's bandwidth does.
+N is the gear ratio, k the order per turn of the motor. The logged torque lags the logged position
+(3 ms on a UR10e change the phase by a quarter turn at 0.5 rad/s). The smoothing attenuates fast
+ripple, as a servo's bandwidth does.
 """
 
 from collections.abc import Collection, Iterator, Sequence

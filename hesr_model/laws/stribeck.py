@@ -25,7 +25,7 @@ VELOCITY_BOUNDS = (1e-3, 1.0)  # [rad/s]
 class Stribeck(OneForm):
     """tau = (F_c + (F_s - F_c) exp(-(v/v_s)^2)) sgn(v) + sigma_2 v + tau_0  (eq. 3 as a map).
 
-    F_c, F_s, sigma_2 >= 0. F_s < F_c is allowed: the level of lubricated gears can rise with speed.
+    F_c, F_s, sigma_2 >= 0. F_s < F_c is allowed for lubricated gears.
     """
 
     name = "stribeck"

@@ -17,8 +17,7 @@ _PLACES = ("{}", "{1}", "{0}", "{name}")
 def _one_place_for_the_joint(columns: str | tuple[str, ...]) -> str | tuple[str, ...]:
     if isinstance(columns, str) and sum(map(columns.count, _PLACES)) != 1:
         raise ValueError(
-            "the pattern needs '{}' once, where the joint number (1, 2, ...) stands; '{0}' stands "
-            "for the number counted from 0, '{name}' for the joint's name"
+            "the pattern needs '{}' (joint number from 1), '{0}' (number from 0) or '{name}' once"
         )
     return columns
 

@@ -1,8 +1,7 @@
 """Measurement noise as a pure function of seed, stream and counter.
 
-Without hidden state, repeated steps, restored states and parallel arms draw the same numbers, in C
-as in Python: words of splitmix64 (Steele, Lea, Flood 2014) from a base by seed and stream, and the
-cosine branch of Box-Muller over two successive words. `tests/unit/test_noise.py` has test vectors.
+Words of splitmix64 (Steele, Lea, Flood 2014) from a base by seed and stream, and the cosine branch
+of Box-Muller over two successive words. `tests/unit/test_noise.py` has test vectors.
 """
 
 import numpy as np

@@ -20,7 +20,7 @@ class Motion:
     """The smoothed motion of a log, at its own time stamps.
 
     q, dq, ddq (N, n) [rad, rad/s, rad/s2] are low-passed. tau [N.m], q_raw [rad] and temperature
-    [degC] are raw: predictions are compared with measured torque, and gear ripple must remain.
+    [degC] are raw.
     """
 
     name: str
@@ -102,8 +102,8 @@ def smoothed(logs: Iterable[Log], model: Robot) -> list[Motion]:
 def _before(values: Array, rows: int) -> Array:
     """Return the rows (rows, n) before the first, mirrored at the start of a fitted parabola.
 
-    Mirrored at the first value, the low pass keeps its noise, and laws start there: intervals of a
-    static friction then cover the truth in only 60 of 100 logs.
+    Mirrored at the first value, intervals of a static friction cover the truth in only 60 of 100
+    logs.
     """
     n = round(2.0 * rows / _PADDING_PERIODS) + 1
     k = np.arange(n)

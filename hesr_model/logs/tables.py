@@ -131,9 +131,8 @@ def most_bytes(path: Path) -> int:
 def read_table(path: Path) -> LogTable:
     """Open a CSV (with a header) or a Parquet file; raises LogError.
 
-    A CSV has commas, semicolons, tabs or single blanks between cells; all but the first allow
-    decimal commas. Preamble, ``#`` of a header, comments, blank lines and a row of units are
-    skipped.
+    A CSV has commas, or semicolons, tabs or single blanks, which allow decimal commas. Preamble,
+    ``#`` of a header, comments, blank lines and a row of units are skipped.
     """
     if not path.is_file():
         raise LogError(f"{path}: no such log file.")

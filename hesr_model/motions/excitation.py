@@ -30,8 +30,8 @@ _LARGE = 100.0  # size of a random motion before it is shrunk, relative to the j
 class ExcitationSettings(Config):
     """Settings of the designed motion.
 
-    A motion needs two `harmonics`: rest at the start takes one coefficient of each kind. `period`
-    is the range [s]. The `sample_rate` [Hz] is by default that of the logs, or 200.
+    A motion needs two `harmonics`. `period` is the range [s]. The `sample_rate` [Hz] is by default
+    that of the logs, or 200.
     """
 
     harmonics: int = Field(default=10, ge=2)

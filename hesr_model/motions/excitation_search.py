@@ -1,7 +1,7 @@
 """Search space of the excitation design: coordinates, objective and gradient.
 
-The regressor depends on position, velocity and acceleration at one instant only. Its derivatives
-need one finite difference per joint and quantity for all instants at once: 3 n + 1 regressors.
+The gradient needs one finite difference per joint and quantity for all instants: 3 n + 1
+regressors.
 """
 
 from dataclasses import dataclass

@@ -233,8 +233,7 @@ def random_fourier(
 ) -> Fourier:
     """Draw a Fourier motion with peak velocities (n,) [rad/s].
 
-    Its coefficients are normal numbers of `hesr_model.logs.noise`, so a seed gives the same motion
-    on every machine. Raises ConfigError for fewer than 2 harmonics.
+    A seed gives the same motion on every machine. Raises ConfigError for fewer than 2 harmonics.
     """
     if harmonics < 2:
         raise ConfigError(f"random Fourier motion: {harmonics} harmonics; at least 2 are needed.")

@@ -13,7 +13,7 @@ _RANDOM_STATES = 300
 def base_columns(model: Robot) -> tuple[int, ...]:
     """Return the indices of a largest set of independent columns of the regressor, in order.
 
-    The pivoted QR at random states depends neither on a log nor, with unit columns, on units.
+    The pivoted QR at random states depends on neither logs nor units.
     """
     columns = at_random_states(model)
     lengths = np.linalg.norm(columns, axis=0)

@@ -236,7 +236,7 @@ def identify_motions(
     deviation, ``"ols"`` (default of the paper's) does not.
 
     With `physical` (`rigid_body.physical`), all standard parameters are weakly pulled towards the
-    model file's: it pays on short logs and changes little on long ones.
+    model file's.
     """
     everything = [*motions, *reversed_motions]
     base = base_columns(model)

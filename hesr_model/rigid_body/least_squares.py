@@ -65,8 +65,7 @@ def solve(blocks: Sequence[Block], *, scale: Array, weighted: bool) -> Solution:
     """Solve least squares over all blocks, each divided by its residual's size if `weighted`.
 
     A ridge is added only if the condition number exceeds 1e3. The usual size `scale` (P,) of each
-    column must not come from the data: a hardly excited column, scaled up to the others, would get
-    a huge coefficient.
+    column must not come from the data, which may hardly excite it.
     """
     return solve_factors([Factor.of(block) for block in blocks], scale=scale, weighted=weighted)
 

@@ -6,9 +6,8 @@ Gauss-Newton:
     i_j = kappa_j Y_j(q, dq, ddq) (pi + carried) + F_j f_j,      kappa_j = 1 / k_j
     pi ~ N(model file, declared error)
 
-A joint solution would pass mass errors from joint to joint and be too certain. Only weights are
-trusted, or a payload of known mass in some logs. The standard errors include the declared error,
-the autocorrelation of the residuals, and the bias of a wrong friction law.
+Only weights are trusted, or a payload of known mass in some logs. The standard errors include the
+declared error, the autocorrelation of the residuals, and the bias of a wrong friction law.
 """
 
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ tau_motor. Friction and rotor inertia belong to *friction coordinates* u: motors
 own gear ratios, or joints::
 
     u = C q,   C[i, j] = R[i, j] / R[i, i],   tau_q = C' tau_u
-
-Coefficients thus keep the scale of a joint.
 """
 
 from collections.abc import Sequence

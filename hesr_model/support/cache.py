@@ -1,7 +1,6 @@
 """Cache of slow results that depend on their inputs only.
 
-Entries, named by a hash of their inputs, contain a hash of their content. Deleting the folder costs
-only time.
+Entries, named by a hash of their inputs, contain a hash of their content.
 """
 
 import hashlib
@@ -24,8 +23,8 @@ _DIGEST = hashlib.sha256().digest_size
 def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
     """Return the result of `make`, computed once for all processes of a user.
 
-    `inputs`, in a fixed order, determine the result. Concurrent calls wait for the first one. A
-    damaged entry is made again; if the cache cannot be written, nothing is stored.
+    `inputs`, in a fixed order, determine the result. Concurrent calls wait for the first one; a
+    damaged entry is made again.
     """
     key = hashlib.sha256()
     for part in inputs:

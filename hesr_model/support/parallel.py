@@ -51,9 +51,8 @@ def results_of(
     """Run jobs in processes; yield the iterator of their results, in the order of the jobs.
 
     Jobs with large `costs` start first. Processes are new, one per core by default, or those of
-    `one_pool`; they do not import the calling script, whose functions and classes are pickled. One
-    worker is this process. If the block fails, also by Ctrl-C, processes are killed at once. The
-    iterator raises WorkerError if a process ended before its job was done.
+    `one_pool`. One worker is this process. If the block fails, also by Ctrl-C, processes are killed
+    at once. The iterator raises WorkerError if a process ended before its job was done.
     """
     count = min(workers or os.cpu_count() or 1, len(jobs))
     if count <= 1:

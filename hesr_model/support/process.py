@@ -31,7 +31,7 @@ class ChildProcess:
     """A program that runs in its own session; raises FailedError if it cannot be started.
 
     The environment variable `mark` identifies all descendants, even those that have left the
-    session and lost their parent. `more` are arguments of `subprocess.Popen`.
+    session. `more` are arguments of `subprocess.Popen`.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """A worker process of `support.parallel`.
 
-A request on stdin is a line with the numbers of a batch and of a job in it. An answer on stdout is
-a line with its size and the pickled tuple (error or None, result, cache use).
+A request on stdin is a line with the numbers of a batch and a job; an answer on stdout, a line with
+its size and the pickled tuple (error or None, result, cache use).
 """
 
 import os

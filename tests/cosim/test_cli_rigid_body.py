@@ -101,11 +101,11 @@ def test_a_log_without_payload_gives_a_zero_payload(
     [
         (("--friction", "law.json"), "--friction and --rigid-body go together"),
         (("--rigid-body", "b.json"), "--friction and --rigid-body go together"),
-        (("--payload", "b.json", "--physical"), "--payload does not go with --physical"),
-        (("--payload", "b.json", "--method", "paper"), "--payload does not go with"),
+        (("--payload", "b.json", "--physical"), "--payload excludes --physical"),
+        (("--payload", "b.json", "--method", "paper"), "--payload excludes"),
         (
             ("--physical", "--friction", "law.json", "--rigid-body", "b.json"),
-            "--physical does not go with --friction",
+            "--physical excludes --friction",
         ),
     ],
 )

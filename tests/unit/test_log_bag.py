@@ -211,7 +211,7 @@ PROBLEMS = [
     ),
     (
         [message(k, effort=[]) for k in range(N)],
-        r"its messages have no effort, so there is no torque to learn from; record torques or",
+        r"its messages have no effort; record torques or",
     ),
     (
         [message(k, position=[]) for k in range(N)],

@@ -209,12 +209,12 @@ def test_one_entry_per_joint_is_needed(tmp_path: Path, more: str, message: str) 
         ("[log]\nfilter_cutoff = 0\n", r"key 'log\.filter_cutoff' is 0: .*greater than 0"),
         (
             "[log.columns]\nq = 'q'\n",
-            r"key 'log\.columns\.q' is 'q': the pattern needs '\{\}' once, where the joint "
-            r"number \(1, 2, \.\.\.\) stands; '\{0\}' stands for the number counted from 0",
+            r"key 'log\.columns\.q' is 'q': the pattern needs '\{\}' \(joint number from 1\), "
+            r"'\{0\}' \(number from 0\) or '\{name\}' once",
         ),
         (
             "[log.columns]\nq = 'q{}_{name}'\n",
-            r"key 'log\.columns\.q' is 'q\{\}_\{name\}': the pattern needs '\{\}' once",
+            r"key 'log\.columns\.q' is 'q\{\}_\{name\}': the pattern needs '\{\}' \(joint",
         ),
         ("rotor = true\n", r"unknown key 'rotor'; allowed here: .*gravity, joints"),
     ],

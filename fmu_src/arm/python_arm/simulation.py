@@ -115,7 +115,7 @@ class Simulation:
     def step(self, inputs: ArrayLike, dt: float) -> Array:
         """Hold the inputs over `dt` [s], a multiple of `timestep`; return the outputs at its end.
 
-        Raises SimulationError, with the state unchanged, for another `dt`, too large inputs or
+        Raises SimulationError, with the state unchanged, for another `dt`, excessive inputs or
         divergence.
         """
         own = self.timestep

@@ -17,8 +17,7 @@ _FRICTION = ("friction", "fric")  # words in the names of columns that exist onl
 def log_section(model: FrictionModel, body: PageBody | None = None, key: str = "live") -> str:
     """Return the section of a page that takes a log; with a body it computes the rigid-body torque.
 
-    It uses the module and connectors of a live section of the same key before it, and needs
-    `page.live_assets(log=True)` after it.
+    It needs a live section of the same key before it and `page.live_assets(log=True)` after it.
     """
     return rendered("log.html.j2", data=_data(model, body), key=key)
 

@@ -10,9 +10,8 @@ from fmu_src.pages.html import TEMPLATES, rendered
 def live_section(data: Mapping[str, Any], key: str = "live") -> str:
     """Return the section of a friction model; `live_assets` must follow it on the page.
 
-    It needs no network or other file, and scripts. Its colours are those of the page: --ink,
-    --soft, --line, --paper, --card and --accent. The key is the prefix of its elements'
-    identifiers.
+    The colours are the page's --ink, --soft, --line, --paper, --card and --accent. The key is the
+    prefix of identifiers.
     """
     return rendered("live.html.j2", data=data, key=key)
 

@@ -122,8 +122,8 @@ def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Kn
 def ends(value: float, *, factor: bool) -> tuple[float, float, str]:
     """Return the limits and the scale of a coefficient's slider, with its value in the middle.
 
-    A factor of a term ranges from zero to twice its value. For widths, rates and exponents the
-    order of magnitude matters, and zero may be meaningless. A zero coefficient gets unit range.
+    A factor of a term ranges from zero to twice its value; widths, rates and exponents have a
+    logarithmic scale. A zero coefficient gets unit range.
     """
     if value == 0.0:
         return -1.0, 1.0, "linear"

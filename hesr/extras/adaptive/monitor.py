@@ -1,7 +1,7 @@
 """Friction over days of logs: factors, alarms and their likely causes.
 
 Temperature and lubrication change all joints slowly, wear a single joint; a payload, a gravity
-error or a sensor moves offsets. Heat of a single joint looks like wear or a gravity error.
+error or a sensor moves offsets.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

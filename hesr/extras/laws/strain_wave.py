@@ -26,7 +26,7 @@ class StrainWave(OneForm):
 
     Source: issue 3528 of the MuJoCo tracker, plus Coulomb, viscous and offset terms. While sliding,
     z^2 = 1 and mu_dif tau_load is collinear with the rigid-body torque: motor currents alone
-    determine mu_dif by reversals only, and poorly.
+    determine mu_dif poorly.
     """
 
     name = "strain_wave"

@@ -1,7 +1,6 @@
 """Torque errors over all joints of a robot, with confidence intervals.
 
-The root mean square of errors over the size of friction is over rows and joints. One bootstrap
-draws the same times for all joints, since their errors are correlated.
+One bootstrap draws the same times for all joints, since their errors are correlated.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,7 @@
 """SymPy to Modelica: the equations of a friction law.
 
 `sign` and `abs` of Modelica trigger no events (noEvent), but a solver must stop where a law jumps
-or bends. So the signs of inputs are variables, written as `if` with relations, which tools hold
-between events.
+or bends. So the signs of inputs are variables, held between events.
 """
 
 from collections.abc import Mapping

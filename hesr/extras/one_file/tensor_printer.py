@@ -1,6 +1,6 @@
 """SymPy to Python on batches of tensors: the step of a law for PyTorch and JAX.
 
-The module `xp` has the functions with the same name in both; the template has all others.
+The module `xp` has the functions of the same name in both.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """The runs of a sweep on the workers of a dask.distributed scheduler.
 
-FMUs are identified by hash: each worker gets them once and stores them in the cache of its machine.
-dask reassigns the chunks of dead workers; an FMU whose last copy is lost is sent again.
+FMUs are identified by hash and cached on each machine. dask reassigns the chunks of dead workers;
+an FMU whose last copy is lost is sent again.
 """
 
 from collections.abc import Iterator, Mapping

@@ -1,9 +1,8 @@
 """Temperature dependence of friction, from measured temperatures or the heat of long logs.
 
-Both factors at the reference, both coefficients and an offset are found by least squares; the
-factors act as in the adaptive FMU. Without measured temperatures the thermal time constant is also
-searched, a log starts at the ambient, and R is 1 because temperatures are known up to a factor
-only. With them, R, T_th and the ambient are those whose frictional heat explains them best.
+Without measured temperatures the thermal time constant is also searched, a log starts at the
+ambient, and R is 1 because temperatures are known up to a factor only. With them, R, T_th and the
+ambient are those whose frictional heat explains them best.
 """
 
 from collections.abc import Callable, Sequence

@@ -62,9 +62,8 @@ def distinct(cells: list[Cell], count: int) -> list[Cell]:
 def geometric(features: HysteresisFeatures) -> tuple[float, float]:
     """Return (alpha, beta) from the geometry of the loop, as in stage 1 of the paper.
 
-    1 / alpha is the mean settling time of friction after a reversal: the area between its course
-    and the settled value, divided by the height. beta is the slope of the torque over speed at its
-    sign change, relative to the sliding level.
+    1 / alpha is the mean settling time after a reversal: area over height. beta is the slope of the
+    torque over speed at its sign change, relative to the sliding level.
     """
     s = features.samples
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)

@@ -40,8 +40,8 @@ def select(
 ) -> Candidate:
     """Refine candidates, prune them and return the one that predicts left-out rows best.
 
-    The simplest of those within `SAME` wins, so that round-off decides nothing. Raises FitError if
-    all explode just outside the trained ranges.
+    The simplest of those within `SAME` wins. Raises FitError if all explode just outside the
+    trained ranges.
     """
     looked = list(found)
     for i, (evaluations, keep) in enumerate(ROUNDS):
@@ -84,8 +84,7 @@ def _terms(candidate: Candidate) -> int:
 def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
     """Refine, then drop insignificant coefficients, the least significant first.
 
-    A coefficient stays if the fit without it is worse than predicted, because the problem is not
-    linear.
+    A coefficient stays if the fit without it is worse than predicted.
     """
     refined, statistics = Refinement(features, candidate).run(LONG)
     needed = np.zeros(11, bool)

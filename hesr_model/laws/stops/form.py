@@ -5,7 +5,7 @@
     tau  = sum_i F_i x_i + v f(v) + ripple + tau_0
 
 Stribeck effect, frictional lag and load act on bounds, never as factors of the output: a moving
-bound projects the deflection on a smaller set that contains 0, which only dissipates.
+bound only dissipates.
 """
 
 from collections.abc import Mapping
@@ -29,9 +29,9 @@ from hesr_model.support.arrays import Array
 DEFLECTIONS = np.geomspace(3e-5, 1e-2, 9)  # [rad; m] w of the stops
 
 LOAD_SCALE = Coefficient(
-    name="load_scale", unit="N.m", description="load torque at which bounds of the load are 1"
+    name="load_scale", unit="N.m", description="load torque that makes load bounds 1"
 )
-REST = Coefficient(name="T", unit="s", description="time in which contacts age")
+REST = Coefficient(name="T", unit="s", description="ageing time of contacts")
 
 AGE = Relaxation(
     name="p",

@@ -1,7 +1,4 @@
-"""Ripple of ParFam-S: harmonics of the motor angle with a common lag, chosen by cross-validation.
-
-Frequencies of planets and bearings are close to integer multiples of the gear ratio.
-"""
+"""Ripple of ParFam-S: harmonics of the motor angle with a lag, chosen by cross-validation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

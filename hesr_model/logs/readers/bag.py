@@ -30,7 +30,7 @@ def is_bag(path: Path) -> bool:
 def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
     """Read the joint states from one topic of a bag; raises LogError.
 
-    Messages may list joints in any order; those without all joints of the robot are skipped.
+    Messages without all joints of the robot are skipped.
     """
     bag = robot.log.bag
     joints = bag.joints or robot.joints
@@ -46,8 +46,7 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
     effort = _values(where, used, joints, "effort", missing=drop)
     if effort is None:
         raise LogError(
-            f"{where}: its messages have no effort, so there is no torque to learn from; record "
-            "torques or currents as effort."
+            f"{where}: its messages have no effort; record torques or currents as effort."
         )
     q = _values(where, used, joints, "position", missing=drop)
     if q is None:
@@ -85,8 +84,8 @@ def _messages(path: Path, topic: str) -> Iterator[_Message]:
         raise LogError(f"{path}: no such log file.")
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise LogError(
-            f"{path}: is a folder without 'metadata.yaml', so it is no ROS bag; a log is a file or "
-            "the folder of a bag."
+            f"{path}: a folder without 'metadata.yaml' is not a ROS bag; give a file or a "
+            "bag's folder."
         )
     try:
         from rosbags.highlevel import AnyReader

@@ -281,7 +281,7 @@ def test_the_command_rebuilds_the_page(hesr: Hesr, results: Path, tmp_path: Path
 def test_a_folder_without_results_is_refused(hesr: Hesr, tmp_path: Path) -> None:
     for folder, why in (
         (tmp_path, "'run.json' is missing in it"),
-        (tmp_path / "none", "there is no such folder"),
+        (tmp_path / "none", "the folder does not exist"),
     ):
         answer = hesr("report", folder)
         assert (answer.code, answer.out) == (2, "")
@@ -337,7 +337,7 @@ def test_a_damaged_file_is_named(copied: Path, name: str, said: str) -> None:
         (
             "evaluation.json",
             lambda d: d.clear(),
-            "not the scores of a run (there is no test set in it).",
+            "not the scores of a run (it has no test set).",
         ),
         ("evaluation.json", lambda d: d["trial & error"].pop("laws"), "key 'laws' is missing."),
         ("evaluation.json", lambda d: d.update({"trial & error": 1}), "not the scores of a run"),
