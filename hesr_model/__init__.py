@@ -5,11 +5,11 @@ Names for notebooks, imported on first use; `docs/tutorial.ipynb` is the long fo
     from pathlib import Path
 
     from fmu_src import export_fmu
-    from hesr_model import RobotLog, RobotModel, fit, friction_records, identify
+    from hesr_model import Log, Robot, fit, friction_records, identify
 
-    robot = RobotModel("robot.toml")
+    robot = Robot("robot.toml")
     excitation, sweep, test = (
-        RobotLog.read(f"{name}.csv", robot) for name in ("excitation", "sweep", "test")
+        Log.read(f"{name}.csv", robot) for name in ("excitation", "sweep", "test")
     )
     body = identify([excitation], robot)
     model = fit("lugre", friction_records(sweep, robot, body))

@@ -84,7 +84,7 @@ class FrictionBench(_Bench):
         dq: Array | None = None,
         unmoved: bool = False,
     ) -> Array:
-        """Restart at rest or at dq (n,) [rad/s]; return the torque (n,) [N.m].
+        """Restart at rest or at `dq` (n,) [rad/s]; return the torque (n,) [N.m].
 
         In motion friction starts in its steady state if the FMU has one, except with `unmoved`.
         `exact` overrides the discretisation of the law.
@@ -106,9 +106,9 @@ class FrictionBench(_Bench):
     def move(
         self, dt: Array, dq: Array, q: Array | None = None, load: Array | None = None
     ) -> Array:
-        """Hold dq (K, n) [rad/s] for dt (K,) [s]; return the torque at each end (K, n) [N.m].
+        """Hold `dq` (K, n) [rad/s] for `dt` (K,) [s]; return the torque at each end (K, n) [N.m].
 
-        The position q (K, n) [rad] is constant by default.
+        The position `q` (K, n) [rad] is constant by default.
         """
         q = np.broadcast_to(self.places, dq.shape) if q is None else q
         held = np.broadcast_to(self._rows[2], dq.shape) if load is None else load
@@ -162,7 +162,7 @@ class DriveBench(_Bench):
         link: Array | None = None,
         load: Array | None = None,
     ) -> Array:
-        """Return q, dq and tau_f (3, K, n) over steps dt (K,) [s].
+        """Return q, dq and tau_f (3, K, n) over steps `dt` (K,) [s].
 
         Motor torque [N.m], link position [rad] and load [N.m] are (K, n); unchanged if None.
         """

@@ -126,7 +126,8 @@ class SignalTable(Config):
     """Signals of an MJCF; inputs, outputs and start values by the name of the vector.
 
     The dcmotors in `friction` and the losses follow the friction scale. The payload is a point mass
-    at the centre of mass of a body. `step` [s] is by default that of the simulation.
+    at the centre of mass of a body. `step` [s] is by default that of the simulation; `seed` is the
+    noise's.
     """
 
     inputs: dict[Element, InputTable] = Field(default_factory=dict)

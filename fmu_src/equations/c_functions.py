@@ -1,7 +1,8 @@
 """Equations in C99.
 
-Arguments are the parameters k, the inputs u followed by shared parameters, the held signs s, the
-states x, previous values p, the step dt and a flag for Euler relaxations.
+Arguments are the parameters `k`, the inputs `u` followed by shared parameters, the held signs `s`,
+the states `x`, previous values `p`, the step `dt` and a flag for Euler relaxations. See `Functions`
+for the results.
 """
 
 from collections.abc import Iterable, Mapping

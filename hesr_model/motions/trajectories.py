@@ -31,7 +31,7 @@ class Trajectory(ABC):
 
     @abstractmethod
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return q, dq and ddq, (N, n) each [rad, rad/s, rad/s2], at times `t` (N,) [s].
+        """Return `q`, `dq` and `ddq`, (N, n) each [rad, rad/s, rad/s2], at times `t` (N,) [s].
 
         Before 0 and after `duration` periodic motions continue and others rest.
         """

@@ -276,7 +276,7 @@ def test_other_files_are_refused(tmp_path: Path, name: str) -> None:
     path.write_bytes(bytes(range(256)) * 8)
     with pytest.raises(LogError, match=rf"{name}: cannot be read as a ROS bag \(.+\)\.$"):
         Log.read(path, robot())
-    with pytest.raises(LogError, match=r"is a folder without 'metadata\.yaml', so it is no ROS"):
+    with pytest.raises(LogError, match=r"a folder without 'metadata\.yaml' is not a ROS bag"):
         Log.read(tmp_path, robot())
     (tmp_path / "metadata.yaml").write_text("nothing: here\n", encoding="utf-8")
     with pytest.raises(LogError, match=r"cannot be read as a ROS bag \(.*rosbag2_bagfile_info"):
