@@ -1,4 +1,4 @@
-"""A bare binding to an FMU's binary."""
+"""A minimal binding to an FMU's binary."""
 
 import ctypes
 import zipfile
@@ -33,7 +33,7 @@ class EventInfo(ctypes.Structure):
 
 
 class Message(NamedTuple):
-    """What an instance has told its host."""
+    """Messages from an instance to its host."""
 
     environment: int | None
     instance: str
@@ -43,7 +43,7 @@ class Message(NamedTuple):
 
 
 class Binary:
-    """The functions of an FMU's binary, without a binding that minds their order."""
+    """The functions of an FMU's binary, without a binding that enforces their order."""
 
     def __init__(self, fmu: Path, folder: Path) -> None:
         from fmpy import read_model_description
@@ -70,7 +70,7 @@ class Binary:
     def instantiate(
         self, name=b"one", kind=1, guid=None, host="own", logging=0
     ) -> ctypes.c_void_p | None:
-        """Make an instance; of the kinds, 0 is model exchange and 1 is co-simulation."""
+        """Make an instance; kind 0 is model exchange, 1 is co-simulation."""
         f = self._library.fmi2Instantiate
         f.restype = ctypes.c_void_p
         guid = self.about.guid.encode() if guid is None else guid
@@ -93,14 +93,14 @@ class Binary:
         return c
 
     def event(self, c: Any, values: Mapping[str, float] | None = None) -> None:
-        """Go through an event, at which values may be set, to continuous-time mode."""
+        """Pass through event mode, which allows setting values, to continuous-time mode."""
         assert self("EnterEventMode", c) == 0
         assert self.set_all(c, values or {}) == 0
         assert self("NewDiscreteStates", c, ctypes.byref(EventInfo())) == 0
         assert self("EnterContinuousTimeMode", c) == 0
 
     def numbers(self, function: str, c: Any, n: int) -> list[float]:
-        """What a function gives as an array: states, their derivatives, indicators."""
+        """Array returned by a function: states, derivatives or indicators."""
         values = (ctypes.c_double * n)()
         assert self(function, c, values, n) == 0
         return list(values)

@@ -1,4 +1,4 @@
-"""Friction laws made by hand, and their FMUs."""
+"""Hand-written friction laws and their FMUs."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,12 +35,12 @@ def coefficients(**units: str) -> tuple[Coefficient, ...]:
 
 def parfam(g: str) -> FrictionLaw:
     form = family.form({"linear": FEATURES, "units": [{"g": g, "arguments": FEATURES}]})
-    # alpha small enough for Euler at the longest step of `motion`
+    # alpha is small enough for Euler at the longest step of `motion`
     return law_of(form, (-2.1, 1.4, 6.2, -0.16, 3.7, 0.06, 0.19, -0.6, 0.064, 11.37, 256.84))
 
 
 def viscous() -> FrictionLaw:
-    """No state, and every input."""
+    """No state, all inputs."""
     own = coefficients(F_c="N.m", sigma_2="N.m.s/rad", mu="1", a="N.m", n="1/rad")
     f_c, sigma_2, mu, a, n = (c.symbol for c in own)
     level = f_c + mu * absolute(TAU_LOAD)
@@ -59,7 +59,7 @@ def lugre() -> FrictionLaw:
 
 
 def elements() -> FrictionLaw:
-    """Several states that have start values, one of whose rates is zero at rest."""
+    """Several states with start values; the rate of one is zero at rest."""
     own = coefficients(k1="1/rad", k2="1/rad", c1="N.m", c2="N.m")
     k1, k2, c1, c2 = (c.symbol for c in own)
     x = [
@@ -75,7 +75,7 @@ def elements() -> FrictionLaw:
 
 
 def gaussians() -> FrictionLaw:
-    """More coefficients than an FMU shows."""
+    """More coefficients than an FMU exposes."""
     names = [f"{kind}{i}" for i in range(30) for kind in ("w", "m", "s")]
     own = coefficients(**dict.fromkeys(names, "1"))
     w, m, s = (own[i::3] for i in range(3))
@@ -113,7 +113,7 @@ EVERY_LAW = (*HAND_MADE, *(f"fitted_{name}" for name in STUDIED))
 
 @pytest.fixture(scope="session", params=EVERY_LAW)
 def any_law(request: pytest.FixtureRequest) -> str:
-    """Name of a law made by hand or of the registry."""
+    """Name of a hand-written law or of one in the registry."""
     return request.param
 
 
@@ -134,7 +134,7 @@ def make_model() -> Callable[..., FrictionModel]:
 
 @pytest.fixture(scope="session")
 def fitted(make_motion, shared) -> dict[str, FrictionLaw]:
-    """Every law of the registry, fitted to what a law made by hand says of a motion."""
+    """Every law of the registry, fitted to the torque of a hand-written law."""
     t, dq, q, load = (np.squeeze(x) for x in make_motion(1))
     tau = 5.0 * np.tanh(50.0 * dq) + 3.0 * dq + np.random.default_rng(1).normal(0, 0.1, t.shape)
     record = FrictionRecord(log="made", joint="axis", t=t, dq=dq, q=q, tau_load=load, tau=tau)
@@ -171,7 +171,7 @@ def make_motion() -> Callable[[int], Motion]:
         q = np.sin(2.0 * t[:, None] + phase) + 0.2 * np.sin(9.0 * t[:, None])
         dq = 2.0 * np.cos(2.0 * t[:, None] + phase) + 1.8 * np.cos(9.0 * t[:, None])
         dq[200:260] = 0.0
-        dq[400:420] = 1e-9  # where phi is a series
+        dq[400:420] = 1e-9  # series branch of phi
         return t, dq, q, 20.0 * np.sin(t[:, None] + phase)
 
     return make

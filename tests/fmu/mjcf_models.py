@@ -1,4 +1,4 @@
-"""Models for the tests of FMUs that MuJoCo simulates, and bindings to these."""
+"""Models for the tests of FMUs that MuJoCo simulates, and bindings to these FMUs."""
 
 import ctypes
 import zipfile
@@ -15,7 +15,7 @@ UF850 = models_folder() / "uf850"
 HOME = {"q0[1]": 0.0, "q0[2]": 0.3, "q0[3]": -1.9}
 STEP = 0.005
 OUTPUTS = ("q", "tau_meas", "q_true", "dq_true", "tau_true", "tau_f_true")
-"""Of the twin's arm, one for each joint."""
+"""One value for each joint of the twin's arm."""
 
 PENDULUM = """\
 <mujoco model="pendulum">
@@ -91,7 +91,7 @@ joints = ["hinge", "slider"]
 
 
 def names(component: Any, causality: str) -> list[str]:
-    """Names of the variables of a causality, in order."""
+    """Names of the variables of a causality in order."""
     variables = component.description.modelVariables
     return [v.name for v in variables if v.causality == causality]
 
@@ -101,7 +101,7 @@ def command(k: int, n: int = 3) -> np.ndarray:
 
 
 def run(component: Any, steps: int, first: int = 0, step: float = STEP) -> np.ndarray:
-    """Outputs of steps from an initialised component, the present ones first."""
+    """Outputs before and after each step of an initialised component."""
     inputs = component.buffer(names(component, "input"))
     outputs = component.buffer(names(component, "output"))
     rows = [outputs.read().copy()]
@@ -114,7 +114,7 @@ def run(component: Any, steps: int, first: int = 0, step: float = STEP) -> np.nd
 
 
 class Unpacked(Binary):
-    """The functions of an FMU's binary that stands where the archive says, with its resources."""
+    """The functions of an FMU's binary inside its extracted archive, with its resources."""
 
     def __init__(self, fmu: Path, folder: Path) -> None:
         self.about = fmpy.read_model_description(fmu)
@@ -129,7 +129,7 @@ class Unpacked(Binary):
         self.host.logger = CALLBACK(self._log)
 
     def at(self, location: str | None) -> ctypes.c_void_p | None:
-        """Make an instance that is told where its resources are."""
+        """Make an instance with the location of its resources."""
         f = self._library.fmi2Instantiate
         f.restype = ctypes.c_void_p
         place = None if location is None else location.encode()
@@ -141,7 +141,7 @@ class Unpacked(Binary):
 
 
 def assert_sampled_within_steps(fmu: Path) -> None:
-    """Steps of any length give what whole steps of the simulation's own have given so far."""
+    """Steps of any length give the result of the simulation's whole steps so far."""
     from fmu_src.run.fmu import FmuInstance
 
     own, time, made, changed = 0.001, 0.0, 0, 0
@@ -167,7 +167,7 @@ def assert_sampled_within_steps(fmu: Path) -> None:
 
 
 def steps(binary: Binary, c: Any, first: int, last: int) -> list[list[float]]:
-    """Outputs after each of some steps of the twin's arm."""
+    """Outputs after each of several steps of the twin's arm."""
     rows = []
     for k in range(first, last):
         inputs = {f"dq_cmd[{i}]": x for i, x in enumerate(command(k), start=1)}
@@ -188,7 +188,7 @@ def started(binary: Binary, start: dict[str, float]) -> Any:
 
 
 def assert_goes_on(binary: Binary, start: dict[str, float]) -> None:
-    """What is saved goes on bit for bit, here and in a fresh instance."""
+    """A saved state resumes bit for bit, here and in a fresh instance."""
     c, state = started(binary, start), ctypes.c_void_p()
     steps(binary, c, 0, 50)
     assert binary("GetFMUstate", c, ctypes.byref(state)) == 0

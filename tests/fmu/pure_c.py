@@ -1,4 +1,4 @@
-"""Headers of the C that know nothing of FMI, compiled alone."""
+"""C headers that are independent of FMI, compiled separately."""
 
 import ctypes
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ typedef struct { char text[256]; } Message;
 def compiled(
     folder: Path, text: str, *headers: str, others: Mapping[str, str] | None = None
 ) -> ctypes.CDLL:
-    """Load functions in C that use headers of the project, and further files instead of others."""
+    """Load C functions that use headers of the project; further files replace others."""
     files = {name: own_source(name) for name in headers} | {"component.h": COMPONENT}
     exported = text.replace("EXPORT ", '__attribute__((visibility("default"))) ')
     for name, content in (files | dict(others or {}) | {"pure.c": UNUSED + exported}).items():

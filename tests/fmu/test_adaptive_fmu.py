@@ -1,4 +1,4 @@
-"""The adaptive friction FMU: the equations of Python, and all that it knows is its state."""
+"""The adaptive friction FMU: the equations of Python, with all memory in its state."""
 
 import ctypes
 import subprocess
@@ -37,7 +37,7 @@ def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def records() -> list[FrictionRecord]:
-    """Random torques around friction that has changed, with a collision and a rest."""
+    """Random torques around changed friction, with a collision and a rest."""
     found, rng = [], np.random.default_rng(5)
     for k, joint in enumerate(MODEL.joints):
         t, dq, q, load = motion(8.0, seed=k)
@@ -61,7 +61,7 @@ def records() -> list[FrictionRecord]:
 
 
 class Bench:
-    """An FMU that is given the rows of records."""
+    """An FMU that receives the rows of records."""
 
     def __init__(self, fmu: FmuInstance, records: list[FrictionRecord]) -> None:
         self.fmu, self.records = fmu, records
@@ -99,7 +99,7 @@ def bench(fmu: Path, records: list[FrictionRecord]) -> Iterator[Bench]:
         yield Bench(component, records)
 
 
-def test_it_is_what_python_follows(bench: Bench, records: list[FrictionRecord]) -> None:
+def test_the_fmu_matches_the_python_estimate(bench: Bench, records: list[FrictionRecord]) -> None:
     bench.begin()
     found = bench.run(1, len(records[0].t))
     followed = Follower(MODEL).follow(records)
@@ -111,12 +111,12 @@ def test_it_is_what_python_follows(bench: Bench, records: list[FrictionRecord]) 
     assert len(np.unique(found[:, 2 * len(records) :])) > 100
 
 
-def test_it_is_valid(fmu: Path) -> None:
+def test_the_fmu_is_valid(fmu: Path) -> None:
     assert validate_fmu(str(fmu)) == []
     assert check(fmu).problems == ()
     description = read_model_description(fmu)
     assert description.modelExchange is None
-    # A switch: no host is to draw a line between its values.
+    # A switch: hosts must not interpolate between its values.
     assert [v.variability for v in description.modelVariables if v.name == "adapt"] == ["discrete"]
     assert {v.name for v in description.modelVariables if v.causality == "input"} == {
         "adapt", *(f"{n}[{i}]" for n in ("dq", "q", "tau_load", "tau_meas", "tau_rigid",
@@ -125,7 +125,7 @@ def test_it_is_valid(fmu: Path) -> None:
     }  # fmt: skip
 
 
-def test_temperature_is_told_in_its_unit(fmu: Path) -> None:
+def test_temperature_is_in_its_unit(fmu: Path) -> None:
     description = read_model_description(fmu)
     [unit] = [u for u in description.unitDefinitions if u.name == "degC"]
     assert (unit.baseUnit.K, unit.baseUnit.offset) == (1, 273.15)
@@ -135,7 +135,7 @@ def test_temperature_is_told_in_its_unit(fmu: Path) -> None:
     assert found["rise[1]"].unit == "K"
 
 
-def test_what_friction_heats_is_state(bench: Bench) -> None:
+def test_temperature_from_friction_is_a_state(bench: Bench) -> None:
     bench.begin()
     bench.run(1, 300)
     heated = bench.fmu.get([f"rise[{i}]" for i in (1, 2, 3)])
@@ -143,8 +143,8 @@ def test_what_friction_heats_is_state(bench: Bench) -> None:
 
 
 @pytest.mark.soak
-def test_what_a_step_takes(fmu: Path, tmp_path: Path) -> None:
-    """The aim is 1 us for three joints, set and read, and 4 KiB an instance."""
+def test_cost_of_a_step_is_limited(fmu: Path, tmp_path: Path) -> None:
+    """The target is 1 us for three joints including access to variables, and 4 KiB per instance."""
     description = read_model_description(fmu)
     places = {v.name: v.valueReference for v in description.modelVariables}
     with zipfile.ZipFile(fmu) as archive:
@@ -157,12 +157,12 @@ def test_what_a_step_takes(fmu: Path, tmp_path: Path) -> None:
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     step, whole, size = found.stdout.split()
-    # A soak test shows what it has measured.
+    # A soak test prints its measurements.
     print(f"three joints: {step} ns a step, {whole} ns with inputs and outputs, {size} B")  # noqa: T201
     assert int(size) <= 4 * 1024
 
 
-def test_a_reset_instance_begins_anew(bench: Bench) -> None:
+def test_a_reset_instance_starts_afresh(bench: Bench) -> None:
     bench.begin()
     first = bench.run(1, 300)
     bench.fmu.reset()
@@ -170,7 +170,7 @@ def test_a_reset_instance_begins_anew(bench: Bench) -> None:
     assert np.array_equal(bench.run(1, 300), first)
 
 
-def test_instances_know_nothing_of_each_other(fmu: Path, records: list[FrictionRecord]) -> None:
+def test_instances_are_independent(fmu: Path, records: list[FrictionRecord]) -> None:
     with FmuInstance(fmu, name="a") as a, FmuInstance(fmu, name="b") as b:
         one, other = Bench(a, records), Bench(b, records[::-1])
         one.begin()
@@ -183,8 +183,8 @@ def test_instances_know_nothing_of_each_other(fmu: Path, records: list[FrictionR
         assert np.array_equal(np.concatenate([first, one.run(100, 200)]), alone)
 
 
-def test_a_saved_state_goes_on_bit_for_bit(bench: Bench) -> None:
-    """All that was learned is in the state, and in its bytes."""
+def test_a_saved_state_resumes_bit_for_bit(bench: Bench) -> None:
+    """The state and its bytes include everything learned."""
     bench.begin()
     bench.run(1, 300)
     slave = bench.fmu._instance.slave
@@ -202,13 +202,13 @@ def test_a_saved_state_goes_on_bit_for_bit(bench: Bench) -> None:
     assert np.array_equal(bench.run(300, 500), first)
 
 
-def test_what_is_no_number_is_refused(bench: Bench) -> None:
+def test_non_finite_inputs_are_refused(bench: Bench) -> None:
     bench.begin()
     with pytest.raises(SimulationError, match="tau_meas"):
         bench.fmu.set({"tau_meas[1]": np.nan})
 
 
-def test_a_law_without_bounds_leaves_nothing(tmp_path: Path) -> None:
+def test_a_law_without_bounds_leaves_no_file(tmp_path: Path) -> None:
     values = {"F_c": 1.0, "F_s": 1.0, "v_s": 0.1, "sigma_2": 1.0, "tau_0": 0.0}
     law = FrictionLaw(name="stribeck", form=Stribeck.form({}), values=values)
     with pytest.raises(ExportError, match="has neither stops nor bristles"):

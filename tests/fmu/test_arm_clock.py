@@ -1,4 +1,4 @@
-"""MuJoCo's clock, which stands still while a system of FMUs runs."""
+"""MuJoCo's clock is disabled while a system of FMUs runs."""
 
 import ctypes
 import subprocess
@@ -21,14 +21,14 @@ def pointer() -> int | None:
 
 
 def timed() -> float:
-    """What MuJoCo has measured of some steps [s]."""
+    """Time of several steps as measured by MuJoCo [s]."""
     model = mujoco.MjModel.from_xml_string(ARM)
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, nstep=50)
     return float(data.timer[mujoco.mjtTimer.mjTIMER_STEP].duration)
 
 
-def test_it_goes_on_afterwards() -> None:
+def test_the_clock_is_restored_afterwards() -> None:
     before = pointer()
     assert before
     assert timed() > 0.0
@@ -42,14 +42,14 @@ def test_it_goes_on_afterwards() -> None:
     assert timed() > 0.0
 
 
-def test_it_goes_on_after_an_error() -> None:
+def test_the_clock_is_restored_after_an_error() -> None:
     before = pointer()
     with pytest.raises(ValueError, match="stopped"), untimed():
         raise ValueError("stopped")
     assert pointer() == before
 
 
-def test_users_beside_each_other_share_it() -> None:
+def test_concurrent_users_share_the_clock() -> None:
     before, together, seen = pointer(), Barrier(8), []
 
     def use() -> None:
@@ -67,7 +67,7 @@ def test_users_beside_each_other_share_it() -> None:
     assert pointer() == before
 
 
-def test_without_the_package_nothing_is_loaded(tmp_path: Path) -> None:
+def test_nothing_is_loaded_without_the_package(tmp_path: Path) -> None:
     code = (
         "import sys\nfrom fmu_src.arm.clock import untimed\n"
         "with untimed():\n    print('mujoco' in sys.modules)\n"

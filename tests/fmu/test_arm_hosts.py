@@ -1,4 +1,4 @@
-"""The native arm at home in any host: without Python, wherever its resources are said to be."""
+"""The native arm in any host: without Python and with any form of resource location."""
 
 import subprocess
 
@@ -29,7 +29,7 @@ def unpacked(fmu, tmp_path_factory):
 @pytest.mark.parametrize(
     "form", ["{uri}", "file:{path}", "file://{path}", "file://localhost{path}", "{plain}"]
 )
-def test_the_location_of_the_resources_as_hosts_write_it(form, unpacked):
+def test_every_form_of_resource_location_is_accepted(form, unpacked):
     uri = unpacked.resources.as_uri()
     path = uri.removeprefix("file://")
     assert "%20" in path
@@ -49,7 +49,7 @@ def test_the_location_of_the_resources_as_hosts_write_it(form, unpacked):
         ("file:///nowhere%zz%2", "model.mjb cannot be loaded from the FMU's resources."),
     ],
 )
-def test_without_its_resources_there_is_a_sentence_and_no_file(
+def test_missing_resources_are_reported_without_leaving_files(
     location, sentence, unpacked, tmp_path, monkeypatch, capfd
 ):
     monkeypatch.chdir(tmp_path)
@@ -59,7 +59,7 @@ def test_without_its_resources_there_is_a_sentence_and_no_file(
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_model_that_is_damaged(unpacked, tmp_path, monkeypatch, capfd):
+def test_a_damaged_model_is_reported(unpacked, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     data = (unpacked.resources / "model.mjb").read_bytes()
     folder = tmp_path / "r"
@@ -72,7 +72,7 @@ def test_a_model_that_is_damaged(unpacked, tmp_path, monkeypatch, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_host_without_python_in_an_empty_environment(fmu, unpacked, tmp_path):
+def test_the_arm_runs_without_python_in_an_empty_environment(fmu, unpacked, tmp_path):
     folder = tmp_path / "work"
     folder.mkdir()
     arguments = [unpacked.library, unpacked.about.guid, unpacked.resources.as_uri(), 3, 18, 200]
@@ -96,7 +96,7 @@ def test_a_host_without_python_in_an_empty_environment(fmu, unpacked, tmp_path):
             np.testing.assert_array_equal(outputs.read(), row)
 
 
-def test_mujoco_is_found_beside_the_binary(unpacked):
+def test_mujoco_is_found_next_to_the_binary(unpacked):
     elf = lief.parse(str(unpacked.library))
     mujoco_name = f"libmujoco.so.{mujoco.__version__}"
     assert mujoco_name in elf.libraries
@@ -110,7 +110,7 @@ def test_mujoco_is_found_beside_the_binary(unpacked):
     assert "python" not in result.stdout
 
 
-def test_licences_of_what_it_carries(unpacked):
+def test_licences_of_all_parts_are_included(unpacked):
     folder = unpacked.resources.parent / "documentation/licenses"
     found = {path.name: path.read_text() for path in folder.iterdir()}
     assert "Apache License" in found["mujoco-LICENSE"]
@@ -118,7 +118,7 @@ def test_licences_of_what_it_carries(unpacked):
     assert "license.txt" in found
 
 
-def test_every_validator_is_content(fmu):
+def test_all_validators_pass(fmu):
     report = check(fmu)
     assert report.problems == ()
     assert any("libmujoco" in reason for reason in report.skipped)

@@ -1,4 +1,4 @@
-"""The native arm: equal to the arm in Python, honest with its states, at home in any host."""
+"""The native arm: equal to the arm in Python, with complete states, in any host."""
 
 import re
 import subprocess
@@ -57,7 +57,7 @@ def by_name(rows):
     return {name: rows[:, k] for k, name in enumerate(OUTPUTS)}
 
 
-def test_its_variables(fmu):
+def test_the_variables_are_complete(fmu):
     with FmuInstance(fmu) as arm:
         variables = arm.description.modelVariables
         assert names(arm, "input") == [f"dq_cmd[{i}]" for i in (1, 2, 3)]
@@ -78,7 +78,7 @@ def test_outputs_do_not_depend_on_inputs_directly(fmu):
             assert unknown.dependencies == []
 
 
-def test_it_does_what_the_arm_in_python_does(fmu):
+def test_the_arm_matches_the_arm_in_python(fmu):
     plant = Plant.read(UF850 / "plant.toml")
     arm, steps = Arm(plant), 1000
     states = [arm.reset([0.0, 0.3, -1.9])]
@@ -99,7 +99,7 @@ def test_it_does_what_the_arm_in_python_does(fmu):
     assert np.ptp(found["q_true"], axis=0).min() > 0.2
 
 
-def test_what_it_simulates_has_the_torques_of_the_rigid_body_library(unpacked):
+def test_torques_match_the_rigid_body_library(unpacked):
     model = mujoco.MjModel.from_binary_path(str(unpacked.resources / "model.mjb"))
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
     model.dof_damping[:] = model.dof_frictionloss[:] = model.actuator_damping[:] = 0
@@ -119,8 +119,8 @@ def test_what_it_simulates_has_the_torques_of_the_rigid_body_library(unpacked):
 # --- parameters -------------------------------------------------------------------------------
 
 
-def test_a_payload_is_what_the_servo_comes_to_hold(fmu):
-    """Gravity compensation does not know of it: the integral settles on its weight."""
+def test_the_servo_settles_on_the_weight_of_a_payload(fmu):
+    """Gravity compensation ignores it: the integral settles on its weight."""
     robot = Robot(RobotDescription.read(UF850 / "robot.toml"))
     with FmuInstance(fmu) as arm:
         arm.initialise(start=HOME | QUIET | {"payload": 2.0, "friction_scale": 0.05})
@@ -143,7 +143,7 @@ def test_a_payload_is_what_the_servo_comes_to_hold(fmu):
 
 
 def scaled_twin(scale, folder):
-    """The MJCF and its table with all friction scaled in their text."""
+    """The MJCF and its table with all friction scaled in the text."""
 
     def scaled(match):
         numbers = [float(x) for x in match[2].split()]
@@ -162,8 +162,8 @@ def scaled_twin(scale, folder):
     return export_mjcf(mjcf, folder / "Scaled.fmu", table=table)
 
 
-def test_the_friction_scale_counts_for_the_damping_of_bristles(tmp_path, monkeypatch):
-    """Which the UF850 has none of."""
+def test_the_friction_scale_includes_bristle_damping(tmp_path, monkeypatch):
+    """The UF850 has no such damping."""
     damped = tmp_path / "damped.xml"
     damped.write_text(re.sub(r'(lugre="[^ ]+) 0 ', r"\1 40 ", MJCF.read_text()))
     monkeypatch.setitem(globals(), "MJCF", damped)
@@ -174,7 +174,7 @@ def test_the_friction_scale_counts_for_the_damping_of_bristles(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.7])
-def test_the_friction_scale_is_that_of_all_friction_in_the_mjcf(scale, fmu, tmp_path):
+def test_the_friction_scale_includes_all_friction_of_the_mjcf(scale, fmu, tmp_path):
     expected = simulated(scaled_twin(scale, tmp_path), 300)
     found = simulated(fmu, 300, HOME | {"friction_scale": scale})
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
@@ -189,7 +189,7 @@ def test_friction_can_be_switched_off(fmu):
 
 
 @pytest.mark.parametrize("milliseconds", [0, 1, 7, 25, 50])
-def test_the_latency_is_the_time_until_a_command_acts(milliseconds, fmu):
+def test_the_latency_delays_commands(milliseconds, fmu):
     with FmuInstance(fmu) as arm:
         arm.initialise(start=HOME | QUIET | {"latency": milliseconds * 1e-3})
         rest = arm.get(["tau_true[1]"])[0]
@@ -198,14 +198,14 @@ def test_the_latency_is_the_time_until_a_command_acts(milliseconds, fmu):
         for k in range(60):
             arm.step(k * 1e-3, 1e-3)
             torque.append(arm.get(["tau_true[1]"])[0] - rest)
-    # Read at the end of step k, a command that was given before the first one.
+    # Read at the end of step k; the command dates from before the first step.
     first = next(k for k, value in enumerate(torque, start=1) if abs(value) > 1e-6)
     assert first == max(milliseconds, 1)
 
 
 @pytest.mark.parametrize("milliseconds", [0, 1, 7])
-def test_the_latency_is_the_same_at_any_time(milliseconds, fmu):
-    """Times are sums of steps: one more or less by their rounding would show sooner or later."""
+def test_the_latency_is_constant_over_time(milliseconds, fmu):
+    """Times are sums of steps: round-off would sooner or later shift the latency by one step."""
     start = HOME | QUIET | {"latency": milliseconds * 1e-3}
     late = []
     with FmuInstance(fmu) as still, FmuInstance(fmu, name="other") as other:
@@ -228,7 +228,7 @@ def test_the_latency_is_the_same_at_any_time(milliseconds, fmu):
     assert late == [max(milliseconds, 1)] * len(range(3, 400, 37))
 
 
-def test_seed_and_levels_of_the_noise(fmu):
+def test_the_noise_depends_on_seed_and_levels(fmu):
     plain = by_name(simulated(fmu, 20, HOME))
     other = by_name(simulated(fmu, 20, HOME | {"noise_seed[2]": 1.0}))
     loud = by_name(simulated(fmu, 20, HOME | {"q_noise[2]": 4e-5}))
@@ -251,7 +251,7 @@ def test_seed_and_levels_of_the_noise(fmu):
         ({"noise_seed[2]": 2.0**32}, r"noise_seed\[2\] is 4294967296; a whole number"),
     ],
 )
-def test_a_parameter_that_means_nothing_is_refused(start, sentence, fmu):
+def test_meaningless_parameters_are_refused(start, sentence, fmu):
     with FmuInstance(fmu) as arm:
         with pytest.raises(SimulationError, match=sentence):
             arm.initialise(start=start)
@@ -264,7 +264,7 @@ def test_any_step_ends_at_the_last_multiple_of_mujocos_own(fmu):
     assert_sampled_within_steps(fmu)
 
 
-def test_more_steps_than_anybody_waits_for_are_refused_and_the_next_one_done(fmu):
+def test_too_many_steps_are_refused_and_the_next_step_succeeds(fmu):
     with FmuInstance(fmu) as arm:
         arm.initialise()
         with pytest.raises(SimulationError, match=r"at most 1e\+06 are made"):
@@ -272,7 +272,7 @@ def test_more_steps_than_anybody_waits_for_are_refused_and_the_next_one_done(fmu
         arm.step(0.0, STEP)
 
 
-def test_an_input_that_mujoco_would_take_for_zero_is_refused(fmu):
+def test_inputs_that_mujoco_would_zero_are_refused(fmu):
     with FmuInstance(fmu) as arm:
         arm.initialise()
         arm.set({"dq_cmd[2]": 2e10})
@@ -295,11 +295,11 @@ PARAMETERS = [
 
 
 @pytest.mark.parametrize("parameters", PARAMETERS)
-def test_a_saved_state_goes_on_bit_for_bit_here_and_in_a_fresh_instance(parameters, unpacked):
+def test_a_saved_state_resumes_bit_for_bit_in_any_instance(parameters, unpacked):
     assert_goes_on(unpacked, HOME | parameters)
 
 
-def test_a_state_goes_on_in_another_process(fmu, tmp_path):
+def test_a_state_resumes_in_another_process(fmu, tmp_path):
     script = """
 import ctypes, sys
 from pathlib import Path
@@ -333,7 +333,7 @@ sys.stdout.write(repr(t.steps(binary, c, 30, 60)))
     assert answers[0] == answers[1] != ""
 
 
-def test_a_reset_brings_back_the_start(unpacked):
+def test_a_reset_restores_the_start(unpacked):
     c = started(unpacked, HOME | {"payload": 1.5, "latency": 0.03})
     steps(unpacked, c, 0, 40)
     assert unpacked("Reset", c) == 0
@@ -344,7 +344,7 @@ def test_a_reset_brings_back_the_start(unpacked):
     assert steps(unpacked, c, 0, 40) == steps(unpacked, started(unpacked, HOME), 0, 40)
 
 
-def test_many_instances_do_not_disturb_each_other(unpacked):
+def test_instances_are_independent(unpacked):
     alone = {k: steps(unpacked, started(unpacked, {"q0[2]": 0.01 * k}), 0, 20) for k in range(20)}
     together = {k: started(unpacked, {"q0[2]": 0.01 * k}) for k in range(20)}
     found = {k: [] for k in together}
@@ -356,7 +356,7 @@ def test_many_instances_do_not_disturb_each_other(unpacked):
         unpacked("FreeInstance", c)
 
 
-def test_instances_in_threads(unpacked):
+def test_instances_run_in_threads(unpacked):
     instances = [started(unpacked, HOME) for _ in range(8)]
     with ThreadPoolExecutor(4) as pool:
         rows = list(pool.map(lambda c: steps(unpacked, c, 0, 200), instances))
@@ -364,16 +364,16 @@ def test_instances_in_threads(unpacked):
         assert other == rows[0]
 
 
-# --- the file ---------------------------------------------------------------------------------
+# --- archive -----------------------------------------------------------------------------------
 
 
-def test_the_fmu_is_valid_and_built_the_same_twice(fmu, tmp_path):
+def test_the_fmu_is_valid_and_reproducible(fmu, tmp_path):
     assert validate_fmu(str(fmu)) == []
     again = export_mjcf(MJCF, tmp_path / "Arm.fmu", table=TABLE)
     assert again.read_bytes() == fmu.read_bytes()
 
 
-def test_another_mass_makes_another_guid(unpacked, tmp_path):
+def test_another_mass_gives_another_guid(unpacked, tmp_path):
     other = tmp_path / "uf850.xml"
     other.write_text(MJCF.read_text().replace('mass="4.807"', 'mass="4.808"'))
     fmu = export_mjcf(other, tmp_path / "Arm.fmu", table=TABLE)

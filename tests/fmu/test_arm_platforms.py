@@ -25,7 +25,7 @@ OUTPUTS = 18
 AGREEMENT = 1e-9  # of the range of an output
 
 QEMU = shutil.which("qemu-aarch64")
-ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
+ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # from Debian's libc6-arm64-cross
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def assert_agrees(found, reference):
     assert np.all(worst <= AGREEMENT), worst
 
 
-def test_windows(unpacked, reference, wine, tmp_path):
+def test_windows_matches(unpacked, reference, wine, tmp_path):
     program = build_host("mjcf_host.c", tmp_path, "x86_64-windows-gnu").rename(tmp_path / "h.exe")
     library = "win64/uf850.dll"
 
@@ -91,7 +91,9 @@ def test_windows(unpacked, reference, wine, tmp_path):
     assert_agrees(found(), reference)
     model = unpacked / "resources" / "model.mjb"
     whole = model.read_bytes()
-    model.write_bytes(whole[: len(whole) // 2])  # MuJoCo's own error ends no host here either
+    model.write_bytes(
+        whole[: len(whole) // 2]
+    )  # an error of MuJoCo does not end the host here either
     try:
         with pytest.raises(AssertionError, match=r"model\.mjb cannot be loaded"):
             found()
@@ -103,14 +105,14 @@ def test_windows(unpacked, reference, wine, tmp_path):
     QEMU is None or not ARM_LIBRARIES.is_dir(),
     reason="qemu-user and the C library of 64-bit ARM are not installed",
 )
-def test_linux_on_arm(unpacked, reference, tmp_path):
+def test_linux_on_arm_matches(unpacked, reference, tmp_path):
     program = build_host("mjcf_host.c", tmp_path, "aarch64-linux-gnu.2.17")
     library = "aarch64-linux/uf850.so"
     found = rows(unpacked, library, program, QEMU, "-L", ARM_LIBRARIES, steps=40)
     assert_agrees(found, reference[:40])
 
 
-def test_a_mac_finds_mujoco_under_the_name_that_it_gives_itself(unpacked):
+def test_macos_finds_mujoco_by_its_install_name(unpacked):
     folder = unpacked / "binaries" / "darwin64"
     fat = lief.MachO.parse(str(folder / "uf850.dylib"))
     place = "mujoco.framework/Versions/A/libmujoco." + mujoco.__version__ + ".dylib"
@@ -119,7 +121,7 @@ def test_a_mac_finds_mujoco_under_the_name_that_it_gives_itself(unpacked):
     for k in range(len(fat_of_mujoco)):
         own = fat_of_mujoco.at(k)
         given[own.header.cpu_type] = {symbol.name for symbol in own.exported_symbols}
-    assert len(fat) == len(given) == 2  # of Intel and of Apple
+    assert len(fat) == len(given) == 2  # Intel and Apple
     for k in range(len(fat)):
         part = fat.at(k)
         assert [rpath.path for rpath in part.rpaths] == ["@loader_path"]
@@ -129,7 +131,7 @@ def test_a_mac_finds_mujoco_under_the_name_that_it_gives_itself(unpacked):
         assert wanted <= given[part.header.cpu_type]
 
 
-def test_what_each_binary_needs_is_beside_it(unpacked):
+def test_dependencies_of_each_binary_are_next_to_it(unpacked):
     version = mujoco.__version__
     for library, name in (
         ("linux64/uf850.so", f"libmujoco.so.{version}"),
@@ -144,5 +146,5 @@ def test_what_each_binary_needs_is_beside_it(unpacked):
     assert "mj_step" in {entry.name for entry in dll.get_export().entries}
 
 
-def test_every_validator_is_content(fmu):
+def test_all_validators_pass(fmu):
     assert check(fmu).problems == ()

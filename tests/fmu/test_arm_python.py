@@ -1,4 +1,4 @@
-"""The arm as an FMU in Python: the same variables and the same results as the native one."""
+"""The arm as a PythonFMU: same variables and results as the native one."""
 
 import ctypes
 import gc
@@ -59,7 +59,7 @@ def simulated(fmu, start, steps):
         return run(arm, steps)
 
 
-def test_the_same_variables(native, python):
+def test_the_variables_are_the_same(native, python):
     def shown(fmu):
         return [
             (v.name, v.valueReference, v.causality, v.variability, v.initial, v.start, v.unit)
@@ -69,7 +69,7 @@ def test_the_same_variables(native, python):
     assert shown(python) == shown(native)
 
 
-def test_the_same_dependencies(native, python):
+def test_the_dependencies_are_the_same(native, python):
     def shown(fmu, part):
         unknowns = getattr(read_model_description(str(fmu)), part)
         return [(u.variable.name, [v.name for v in u.dependencies]) for u in unknowns]
@@ -80,19 +80,19 @@ def test_the_same_dependencies(native, python):
     assert all("q0[1]" in needed for _, needed in shown(python, "initialUnknowns"))
 
 
-def test_it_says_that_it_needs_its_host_s_python(python):
+def test_the_description_states_the_need_for_python(python):
     about = read_model_description(str(python)).coSimulation
     assert about.needsExecutionTool is True
     assert about.canInterpolateInputs is False
 
 
 @pytest.mark.parametrize("start", [HOME, HOME | CHANGED, HOME | {"friction_scale": 0.0}])
-def test_the_same_trajectory(start, native, python):
+def test_the_trajectory_is_the_same(start, native, python):
     expected, found = simulated(native, start, 600), simulated(python, start, 600)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
-def test_the_trajectory_of_the_arm_without_fmi(simulation):
+def test_the_trajectory_matches_the_arm_without_fmi(simulation):
     arm = Arm(Plant.read(UF850 / "plant.toml"))
     quiet = {name: 0.0 for name in simulation.defaults if "_noise[" in name}
     state, row = arm.reset([0.0, 0.3, -1.9]), simulation.reset(HOME | quiet)
@@ -102,7 +102,7 @@ def test_the_trajectory_of_the_arm_without_fmi(simulation):
         state, row = arm.step(command(k), STEP), simulation.step(command(k), STEP)
 
 
-def test_a_simulation_can_be_read_any_number_of_times(simulation):
+def test_reading_a_simulation_is_repeatable(simulation):
     other = Simulation(signals_of(MJCF, TABLE))
     for k in range(20):
         row = simulation.step(command(k), STEP)
@@ -111,7 +111,7 @@ def test_a_simulation_can_be_read_any_number_of_times(simulation):
             np.testing.assert_array_equal(other.outputs(), row)
 
 
-def test_a_simulation_goes_back_to_a_state(simulation):
+def test_a_simulation_returns_to_a_state(simulation):
     simulation.reset(HOME | CHANGED)
     for k in range(30):
         simulation.step(command(k), STEP)
@@ -132,12 +132,12 @@ def test_a_simulation_goes_back_to_a_state(simulation):
         ({"mass": 1.0}, r"there is no parameter 'mass'"),
     ],
 )
-def test_parameters_that_mean_nothing(parameters, sentence, simulation):
+def test_meaningless_parameters_are_refused(parameters, sentence, simulation):
     with pytest.raises(SimulationError, match=sentence):
         simulation.reset(parameters)
 
 
-def test_steps_and_inputs_that_mean_nothing(simulation):
+def test_meaningless_steps_and_inputs_are_refused(simulation):
     with pytest.raises(SimulationError, match="a multiple of the simulation's own"):
         simulation.step(np.zeros(3), 0.0055)
     with pytest.raises(SimulationError, match=r"dq_cmd\[2\] is 2e\+10; the largest is 1e\+10\."):
@@ -146,7 +146,7 @@ def test_steps_and_inputs_that_mean_nothing(simulation):
         simulation.step([np.nan, 0.0, 0.0], STEP)
 
 
-def test_a_simulation_that_diverges_stays_where_it_was(tmp_path, monkeypatch, capfd):
+def test_a_diverging_simulation_keeps_its_last_state(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     mjcf = tmp_path / "bad.xml"
     mjcf.write_text(PENDULUM.replace('damping="0.1"', 'stiffness="-1e9"'))
@@ -167,7 +167,7 @@ def test_a_simulation_that_diverges_stays_where_it_was(tmp_path, monkeypatch, ca
 
 
 def listening(component):
-    """PythonFMU tells nothing, not even of errors, unless it is asked to."""
+    """PythonFMU logs nothing, including errors, unless requested."""
     component._instance.slave.fmi2SetDebugLogging(
         component._instance.slave.component, True, 0, None
     )
@@ -178,7 +178,7 @@ def test_any_step_ends_at_the_last_multiple_of_the_simulations_own(python):
     assert_sampled_within_steps(python)
 
 
-def test_a_step_that_is_refused_says_why_and_can_be_done_again(python):
+def test_a_refused_step_gives_a_reason_and_can_be_repeated(python):
     with FmuInstance(python) as arm:
         listening(arm).initialise(start=HOME)
         arm.set({"dq_cmd[1]": 2e10})
@@ -188,14 +188,14 @@ def test_a_step_that_is_refused_says_why_and_can_be_done_again(python):
         arm.step(0.0, STEP)
 
 
-def test_a_parameter_that_means_nothing_says_why(python):
+def test_meaningless_parameters_are_refused_with_a_reason(python):
     with FmuInstance(python) as arm, pytest.raises(SimulationError, match="buffers hold"):
         listening(arm).initialise(start={"latency": 1.0})
 
 
 @pytest.mark.parametrize("latency", [0.01, 1.0])
-def test_what_an_instance_held_is_let_go_of_once(latency, python):
-    """PythonFMU lets go of an instance that raises, and again when it is freed."""
+def test_an_instance_is_released_once(latency, python):
+    """PythonFMU releases an instance that raises, and again when it is freed."""
     with ExitStack() as cleanup:
         arm = cleanup.enter_context(FmuInstance(python))
         [slave] = [one for one in gc.get_objects() if type(one).__name__ == "PythonArm"]
@@ -206,7 +206,7 @@ def test_what_an_instance_held_is_let_go_of_once(latency, python):
     assert [sys.getrefcount(one) for one in held] == [count - 1 for count in counts]
 
 
-def test_instances_and_a_saved_state(python):
+def test_instances_are_independent_and_states_can_be_saved(python):
     with FmuInstance(python) as one, FmuInstance(python, name="other") as other:
         one.initialise(start=HOME | CHANGED)
         other.initialise(start=HOME)
@@ -224,7 +224,7 @@ def test_instances_and_a_saved_state(python):
         slave.fmi2FreeFMUstate(slave.component, ctypes.byref(state))
 
 
-def test_a_reset_brings_back_the_start(python):
+def test_a_reset_restores_the_start(python):
     with FmuInstance(python) as arm:
         arm.initialise(start=HOME | CHANGED)
         run(arm, 10)
@@ -234,13 +234,13 @@ def test_a_reset_brings_back_the_start(python):
     np.testing.assert_array_equal(found, simulated(python, HOME, 30))
 
 
-def test_it_is_valid_and_built_the_same_twice(python, tmp_path):
+def test_the_fmu_is_valid_and_reproducible(python, tmp_path):
     assert validate_fmu(str(python)) == []
     again = export_python_arm(MJCF, TABLE, tmp_path / "Python.fmu")
     assert again.read_bytes() == python.read_bytes()
 
 
-def test_without_a_table(tmp_path):
+def test_the_table_is_optional(tmp_path):
     mjcf = tmp_path / "pendulum.xml"
     mjcf.write_text(PENDULUM)
     native = export_mjcf(mjcf, tmp_path / "Native.fmu")
@@ -254,7 +254,7 @@ def test_without_a_table(tmp_path):
     np.testing.assert_allclose(rows[1], rows[0], rtol=0, atol=1e-9)
 
 
-def test_files_that_cannot_become_one(tmp_path):
+def test_unsuitable_files_are_refused(tmp_path):
     with pytest.raises(ExportError, match=r"the name of an FMU ends in \.fmu"):
         export_python_arm(MJCF, TABLE, tmp_path / "Arm.zip")
     with pytest.raises(ConfigError, match="no such model file"):

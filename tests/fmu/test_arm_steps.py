@@ -1,4 +1,4 @@
-"""MuJoCo's steps in an FMU do no more than they must, and are MuJoCo's own to the last bit."""
+"""MuJoCo's steps in an FMU are minimal and bitwise equal to MuJoCo's own."""
 
 import mujoco
 import numpy as np
@@ -22,7 +22,7 @@ MODELS = {
 
 
 def in_python(mjcf, steps):
-    """What MuJoCo gives, whose state nothing touches but its own steps."""
+    """Results of MuJoCo with a state changed only by its own steps."""
     model = mujoco.MjModel.from_xml_string(mjcf)
     data, seen = mujoco.MjData(model), mujoco.MjData(model)
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -40,7 +40,7 @@ def in_python(mjcf, steps):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_as_mujoco_steps(name, tmp_path):
+def test_steps_are_those_of_mujoco(name, tmp_path):
     (tmp_path / "model.xml").write_text(MODELS[name])
     fmu = export_mjcf(tmp_path / "model.xml", tmp_path / "Model.fmu")
     expected = in_python(MODELS[name], 300)

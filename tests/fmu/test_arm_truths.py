@@ -1,4 +1,4 @@
-"""Other truths of the twin: losses and torsion as they are described, the same in C and Python."""
+"""Alternative plants of the twin: losses and torsion as specified, equal in C and Python."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def written(name: str, folder: Path) -> tuple[Path, SignalTable]:
 
 @pytest.fixture(scope="module", params=NAMES)
 def truth(request, tmp_path_factory):
-    """Name, FMU and simulation in Python of a truth."""
+    """Name, FMU and Python simulation of a plant."""
     path, table = written(request.param, tmp_path_factory.mktemp(request.param))
     fmu = export_mjcf(path, path.with_suffix(".fmu"), table=table)
     return request.param, fmu, Simulation(signals_of(path, table))
@@ -50,17 +50,17 @@ def by_name(rows: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def at_speed(one: Simulation, speed: float, start: dict[str, float], seconds: float = 1.5):
-    """Outputs once all joints go at a speed."""
+    """Outputs once all joints move at a given speed."""
     rows = one.reset(HOME | QUIET | start)
     for _ in range(round(seconds / STEP)):
         rows = one.step([speed] * 3, STEP)
     return {name: values[0] for name, values in by_name(rows[None]).items()}
 
 
-# --- the same in C ------------------------------------------------------------------------------
+# --- agreement with C --------------------------------------------------------------------------
 
 
-def test_the_fmu_does_what_the_simulation_in_python_does(truth):
+def test_the_fmu_matches_the_simulation_in_python(truth):
     _, fmu, one = truth
     inputs = commands(300)
     expected = [one.reset(HOME), *(one.step(row, STEP) for row in inputs)]
@@ -77,12 +77,12 @@ def test_the_fmu_does_what_the_simulation_in_python_does(truth):
     assert np.ptp(expected, axis=0).min() > 0.05
 
 
-def test_a_saved_state_goes_on_bit_for_bit_with_its_levels_and_ages(truth, tmp_path):
+def test_a_saved_state_resumes_with_its_levels_and_ages(truth, tmp_path):
     _, fmu, _ = truth
     assert_goes_on(Unpacked(fmu, tmp_path), HOME | {"payload": 1.5, "friction_scale": 0.8})
 
 
-def test_levels_of_one_instance_are_nothing_to_another(truth):
+def test_levels_of_instances_are_independent(truth):
     _, fmu, _ = truth
     with FmuInstance(fmu) as alone:
         alone.initialise(start=HOME)
@@ -99,7 +99,7 @@ def test_levels_of_one_instance_are_nothing_to_another(truth):
     np.testing.assert_array_equal(found, expected)
 
 
-def test_a_simulation_goes_back_to_its_levels_and_ages(truth):
+def test_a_simulation_returns_to_its_levels_and_ages(truth):
     _, _, one = truth
     one.reset(HOME)
     inputs = commands(80)
@@ -111,11 +111,11 @@ def test_a_simulation_goes_back_to_its_levels_and_ages(truth):
     np.testing.assert_array_equal([one.step(row, STEP) for row in inputs[40:]], first)
 
 
-# --- what losses are ------------------------------------------------------------------------------
+# --- losses ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("speed", [0.02, 0.2, -0.6])
-def test_at_a_speed_friction_is_that_of_rate_and_state(speed, tmp_path):
+def test_steady_friction_follows_rate_and_state(speed, tmp_path):
     truth = PLANT.truths["rate_and_state"]
     losses = truth.losses
     found = at_speed(simulation("rate_and_state", tmp_path), speed, {})
@@ -131,7 +131,7 @@ def test_at_a_speed_friction_is_that_of_rate_and_state(speed, tmp_path):
     np.testing.assert_allclose(v, abs(speed), rtol=0.05)
 
 
-def test_what_rests_ten_times_as_long_holds_more_by_a_logarithm(tmp_path):
+def test_static_friction_grows_with_the_logarithm_of_rest(tmp_path):
     one = simulation("rate_and_state", tmp_path)
     losses = PLANT.truths["rate_and_state"].losses
     peaks = []
@@ -145,17 +145,17 @@ def test_what_rests_ten_times_as_long_holds_more_by_a_logarithm(tmp_path):
 
 
 @pytest.mark.parametrize("payload", [0.0, 8.0])
-def test_a_gear_loses_a_share_of_what_it_transmits(payload, tmp_path):
+def test_gear_losses_are_proportional_to_the_transmitted_torque(payload, tmp_path):
     truth = PLANT.truths["strain_wave"]
     found = at_speed(simulation("strain_wave", tmp_path), 0.15, {"payload": payload}, seconds=1.0)
-    transmitted = found["tau_true"] - found["tau_f_true"]  # little accelerates
+    transmitted = found["tau_true"] - found["tau_f_true"]  # the acceleration is small
     level = np.array(truth.losses.constant) + truth.losses.load * np.abs(transmitted)
     expected = level + np.array(truth.viscous) * found["dq_true"]
     np.testing.assert_allclose(found["tau_f_true"], expected, rtol=0.02)
     assert abs(transmitted[1]) > 5.0
 
 
-def test_the_friction_scale_is_that_of_losses_and_their_damping(tmp_path):
+def test_the_friction_scale_includes_losses_and_their_damping(tmp_path):
     one = simulation("rate_and_state", tmp_path)
     single, double, none = (
         at_speed(one, 0.2, {"friction_scale": scale})["tau_f_true"] for scale in (1.0, 2.0, 0.0)
@@ -165,7 +165,7 @@ def test_the_friction_scale_is_that_of_losses_and_their_damping(tmp_path):
 
 
 def test_dry_friction_holds_a_load_at_rest(tmp_path):
-    """The servo's integral stands still, too: what would creep would be seen in its torque."""
+    """The servo's integral is also constant; its torque would reveal creep."""
     one = simulation("rate_and_state", tmp_path)
     one.reset(HOME | QUIET | {"payload": 0.5})
     first = by_name(one.step([0.0] * 3, 1.0)[None])["q_true"][0]
@@ -173,17 +173,17 @@ def test_dry_friction_holds_a_load_at_rest(tmp_path):
     assert np.abs(last - first).max() < 1e-5
 
 
-# --- what torsion is ------------------------------------------------------------------------------
+# --- torsion -----------------------------------------------------------------------------------
 
 
-def test_torsion_is_that_of_its_elements(tmp_path):
-    """Loaded and unloaded slowly, its rotor held, it goes along the loops of a Prandtl model."""
+def test_torsion_follows_its_elements(tmp_path):
+    """Slow loading with the rotor held follows the loops of a Prandtl model."""
     path, _ = written("strain_wave", tmp_path)
     model = compiled(path)
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
     rotor, link = (int(model.joint(f"joint3{x}").dofadr[0]) for x in ("", "_link"))
-    model.dof_damping[link] = 3.0  # no swinging
+    model.dof_damping[link] = 3.0  # no oscillation
     model.dof_frictionloss[:] = 1e4
     load = 8.0 * np.interp(np.arange(0, 20_000), [0, 4000, 12_000, 20_000], [0, 1, -1, 1])
     angle, torque = np.empty_like(load), np.empty_like(load)
@@ -212,17 +212,17 @@ def test_torsion_is_that_of_its_elements(tmp_path):
 
 
 def test_the_encoder_is_at_the_rotor_and_the_true_position_at_the_link(tmp_path):
-    """A payload twists the gear: the link hangs lower than the encoder says."""
+    """A payload twists the gear: the link is lower than the encoder reading."""
     found = at_speed(simulation("strain_wave", tmp_path), 0.0, {"payload": 10.0}, seconds=3.0)
     twist = np.abs(found["q_true"] - found["q"])
-    assert twist[0] < 1.5e-4 < 4e-4 < twist[1] < 3e-3  # about its axis nothing pulls the first
+    assert twist[0] < 1.5e-4 < 4e-4 < twist[1] < 3e-3  # gravity has no torque about the first axis
     np.testing.assert_allclose(found["dq_true"], 0.0, atol=5e-3)
 
 
-# --- the truth as a law -------------------------------------------------------------------------
+# --- plant as a law ----------------------------------------------------------------------------
 
 
-def test_the_true_friction_as_a_law_is_that_of_the_arm(truth, tmp_path):
+def test_the_true_friction_as_a_law_matches_the_arm(truth, tmp_path):
     name, _, one = truth
     path, table = written(name, tmp_path)
     rows = [one.reset(HOME | QUIET), *(one.step(row, STEP) for row in commands(600))]
@@ -231,7 +231,8 @@ def test_the_true_friction_as_a_law_is_that_of_the_arm(truth, tmp_path):
     t = STEP * np.arange(len(rows))
     transmitted = found["tau_true"] - found["tau_f_true"]
     for k in range(3):
-        # The rotor's own inertia is not transmitted: its acceleration is small beside the load.
+        # The rotor's own inertia is not transmitted: its acceleration is small compared with the
+        # load.
         tau = predict(
             law.laws[k],
             t=t,
@@ -244,7 +245,7 @@ def test_the_true_friction_as_a_law_is_that_of_the_arm(truth, tmp_path):
         assert np.sqrt(np.mean(error**2)) < 0.03 * np.std(found["tau_f_true"][:, k])
 
 
-# --- mistakes -----------------------------------------------------------------------------------
+# --- refusals ----------------------------------------------------------------------------------
 
 LOSS = {"constant": (1.0, 1.0, 1.0)}
 GEAR = {"stiffness": (1.0,) * 3, "damping": (1.0,) * 2, "backlash": (0.0,) * 3}
@@ -262,12 +263,12 @@ GEAR = {"stiffness": (1.0,) * 3, "damping": (1.0,) * 2, "backlash": (0.0,) * 3}
     ],
     ids=lambda x: x if isinstance(x, str) else "",
 )  # fmt: skip
-def test_a_truth_that_is_not_complete_is_refused(change, sentence):
+def test_an_incomplete_plant_is_refused(change, sentence):
     with pytest.raises(ValueError, match=sentence):
         Truth.model_validate({"losses": LOSS, "viscous": (1.0,) * 3} | change)
 
 
-def test_a_truth_of_another_arm_is_refused(tmp_path):
+def test_a_plant_of_another_arm_is_refused(tmp_path):
     two = Truth(losses=Losses(constant=(1.0, 1.0)), viscous=(1.0, 1.0))
     with pytest.raises(ConfigError, match="the truth is of 2 joints; 3 are needed"):
         write_truth(two, PLANT.model, PLANT.joints, TABLE, tmp_path / "arm.xml")
@@ -290,12 +291,12 @@ def test_a_truth_of_another_arm_is_refused(tmp_path):
     ],
     ids=lambda x: x if isinstance(x, str) else "",
 )
-def test_losses_that_are_not_complete_are_refused(change, sentence):
+def test_incomplete_losses_are_refused(change, sentence):
     with pytest.raises(ValueError, match=sentence):
         LossTable.model_validate(LOSS | {"joints": PLANT.joints} | change)
 
 
-def test_parts_that_do_not_go_together_are_named(tmp_path):
+def test_incompatible_parts_are_named(tmp_path):
     path, table = written("rate_and_state", tmp_path)
     losing = table.model_copy(
         update={"losses": LossTable(joints=("joint1",), constant=(1.0,)), "start": {}}
@@ -312,8 +313,8 @@ def test_parts_that_do_not_go_together_are_named(tmp_path):
         StartTable(unit="rad", joints=("joint1", "joint2"), others=("joint3",))
 
 
-def test_a_stiff_transmission_is_no_transmission(tmp_path):
-    """Where nothing gives way, rotor and link go as one, as without a rotor."""
+def test_a_rigid_transmission_has_no_effect(tmp_path):
+    """Without compliance, rotor and link move as one, as without a rotor."""
     losses = Losses(constant=(3.0, 3.0, 2.0))
     stiff = GearElasticity(
         stiffness=(6e4, 6e4, 3e4), damping=(60.0, 60.0, 20.0), backlash=(0.0,) * 3

@@ -1,4 +1,4 @@
-"""The band of a friction FMU: that of the model, with its derivatives and its dependencies."""
+"""The uncertainty band of a friction FMU: that of the model, with derivatives and dependencies."""
 
 import sys
 from dataclasses import replace
@@ -32,7 +32,7 @@ LAWS = ("lugre", "viscous", "elements", "gaussians", "bare", "stops")
 
 
 def stops() -> FrictionLaw:
-    """A stop whose bound sees a state before it, and the load."""
+    """A stop whose bound depends on an earlier state and the load."""
     named = {"F": ("N.m", 4.0), "v_s": ("rad/s", 0.05), "sigma_2": ("N.m.s/rad", 3.0)}
     own = tuple(Coefficient(name=n, unit=u, description="its") for n, (u, _) in named.items())
     f, v_s, sigma_2 = (c.symbol for c in own)
@@ -49,7 +49,7 @@ def stops() -> FrictionLaw:
 def model(make_law, make_model) -> FrictionModel:
     laws = [stops() if name == "stops" else make_law(name) for name in LAWS]
     bands = [BAND for _ in laws]
-    bands[1] = replace(BAND, envelope=0.0)  # one joint whose rests were seen
+    bands[1] = replace(BAND, envelope=0.0)  # only one joint was seen at rest
     return make_model(*(replace(x, band=band) for x, band in zip(laws, bands, strict=True)))
 
 
@@ -77,7 +77,7 @@ def test_an_fmu_has_the_band_of_its_model(model, path, make_motion) -> None:
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_its_directional_derivatives(fmu, name) -> None:
+def test_directional_derivatives_are_those_of_the_band(fmu, name) -> None:
     joint = 1 + LAWS.index(name)
     unknowns = [f"{end}[{joint}]" for end in ENDS]
     knowns = [
@@ -87,7 +87,7 @@ def test_its_directional_derivatives(fmu, name) -> None:
         and (v.name.endswith(f"[{joint}]") or f"joint[{joint}]." in v.name or v.name == "coverage")
     ]
     start = {v.name: float(v.start) for v in fmu.about.modelVariables if v.name in knowns}
-    for speed in (0.0031, -0.0117):  # within the speed of rest, and beyond it
+    for speed in (0.0031, -0.0117):  # below and above the speed threshold of rest
         values = start | {f"dq[{joint}]": speed, f"q[{joint}]": 0.4, f"tau_load[{joint}]": 7.0}
         c, moved = (initialising(fmu, values) for _ in range(2))
         for known in knowns:
@@ -100,7 +100,7 @@ def test_its_directional_derivatives(fmu, name) -> None:
             assert worst(found, *difference(at, values[known])) <= 1e-5, (known, speed)
 
 
-def test_its_dependencies(fmu) -> None:
+def test_dependencies_are_those_of_the_band(fmu) -> None:
     joint = 1 + LAWS.index("lugre")
     needs = {
         unknown.variable.name: {d.name for d in unknown.dependencies}
@@ -122,13 +122,13 @@ def law(make_law) -> FrictionLaw:
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_checkers_find_nothing(law, make_model, tmp_path: Path, fmi) -> None:
+def test_checkers_find_no_problem(law, make_model, tmp_path: Path, fmi) -> None:
     whole = export_fmu(make_model(law, law), tmp_path / "F.fmu", band=True, power=True, fmi=fmi)
     assert check(whole).problems == ()
 
 
-def test_at_rest_it_is_the_way_to_both_break_away_torques(law, make_model) -> None:
-    """Wherever the bristle was left, and beyond by the floor of what is measured."""
+def test_the_band_at_rest_reaches_both_break_away_torques(law, make_model) -> None:
+    """For any state of the bristle, extended by the floor of the measured residuals."""
     t = 0.005 * np.arange(400)
     dq = np.where(t < 1.0, 0.3, 0.0)
     record = FrictionRecord(log="made", joint="axis_1", t=t, dq=dq, q=0.0 * t, tau_load=0.0 * t,
@@ -143,7 +143,7 @@ def test_at_rest_it_is_the_way_to_both_break_away_torques(law, make_model) -> No
     assert (upper - lower)[-1, 0] == pytest.approx(2.0 * width, rel=1e-9)
 
 
-def test_a_model_without_a_band_has_none_to_export(make_law, make_model, tmp_path: Path) -> None:
+def test_a_model_without_a_band_exports_none(make_law, make_model, tmp_path: Path) -> None:
     with pytest.raises(SimulationError, match="has no band; fit the model to logs"):
         export_fmu(make_model(make_law("lugre")), tmp_path / "F.fmu", band=True)
     assert not list(tmp_path.iterdir())

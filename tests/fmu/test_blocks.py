@@ -1,4 +1,4 @@
-"""The components of a closed loop besides friction and arm, each against its definition."""
+"""Components of a closed loop other than friction and arm, each compared with its definition."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -54,7 +54,7 @@ def run(
     start: Values | None = None,
     t: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
-    """Run an FMU as a log is replayed: inputs (N, n) in, outputs (N, n) by name."""
+    """Run an FMU as in the replay of a log: inputs (N, n) in, outputs (N, n) by name."""
     given = inputs or {}
     t = STEP * np.arange(len(next(iter(given.values())))) if t is None else t
     with FmuInstance(fmu) as block:
@@ -101,9 +101,7 @@ MOTIONS = {
 
 @pytest.mark.parametrize("preview", [0.0, 0.0125])
 @pytest.mark.parametrize("name", MOTIONS)
-def test_trajectories_are_those_of_python(
-    fmus: Mapping[str, Path], name: str, preview: float
-) -> None:
+def test_trajectories_match_python(fmus: Mapping[str, Path], name: str, preview: float) -> None:
     motion = MOTIONS[name]
     t = STEP * np.arange(round(motion.duration / STEP) + 1)
     names = ("q", "dq", "ddq")
@@ -117,7 +115,9 @@ def test_trajectories_are_those_of_python(
 
 
 @pytest.mark.parametrize("name", ["sine", "sweep"])
-def test_trajectories_at_uneven_steps_from_any_time(fmus: Mapping[str, Path], name: str) -> None:
+def test_trajectories_allow_uneven_steps_and_any_start_time(
+    fmus: Mapping[str, Path], name: str
+) -> None:
     t = 1.3 + np.cumsum(np.random.default_rng(0).uniform(1e-4, 0.3, size=40))
     found = run(fmus["Trajectory"], ["q", "dq"], t=t, start=start_values(MOTIONS[name]))
     q, dq, _ = MOTIONS[name].sample(t)
@@ -125,8 +125,8 @@ def test_trajectories_at_uneven_steps_from_any_time(fmus: Mapping[str, Path], na
     np.testing.assert_allclose(found["dq"], dq, rtol=0, atol=1e-12)
 
 
-def test_fast_sweeps_at_steps_of_many_periods(fmus: Mapping[str, Path]) -> None:
-    """Up to 10 Hz; a position that is integrated must not depend on how far a step goes."""
+def test_fast_sweeps_allow_steps_of_many_periods(fmus: Mapping[str, Path]) -> None:
+    """Up to 10 Hz; the integrated position must not depend on the step."""
     sweep = chirp(start=OFFSET, amplitude=PEAK, first=0.5, last=10.0, length=6.0)
     t = np.array([0.0, 0.5, 1.0, 2.3, 2.4, 4.0, 5.9, 6.0])
     found = run(fmus["Trajectory"], ["q", "dq"], t=t, start=start_values(sweep))
@@ -136,10 +136,10 @@ def test_fast_sweeps_at_steps_of_many_periods(fmus: Mapping[str, Path]) -> None:
 
 @pytest.mark.parametrize("start", [-3.0, 0.0, 1e5, 1.7e9, 1e300])
 @pytest.mark.parametrize("name", ["sweep", "chirp"])
-def test_sweeps_rest_outside_their_length(
+def test_sweeps_are_at_rest_outside_their_length(
     fmus: Mapping[str, Path], name: str, start: float
 ) -> None:
-    """At any start time, at once."""
+    """Any start time works from the first step."""
     motion, t = MOTIONS[name], np.array([start])
     held = np.clip(t, 0.0, motion.duration)
     found = run(fmus["Trajectory"], ["q", "dq", "ddq"], t=t, start=start_values(motion))
@@ -157,7 +157,7 @@ def test_sweeps_rest_outside_their_length(
     [
         (0.1, 0.45, 42.0, 0.5),  # the swing is faster than the sweep, then slower
         (1.0, 0.2, 20.0, 3.0),  # falling
-        (0.5, 0.5, 20.0, 2.0),  # constant, with one term that does not turn at all
+        (0.5, 0.5, 20.0, 2.0),  # constant, with one constant term
         (0.5, 0.5 + 1e-9, 20.0, 3.0),
         (2.0, 9.0, 1.0, 1e3),
     ],
@@ -165,7 +165,7 @@ def test_sweeps_rest_outside_their_length(
 def test_positions_of_a_sweep_are_the_integral_of_its_velocity(
     fmus: Mapping[str, Path], first: float, last: float, length: float, swing_period: float
 ) -> None:
-    """Of sweeps that Python does not make, too: Gauss's rule over panels of 5 ms."""
+    """Also for sweeps that Python does not generate: Gauss quadrature over panels of 5 ms."""
     start = {"kind": "sweep", "first": first, "last": last, "length": length,
              "swing_period": swing_period, "amplitude": (1.0, 0.0, 0.3), "swing": (0.0, 1.0, 0.7),
              "swing_phase": (0.0, 0.4, -2.0)}  # fmt: skip
@@ -179,7 +179,7 @@ def test_positions_of_a_sweep_are_the_integral_of_its_velocity(
 
 
 @pytest.mark.parametrize("name", MOTIONS)
-def test_trajectories_can_begin_after_a_rest(fmus: Mapping[str, Path], name: str) -> None:
+def test_trajectories_may_start_after_a_rest(fmus: Mapping[str, Path], name: str) -> None:
     t, rest, preview = STEP * np.arange(100), 0.0512, 0.01
     found = run(
         fmus["Trajectory"], ["q", "dq", "ddq", "q_ahead", "dq_ahead"], t=t,
@@ -192,7 +192,7 @@ def test_trajectories_can_begin_after_a_rest(fmus: Mapping[str, Path], name: str
     assert not found["ddq"][t < rest].any()
 
 
-def test_motions_that_the_fmu_cannot_make() -> None:
+def test_unsupported_motions_are_refused() -> None:
     with pytest.raises(ExportError, match=r"kind 'Reversed' cannot be made by the FMU\."):
         start_values(Reversed(forward=MOTIONS["sweep"]))
     many = random_fourier(
@@ -205,7 +205,7 @@ def test_motions_that_the_fmu_cannot_make() -> None:
 
 
 def test_start_values_name_every_harmonic() -> None:
-    """Those that a motion does not have are zero, whatever the FMU was given before."""
+    """Unused harmonics are zero, whatever the FMU was set to before."""
     motion = MOTIONS["short_fourier"]
     assert isinstance(motion, Fourier)
     values = start_values(motion)
@@ -232,25 +232,25 @@ def off_by(fmu: Path, robot: Robot, parameters: np.ndarray, start: Values) -> fl
 
 
 def names_of(robot: Robot) -> list[str]:
-    """The FMU's names of the parameters of a robot."""
+    """The FMU's names of a robot's parameters."""
     links = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
     joints = range(1, robot.n + 1)
     return [f"link[{i}].{p}" for i in joints for p in links] + [f"link[{i}].Ir" for i in joints]
 
 
-def test_torque_of_the_uf850(fmus: Mapping[str, Path], uf850: Robot) -> None:
+def test_torque_is_right_for_the_uf850(fmus: Mapping[str, Path], uf850: Robot) -> None:
     assert off_by(fmus["InverseDynamics"], uf850, uf850.nominal_parameters, {}) <= 1e-12
 
 
-def test_torque_of_other_parameters(fmus: Mapping[str, Path], uf850: Robot) -> None:
-    """Any numbers, as identification leaves them: masses of zero and below."""
+def test_torque_is_right_for_other_parameters(fmus: Mapping[str, Path], uf850: Robot) -> None:
+    """Arbitrary numbers, as from identification: also zero and negative masses."""
     values = np.random.default_rng(8).normal(size=len(uf850.parameter_names))
     values[::10] = 0.0
     start = dict(zip(names_of(uf850), values.tolist(), strict=True))
     assert off_by(fmus["InverseDynamics"], uf850, values, start) <= 1e-12
 
 
-def test_gravity_alone(fmus: Mapping[str, Path], uf850: Robot) -> None:
+def test_torque_is_right_for_gravity_alone(fmus: Mapping[str, Path], uf850: Robot) -> None:
     q = poses(N)["q"]
     found = run(fmus["InverseDynamics"], ["tau"], inputs={"q": q})["tau"]
     expected = uf850.torque(uf850.nominal_parameters, q, 0.0 * q, 0.0 * q)
@@ -262,7 +262,7 @@ def check_robot(robot: Robot, folder: Path) -> None:
     assert off_by(fmu, robot, robot.nominal_parameters, {}) <= 1e-12
 
 
-def test_torque_of_the_ur10e(tmp_path: Path) -> None:
+def test_torque_is_right_for_the_ur10e(tmp_path: Path) -> None:
     description = RobotDescription.read(UR10E)
     if not description.model.is_file():
         pytest.skip(f"the UR10e's URDF is not beside the repository, at {description.model}")
@@ -301,7 +301,7 @@ TREE = """
 
 
 @pytest.mark.parametrize("rotors", [True, False])
-def test_torque_of_a_tree_with_sliding_joints(tmp_path: Path, rotors: bool) -> None:
+def test_torque_is_right_for_a_tree_with_sliding_joints(tmp_path: Path, rotors: bool) -> None:
     urdf = tmp_path / "tree.urdf"
     urdf.write_text(TREE, encoding="utf-8")
     robot = Robot(
@@ -334,7 +334,7 @@ def signals(count: int = 60) -> dict[str, np.ndarray]:
 
 
 def controlled(fmus: Mapping[str, Path], compensation: str) -> tuple[Any, dict[str, np.ndarray]]:
-    """Run the controller; give its inputs, the desired torque among them, and its outputs."""
+    """Run the controller; return its inputs, including the desired torque, and its outputs."""
     given = signals()
     found = run(
         fmus["Controller"], ["dq_cmd", "tau_d", "dq_comp"], inputs=given,
@@ -349,12 +349,12 @@ def controlled(fmus: Mapping[str, Path], compensation: str) -> tuple[Any, dict[s
     return given | {"tau_d": tau_d}, found
 
 
-def test_no_compensation(fmus: Mapping[str, Path]) -> None:
+def test_commands_equal_desired_positions_without_compensation(fmus: Mapping[str, Path]) -> None:
     _, found = controlled(fmus, "none")
     assert not found["dq_comp"].any()
 
 
-def test_feedback_of_the_torque_error(fmus: Mapping[str, Path]) -> None:
+def test_torque_error_is_fed_back(fmus: Mapping[str, Path]) -> None:
     given, found = controlled(fmus, "torque_error")
     error = given["tau_d"] - given["tau_meas"]
     rate = np.diff(error, axis=0, prepend=error[:1]) / STEP
@@ -363,23 +363,23 @@ def test_feedback_of_the_torque_error(fmus: Mapping[str, Path]) -> None:
     np.testing.assert_allclose(found["dq_comp"], expected, rtol=1e-11, atol=1e-14)
 
 
-def test_inversion_of_the_servo(fmus: Mapping[str, Path]) -> None:
-    """A servo that starts in equilibrium gives the wanted torque in the middle of each sample."""
+def test_the_servo_is_inverted(fmus: Mapping[str, Path]) -> None:
+    """A servo in initial equilibrium gives the desired torque in the middle of each sample."""
     given, found = controlled(fmus, "servo_inversion")
     wanted = given["tau_d"] - given["tau_g"]
     Kv, Ki = np.array(GAINS["Kv"]), np.array(GAINS["Ki"])
     command = found["dq_comp"]
-    held = np.where(Ki > 0.0, wanted[0], 0.0)  # by the servo's integral at the start
+    held = np.where(Ki > 0.0, wanted[0], 0.0)  # by the servo's initial integral
     before = STEP * np.vstack([np.zeros(N), np.cumsum(command, axis=0)[:-1]])
     torque = held + Kv * command + Ki * (before + 0.5 * STEP * command)
     np.testing.assert_allclose(torque, wanted, rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("compensation", ["none", "torque_error", "servo_inversion"])
-def test_the_first_command_is_known_while_the_controller_is_initialised(
+def test_the_first_command_is_known_during_initialisation(
     fmus: Mapping[str, Path], compensation: str
 ) -> None:
-    """Masters pass it on then: the loop begins at rest, whatever else is remembered later."""
+    """Masters pass it on then: the loop starts at rest, whatever is stored later."""
     start = {"Kp": 0.01, "Kd": 0.01, "Kv": 10.0, "Ki": (50.0, 50.0, 0.0), "tau_rb": 20.0}
     given = {"tau_meas": 15.0, "tau_g": 5.0, "dq_d": 0.1, "lambda": 0.0}
     expected = {
@@ -409,7 +409,7 @@ def test_the_first_command_is_known_while_the_controller_is_initialised(
 def test_the_controller_samples_at_its_own_step(
     fmus: Mapping[str, Path], steps: tuple[float, ...]
 ) -> None:
-    """Whatever the host's steps: it samples at multiples of its own, and holds in between."""
+    """For any step of the host: it samples at multiples of its own step and holds in between."""
     names = [f"dq_cmd[{i}]" for i in range(1, N + 1)]
     start = GAINS | {"compensation": "servo_inversion"}
     rng = np.random.default_rng(5)
@@ -425,10 +425,10 @@ def test_the_controller_samples_at_its_own_step(
         time, samples, k = 0.0, 0, 0
         while samples < 40:
             step = STEP * steps[k % len(steps)]
-            # The same inputs reach both: what stood when a sample came.
+            # Both get the same inputs: the values at the last sample.
             values = given(int(rng.integers(1000)))
             free.set(values)
-            if abs(time / STEP - round(time / STEP)) > 1e-6:  # between samples it holds
+            if abs(time / STEP - round(time / STEP)) > 1e-6:  # values are held between samples
                 assert free.get(names) == pytest.approx(own.get(names), rel=1e-12)
             free.step(time, step)
             while STEP * (samples + 1) <= time + step + 1e-6 * STEP:
@@ -440,10 +440,8 @@ def test_the_controller_samples_at_its_own_step(
 
 
 @pytest.mark.parametrize("share", [0.92, 0.999, 1.01, 1.08, 1.9, 2.5])
-def test_steps_that_are_not_its_own_are_never_taken_for_samples(
-    fmus: Mapping[str, Path], share: float
-) -> None:
-    """They are refused, or the outputs are those of the last sample that there has been."""
+def test_other_steps_are_never_mistaken_for_samples(fmus: Mapping[str, Path], share: float) -> None:
+    """They are refused, or the outputs are those of the last sample."""
     start = {"Kv": 10.0, "Ki": 200.0, "tau_rb": 20.0, "compensation": "servo_inversion"}
     with FmuInstance(fmus["Controller"]) as block:
         expanded = block.variables.expanded
@@ -461,7 +459,8 @@ def test_steps_that_are_not_its_own_are_never_taken_for_samples(
             return found
 
         samples = commands(150, STEP)
-        # 20 N.m of a servo that held none: the command fades as its integral takes over.
+        # 20 N.m of a servo with zero initial integral: the command decays as the integral takes
+        # over.
         first, fading = 20.0 / (10.0 + 0.5 * STEP * 200.0), 1.0 - 200.0 * STEP / 10.5
         np.testing.assert_allclose(samples, first * fading ** np.arange(150), rtol=1e-9)
         count = int(149 / share)
@@ -478,14 +477,14 @@ def test_steps_that_are_not_its_own_are_never_taken_for_samples(
 # --- Velocity ---------------------------------------------------------------------------------
 
 
-def test_velocity_is_the_difference(fmus: Mapping[str, Path]) -> None:
+def test_velocity_is_the_difference_quotient(fmus: Mapping[str, Path]) -> None:
     q = np.random.default_rng(1).normal(size=(30, N))
     found = run(fmus["Velocity"], ["dq"], inputs={"q": q})["dq"]
     np.testing.assert_allclose(found[0], np.zeros(N))
     np.testing.assert_allclose(found[1:], np.diff(q, axis=0) / STEP, rtol=1e-12)
 
 
-def test_velocity_through_the_low_pass(fmus: Mapping[str, Path]) -> None:
+def test_velocity_is_low_pass_filtered(fmus: Mapping[str, Path]) -> None:
     """A ramp from rest: the step response of a first-order lag."""
     t = STEP * np.arange(60)
     q = np.outer(t, [1.0, -2.0, 0.0])
@@ -494,7 +493,7 @@ def test_velocity_through_the_low_pass(fmus: Mapping[str, Path]) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
-# --- all of them ------------------------------------------------------------------------------
+# --- all blocks --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -515,20 +514,20 @@ def test_velocity_through_the_low_pass(fmus: Mapping[str, Path]) -> None:
         ("Velocity", {"time_constant": float("nan")}, "time_constant is nan; a finite number is"),
     ],
 )  # fmt: skip
-def test_parameters_that_cannot_be(
+def test_invalid_parameters_are_refused(
     fmus: Mapping[str, Path], block: str, start: Values, said: str
 ) -> None:
     with FmuInstance(fmus[block]) as component:
         with pytest.raises(SimulationError) as error:
             component.initialise(start=component.variables.expanded(start))
         assert said in str(error.value)
-        # The same instance can be used after a reset.
+        # The same instance is usable after a reset.
         component.reset()
         component.initialise()
 
 
 def moved(block: str) -> tuple[dict[str, Any], Callable[[int], np.ndarray]]:
-    """Parameters and inputs that make a block show all that it remembers."""
+    """Parameters and inputs that exercise the whole memory of a block."""
     start: dict[str, dict[str, Any]] = {
         "Trajectory": dict(start_values(MOTIONS["sweep"])) | {"preview": 0.01},
         "Controller": GAINS | {"compensation": "servo_inversion"},
@@ -567,6 +566,6 @@ def test_runs_are_identical_after_reset_and_restore(fmus: Mapping[str, Path], bl
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_no_checker_finds_anything(fmus: Mapping[str, Path], block: str) -> None:
+def test_checkers_find_no_problem(fmus: Mapping[str, Path], block: str) -> None:
     assert validate_fmu(str(fmus[block])) == []
     assert check(fmus[block]).problems == ()

@@ -21,13 +21,13 @@ from hesr_model.friction.law import Coefficient, LawForm
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
-def test_literals_read_back_as_the_same_double(value):
+def test_literals_are_read_back_exactly(value):
     text = literal(value)
     assert struct.pack("d", float(text)) == struct.pack("d", value)
     assert "." in text or "e" in text  # a C literal without them is an int
 
 
-def test_literals_are_not_fixed_point():
+def test_extreme_literals_use_an_exponent():
     assert literal(2e-5) == "2.0000000000000002e-05"
     assert literal(1e-300) == "1e-300"
     assert literal(3.0) == "3.0"
@@ -37,7 +37,7 @@ def own(form, *, tunable=True):
     return Functions(form.component, "law", tunable=tunable)
 
 
-def test_a_step_is_straight_lines():
+def test_a_step_has_no_branches():
     h = Relaxation(name="h", unit="1", drive=2 * DQ, rate=absolute(DQ))
     form = LawForm(coefficients=(), memory=(h,), output=sgn(DQ) * h.state + h.derivative)
     assert own(form).step() == (
@@ -61,8 +61,8 @@ def test_a_step_is_straight_lines():
     )
 
 
-def test_what_two_laws_share_is_written_once(table1):
-    """Joints 2 and 3 remember alike, by coefficients in the same places."""
+def test_code_shared_by_two_laws_is_written_once(table1):
+    """Joints 2 and 3 have equal states, with coefficients at the same offsets."""
     _, text = friction.friction_equations(table1)
     defined = re.findall(r"^(?:SELDOM )?static void (law_\d_\w+)\(", text, re.MULTILINE)
     assert "law_3_begin" not in defined
@@ -72,7 +72,7 @@ def test_what_two_laws_share_is_written_once(table1):
     assert all(name in defined for names in found for name in names)
 
 
-def test_a_tangent_is_that_of_the_same_lines():
+def test_tangents_follow_the_same_lines():
     h = Relaxation(name="h", unit="1", drive=2 * DQ, rate=absolute(DQ))
     form = LawForm(coefficients=(), memory=(h,), output=sgn(DQ) * h.state + h.derivative)
     text = own(form).tangent()
@@ -103,12 +103,12 @@ def test_shared_parts_are_computed_once():
     assert text.count("exp(") == 1
 
 
-def test_signs_of_inputs_are_held_and_magnitudes_are_not():
+def test_only_signs_of_inputs_are_held():
     a = Coefficient(name="a", unit="1", description="")
     h = Relaxation(name="h", unit="1", drive=DQ, rate=absolute(a.symbol * Q - DQ))
     output = sgn(DQ) + absolute(h.state) + sgn(TAU_LOAD * h.state) + absolute(TAU_LOAD)
     form = LawForm(coefficients=(a,), memory=(h,), output=output)
-    # The load's magnitude bends the torque, and so does that of a Q - dq: no event is made of it.
+    # The magnitudes of the load and of a Q - dq have kinks in the torque but are not events.
     assert set(Jumps(form.component).expressions) == {DQ}
     assert set(Jumps(form.component, every=True).expressions) == {DQ, a.symbol * Q - DQ, TAU_LOAD}
     text = own(form).read()
@@ -117,11 +117,11 @@ def test_signs_of_inputs_are_held_and_magnitudes_are_not():
     assert "sgn(u_0)" not in text
 
 
-def test_a_solver_is_asked_to_stop_where_the_velocity_reverses():
+def test_velocity_reversals_are_events():
     h = Relaxation(name="h", unit="1", drive=DQ, rate=absolute(DQ))
     form = LawForm(coefficients=(), memory=(h,), output=h.state * absolute(TAU_LOAD))
     assert Jumps(form.component).expressions == (DQ,)
-    assert "s[0]" not in own(form).read()  # but the magnitude follows the velocity itself
+    assert "s[0]" not in own(form).read()  # but the magnitude follows the velocity
 
 
 def test_coefficients_that_cannot_change_have_no_tangents():
@@ -144,7 +144,7 @@ def test_functions_without_a_counterpart_in_c_are_refused():
         own(form).read()
 
 
-def test_table_of_variables():
+def test_the_table_of_variables_is_complete():
     choice = Enumeration(name="Kind", items=(("a", "first"), ("b", "second")))
     table = Interface(
         variables=(
@@ -159,16 +159,18 @@ def test_table_of_variables():
     text = to_c(table, "{guid}", 0.005)
     assert '{"u[1]", 0.10000000000000001, INPUT, REAL, 0, 0, 1},' in text
     assert '{"kind", 2.0, FIXED, INTEGER, 1, 2, 1},' in text
-    assert '{"held", 0.0, INPUT, REAL, 0, 0, 0},' in text  # no output is older for it
+    assert (
+        '{"held", 0.0, INPUT, REAL, 0, 0, 0},' in text
+    )  # not held, so no output depends on an old value
     assert '#define MODEL_GUID "{guid}"' in text
 
 
-def test_value_references_lead_to_places_of_scalars_or_of_arrays():
+def test_value_references_map_to_scalars_or_arrays():
     def many(name, unit="rad"):
         return Variable(name=name, role="input", description="", unit=unit)
 
     rows = [many(f"a[{i},{k}]") for i in (1, 2) for k in (1, 2, 3)]
-    mixed = [many("q[1]"), many("q[2]", "m")]  # FMI 3.0 has one unit for an array
+    mixed = [many("q[1]"), many("q[2]", "m")]  # FMI 3.0 allows one unit per array
     odd = [many("u[2]"), many("u[3]")]
     table = Interface(variables=(many("x"), *rows, *mixed, *odd, many("w.v[1]")))
     found = [(a.name, a.shape, a.place) for a in table.arrays]
@@ -184,7 +186,7 @@ def test_value_references_lead_to_places_of_scalars_or_of_arrays():
 
 
 @pytest.mark.parametrize("name", ["a b", "1a", "a[x]", 'a"', "der(a", "a..b", ""])
-def test_names_that_fmi_does_not_allow_are_refused(name):
+def test_names_invalid_in_fmi_are_refused(name):
     with pytest.raises(ExportError, match="not a structured name"):
         Interface(variables=(Variable(name=name, role="input", description="", unit="1"),))
 

@@ -1,4 +1,4 @@
-"""FMUs of motors that turn with several joints: connectors are joints, the coupling is inside."""
+"""FMUs of motors coupled to several joints: connectors are joints, the coupling is internal."""
 
 import ctypes
 from pathlib import Path
@@ -38,14 +38,14 @@ def fmu(model, tmp_path_factory) -> Path:
     return export_bare(model, tmp_path_factory.mktemp("coupled") / "F.fmu")
 
 
-def test_the_fmu_is_the_model(fmu, model, make_motion) -> None:
+def test_the_fmu_matches_the_model(fmu, model, make_motion) -> None:
     t, dq, q, load = make_motion(3)
     expected = model.predict(t=t, dq=dq, q=q, tau_load=load)
     found = replay(fmu, t, dq, q, load)
     assert np.abs(found - expected).max() <= 1e-11 * np.abs(expected).max()
 
 
-def test_torques_take_the_power_of_the_motors(model, make_motion) -> None:
+def test_joint_power_equals_motor_power(model, make_motion) -> None:
     t, dq, q, load = make_motion(3)
     alone = FrictionModel(
         law="alone", robot="r", joints=model.joints, laws=model.laws, sample_time=0.005
@@ -55,7 +55,7 @@ def test_torques_take_the_power_of_the_motors(model, make_motion) -> None:
     np.testing.assert_allclose(power, np.sum(at_motors * (dq @ C.T), axis=1), atol=1e-9)
 
 
-def test_directional_derivatives_and_slopes_go_through_the_coupling(fmu, load) -> None:
+def test_derivatives_and_slopes_include_the_coupling(fmu, load) -> None:
     binary = load(fmu)
     point = {f"dq[{i}]": 0.3 * i for i in (1, 2, 3)} | {f"q[{i}]": 0.2 for i in (1, 2, 3)}
     point |= {f"tau_load[{i}]": 5.0 + i for i in (1, 2, 3)}
@@ -85,7 +85,7 @@ def test_directional_derivatives_and_slopes_go_through_the_coupling(fmu, load) -
         np.testing.assert_allclose(list(result), (sides[0] - sides[1]) / 2e-5, rtol=1e-5, atol=1e-4)
 
 
-def test_dependencies_are_those_of_the_motors_that_move_a_joint(model) -> None:
+def test_a_joint_depends_on_the_motors_that_move_it(model) -> None:
     table = {v.name: v for v in friction_equations(model)[0].variables}
     inputs = {name for name in table["tau[3]"].dependencies if name.startswith("dq[")}
     assert inputs == {"dq[2]", "dq[3]"}
@@ -95,7 +95,7 @@ def test_dependencies_are_those_of_the_motors_that_move_a_joint(model) -> None:
     assert states == {"z[2]"}
 
 
-def test_a_drive_feels_the_links_of_all_joints_that_it_turns(model, tmp_path) -> None:
+def test_a_drive_depends_on_the_links_of_all_its_joints(model, tmp_path) -> None:
     stiffness, ratio = (2e3, 3e3, 4e3), (50.0, 80.0, 40.0)
     path = write_fmu(
         drive(model, motors_of(3, inertia=(1e-3,) * 3, stiffness=stiffness, ratio=ratio)),
@@ -118,7 +118,7 @@ def test_a_drive_feels_the_links_of_all_joints_that_it_turns(model, tmp_path) ->
         np.testing.assert_allclose(torque, wound @ C, rtol=1e-9)
 
 
-def test_rotors_of_the_rigid_body_turn_with_the_motors(
+def test_rotors_of_the_rigid_body_move_with_the_motors(
     arm: RobotDescription, tmp_path: Path
 ) -> None:
     matrix = tuple(map(tuple, (50.0 * C).tolist()))

@@ -1,4 +1,4 @@
-"""Derivatives that the FMU gives are those of what it computes, by differences of the same FMU."""
+"""Derivatives of an FMU agree with finite differences of the same FMU."""
 
 import ctypes
 
@@ -13,7 +13,7 @@ STEP = 2e-5  # short enough for Euler with every law
 
 @pytest.fixture(scope="module")
 def fmu(every_law, make_model, load, tmp_path_factory):
-    """One FMU of all laws, a joint for each."""
+    """One FMU with a joint for each law."""
     folder = tmp_path_factory.mktemp("derivatives")
     return load(export_bare(make_model(*every_law.values()), folder / "F.fmu"))
 
@@ -29,7 +29,7 @@ def joint(any_law, joints):
 
 
 def names(fmu, joint):
-    """Inputs, starts of states and parameters of a joint; its derivatives and its torque."""
+    """Inputs, start states and parameters of a joint; its derivatives and torque."""
     own = [
         v
         for v in fmu.about.modelVariables
@@ -42,13 +42,13 @@ def names(fmu, joint):
 
 
 def states_of(fmu):
-    """States by name, each with the name of its start value."""
+    """Names of states, each with the name of its start value."""
     states = [u.variable.derivative.name for u in fmu.about.derivatives]
     return {name: name.replace("[", "_start[") for name in states}
 
 
 def place(fmu, joint):
-    """Where a joint is looked at: in motion so slow that a start counts, away from what bends."""
+    """Point of evaluation of a joint: motion so slow that the start matters, away from kinks."""
     rng = np.random.default_rng(joint)
     knowns, _ = names(fmu, joint)
     start = {v.name: float(v.start) for v in fmu.about.modelVariables if v.name in knowns}
@@ -88,19 +88,19 @@ def tangent(fmu, c, unknowns, seed):
 
 
 def difference(f, x):
-    """Derivative of a function by central differences of fourth order, and their uncertainty."""
+    """Fourth-order central difference of a function, and its uncertainty."""
     h = min(1e-5 * max(abs(x), 0.1), 1e-3 * abs(x) or 1e-6)
     far, near = (f(x + k * h) - f(x - k * h) for k in (2, 1))
     return (8.0 * near - far) / (12.0 * h), 1e-14 * np.abs(f(x)) / h
 
 
 def worst(found, expected, uncertain):
-    """Largest relative error beyond what rounding does to a difference."""
+    """Largest relative error beyond the round-off of a difference."""
     error = np.maximum(np.abs(found - expected) - uncertain, 0.0)
     return float((error / np.maximum(np.abs(expected), 1e-300)).max())
 
 
-def test_directional_derivatives(fmu, joint):
+def test_directional_derivatives_match_differences(fmu, joint):
     knowns, unknowns = names(fmu, joint)
     values = place(fmu, joint)
     c, moved = (initialising(fmu, values) for _ in range(2))
@@ -123,8 +123,8 @@ def test_directional_derivatives(fmu, joint):
             assert list(tangent(fmu, other, unknowns, later)) == list(found)
 
 
-def test_directional_derivatives_before_the_steady_start(fmu, joint):
-    """States and all that is made of them follow what they begin with."""
+def test_directional_derivatives_match_before_the_steady_start(fmu, joint):
+    """States and everything derived from them depend on their start values."""
     knowns, unknowns = names(fmu, joint)
     unknowns += [name for name, start in states_of(fmu).items() if start in knowns]
     values = place(fmu, joint)
@@ -139,8 +139,8 @@ def test_directional_derivatives_before_the_steady_start(fmu, joint):
         assert worst(found, *difference(at, values[known])) <= 2e-6, known
 
 
-def test_directional_derivatives_where_a_step_has_ended(fmu, joint):
-    """The states are held fixed there, wherever they have been moved to."""
+def test_directional_derivatives_match_at_the_end_of_a_step(fmu, joint):
+    """The states are fixed there, at their values after the step."""
     knowns, unknowns = names(fmu, joint)
     values = place(fmu, joint)
     slave = initialising(fmu, values, kind=1)
@@ -151,7 +151,7 @@ def test_directional_derivatives_where_a_step_has_ended(fmu, joint):
     places = [begun.get(name, name) for name in knowns]
     reached = dict(zip(knowns, fmu.get(slave, *places), strict=True))
     c = initialising(fmu, reached)
-    # To the last bit but one: a step computes its end in another order than an evaluation does.
+    # To one ulp: a step computes its end in another order than an evaluation does.
     assert fmu.get(slave, *unknowns) == pytest.approx(fmu.get(c, *unknowns), rel=1e-14, abs=0.0)
     for known, place_of_it in zip(knowns, places, strict=True):
         moved = tangent(fmu, slave, unknowns, {place_of_it: 1.0})
@@ -171,10 +171,10 @@ def test_derivatives_are_linear_in_their_direction(fmu, joints):
     scale = np.abs(first) + np.abs(second)
     together = tangent(fmu, c, unknowns, both)
     assert (np.abs(together - (2.0 * first - 3.0 * second)) <= 1e-9 * scale).all()
-    # A joint does not feel what another one does.
+    # A joint does not depend on another one.
     elsewhere = {k: v for k, v in one.items() if k not in parts[0][0]}
     assert not tangent(fmu, c, parts[0][1], elsewhere).any()
-    # Of a variable that is named twice both components count.
+    # A variable listed twice contributes with both components.
     twice = fmu.references(["dq[1]", "dq[1]"])
     result = (ctypes.c_double * 1)()
     unknown = fmu.references(["tau[1]"])
@@ -183,7 +183,7 @@ def test_derivatives_are_linear_in_their_direction(fmu, joints):
     assert result[0] == tangent(fmu, c, ["tau[1]"], {"dq[1]": 1.0})[0]
 
 
-def test_a_signal_that_is_at_rest_has_the_slope_of_no_sign(fmu, joints):
+def test_a_signal_at_rest_has_a_slope_without_sign(fmu, joints):
     joint = joints["viscous"]
     c = fmu.ready()
     assert tangent(fmu, c, [f"tau[{joint}]"], {f"dq[{joint}]": 1.0}) == [0.0]
@@ -201,7 +201,7 @@ def test_a_signal_that_is_at_rest_has_the_slope_of_no_sign(fmu, joints):
         ("tau[2]", "discretisation", "there is no variable of this type with value reference {}."),
     ],
 )
-def test_what_has_no_derivative(fmu, unknown, known, reason):
+def test_undifferentiable_variables_are_refused(fmu, unknown, known, reason):
     c = fmu.ready()
     result = (ctypes.c_double * 1)(7.0)
     arguments = (fmu.references([unknown]), 1, fmu.references([known]), 1, result, result)
@@ -225,8 +225,8 @@ def stepping(fmu, joint, discretisation):
 
 
 @pytest.mark.parametrize("discretisation", [1, 2], ids=["exact", "euler"])
-def test_slope_of_the_whole_step(fmu, joint, discretisation):
-    """dtau_ddq is how tau would have changed with the velocity that was held over the step."""
+def test_the_slope_is_that_of_the_whole_step(fmu, joint, discretisation):
+    """dtau_ddq is the change of tau with the velocity held over the step."""
     dq, tau, slope = (f"{kind}[{joint}]" for kind in ("dq", "tau", "dtau_ddq"))
     c = stepping(fmu, joint, discretisation)
     state = ctypes.c_void_p()
@@ -245,8 +245,8 @@ def test_slope_of_the_whole_step(fmu, joint, discretisation):
     fmu("FreeFMUstate", c, ctypes.byref(state))
 
 
-def test_slope_of_a_step_whose_input_has_a_slope(fmu, joints):
-    """Also where the velocity changes its sign on the way."""
+def test_the_slope_includes_input_derivatives(fmu, joints):
+    """Also if the velocity changes sign within the step."""
     joint = joints["lugre"]
     dq, tau, slope = (f"{kind}[{joint}]" for kind in ("dq", "tau", "dtau_ddq"))
     c, state = stepping(fmu, joint, 1), ctypes.c_void_p()
@@ -268,7 +268,7 @@ def test_slope_of_a_step_whose_input_has_a_slope(fmu, joints):
     fmu("FreeFMUstate", c, ctypes.byref(state))
 
 
-def test_slope_before_the_first_step_is_that_with_the_states_at_rest(fmu, joints):
+def test_the_slope_before_the_first_step_holds_the_states(fmu, joints):
     for joint in joints.values():
         c = stepping(fmu, joint, 1)
         slope = tangent(fmu, c, [f"tau[{joint}]"], {f"dq[{joint}]": 1.0})

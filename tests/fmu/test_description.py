@@ -1,4 +1,4 @@
-"""modelDescription.xml and the documentation say what the FMU is."""
+"""modelDescription.xml and the documentation describe the FMU correctly."""
 
 import math
 import zipfile
@@ -61,7 +61,7 @@ def test_every_law_has_the_same_connectors(law, make_model, tmp_path):
     ]
 
 
-def test_outputs_depend_on_what_the_law_uses_and_nothing_else(make_law, make_model, tmp_path):
+def test_outputs_depend_exactly_on_the_inputs_of_the_law(make_law, make_model, tmp_path):
     model = make_model(make_law("lugre"), make_law("viscous"))
     about = described(export_fmu(model, tmp_path / "F.fmu"))
     assert indices(about.outputs) == ["tau[1]", "tau[2]", "dtau_ddq[1]", "dtau_ddq[2]"]
@@ -96,7 +96,7 @@ def test_states_are_calculated_and_linked_to_their_derivatives(make_law, make_mo
     assert variables["der(x2[1])"].unit == "1/s"
 
 
-def test_parameters(table1, table1_fmu):
+def test_parameters_are_the_coefficients(table1, table1_fmu):
     about = described(table1_fmu)
     variables = {v.name: v for v in about.modelVariables}
     for joint, law in enumerate(table1.laws, start=1):
@@ -127,11 +127,11 @@ def test_units_are_defined_in_si(table1_fmu):
         ("s/rad", {"s": 1, "rad": -1}),
     ],
 )
-def test_si_exponents(unit, exponents):
+def test_si_exponents_are_right(unit, exponents):
     assert si_exponents(unit) == exponents
 
 
-def test_quantities_and_units_for_people(table1_fmu):
+def test_quantities_and_display_units_are_given(table1_fmu):
     about = described(table1_fmu)
     variables = {v.name: v for v in about.modelVariables}
     shown = {
@@ -145,12 +145,12 @@ def test_quantities_and_units_for_people(table1_fmu):
     assert (degrees.name, degrees.factor * math.pi) == ("deg", pytest.approx(180.0, rel=1e-15))
 
 
-def test_the_sign_of_the_torque_is_said(table1_fmu):
+def test_the_sign_of_the_torque_is_documented(table1_fmu):
     (tau,) = (v for v in described(table1_fmu).modelVariables if v.name == "tau[1]")
     assert tau.description.endswith(": what the drive must deliver, a plant subtracts it")
 
 
-def test_signals_have_their_size_in_the_training(make_law, make_model, tmp_path):
+def test_nominal_values_are_those_of_training(make_law, make_model, tmp_path):
     seen = TrainedRange(
         dq=(-0.5, 1.234), q=(-1.0, 1.0), tau_load=(-40.4, 3.0), tau=(-12.34, 3.0), sample_time=0.005
     )
@@ -177,7 +177,7 @@ def test_every_law_has_its_factors(fmi, make_law, make_model, tmp_path):
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_author_and_licence_are_the_owners(fmi, make_law, make_model, tmp_path):
+def test_author_and_licence_are_those_of_the_owner(fmi, make_law, make_model, tmp_path):
     owner = {"author": "A & B", "license": "Apache-2.0"}
     whose = {"mine": make_model(make_law("viscous"), provenance={"owner": owner})}
     whose["unknown"] = make_model(make_law("viscous"))
@@ -190,7 +190,7 @@ def test_author_and_licence_are_the_owners(fmi, make_law, make_model, tmp_path):
         assert found == expected
 
 
-def test_fmus_of_nothing_but_our_code_are_ours():
+def test_fmus_of_our_code_only_have_our_licence():
     about = velocity(1).about
     assert about.owner.known == {
         "author": "The HESR authors", "license": "MIT",
@@ -198,7 +198,7 @@ def test_fmus_of_nothing_but_our_code_are_ours():
     }  # fmt: skip
 
 
-def test_fmus_of_nothing_but_our_code_have_the_date_of_the_version():
+def test_fmus_of_our_code_only_have_the_date_of_the_version():
     citation = Path(__file__).parents[2].joinpath("CITATION.cff").read_text(encoding="utf-8")
     assert f'date-released: "{velocity(1).about.created.removesuffix("T00:00:00Z")}"' in citation
 
@@ -208,14 +208,14 @@ def test_unknown_units_are_refused():
         si_exponents("lbf.ft")
 
 
-def test_experiment(table1_fmu):
+def test_the_default_experiment_is_given(table1_fmu):
     about = described(table1_fmu)
     experiment = about.defaultExperiment
     assert (experiment.startTime, experiment.stopTime, experiment.stepSize) == ("0", "5", "0.005")
     assert about.generationDateAndTime.endswith("Z")
 
 
-def test_documentation_says_what_a_user_needs(table1, table1_fmu):
+def test_the_documentation_is_complete(table1, table1_fmu):
     with zipfile.ZipFile(table1_fmu) as archive:
         page = archive.read("documentation/index.html").decode()
         licence = archive.read("documentation/licenses/license.txt").decode()
@@ -235,7 +235,7 @@ def test_text_of_a_model_is_escaped(make_law, make_model, tmp_path):
     assert root.find("CoSimulation").get("modelIdentifier") == "friction_a_b_c"
 
 
-def test_licence_is_that_of_the_project(request):
+def test_the_licence_is_that_of_the_project(request):
     root = request.config.rootpath
     own = (root / "LICENSE").read_text(encoding="utf-8")
     assert (root / "fmu_src/pages/templates/license.txt").read_text(encoding="utf-8") == own

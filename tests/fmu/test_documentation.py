@@ -1,4 +1,4 @@
-"""documentation/index.html: well formed, of itself alone, and right in what it says."""
+"""documentation/index.html: well formed, self-contained and correct."""
 
 import re
 import zipfile
@@ -28,7 +28,7 @@ HOSTILE = '<script>alert("x")</script> & \'"<img src=x onerror=y>'
 
 
 class Page(HTMLParser):
-    """A page whose elements must all be closed in their order."""
+    """A page whose elements must be closed in order."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -78,7 +78,7 @@ def fitted(registry_models: dict[str, FrictionModel]) -> dict[str, FrictionModel
 
 
 def check(text: str, *, alive: bool = False) -> Page:
-    """A page that needs nothing but itself; it has scripts only if it is alive."""
+    """A self-contained page; it has scripts only with a live section."""
     page = Page(text)
     assert page.tags.count("h1") == 1
     assert ("script" in page.tags) == alive
@@ -96,8 +96,8 @@ def check(text: str, *, alive: bool = False) -> Page:
     return page
 
 
-def test_header_cells_say_what_they_head() -> None:
-    """In every page that is made of a template; none of them is empty."""
+def test_header_cells_have_a_scope() -> None:
+    """In every page made from a template; no header cell is empty."""
     cells = [
         (template.name, *cell)
         for template in (*TEMPLATES.glob("*.j2"), *MODELICA.glob("*.j2"))
@@ -108,7 +108,7 @@ def test_header_cells_say_what_they_head() -> None:
     assert [c for c in cells if not re.search(r'scope="(col|row)"', c[1]) or c[2]] == []
 
 
-def test_page_of_every_registered_law(fitted: dict[str, FrictionModel]) -> None:
+def test_pages_of_registered_laws_are_complete(fitted: dict[str, FrictionModel]) -> None:
     assert set(fitted) == set(everyday())
     for name, model in fitted.items():
         text = page_of(model)
@@ -124,7 +124,7 @@ def test_page_of_every_registered_law(fitted: dict[str, FrictionModel]) -> None:
         assert len(text) < 120_000
 
 
-def test_page_of_laws_made_by_hand(
+def test_pages_of_hand_written_laws_are_complete(
     law: FrictionLaw, make_model: Callable[..., FrictionModel]
 ) -> None:
     page = check(page_of(make_model(law, law)))
@@ -139,10 +139,10 @@ def test_every_joint_has_its_equation(table1: FrictionModel) -> None:
     assert Page(text).tags.count("math") > 30
 
 
-def test_page_of_table_1(table1: FrictionModel) -> None:
+def test_the_page_of_table_1_is_complete(table1: FrictionModel) -> None:
     page = check(page_of(table1))
     assert page.text.count("unknown") >= 4
-    # The audit and the cost of holding inputs, as measured before.
+    # The audit and the cost of held inputs, as measured earlier.
     for figures in ("12.4 J", "20.6 J", "−0.68 to 0.81", "6557", "−4730", "2282"):
         assert figures in page.text
     for cell in ("0.67 / 1.9", "1.43 / 4.5", "0.20 / 0.5", "0.00 / 0.00"):
@@ -152,7 +152,7 @@ def test_page_of_table_1(table1: FrictionModel) -> None:
     assert "q[i] , tau_load[i] , which may remain unconnected" in page.text
 
 
-def test_names_of_a_model_are_text(table1: FrictionModel) -> None:
+def test_names_of_a_model_are_escaped(table1: FrictionModel) -> None:
     model = replace(
         table1,
         robot=HOSTILE,
@@ -182,7 +182,7 @@ def test_events_are_those_of_the_law(
     assert "axis_2: at the zeros" not in page.text
 
 
-def test_what_cannot_be_measured_is_said(
+def test_unmeasurable_values_are_reported(
     make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
 ) -> None:
     stiff = replace(make_law("lugre"), discretisation="euler")
@@ -194,18 +194,18 @@ def test_what_cannot_be_measured_is_said(
     assert "Not audited" in check(page_of(make_model(wild))).text
 
 
-def test_largest_rates(make_law: Callable[[str], FrictionLaw]) -> None:
+def test_the_largest_rates_are_right(make_law: Callable[[str], FrictionLaw]) -> None:
     seen = TrainedRange(
         sample_time=0.01, dq=(-0.5, 1.5), q=(0.0, 1.0), tau_load=(0.0, 0.0), tau=(-1.0, 1.0)
     )
-    # Where sliding is fast, the level is that of Coulomb.
+    # In fast sliding the level is that of Coulomb friction.
     assert fastest(make_law("lugre"), seen)["z"] == pytest.approx(2.0e3 * 1.5 / 9.0, rel=1e-6)
     assert fastest(make_law("elements"), seen) == pytest.approx({"x1": 90.0, "x2": 10.5})
     assert fastest(make_law("viscous"), seen) == {}
 
 
 @pytest.mark.parametrize(("limit", "stages"), [(RK4, 4), (EULER, 1)])
-def test_limits_of_the_solvers(limit: float, stages: int) -> None:
+def test_step_limits_of_the_solvers_are_right(limit: float, stages: int) -> None:
     def grown(z: float) -> float:
         term = total = 1.0
         for k in range(1, stages + 1):
@@ -220,11 +220,11 @@ def test_limits_of_the_solvers(limit: float, stages: int) -> None:
     ("value", "shown"),
     [(None, "–"), (0.0, "0"), (-0.0, "0"), (250.4, "250"), (-2.128, "−2.13"), (1.0e-7, "1e−07")],
 )
-def test_figures(value: float | None, shown: str) -> None:
+def test_figures_are_included(value: float | None, shown: str) -> None:
     assert figure(value, 3) == shown
 
 
-def test_the_page_is_in_the_fmu_and_the_same_each_time(
+def test_the_page_is_in_the_fmu_and_reproducible(
     table1: FrictionModel, table1_fmu: Path, tmp_path: Path
 ) -> None:
     with zipfile.ZipFile(table1_fmu) as archive:

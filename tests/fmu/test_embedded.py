@@ -1,4 +1,4 @@
-"""The model that an FMU carries beside its code."""
+"""The model embedded in an FMU."""
 
 import json
 import zipfile
@@ -27,7 +27,7 @@ STRUCTURE = {
 
 
 def model() -> FrictionModel:
-    """Everything that a model can hold."""
+    """A model with all optional parts."""
     form = estimator("parfam_hx").form(STRUCTURE)
     values = {c.name: 0.1 + 0.01 * k for k, c in enumerate(form.coefficients)}
     law = FrictionLaw(
@@ -64,23 +64,23 @@ def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export_fmu(model(), tmp_path_factory.mktemp("embedded") / "Friction.fmu")
 
 
-def test_the_model_comes_back_as_it_went_in(fmu: Path) -> None:
+def test_the_embedded_model_is_unchanged(fmu: Path) -> None:
     assert embedded_model(fmu) == model()
 
 
-def test_an_fmu_of_the_model_that_came_back_is_the_same(fmu: Path, tmp_path: Path) -> None:
+def test_the_fmu_of_an_extracted_model_is_identical(fmu: Path, tmp_path: Path) -> None:
     found = embedded_model(fmu)
     assert found is not None
     again = export_fmu(found, tmp_path / "Friction.fmu")
     assert again.read_bytes() == fmu.read_bytes()
 
 
-def test_the_published_model_comes_back(table1: FrictionModel, table1_fmu: Path) -> None:
+def test_the_published_model_is_extracted(table1: FrictionModel, table1_fmu: Path) -> None:
     assert embedded_model(table1_fmu) == table1
 
 
 def changed(fmu: Path, target: Path, change: Callable[[bytes], bytes | None]) -> Path:
-    """The FMU with another model in it, or with none."""
+    """The FMU with another model or without one."""
     with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(target, "w") as new:
         for name in old.namelist():
             data: bytes | None = old.read(name)
@@ -91,7 +91,7 @@ def changed(fmu: Path, target: Path, change: Callable[[bytes], bytes | None]) ->
     return target
 
 
-def test_an_fmu_that_carries_none_gives_none(fmu: Path, tmp_path: Path) -> None:
+def test_an_fmu_without_a_model_gives_none(fmu: Path, tmp_path: Path) -> None:
     assert embedded_model(changed(fmu, tmp_path / "bare.fmu", lambda _: None)) is None
 
 
@@ -129,7 +129,7 @@ def test_a_damaged_model_names_the_fmu(
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_no_fmu_is_refused(fmu: Path, tmp_path: Path) -> None:
+def test_other_files_than_fmus_are_refused(fmu: Path, tmp_path: Path) -> None:
     missing, text, cut = (tmp_path / name for name in ("missing.fmu", "text.fmu", "cut.fmu"))
     text.write_text("no archive", encoding="utf-8")
     cut.write_bytes(fmu.read_bytes()[:2000])

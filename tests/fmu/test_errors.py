@@ -1,4 +1,4 @@
-"""What a host does wrong ends in an error with a reason, never in a crash or a wrong number."""
+"""Mistakes of a host give an error with a reason, never a crash or a wrong number."""
 
 import ctypes
 import math
@@ -15,7 +15,7 @@ OK, DISCARD, ERROR = 0, 2, 3
 
 
 def told(fmu):
-    """The one message since the last call of this."""
+    """The single message since the last call of this function."""
     (message,) = fmu.messages
     fmu.messages.clear()
     return message
@@ -23,12 +23,12 @@ def told(fmu):
 
 def assert_refused(fmu, text):
     message = told(fmu)
-    said = message.text.replace("-nan", "nan")  # which of them is up to processor and compiler
+    said = message.text.replace("-nan", "nan")  # the sign of NaN depends on processor and compiler
     assert message._replace(text=said) == (4711, "one", text, DISCARD, "logStatusDiscard")
 
 
 def assert_failed(fmu, c, text):
-    """Only reading, reset, restoring a state and freeing are left."""
+    """Only reading, reset, restoring a state and freeing remain allowed."""
     assert told(fmu) == (4711, "one", text, ERROR, "logStatusError")
     assert fmu.step(c, 0.0, 0.005) == ERROR
     assert told(fmu).text == "fmi2DoStep is not allowed in this state of the instance."
@@ -41,7 +41,7 @@ def assert_failed(fmu, c, text):
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("name", ["dq[2]", "joint[3].alpha"])
-def test_values_that_are_not_finite(binary, name, value):
+def test_non_finite_values_are_refused(binary, name, value):
     c, other = binary.ready(), binary.ready()
     assert binary.set_all(c, {name: value}) == DISCARD
     assert_refused(binary, f"fmi2SetReal: {name} is {value:g}; a finite number is needed.")
@@ -52,14 +52,14 @@ def test_values_that_are_not_finite(binary, name, value):
     assert binary.get(c, *outputs) == binary.get(other, *outputs)
 
 
-def test_a_call_takes_all_its_values_or_none(binary):
+def test_a_call_sets_all_values_or_none(binary):
     c = binary.ready()
     assert binary.set_all(c, {"dq[1]": 0.5, "dq[2]": math.nan}) == DISCARD
     assert binary.get(c, "dq[1]") == [0.0]
 
 
 @pytest.mark.parametrize("step", [0.0, -0.005, math.nan, math.inf])
-def test_steps_that_are_not_positive(binary, step):
+def test_non_positive_steps_are_refused(binary, step):
     c = binary.ready()
     assert binary.step(c, 1.25, step) == ERROR
     text = f"fmi2DoStep: the step is {step:g} s from time 1.25 s; it must be positive."
@@ -71,8 +71,8 @@ def slopes(fmu, c, value, name="dq[1]", order=1):
     return fmu("SetRealInputDerivatives", c, fmu.references([name]), 1, *arguments)
 
 
-def test_euler_with_a_step_that_is_too_long(binary):
-    """A shorter step may follow, as if nothing had been asked for."""
+def test_euler_refuses_long_steps(binary):
+    """A shorter step may follow as if the long one had not been requested."""
     c, other = binary.ready(), binary.ready()
     for each in (c, other):
         assert binary.set(each, dq=0.4) == OK
@@ -91,8 +91,8 @@ def test_euler_with_a_step_that_is_too_long(binary):
     assert binary.get(c, "dq[1]") == [pytest.approx(0.4 + 0.5 * 0.005)]
 
 
-def test_a_step_that_is_refused_again_and_again(binary):
-    """Hosts that repeat it would not end; those that try another one go on."""
+def test_repeated_refusals_become_an_error(binary):
+    """Hosts that repeat a discarded step would not end; those that shorten it continue."""
     text = (
         "h[1]: Euler needs rate * step < 1 but found 1.137 at dq[1] = 0; take a smaller step or "
         "the exact discretisation."
@@ -106,7 +106,7 @@ def test_a_step_that_is_refused_again_and_again(binary):
     assert_failed(binary, c, f"{text} This step has been asked for 11 times.")
 
 
-def test_a_step_that_is_taken_ends_the_count_of_refusals(binary):
+def test_a_successful_step_resets_the_count_of_refusals(binary):
     c = binary.ready()
     for _ in range(3):
         for _ in range(6):
@@ -114,7 +114,7 @@ def test_a_step_that_is_taken_ends_the_count_of_refusals(binary):
         assert binary.step(c, 0.0, 0.005) == OK
 
 
-def test_fmpy_ends_where_every_step_is_refused(tmp_path):
+def test_fmpy_ends_if_every_step_is_refused(tmp_path):
     fmu = export_bare(FrictionModel.read(model_file("uf850-table1")), tmp_path / "Friction.fmu")
     told = []
     with pytest.raises(FMICallException):
@@ -123,24 +123,24 @@ def test_fmpy_ends_where_every_step_is_refused(tmp_path):
     assert told[-1].endswith(b"This step has been asked for 11 times.")
 
 
-def test_a_rate_that_is_negative_counts_as_zero(binary):
+def test_negative_rates_are_treated_as_zero(binary):
     c = binary.ready()
     binary.set_all(c, {"dq[2]": 0.4})
     assert binary.step(c, 0.0, 0.005) == OK
     [before] = binary.get(c, "h[2]")
     binary.set_all(c, {"joint[2].alpha": -3.0, "dq[2]": 0.0})
-    for k in range(1, 201):  # a rate of -3 would make it e^3 times as large
+    for k in range(1, 201):  # a rate of -3 would multiply it by e^3
         assert binary.step(c, 0.005 * k, 0.005) == OK
     assert binary.get(c, "h[2]", "der(h[2])") == [before, 0.0]
 
 
 @pytest.fixture
 def exploding(make_law, make_model, load, tmp_path):
-    """An FMU whose output can become infinite."""
+    """An FMU whose output can overflow."""
     return load(export_bare(make_model(make_law("parfam_exp")), tmp_path / "F.fmu"))
 
 
-def test_outputs_that_become_infinite_in_a_step(exploding):
+def test_infinite_outputs_after_a_step_are_discarded(exploding):
     c = exploding.ready()
     exploding.set(c, dq=1e4)
     assert exploding.step(c, 2.0, 0.005) == ERROR
@@ -149,7 +149,7 @@ def test_outputs_that_become_infinite_in_a_step(exploding):
     assert exploding.set(c, dq=0.0) == ERROR
 
 
-def test_outputs_that_are_infinite_at_the_start(exploding):
+def test_infinite_outputs_at_the_start_are_errors(exploding):
     for kind in (0, 1):
         c = exploding.instantiate(kind=kind)
         exploding.set(c, dq=1e4)
@@ -163,7 +163,7 @@ def test_outputs_that_are_infinite_at_the_start(exploding):
         assert told(exploding) == message
 
 
-def test_outputs_that_are_infinite_for_a_solver(exploding):
+def test_infinite_outputs_are_discarded_for_a_solver(exploding):
     """It can try a shorter step."""
     c = exploding.continuous({"dq[1]": 1.0})
     exploding.set(c, dq=1e4)
@@ -182,7 +182,7 @@ def test_outputs_that_are_infinite_for_a_solver(exploding):
 
 @pytest.fixture
 def steep(make_law, make_model, load, tmp_path):
-    """An FMU whose torque is finite where its slope is not: exp(-dq^2) dq is 0 times inf."""
+    """An FMU with a finite torque and a non-finite slope: exp(-dq^2) dq is 0 times inf."""
     return load(export_bare(make_model(make_law("lugre")), tmp_path / "F.fmu"))
 
 
@@ -198,7 +198,7 @@ def slope_of(fmu, c):
     return fmu("GetReal", c, fmu.references(["tau[1]", "dtau_ddq[1]"]), 2, values), list(values)
 
 
-def test_slopes_that_are_not_finite(steep):
+def test_non_finite_slopes_are_reported(steep):
     c = steep.ready()
     assert steep.step(c, 0.0, 0.005) == OK
     steep.set(c, dq=1e160)
@@ -214,12 +214,12 @@ def test_slopes_that_are_not_finite(steep):
     assert derivative(steep, c, 1.0)[0] == OK
 
 
-def test_slopes_that_are_not_finite_for_a_solver(steep):
+def test_non_finite_slopes_are_discarded_for_a_solver(steep):
     c = steep.continuous({"dq[1]": 1e160})
     assert slope_of(steep, c) == (DISCARD, [4.0, 5.0])
     assert_refused(steep, "dtau_ddq[1] became nan at time 0.")
     steep.set(c, dq=0.1)
-    assert slope_of(steep, c)[0] == DISCARD  # that of the last event still
+    assert slope_of(steep, c)[0] == DISCARD  # still that of the last event
     steep.messages.clear()
     assert derivative(steep, c, 1.0)[0] == OK
     steep.event(c)
@@ -227,7 +227,7 @@ def test_slopes_that_are_not_finite_for_a_solver(steep):
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_directions_that_are_not_finite(steep, value):
+def test_non_finite_directions_are_refused(steep, value):
     c = steep.ready()
     assert derivative(steep, c, value) == (DISCARD, [4.0, 5.0])
     assert_refused(steep, f"fmi2GetDirectionalDerivative: dq[1] is {value:g}; a finite number is "
@@ -235,7 +235,7 @@ def test_directions_that_are_not_finite(steep, value):
     assert derivative(steep, c, 1.0)[0] == OK
 
 
-def test_slopes_of_inputs(binary):
+def test_invalid_input_derivatives_are_refused(binary):
     for name, order in (("tau[1]", 1), ("joint[1].alpha", 1), ("dq[1]", 2), ("dq[1]", 0)):
         c = binary.ready()
         assert slopes(binary, c, 1.0, name, order) == ERROR
@@ -261,13 +261,13 @@ def test_slopes_of_inputs(binary):
         ({"name": None}, "the instance has no name"),
     ],
 )
-def test_instantiation_that_is_refused(binary, change, reason):
+def test_invalid_instantiation_is_refused(binary, change, reason):
     assert binary.instantiate(**change) is None
     assert reason in binary.messages[-1][2]
     assert binary.instantiate(host=None, **change) is None
 
 
-def test_hosts_without_a_logger(binary):
+def test_a_logger_is_optional(binary):
     c = binary.ready(host=None)
     assert binary.set(c, dq=math.nan) == DISCARD
     binary("FreeInstance", c)
@@ -277,7 +277,7 @@ def test_hosts_without_a_logger(binary):
     assert binary.step(c, 0.0, 0.0) == ERROR
 
 
-def test_integration_is_chosen_before_the_start_and_among_what_there_is(binary):
+def test_integration_is_chosen_before_the_start(binary):
     vr, value = binary.references(["discretisation"]), (ctypes.c_int * 1)(3)
     c = binary.instantiate()
     assert binary("SetInteger", c, vr, 1, value) == ERROR
@@ -290,7 +290,7 @@ def test_integration_is_chosen_before_the_start_and_among_what_there_is(binary):
     assert value[0] == 2
 
 
-def test_unknown_value_references_and_types(binary):
+def test_unknown_value_references_and_types_are_refused(binary):
     values = (ctypes.c_double * 1)()
     for reference in (100000, 0xFFFFFFFF, binary.vr["discretisation"]):
         for function in ("GetReal", "SetReal"):
@@ -305,13 +305,13 @@ def test_unknown_value_references_and_types(binary):
         assert_failed(binary, c, f"fmi2{function}: there are no variables of this type.")
 
 
-def test_the_end_of_the_experiment(binary):
+def test_steps_beyond_the_end_of_the_experiment_are_refused(binary):
     c = binary.instantiate()
     binary("SetupExperiment", c, 0, 0.0, 0.0, 1, 0.3)
     binary("EnterInitializationMode", c)
     binary("ExitInitializationMode", c)
     time = 0.0
-    for _ in range(3):  # 0.1 + 0.1 + 0.1 is more than 0.3
+    for _ in range(3):  # 0.1 + 0.1 + 0.1 exceeds 0.3
         assert binary.step(c, time, 0.1 * 0.5) == OK
         assert binary.step(c, time + 0.05, 0.05) == OK
         time += 0.1
@@ -324,7 +324,7 @@ def test_the_end_of_the_experiment(binary):
 @pytest.mark.parametrize(
     ("beyond", "status"), [(0.0009, OK), (0.0011, ERROR), (0.5, ERROR), (0.99, ERROR)]
 )
-def test_a_step_may_pass_the_end_by_a_thousandth_of_itself(binary, beyond, status):
+def test_a_step_may_pass_the_end_by_a_thousandth(binary, beyond, status):
     c = binary.instantiate()
     binary("SetupExperiment", c, 0, 0.0, 0.0, 1, 0.25)
     binary("EnterInitializationMode", c)
@@ -332,13 +332,13 @@ def test_a_step_may_pass_the_end_by_a_thousandth_of_itself(binary, beyond, statu
     assert binary.step(c, 0.245 + beyond * 0.005, 0.005) == status
 
 
-def test_an_experiment_that_ends_before_it_starts(binary):
+def test_an_experiment_must_not_end_before_it_starts(binary):
     c = binary.instantiate()
     assert binary("SetupExperiment", c, 0, 0.0, 1.0, 1, 0.5) == ERROR
     assert "goes from 1 to 0.5" in binary.messages[-1][2]
 
 
-def test_status_of_a_slave_that_is_never_asynchronous(binary):
+def test_asynchronous_status_is_refused(binary):
     c = binary.ready()
     binary.step(c, 0.0, 0.005)
     time, ended = ctypes.c_double(), ctypes.c_int(7)
@@ -350,7 +350,7 @@ def test_status_of_a_slave_that_is_never_asynchronous(binary):
     assert binary("CancelStep", c) == ERROR
 
 
-def test_messages_of_events_are_for_hosts_that_want_them(binary):
+def test_event_messages_are_optional(binary):
     def run(c):
         binary.messages.clear()
         for function in ("EnterInitializationMode", "ExitInitializationMode", "Terminate", "Reset"):
@@ -373,7 +373,7 @@ def test_messages_of_events_are_for_hosts_that_want_them(binary):
         assert (run(c), run(quiet)) == ([], everything)
         assert choose(c, 1, *names) == choose(quiet, 0, *names) == OK
         assert (run(c), run(quiet)) == (everything, [])
-    # Errors are always told.
+    # Errors are always logged.
     assert choose(quiet, 0, b"logStatusError", b"logStatusDiscard") == OK
     assert binary("Terminate", quiet) == ERROR
     assert told(binary).category == "logStatusError"

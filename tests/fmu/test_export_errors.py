@@ -20,7 +20,7 @@ from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.support.files import models_folder
 
 
-def test_joints_with_different_integration(make_law, make_model, tmp_path):
+def test_joints_with_different_integration_are_refused(make_law, make_model, tmp_path):
     one = make_law("parfam_tanh")
     model = make_model(one, replace(one, discretisation="euler"))
     with pytest.raises(ExportError, match="both exact and Euler"):
@@ -31,7 +31,7 @@ def test_joints_with_different_integration(make_law, make_model, tmp_path):
     ("name", "unit", "reason"),
     [("a b", "1", "not a structured name"), ("a", "furlong", "'furlong' is unknown")],
 )
-def test_laws_that_fmi_cannot_name(make_model, tmp_path, name, unit, reason):
+def test_names_invalid_in_fmi_are_refused(make_model, tmp_path, name, unit, reason):
     own = Coefficient(name=name, unit=unit, description="odd")
     form = LawForm(coefficients=(own,), output=own.symbol * DQ)
     law = FrictionLaw(name="odd", form=form, values={name: 1.0})
@@ -39,13 +39,13 @@ def test_laws_that_fmi_cannot_name(make_model, tmp_path, name, unit, reason):
         export_fmu(make_model(law), tmp_path / "F.fmu")
 
 
-def test_states_that_are_named_as_the_output():
+def test_states_named_like_the_output_are_refused():
     state = Relaxation(name="tau", unit="1", drive=DQ, rate=sympy.Integer(1))
     with pytest.raises(ArtifactError, match=r"^friction law: 'tau' is used twice among"):
         LawForm(coefficients=(), memory=(state,), output=state.state)
 
 
-def test_states_that_are_named_as_another_variable(make_model, tmp_path):
+def test_states_named_like_another_variable_are_refused(make_model, tmp_path):
     state = Relaxation(name="dtau_ddq", unit="1", drive=DQ, rate=sympy.Integer(1))
     form = LawForm(coefficients=(), memory=(state,), output=state.state)
     law = FrictionLaw(name="odd", form=form, values={})
@@ -68,7 +68,7 @@ def test_a_torque_that_is_not_finite_has_no_data_sheet(make_model):
 ARM = models_folder() / "uf850" / "uf850.xml"
 
 
-def test_an_arm_is_for_the_platforms_of_its_libraries_only(tmp_path):
+def test_an_arm_supports_only_the_platforms_of_its_libraries(tmp_path):
     content = arm(signals_of(ARM), name="UF850", source=ARM.read_bytes(), platforms=["linux64"])
     with pytest.raises(ExportError) as caught:
         write_fmu(content, tmp_path / "Arm.fmu", platforms=("win64",))

@@ -1,4 +1,4 @@
-"""A model that is exported again, or by many at once: the same bytes, and made once."""
+"""Repeated and concurrent exports of a model: same bytes, built once."""
 
 import json
 import multiprocessing
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.ci
 
 
 def hesr(*arguments: object) -> None:
-    """Run the command line in this process, which it ends."""
+    """Run the command line in this process, which it exits."""
     sys.argv = ["hesr", *map(str, arguments)]
     main()
 
@@ -32,14 +32,14 @@ def model(table1, tmp_path):
     return path
 
 
-def test_twenty_exports_at_once_are_those_of_one_after_the_other(model, tmp_path, empty_cache):
+def test_concurrent_exports_equal_sequential_ones(model, tmp_path, empty_cache):
     models, expected = [], []
     for k in range(4):
         data = json.loads(model.read_text())
         data["joints"][0]["coefficients"]["c_0"]["value"] = -2.0 - 0.1 * k
         models.append(tmp_path / f"{k}.json")
         models[k].write_text(json.dumps(data))
-    # Processes of their own, which have imported everything when they come to be.
+    # Separate processes that have finished their imports before they start.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
         ["hesr.cli", "hesr_model.friction.model", "fmu_src.friction.friction_fmu"]
@@ -56,7 +56,7 @@ def test_twenty_exports_at_once_are_those_of_one_after_the_other(model, tmp_path
     assert [process.exitcode for process in processes] == [0] * 20
     kept = [len([p for p in (empty_cache / kind).rglob("*") if p.is_file() and p.name != "lock"])
             for kind in ("binaries", "fmus")]  # fmt: skip
-    assert kept == [9, 4]  # a library and a module of each law, and the one that runs rows
+    assert kept == [9, 4]  # a library and a module per law, and the library that runs rows
 
     for k in range(4):
         for entry in (empty_cache / "binaries").rglob("*"):
@@ -69,9 +69,7 @@ def test_twenty_exports_at_once_are_those_of_one_after_the_other(model, tmp_path
     assert [output.read_bytes() for output in outputs] == expected * 5
 
 
-def test_a_second_export_of_the_same_is_a_copy_and_another_is_made(
-    model, tmp_path, empty_cache, monkeypatch
-):
+def test_only_a_repeated_export_is_a_copy(model, tmp_path, empty_cache, monkeypatch):
     written = []
 
     def export(name="F.fmu", **options):
@@ -98,7 +96,7 @@ def test_a_second_export_of_the_same_is_a_copy_and_another_is_made(
     assert export(platforms=["linux64"]) not in {first, *others}
 
 
-def test_with_a_law_of_another_package_every_export_is_made(
+def test_exports_of_laws_of_other_packages_are_not_cached(
     model, tmp_path, empty_cache, install_plugin
 ):
     install_plugin("hesr.laws", own="my_law")
@@ -109,9 +107,7 @@ def test_with_a_law_of_another_package_every_export_is_made(
 
 
 @pytest.mark.parametrize("home", [None, "/proc"])
-def test_a_home_that_cannot_be_written_does_not_hinder_the_compiler(
-    home, tmp_path, empty_cache, monkeypatch
-):
+def test_an_unwritable_home_does_not_affect_the_compiler(home, tmp_path, empty_cache, monkeypatch):
     private = tmp_path / f"hesr-cache-{os.getuid()}"
     private.mkdir(mode=0o700)
     (private / "zig").symlink_to((empty_cache / "zig").resolve())

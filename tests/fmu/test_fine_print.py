@@ -1,4 +1,4 @@
-"""What modelDescription.xml promises is what the standard wants and what the binary does."""
+"""modelDescription.xml agrees with the standard and with the binary."""
 
 import ctypes
 import zipfile
@@ -30,7 +30,7 @@ SLAVE = COMMON | {
 
 @pytest.fixture(scope="module")
 def fmu_file(every_law, make_model, tmp_path_factory):
-    """An FMU of all laws."""
+    """An FMU with all laws."""
     return export_bare(make_model(*every_law.values()), tmp_path_factory.mktemp("f") / "F.fmu")
 
 
@@ -49,7 +49,7 @@ def scalars(root):
     return root.findall("ModelVariables/ScalarVariable")
 
 
-def test_parts_stand_once_and_in_the_order_of_the_schema(root):
+def test_parts_occur_once_in_the_order_of_the_schema(root):
     assert [part.tag for part in root] == [
         "ModelExchange", "CoSimulation", "UnitDefinitions", "TypeDefinitions", "LogCategories",
         "DefaultExperiment", "ModelVariables", "ModelStructure",
@@ -58,18 +58,18 @@ def test_parts_stand_once_and_in_the_order_of_the_schema(root):
     assert structure == ["Outputs", "Derivatives", "InitialUnknowns"]
 
 
-def test_flags(root):
+def test_capability_flags_are_right(root):
     assert root.find("ModelExchange").attrib == EXCHANGE
     assert root.find("CoSimulation").attrib == SLAVE
 
 
-def test_value_references_count_the_variables(root):
+def test_value_references_number_the_variables(root):
     found = [int(v.get("valueReference")) for v in scalars(root)]
     assert found == list(range(len(found)))
 
 
-def test_kinds_of_variables(root):
-    """Causality, variability and initial value of each are a combination of the standard's."""
+def test_variables_have_valid_attributes(root):
+    """Causality, variability and initial form a combination of the standard."""
     kinds = {
         (v.get("causality"), v.get("variability"), v.get("initial"), v[0].get("start") is not None)
         for v in scalars(root)
@@ -84,7 +84,7 @@ def test_kinds_of_variables(root):
     }
 
 
-def test_unknowns(root):
+def test_unknowns_are_complete(root):
     variables = scalars(root)
     listed = {
         part.tag: [int(unknown.get("index")) for unknown in part]
@@ -107,8 +107,8 @@ def test_unknowns(root):
             assert part.tag == "InitialUnknowns" or "parameter" not in kinds
 
 
-def test_declared_dependencies_are_those_of_the_binary(root, fmu):
-    """No directional derivative leads to an unknown from what it is not said to depend on."""
+def test_declared_dependencies_match_the_binary(root, fmu):
+    """Directional derivatives of undeclared dependencies are zero."""
     variables = [v.get("name") for v in scalars(root)]
     knowns = [v.get("name") for v in scalars(root)
               if (v.get("initial") == "exact" and v.get("variability") != "fixed")
@@ -122,7 +122,7 @@ def test_declared_dependencies_are_those_of_the_binary(root, fmu):
               if v[0].get("derivative")}  # fmt: skip
     for unknown in root.find("ModelStructure/InitialUnknowns"):
         name = variables[int(unknown.get("index")) - 1]
-        if name.startswith("dtau_ddq") or name in states:  # states are knowns from then on
+        if name.startswith("dtau_ddq") or name in states:  # states are knowns after that
             continue
         on = {variables[int(i) - 1] for i in unknown.get("dependencies").split()}
         others = [v for v in knowns if v not in on]
@@ -133,8 +133,8 @@ def test_declared_dependencies_are_those_of_the_binary(root, fmu):
         assert result[0] == 0.0
 
 
-def test_choice_of_the_integration(root):
-    """An Integer: Maestro 3.1.1 loads no FMU with an Enumeration, libcosim sets none."""
+def test_integration_is_an_integer_parameter(root):
+    """An Integer: Maestro 3.1.1 loads no FMU with an Enumeration, libcosim cannot set one."""
     assert "Enumeration" not in {v[0].tag for v in scalars(root)}
     choice, start = (v for v in scalars(root) if v[0].tag == "Integer")
     assert choice.attrib["name"] == "discretisation"
@@ -149,7 +149,7 @@ def test_choice_of_the_integration(root):
     assert (kind[0].tag, kind[0].attrib) == ("Integer", limits)
 
 
-def test_numbers_of_indicators_and_states(root, fmu):
+def test_numbers_of_indicators_and_states_are_right(root, fmu):
     for function, n in (
         ("GetEventIndicators", int(root.get("numberOfEventIndicators"))),
         ("GetContinuousStates", len(root.find("ModelStructure/Derivatives"))),
@@ -161,19 +161,19 @@ def test_numbers_of_indicators_and_states(root, fmu):
             assert fmu(function, c, values, size) == (OK if size == n else ERROR)
 
 
-def test_nominal_values(root, fmu):
+def test_nominal_values_are_given(root, fmu):
     variables = scalars(root)
     derivatives = root.find("ModelStructure/Derivatives")
     places = [int(u.get("index")) - 1 for u in derivatives]
     states = [variables[int(variables[i][0].get("derivative")) - 1] for i in places]
     declared = [float(v[0].get("nominal", "1")) for v in states]
     assert fmu.numbers("GetNominalsOfContinuousStates", fmu.ready(kind=0), len(states)) == declared
-    # LuGre's bristles bend by far less than one radian.
+    # Bristles of LuGre deflect by far less than 1 rad.
     assert 0.0 < min(declared) < 0.02
     assert all(v[0].get("nominal") is None for v in variables if v not in states)
 
 
-def test_log_categories(root, fmu):
+def test_log_categories_are_declared(root, fmu):
     names = [category.get("name") for category in root.find("LogCategories")]
     assert names == ["logEvents", "logStatusDiscard", "logStatusError", "logAll"]
     c = fmu.instantiate()
@@ -181,7 +181,7 @@ def test_log_categories(root, fmu):
     assert fmu("SetDebugLogging", c, 1, 4, array) == OK
 
 
-def test_memory_is_not_taken_from_the_host(fmu_file, load):
+def test_memory_is_not_allocated_by_the_host(fmu_file, load):
     taken = []
     kind = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t, ctypes.c_size_t)
     fmu, allocate = load(fmu_file), kind(lambda n, size: taken.append((n, size)))
@@ -194,7 +194,7 @@ def test_memory_is_not_taken_from_the_host(fmu_file, load):
     assert taken == []
 
 
-def test_outputs_have_no_derivatives_in_time(fmu):
+def test_outputs_have_no_time_derivatives(fmu):
     fmu.messages.clear()
     one = ((ctypes.c_int * 1)(1), (ctypes.c_double * 1)())
     c = fmu.ready()
@@ -202,8 +202,8 @@ def test_outputs_have_no_derivatives_in_time(fmu):
     assert len(fmu.messages) == 1
 
 
-def test_steps_may_be_of_any_length_and_input_derivatives_are_followed(fmu):
-    """A state that does not relax, x' = 60 dq - 60 abs(dq) x, follows from the way alone."""
+def test_steps_of_any_length_follow_input_derivatives(fmu):
+    """A state without relaxation in time, x' = 60 dq - 60 abs(dq) x, depends only on the path."""
     number = next(i for i, v in enumerate(fmu.about.modelVariables) if v.name.startswith("x1["))
     name = fmu.about.modelVariables[number].name
     dq = name.replace("x1", "dq")

@@ -1,4 +1,4 @@
-"""FMI 3.0: the same component behind other calls, through FMPy's importer and fmi-sim."""
+"""FMI 3.0: the same component behind other functions, in FMPy's importer and fmi-sim."""
 
 import re
 import shutil
@@ -43,11 +43,11 @@ BLOCKS: dict[str, Callable[..., Content]] = {
 
 @pytest.fixture(scope="module", params=["Table I", "laws", "registry", *BLOCKS, "body"])
 def pair(request, table1, make_model, make_law, tmp_path_factory) -> tuple[Path, Path]:
-    """The FMU of a component in FMI 2.0 and in 3.0; one friction has every law of the registry."""
+    """The FMU of a component in FMI 2.0 and in 3.0; one has every law of the registry."""
     folder = tmp_path_factory.mktemp("fmi3")
     files = {version: folder / f"F{version}.fmu" for version in (2, 3)}
     laws: FrictionModel | None = {"Table I": table1}.get(request.param)
-    if request.param == "laws":  # with jumps, without parameters of its own, with several states
+    if request.param == "laws":  # with jumps, without own parameters, with several states
         laws = make_model(*map(make_law, ("viscous", "gaussians", "elements")))
     if request.param == "registry":
         models = request.getfixturevalue("registry_models")
@@ -63,7 +63,7 @@ def pair(request, table1, make_model, make_law, tmp_path_factory) -> tuple[Path,
 
 
 class Old:
-    """An FMU of FMI 2.0 by names."""
+    """Access to an FMU of FMI 2.0 by name."""
 
     def __init__(self, fmu: Path, folder: Path) -> None:
         about = read_model_description(str(fmu))
@@ -84,7 +84,7 @@ class Old:
 
 
 class New:
-    """An FMU of FMI 3.0 by names."""
+    """Access to an FMU of FMI 3.0 by name."""
 
     def __init__(
         self, fmu: Path, folder: Path, kind: type = FMU3Slave, *, events: bool = False,
@@ -114,7 +114,7 @@ class New:
 
 
 def elements(new: New, name: str) -> list[str]:
-    """Names in FMI 2.0 of a variable's elements."""
+    """Names in FMI 2.0 of the elements of a variable."""
     shape = [int(d.start) for d in new.variables[name].dimensions]
     if not shape:
         return [name]
@@ -132,19 +132,19 @@ def numbers(new: New, *causalities: str) -> list[str]:
     ]  # fmt: skip
 
 
-def test_every_variable_is_there_once(pair, tmp_path) -> None:
+def test_every_variable_occurs_once(pair, tmp_path) -> None:
     old, new = both(pair, tmp_path)
     known = [e for name in new.variables if name not in ("time", "event_indicator")
              for e in elements(new, name)]  # fmt: skip
     assert sorted(known) == sorted(old.variables)
 
 
-def test_steps_give_the_same_bits(pair, tmp_path) -> None:
+def test_steps_are_bitwise_equal(pair, tmp_path) -> None:
     old, new = both(pair, tmp_path)
     inputs, computed = numbers(new, "input"), numbers(new, "output", "local")
     rng = np.random.default_rng(5)
     moved = set()
-    for name in new.variables:  # a trajectory rests else
+    for name in new.variables:  # otherwise a trajectory stays at rest
         if name.removesuffix("[1,1]") in ("a", "amplitude"):
             values = [0.3] * new.size(name)
             old.set(elements(new, name), values)
@@ -169,7 +169,7 @@ def test_steps_give_the_same_bits(pair, tmp_path) -> None:
     new.fmu.terminate()
 
 
-def test_a_state_comes_back_from_its_bytes(pair, tmp_path) -> None:
+def test_a_state_is_restored_from_its_bytes(pair, tmp_path) -> None:
     _, new = both(pair, tmp_path)
     new.fmu.exitInitializationMode()
     outputs = numbers(new, "output")
@@ -188,7 +188,7 @@ def friction3(table1, tmp_path_factory) -> Path:
     return export_bare(table1, tmp_path_factory.mktemp("friction") / "F3.fmu", fmi=3)
 
 
-def test_arrays_of_the_description(friction3) -> None:
+def test_arrays_are_described(friction3) -> None:
     about = read_model_description(str(friction3), validate=True)
     shapes = {v.name: [d.start for d in v.dimensions] for v in about.modelVariables}
     assert [shapes[n] for n in ("dq", "q", "tau_load", "tau")] == [[3]] * 4
@@ -201,8 +201,8 @@ def test_arrays_of_the_description(friction3) -> None:
     assert "sources/buildDescription.xml" in names
 
 
-def test_slopes_and_model_exchange(friction3, table1_fmu, tmp_path) -> None:
-    """Derivatives, and slopes over a direction, as the FMU of FMI 2.0 has them."""
+def test_derivatives_and_model_exchange_agree(friction3, table1_fmu, tmp_path) -> None:
+    """Derivatives and directional derivatives equal those of the FMI 2.0 FMU."""
     old, new = Old(table1_fmu, tmp_path / "two"), New(friction3, tmp_path / "three", FMU3Model)
     speed = [0.3, -0.4, 0.5]
     new.set("dq", speed)
@@ -224,7 +224,7 @@ def test_slopes_and_model_exchange(friction3, table1_fmu, tmp_path) -> None:
     assert list(found) == old.fmu.getDirectionalDerivative(reference[:3], reference[3:], seed)
 
 
-def test_a_solver_runs_it(friction3, table1_fmu) -> None:
+def test_a_solver_runs_the_fmu(friction3, table1_fmu) -> None:
     t = np.arange(0.0, 1.0, STEP)
     speed = np.column_stack([np.sin(6 * t + i) for i in range(3)])
     three = np.array(list(zip(t, map(tuple, speed), strict=True)),
@@ -238,7 +238,7 @@ def test_a_solver_runs_it(friction3, table1_fmu) -> None:
     np.testing.assert_array_equal(new["tau"], expected)
 
 
-def test_what_does_not_fit_is_refused(friction3, tmp_path) -> None:
+def test_invalid_arguments_are_refused(friction3, tmp_path) -> None:
     new = New(friction3, tmp_path)
     for name, values in (("dq", [0.1]), ("h[1]", [0.1, 0.2])):
         with pytest.raises(Exception, match="failed with status 3"):
@@ -247,7 +247,7 @@ def test_what_does_not_fit_is_refused(friction3, tmp_path) -> None:
         new.fmu.getFloat64([10**6], nValues=1)
     with pytest.raises(Exception, match="failed with status 3"):
         new.fmu.getFloat64([new.variables["dq"].valueReference], nValues=2)
-    for reference in (10**6, len(new.variables) + 100):  # whatever room there is said to be
+    for reference in (10**6, len(new.variables) + 100):  # for any stated buffer size
         with pytest.raises(Exception, match="failed with status 3"):
             new.fmu.fmi3GetFloat64(
                 new.fmu.component, (c_uint32 * 1)(reference), 1, (c_double * 1)(), 2**64 - 1
@@ -263,14 +263,14 @@ NEVER = ("EvaluateDiscreteStates", "EnterConfigurationMode", "ExitConfigurationM
          "GetNumberOfVariableDependencies", "GetVariableDependencies")  # fmt: skip
 
 
-def test_calls_for_what_no_component_has(friction3, tmp_path) -> None:
-    """With nothing they do nothing; with anything, or without an instance, they are errors."""
+def test_calls_for_unused_features_are_handled(friction3, tmp_path) -> None:
+    """They do nothing without variables and are errors with any, or without an instance."""
     new = New(friction3, tmp_path)
     functions = [way + kind for kind in (*TYPES, *OF_CLOCKS) for way in ("Get", "Set")]
     nothing = [c_void_p()] * 5
 
     def call(name: str, instance: object, n: int) -> int:
-        function = new.fmu.dll[f"fmi3{name}"]  # without what FMPy takes its arguments for
+        function = new.fmu.dll[f"fmi3{name}"]  # without FMPy's declaration of argument types
         return int(function(c_void_p(instance), c_void_p(), c_size_t(n), *nothing))
 
     for name in functions:
@@ -287,8 +287,8 @@ def test_calls_for_what_no_component_has(friction3, tmp_path) -> None:
 
 @pytest.mark.ci
 @pytest.mark.skipif(not FMI_SIM.exists(), reason="fmi-sim is not there: run `make interop` first")
-def test_fmi_sim_runs_one_joint_in_silence(make_model, make_law, tmp_path) -> None:
-    """It knows no arrays of several elements as outputs, so it gets one joint."""
+def test_fmi_sim_runs_one_joint_without_messages(make_model, make_law, tmp_path) -> None:
+    """fmi-sim does not support arrays of several elements as outputs, hence one joint."""
     fmu = export_bare(make_model(make_law("viscous")), tmp_path / "F.fmu", fmi=3)
     answer = subprocess.run(
         [FMI_SIM, "--model", fmu, "-o", "out.csv", "-q", "co-simulation", "--output-interval",
@@ -322,7 +322,7 @@ def drive3(make_model, make_law, tmp_path_factory) -> Path:
 
 
 def stepper(fmu: Path, folder: Path, *, events: bool, early: bool) -> New:
-    """A drive whose first motor turns at 1 rad/s against a torque that turns it back."""
+    """A drive whose first motor starts at 1 rad/s against a torque that reverses it."""
     new = New(fmu, folder, events=events, early=early)
     new.set("dq_start", [1.0, 0.0])
     new.set("tau_motor[1]", [-20.0])
@@ -333,8 +333,8 @@ def stepper(fmu: Path, folder: Path, *, events: bool, early: bool) -> New:
     return new
 
 
-def test_a_step_ends_where_a_motor_turns_back(drive3, tmp_path) -> None:
-    """At the end of the inner step in which it does, if the host lets it; with the same bits."""
+def test_a_step_ends_at_the_reversal_of_a_motor(drive3, tmp_path) -> None:
+    """At the end of the inner step with the reversal, if the host allows it; bitwise equal."""
     whole = stepper(drive3, tmp_path / "whole", events=False, early=False)
     assert whole.fmu.doStep(0.0, 0.1) == (False, False, False, 0.1)
     new = stepper(drive3, tmp_path / "new", events=True, early=True)
@@ -352,7 +352,7 @@ def test_a_step_ends_where_a_motor_turns_back(drive3, tmp_path) -> None:
     np.testing.assert_allclose(new.get("q"), whole.get("q"), rtol=1e-12)
 
 
-def test_an_event_at_the_end_of_a_step_is_told_and_ends_nothing_early(drive3, tmp_path) -> None:
+def test_an_event_at_the_end_of_a_step_is_reported_without_early_return(drive3, tmp_path) -> None:
     new = stepper(drive3, tmp_path / "new", events=True, early=True)
     reached = new.fmu.doStep(0.0, 0.1)[3]
     again = stepper(drive3, tmp_path / "again", events=True, early=False)
@@ -384,7 +384,7 @@ def results_in(fmu: Path) -> dict[str, bytes]:
         return {n: archive.read(n) for n in archive.namelist() if re.match(r"extra/.*csv$", n)}
 
 
-def test_components_carry_the_results_of_fmi_2(pair) -> None:
+def test_components_contain_the_results_of_fmi_2(pair) -> None:
     old, new = map(results_in, pair)
     assert new == old
     found = verify(pair[1])
@@ -392,13 +392,13 @@ def test_components_carry_the_results_of_fmi_2(pair) -> None:
     assert set(found.passed) == ({"hold", "shown"} if new else set())
 
 
-def test_a_drive_carries_results(drive3) -> None:
+def test_a_drive_contains_results(drive3) -> None:
     assert results_in(drive3)
     assert verify(drive3) == Verified(passed={"hold": "hold", "shown": "shown"})
 
 
 def test_each_joint_of_a_drive_has_a_flange(drive3) -> None:
-    """The schema and the rules find no fault."""
+    """The schema and the rules report no problem."""
     with ZipFile(drive3) as archive:
         root = ET.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
     found = {

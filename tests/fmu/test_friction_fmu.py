@@ -1,4 +1,4 @@
-"""A friction FMU gives the torque of its law, on every path to it."""
+"""A friction FMU gives the torque of its law in every mode."""
 
 import ctypes
 from dataclasses import replace
@@ -26,7 +26,7 @@ def assert_equals_python(model, fmu, motion):
 
 
 @pytest.mark.parametrize("discretisation", ["exact", "euler"])
-def test_each_law_equals_python(law, discretisation, make_model, make_motion, tmp_path):
+def test_each_law_matches_python(law, discretisation, make_model, make_motion, tmp_path):
     law = replace(law, discretisation=discretisation)
     motion = make_motion(1)
     if discretisation == "euler" and {r.name for r in law.form.relaxations} - {"h"}:
@@ -41,13 +41,13 @@ def test_laws_of_different_forms_share_an_fmu(make_law, make_model, make_motion,
     assert_equals_python(model, export_bare(model, tmp_path / "F.fmu"), make_motion(6))
 
 
-def test_every_registered_law_equals_python(fitted, make_model, make_motion, tmp_path):
+def test_every_registered_law_matches_python(fitted, make_model, make_motion, tmp_path):
     model = make_model(*fitted.values())
     fmu = export_bare(model, tmp_path / "F.fmu")
     assert_equals_python(model, fmu, make_motion(len(fitted)))
 
 
-def test_table_1_equals_the_equations_of_the_paper(table1, table1_fmu):
+def test_table_1_matches_the_equations_of_the_paper(table1, table1_fmu):
     t = 0.005 * np.arange(1600)
     v = 1.2 * np.sin(2 * np.pi * 0.25 * t)
     torque = replay(table1_fmu, t, np.column_stack([v, 0.8 * v, -v]))
@@ -108,7 +108,7 @@ def test_a_step_uses_the_inputs_that_are_set_before_it(table1, binary):
         assert binary.get(c, "tau[1]")[0] == pytest.approx(stepper.step(0.005, dq), rel=1e-12)
 
 
-def test_state_and_derivative_can_be_read(table1, binary):
+def test_states_and_derivatives_are_readable(table1, binary):
     c = binary.ready()
     binary.set(c, dq=0.01)
     binary.step(c, 0.0, 0.005)
@@ -118,10 +118,8 @@ def test_state_and_derivative_can_be_read(table1, binary):
     assert dh == pytest.approx(alpha * (np.tanh(beta * 0.01) - h), rel=1e-12)
 
 
-def test_derivatives_are_those_of_model_exchange_and_reading_them_moves_nothing(
-    any_law, every_law, make_model, load, tmp_path
-):
-    """A co-simulation computes them when they are read; one that nobody asks gives the same."""
+def test_reading_derivatives_has_no_side_effect(any_law, every_law, make_model, load, tmp_path):
+    """Co-simulation computes them on reading; results do not depend on it."""
     fmu = load(export_bare(make_model(every_law[any_law]), tmp_path / "F.fmu"))
     read, left, continuous = fmu.ready(), fmu.ready(), fmu.continuous()
     states = [u.variable.derivative.name for u in fmu.about.derivatives]
@@ -139,7 +137,7 @@ def test_derivatives_are_those_of_model_exchange_and_reading_them_moves_nothing(
         assert fmu.get(continuous, *rates) == found
 
 
-def test_outputs_can_be_read_before_the_initialisation_ends(table1, binary):
+def test_outputs_are_readable_during_initialisation(table1, binary):
     c = binary.instantiate()
     assert binary("EnterInitializationMode", c) == 0
     first = Stepper(table1.laws[0]).step(0.0, 0.0)
@@ -151,14 +149,14 @@ def test_outputs_can_be_read_before_the_initialisation_ends(table1, binary):
     assert binary.get(c, "tau[1]", "der(h[1])") == before
 
 
-def test_start_values_of_states_are_taken(table1, table1_fmu, make_motion):
+def test_start_values_of_states_are_used(table1, table1_fmu, make_motion):
     t, dq, *_ = make_motion(3)
     torque = replay(table1_fmu, t, dq, start={"h_start[2]": 0.7, "start_mode": 2})
     expected = predict(table1.laws[1], t=t, dq=dq[:, 1], start=(0.7,))
     np.testing.assert_allclose(torque[:, 1], expected, rtol=0, atol=1e-12 * np.ptp(expected))
 
 
-def test_discretisation_can_be_chosen(table1, table1_fmu, make_motion):
+def test_discretisation_is_selectable(table1, table1_fmu, make_motion):
     t, dq, *_ = make_motion(3)
     torque = replay(table1_fmu, t, dq, start={"discretisation": 1})
     law = replace(table1.laws[0], discretisation="exact")
@@ -166,7 +164,7 @@ def test_discretisation_can_be_chosen(table1, table1_fmu, make_motion):
     np.testing.assert_allclose(torque[:, 0], expected, rtol=0, atol=1e-12 * np.ptp(expected))
 
 
-def test_coefficients_are_tunable_while_it_runs(table1, binary):
+def test_coefficients_are_tunable_at_run_time(table1, binary):
     tuned, other = binary.ready(), binary.ready(name=b"two")
     for c in (tuned, other):
         binary.set(c, dq=0.1)
@@ -178,7 +176,7 @@ def test_coefficients_are_tunable_while_it_runs(table1, binary):
     assert binary.get(tuned, "tau[1]")[0] == pytest.approx(binary.get(other, "tau[1]")[0] + 1.5)
 
 
-def test_large_laws_have_their_factors_alone(make_law, make_model, make_motion, tmp_path):
+def test_large_laws_have_only_their_factors(make_law, make_model, make_motion, tmp_path):
     fmu = export_bare(make_model(make_law("gaussians")), tmp_path / "F.fmu")
     t, dq, *_ = make_motion(1)
     with FmuInstance(fmu) as component:
@@ -190,8 +188,8 @@ def test_large_laws_have_their_factors_alone(make_law, make_model, make_motion, 
     )
 
 
-def test_factors_are_those_of_the_law(make_law, make_model, make_motion, tmp_path):
-    """The binary agrees with Python; a law that cannot be told apart has both all the same."""
+def test_factors_scale_the_law(make_law, make_model, make_motion, tmp_path):
+    """The binary agrees with Python; a law that cannot be split also has both factors."""
     chosen = {"coulomb_scale": 1.7, "viscous_scale": 0.4}
     t, dq, q, load = (np.squeeze(x) for x in make_motion(1))
     for name in ("lugre", "viscous", "parfam_tanh"):
@@ -206,10 +204,8 @@ def test_factors_are_those_of_the_law(make_law, make_model, make_motion, tmp_pat
         np.testing.assert_allclose(found, wanted, atol=1e-12 * np.abs(wanted).max())
 
 
-def test_a_factor_that_falls_takes_energy_and_one_that_rises_gives_none(
-    make_law, make_model, load, tmp_path
-):
-    """At rest a bristle under load keeps its torque: no factor multiplies what memory holds."""
+def test_changing_factors_supply_no_energy(make_law, make_model, load, tmp_path):
+    """At rest a loaded bristle keeps its torque: factors do not multiply stored deflection."""
     binary = load(export_bare(make_model(make_law("lugre")), tmp_path / "F.fmu"))
     c = binary.ready()
     binary.set_all(c, {"dq[1]": 0.3})
@@ -225,8 +221,8 @@ def test_a_factor_that_falls_takes_energy_and_one_that_rises_gives_none(
     assert binary.get(c, "tau[1]")[0] == pytest.approx(27.0, rel=1e-3)
 
 
-def test_inputs_with_derivatives_are_followed(table1, binary):
-    """A ramp of the input in long steps comes close to the same ramp in short held steps."""
+def test_input_derivatives_are_followed(table1, binary):
+    """An input ramp in long steps comes close to the same ramp in short held steps."""
     slope, end = 0.02, 0.2
     held, ramped = binary.ready(), binary.ready(name=b"two")
     for k in range(2000):
@@ -245,12 +241,12 @@ def test_inputs_with_derivatives_are_followed(table1, binary):
         assert binary.step(ramped, k * end / 40, end / 40) == 0
     assert binary.get(ramped, "dq[1]")[0] == pytest.approx(slope * end)
     assert binary.get(ramped, "h[1]")[0] == pytest.approx(binary.get(held, "h[1]")[0], rel=2e-2)
-    # A slope counts for the step for which it was set.
+    # An input derivative applies only to the step after it was set.
     assert binary.step(ramped, end, 0.005) == 0
     assert binary.get(ramped, "dq[1]")[0] == pytest.approx(slope * end)
 
 
-def test_slopes_of_inputs_count_for_one_step(binary):
+def test_input_derivatives_apply_to_one_step(binary):
     c, one = binary.ready(), (ctypes.c_int * 1)(1)
     for k, name in enumerate(("dq[1]", "dq[2]", "dq[1]")):
         slope = (ctypes.c_double * 1)(0.5)
@@ -272,7 +268,7 @@ def test_signs_are_those_at_the_end_of_a_ramp(make_law, make_model, load, tmp_pa
         assert fmu.get(c, "tau[1]") == [pytest.approx(expected)]
 
 
-def test_many_instances_do_not_disturb_each_other(binary):
+def test_instances_are_independent(binary):
     instances = [binary.ready(name=f"i{k}".encode()) for k in range(200)]
     for k, c in enumerate(instances):
         binary.set(c, dq=0.01 * k)

@@ -1,4 +1,4 @@
-"""Instances do not disturb each other, and no sequence of calls disturbs memory."""
+"""Instances are independent, and no call sequence corrupts memory."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not i
 
 @pytest.fixture(scope="module")
 def mixed(make_law, make_model, tmp_path_factory):
-    """An FMU with all that a friction FMU can have."""
+    """An FMU with all features of a friction FMU."""
     names = ("lugre", "viscous", "parfam_exp", "elements", "gaussians", "bare")
     return export_bare(make_model(*map(make_law, names)), tmp_path_factory.mktemp("m") / "F.fmu")
 
@@ -44,7 +44,7 @@ def go_through_random_lives(program):
     assert {name: n for name, n in counts.items() if n < least.get(name, 0)} == {}
 
 
-def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources):
+def test_call_sequences_have_no_undefined_behaviour(sources):
     flags = (*LINUX, *FLAGS, "-fsanitize=undefined")
     compile_c(sources / "all.c", flags, sources / "fuzz", (str(FUZZ), "-lm"))
     go_through_random_lives(sources / "fuzz")
@@ -52,8 +52,8 @@ def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources):
 
 @pytest.mark.ci
 @needs_gcc
-def test_any_sequence_of_calls_is_free_of_memory_errors(sources):
-    """And of leaks, also when a thousand instances live at the same time."""
+def test_call_sequences_have_no_memory_errors(sources):
+    """Nor leaks, also with a thousand instances at a time."""
     flags = (*FLAGS, "-Wall", "-Wextra", "-Werror", "-fsanitize=address,undefined")
     command = ["gcc", *flags, "-o", "fuzz", "all.c", str(FUZZ), "-lm"]
     subprocess.run(command, cwd=sources, check=True)
@@ -63,8 +63,8 @@ def test_any_sequence_of_calls_is_free_of_memory_errors(sources):
 @pytest.mark.ci
 @needs_gcc
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
-def test_nothing_is_read_that_was_not_written(sources):
-    """What sanitizers do not see; fewer lives, since it takes fifty times as long."""
+def test_no_uninitialised_memory_is_read(sources):
+    """Not covered by the sanitizers; fewer life cycles, since it is fifty times slower."""
     command = ["gcc", *FLAGS[:4], "-O1", "-o", "fuzz", "all.c", str(FUZZ), "-lm"]
     subprocess.run(command, cwd=sources, check=True)
     command = ["valgrind", "--error-exitcode=9", "--leak-check=full", "-q", "./fuzz", "600"]
@@ -82,14 +82,14 @@ def run(fmu, number, steps=400):
         fmu.set_all(c, {f"dq[{joint}]": speed for joint in range(1, 7)})
         assert fmu.step(c, 1e-3 * k, 1e-3) == 0
         rows += fmu.get(c, "tau[1]", "tau[3]", "tau[4]", "dtau_ddq[1]")
-        if k % 50 == number % 50:  # now and then a message
+        if k % 50 == number % 50:  # an occasional message
             assert fmu.set(c, dq=float("nan")) == 2
     fmu("FreeInstance", c)
     return rows
 
 
-def test_threads(mixed, load):
-    """Calls release Python's lock, so instances really run at the same time."""
+def test_instances_run_in_threads(mixed, load):
+    """Calls release the GIL, so instances do run concurrently."""
     fmu = load(mixed)
     alone = [run(fmu, number) for number in range(8)]
     fmu.messages.clear()
@@ -99,7 +99,7 @@ def test_threads(mixed, load):
     assert len(fmu.messages) == 8 * 8
 
 
-def test_instances_of_both_types_side_by_side(mixed, load):
+def test_instances_of_both_types_coexist(mixed, load):
     fmu = load(mixed)
     alone = run(fmu, 3, 50)
     others = [fmu.continuous({"dq[1]": 0.01 * k}) for k in range(50)]

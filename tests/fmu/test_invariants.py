@@ -1,4 +1,4 @@
-"""What depends on parameters and the length of steps alone is computed once, until one changes."""
+"""Terms that depend only on parameters and step are computed once, until one changes."""
 
 import ctypes
 
@@ -14,11 +14,11 @@ from hesr_model.equations.program import Invariants, sampled
 
 
 def moved(h: float, dq: float, step: float, alpha: float, beta: float) -> float:
-    """Equation 10 by Euler's step, with which Table I is fitted."""
+    """Equation 10 with Euler steps, as fitted for Table I."""
     return h * (1.0 - alpha * step) + alpha * np.tanh(beta * dq) * step
 
 
-def test_a_law_apart_from_its_invariants_is_the_law(fitted) -> None:
+def test_separating_invariants_does_not_change_a_law(fitted) -> None:
     rng = np.random.default_rng(5)
     invariants = 0
     for name, law in fitted.items():
@@ -42,12 +42,12 @@ def test_a_law_apart_from_its_invariants_is_the_law(fitted) -> None:
             results.append(dict(zip(lines, every, strict=True)))
         for symbol in wanted:
             a, b = (float(r[symbol]) for r in results)
-            # Rates of 1e4 are among what cancels.
+            # Some of the cancelling rates are 1e4.
             assert a == pytest.approx(b, rel=1e-12, abs=1e-10), (name, symbol)
     assert invariants > 20
 
 
-def test_a_coefficient_or_step_that_changes_is_taken(table1, binary) -> None:
+def test_changed_coefficients_and_steps_take_effect(table1, binary) -> None:
     c = binary.ready()
     alpha, beta = (table1.laws[0].values[n] for n in ("alpha", "beta"))
     h, time = binary.get(c, "h[1]")[0], 0.0
@@ -62,7 +62,7 @@ def test_a_coefficient_or_step_that_changes_is_taken(table1, binary) -> None:
         assert binary.get(c, "h[1]")[0] == pytest.approx(h, rel=1e-12)
 
 
-def test_it_belongs_to_a_saved_state(table1, binary) -> None:
+def test_invariants_are_part_of_a_saved_state(table1, binary) -> None:
     c, state = binary.ready(), ctypes.c_void_p()
     alpha, beta = (table1.laws[0].values[n] for n in ("alpha", "beta"))
     binary.set(c, dq=0.05)
@@ -78,9 +78,7 @@ def test_it_belongs_to_a_saved_state(table1, binary) -> None:
         assert binary.get(c, "h[1]")[0] == pytest.approx(expected, rel=1e-12)
 
 
-def test_what_is_infinite_there_leaves_states_that_can_be_saved(
-    fitted, make_model, load, tmp_path
-) -> None:
+def test_states_can_be_saved_with_infinite_invariants(fitted, make_model, load, tmp_path) -> None:
     fmu = load(export_bare(make_model(fitted["lugre"]), tmp_path / "F.fmu"))
     c = fmu.ready()
     assert fmu.set_all(c, {"joint[1].F_c": 0.0}) == 0
@@ -95,7 +93,7 @@ def test_what_is_infinite_there_leaves_states_that_can_be_saved(
     assert fmu("DeSerializeFMUstate", c, data, len(data), ctypes.byref(other)) == 0
 
 
-def test_invariant_terms_and_factors_have_one_name() -> None:
+def test_invariant_terms_and_factors_share_one_name() -> None:
     a, b, u, y, z = sympy.symbols("a b u y z", real=True)
     parts = Invariants.of({y: u * sympy.exp(-a) / b, z: u + sympy.exp(-a) / b}, [y, z], {a, b})
     assert len(parts.kept) == 1

@@ -1,4 +1,4 @@
-"""The live section without a browser: its module, its data and the ends of its sliders."""
+"""The live section without a browser: its module, data and slider limits."""
 
 import base64
 import json
@@ -29,7 +29,7 @@ def live(table1: FrictionModel) -> dict[str, Any]:
 
 
 def sections(module: bytes) -> list[int]:
-    """Numbers of the sections of a WebAssembly module."""
+    """Identifiers of the sections of a WebAssembly module."""
     assert module[:8] == b"\0asm\1\0\0\0"
     place, found = 8, []
     while place < len(module):
@@ -53,7 +53,7 @@ def test_the_module_is_small_and_imports_nothing(live: dict[str, Any]) -> None:
     assert b"/tmp" not in module
 
 
-def test_the_same_model_gives_the_same_module(table1: FrictionModel, live: dict[str, Any]) -> None:
+def test_the_module_is_reproducible(table1: FrictionModel, live: dict[str, Any]) -> None:
     assert live_of(table1) == live
 
 
@@ -63,7 +63,7 @@ def test_the_fmu_stays_small(table1_fmu: Path) -> None:
         assert not [name for name in archive.namelist() if "live" in name or "wasm" in name]
 
 
-def test_every_tunable_parameter_has_a_knob(table1: FrictionModel, live: dict[str, Any]) -> None:
+def test_every_tunable_parameter_has_a_slider(table1: FrictionModel, live: dict[str, Any]) -> None:
     table, _ = friction_equations(table1)
     tunable = {i for i, v in enumerate(table.variables) if v.role == "tunable"}
     knobs = [knob for joint in live["joints"] for knob in joint["coefficients"]]
@@ -76,7 +76,7 @@ def test_every_tunable_parameter_has_a_knob(table1: FrictionModel, live: dict[st
         assert knob["scale"] != "log" or knob["low"] * knob["high"] > 0.0
 
 
-def test_kinds_of_sliders(live: dict[str, Any]) -> None:
+def test_sliders_suit_their_parameters(live: dict[str, Any]) -> None:
     scales = {knob["name"]: knob["scale"] for knob in live["joints"][0]["coefficients"]}
     factors = {"c_0", "c_h", "c_dh", "c_g1", "coulomb_scale[1]", "viscous_scale[1]"}
     assert {name for name, scale in scales.items() if scale == "linear"} == factors
@@ -94,7 +94,9 @@ def test_kinds_of_sliders(live: dict[str, Any]) -> None:
         (0.0, False, (-1.0, 1.0, "linear")),
     ],
 )
-def test_ends_of_a_slider(value: float, factor: bool, wanted: tuple[float, float, str]) -> None:
+def test_slider_limits_are_right(
+    value: float, factor: bool, wanted: tuple[float, float, str]
+) -> None:
     assert ends(value, factor=factor) == wanted
 
 
@@ -107,7 +109,7 @@ def test_a_law_of_many_coefficients_has_its_factors(
     ] == [(f"{part}_scale[1]", 0.0, 1.0, 2.0) for part in ("coulomb", "viscous")]
 
 
-def test_the_motion_is_one_that_was_trained(
+def test_the_motion_is_within_the_training_range(
     make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
 ) -> None:
     model = make_model(make_law("viscous"))
@@ -131,7 +133,7 @@ def test_the_motion_is_one_that_was_trained(
     assert knobs["frequency"]["low"] < knobs["frequency"]["high"] == 0.1
 
 
-def test_data_cannot_end_its_script(table1: FrictionModel, live: dict[str, Any]) -> None:
+def test_data_cannot_close_its_script_element(table1: FrictionModel, live: dict[str, Any]) -> None:
     name = "</script><!-- & '"
     hostile = {**live, "joints": [{**live["joints"][0], "name": name}]}
     text = live_section(hostile)

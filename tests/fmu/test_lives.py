@@ -1,7 +1,7 @@
-"""Random lives of every FMU of a closed loop, and of others, under sanitizers.
+"""Random life cycles of every FMU of a closed loop, and of others, under sanitizers.
 
-A share of the lives is gone through here, all 10,000 of each with `-m soak`, and so are all lives
-of those whose code others have, too.
+Some of them run here, all 10,000 of each with `-m soak`; so do all life cycles of FMUs whose code
+others share.
 """
 
 import json
@@ -39,16 +39,16 @@ pytestmark = [
 
 LOOP = ("arm", "trajectory", "body", "friction", "controller", "velocity")
 RARE = ("trajectory 3", "velocity 3", "warm 3", "adaptive", "thermal", "band")
-"""In the soak alone."""
+"""Only in the soak test."""
 KINDS = (*LOOP, "coupled", "drive", "warm", "drive 3", "band 3")
-"""Of FMI 3.0 where a 3 says so. One that is warm adapts and follows temperature, a thermal one only
-the latter."""
+"""FMI 3.0 if the name has a 3. Warm FMUs adapt and follow temperature, thermal ones only follow
+temperature."""
 
 GIVEN = {
     "controller": ("sample_time=0.001", "Kv=90", "Ki=900"),
     "trajectory": ("kind=3", "amplitude=1", "swing=0.5"),
 }
-"""What has no start value with which an FMU could begin."""
+"""Variables without a start value that an FMU could use."""
 
 BAND = Band(floor=0.7, slow=1.3, slow_speed=0.02, rest=0.4, fast=0.5, load=0.05, tail=0.7,
             envelope=1.0)  # fmt: skip
@@ -94,7 +94,7 @@ def export(loop, table1, make_law, make_model, tmp_path_factory):
     params=[*KINDS, *(pytest.param(kind, marks=pytest.mark.soak) for kind in RARE)],
 )
 def unpacked(request, export, tmp_path_factory):
-    """Folder of an FMU's sources, flags for what it is and is linked to, what hosts are told."""
+    """Folder of an FMU's sources, compiler and linker flags, and arguments of hosts."""
     folder = tmp_path_factory.mktemp("unpacked")
     with zipfile.ZipFile(export(request.param)) as archive:
         archive.extractall(folder)
@@ -117,7 +117,7 @@ def built(sources, host, flags, linked):
 
 @pytest.fixture(scope="session")
 def fuzz(unpacked):
-    """Go through random lives; return what has happened."""
+    """Run random life cycles; return the counts of calls."""
     sources, linked, told = unpacked
     program = built(sources, "fuzz.c", (*MEMORY, *WRAPPED), linked)
 
@@ -131,7 +131,7 @@ def fuzz(unpacked):
     return go
 
 
-def test_random_lives(fuzz):
+def test_random_life_cycles_are_clean(fuzz):
     counts = fuzz(FEW)
     assert counts["calls"] > 40 * FEW
     assert counts["steps"] > FEW
@@ -139,21 +139,21 @@ def test_random_lives(fuzz):
 
 
 @pytest.mark.soak
-def test_ten_thousand_random_lives(fuzz):
+def test_ten_thousand_random_life_cycles_are_clean(fuzz):
     counts = fuzz(ALL)
     assert counts["calls"] > 40 * ALL
     assert counts["steps"] > ALL
 
 
 @pytest.mark.parametrize("every", [1, 2, 3, 7])
-def test_allocations_that_fail(fuzz, every):
+def test_failed_allocations_are_handled(fuzz, every):
     counts = fuzz(FEW // 3, every)
     assert counts["failed_allocations"] > FEW // 3 // every // 2
-    # An instance of the arm takes memory twice.
+    # An instance of the arm allocates memory twice.
     assert counts["steps"] > 0 or every < 3
 
 
-def test_two_threads_with_an_instance_each(unpacked):
+def test_two_threads_may_have_an_instance_each(unpacked):
     sources, linked, told = unpacked
     program = built(sources, "threads.c", ("-fsanitize=thread", "-pthread"), linked)
     ended = subprocess.run(

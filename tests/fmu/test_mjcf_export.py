@@ -1,4 +1,4 @@
-"""Any MJCF as an FMU: against MuJoCo in Python, with a table of its signals and without."""
+"""Any MJCF as an FMU compared with MuJoCo in Python, with and without a signal table."""
 
 import mujoco
 import numpy as np
@@ -53,12 +53,12 @@ def units(component):
     return {v.name: v.unit for v in component.description.modelVariables}
 
 
-def test_a_pendulum_without_a_table(export):
+def test_a_pendulum_works_without_a_table(export):
     fmu = export(PENDULUM)
     reference = Reference(PENDULUM, pivot=0.6)
     with FmuInstance(fmu) as pendulum:
         assert names(pendulum, "input") == ["pivot"]
-        # The sensor of the same name, one of three numbers and one without a name.
+        # A sensor with the same name, one with three values and one without a name.
         outputs = ["pivot_2", "bob_at[1]", "bob_at[2]", "bob_at[3]", "sensor3"]
         assert names(pendulum, "output") == outputs
         assert names(pendulum, "parameter") == ["start_pivot"]
@@ -76,8 +76,8 @@ def test_a_pendulum_without_a_table(export):
             reference.step(pivot=control)
 
 
-def test_a_cart_pole_with_limits_without_a_table(export):
-    """Limits are constraints, which MuJoCo solves by iteration from a first guess."""
+def test_a_cart_pole_with_limits_works_without_a_table(export):
+    """Limits are constraints, which MuJoCo solves iteratively from an initial guess."""
     fmu, reference = export(CART_POLE), Reference(CART_POLE, slider=0.2, hinge=0.3)
     with FmuInstance(fmu) as cart:
         assert names(cart, "input") == ["left", "right", "spring"]
@@ -96,8 +96,8 @@ def test_a_cart_pole_with_limits_without_a_table(export):
     assert furthest > 0.95
 
 
-def test_a_cart_pole_with_a_table(export):
-    """Inputs that drive several actuators, outputs of several sensors, noise."""
+def test_a_cart_pole_works_with_a_table(export):
+    """Inputs of several actuators, outputs of several sensors, noise."""
     fmu, reference = export(CART_POLE, CART_POLE_TABLE), Reference(CART_POLE, slider=0.1, hinge=0.3)
     assert validate_fmu(str(fmu)) == []
     seed = 2**64 - 3
@@ -125,7 +125,7 @@ def test_a_cart_pole_with_a_table(export):
             reference.step(left=force, right=force, spring=spring)
 
 
-def test_a_payload_is_a_mass_at_the_body_s_centre(export):
+def test_a_payload_is_a_mass_at_the_centre_of_its_body(export):
     fmu = export(CART_POLE, CART_POLE_TABLE)
     heavy = Reference(CART_POLE, hinge=0.3)
     heavy.model.body("pole").mass += 0.5
@@ -142,7 +142,7 @@ def test_a_payload_is_a_mass_at_the_body_s_centre(export):
             heavy.step()
 
 
-def test_actuators_with_different_delays_keep_them(export):
+def test_actuators_keep_their_different_delays(export):
     mjcf = CART_POLE.replace('gear="10"', 'gear="10" delay="0.02" nsample="9"').replace(
         'gear="-4"', 'gear="-4" delay="0.04" nsample="9"'
     )
@@ -175,12 +175,12 @@ CROWDED = (
         (UNSTABLE, "pivot_2", "MuJoCo: Nan, Inf or huge value in QACC at DOF 0"),
         (UNSTABLE.replace("<option", '<option><flag autoreset="disable"/></option><option'),
          "pivot_2", "MuJoCo: Nan, Inf or huge value in QACC at DOF 0"),
-        # By MuJoCo's own default this ends the process.
+        # MuJoCo's default ends the process here.
         (CROWDED, "z", "MuJoCo: mj_stackAlloc: out of memory"),
         (CROWDED.replace("20K", "6K"), "z", "MuJoCo: Insufficient arena memory"),
     ],
 )  # fmt: skip
-def test_what_mujoco_cannot_go_on_with(
+def test_fatal_errors_of_mujoco_are_reported(
     mjcf, output, sentence, export, tmp_path, monkeypatch, capfd
 ):
     fmu = export(mjcf)
@@ -215,7 +215,7 @@ def test_what_mujoco_cannot_go_on_with(
     assert capfd.readouterr() == ("", "")
 
 
-# --- what cannot become an FMU ----------------------------------------------------------------
+# --- refusals ----------------------------------------------------------------------------------
 
 
 TABLE_ERRORS = [
@@ -239,7 +239,7 @@ TABLE_ERRORS = [
 
 
 @pytest.mark.parametrize(("old", "new", "sentence"), TABLE_ERRORS)
-def test_a_table_that_does_not_fit(old, new, sentence, export, tmp_path):
+def test_an_inconsistent_table_is_refused(old, new, sentence, export, tmp_path):
     assert old in CART_POLE_TABLE
     with pytest.raises((ConfigError, ExportError)) as caught:
         export(CART_POLE, CART_POLE_TABLE.replace(old, new))
@@ -248,7 +248,7 @@ def test_a_table_that_does_not_fit(old, new, sentence, export, tmp_path):
     assert not (tmp_path / "Model.fmu").exists()
 
 
-def test_joints_and_sensors_that_are_no_single_numbers(export):
+def test_joints_and_sensors_with_several_values_are_refused(export):
     ball = CART_POLE.replace('name="hinge" axis="0 1 0"', 'name="hinge" type="ball"')
     ball = ball.replace('<position name="spring" joint="hinge" kp="2"/>', "")
     ball = ball.replace('<jointpos name="angle" joint="hinge"/>', "")
@@ -259,7 +259,7 @@ def test_joints_and_sensors_that_are_no_single_numbers(export):
         export(ball, table + 'joints = ["hinge"]\n')
 
 
-def test_models_that_cannot_become_one(export, tmp_path):
+def test_unsuitable_models_are_refused(export, tmp_path):
     start, end = CART_POLE.index("<sensor>"), CART_POLE.index("</mujoco>")
     with pytest.raises(ConfigError, match="has no sensor, so an FMU of it would have no output"):
         export(CART_POLE[:start] + CART_POLE[end:])
@@ -272,7 +272,7 @@ def test_models_that_cannot_become_one(export, tmp_path):
         export_mjcf(tmp_path / "m.xml", tmp_path / "M.fmu", table=tmp_path / "none.toml")
 
 
-def test_a_model_with_plugins(export):
+def test_a_model_with_plugins_is_refused(export):
     mjcf = PENDULUM.replace(
         "<worldbody>",
         '<extension><plugin plugin="mujoco.pid"/></extension><worldbody>',
@@ -285,7 +285,7 @@ def test_a_model_with_plugins(export):
         export(mjcf)
 
 
-def test_strange_names_become_names_of_fmi(export):
+def test_unusual_names_become_valid_in_fmi(export):
     mjcf = PENDULUM.replace('<motor name="pivot"', '<motor name="1st/Ünit"')
     mjcf = mjcf.replace('model="pendulum"', 'model="2 arms"')
     with FmuInstance(export(mjcf)) as pendulum:

@@ -1,4 +1,4 @@
-"""For model exchange the FMU gives a solver the law's own differential equation and its events."""
+"""In model exchange the FMU gives a solver the law's own differential equation and events."""
 
 import ctypes
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.registry import estimator
 
-SPEED, OMEGA = 0.5, 2.0 * np.pi  # of a sine that reverses at 0.25 s, 0.75 s, ..
+SPEED, OMEGA = 0.5, 2.0 * np.pi  # of a sine with reversals at 0.25 s, 0.75 s, ..
 END = 1.0
 TIMES = np.linspace(0.0, END, 201)
 NAMES = ("dq[1]", "q[1]", "tau_load[1]")
@@ -28,7 +28,7 @@ def motion(t):
 
 
 def parfam_hx() -> FrictionLaw:
-    """The law with all that it can have, as its estimator writes it."""
+    """The law with all optional parts, as written by its estimator."""
     structure = {
         "linear": ["1", "dq", "h", "h_load", "h_bump"],
         "units": [{"g": "tanh", "arguments": ["dq", "h"]}],
@@ -93,7 +93,7 @@ def relative(found, expected):
 
 @dataclass
 class Importer:
-    """A solver as importers have them: it finds where an indicator changes its sign."""
+    """A solver like those of importers: it locates sign changes of indicators."""
 
     fmu: object
     law: FrictionLaw
@@ -115,7 +115,7 @@ class Importer:
         return np.array(self.fmu.numbers("GetDerivatives", self.c, self.n))
 
     def crossed(self, t, x):
-        """Whether an indicator is no longer positive; what is asked after a step agrees."""
+        """Whether an indicator is no longer positive; queries after a step agree."""
         self.go_to(t, x)
         event, end = ctypes.c_int(7), ctypes.c_int(7)
         assert (
@@ -139,7 +139,7 @@ class Importer:
         return np.array(rows)
 
     def advance(self, t, x, end):
-        """Go to `end` or to just behind the first event."""
+        """Integrate to `end` or just beyond the first event."""
         solver = DOP853(self.slope, t, x, end, rtol=1e-10, atol=1e-13)
         while solver.status == "running":
             before = solver.t
@@ -161,16 +161,16 @@ class Importer:
         return solver.t, solver.y
 
 
-def test_a_solver_of_the_importer_gives_the_law(chosen):
+def test_the_solver_of_an_importer_gives_the_law(chosen):
     law, fmu = chosen
     importer = Importer(fmu, law)
     assert relative(importer.torque(), truth(law)) <= 1e-6
-    # Out of a sign of the velocity and into the other one, at each of two reversals.
+    # Two sign changes of the velocity, to zero and from it, at each of two reversals.
     assert importer.events == (4 if importer.indicators else 0)
 
 
 def stepped(fmu, step, *, followed, name="tau[1]"):
-    """A variable in co-simulation at TIMES, with the inputs held or with their slopes."""
+    """A variable in co-simulation at TIMES, with held inputs or input derivatives."""
     c = fmu.instantiate()
     inputs = fmu.references(NAMES)
     ones = (ctypes.c_int * 3)(1, 1, 1)
@@ -196,8 +196,8 @@ def stepped(fmu, step, *, followed, name="tau[1]"):
     return np.array(rows)
 
 
-def test_co_simulation_converges_to_the_same(chosen):
-    """Inputs are held over a step, an error of first order, unless their slopes are given."""
+def test_co_simulation_converges_to_model_exchange(chosen):
+    """Inputs are held over a step, a first-order error, unless derivatives are given."""
     law, fmu = chosen
     expected = truth(law)
     for followed, order in ((False, 1), (True, 2)):
@@ -216,13 +216,13 @@ def signals(t, u):
 
 
 def steps():
-    """The motion in steps that end at TIMES, for which importers take two samples at one time."""
+    """The motion as steps at TIMES; importers need two samples at each of them."""
     t = np.repeat(TIMES, 2)[1:-1]
     return signals(t, np.repeat(motion(TIMES)[:, 1:], 2, axis=1))
 
 
-def test_cvode_of_fmpy_equals_exact_steps(chosen, tmp_path):
-    """Between its outputs FMPy's CVode holds the inputs, so only steps of these are exact in it."""
+def test_cvode_of_fmpy_matches_exact_steps(chosen, tmp_path):
+    """FMPy's CVode holds the inputs between outputs, so it is exact only for these steps."""
     law, fmu = chosen
     for relaxation in law.form.relaxations:
         name = f"{relaxation.name}[1]"
@@ -242,14 +242,14 @@ def test_cvode_of_fmpy_equals_exact_steps(chosen, tmp_path):
         assert relative(result[name], expected) <= 1e-6
 
 
-def test_euler_of_fmpy(chosen, tmp_path):
+def test_euler_of_fmpy_converges(chosen, tmp_path):
     law, _ = chosen
     t = np.linspace(0.0, END, 10 * len(TIMES) - 9)
     result = simulate_fmu(
         str(tmp_path / "F.fmu"),
         fmi_type="ModelExchange",
         solver="Euler",
-        start_values={"start_mode": 2},  # as the truth begins
+        start_values={"start_mode": 2},  # start mode of the truth
         stop_time=END,
         step_size=t[1],
         output_interval=t[1],
@@ -257,11 +257,11 @@ def test_euler_of_fmpy(chosen, tmp_path):
         output=["tau[1]"],
         record_events=False,
     )
-    assert relative(result["tau[1]"][::10], truth(law)) <= 0.05  # of first order
+    assert relative(result["tau[1]"][::10], truth(law)) <= 0.05  # first order
 
 
 @pytest.mark.parametrize("solver", ["CVode", "Euler"])
-def test_laws_without_states_run_too(solver, make_law, make_model, tmp_path):
+def test_laws_without_states_run(solver, make_law, make_model, tmp_path):
     law = make_law("viscous")
     moving, torque = equations(law)
     assert moving(0.0, 0.0, 0.0) == []

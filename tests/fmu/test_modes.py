@@ -1,4 +1,4 @@
-"""In which mode an instance accepts which call, and what model exchange holds between events."""
+"""Calls allowed in each mode of an instance, and values held between events in model exchange."""
 
 import ctypes
 import math
@@ -10,7 +10,7 @@ from fmu_src.friction.friction_fmu import export_bare
 OK, DISCARD, ERROR = 0, 2, 3
 EXCHANGE, SLAVE = 0, 1
 
-# Modes of the standard's two state machines: instantiated, initialisation, event, continuous,
+# Modes of the two state machines of the standard: instantiated, initialisation, event, continuous,
 # step complete, terminated, error.
 MODES = {EXCHANGE: "inectf", SLAVE: "instf"}
 
@@ -54,8 +54,8 @@ def reals(n):
     return (ctypes.c_double * n)(*[0.5] * n)
 
 
-# Each call with arguments that are right, and the modes of model exchange and of co-simulation in
-# which the standard allows it.
+# Each call with valid arguments, and the modes of model exchange and co-simulation that allow it
+# according to the standard.
 CALLS = {
     "SetDebugLogging": ((0, 0, None), "inectf", "instf"),
     "SetupExperiment": ((0, 0.0, 0.0, 0, 0.0), "i", "i"),
@@ -101,7 +101,7 @@ CALLS = {
 
 @pytest.mark.parametrize("kind", [EXCHANGE, SLAVE])
 @pytest.mark.parametrize("function", list(CALLS))
-def test_calls_are_accepted_where_the_standard_allows_them(fmu, function, kind):
+def test_calls_are_accepted_in_the_modes_of_the_standard(fmu, function, kind):
     arguments, *allowed = CALLS[function]
     for mode in MODES[kind]:
         c = instance(fmu, kind, mode)
@@ -126,7 +126,7 @@ def test_calls_are_accepted_where_the_standard_allows_them(fmu, function, kind):
      ("z_start[1]", ("in", "in")),
      ("tau[1]", ("", "")), ("dtau_ddq[1]", ("", "")), ("der(z[1])", ("", ""))],
 )  # fmt: skip
-def test_variables_are_set_where_the_standard_allows_it(fmu, name, allowed):
+def test_variables_are_settable_in_the_modes_of_the_standard(fmu, name, allowed):
     for kind, modes in MODES.items():
         for mode in set(modes) - set("tf"):
             c = instance(fmu, kind, mode)
@@ -170,13 +170,13 @@ def test_rest_is_a_narrow_band_around_zero(fmu):
     for dq, sign in ((9e-10, 0.0), (-9e-10, 0.0), (-1.1e-9, -1.0), (0.0, 0.0), (1.1e-9, 1.0)):
         fmu.set_all(c, {"dq[1]": dq})
         fmu.event(c)
-        # The rate sigma_0 abs(dq) / g is that which a held sign gives.
+        # The rate sigma_0 abs(dq) / g follows from the held sign.
         assert min(fmu.numbers("GetEventIndicators", c, 3)) > 0.0
         fmu.set_all(c, {"dq[1]": 1.0})
         assert completed(fmu, c) == (sign <= 0.0)
 
 
-def test_a_step_back_over_a_zero_needs_no_event(fmu):
+def test_a_step_back_across_zero_needs_no_event(fmu):
     c = fmu.continuous({"dq[1]": 0.5, "dq[2]": 0.5, "dq[3]": 0.5, "tau_load[2]": 1.0})
     first = fmu.get(c, "tau[2]", "der(z[1])")
     for dq in (-0.2, 0.0, 0.5):
@@ -195,7 +195,7 @@ def test_slope_is_discrete(fmu):
     assert fmu.get(c, "dtau_ddq[2]") == [pytest.approx(36.0 * 0.7**2)]
 
 
-def test_parameters_change_at_events_and_the_state_stays(fmu):
+def test_parameters_change_at_events_without_changing_the_state(fmu):
     c = fmu.continuous({"dq[1]": 0.5, "dq[2]": 0.5})
     assert fmu("SetContinuousStates", c, (ctypes.c_double * 2)(2e-3, 1e-3), 2) == OK
     before = fmu.get(c, "tau[2]")[0]
@@ -206,7 +206,7 @@ def test_parameters_change_at_events_and_the_state_stays(fmu):
     assert tau == pytest.approx(1.0e3 * z + 1.5 * dz)
 
 
-def test_states_and_derivatives_come_as_arrays(fmu):
+def test_states_and_derivatives_are_arrays(fmu):
     c = fmu.continuous({"dq[1]": 0.5, "dq[3]": -0.25})
     assert fmu.numbers("GetDerivatives", c, 2) == [0.5, -0.25]
     assert fmu("SetContinuousStates", c, (ctypes.c_double * 2)(2e-3, -1e-3), 2) == OK
@@ -217,7 +217,7 @@ def test_states_and_derivatives_come_as_arrays(fmu):
     assert fmu.get(c, "der(z[1])", "der(z[3])") == expected
 
 
-def test_a_host_that_needs_an_indicator_gets_one_that_never_changes(table1, load, tmp_path):
+def test_a_constant_indicator_is_available_to_hosts_that_need_one(table1, load, tmp_path):
     fmu = load(export_bare(table1, tmp_path / "F.fmu"))
     c = instance(fmu, EXCHANGE, "c")
     for speed in (-1.0, 0.0, 1.0):
@@ -228,7 +228,7 @@ def test_a_host_that_needs_an_indicator_gets_one_that_never_changes(table1, load
 @pytest.mark.parametrize("function", ["SetContinuousStates", "GetContinuousStates",
                                       "GetDerivatives", "GetNominalsOfContinuousStates",
                                       "GetEventIndicators"])  # fmt: skip
-def test_arrays_of_a_wrong_size(fmu, function):
+def test_arrays_of_a_wrong_size_are_refused(fmu, function):
     right = 3 if function == "GetEventIndicators" else 2
     for n in (0, right - 1, right + 1):
         c = fmu.continuous()
@@ -239,7 +239,7 @@ def test_arrays_of_a_wrong_size(fmu, function):
 
 
 @pytest.mark.parametrize("odd", [float("nan"), float("inf")])
-def test_states_that_are_not_finite_are_not_taken(fmu, odd):
+def test_non_finite_states_are_refused(fmu, odd):
     c = fmu.continuous({"dq[1]": 0.5})
     before = content(fmu, c)
     fmu.messages.clear()

@@ -1,4 +1,4 @@
-"""NULL for an argument, or for the instance, is an error with a reason and never a crash."""
+"""A NULL argument or instance gives an error with a reason, never a crash."""
 
 import ctypes
 from pathlib import Path
@@ -22,7 +22,7 @@ REFERENCE, REAL, INTEGER = (
     some(ctypes.c_int, 1),
 )
 
-# Arguments after the instance; in a list those that are pointers: each of these is NULL once.
+# Arguments after the instance; pointers are in lists, and each of them is NULL once.
 IN_STEPS = {
     "SetDebugLogging": (1, 1, [some(ctypes.c_char_p, b"logAll")]),
     "SetupExperiment": (0, 0.0, 0.0, 0, 0.0),
@@ -57,7 +57,7 @@ CONTINUOUS = {
     "GetContinuousStates": ([some(ctypes.c_double, 0, 0, 0)], 3),
     "GetNominalsOfContinuousStates": ([some(ctypes.c_double, 0, 0, 0)], 3),
 }
-# Their pointers are not looked at, since there is nothing to get or to set.
+# Their pointers are ignored, since the count of values is zero.
 WITHOUT_VALUES = {
     "GetBoolean": (None, 0, None),
     "SetBoolean": (None, 0, None),
@@ -73,22 +73,22 @@ WITHOUT_VALUES = {
 EVERY = IN_STEPS | AT_EVENTS | CONTINUOUS | WITHOUT_VALUES
 
 
-def test_the_tables_have_every_function(request):
+def test_the_tables_list_every_function(request):
     header = Path(request.config.rootpath, "fmu_src/c/fmi2.h").read_text(encoding="utf-8")
     declared = {part.split(")")[0] for part in header.split("FMI2_STATUS(fmi2")[1:]}
     assert declared == set(EVERY)
-    # Beside version, platform, instantiation and freeing.
+    # Except version, platform, instantiation and freeing.
     assert len(declared) == 40
 
 
 @pytest.mark.parametrize("function", list(EVERY))
-def test_no_instance(binary, function):
+def test_a_missing_instance_is_an_error(binary, function):
     arguments = [None if isinstance(a, (list, str)) else a for a in EVERY[function]]
     assert binary(function, None, *arguments) == ERROR
     assert binary.messages == []
 
 
-def test_freeing_nothing(binary):
+def test_freeing_null_is_allowed(binary):
     binary("FreeInstance", None)
     c, none = binary.ready(), ctypes.c_void_p()
     assert binary("FreeFMUstate", c, None) == OK
@@ -96,7 +96,7 @@ def test_freeing_nothing(binary):
 
 
 def with_state(binary, c, arguments):
-    """The arguments, with those that are of this instance put in."""
+    """The arguments with values of this instance inserted."""
     state, size = ctypes.c_void_p(), ctypes.c_size_t()
     assert binary("GetFMUstate", c, ctypes.byref(state)) == OK
     assert binary("SerializedFMUstateSize", c, state, ctypes.byref(size)) == OK
@@ -113,7 +113,7 @@ def has_pointers(function):
 
 
 @pytest.mark.parametrize("function", [*filter(has_pointers, EVERY)])
-def test_every_pointer(binary, function):
+def test_every_null_pointer_is_refused(binary, function):
     def make():
         if function in CONTINUOUS:
             return binary.continuous()
@@ -133,7 +133,7 @@ def test_every_pointer(binary, function):
         assert binary("Reset", c) == OK
 
 
-def test_statuses_that_do_not_exist(binary):
+def test_unknown_statuses_are_refused(binary):
     c = binary.ready()
     for function, kind in (("GetStatus", 0), ("GetStringStatus", 1), ("GetIntegerStatus", 0),
                            ("GetRealStatus", 0), ("GetBooleanStatus", 0)):  # fmt: skip
@@ -145,7 +145,7 @@ def test_statuses_that_do_not_exist(binary):
         )
 
 
-def test_no_string_where_there_should_be_one(binary):
+def test_a_null_string_is_refused(binary):
     c = binary.ready()
     assert binary("SetDebugLogging", c, 1, 1, (ctypes.c_char_p * 1)(None)) == ERROR
     assert "a category is unknown" in binary.messages[-1].text

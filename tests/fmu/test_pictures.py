@@ -1,4 +1,4 @@
-"""The picture of an FMU: small, the same every time, and of what it says."""
+"""The picture of an FMU: small, reproducible and correct."""
 
 import struct
 import subprocess
@@ -13,7 +13,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 
 MOST = 25_000
-"""Bytes; an FMU is small."""
+"""Size limit [bytes]."""
 
 
 def size(picture: bytes) -> tuple[int, int]:
@@ -22,14 +22,16 @@ def size(picture: bytes) -> tuple[int, int]:
     return width, height
 
 
-def test_picture_of_each_law(law: FrictionLaw, make_model: Callable[..., FrictionModel]) -> None:
+def test_pictures_of_all_laws_are_valid(
+    law: FrictionLaw, make_model: Callable[..., FrictionModel]
+) -> None:
     picture = model_png(make_model(law))
     assert size(picture) == (400, 300)
     assert 1_000 < len(picture) <= MOST
 
 
 @pytest.mark.parametrize("joints", [1, 2, 3, 6, 7])
-def test_picture_of_many_joints(joints: int, table1: FrictionModel) -> None:
+def test_the_picture_of_many_joints_is_valid(joints: int, table1: FrictionModel) -> None:
     model = replace(
         table1,
         joints=tuple(f"axis {i}" for i in range(joints)),
@@ -40,7 +42,7 @@ def test_picture_of_many_joints(joints: int, table1: FrictionModel) -> None:
     assert len(picture) <= MOST
 
 
-def test_picture_is_the_same_in_every_process(table1: FrictionModel) -> None:
+def test_the_picture_is_equal_in_every_process(table1: FrictionModel) -> None:
     code = (
         "import hashlib; from fmu_src import model_file; "
         "from fmu_src.pages.picture import model_png; "
@@ -54,22 +56,22 @@ def test_picture_is_the_same_in_every_process(table1: FrictionModel) -> None:
     assert len(runs) == 1
 
 
-def test_picture_says_nothing_of_when_and_by_what(table1: FrictionModel) -> None:
+def test_the_picture_has_no_date_or_software_version(table1: FrictionModel) -> None:
     picture = model_png(table1)
     assert not [kind for kind in (b"tEXt", b"iTXt", b"zTXt", b"tIME") if kind in picture]
     assert b"atplotlib" not in picture
 
 
-def test_picture_shows_the_law(table1: FrictionModel) -> None:
+def test_the_picture_shows_the_law(table1: FrictionModel) -> None:
     other = replace(table1, laws=tuple(reversed(table1.laws)))
     assert model_png(other) != model_png(table1)
-    # Names are not drawn: no font has all letters.
+    # Names are not drawn: no font has all characters.
     assert model_png(replace(table1, robot="机器人 $x$", joints=("a", "b", "§"))) == model_png(
         table1
     )
 
 
-def test_a_torque_that_is_not_finite_is_left_out(
+def test_non_finite_torques_are_left_out(
     make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
 ) -> None:
     law = make_law("parfam_exp")

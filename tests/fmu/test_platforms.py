@@ -1,4 +1,4 @@
-"""The binaries of other platforms give the torques of this one, each in its own kind of host."""
+"""Binaries of other platforms give the torques of this one, each in its own host."""
 
 import os
 import shutil
@@ -19,7 +19,7 @@ STEPS = 1000
 AGREEMENT = 1e-13  # of the peak; the C libraries differ in the last digits
 
 QEMU = shutil.which("qemu-aarch64")
-ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
+ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # from Debian's libc6-arm64-cross
 
 
 def torques(fmu, folder, library, program, *before, **environment):
@@ -52,7 +52,7 @@ def assert_agrees(rows, reference):
     assert np.all(worst <= AGREEMENT), worst
 
 
-def test_windows(native, wine, tmp_path):
+def test_windows_matches(native, wine, tmp_path):
     fmu, reference = native
     program = build_host("host.c", tmp_path, "x86_64-windows-gnu").rename(tmp_path / "host.exe")
     rows = torques(
@@ -66,14 +66,14 @@ def test_windows(native, wine, tmp_path):
     QEMU is None or not ARM_LIBRARIES.is_dir(),
     reason="qemu-user and the C library of 64-bit ARM are not installed",
 )
-def test_linux_on_arm(native, tmp_path):
+def test_linux_on_arm_matches(native, tmp_path):
     fmu, reference = native
     program = build_host("host.c", tmp_path, "aarch64-linux-gnu.2.17")
     library = "aarch64-linux/friction_parfam_h.so"
     assert_agrees(torques(fmu, tmp_path, library, program, QEMU, "-L", ARM_LIBRARIES), reference)
 
 
-def test_the_host_says_what_is_wrong(native, tmp_path):
+def test_the_host_reports_errors(native, tmp_path):
     program = build_host("host.c", tmp_path)
     command = [program, tmp_path / "none.so", "{}", "3", "9", "1"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -1,4 +1,4 @@
-"""The C that is mathematics alone, against closed forms, many digits and test vectors."""
+"""Purely mathematical C, compared with closed forms, multi-precision results and test vectors."""
 
 import ctypes
 from ctypes import POINTER, c_bool, c_char_p, c_double, c_int, c_size_t, c_uint64
@@ -34,11 +34,11 @@ EXPORT double normal(uint64_t seed, uint64_t stream, uint64_t counter) {
         (2**64 - 1, 5, 1000000, 2.7082296607715115),
     ],
 )
-def test_noise_is_that_of_its_definition(normal, seed, stream, counter, expected) -> None:
+def test_noise_matches_its_definition(normal, seed, stream, counter, expected) -> None:
     assert normal(seed, stream, counter) == pytest.approx(expected, rel=1e-14)
 
 
-def test_noise_is_that_of_python(normal) -> None:
+def test_noise_matches_python(normal) -> None:
     counters = np.arange(300)
     found = [normal(7, 3, int(c)) for c in counters]
     np.testing.assert_allclose(found, standard_normal(7, 3, counters), rtol=1e-13)
@@ -49,7 +49,7 @@ def test_noise_is_that_of_python(normal) -> None:
 
 @pytest.fixture(scope="module")
 def math(tmp_path_factory: pytest.TempPathFactory):
-    """Call a function of law_math.h by its name."""
+    """Call a function of law_math.h by name."""
     one = ("sgn", "square", "cube", "positive", "cardinal_sine", "cardinal_slope")
     two, three = ("exceeds", "clip", "decay"), ("share", "share_slope")
     arguments = {n: k for k, names in enumerate((one, two, three), start=1) for n in names}
@@ -64,7 +64,7 @@ def math(tmp_path_factory: pytest.TempPathFactory):
     return lambda name, *values: found[name](*values)
 
 
-def test_signs_powers_and_bounds(math) -> None:
+def test_signs_powers_and_bounds_are_right(math) -> None:
     assert [math("sgn", x) for x in (-2.0, -1e-300, 0.0, 1e-300, 3.0)] == [-1, -1, 0, 1, 1]
     assert [math(name, -3.0) for name in ("square", "cube")] == [9.0, -27.0]
     assert [math("positive", x) for x in (-2.0, 0.0, 2.5, float("nan"))] == [0.0, 0.0, 2.5, 0.0]
@@ -73,8 +73,8 @@ def test_signs_powers_and_bounds(math) -> None:
 
 
 @pytest.mark.parametrize("z", [1e-300, 1e-9, 1e-4, 0.99e-3, 1.01e-3, 0.02, 0.9, 7.0, 200.0])
-def test_what_a_relaxation_keeps_and_takes_over_a_step(math, z: float) -> None:
-    """exp(-z) - 1, (1 - exp(-z)) / z and its slope, to both sides of where they are series."""
+def test_relaxation_factors_are_accurate(math, z: float) -> None:
+    """exp(-z) - 1, (1 - exp(-z)) / z and its slope, on both sides of the switch to a series."""
     with mpmath.workdps(700):
         x = mpmath.mpf(z)
         left = mpmath.exp(-x)
@@ -90,7 +90,7 @@ def test_what_a_relaxation_keeps_and_takes_over_a_step(math, z: float) -> None:
 
 @pytest.mark.parametrize("x", [0.0, 1e-300, 1e-9, 0.99e-3, 1.01e-3, 0.02, 0.9, 3.0, 7.0, 200.0])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_cardinal_sine_and_its_slope(math, x: float, sign: float) -> None:
+def test_the_cardinal_sine_and_its_slope_are_accurate(math, x: float, sign: float) -> None:
     with mpmath.workdps(700):
         z = mpmath.mpf(sign * x)
         sine = mpmath.sin(z) / z if x else mpmath.mpf(1)
@@ -99,7 +99,7 @@ def test_the_cardinal_sine_and_its_slope(math, x: float, sign: float) -> None:
     assert math("cardinal_slope", sign * x) == pytest.approx(float(slope), rel=2e-10)
 
 
-def test_nothing_is_taken_where_no_time_passes(math) -> None:
+def test_a_zero_step_changes_nothing(math) -> None:
     assert [math("decay", 0.0, 0.0), math("share", 0.0, 0.0, 0.0)] == [0.0, 1.0]
     assert math("share_slope", 0.0, 0.0, 0.0) == -0.5
 
@@ -163,7 +163,7 @@ SLOPES = {"tau_motor": 7.0, "tau_load": 11.0, "q_link": -5.0, "dq_link": 3.0}
 
 @pytest.fixture(scope="module", params=[50.0, 20.0], ids=["constants", "parameters"])
 def tried(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory):
-    """(v, residual, slope, size, tau_f, tau_link, x) at a speed; the law's coefficient."""
+    """(v, residual, slope, size, tau_f, tau_link, x) at a given speed, and the coefficient."""
     library = compiled(
         tmp_path_factory.mktemp("balance"), BALANCED.format(constant=int(request.param == 50.0)),
         "balance.h", "coupling.h", others={"equations.h": LAWS},
@@ -184,10 +184,10 @@ def tried(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 @pytest.mark.parametrize("euler", [False, True])
 @pytest.mark.parametrize("v", [-40.0, -3.0, -0.4, 0.0, 0.6, 5.0])
 @pytest.mark.parametrize("ratio", [2.0, -2.0])
-def test_the_balance_of_torques_is_its_definition(
+def test_the_torque_balance_matches_its_definition(
     tried, v: float, euler: bool, ratio: float
 ) -> None:
-    """inertia (v - dq) / h - tau_motor + (tau_f + tau_link) / ratio, all at the end of the step."""
+    """inertia (v - dq) / h - tau_motor + (tau_f + tau_link) / ratio at the end of the step."""
     run, k = tried
     h, time = 0.01, 0.02
     found = run(v, euler=euler, ratio=ratio)
@@ -205,7 +205,7 @@ def test_the_balance_of_torques_is_its_definition(
 
 @pytest.mark.parametrize("euler", [False, True])
 @pytest.mark.parametrize("v", [-3.0, -0.4, 0.6, 5.0])
-def test_the_slope_of_the_balance_is_that_of_its_residual(tried, v: float, euler: bool) -> None:
+def test_the_slope_of_the_balance_matches_its_residual(tried, v: float, euler: bool) -> None:
     run, _ = tried
     ends = [run(v + way * 1e-4, euler=euler)[1] for way in (1.0, -1.0)]
     assert run(v, euler=euler)[2] == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-8)
@@ -260,7 +260,7 @@ def find(tmp_path_factory: pytest.TempPathFactory):
                       POINTER(c_double), POINTER(c_double), POINTER(c_int), c_char_p)  # fmt: skip
 
     def found(residual, slope, start, *, jumps=False, h=0.01):
-        """(speed, how many trials, torque of friction, what was said)."""
+        """(speed, number of trials, friction torque, message)."""
         seen = []
 
         def torque(v, out, by_v):
@@ -283,14 +283,14 @@ def test_the_root_of_a_line_is_found_at_once(find) -> None:
 
 
 @pytest.mark.parametrize(("start", "most"), [(-2.0, 47), (0.3, 16), (4.0, 56)])
-def test_roots_of_curves_are_those_of_many_digits(find, start: float, most: int) -> None:
-    """With no more trials than strides that bend, in 16 pieces each, and Newton's steps ask for."""
+def test_roots_of_curves_match_multi_precision_ones(find, start: float, most: int) -> None:
+    """The number of trials is limited by curved strides, in 16 pieces each, and Newton steps."""
     v, trials, *_ = find(lambda v: v**3 + v - 3.0, lambda v: 3 * v**2 + 1, start, h=1.0)
     assert v == pytest.approx(1.2134116627622296, rel=1e-14)
     assert trials <= most
 
 
-def test_of_several_roots_it_is_the_first_on_the_way(find) -> None:
+def test_the_nearest_of_several_roots_is_found(find) -> None:
     def wave(v):
         return np.sin(3.0 * v) + 0.1 * v
 
@@ -311,8 +311,8 @@ def test_of_several_roots_it_is_the_first_on_the_way(find) -> None:
         assert low < v < high
 
 
-def test_between_two_pieces_it_is_tried_where_the_slope_must_vanish(find) -> None:
-    """A notch that is narrower than a piece: only where both tangents meet is it below zero."""
+def test_the_zero_of_the_slope_between_two_pieces_is_tried(find) -> None:
+    """A notch narrower than a piece: only the intersection of both tangents is below zero."""
 
     def notch(v):
         return min(1.0, 5.0 * abs(v - 0.53) - 0.02)
@@ -325,8 +325,8 @@ def test_between_two_pieces_it_is_tried_where_the_slope_must_vanish(find) -> Non
     assert 0.53125 in seen
 
 
-def test_a_stride_that_passes_two_roots_is_traced_again(find) -> None:
-    """The residual dips below zero in a valley that one long stride leaps over."""
+def test_a_stride_across_two_roots_is_retraced(find) -> None:
+    """The residual is below zero only in a valley that one long stride skips."""
 
     def valley(v):
         return 1.0 - v - 1.2 * np.exp(-(((v - 0.5) / 0.05) ** 2)) if v < 0.8 else 0.2
@@ -343,8 +343,8 @@ def test_a_stride_that_passes_two_roots_is_traced_again(find) -> None:
 
 
 @pytest.mark.parametrize("level", [0.2, 0.99, -0.5])
-def test_friction_that_jumps_holds_at_rest(find, level: float) -> None:
-    """Coulomb friction of 1 against less: the speed is zero, and friction is what is needed."""
+def test_coulomb_friction_holds_at_rest(find, level: float) -> None:
+    """Coulomb friction of 1 against a smaller torque: zero speed, friction equals the torque."""
     v, trials, tau_f, *_ = find(
         lambda v: np.sign(v) + 0.1 * v - level, lambda _: 0.1, 0.4, jumps=True
     )
@@ -354,14 +354,14 @@ def test_friction_that_jumps_holds_at_rest(find, level: float) -> None:
     assert trials < 20
 
 
-def test_friction_that_jumps_slides_where_it_must(find) -> None:
+def test_coulomb_friction_slides_above_its_limit(find) -> None:
     v, *_ = find(lambda v: np.sign(v) + 0.1 * v - 1.3, lambda _: 0.1, -0.4, jumps=True)
     assert v == pytest.approx(3.0, rel=1e-12)
     v, *_ = find(lambda v: np.sign(v) + 0.1 * v + 1.3, lambda _: 0.1, 0.4, jumps=True)
     assert v == pytest.approx(-3.0, rel=1e-12)
 
 
-def test_where_there_is_no_root_it_says_so(find) -> None:
+def test_a_missing_root_is_reported(find) -> None:
     v, trials, _, said, _ = find(lambda v: -1.0 - v**2, lambda v: -2.0 * v, 0.0)
     assert v is None
     assert said.startswith(
@@ -373,7 +373,7 @@ def test_where_there_is_no_root_it_says_so(find) -> None:
 
 
 def test_strides_double_until_the_sign_changes(find) -> None:
-    """Where Newton's step is longer than h / inertia times the torque, or leads back."""
+    """If Newton's step exceeds h / inertia times the torque, or leads backwards."""
     _, _, _, _, seen = find(lambda v: np.arctan(v - 1.0), lambda v: -1.0 if v < 0.5 else
                             1.0 / (1.0 + (v - 1.0) ** 2), 0.0, h=0.02)  # fmt: skip
     first = 0.01 * np.arctan(1.0)
@@ -420,11 +420,11 @@ EXPORT bool place(const char *uri, const char *name, char *path, size_t size) {
         (None, None),
     ],
 )
-def test_the_place_of_a_resource(path_of, uri, expected) -> None:
+def test_resource_paths_are_resolved(path_of, uri, expected) -> None:
     assert path_of(uri) == expected
 
 
 @pytest.mark.parametrize(("size", "fits"), [(11, True), (10, False), (6, False), (4, False)])
-def test_a_place_that_is_too_long_is_none(path_of, size: int, fits: bool) -> None:
-    """ "/a/b/m.mjb" has ten characters and an end."""
+def test_an_overlong_resource_path_is_refused(path_of, size: int, fits: bool) -> None:
+    """ "/a/b/m.mjb" has ten characters and a terminator."""
     assert path_of("/a/b", size) == ("/a/b/m.mjb" if fits else None)

@@ -1,4 +1,4 @@
-"""Reference motion and reference results: within what was trained, and what the FMU gives."""
+"""Reference motion and results: within the training range, and reproduced by the FMU."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -46,7 +46,7 @@ def columns(rows: np.ndarray, name: str) -> np.ndarray:
     return np.column_stack([rows[n] for n in found])
 
 
-def test_motion_stays_within_what_was_trained(
+def test_motion_stays_within_the_training_range(
     make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
 ) -> None:
     laws = make_law("lugre"), make_law("viscous")
@@ -63,7 +63,7 @@ def test_motion_stays_within_what_was_trained(
     assert not np.allclose(motion.dq[:, 0] / 0.8, motion.dq[:, 1] / 0.4)
 
 
-def test_motion_of_a_model_that_says_nothing(table1: FrictionModel) -> None:
+def test_motion_has_defaults_without_a_training_range(table1: FrictionModel) -> None:
     motion = reference_motion(table1, frequency=0.25, periods=5.0)
     assert motion.dq.shape == (4000, 3)
     expected = UNKNOWN_SPEED * np.sin(2 * np.pi * 0.25 * motion.t)
@@ -73,13 +73,13 @@ def test_motion_of_a_model_that_says_nothing(table1: FrictionModel) -> None:
 
 
 @pytest.mark.parametrize("discretisation", ["exact", "euler"])
-def test_the_fmu_gives_the_reference_in_co_simulation(
+def test_the_fmu_reproduces_the_reference_in_co_simulation(
     law: FrictionLaw,
     discretisation: str,
     make_model: Callable[..., FrictionModel],
     tmp_path: Path,
 ) -> None:
-    # Without a trained range the speed is higher than Euler stands at the sample time.
+    # Without a training range the speed is too high for Euler at the sample time.
     trained = (TRAINED,) if discretisation == "exact" else ()
     model = make_model(replace(law, discretisation=discretisation), trained=trained)
     files = reference_files(model, NAME)
@@ -103,7 +103,9 @@ def test_the_fmu_gives_the_reference_in_co_simulation(
     assert largest > 0.1
 
 
-def test_the_fmu_gives_the_reference_of_all_joints(table1: FrictionModel, table1_fmu: Path) -> None:
+def test_the_fmu_reproduces_the_reference_of_all_joints(
+    table1: FrictionModel, table1_fmu: Path
+) -> None:
     files = reference_files(table1, NAME)
     stem = f"extra/co_simulation/{NAME}"
     expected = table(files, f"{stem}_ref.csv")
@@ -121,7 +123,7 @@ def test_the_fmu_gives_the_reference_of_all_joints(table1: FrictionModel, table1
 
 
 def integrated(law: FrictionLaw, rows: np.ndarray) -> np.ndarray:
-    """The torque of one joint by an integrator of someone else's."""
+    """The torque of one joint by a third-party integrator."""
     symbols = tuple(c.symbol for c in law.form.coefficients)
     parts = tuple(e for r in law.form.relaxations for e in (r.drive, r.rate))
     states = tuple(s for r in law.form.relaxations for s in (r.state, r.derivative))
@@ -164,7 +166,7 @@ def test_the_reference_of_model_exchange_is_the_integrated_law(
 
 
 def solved(fmu: Path, rows: np.ndarray, outputs: Sequence[str], substeps: int) -> np.ndarray:
-    """What the FMU gives in model exchange to a Runge-Kutta solver that follows the inputs."""
+    """Results of the FMU in model exchange with a Runge-Kutta solver that follows the inputs."""
     about = fmpy.read_model_description(fmu)
     vr = {v.name: v.valueReference for v in about.modelVariables}
     names = rows.dtype.names[1:]
@@ -216,7 +218,7 @@ def solved(fmu: Path, rows: np.ndarray, outputs: Sequence[str], substeps: int) -
     return np.array(found)
 
 
-def test_the_fmu_gives_the_reference_in_model_exchange(
+def test_the_fmu_reproduces_the_reference_in_model_exchange(
     make_law: Callable[[str], FrictionLaw],
     make_model: Callable[..., FrictionModel],
     tmp_path: Path,
@@ -232,11 +234,11 @@ def test_the_fmu_gives_the_reference_in_model_exchange(
         60,
     )
     largest = np.abs(columns(expected, "tau")).max(axis=0)
-    # A change of sign within a step is found at the end of it.
+    # A sign change within a step is detected at its end.
     assert np.all(np.abs(found - columns(expected, "tau")).max(axis=0) <= 3e-5 * largest)
 
 
-def test_files_keep_the_rules_of_the_cross_check(table1: FrictionModel) -> None:
+def test_files_follow_the_rules_of_the_cross_check(table1: FrictionModel) -> None:
     files = reference_files(table1, NAME)
     assert set(files) == {
         "extra/README.txt",
@@ -261,7 +263,7 @@ def test_files_keep_the_rules_of_the_cross_check(table1: FrictionModel) -> None:
     assert files == reference_files(table1, NAME)
 
 
-def test_euler_gets_a_shorter_step_where_it_needs_one(
+def test_euler_gets_a_shorter_step_if_needed(
     make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
 ) -> None:
     stiff = replace(make_law("lugre"), discretisation="euler")
@@ -270,7 +272,7 @@ def test_euler_gets_a_shorter_step_where_it_needs_one(
     assert chosen["StepSize"] in {0.02 / 2**k for k in range(1, 10)}
 
 
-def test_a_torque_that_is_not_finite_leaves_a_word(
+def test_a_non_finite_torque_is_noted(
     make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
 ) -> None:
     law = make_law("parfam_exp")
@@ -280,11 +282,11 @@ def test_a_torque_that_is_not_finite_leaves_a_word(
     assert b"not finite" in files["extra/README.txt"]
 
 
-def test_the_settings_differ_as_they_should(table1: FrictionModel) -> None:
+def test_the_settings_differ_as_expected(table1: FrictionModel) -> None:
     motion = reference_motion(table1, rows=500)
     found = {way: torques(table1, motion, way) for way in (*SETTINGS, CONTINUOUS)}
     exact = replace(table1, laws=tuple(replace(law, discretisation="exact") for law in table1.laws))
-    # Held inputs are those of the row before, but for the state that they drive.
+    # Held inputs are those of the previous row, except for the state that they drive.
     assert np.abs(found["hold"] - found["direct"]).max() > 1.0
     fine = torques(exact, motion, CONTINUOUS)
     np.testing.assert_array_equal(found[CONTINUOUS], fine)

@@ -1,4 +1,4 @@
-"""The seam is enough for a component that is no friction law: forty lines of C and a table."""
+"""The component interface suffices for other models than friction: forty lines of C and a table."""
 
 import shutil
 import subprocess
@@ -24,11 +24,11 @@ def expected(t):
     return 2.0 + (0.25 - 2.0) * np.exp(-t / 0.5)
 
 
-def test_it_is_valid(fmu):
+def test_the_fmu_is_valid(fmu):
     assert validate_fmu(str(fmu)) == []
 
 
-def test_co_simulation(fmu):
+def test_co_simulation_is_right(fmu):
     with FmuInstance(fmu) as one:
         one.initialise(start={"u": 2.0})
         for k in range(50):
@@ -36,7 +36,7 @@ def test_co_simulation(fmu):
             one.step(0.01 * k, 0.01)
 
 
-def test_model_exchange(fmu):
+def test_model_exchange_is_right(fmu):
     result = fmpy.simulate_fmu(
         str(fmu), fmi_type="ModelExchange", stop_time=1.0, relative_tolerance=1e-9,
         start_values={"u": 2.0}, output=["y"],
@@ -44,7 +44,7 @@ def test_model_exchange(fmu):
     np.testing.assert_allclose(result["y"], expected(result["time"]), rtol=1e-7)
 
 
-def test_a_component_says_why_it_cannot_start(fmu):
+def test_a_failed_start_is_reported_with_a_reason(fmu):
     with (
         FmuInstance(fmu) as one,
         pytest.raises(SimulationError, match=r"T is -1 s; it must be positive"),
@@ -52,7 +52,7 @@ def test_a_component_says_why_it_cannot_start(fmu):
         one.initialise(start={"T": -1.0})
 
 
-def test_flags_say_that_there_are_no_derivatives(fmu):
+def test_flags_state_the_lack_of_derivatives(fmu):
     about = fmpy.read_model_description(str(fmu))
     assert about.modelExchange.providesDirectionalDerivative is False
     assert about.coSimulation.providesDirectionalDerivative is False
@@ -63,7 +63,7 @@ def test_flags_say_that_there_are_no_derivatives(fmu):
     shutil.which("gcc") is None or shutil.which("cmake") is None,
     reason="gcc and cmake, with which FMPy compiles sources, are not installed",
 )
-def test_an_importer_compiles_it(fmu, tmp_path):
+def test_an_importer_compiles_the_sources(fmu, tmp_path):
     own = Path(shutil.copy(fmu, tmp_path / "Lag.fmu"))
     subprocess.run([sys.executable, "-m", "fmpy", "compile", str(own)], check=True, cwd=tmp_path)
     assert own.read_bytes() != fmu.read_bytes()

@@ -1,4 +1,4 @@
-"""FMUs and other exports of models with a joint that slides: units, pages, refusals."""
+"""FMUs and other exports of models with a prismatic joint: units, pages, refusals."""
 
 import json
 import re
@@ -32,7 +32,7 @@ CART = """
 
 @pytest.fixture(scope="module")
 def mixed(make_law, make_model):
-    """A joint that turns and one that slides, of one law."""
+    """A revolute and a prismatic joint with the same law."""
     return make_model(make_law("lugre"), make_law("lugre"), sliding=(False, True))
 
 
@@ -72,7 +72,7 @@ def test_every_variable_has_the_unit_of_its_joint(mixed_fmu):
     )
 
 
-def test_it_passes_every_check_and_carries_the_model(mixed, mixed_fmu):
+def test_the_fmu_passes_all_checks_and_contains_the_model(mixed, mixed_fmu):
     assert check(mixed_fmu).problems == ()
     with zipfile.ZipFile(mixed_fmu) as archive:
         carried = json.loads(archive.read(EMBEDDED_MODEL))
@@ -80,14 +80,14 @@ def test_it_passes_every_check_and_carries_the_model(mixed, mixed_fmu):
     assert [joint.get("sliding") for joint in carried["joints"]] == [None, True]
 
 
-def test_the_code_of_a_law_is_there_once(mixed_fmu):
+def test_the_code_of_a_law_is_written_once(mixed_fmu):
     with zipfile.ZipFile(mixed_fmu) as archive:
         laws = archive.read("sources/equations.h").decode()
     assert "law_1_step" in laws
     assert "law_2_step" not in laws
 
 
-def test_its_page_does_not_lie(mixed, mixed_fmu, make_law, make_model, tmp_path):
+def test_the_page_has_the_right_units(mixed, mixed_fmu, make_law, make_model, tmp_path):
     both, one = "N.m (N where it slides)", make_model(make_law("lugre"), sliding=(True,))
     with zipfile.ZipFile(mixed_fmu) as archive:
         page = archive.read("documentation/index.html").decode()
@@ -109,7 +109,7 @@ def mixed_drive(mixed, tmp_path_factory):
     return export_drive(mixed, tmp_path_factory.mktemp("mixed") / "Drive.fmu", inertia=(3.0, 3.0))
 
 
-def test_a_drive_slides_in_its_units(mixed_drive):
+def test_a_sliding_drive_has_its_units(mixed_drive):
     found = variables(mixed_drive)
     for name, turning, sliding in (
         ("tau_motor[{}]", "N.m", "N"),
@@ -135,8 +135,8 @@ def test_a_drive_slides_in_its_units(mixed_drive):
     assert " N without load; a force below " in page or "creeps under any force." in page
 
 
-def test_a_drive_slides_as_one_that_turns_does(mixed_drive):
-    """A mass under a force moves in m as an inertia under a torque in rad, to the last bit."""
+def test_a_sliding_drive_equals_a_rotating_one(mixed_drive):
+    """A mass under a force moves in m like an inertia under a torque in rad, bit for bit."""
     with FmuInstance(mixed_drive) as drive:
         drive.initialise()
         force = drive.buffer(["tau_motor[1]", "tau_motor[2]"])
@@ -150,7 +150,7 @@ def test_a_drive_slides_as_one_that_turns_does(mixed_drive):
         assert abs(q_slid) > 1e-3
 
 
-def test_a_modelica_package_turns(mixed, tmp_path):
+def test_a_modelica_package_has_rotational_flanges(mixed, tmp_path):
     with pytest.raises(ExportError) as caught:
         export_modelica(mixed, tmp_path / "Friction.mo")
     assert str(caught.value) == (
@@ -160,8 +160,8 @@ def test_a_modelica_package_turns(mixed, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_mujoco_slides_as_the_law_does(make_law, make_model, tmp_path):
-    """Passive actuators act on any joint, in N where it slides."""
+def test_mujoco_matches_the_law_in_sliding(make_law, make_model, tmp_path):
+    """Passive actuators act on any joint, in N on a prismatic one."""
     model = make_model(make_law("lugre"), law="lugre", sliding=(True,))
     assert export_mjcf_law(model, tmp_path / "friction.xml").lines() == ["axis_1: exact"]
     (tmp_path / "cart.xml").write_text(CART)
@@ -176,12 +176,12 @@ def test_mujoco_slides_as_the_law_does(make_law, make_model, tmp_path):
         mujoco.mj_step(cart, data)
         force[k] = data.qfrc_actuator[0]
     assert np.abs(force).max() > 5.0
-    # MuJoCo puts the force of a step's beginning on the joint; the law gives that of its end.
+    # MuJoCo applies the force of the start of a step; the law gives that of its end.
     said = model.predict(t=dt * np.arange(rows), dq=dq[:, None])[:, 0]
     assert np.abs(force[1:] + said[:-1]).max() < 0.05 * np.abs(said).max()
 
 
-def test_what_mujoco_has_no_part_for_is_said_in_its_units(make_law, make_model, tmp_path):
+def test_parts_missing_in_mujoco_are_reported_in_their_units(make_law, make_model, tmp_path):
     law = make_law("lugre")
     negative = type(law)(**{**vars(law), "values": {**law.values, "sigma_0": -9.0, "F_c": 1.0}})
     with pytest.raises(ExportError, match=r"has the factor -9 N/m, and the stiffness"):

@@ -1,4 +1,4 @@
-"""Saving and restoring brings back everything, so that a simulation goes on bit for bit."""
+"""Saving and restoring covers the whole state, so that a simulation resumes bit for bit."""
 
 import ctypes
 import itertools
@@ -36,7 +36,7 @@ def serialised(binary, c, state):
     return data.raw
 
 
-def test_a_restored_state_goes_on_bit_for_bit(binary):
+def test_a_restored_state_resumes_bit_for_bit(binary):
     c = binary.ready()
     run(binary, c, 0, 20)
     state = saved(binary, c)
@@ -48,7 +48,7 @@ def test_a_restored_state_goes_on_bit_for_bit(binary):
     assert binary("FreeFMUstate", c, ctypes.byref(state)) == 0
 
 
-def test_a_serialised_state_goes_on_in_another_instance(binary):
+def test_a_serialised_state_resumes_in_another_instance(binary):
     c = binary.ready()
     run(binary, c, 0, 20)
     data = serialised(binary, c, saved(binary, c))
@@ -59,7 +59,7 @@ def test_a_serialised_state_goes_on_in_another_instance(binary):
     assert run(binary, other, 20, 60) == first
 
 
-def test_bytes_for_which_there_is_no_room(binary):
+def test_a_short_buffer_is_refused(binary):
     c = binary.ready()
     state = saved(binary, c)
     size = len(serialised(binary, c, state))
@@ -90,7 +90,7 @@ def test_states_of_other_models_are_refused(binary):
         assert state.value is None
 
 
-def test_a_state_from_before_a_failure_mends_it(binary):
+def test_restoring_an_earlier_state_clears_a_failure(binary):
     c = binary.ready()
     run(binary, c, 0, 20)
     state = saved(binary, c)
@@ -126,7 +126,7 @@ def test_a_state_of_the_other_type_is_refused(binary):
         assert serialised(binary, one, saved(binary, one)) == before
 
 
-def test_slopes_of_inputs_are_part_of_a_state(binary):
+def test_input_derivatives_are_part_of_a_state(binary):
     c = binary.ready()
     one, slope = (ctypes.c_int * 1)(1), (ctypes.c_double * 1)(0.5)
     assert binary("SetRealInputDerivatives", c, binary.references(["dq[1]"]), 1, one, slope) == 0
@@ -152,7 +152,7 @@ def test_held_signs_are_part_of_a_state(make_law, make_model, load, tmp_path):
 
 
 def deserialised(binary, c, data):
-    """Status of reading bytes, and the state that then stands there."""
+    """Status of reading the bytes, and the resulting state."""
     state = ctypes.c_void_p()
     status = binary("DeSerializeFMUstate", c, data, len(data), ctypes.byref(state))
     return status, state
@@ -163,7 +163,7 @@ def refused(binary, c, data):
     return status == ERROR and state.value is None
 
 
-def test_a_state_of_which_one_byte_has_changed_is_refused(binary):
+def test_a_state_with_one_changed_byte_is_refused(binary):
     c = binary.ready()
     run(binary, c, 0, 20)
     data = serialised(binary, c, saved(binary, c))
@@ -175,8 +175,8 @@ def test_a_state_of_which_one_byte_has_changed_is_refused(binary):
     assert deserialised(binary, c, data)[0] == 0
 
 
-def test_a_state_of_which_two_signs_have_changed_is_refused(binary):
-    """A product leaves the sign of a word where it is, so that two could cancel in the sum."""
+def test_a_state_with_two_changed_signs_is_refused(binary):
+    """A product keeps the sign bit of a word in place, so that two could cancel in the sum."""
     c = binary.ready()
     run(binary, c, 0, 20)
     data = serialised(binary, c, saved(binary, c))
@@ -189,7 +189,7 @@ def test_a_state_of_which_two_signs_have_changed_is_refused(binary):
 
 
 def test_ten_thousand_corrupted_states_are_refused(binary):
-    """Some bytes anew, pieces in another order, zeros, other sizes."""
+    """Random bytes, reordered pieces, zeros, other sizes."""
     c = binary.ready()
     run(binary, c, 0, 20)
     data = serialised(binary, c, saved(binary, c))
@@ -209,7 +209,7 @@ def test_ten_thousand_corrupted_states_are_refused(binary):
             assert refused(binary, c, bytes(changed)), (k, first, last)
 
 
-def test_what_is_there_stays_where_bytes_are_refused(binary):
+def test_refused_bytes_leave_the_state_unchanged(binary):
     c = binary.ready()
     run(binary, c, 0, 20)
     state = saved(binary, c)
@@ -225,7 +225,7 @@ def test_what_is_there_stays_where_bytes_are_refused(binary):
 
 
 def forged(data, place, value):
-    """The bytes with a word of the memory changed, and a sum that fits them; as in fmi2_state.c."""
+    """The bytes with one word of memory changed and the checksum updated, as in fmi2_state.c."""
     guid = data.index(b"\0") + 1
     version = -(-guid // 4) * 4
     sum_at = -(-(version + 4) // 8) * 8
@@ -241,8 +241,8 @@ def forged(data, place, value):
     return bytes(changed)
 
 
-def test_a_state_that_no_instance_can_have_is_refused(binary):
-    """With the right sum, as by somebody who knows how it is made."""
+def test_an_impossible_state_is_refused(binary):
+    """With a valid checksum, as from an attacker who knows the algorithm."""
     c = binary.ready()
     run(binary, c, 0, 20)
     data = serialised(binary, c, saved(binary, c))
@@ -252,7 +252,7 @@ def test_a_state_that_no_instance_can_have_is_refused(binary):
     (output,) = binary.references(["tau[1]"])
     guid = data.index(b"\0") + 1
     end = len(data) - (-(-(-(-guid // 4) * 4 + 4) // 8) * 8 + 8)  # the size of the memory
-    integers = end - 24  # refusals, type, mode, sloped, stale, and nothing
+    integers = end - 24  # refusals, type, mode, sloped, stale, and padding
     for place, value, said in (
         (8 * velocity, nan, "dq[1] is nan"),
         (8 * output, nan, "tau[1] became nan"),
@@ -270,8 +270,8 @@ def test_a_state_that_no_instance_can_have_is_refused(binary):
     assert deserialised(binary, c, forged(data, 8 * velocity, struct.pack("<d", 0.1)))[0] == 0
 
 
-def test_forged_states_that_are_accepted_give_numbers_or_errors(binary):
-    """With the right sum, and anything in the memory: what FMI calls OK is a number."""
+def test_accepted_forged_states_give_numbers_or_errors(binary):
+    """With a valid checksum and arbitrary memory: results are finite if FMI returns OK."""
     c, other = binary.ready(), binary.ready(name=b"other")
     run(binary, c, 0, 20)
     data, new = serialised(binary, c, saved(binary, c)), saved(binary, other)
@@ -300,7 +300,7 @@ def test_forged_states_that_are_accepted_give_numbers_or_errors(binary):
     assert 200 < accepted < 2000
 
 
-def test_a_state_after_a_failure_can_be_carried_on_and_reset(binary):
+def test_a_state_after_a_failure_can_be_restored_and_reset(binary):
     c = binary.ready()
     run(binary, c, 0, 20)
     assert binary.step(c, 0.1, -1.0) == ERROR
@@ -314,8 +314,8 @@ def test_a_state_after_a_failure_can_be_carried_on_and_reset(binary):
     assert binary("SetupExperiment", other, 0, 0.0, 0.0, 0, 0.0) == 0
 
 
-def test_reset_mends_whatever_mode_there_is(binary):
-    """Bytes of a state in memory that something else has written over."""
+def test_reset_repairs_any_mode(binary):
+    """Bytes of a state in memory overwritten by something else."""
     c = binary.ready()
     state = saved(binary, c)
     size = len(serialised(binary, c, state))

@@ -1,4 +1,4 @@
-"""The FMU of a model that follows temperature: the torque of Python, heat as its state."""
+"""The FMU of a model with temperature: the torque of Python, with heat as its state."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -42,7 +42,7 @@ def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 
 def records(*, measured: bool) -> list[list[FrictionRecord]]:
-    """Of each joint one log."""
+    """One log of each joint."""
     found = []
     for k, joint in enumerate(MODEL.joints):
         t, dq, q, load = motion(20.0, seed=k)
@@ -55,7 +55,7 @@ def records(*, measured: bool) -> list[list[FrictionRecord]]:
 
 
 @pytest.mark.parametrize("measured", [True, False])
-def test_it_is_what_python_predicts(fmu: Path, measured: bool) -> None:
+def test_the_fmu_matches_the_python_prediction(fmu: Path, measured: bool) -> None:
     logs = records(measured=measured)
     expected = MODEL.predict([log[0] for log in logs])
     found = np.column_stack([torques[0] for torques in predict_fmu(fmu, logs)])
@@ -64,7 +64,7 @@ def test_it_is_what_python_predicts(fmu: Path, measured: bool) -> None:
     assert np.abs(found - cold).max(axis=0).min() > 0.5
 
 
-def test_at_the_reference_without_factors_it_is_the_law(tmp_path: Path) -> None:
+def test_the_law_is_unchanged_at_the_reference_temperature(tmp_path: Path) -> None:
     neutral = replace(MODEL, thermal=(replace(WARM, coulomb_scale=1.0, viscous_scale=1.0),) * 2)
     t, dq, q, load = motion(5.0)
     columns = [np.column_stack([x, x]) for x in (dq, q, load)]
@@ -76,7 +76,7 @@ def test_at_the_reference_without_factors_it_is_the_law(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, plain, rtol=0.0, atol=1e-12 * np.abs(plain).max())
 
 
-def test_it_is_valid_and_says_what_it_is(fmu: Path) -> None:
+def test_the_fmu_is_valid_and_states_its_kind(fmu: Path) -> None:
     assert validate_fmu(str(fmu)) == []
     assert check(fmu).problems == ()
     description = read_model_description(fmu)
@@ -92,7 +92,7 @@ def test_it_is_valid_and_says_what_it_is(fmu: Path) -> None:
     assert "from their motion and temperature" in description.description
 
 
-def test_factors_of_every_friction_fmu_act_beside_temperature(fmu: Path) -> None:
+def test_factors_act_in_addition_to_temperature(fmu: Path) -> None:
     with FmuInstance(fmu) as component:
         names = component.variables.expanded({"coulomb_scale": 0.0, "viscous_scale": 2.0})
         component.initialise(start=names)
@@ -103,7 +103,7 @@ def test_factors_of_every_friction_fmu_act_beside_temperature(fmu: Path) -> None
         assert component.get(["tau[1]"])[0] == pytest.approx(expected, abs=1e-6)
 
 
-def test_heat_is_state_and_begins_anew_after_a_reset(fmu: Path) -> None:
+def test_heat_is_a_state_cleared_by_reset(fmu: Path) -> None:
     with FmuInstance(fmu) as component:
         component.initialise(start={f"joint[{i}].thermometer": 0.0 for i in (1, 2)})
         found = []
@@ -116,14 +116,14 @@ def test_heat_is_state_and_begins_anew_after_a_reset(fmu: Path) -> None:
             found.append(np.array(rise))
             component.reset()
             component.initialise(start={f"joint[{i}].thermometer": 0.0 for i in (1, 2)})
-        # A lag of 30 s toward R |tau dq|.
+        # A lag of 30 s towards R |tau dq|.
         assert np.all(np.diff(found[0], axis=0) > 0.0)
         assert np.all((found[0][-1] > 5.0) & (found[0][-1] < 20.0))
         assert np.array_equal(*found)
 
 
 @pytest.mark.parametrize("more", ["power", "band", "properties"])
-def test_what_it_has_not_is_refused(more: str, tmp_path: Path) -> None:
+def test_unsupported_options_are_refused(more: str, tmp_path: Path) -> None:
     found = Properties(law="lugre", robot="arm", tau_load=0.0, joints=())
     options = {more: found if more == "properties" else True}
     with pytest.raises(
@@ -133,7 +133,7 @@ def test_what_it_has_not_is_refused(more: str, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_law_without_bounds_follows_no_temperature(tmp_path: Path) -> None:
+def test_a_law_without_bounds_is_refused(tmp_path: Path) -> None:
     values = {"F_c": 1.0, "F_s": 1.0, "v_s": 0.1, "sigma_2": 1.0, "tau_0": 0.0}
     law = FrictionLaw(name="stribeck", form=Stribeck.form({}), values=values)
     with pytest.raises(ExportError, match="has neither stops nor bristles"):
@@ -146,23 +146,21 @@ def test_a_law_without_bounds_follows_no_temperature(tmp_path: Path) -> None:
     [("drive", "F.fmu"), ("mjcf", "F.xml"), ("modelica", "F.mo"), ("c", "f.h"),
      ("torch", "f.py"), ("jax", "f.py")],
 )  # fmt: skip
-def test_forms_without_temperature_say_so(form: Any, name: str, tmp_path: Path) -> None:
+def test_forms_without_temperature_state_it(form: Any, name: str, tmp_path: Path) -> None:
     options = {"inertia": (1.0, 1.0)} if form == "drive" else {}
     with pytest.raises(ExportError, match="law 'tried' depends on temperature, which"):
         export(MODEL, tmp_path / name, format=form, **options)
     assert not list(tmp_path.iterdir())
 
 
-def test_what_measures_an_fmu_against_its_law_needs_a_law_that_stays(
-    fmu: Path, tmp_path: Path
-) -> None:
+def test_comparisons_with_the_law_need_a_constant_law(fmu: Path, tmp_path: Path) -> None:
     adaptive = export(replace(MODEL, thermal=()), tmp_path / "Adaptive.fmu", format="adaptive")
     for path in (fmu, adaptive):
         with pytest.raises(SimulationError, match="does not support adaptive or thermal FMUs"):
             judge(path)
 
 
-def test_the_battery_tries_laws_as_they_were_fitted() -> None:
+def test_the_physics_checks_run_at_the_fitted_temperature() -> None:
     own = model(lugre())
     found = [
         measure(Subject(name="law", model=tried, inertia=(1.0,)))

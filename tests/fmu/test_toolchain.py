@@ -1,4 +1,4 @@
-"""Binaries and archives: small, reproducible, nothing exported but FMI, and buildable elsewhere."""
+"""Binaries and archives: small, reproducible, exporting only FMI, and buildable elsewhere."""
 
 import shutil
 import struct
@@ -80,7 +80,7 @@ def pe_exports(data):
 
 
 def mach_o_exports(data):
-    """Defined external symbols of a 64-bit Mach-O file, and whether it carries a signature."""
+    """Defined external symbols of a 64-bit Mach-O file, and whether it is signed."""
     commands, offset = struct.unpack_from("<I", data, 16)[0], 32
     names, signed = set(), False
     for _ in range(commands):
@@ -103,15 +103,19 @@ def exports(folder, data):
         parts = [data[offset : offset + size] for _, _, offset, size, _ in slices]
         found = [mach_o_exports(part) for part in parts]
         assert [s[0] for s in slices] == [0x01000007, 0x0100000C]  # Intel, ARM
-        assert found[1][1]  # ARM Macs run signed code only
+        assert found[1][1]  # ARM Macs run only signed code
         assert found[0][0] == found[1][0]
         assert b"@rpath/friction_parfam_h.dylib\0" in parts[0]
-        return found[0][0] - {"_mh_dylib_header", "__dso_handle", "_dso_handle"}  # the linker's own
+        return found[0][0] - {
+            "_mh_dylib_header",
+            "__dso_handle",
+            "_dso_handle",
+        }  # a symbol of the linker
     return set(pe_exports(data) if folder == "win64" else elf_exports(data))
 
 
 @pytest.mark.parametrize("folder", list(TARGETS))
-def test_only_the_functions_of_fmi_are_exported(folder, table1, tmp_path):
+def test_only_fmi_functions_are_exported(folder, table1, tmp_path):
     fmu = export_fmu(table1, tmp_path / "F.fmu", platforms=[folder])
     with zipfile.ZipFile(fmu) as archive:
         (name,) = (n for n in archive.namelist() if n.startswith("binaries/"))
@@ -124,8 +128,8 @@ def test_only_the_functions_of_fmi_are_exported(folder, table1, tmp_path):
     assert tempfile.gettempdir().encode() not in data
 
 
-def test_windows_needs_its_own_libraries_only_and_no_start_up(table1, tmp_path):
-    """Those of every Windows since 10; nothing runs when the library is loaded."""
+def test_windows_binaries_need_only_system_libraries_and_no_start_up(table1, tmp_path):
+    """Libraries of every Windows since 10; no code runs when the library is loaded."""
     fmu = export_fmu(table1, tmp_path / "F.fmu", platforms=["win64"])
     with zipfile.ZipFile(fmu) as archive:
         data = archive.read("binaries/win64/friction_parfam_h.dll")
@@ -134,24 +138,24 @@ def test_windows_needs_its_own_libraries_only_and_no_start_up(table1, tmp_path):
     libraries = {imported.name: [e.name for e in imported.entries] for imported in found.imports}
     assert all(name.startswith("api-ms-win-crt-") for name in libraries)
     assert "calloc" in libraries["api-ms-win-crt-heap-l1-1-0.dll"]
-    assert "api-ms-win-crt-math-l1-1-0.dll" not in libraries  # exponentials are the FMU's own
+    assert "api-ms-win-crt-math-l1-1-0.dll" not in libraries  # the FMU has its own exponential
 
 
-def test_sizes(table1_fmu):
+def test_sizes_are_limited(table1_fmu):
     with zipfile.ZipFile(table1_fmu) as archive:
-        # 40 KiB, what finds where states begin, and the factors of every law with their slopes.
+        # 40 KiB, the search for start states, and the factors of every law with their slopes.
         assert archive.getinfo("binaries/linux64/friction_parfam_h.so").file_size <= 42 * 1024
     assert table1_fmu.stat().st_size <= 120 * 1024
 
 
-def test_the_same_model_gives_the_same_bytes(table1, table1_fmu, tmp_path, empty_cache):
+def test_the_build_is_reproducible(table1, table1_fmu, tmp_path, empty_cache):
     again = export_fmu(table1, tmp_path / "again" / "Other.fmu")
     assert again.read_bytes() == table1_fmu.read_bytes()
 
 
 @pytest.fixture
 def percent(tmp_path, monkeypatch):
-    """A folder of temporary files in whose name a linker would fill a number in."""
+    """A temporary folder whose name has a pattern that a linker would expand."""
     folder = tmp_path / "a%b"
     folder.mkdir()
     monkeypatch.setenv("TMPDIR", str(folder))
@@ -174,11 +178,11 @@ def test_every_target_is_built_in_a_folder_with_a_percent_sign(
     data = []
     for place in (tmp_path / "plain", percent / "50%"):
         place.mkdir()
-        # Zig's linker for macOS crashes on a library that exports nothing.
+        # Zig's linker for macOS crashes on a library without exports.
         shown = '__attribute__((visibility("default")))'
         (place / "all.c").write_text(f"{shown} int f(void);\nint f(void) {{ return 1; }}\n")
         data.append(build(place / "all.c", "some", TARGETS[folder]))
-        shutil.rmtree(empty_cache / "binaries")  # or the second one would be the first
+        shutil.rmtree(empty_cache / "binaries")  # forces the second build
         assert [file.name for file in place.iterdir()] == ["all.c"]
     assert data[0] == data[1]
     assert b"hesr-" not in data[0]
@@ -201,7 +205,7 @@ def test_another_model_has_another_guid(table1, binary, load, tmp_path):
         ("99999999999", None, "2107-12-31T00:00:00Z"),
     ],
 )
-def test_date(epoch, created, expected, table1, load, tmp_path, monkeypatch):
+def test_the_date_is_that_given(epoch, created, expected, table1, load, tmp_path, monkeypatch):
     if epoch is None:
         monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
     else:
@@ -211,13 +215,13 @@ def test_date(epoch, created, expected, table1, load, tmp_path, monkeypatch):
     assert load(fmu).about.generationDateAndTime == expected
 
 
-def test_a_date_that_is_none_is_refused(table1, tmp_path, monkeypatch):
+def test_an_invalid_date_is_refused(table1, tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "today")
     with pytest.raises(ExportError, match=r"SOURCE_DATE_EPOCH is 'today'; needed is a date\."):
         export_fmu(table1, tmp_path / "F.fmu")
 
 
-def test_an_export_that_fails_leaves_the_old_file(table1, tmp_path, monkeypatch, empty_cache):
+def test_a_failed_export_keeps_the_old_file(table1, tmp_path, monkeypatch, empty_cache):
     path = tmp_path / "F.fmu"
     path.write_bytes(b"old")
 
@@ -238,14 +242,14 @@ NO_NAMES = ("", "1q", "q[]", "q[1", "q[1,]", "q.", ".q", "q..r", "der()", "der(x
 
 
 @pytest.mark.parametrize("name", [*PLAIN, *LEFT_TO_FMPY, *NO_NAMES])
-def test_plain_names_are_those_of_fmpys_grammar(name):
+def test_plain_names_follow_the_grammar_of_fmpy(name):
     variable = SimpleNamespace(name=name, sourceline=1)
     of = SimpleNamespace(variableNamingConvention="structured", modelVariables=[variable])
     assert bool(_validate_variable_names(of)) == (name in NO_NAMES)
     assert bool(package._PLAIN_NAME.fullmatch(name)) == (name in PLAIN)
 
 
-def test_where_a_name_is_not_plain_fmpy_is_asked(table1, tmp_path, monkeypatch, empty_cache):
+def test_other_names_are_checked_by_fmpy(table1, tmp_path, monkeypatch, empty_cache):
     def wrong(*about):
         return to_xml(*about).replace(b'name="tau_load[1]"', b'name="tau load"', 1)
 
@@ -254,7 +258,7 @@ def test_where_a_name_is_not_plain_fmpy_is_asked(table1, tmp_path, monkeypatch, 
         export_fmu(table1, tmp_path / "F.fmu")
 
 
-def test_what_the_first_page_needs_is_built_before(empty_cache):
+def test_dependencies_of_the_first_page_are_built_in_advance(empty_cache):
     get_ready()
     assert list((empty_cache / "zig").glob("o/*/libcompiler_rt.a"))
     before = USED.copy()
@@ -262,7 +266,7 @@ def test_what_the_first_page_needs_is_built_before(empty_cache):
     assert since(before) == {"binaries": (1, 1)}
 
 
-def test_an_audit_that_is_given_is_the_one_of_the_page(table1, tmp_path):
+def test_a_given_audit_is_used_in_the_page(table1, tmp_path):
     motion = reference_motion(table1)
     audit = ModelAudit.of(table1, ranges(table1, motion))
     given, own = (
@@ -281,19 +285,19 @@ def test_unknown_platform_is_refused(table1, tmp_path):
         export_fmu(table1, tmp_path / "F.fmu", platforms=["amiga"])
 
 
-def test_name_of_the_file_ends_in_fmu(table1, tmp_path):
+def test_the_suffix_must_be_fmu(table1, tmp_path):
     with pytest.raises(ExportError, match=r"ends in \.fmu"):
         export_fmu(table1, tmp_path / "F.zip")
 
 
-def test_failure_of_the_compiler_is_told(tmp_path):
+def test_compiler_errors_are_reported(tmp_path):
     (tmp_path / "bad.c").write_text("int f(void) { return x; }\n")
     said = r"^bad\.o: the C compiler failed: .*undeclared identifier 'x'\.$"
     with pytest.raises(ExportError, match=said):
         compile_c(tmp_path / "bad.c", ("-c",), tmp_path / "bad.o")
 
 
-def test_a_compiler_that_cannot_be_started_is_told(tmp_path, monkeypatch, empty_cache):
+def test_a_missing_compiler_is_reported(tmp_path, monkeypatch, empty_cache):
     monkeypatch.setattr("hesr_model.support.compiler.files", lambda _: tmp_path)
     (tmp_path / "good.c").write_text("int x;\n")
     said = r"^the C compiler cannot be run \(No such file or directory\)\.$"
@@ -301,14 +305,14 @@ def test_a_compiler_that_cannot_be_started_is_told(tmp_path, monkeypatch, empty_
         compile_c(tmp_path / "good.c", ("-c",), tmp_path / "good.o")
 
 
-def test_no_platform_is_refused(table1, tmp_path):
+def test_an_empty_list_of_platforms_is_refused(table1, tmp_path):
     with pytest.raises(ExportError) as caught:
         export_fmu(table1, tmp_path / "F.fmu", platforms=[])
     known = "linux64, win64, darwin64, aarch64-linux"
     assert str(caught.value) == f"no platform is given; known are {known} and 'all'."
 
 
-def test_universal_files_hold_their_parts_at_pages():
+def test_parts_of_universal_files_are_page_aligned():
     parts = [struct.pack("<III", 0xFEEDFACF, cpu, 3) + b"x" * n for cpu, n in ((7, 5), (12, 20000))]
     data = universal(parts)
     for i, part in enumerate(parts):
@@ -345,7 +349,7 @@ def test_two_fmus_can_be_linked_into_one_program(sources):
 @pytest.mark.ci
 @needs_gcc
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not installed")
-def test_fmpy_compiles_the_sources_to_an_fmu_that_gives_the_same(table1_fmu, make_motion, tmp_path):
+def test_the_fmu_compiled_by_fmpy_gives_the_same_results(table1_fmu, make_motion, tmp_path):
     fmu = Path(shutil.copy(table1_fmu, tmp_path / "F.fmu"))
     subprocess.run([sys.executable, "-m", "fmpy", "compile", str(fmu)], check=True, cwd=tmp_path)
     assert fmu.read_bytes() != table1_fmu.read_bytes()
@@ -353,7 +357,7 @@ def test_fmpy_compiles_the_sources_to_an_fmu_that_gives_the_same(table1_fmu, mak
     np.testing.assert_array_equal(replay(fmu, t, dq, q, load), replay(table1_fmu, t, dq, q, load))
 
 
-def test_compilations_side_by_side_do_not_mix(tmp_path, empty_cache):
+def test_concurrent_compilations_are_independent(tmp_path, empty_cache):
     common = tmp_path / "main.c"
     common.write_text('#include "number.h"\nint main(void) { return NUMBER; }\n')
 
@@ -369,7 +373,7 @@ def test_compilations_side_by_side_do_not_mix(tmp_path, empty_cache):
         assert list(pool.map(compiled, range(10, 22))) == list(range(10, 22))
 
 
-def test_what_cpp_includes_goes_into_its_binary(tmp_path, empty_cache):
+def test_included_files_determine_the_binary(tmp_path, empty_cache):
     (tmp_path / "main.cpp").write_text('#include "near.h"\n')
     flags = ("-x", "c++", "-c")
     (tmp_path / "near.h").write_text("int x;\n")
@@ -379,7 +383,7 @@ def test_what_cpp_includes_goes_into_its_binary(tmp_path, empty_cache):
         compile_c(tmp_path / "main.cpp", flags, tmp_path / "main.o")
 
 
-def test_what_goes_into_a_binary_is_compiled_again_when_it_changes(tmp_path, empty_cache):
+def test_changed_sources_are_recompiled(tmp_path, empty_cache):
     (tmp_path / "further").mkdir()
     files = {
         "main.c": '#include "near.h"\n'

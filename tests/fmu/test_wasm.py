@@ -1,4 +1,4 @@
-"""What stands in for a C library in WebAssembly, compiled for this machine under other names."""
+"""The replacement for a C library in WebAssembly, compiled for this machine under other names."""
 
 import struct
 from ctypes import CDLL, c_char_p, c_double, c_int, c_size_t, c_uint, c_ulong, c_void_p
@@ -16,7 +16,7 @@ NAMES = ("calloc", "free", "strcmp", "snprintf", "vsnprintf")
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> CDLL:
     source = "".join(f"#include <{name}.h>\n" for name in ("math", "stdio", "stdlib", "string"))
-    for name in NAMES:  # declared as the library's, but another's
+    for name in NAMES:  # declared as in the library, implemented separately
         source += f"extern __typeof({name}) own_{name} {VISIBLE};\n#define {name} own_{name}\n"
     folder = tmp_path_factory.mktemp("wasm")
     return compiled(folder, source + '#include "wasm.c"\n', "wasm.c")
@@ -31,8 +31,8 @@ def written(library: CDLL, form: str, *values: Any, size: int = 400) -> str:
 
 
 @pytest.mark.parametrize("form", ["%g", "%.1g", "%.9g", "%.17g"])
-def test_numbers_are_written_as_everywhere(library: CDLL, form: str) -> None:
-    """Of all sizes, subnormal ones too, and halfway between two of the digits that are left."""
+def test_numbers_are_formatted_as_by_libc(library: CDLL, form: str) -> None:
+    """Of all magnitudes, including subnormal numbers and ties of the last digit."""
     rng = np.random.default_rng(17)
     values = [struct.unpack("d", rng.bytes(8))[0] for _ in range(3000)]
     values += list(rng.normal(size=500)) + [10.0**k for k in range(-30, 31)]
@@ -45,7 +45,7 @@ def test_numbers_are_written_as_everywhere(library: CDLL, form: str) -> None:
     assert written(library, form, c_double(float("nan"))) == "nan"
 
 
-def test_words_and_whole_numbers(library: CDLL) -> None:
+def test_strings_and_integers_are_formatted(library: CDLL) -> None:
     found = written(
         library, "%s: %d to %d, %u of %lu%s",
         c_char_p(b"fmi2SetReal"), c_int(-2147483648), c_int(0), c_uint(4294967295),
@@ -55,18 +55,18 @@ def test_words_and_whole_numbers(library: CDLL) -> None:
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 12, 13])
-def test_a_text_that_is_too_long_is_cut(library: CDLL, size: int) -> None:
+def test_overlong_text_is_truncated(library: CDLL, size: int) -> None:
     text = "tau is 2e-07"
     assert written(library, "tau is %g", c_double(2e-7), size=size) == text[: size - 1]
 
 
-def test_texts_are_compared(library: CDLL) -> None:
+def test_strings_are_compared(library: CDLL) -> None:
     pairs = [(b"", b""), (b"a", b""), (b"", b"a"), (b"ab", b"ac"), (b"ab", b"ab"), (b"\xff", b"a")]
     found = [library.own_strcmp(*(c_char_p(p) for p in pair)) for pair in pairs]
     assert [np.sign(f) for f in found] == [(a > b) - (a < b) for a, b in pairs]
 
 
-def test_memory_is_zero_apart_and_ends(library: CDLL) -> None:
+def test_memory_is_zeroed_distinct_and_limited(library: CDLL) -> None:
     library.own_calloc.restype = c_void_p
     first, second = (library.own_calloc(c_size_t(3), c_size_t(7)) for _ in range(2))
     assert second - first == 24

@@ -1,4 +1,4 @@
-"""Measured logs of a UR10e, which lie beside the repository and are not part of it."""
+"""Measured logs of a UR10e, stored next to the repository and not part of it."""
 
 from pathlib import Path
 

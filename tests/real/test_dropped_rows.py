@@ -1,4 +1,4 @@
-"""Half the rows of a measured log are lost at random: the same sliding torque, or a refusal."""
+"""Random loss of half the rows of a measured log: the same sliding torque, or a refusal."""
 
 from pathlib import Path
 
@@ -48,8 +48,8 @@ def test_half_the_rows_give_the_same_sliding_torque_or_are_refused(
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_five_seconds_determine_too_little_to_lose_half_of_them(seed: int) -> None:
-    """Joint 3 would be 6 % off with seed 0, and joint 5 21 % with seed 1."""
+def test_losing_half_of_five_seconds_is_refused(seed: int) -> None:
+    """Otherwise joint 3 would be 6 % off with seed 0, and joint 5 21 % with seed 1."""
     log = DATA / "tx40" / "tx40_first.csv"
     if not log.is_file():
         pytest.skip("the measured TX40 log is not beside the repository")

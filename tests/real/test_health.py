@@ -1,4 +1,4 @@
-"""Measured logs pass the checks without a false word, and mistakes on them are told."""
+"""Measured logs pass the checks without false alarms, and mistakes in them are detected."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +15,7 @@ SHARED = Path(__file__).parents[2].parent / "shared" / "data"
 
 
 def findings(robot: str, logs: list[Path]) -> list[tuple[str, tuple[str, ...]]]:
-    """Checks that found something, and their joints."""
+    """Checks with findings, and their joints."""
     if not all(log.is_file() for log in logs) or not logs:
         pytest.skip(f"measured logs are not beside the repository, in {SHARED}")
     description = RobotDescription.read(Path(__file__).with_name(robot))
@@ -30,7 +30,7 @@ def test_thirteen_logs_of_a_ur10e_are_sound() -> None:
     assert findings("ur10e.toml", logs) == []
 
 
-def test_a_panda_is_sound_although_it_hardly_rubs() -> None:
+def test_a_panda_is_sound_despite_its_low_friction() -> None:
     assert findings("panda.toml", [SHARED / "panda" / "panda_first.csv"]) == []
 
 
@@ -38,7 +38,7 @@ def test_a_coupled_wrist_seen_from_the_motors_is_sound() -> None:
     assert findings("tx40.toml", [SHARED / "tx40" / "tx40_first.csv"]) == []
 
 
-def test_of_a_tiago_only_the_wrist_is_odd_which_has_no_signal() -> None:
+def test_only_the_wrist_of_a_tiago_is_odd_for_lack_of_signal() -> None:
     found = findings("tiago.toml", [SHARED / "tiago_arm" / "tiago_excitation.csv"])
     assert {check for check, _ in found} == {"torque-signal"}
     assert sorted(joint for _, joints in found for joint in joints) == [
@@ -71,7 +71,7 @@ def amperes(log: Log) -> Log:
         (amperes, "torque-scale", "wrist_1_joint"),
     ],
 )
-def test_mistakes_on_measured_logs_are_told(
+def test_mistakes_in_measured_logs_are_detected(
     mistake: Callable[[Log], Log],
     check: str,
     joint: str,

@@ -1,4 +1,4 @@
-"""Mistakes as strangers make them, on measured logs and on the twin's: each is told by its name."""
+"""Typical mistakes in measured logs and logs of the twin: each is detected by name."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -50,7 +50,7 @@ def one(values: Array | None, joint: int, factor: float) -> Array:
 
 
 def swapped(values: Array | None) -> Array:
-    """The second joint's column and the third's, the one for the other."""
+    """Swap the columns of the second and third joints."""
     assert values is not None
     order = list(range(values.shape[1]))
     order[1], order[2] = 2, 1
@@ -92,7 +92,7 @@ def uf850(name: str) -> Path:
 
 TURN = 180.0 / np.pi
 MISTAKES: dict[str, tuple[Mistake, str, tuple[int, ...]]] = {
-    # The eight that the project began with.
+    # The first eight of the project.
     "degrees": (
         in_log(lambda log: replace(log, q=log.q * TURN, dq=scaled(log.dq, TURN))), "limits", (1,)
     ),
@@ -115,7 +115,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[int, ...]]] = {
     "another sample rate": (
         in_log(lambda log: replace(log, t=0.5 * log.t)), "velocity-scale", (0, 1)
     ),
-    # Others.
+    # Further mistakes.
     "another sample rate, without velocity": (
         in_log(lambda log: replace(log, t=0.5 * log.t, dq=None)), "time-scale", ()
     ),
@@ -159,12 +159,12 @@ def assert_told(what: str, log: Log, model: Robot) -> None:
 @pytest.mark.parametrize(
     "what", [w if w in AT_ONCE else pytest.param(w, marks=pytest.mark.soak) for w in MISTAKES]
 )
-def test_on_a_log_of_a_ur10e(what: str) -> None:
+def test_mistakes_are_detected_in_a_log_of_a_ur10e(what: str) -> None:
     assert_told(what, *measured("ur10e.toml", UR10E))
 
 
 SILENT = {
-    ("test_ptp_10_points", "from tip to base"),  # the order that fits is that of two joints
+    ("test_ptp_10_points", "from tip to base"),  # the consistent order is that of two joints
 }
 
 
@@ -177,7 +177,7 @@ SILENT = {
         "test_fourier_20s_7harm", "test_fourier_20s_8harm", "test_ptp_10_points",
     ],
 )  # fmt: skip
-def test_on_other_logs_of_a_ur10e(log: str, what: str) -> None:
+def test_mistakes_are_detected_in_other_logs_of_a_ur10e(log: str, what: str) -> None:
     if (log, what) in SILENT:
         pytest.xfail("told by other words")
     assert_told(what, *measured("ur10e.toml", f"ur10e/{log}.csv"))
@@ -197,7 +197,7 @@ def twin(shared: Shared) -> Path:
 
 
 @pytest.mark.parametrize("what", MISTAKES)
-def test_on_a_log_of_the_twin(what: str, twin: Path) -> None:
+def test_mistakes_are_detected_in_a_log_of_the_twin(what: str, twin: Path) -> None:
     model = model_of(uf850("robot.toml"))
     assert_told(what, Log.read(twin / "excitation.csv", model.description), model)
 
@@ -217,7 +217,7 @@ def test_logs_of_the_twin_are_sound(twin: Path) -> None:
     ("robot", "log", "what", "check", "joint"),
     [
         ("tiago.toml", "tiago_arm/tiago_excitation.csv", "late torques", "torque-lag", 3),
-        # Its lift alone is near the speed that the model allows.
+        # Only its lift is near the speed limit of the model.
         ("tiago.toml", "tiago_arm/tiago_excitation.csv", "another sample rate", "speed-limit", 0),
         ("tx40.toml", "tx40/tx40_first.csv", "another sample rate", "speed-limit", 1),
         ("tx40.toml", "tx40/tx40_first.csv", "another sample rate", "time-scale", None),
@@ -225,7 +225,7 @@ def test_logs_of_the_twin_are_sound(twin: Path) -> None:
         ("panda.toml", "panda/panda_first.csv", "late torques", "torque-lag", 3),
     ],
 )
-def test_on_logs_of_other_robots(
+def test_mistakes_are_detected_in_logs_of_other_robots(
     robot: str, log: str, what: str, check: str, joint: int | None
 ) -> None:
     spoilt, model = MISTAKES[what][0](*measured(robot, log))

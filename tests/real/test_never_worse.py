@@ -1,7 +1,7 @@
-"""ParFam-S against LuGre on motions of two other robots: trained on the first part of each.
+"""ParFam-S compared with LuGre on motions of two other robots, trained on the first part of each.
 
-What is tested of both motions is shorter than a block of 8 s, so that nothing can be significant
-there; what counts beside it is how large the ratios are.
+The test parts of both motions are shorter than a block of 8 s, so nothing can be significant; the
+size of the ratios is limited in addition.
 """
 
 from pathlib import Path
@@ -28,10 +28,10 @@ LAWS = ("parfam_s_v", "parfam_s_load", "parfam_s")
     ],
     ids=("tx40", "panda"),
 )
-def test_stops_are_never_worse_than_lugre(
+def test_stops_are_not_worse_than_lugre(
     robot: str, mean: float, most: float, tmp_path: Path
 ) -> None:
-    """Nowhere significantly, on no joint by more than `most`, in the mean by `mean` at most."""
+    """Never significantly, by at most `most` on any joint and `mean` on average."""
     path = HERE / f"{robot}_study.toml"
     study = Study.read(path).model_copy(update={"laws": ("lugre", *LAWS)})
     if not all((HERE / part.log).is_file() for part in study.logs.parts.values()):

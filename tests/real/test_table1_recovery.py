@@ -1,4 +1,4 @@
-"""Does the search find the law that made the data? Table I of the paper is the law.
+"""Recovery of the law that generated the data, here Table I of the paper, by the search.
 
 Its equations are written out here, independent of the product: 200 Hz, 4000 samples, eq. 10 by
 Euler at 5 ms from h = 0.
@@ -55,7 +55,7 @@ def velocity(kind: str, t: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Data of one joint, and its torque without noise."""
+    """Data of one joint, and its noise-free torque."""
 
     record: FrictionRecord
     clean: np.ndarray
@@ -80,7 +80,7 @@ def make(joint: str, kind: str, noisy: bool) -> Case:
 
 
 def error_of(case: Case, **options: object) -> float:
-    """RMSE of the found law against the clean torque [N.m]."""
+    """RMSE of the found law on the noise-free torque [N.m]."""
     law = fit_joint(
         "parfam_h", [case.record], seed=0, options={"discretisation": "euler", **options}
     )
@@ -93,7 +93,7 @@ def allowed(case: Case) -> float:
     return 0.15 if case.noisy else 1e-6 * float(np.std(case.clean))
 
 
-def test_the_data_have_the_range_that_is_known_of_table_1() -> None:
+def test_the_data_have_the_known_range_of_table_1() -> None:
     ranges = [
         (float(c.min()), float(c.max())) for c in (make(j, "sine", False).clean for j in NOISE)
     ]
@@ -109,7 +109,7 @@ def test_the_default_search_recovers_the_law(joint: str, kind: str, noisy: bool)
     assert error_of(case) < allowed(case)
 
 
-def test_the_papers_search_is_printed_beside_it(
+def test_the_papers_search_is_printed_for_comparison(
     record_property: Callable[[str, object], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     found, lines = 0, []
@@ -125,7 +125,7 @@ def test_the_papers_search_is_printed_beside_it(
                     f"{joint} {kind:5} {noise}: {error:.3g} N.m, "
                     f"{'recovered' if recovered else 'not recovered'}"
                 )
-                assert error < 1.01 * np.std(case.clean)  # no worse than no law at all
+                assert error < 1.01 * np.std(case.clean)  # no worse than without a law
     record_property("recovered by the paper's search", f"{found} of {len(lines)}")
     report = ["The paper's search on data from Table I:", *lines, f"recovered: {found}"]
     with capsys.disabled():

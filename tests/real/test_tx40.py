@@ -1,4 +1,4 @@
-"""A measured log of motors, one of which turns with two joints."""
+"""A measured log of motors, one motor moving two joints."""
 
 from pathlib import Path
 
@@ -34,7 +34,8 @@ def log(coupled: RobotDescription) -> Log:
 def trained(
     log: Log, robot: RobotDescription, *, last: bool = False, physical: bool = False
 ) -> tuple[Records, Records]:
-    """Records of the first 60 % and of the rest, or the last and what is before, and a body."""
+    """Records of the first 60 % and of the rest, or of the last part and the earlier one, and a
+    body."""
     model = Robot(robot)
     rows = round((1.0 - TRAINED if last else TRAINED) * len(log.t))
     parts = log.rows(slice(rows)), log.rows(slice(rows, None))
@@ -48,7 +49,7 @@ def errors(predicted: np.ndarray, records: Records) -> np.ndarray:
     return np.asarray(np.sqrt(np.mean((predicted - measured) ** 2, axis=0)))
 
 
-def test_one_friction_of_motor_6_holds_both_joints_that_turn_it(
+def test_one_friction_of_motor_6_describes_both_of_its_joints(
     coupled: RobotDescription, log: Log, tmp_path: Path
 ) -> None:
     first, rest = trained(log, coupled)
@@ -57,7 +58,7 @@ def test_one_friction_of_motor_6_holds_both_joints_that_turn_it(
     found = errors(
         np.column_stack([of_joint[0] for of_joint in predict_fmu(fmu, [[r] for r in rest])]), rest
     )
-    # The same torques of joints, without a word about motors.
+    # The same joint torques without information about motors.
     alone = coupled.model_copy(update={"transmission": None})
     first, rest = trained(log, alone)
     uncoupled = errors(fit("lugre", first, robot=coupled.name).predict(rest), rest)
@@ -68,10 +69,10 @@ def test_one_friction_of_motor_6_holds_both_joints_that_turn_it(
 
 
 @pytest.mark.parametrize("last", [False, True])
-def test_a_body_that_can_exist_holds_for_either_end_of_the_motion(
+def test_a_physical_body_predicts_either_end_of_the_motion(
     last: bool, coupled: RobotDescription, log: Log
 ) -> None:
-    """Three seconds determine the plain body badly: J5 would be 2.1 N.m off at the beginning."""
+    """Three seconds determine the plain body badly: J5 would be 2.1 N.m off at the start."""
     found = {}
     for robot in (coupled, coupled.model_copy(update={"transmission": None})):
         train, test = trained(log, robot, last=last, physical=True)

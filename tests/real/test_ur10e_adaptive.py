@@ -1,4 +1,4 @@
-"""Friction of a UR10e that is followed over its days, from the law of the training logs."""
+"""Adaptive friction of a UR10e over several days, starting from the law of the training logs."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -22,10 +22,10 @@ DAYS = (
     "test_fourier_20s_7harm",
     "test_fourier_40s_12harm",
 )
-"""Logs that no law was fitted to, in the order of their days."""
+"""Logs without a fit of any law, in the order of their days."""
 
 MOVES = 0.1
-"""[rad/s] A joint whose speed never exceeds it teaches nothing, and has nothing to gain."""
+"""[rad/s] Maximum speed of joints without information, which cannot improve."""
 
 
 Days = Callable[[Sequence[str]], list[list[FrictionRecord]]]
@@ -46,7 +46,8 @@ def read(ur10e_data: Path, ur10e: RobotDescription, ur10e_model: Robot, id_logs:
 def ratios(
     law: str, training: Sequence[Sequence[FrictionRecord]], days: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return [log][joint] error of what was followed over that of the fixed law, and who moved."""
+    """Return [log][joint] error of the adaptive law over that of the fixed law, and the moving
+    joints."""
     follower = Follower(fit(law, *training))
     found = [
         [rmse(one.outputs["tau"] - one.record.tau) / rmse(one.fixed - one.record.tau)
@@ -59,14 +60,14 @@ def ratios(
 
 @pytest.mark.soak
 @pytest.mark.parametrize("law", ["parfam_s", "lugre_load"])
-def test_no_joint_is_harmed_and_those_that_move_gain(read: Days, law: str) -> None:
+def test_moving_joints_improve_and_none_gets_worse(read: Days, law: str) -> None:
     found, moved = ratios(law, read(IDENTIFICATION), read(DAYS))
     assert found.max() <= 1.01
     assert np.exp(np.log(found[moved]).mean()) <= 0.98
 
 
-def test_a_day_that_was_left_out_of_training_gains(read: Days) -> None:
-    """What the numbers of the filter were chosen by, for one of the days."""
+def test_a_day_left_out_of_training_improves(read: Days) -> None:
+    """The criterion that selected the filter's constants, for one of the days."""
     long, middle, short = read(IDENTIFICATION)
     found, _ = ratios("lugre_load", [long, middle], [short])
     assert found.max() <= 1.01

@@ -1,4 +1,4 @@
-"""What intervals and bands say of measured logs that nothing was estimated from (UR10e)."""
+"""Coverage of intervals and bands on measured logs not used for estimation (UR10e)."""
 
 import sys
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ def body(id_logs: list[Log], ur10e_model: Robot) -> RigidBody:
 
 
 @pytest.mark.parametrize("law", ["lugre", "stribeck", "lugre_load_ripple"])
-def test_a_band_holds_what_it_says(
+def test_a_band_has_its_stated_coverage(
     body: RigidBody,
     id_logs: list[Log],
     unseen_logs: list[Log],
@@ -64,9 +64,10 @@ def test_a_band_holds_what_it_says(
 
 
 def beyond(one: RigidBody, other: RigidBody) -> list[bool]:
-    """Whether base parameters of two sets of logs differ by more than both errors say.
+    """Whether base parameters of two sets of logs differ by more than both stated errors.
 
-    A log alone cannot know what logs differ by: the factor of the first set is that of both.
+    A single log contains no information on differences between logs: the factor of the first set is
+    used for both.
     """
     base, own, of_other = list(one.base), one.covariance, other.covariance
     assert own is not None
@@ -82,7 +83,7 @@ def shares(pairs: Sequence[tuple[RigidBody, RigidBody]], what: str) -> float:
     return found
 
 
-def test_base_parameters_err_as_they_say(
+def test_base_parameters_have_their_stated_errors(
     body: RigidBody,
     id_logs: list[Log],
     unseen_logs: list[Log],

@@ -1,7 +1,7 @@
-"""What the extended law must reach on measured logs, with every figure that of an FMU.
+"""Required performance of the extended law on measured logs, all figures from FMUs.
 
-One run of the study beside this file serves all tests. Laws are trained on the identification logs
-and chosen by leaving those out in turn; the test logs are seen here for the first time.
+One run of the study next to this file serves all tests. Laws are trained on the identification
+logs and chosen by leaving those out in turn; the test logs are used here for the first time.
 """
 
 from collections.abc import Callable
@@ -34,26 +34,26 @@ MOST = {
 }
 """Errors of ParFam-HX, J1 to J6 [N.m]: all rows, moving rows, within 0.1 s of reversals.
 
-With the start that measured torques give.
+The initial state is estimated from measured torque.
 """
 MOST_WITHOUT_RIPPLE_AND_START = [2.72, 2.92, 1.59, 0.450, 0.725, 0.641]
 
 MOST_OF_OTHERS = {"lugre": 0.82, "stribeck": 0.76, "lugre_load_ripple": 1.00}
 """Geometric mean over the joints of ParFam-HX's error over that of another law.
 
-Each with the start that measured torques give, where its law can take one.
+Each with the initial state estimated from measured torque if the law supports it.
 """
 
 ABLATION = ("hx_bare", "hx_memory", "hx_load", "hx_bump", "hx_ripple", "parfam_hx")
-"""Each has one extension more than the one before."""
+"""Each has one extension more than the previous one."""
 
 EXACT_ENOUGH = 1e-12
-"""Of the largest torque of a joint in a log."""
+"""Relative to the largest torque of a joint in a log."""
 
 STUDY = Path(__file__).with_name("ur10e_study.toml")
 
 SLOW = {"rbfnn_h", "mlp_h", "parfam_h"}
-"""Laws that take half of the time, and of which nothing is asked but that they are their FMUs."""
+"""Laws that take half of the time; only their equality with the FMUs is tested."""
 FAST = tuple(law for law in STUDIED if law not in SLOW)
 
 
@@ -68,7 +68,7 @@ def takes_start(model: FrictionModel) -> bool:
 
 @pytest.fixture(scope="session")
 def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
-    """The study as far as its scores; skipped where the logs are not there."""
+    """The study up to its scores; skipped if the logs are missing."""
     study = Study.read(STUDY).model_copy(update={"laws": FAST})
     job = Job(study=study, path=STUDY, progress=silent)
     with parallel.one_pool():
@@ -109,7 +109,7 @@ def mean_ratio(scores: Comparison, law: str, other: str) -> float:
 
 
 def started(outcome: Scored, law: str) -> str:
-    """The row of a law with the start that measured torques give, where it can take one."""
+    """The row of a law with its initial state estimated from measured torque, if supported."""
     return measured_start(law) if takes_start(outcome.models[law]) else law
 
 
@@ -123,7 +123,7 @@ def test_the_extended_law_predicts_unseen_motions(
 
 
 @pytest.mark.parametrize("joint", range(6), ids=lambda joint: f"J{joint + 1}")
-def test_without_ripple_and_start_it_still_does(scores: Comparison, joint: int) -> None:
+def test_the_extended_law_predicts_without_ripple_and_start(scores: Comparison, joint: int) -> None:
     assert errors(scores, "hx_bump")[joint] <= MOST_WITHOUT_RIPPLE_AND_START[joint]
 
 
@@ -136,7 +136,7 @@ def test_the_extended_law_is_ahead_of_others(
 
 
 def test_no_other_law_of_the_same_inputs_is_better(outcome: Scored, scores: Comparison) -> None:
-    """Both with the start that measured torques give, and both without."""
+    """Both with and without the initial state estimated from measured torque."""
     own = inputs_of(outcome.models["parfam_hx"])
     rivals = [
         law
@@ -153,7 +153,7 @@ def test_no_other_law_of_the_same_inputs_is_better(outcome: Scored, scores: Comp
 def test_stops_with_symbolic_bounds_are_ahead_in_every_class(
     scores: Comparison, row: Callable[[str], str]
 ) -> None:
-    """Without the start that measured torques give, and with it."""
+    """Without and with the initial state estimated from measured torque."""
     assert mean_ratio(scores, "parfam_s_v", "lugre") <= 0.94
     assert mean_ratio(scores, "parfam_s_v", "lugre_textbook") <= 1.0
     assert mean_ratio(scores, "parfam_s_load", "lugre_load") <= 0.95
@@ -197,14 +197,14 @@ def assert_it_is_the_law(
 
 
 @pytest.mark.parametrize("law", FAST)
-def test_the_fmu_is_the_law_over_every_test_log(
+def test_the_fmu_matches_the_law_on_every_test_log(
     outcome: Scored, records: list[list[FrictionRecord]], law: str
 ) -> None:
     assert_it_is_the_law(outcome.fmus[law], outcome.models[law], records)
 
 
-def test_extensions_pay_one_after_the_other(scores: Comparison) -> None:
-    """Over all joints; none of them costs more than a hundredth."""
+def test_each_extension_reduces_the_error(scores: Comparison) -> None:
+    """Over all joints; none costs more than 1 %."""
     rows = (*ABLATION[:-1], measured_start("parfam_hx"))
     steps = [mean_ratio(scores, more, less) for less, more in pairwise(rows)]
     assert max(steps) < 1.01, steps
@@ -212,21 +212,21 @@ def test_extensions_pay_one_after_the_other(scores: Comparison) -> None:
     assert mean_ratio(scores, "parfam_hx", "hx_bare") < 0.85
 
 
-def test_the_load_pays_where_gravity_acts(scores: Comparison) -> None:
-    """Findings: J2 by 29 %, J3 by 16 %; joints without gravity load gain nothing from it."""
+def test_the_load_reduces_the_error_under_gravity(scores: Comparison) -> None:
+    """J2 improves by 29 %, J3 by 16 %; joints without gravity load gain nothing."""
     gain = errors(scores, "hx_load") / errors(scores, "hx_memory")
     assert np.all(gain[1:3] < [0.80, 0.88])
     assert np.all(np.abs(gain[[0, 4, 5]] - 1.0) < 0.03)
 
 
-def test_ripple_pays_on_the_wrist_while_it_moves(scores: Comparison) -> None:
+def test_ripple_reduces_the_error_of_the_moving_wrist(scores: Comparison) -> None:
     gain = errors(scores, "hx_ripple", "rmse_moving") / errors(scores, "hx_bump", "rmse_moving")
     assert gain[4] < 0.75
     assert gain[5] < 0.90
     assert np.all(gain < 1.0)
 
 
-def test_against_the_strongest_classic_law_of_its_inputs_it_is_never_worse(
+def test_it_is_not_worse_than_the_strongest_classic_law_of_its_inputs(
     scores: Comparison,
 ) -> None:
     assert scores.ratios.of("parfam_hx") == "dahl_load"

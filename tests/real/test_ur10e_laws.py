@@ -1,4 +1,4 @@
-"""The main job on measured logs: what the FMUs predict on motions that they have never seen."""
+"""The main task on measured logs: predictions of the FMUs on unseen motions."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ MOST = {
 }
 """RMSE of the predicted torque over all rows of all test logs [N.m], J1 to J6."""
 MOST_AT_REVERSALS = {"parfam_h": [3.0, 5.0, 1.95, 0.45, 0.70, 0.60]}
-"""The same within 0.1 s of reversals."""
+"""RMSE within 0.1 s of reversals."""
 
 STUDY = Path(__file__).with_name("ur10e_study.toml")
 STUDIED = ("stribeck", "lugre", "parfam_h")
@@ -27,7 +27,7 @@ STUDIED = ("stribeck", "lugre", "parfam_h")
 
 @pytest.fixture(scope="module")
 def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
-    """The study beside this file, with the laws whose figures are known."""
+    """The study next to this file, with the laws of known figures."""
     whole = Study.read(STUDY)
     study = whole.model_copy(update={"laws": STUDIED, "variants": {}, "refinement": None})
     with parallel.one_pool():
@@ -39,7 +39,7 @@ def scores(outcome: Scored, law: str, measure: str) -> list[float]:
     return list(getattr(outcome.comparisons["test"].laws[law], measure))
 
 
-def test_the_test_logs_are_those_that_are_known(outcome: Scored) -> None:
+def test_the_test_logs_are_the_known_ones(outcome: Scored) -> None:
     spread = outcome.comparisons["test"].tau_std
     np.testing.assert_allclose(spread, [27.6, 23.9, 11.7, 4.33, 4.25, 3.73], rtol=0.005)
 
@@ -55,8 +55,8 @@ def test_torque_is_predicted_around_reversals(outcome: Scored, law: str) -> None
     np.testing.assert_array_less(scores(outcome, law, "rmse_reversal"), most)
 
 
-def test_a_state_pays_at_reversals(outcome: Scored) -> None:
-    """What the hysteresis state is for: J1 to J6 at least a tenth better than without."""
+def test_a_state_reduces_the_error_at_reversals(outcome: Scored) -> None:
+    """The purpose of the hysteresis state: J1 to J6 improve by at least 10 %."""
     with_state = np.array(scores(outcome, "parfam_h", "rmse_reversal"))
     without = np.array(scores(outcome, "stribeck", "rmse_reversal"))
     assert np.all(with_state < 0.9 * without)

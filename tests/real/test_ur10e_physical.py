@@ -1,4 +1,4 @@
-"""Physical consistency on measured logs: it pays on one short log, costs nothing on long ones."""
+"""Physical consistency on measured logs: better with one short log, no loss with long ones."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from hesr_model.robots.robot import Robot
 
 
 def ratios(train: Sequence[Log], test: Sequence[Log], model: Robot) -> np.ndarray:
-    """Error on `test` of the consistent over that of the free fit, joint by joint."""
+    """Error on `test` of the consistent fit over that of the free fit, per joint."""
     free, consistent = (
         static_errors(train, test, model, identify(train, model, physical=physical))
         for physical in (False, True)
@@ -21,7 +21,7 @@ def ratios(train: Sequence[Log], test: Sequence[Log], model: Robot) -> np.ndarra
     return consistent / free
 
 
-def test_one_log_of_20_s_gains_a_tenth(id_logs: list[Log], ur10e_model: Robot) -> None:
+def test_one_log_of_20_s_improves_by_a_tenth(id_logs: list[Log], ur10e_model: Robot) -> None:
     found = ratios([id_logs[2]], id_logs[:2], ur10e_model)
     assert np.all(found < 1.0)
     assert np.exp(np.mean(np.log(found))) < 0.90
@@ -38,7 +38,7 @@ def test_two_longer_logs_lose_nothing(
     assert np.exp(np.mean(np.log(found))) < 1.0
 
 
-def test_every_link_is_a_body_that_can_exist(id_logs: list[Log], ur10e_model: Robot) -> None:
+def test_every_link_is_physically_possible(id_logs: list[Log], ur10e_model: Robot) -> None:
     body = identify([id_logs[2]], ur10e_model, physical=True)
     for link in body.parameters[:60].reshape(-1, 10):
         assert np.linalg.eigvalsh(pseudo_inertia(link))[0] > 0

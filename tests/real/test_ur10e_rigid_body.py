@@ -1,4 +1,4 @@
-"""Rigid-body identification on measured logs: what must hold for friction to be left over."""
+"""Rigid-body identification on measured logs: requirements for a valid friction residual."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,7 +26,7 @@ def friction_of(
 
 
 def static_features(dq: np.ndarray) -> np.ndarray:
-    """A static law that is linear in its coefficients: steps of several widths, and viscous."""
+    """A static law linear in its coefficients: steps of several widths, and a viscous term."""
     steps = [np.tanh(dq / width) for width in (0.005, 0.02, 0.1, 0.4)]
     return np.column_stack([*steps, dq, dq * np.abs(dq), np.ones_like(dq)])
 
@@ -57,7 +57,7 @@ def test_base_parameters_are_36_and_40_with_rotors(
 
 
 def test_identification_takes_seconds(id_logs: list[Log], ur10e_model: Robot) -> None:
-    start = process_time()  # of all threads, whatever else runs on the machine
+    start = process_time()  # over all threads, independent of other load
     identify(id_logs, ur10e_model)
     assert process_time() - start < 5.0
 
@@ -73,7 +73,7 @@ def test_the_three_logs_determine_all_parameters(rigid_body: RigidBody) -> None:
     assert np.all(np.array(rotors) >= 0)
 
 
-def test_friction_on_unseen_motions_is_of_the_known_size(
+def test_friction_on_unseen_motions_has_the_known_size(
     unseen_logs: list[Log], ur10e_model: Robot, rigid_body: RigidBody
 ) -> None:
     friction = friction_of(unseen_logs, ur10e_model, rigid_body)
@@ -81,7 +81,7 @@ def test_friction_on_unseen_motions_is_of_the_known_size(
     np.testing.assert_allclose(spread, [27.6, 23.9, 11.7, 4.33, 4.25, 3.73], rtol=0.005)
 
 
-def test_a_static_law_leaves_what_is_known_for_unseen_motions(
+def test_a_static_law_has_the_known_error_on_unseen_motions(
     id_logs: list[Log],
     unseen_logs: list[Log],
     ur10e_model: Robot,
@@ -91,7 +91,7 @@ def test_a_static_law_leaves_what_is_known_for_unseen_motions(
     np.testing.assert_array_less(errors, [2.80, 4.05, 2.00, 0.50, 0.90, 0.87])
 
 
-def test_weights_and_rotors_pay_on_logs_left_out(
+def test_weights_and_rotors_reduce_the_error_on_logs_left_out(
     id_logs: list[Log], ur10e: RobotDescription, ur10e_model: Robot
 ) -> None:
     def left_out(model: Robot, weighting: str) -> np.ndarray:

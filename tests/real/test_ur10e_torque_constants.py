@@ -1,4 +1,4 @@
-"""Torque constants of a measured UR10e, whose stated ones a known payload confirms."""
+"""Torque constants of a measured UR10e; a known payload confirms the stated ones."""
 
 import numpy as np
 import pytest
@@ -10,12 +10,12 @@ from hesr_model.robots.robot import Robot
 
 
 @pytest.mark.parametrize("mass_error", [0.1, 0.2])
-def test_the_models_masses_give_two_of_six(
+def test_the_model_masses_give_two_of_six(
     mass_error: float, id_logs: list[Log], ur10e_model: Robot
 ) -> None:
     stated = ur10e_model.description.log.torque_per_ampere
     assert stated
-    # As if nobody had stated any.
+    # As if none were stated.
     gains = np.array([1.0, 5.0, 20.0, 3.0, 30.0, 10.0])
     motions = [
         smooth(log.__class__(name=log.name, t=log.t, q=log.q, dq=log.dq,

@@ -8,7 +8,7 @@ from fmu_files import Xml, read_xml, without_binaries
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a folder of its own, where there is no VDMCheck2 to be found by itself."""
+    """An empty working folder, so that VDMCheck2 is not found automatically."""
     monkeypatch.chdir(tmp_path)
 
 
@@ -20,5 +20,5 @@ def source_fmu(table1_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 @pytest.fixture
 def xml(table1_fmu: Path) -> Xml:
-    """Description of Table I, to be changed."""
+    """Model description of Table I, to be modified."""
     return read_xml(table1_fmu)

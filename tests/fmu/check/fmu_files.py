@@ -1,4 +1,4 @@
-"""FMUs with one thing changed, and what a check says of them."""
+"""FMUs with one change, and the findings of a check."""
 
 import zipfile
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ BINARY = "binaries/linux64/friction_parfam_h.so"
 
 @dataclass
 class Xml:
-    """A model description to be changed."""
+    """A modifiable model description."""
 
     root: Any
 
@@ -42,7 +42,7 @@ class Xml:
         return self.find(f"ModelStructure/{section}/Unknown[@index='{self.index(name)}']")
 
     def add_variable(self, kind: str, own: Mapping[str, str], **attributes: str) -> Any:
-        """Add a variable at the end, where it changes no index."""
+        """Add a variable at the end, so that no index changes."""
         free = str(len(self.variables()) + 1000)
         variable = etree.SubElement(
             self.find("ModelVariables"), "ScalarVariable", {"valueReference": free} | attributes
@@ -87,7 +87,7 @@ def changed(
     change: Change = lambda _: None,
     files: Mapping[str, bytes | None] | None = None,
 ) -> Path:
-    """Write an FMU with a changed description and files that are replaced, added or (None) gone."""
+    """Write an FMU with a changed description and files replaced, added or (None) removed."""
     content: dict[str, bytes | None] = dict(members(fmu))
     xml = read_xml(fmu)
     change(xml)
@@ -97,7 +97,7 @@ def changed(
 
 
 def without_binaries(fmu: Path, path: Path, **more: Any) -> Path:
-    """Write an FMU as source code only, which is quicker to check."""
+    """Write an FMU as source code only, which is checked faster."""
     names = {name: None for name in members(fmu) if name.startswith("binaries/")}
     return changed(fmu, path, files=names | more.pop("files", {}), **more)
 
@@ -107,5 +107,5 @@ def texts(found: Report, of: str | None = None) -> list[str]:
 
 
 def said(path: Path, of: str | None = None) -> list[str]:
-    """What a check, or all of them, say of a file."""
+    """Findings of one check, or of all, for a file."""
     return texts(check(path), of)

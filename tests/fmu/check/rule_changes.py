@@ -1,4 +1,4 @@
-"""Changes of a model description, and what the rules of FMI 2.0 say of it."""
+"""Changes of a model description and the resulting findings of the rules of FMI 2.0."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from lxml import etree
 from fmu_src.check import general, structure, variables
 from fmu_src.check.description import read_description
 
-NUMBER = 99_999  # of no variable
+NUMBER = 99_999  # not the value reference of any variable
 
 PARAMETER = {"causality": "parameter", "variability": "fixed"}
 
@@ -58,7 +58,7 @@ def both(*changes: Change) -> Change:
 
 
 def of_type(kind: str, type_attributes: dict[str, str], own: dict[str, str]) -> Change:
-    """Add a type and a parameter of it."""
+    """Add a type and a parameter that uses it."""
 
     def change(xml: Xml) -> None:
         xml.add_type("T", kind, **type_attributes)
@@ -70,7 +70,7 @@ def of_type(kind: str, type_attributes: dict[str, str], own: dict[str, str]) -> 
 
 
 def enumeration(*items: tuple[str, str], start: str) -> Change:
-    """Add an Enumeration of names and values, and a parameter of it."""
+    """Add an Enumeration of names and values and a parameter that uses it."""
 
     def change(xml: Xml) -> None:
         kind = xml.add_type("Choice", "Enumeration")

@@ -1,4 +1,4 @@
-"""Archives that are damaged, by accident or on purpose: a sentence for each, and never a crash."""
+"""Archives damaged by accident or on purpose: one message each, never a crash."""
 
 import io
 import stat
@@ -28,7 +28,7 @@ def content(source_fmu):
 
 @pytest.fixture
 def entry(content, tmp_path):
-    """What the check says of an archive that has one entry more."""
+    """Findings for an archive with an additional entry."""
 
     def add(info, data=b"x", *, method=zipfile.ZIP_DEFLATED):
         path = write(tmp_path / "F.fmu", content)
@@ -40,7 +40,7 @@ def entry(content, tmp_path):
 
 
 def patched(path, name, offset, new):
-    """Change the headers of an entry: `offset` counts from the flags, which both headers have."""
+    """Change both headers of an entry; `offset` counts from the flags, which both have."""
     data = bytearray(path.read_bytes())
     encoded = name.encode()
     local = data.index(b"PK\3\4" + bytes(data[4:4]), 0)
@@ -55,7 +55,7 @@ def patched(path, name, offset, new):
     return path
 
 
-def test_a_file_that_is_no_zip(tmp_path):
+def test_a_file_other_than_a_zip_is_reported(tmp_path):
     path = tmp_path / "F.fmu"
     path.write_bytes(b"not a zip at all\n" * 100)
     found = check(path)
@@ -63,28 +63,28 @@ def test_a_file_that_is_no_zip(tmp_path):
     assert found.skipped == NOTHING_ELSE
 
 
-def test_an_empty_file(tmp_path):
+def test_an_empty_file_is_reported(tmp_path):
     path = tmp_path / "F.fmu"
     path.touch()
     assert said(path) == ["it is not a readable ZIP archive (File is not a zip file)."]
 
 
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 0.999])
-def test_a_truncated_zip(part, table1_fmu, tmp_path):
+def test_a_truncated_zip_is_reported(part, table1_fmu, tmp_path):
     path = tmp_path / "F.fmu"
     data = table1_fmu.read_bytes()
     path.write_bytes(data[: int(part * len(data))])
     assert said(path) == ["it is not a readable ZIP archive (File is not a zip file)."]
 
 
-def test_an_empty_zip(tmp_path):
+def test_an_empty_zip_is_reported(tmp_path):
     assert said(write(tmp_path / "F.fmu", {})) == ["modelDescription.xml is missing."]
 
 
 @pytest.mark.parametrize(
     "name", ["../x", "a/../../x", "/x", "C:/x", "c:x", "..", "\\\\host\\x", "a\\..\\x", "C:\\x"]
 )
-def test_names_that_lead_out(name, entry, tmp_path):
+def test_names_outside_the_archive_are_reported(name, entry, tmp_path):
     found = entry(name)
     shown = name.replace("\\", "\\")
     assert f"the entry '{shown}' {LEADS_OUT}" in found
@@ -93,7 +93,7 @@ def test_names_that_lead_out(name, entry, tmp_path):
     assert not (tmp_path.parent / "x").exists()
 
 
-def test_a_backslash(entry):
+def test_a_backslash_is_reported(entry):
     assert entry("resources\\x") == [
         "the entry 'resources\\x' has a backslash in its name; FMI separates folders by '/'."
     ]
@@ -102,11 +102,11 @@ def test_a_backslash(entry):
 @pytest.mark.parametrize(
     ("name", "shown"), [("a\nb", "a\\nb"), ("a\x1b[31mb", "a\\x1b[31mb"), ("a\u202eb", "a\\u202eb")]
 )
-def test_names_that_a_terminal_would_obey(name, shown, entry):
+def test_control_characters_in_names_are_escaped(name, shown, entry):
     assert entry(name) == [f"the entry '{shown}' has control characters in its name."]
 
 
-def test_a_name_that_ends_early(content, tmp_path):
+def test_a_name_with_a_null_byte_is_reported(content, tmp_path):
     path = write(tmp_path / "F.fmu", content | {"resources/abc": b""})
     path.write_bytes(path.read_bytes().replace(b"resources/abc", b"resources/a\0c"))
     assert said(path, "archive")[0] == (
@@ -114,13 +114,13 @@ def test_a_name_that_ends_early(content, tmp_path):
     )
 
 
-def test_an_entry_without_a_name(content, tmp_path):
+def test_an_entry_without_a_name_is_reported(content, tmp_path):
     path = write(tmp_path / "F.fmu", content | {"resources/abc": b""})
     path.write_bytes(path.read_bytes().replace(b"resources/abc", b"\0esources/abc"))
     assert said(path, "archive")[0] == "an entry has no name."
 
 
-def test_a_long_name_is_cut(entry):
+def test_a_long_name_is_truncated(entry):
     (text,) = entry("../" + "x" * 5000)
     assert len(text) < 300
 
@@ -128,7 +128,7 @@ def test_a_long_name_is_cut(entry):
 @pytest.mark.parametrize(
     ("kind", "what"), [(stat.S_IFLNK, "a symbolic link"), (stat.S_IFIFO, "a special file")]
 )
-def test_entries_that_are_no_files(kind, what, entry, tmp_path):
+def test_entries_other_than_files_are_reported(kind, what, entry, tmp_path):
     info = zipfile.ZipInfo("resources/link")
     info.create_system = 3
     info.external_attr = (kind | 0o777) << 16
@@ -138,18 +138,18 @@ def test_entries_that_are_no_files(kind, what, entry, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_an_entry_twice(entry):
+def test_duplicate_entries_are_reported(entry):
     assert entry(MODEL) == ["the entry 'modelDescription.xml' is there more than once."]
 
 
-def test_names_that_differ_in_case(entry):
+def test_names_differing_only_in_case_are_reported(entry):
     assert entry("modeldescription.XML") == [
         "the entries 'modelDescription.xml' and 'modeldescription.XML' are one file where upper "
         "and lower case are the same, as on Windows."
     ]
 
 
-def test_an_entry_that_claims_two_gigabytes(content, tmp_path):
+def test_an_entry_of_two_gigabytes_is_refused(content, tmp_path):
     path = write(tmp_path / "F.fmu", content)
     patched(path, MODEL, 16, struct.pack("<I", 2 << 30))
     found = check(path)
@@ -160,18 +160,18 @@ def test_an_entry_that_claims_two_gigabytes(content, tmp_path):
     assert found.skipped == ("All other checks: modelDescription.xml could not be read.",)
 
 
-def test_a_zip_bomb(entry):
+def test_a_zip_bomb_is_refused(entry):
     found = entry("resources/zeros", bytes(20 << 20))
     assert len(found) == 1
     assert "bytes to 20971520, as in a zip bomb; it is not read." in found[0]
     assert found[0].startswith("the entry 'resources/zeros' claims to unpack 20")
 
 
-def test_a_small_file_of_zeros_is_fine(entry):
+def test_a_small_file_of_zeros_is_accepted(entry):
     assert entry("resources/zeros", bytes(2 << 20)) == []
 
 
-def test_more_than_can_be_unpacked(content, tmp_path, monkeypatch):
+def test_too_much_content_is_refused(content, tmp_path, monkeypatch):
     total = sum(map(len, content.values()))
     monkeypatch.setattr(archive, "MOST_BYTES_IN_ALL", total - 1)
     assert said(write(tmp_path / "F.fmu", content), "archive") == [
@@ -180,20 +180,20 @@ def test_more_than_can_be_unpacked(content, tmp_path, monkeypatch):
     ]
 
 
-def test_too_many_entries(content, tmp_path, monkeypatch):
+def test_too_many_entries_are_refused(content, tmp_path, monkeypatch):
     monkeypatch.setattr(archive, "MOST_ENTRIES", 3)
     found = check(write(tmp_path / "F.fmu", content))
     assert texts(found) == [f"it has {len(content)} entries; more than 3 are not looked at."]
     assert found.skipped == NOTHING_ELSE
 
 
-def test_a_huge_table_of_contents(content, tmp_path, monkeypatch):
+def test_a_huge_table_of_contents_is_refused(content, tmp_path, monkeypatch):
     monkeypatch.setattr("fmu_src.run.archive.MOST_DIRECTORY", 100)
     (text,) = said(write(tmp_path / "F.fmu", content))
     assert text.startswith("it is not a readable ZIP archive (its table of contents has ")
 
 
-def test_an_encrypted_entry(content, tmp_path):
+def test_an_encrypted_entry_is_reported(content, tmp_path):
     path = write(tmp_path / "F.fmu", content)
     patched(path, "sources/all.c", 0, b"\1")
     assert said(path, "archive") == [
@@ -202,14 +202,14 @@ def test_an_encrypted_entry(content, tmp_path):
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
-def test_other_compression(method, entry):
+def test_other_compression_is_reported(method, entry):
     assert entry("resources/x", b"x" * 1000, method=method) == [
         f"the entry 'resources/x' is compressed by method {method}; FMI uses 8 (deflate) or 0 "
         "(none)."
     ]
 
 
-def test_unknown_compression(content, tmp_path):
+def test_unknown_compression_is_reported(content, tmp_path):
     path = write(tmp_path / "F.fmu", content)
     patched(path, "sources/all.c", 2, struct.pack("<H", 77))
     assert said(path, "archive") == [
@@ -217,7 +217,7 @@ def test_unknown_compression(content, tmp_path):
     ]
 
 
-def test_a_wrong_checksum(content, tmp_path):
+def test_a_wrong_checksum_is_reported(content, tmp_path):
     path = write(tmp_path / "F.fmu", content)
     patched(path, "sources/all.c", 8, struct.pack("<I", 1))
     assert said(path, "archive") == [
@@ -225,7 +225,7 @@ def test_a_wrong_checksum(content, tmp_path):
     ]
 
 
-def test_damaged_compression(content, tmp_path):
+def test_damaged_compression_is_reported(content, tmp_path):
     path = write(tmp_path / "F.fmu", content)
     data = path.read_bytes()
     place = data.index(b"sources/all.c") + len("sources/all.c")
@@ -234,8 +234,8 @@ def test_damaged_compression(content, tmp_path):
     assert text.startswith("the entry 'sources/all.c' cannot be read (Error -3 while decompressing")
 
 
-def test_an_entry_that_claims_too_much(content, tmp_path):
-    """More bytes than there are, with the right checksum."""
+def test_an_entry_with_a_wrong_size_is_reported(content, tmp_path):
+    """A larger size than the content has, with the right checksum."""
     path = write(tmp_path / "F.fmu", content)
     size = len(content["sources/all.c"])
     patched(path, "sources/all.c", 16, struct.pack("<I", size + 5))
@@ -244,7 +244,7 @@ def test_an_entry_that_claims_too_much(content, tmp_path):
     ]
 
 
-def test_headers_that_contradict_each_other(content, tmp_path):
+def test_contradictory_headers_are_reported(content, tmp_path):
     path = write(tmp_path / "F.fmu", content)
     data = path.read_bytes()
     path.write_bytes(data.replace(b"sources/all.c", b"sources/new.c", 1))
@@ -252,8 +252,8 @@ def test_headers_that_contradict_each_other(content, tmp_path):
     assert text.startswith("the entry 'sources/all.c' cannot be read (File name in directory")
 
 
-def test_entries_that_overlap(tmp_path, monkeypatch):
-    """Many entries of one compressed piece: small in the file, large on the disk."""
+def test_overlapping_entries_are_reported(tmp_path, monkeypatch):
+    """Many entries share one compressed piece: small in the file, large on disk."""
     kernel = zlib.compressobj(9, zlib.DEFLATED, -15)
     packed = kernel.compress(bytes(9 << 20)) + kernel.flush()
     crc = zlib.crc32(bytes(9 << 20))
@@ -271,7 +271,7 @@ def test_entries_that_overlap(tmp_path, monkeypatch):
     path = tmp_path / "F.fmu"
     path.write_bytes(out.getvalue())
     found = said(path, "archive")
-    # Newer Pythons see it by themselves.
+    # Newer Python versions detect it themselves.
     own = "the entry 'a' cannot be read (Overlapped entries: 'a' (possible zip bomb))."
     assert [text for text in found if text != own] == [
         "the entry 'a' is there more than once.",
@@ -280,21 +280,21 @@ def test_entries_that_overlap(tmp_path, monkeypatch):
     ]
 
 
-def test_no_model_description(content, tmp_path):
+def test_a_missing_model_description_is_reported(content, tmp_path):
     del content[MODEL]
     found = check(write(tmp_path / "F.fmu", content))
     assert texts(found) == ["modelDescription.xml is missing."]
     assert found.skipped == ("All other checks: modelDescription.xml could not be read.",)
 
 
-def test_a_folder_around_everything(content, tmp_path):
+def test_a_folder_around_the_whole_content_is_reported(content, tmp_path):
     inside = {f"Friction/{name}": data for name, data in content.items()}
     assert said(write(tmp_path / "F.fmu", inside)) == [
         "modelDescription.xml is missing; 'Friction/modelDescription.xml' is in the wrong folder."
     ]
 
 
-def test_what_cannot_be_opened_is_an_error(tmp_path):
+def test_an_unreadable_file_is_an_error(tmp_path):
     with pytest.raises(ArtifactError, match=r"none\.fmu: no such file\."):
         check(tmp_path / "none.fmu")
     with pytest.raises(ArtifactError, match=r"is not a file\."):

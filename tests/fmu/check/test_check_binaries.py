@@ -1,4 +1,4 @@
-"""Shared libraries: right for their folder, complete, loadable without anything else."""
+"""Shared libraries: right for their folder, complete and self-contained."""
 
 import pytest
 from c_hosts import LINUX
@@ -15,7 +15,7 @@ ELF = (*LINUX, "-shared", "-fPIC")
 
 @pytest.fixture
 def library(tmp_path):
-    """Build a shared library of C source, by default with every function of FMI."""
+    """Build a shared library from C source, by default with all FMI functions."""
 
     def build(extra="", names=ALL, flags=ELF, last=()):
         folder = tmp_path / f"c{len(list(tmp_path.iterdir()))}"
@@ -31,7 +31,7 @@ def library(tmp_path):
 
 @pytest.fixture
 def of(table1_fmu, tmp_path):
-    """What is said of Table I with another binary."""
+    """Findings for Table I with another binary."""
 
     def check_binary(data, name=BINARY, change=lambda _: None, **files):
         more = {path.replace("__", "/"): content for path, content in files.items()}
@@ -48,7 +48,7 @@ def only_co_simulation(xml):
         xml.find("CoSimulation").set(capability, "false")
 
 
-def test_every_binary_of_ours_is_fine(table1, tmp_path):
+def test_our_binaries_pass(table1, tmp_path):
     from fmu_src import export_fmu
 
     fmu = export_fmu(table1, tmp_path / "F.fmu", platforms=["all"])
@@ -59,7 +59,7 @@ def test_every_binary_of_ours_is_fine(table1, tmp_path):
     )
 
 
-def test_the_name(table1_fmu, tmp_path):
+def test_a_wrong_name_is_reported(table1_fmu, tmp_path):
     path = changed(table1_fmu, tmp_path / "F.fmu", only_co_simulation, {
         BINARY: None, "binaries/linux64/other.so": members(table1_fmu)[BINARY]})  # fmt: skip
     assert said(path) == [
@@ -84,7 +84,7 @@ def test_the_name(table1_fmu, tmp_path):
         ("x86_64-linux-gnu.2.17", "x86_64-linux", None),
     ],
 )  # fmt: skip
-def test_the_machine(target, folder, text, library, of):
+def test_a_wrong_machine_type_is_reported(target, folder, text, library, of):
     suffix = binaries.PLATFORMS[2][folder].suffix
     name = f"binaries/{folder}/friction_parfam_h{suffix}"
     export = ("-DEXPORT=__declspec(dllexport)", "-Wl,--no-entry")
@@ -94,19 +94,19 @@ def test_the_machine(target, folder, text, library, of):
 
 
 @pytest.mark.parametrize("data", [b"", b"no library", b"MZ" + bytes(99)])
-def test_no_library(data, of):
+def test_other_files_than_libraries_are_reported(data, of):
     (text,) = of(data)
     assert text == (
         f"{BINARY}: it is no readable library; needed in this folder is ELF for X86_64."
     )
 
 
-def test_a_broken_library(of):
+def test_a_broken_library_is_reported(of):
     (text,) = of(b"\x7fELF" + bytes(100))
     assert text == f"{BINARY}: it is ELF for NONE; needed in this folder is ELF for X86_64."
 
 
-def test_a_program(library, of):
+def test_a_program_is_reported(library, of):
     program = library(
         "int main(void) { return 0; }", flags=(*LINUX, "-no-pie"), last=("-rdynamic",),
     )  # fmt: skip
@@ -114,7 +114,7 @@ def test_a_program(library, of):
     assert f"{BINARY}: it is a program or object file; needed is a shared library." in found
 
 
-def test_functions_that_are_missing(library, of):
+def test_missing_functions_are_reported(library, of):
     names = sorted(KNOWN - {"fmi2GetReal", "fmi2DoStep", "fmi2SetFMUstate"})
 
     def change(xml):
@@ -128,12 +128,12 @@ def test_functions_that_are_missing(library, of):
     ]
 
 
-def test_functions_of_the_other_kind_are_not_needed(library, of):
+def test_functions_of_the_other_interface_are_optional(library, of):
     names = sorted(n for n in KNOWN if n not in ("fmi2SetTime", "fmi2GetDerivatives"))
     assert of(library(names=names), change=only_co_simulation) == []
 
 
-def test_functions_of_model_exchange_are_needed_for_it(library, of):
+def test_functions_of_model_exchange_are_required_for_it(library, of):
     def change(xml):
         only_co_simulation(xml)
         xml.find("CoSimulation").tag = "ModelExchange"
@@ -144,7 +144,7 @@ def test_functions_of_model_exchange_are_needed_for_it(library, of):
     ]
 
 
-def test_names_with_the_prefix_of_source_code(library, of):
+def test_names_with_the_source_code_prefix_are_reported(library, of):
     names = [f"friction_parfam_h_{name}" for name in sorted(KNOWN)]
     assert of(library(names=names), change=only_co_simulation) == [
         f"{BINARY}: it exports 'friction_parfam_h_fmi2GetTypesPlatform' and the like; the prefix "
@@ -152,14 +152,14 @@ def test_names_with_the_prefix_of_source_code(library, of):
     ]
 
 
-def test_functions_that_fmi_does_not_have(library, of):
+def test_unknown_functions_are_reported(library, of):
     more = {"fmi2Foo", "fmi3DoStep", "fmiDoStep", "fmin_of_mine", "helper"}
     assert of(library(names=sorted(KNOWN | more))) == [
         f"{BINARY}: it exports 'fmi2Foo', which FMI 2.0 does not have."
     ]
 
 
-def test_python(library, of):
+def test_dependency_on_python_is_reported(library, of):
     extra = "void PyRun_SimpleString(void); void helper(void) { PyRun_SimpleString(); }"
     assert of(library(extra)) == [
         f"{BINARY}: it needs a Python interpreter in the host ('PyRun_SimpleString' undefined)."
@@ -168,7 +168,7 @@ def test_python(library, of):
 
 @pytest.fixture
 def needy(library, tmp_path):
-    """A library that needs another one."""
+    """A library that depends on another one."""
 
     def build(name, *flags):
         other = tmp_path / name
@@ -178,13 +178,13 @@ def needy(library, tmp_path):
     return build
 
 
-def test_a_library_that_is_not_there(needy, of):
+def test_a_missing_library_is_reported(needy, of):
     assert of(needy("libother.so.3")) == [
         f"{BINARY}: it needs 'libother.so.3', neither part of the system nor in the FMU."
     ]
 
 
-def test_a_library_that_is_there_but_not_found(needy, of):
+def test_a_library_outside_the_search_path_is_reported(needy, of):
     other = {"binaries__linux64__libother.so.3": b"x"}
     assert of(needy("libother.so.3"), **other) == [
         f"{BINARY}: it needs 'libother.so.3' in its folder, but its run path lacks $ORIGIN to "
@@ -193,13 +193,13 @@ def test_a_library_that_is_there_but_not_found(needy, of):
     assert of(needy("libother.so.3", "-Wl,-rpath,$ORIGIN"), **other) == []
 
 
-def test_the_library_of_python(needy, of):
+def test_the_python_library_is_reported(needy, of):
     assert of(needy("libpython3.11.so.1.0")) == [
         f"{BINARY}: it needs a Python interpreter in the host ('libpython3.11.so.1.0' undefined)."
     ]
 
 
-def test_a_folder_of_no_known_platform(table1_fmu, tmp_path):
+def test_an_unknown_platform_folder_is_reported(table1_fmu, tmp_path):
     path = changed(table1_fmu, tmp_path / "F.fmu", files={"binaries/amiga/x.library": b"x"})
     found = check(path)
     assert texts(found) == []
@@ -208,12 +208,12 @@ def test_a_folder_of_no_known_platform(table1_fmu, tmp_path):
     )
 
 
-def test_static_libraries_and_their_folders_are_left_alone(table1_fmu, tmp_path):
+def test_static_libraries_and_their_folders_are_ignored(table1_fmu, tmp_path):
     files = {"binaries/win64/VisualStudio8/friction_parfam_h.lib": b"x"}
     assert said(changed(table1_fmu, tmp_path / "F.fmu", files=files)) == []
 
 
-def test_a_library_that_takes_forever(of, monkeypatch, table1_fmu):
+def test_a_library_that_hangs_is_reported(of, monkeypatch, table1_fmu):
     monkeypatch.setattr(binaries, "SECONDS", 0.001)
     assert of(members(table1_fmu)[BINARY]) == [
         f"{BINARY}: its content could not be read: its reader gave no answer within 0.001 s and "
@@ -229,7 +229,7 @@ def test_a_library_that_takes_forever(of, monkeypatch, table1_fmu):
         ("os._exit(7)", "ended its process with exit code 7"),
     ],
 )
-def test_a_reader_that_crashes(of, monkeypatch, table1_fmu, tmp_path, deed, how):
+def test_a_reader_crash_is_reported(of, monkeypatch, table1_fmu, tmp_path, deed, how):
     text = f"import os\ndef read(_file): {deed}\n"
     (tmp_path / "readers.py").write_text(text, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
@@ -239,7 +239,7 @@ def test_a_reader_that_crashes(of, monkeypatch, table1_fmu, tmp_path, deed, how)
     ]
 
 
-def test_a_reader_that_cannot_be_started(of, monkeypatch, table1_fmu, tmp_path):
+def test_a_missing_reader_is_reported(of, monkeypatch, table1_fmu, tmp_path):
     monkeypatch.setattr("sys.executable", str(tmp_path / "none"))
     assert of(members(table1_fmu)[BINARY]) == [
         f"{BINARY}: its content could not be read: its reader has no process: it cannot be started "

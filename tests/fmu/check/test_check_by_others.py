@@ -1,4 +1,4 @@
-"""Changes that FMPy or the schema finds, so that no rule of ours repeats it."""
+"""Changes that FMPy or the schema detects, so that our rules need not repeat them."""
 
 import pytest
 from fmu_files import MODEL, Xml, changed, said, write
@@ -98,10 +98,10 @@ FMPY = {
 }  # fmt: skip
 
 
-# FMPy leaves the archive open after an error.
+# FMPy keeps the archive open after an error.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(("change", "expected"), FMPY.values(), ids=FMPY)
-def test_what_fmpy_finds_needs_no_rule(change, expected, xml, tmp_path, monkeypatch):
+def test_findings_of_fmpy_need_no_rule(change, expected, xml, tmp_path, monkeypatch):
     change(xml)
     assert sentences(xml) == ([LOOPS] if "If dependenciesKind" in expected else [])
     monkeypatch.setattr(external, "run_in_sandbox", lambda _, file, **_more: readers.validate(file))
@@ -130,13 +130,13 @@ SCHEMA = {
 
 
 @pytest.mark.parametrize(("change", "expected"), SCHEMA.values(), ids=SCHEMA)
-def test_what_the_schema_finds(change, expected, xml, tmp_path):
+def test_the_schema_detects_changes(change, expected, xml, tmp_path):
     change(xml)
     (tmp_path / "m.xml").write_bytes(xml.bytes())
     assert [text for _, text in readers.compare(str(tmp_path / "m.xml")) if expected in text]
 
 
-def test_what_they_find_is_in_the_report(source_fmu, tmp_path):
+def test_external_findings_are_in_the_report(source_fmu, tmp_path):
     def change(xml: Xml) -> None:
         xml.drop(xml.unknown("InitialUnknowns", "tau[2]"))
         del xml.typed("dq[1]").attrib["start"]

@@ -1,4 +1,4 @@
-"""`hesr check` through the real command line: what is printed, written and returned."""
+"""`hesr check` through the real command line: output, files and exit codes."""
 
 import json
 import subprocess
@@ -41,12 +41,12 @@ PROBLEM = (
 )
 
 
-def test_nothing_is_wrong(table1_fmu):
+def test_a_valid_fmu_passes(table1_fmu):
     found = hesr("check", table1_fmu)
     assert found == Answer(0, [f"{table1_fmu}: no problem found.", f"  {NO_VDMCHECK}"], "")
 
 
-def test_something_is_wrong(source_fmu, bad, tmp_path):
+def test_problems_are_printed(source_fmu, bad, tmp_path):
     found = hesr("check", source_fmu, bad, "--json", tmp_path / "deep" / "o.json")
     assert found.code == 1
     assert found.out == [
@@ -66,11 +66,11 @@ def test_something_is_wrong(source_fmu, bad, tmp_path):
 
 
 @pytest.mark.parametrize(("least", "code"), [("never", 0), ("advice", 1), ("warning", 1)])
-def test_the_severity_that_fails_is_chosen(bad, least, code):
+def test_the_failing_severity_is_selectable(bad, least, code):
     assert hesr("check", bad, "--fail-on", least).code == code
 
 
-def test_a_file_that_is_no_fmu_is_a_problem_and_no_error(tmp_path):
+def test_a_file_other_than_an_fmu_is_a_problem_not_an_error(tmp_path):
     path = tmp_path / "F.fmu"
     path.write_bytes(b"no zip")
     found = hesr("check", path)
@@ -78,23 +78,23 @@ def test_a_file_that_is_no_fmu_is_a_problem_and_no_error(tmp_path):
     assert found.out[0] == f"{path}: 1 problem found."
 
 
-def test_a_file_that_is_not_there_is_told_before_any_work(source_fmu, tmp_path):
+def test_a_missing_file_is_reported_first(source_fmu, tmp_path):
     found = hesr("check", source_fmu, tmp_path / "none.fmu", "--json", "o.json")
     assert found == Answer(2, [], f"hesr: {tmp_path / 'none.fmu'}: no such file.\n")
     assert not (tmp_path / "o.json").exists()
 
 
-def test_a_folder_that_lacks_vdmcheck2(source_fmu):
+def test_a_folder_without_vdmcheck2_is_reported(source_fmu):
     found = hesr("check", source_fmu, "--vdmcheck", "none")
     assert found.code == 2
     assert found.err == "hesr: --vdmcheck is 'none', which does not contain vdmcheck2.jar.\n"
 
 
-def test_an_fmu_has_to_be_given():
+def test_an_fmu_is_required():
     assert hesr("check").code == 2
 
 
-def test_a_master_at_its_worst(make_law, make_model, tmp_path):
+def test_hostile_masters_are_simulated(make_law, make_model, tmp_path):
     fmu = export_fmu(make_model(make_law("lugre")), tmp_path / "F.fmu")
     found = hesr("check", fmu, "--kind", "hostile", "--json", tmp_path / "o.json")
     assert found == Answer(0, [f"{fmu}: no problem found.", f"  {NO_VDMCHECK}"], "")

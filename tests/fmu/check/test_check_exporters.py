@@ -1,4 +1,4 @@
-"""FMUs of another exporter: what FMPy reports is in our report, and more than that."""
+"""FMUs of another exporter: our report includes that of FMPy and adds findings."""
 
 import re
 from pathlib import Path
@@ -44,7 +44,7 @@ def decay(tmp_path_factory):
 
 
 def assert_covered(path: Path) -> None:
-    """Everything that FMPy says is in our report, in its own words or in ours of the schema."""
+    """Every message of FMPy is in our report, in its words or in our words for the schema."""
     ours = texts(check(path))
     theirs = validate_fmu(str(path))
     assert theirs
@@ -53,7 +53,7 @@ def assert_covered(path: Path) -> None:
         assert any(first.rstrip(".") in own for own in ours), text
 
 
-def test_what_fmpy_reports_is_reported(decay):
+def test_findings_of_fmpy_are_reported(decay):
     assert_covered(decay)
 
 
@@ -72,11 +72,11 @@ def test_what_fmpy_reports_is_reported(decay):
         lambda xml: xml.find("ModelStructure/Outputs/Unknown").set("index", "99999"),
     ],
 )
-def test_what_fmpy_reports_of_a_broken_fmu_is_reported(change, source_fmu, tmp_path):
+def test_findings_of_fmpy_for_a_broken_fmu_are_reported(change, source_fmu, tmp_path):
     assert_covered(changed(source_fmu, tmp_path / "F.fmu", change))
 
 
-def test_what_is_wrong_with_it(decay):
+def test_further_findings_are_reported(decay):
     found = check(decay)
     assert {
         "CoSimulation has needsExecutionTool='true', so that the FMU runs only where its tool is "
@@ -96,7 +96,7 @@ def test_what_is_wrong_with_it(decay):
 
 @pytest.fixture
 def container(table1_fmu, tmp_path):
-    """An FMU around Table I's, by FMPy's own builder."""
+    """An FMU around that of Table I, built by FMPy."""
     cli = pytest.importorskip("fmpy.container_fmu.cli", reason="this FMPy builds no containers")
     inner = read_model_description(str(table1_fmu))
     config = pytest.importorskip("fmpy.container_fmu.config")
@@ -124,12 +124,12 @@ def container(table1_fmu, tmp_path):
     return tmp_path / "C.fmu"
 
 
-def test_a_container_of_fmpy(container):
+def test_a_container_of_fmpy_is_checked(container):
     found = check(container)
     loops = "gives no dependencies for 'tau', so importers assume all inputs and find false"
     assert texts(found, "rules") == [
         f"ModelStructure/{name} {loops} algebraic loops." for name in ("Outputs", "InitialUnknowns")
     ]
     assert not texts(found, "archive") + texts(found, "fmpy")
-    # Its library serves FMI 3 as well, whose names are no mistakes.
+    # Its library also serves FMI 3, whose function names are allowed.
     assert not any("fmi3" in text for text in texts(found, "binaries"))

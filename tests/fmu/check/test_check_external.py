@@ -1,4 +1,4 @@
-"""Validators of others: what they say becomes ours, and they can do no harm."""
+"""External validators: their findings are included, and they can do no harm."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ needs_vdmcheck = pytest.mark.skipif(
 
 @pytest.fixture
 def vdmcheck(tmp_path, monkeypatch):
-    """A folder with a VDMCheck2 that says what it is told to."""
+    """A folder with a fake VDMCheck2 that prints a given text."""
 
     def make(script):
         folder, tools = tmp_path / "vdm", tmp_path / "bin"
@@ -53,7 +53,7 @@ def test_table1_passes_vdmcheck2(table1_fmu, tmp_path):
 
 @pytest.mark.ci
 @needs_vdmcheck
-def test_what_vdmcheck2_finds_is_told(source_fmu, tmp_path):
+def test_findings_of_vdmcheck2_are_reported(source_fmu, tmp_path):
     def change(xml):
         xml.find("DefaultExperiment").set("startTime", "3")
         xml.find("DefaultExperiment").set("stopTime", "2")
@@ -72,7 +72,7 @@ def test_vdmcheck2_of_the_current_folder_is_used(source_fmu, monkeypatch):
     assert check(source_fmu).skipped == ()
 
 
-def test_without_vdmcheck2(source_fmu):
+def test_vdmcheck2_is_optional(source_fmu):
     assert check(source_fmu).skipped == (
         "VDMCheck2: vdmcheck2.jar is missing in .tools/vdmcheck2.",
     )
@@ -85,7 +85,7 @@ def test_a_folder_without_vdmcheck2_is_an_error(source_fmu, tmp_path):
         check(source_fmu, vdmcheck=Path("none"))
 
 
-def test_without_java(source_fmu, vdmcheck, monkeypatch):
+def test_missing_java_is_reported(source_fmu, vdmcheck, monkeypatch):
     folder = vdmcheck("")
     monkeypatch.setenv("PATH", "")
     assert check(source_fmu, vdmcheck=folder).skipped == ("VDMCheck2: Java is not installed.",)
@@ -111,13 +111,13 @@ def test_without_java(source_fmu, vdmcheck, monkeypatch):
         ),
     ],
 )
-def test_what_it_says(script, problems, skipped, source_fmu, vdmcheck):
+def test_output_of_vdmcheck2_is_parsed(script, problems, skipped, source_fmu, vdmcheck):
     found = check(source_fmu, vdmcheck=vdmcheck(script))
     assert texts(found) == problems
     assert list(found.skipped) == skipped
 
 
-def test_a_validator_that_hangs_is_ended_with_all_that_it_started(
+def test_a_hanging_validator_is_ended_with_its_children(
     source_fmu, vdmcheck, monkeypatch, tmp_path
 ):
     monkeypatch.setattr(external, "VDMCHECK_SECONDS", 1.0)
@@ -130,13 +130,13 @@ def test_a_validator_that_hangs_is_ended_with_all_that_it_started(
     assert not (tmp_path / "late").exists()
 
 
-def test_fmpy_that_hangs(source_fmu, monkeypatch):
+def test_hanging_fmpy_is_reported(source_fmu, monkeypatch):
     monkeypatch.setattr(external, "FMPY_SECONDS", 0.01)
     assert "FMPy gave no answer within 0.01 s and was ended." in check(source_fmu).skipped
 
 
-def test_a_name_on_which_fmpy_hangs_is_a_problem_of_ours(source_fmu, tmp_path, monkeypatch):
-    """Its grammar takes ever longer for longer names."""
+def test_a_name_that_makes_fmpy_hang_is_reported_by_us(source_fmu, tmp_path, monkeypatch):
+    """The run time of its grammar explodes with the length of a name."""
     monkeypatch.setattr(external, "FMPY_SECONDS", 2.0)
     path = changed(
         source_fmu,
@@ -151,7 +151,7 @@ def test_a_name_on_which_fmpy_hangs_is_a_problem_of_ours(source_fmu, tmp_path, m
     assert found.skipped[0] == "FMPy gave no answer within 2 s and was ended."
 
 
-def test_of_several_lines_the_first_is_told(source_fmu, tmp_path):
+def test_only_the_first_of_several_lines_is_reported(source_fmu, tmp_path):
     path = changed(
         source_fmu, tmp_path / "F.fmu", lambda xml: xml.variable("h[1]").set("name", "h 1")
     )
@@ -165,7 +165,7 @@ BOMB = b"<?xml version='1.0' encoding='UTF-8'?><!DOCTYPE x><x/>"
 
 
 @pytest.mark.parametrize("content", [GOOD, BOMB])
-def test_they_see_checked_xml_only(content, source_fmu, vdmcheck, tmp_path):
+def test_validators_get_only_checked_xml(content, source_fmu, vdmcheck, tmp_path):
     folder = vdmcheck(f"for last; do :; done; cp \"$last\" {tmp_path}/seen.fmu; "
                       "echo 'No errors found.'")  # fmt: skip
     terminals = "terminalsAndIcons/terminalsAndIcons.xml"

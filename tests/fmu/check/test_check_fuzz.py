@@ -1,4 +1,4 @@
-"""Whatever the bytes of a file are, a report comes back."""
+"""Any bytes in a file give a report."""
 
 import zipfile
 from io import BytesIO
@@ -21,7 +21,7 @@ QUIET = settings(
 
 @pytest.fixture
 def alone(monkeypatch):
-    """Start no other processes, whose work does not depend on the bytes of the archive."""
+    """Start no other processes; their work does not depend on the bytes of the archive."""
 
     def not_run(function, *arguments, folder, seconds):
         raise DiedError("was not run")
@@ -51,8 +51,8 @@ def assert_report(path, data):
 @QUIET
 @given(flips=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)),
                       min_size=1, max_size=8), tail=st.booleans())  # fmt: skip
-def test_flipped_bytes(flips, tail, small, tmp_path, alone):
-    """Anywhere, or in the table of contents only."""
+def test_flipped_bytes_give_a_report(flips, tail, small, tmp_path, alone):
+    """Anywhere, or only in the table of contents."""
     data = bytearray(small)
     start = small.index(b"PK\1\2") if tail else 0
     for where, mask in flips:
@@ -62,15 +62,15 @@ def test_flipped_bytes(flips, tail, small, tmp_path, alone):
 
 @QUIET
 @given(part=st.floats(0, 1), end=st.floats(0, 1), more=st.binary(max_size=60))
-def test_pieces_cut_out(part, end, more, small, tmp_path, alone):
+def test_removed_pieces_give_a_report(part, end, more, small, tmp_path, alone):
     first, last = sorted((int(part * len(small)), int(end * len(small))))
     assert_report(tmp_path / "F.fmu", small[:first] + more + small[last:])
 
 
 @QUIET
 @given(data=st.data())
-def test_changed_xml(data, small, tmp_path, alone, source_fmu):
-    """Well-formed or not, it is not the archive that fails."""
+def test_changed_xml_gives_a_report(data, small, tmp_path, alone, source_fmu):
+    """The archive stays valid, whether the XML is well-formed or not."""
     xml = bytearray(members(source_fmu)[MODEL])
     for _ in range(data.draw(st.integers(1, 5))):
         place = data.draw(st.integers(0, len(xml) - 1))

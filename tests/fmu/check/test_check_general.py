@@ -1,4 +1,4 @@
-"""Rules on everything but variables: one change of Table I, one sentence that names it."""
+"""Rules for everything except variables: one change of Table I gives one specific message."""
 
 import pytest
 from fmu_files import Xml, changed, said
@@ -100,7 +100,7 @@ GENERAL = {
 
 
 @pytest.mark.parametrize(("change", "expected"), GENERAL.values(), ids=GENERAL)
-def test_what_is_changed_is_told_in_one_sentence(change, expected, xml):
+def test_each_change_gives_one_message(change, expected, xml):
     change(xml)
     assert sentences(xml) == ([expected] if isinstance(expected, str) else expected)
 
@@ -109,8 +109,8 @@ def test_table1_breaks_no_rule(xml):
     assert sentences(xml) == []
 
 
-def test_rules_stand_what_the_schema_forbids(table1_fmu, tmp_path):
-    """What is no number, no element or not there is the schema's business, not a crash."""
+def test_rules_tolerate_violations_of_the_schema(table1_fmu, tmp_path):
+    """Invalid numbers and missing elements are findings of the schema, not crashes."""
 
     def change(xml: Xml) -> None:
         xml.typed("dq[1]").set("start", "much")

@@ -1,4 +1,4 @@
-"""`hesr check --kind hostile`: our own FMUs bear every master; what others do not bear is told."""
+"""`hesr check --kind hostile`: our FMUs withstand every master; failures of others are reported."""
 
 import re
 from collections.abc import Callable
@@ -57,20 +57,20 @@ def found(fmu: Path) -> list[str]:
     return texts(check(fmu, hostile=True), "hostile")
 
 
-# --- ours -------------------------------------------------------------------------------------
+# --- our FMUs ----------------------------------------------------------------------------------
 
 
 @pytest.mark.ci
 @pytest.mark.parametrize("law", ["lugre", "viscous", "elements"])
-def test_friction_laws_bear_everything(law, make_law, make_model, tmp_path):
+def test_friction_laws_pass(law, make_law, make_model, tmp_path):
     model = make_model(make_law(law), make_law(law))
     report = check(export_fmu(model, tmp_path / "F.fmu"), hostile=True)
     assert report.problems == ()
     assert not any("ostile" in reason for reason in report.skipped)
 
 
-def test_stops_and_ripple_bear_signals_of_their_size(make_model, tmp_path):
-    """Ripple is faster than the steps, and bounds of the load jump with inputs that are held."""
+def test_stops_and_ripple_pass_with_signals_of_their_size(make_model, tmp_path):
+    """Ripple is faster than the steps, and bounds by load jump with held inputs."""
     form = Structure.of(
         {"stops": [["1", 0], ["p", 0], ["load", 0]], "viscous": ["1"], "ripple": [1009, 505],
          "window": 0.015}
@@ -84,18 +84,18 @@ def test_stops_and_ripple_bear_signals_of_their_size(make_model, tmp_path):
     assert found(export_bare(model, tmp_path / "F.fmu")) == []
 
 
-def test_the_papers_law_and_its_drive_bear_everything(table1, table1_fmu, tmp_path):
+def test_the_papers_law_and_its_drive_pass(table1, table1_fmu, tmp_path):
     drive = export_drive(table1, tmp_path / "D.fmu", inertia=[3.0, 3.0, 0.6])
     assert found(table1_fmu) == []
     assert found(drive) == []
 
 
-# --- what is found in the glue of others ------------------------------------------------------
+# --- faults of other FMUs ----------------------------------------------------------------------
 
 
 @pytest.fixture
 def reworked(make_law, make_model, tmp_path, monkeypatch) -> Callable[..., Path]:
-    """An FMU of a law whose glue is not as ours."""
+    """An FMU of a law with modified interface code."""
 
     def make(law: str, old: str, new: str) -> Path:
         glue, changes = package.own_source, []
@@ -113,7 +113,7 @@ def reworked(make_law, make_model, tmp_path, monkeypatch) -> Callable[..., Path]
     return make
 
 
-def test_a_state_where_there_is_none(reworked):
+def test_a_saved_state_without_support_is_reported(reworked):
     fmu = reworked("viscous", "n != own && (own > 0 || n > 1)", "n != own")
     assert found(fmu) == [
         "fmi2SetContinuousStates with one state is refused by an FMU without states; solvers that "
@@ -121,14 +121,14 @@ def test_a_state_where_there_is_none(reworked):
     ]
 
 
-def test_a_state_too_many(reworked):
+def test_an_additional_state_is_reported(reworked):
     fmu = reworked("lugre", "n != own && (own > 0 || n > 1)", "n < own")
     assert found(fmu) == [
         "fmi2SetContinuousStates with one state too many: it is accepted without an error."
     ]
 
 
-def test_events_without_end(reworked):
+def test_endless_events_are_reported(reworked):
     fmu = reworked(
         "lugre", "{.nextEventTimeDefined = fmi2False}", "{.newDiscreteStatesNeeded = fmi2True}"
     )
@@ -142,7 +142,7 @@ def test_events_without_end(reworked):
     ]
 
 
-def test_a_last_step_that_is_refused(reworked):
+def test_a_refused_last_step_is_reported(reworked):
     fmu = reworked(
         "lugre", "if (is_rounding(step)) {", "if (is_rounding(step)) {\n return fmi2Discard;"
     )
@@ -154,14 +154,14 @@ def test_a_last_step_that_is_refused(reworked):
     assert second.endswith("canHandleVariableCommunicationStepSize is true.")
 
 
-# --- FMUs of PythonFMU ------------------------------------------------------------------------
+# --- PythonFMU ---------------------------------------------------------------------------------
 
 
-def test_a_lag_bears_everything(python_fmu):
+def test_a_lag_passes(python_fmu):
     assert found(python_fmu(LAG)) == []
 
 
-def test_a_division_by_the_step(python_fmu):
+def test_a_division_by_the_step_is_reported(python_fmu):
     sentences = found(python_fmu("self.x, self.last = (self.u - self.last) / step, self.u"))
     assert [s.partition(":")[0] for s in sentences] == [
         "a last step of rounding size, as summed times leave it",
@@ -173,7 +173,7 @@ def test_a_division_by_the_step(python_fmu):
         assert abs(float(match[1])) > 1e9
 
 
-def test_a_promise_that_is_not_kept(python_fmu):
+def test_a_false_capability_is_reported(python_fmu):
     fmu = python_fmu(f"assert abs(step - 0.01) < 1e-6, 'only 10 ms'\n        {LAG}")
     sentences = found(fmu)
     assert len(sentences) == 7
@@ -184,7 +184,7 @@ def test_a_promise_that_is_not_kept(python_fmu):
     assert "fmi2DoStep of 0.002 s at 0 s" in promised[0]
 
 
-def test_steps_of_one_length_where_nothing_else_is_promised(python_fmu, tmp_path):
+def test_only_declared_step_sizes_are_used(python_fmu, tmp_path):
     def fixed(xml):
         xml.find("CoSimulation").set("canHandleVariableCommunicationStepSize", "false")
 
@@ -196,12 +196,12 @@ def test_steps_of_one_length_where_nothing_else_is_promised(python_fmu, tmp_path
     )
 
 
-def test_reading_that_changes_the_run(python_fmu):
+def test_reading_with_side_effects_is_reported(python_fmu):
     (sentence,) = found(python_fmu("self.x = self.u + self.read"))
     assert sentence.startswith("reading outputs between fmi2SetReal and fmi2DoStep: 'y' is ")
 
 
-def test_a_crash_ends_its_own_scenario_alone(python_fmu):
+def test_a_crash_ends_only_its_own_scenario(python_fmu):
     sentences = found(python_fmu(f"step > 1e-9 or os.kill(os.getpid(), 11)\n        {LAG}"))
     assert sentences == [
         f"{name}: the FMU crashed with signal 11 (SIGSEGV){claim}."
@@ -216,7 +216,7 @@ def test_a_crash_ends_its_own_scenario_alone(python_fmu):
 
 
 @pytest.mark.ci
-def test_a_step_that_never_ends(python_fmu, monkeypatch):
+def test_an_endless_step_is_reported(python_fmu, monkeypatch):
     monkeypatch.setattr(hostile, "SECONDS", 8.0)
     sentences = found(python_fmu(f"while step < 1e-9: pass\n        {LAG}"))
     assert sentences[0] == (
@@ -226,7 +226,7 @@ def test_a_step_that_never_ends(python_fmu, monkeypatch):
     assert len(sentences) == 2
 
 
-def test_without_a_binary_there_is_nothing_to_run(source_fmu):
+def test_a_missing_binary_is_reported(source_fmu):
     report = check(source_fmu, hostile=True)
     assert report.problems == ()
     assert "Hostile master: a binary for this platform, linux64, is missing." in report.skipped

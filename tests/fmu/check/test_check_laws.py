@@ -1,4 +1,4 @@
-"""No validator finds anything in the FMU of any law, VDMCheck2 included where it is there."""
+"""No validator has findings for the FMU of any law, including VDMCheck2 if available."""
 
 import shutil
 from pathlib import Path
@@ -20,7 +20,7 @@ HAS_VDMCHECK2 = VDMCHECK2.is_dir() and shutil.which("java") is not None
 
 
 def record():
-    """A motion with reversals under load, and torque that every law can follow."""
+    """A motion with reversals under load, and a torque that every law can fit."""
     t = 0.005 * np.arange(1600)
     dq = np.sin(2.0 * t) + 0.6 * np.sin(5.3 * t)
     q = -0.5 * np.cos(2.0 * t) - 0.6 / 5.3 * np.cos(5.3 * t)
@@ -32,7 +32,7 @@ def record():
 
 
 @pytest.mark.parametrize("name", list(everyday()))
-def test_every_law(name, tmp_path):
+def test_fmus_of_all_laws_pass(name, tmp_path):
     law = registry()[name]().fit([record()], np.random.default_rng(0))
     model = FrictionModel(law=name, robot="bench", joints=("axis",), laws=(law,), sample_time=0.005)
     fmu = export_fmu(model, tmp_path / "F.fmu")

@@ -1,4 +1,4 @@
-"""Paths of the machine that built an FMU: found where they are, and nowhere else."""
+"""Paths of the build machine in an FMU: detected without false positives."""
 
 from pathlib import Path
 
@@ -38,7 +38,7 @@ def of(source_fmu, tmp_path):
         ),
     ],
 )
-def test_what_is_a_path_of_the_machine(text, path, of):
+def test_machine_paths_are_detected(text, path, of):
     path = path.replace(r"\\", "\\")
     assert of(text) == [
         f"resources/x: it holds '{path}', a path of the machine where the FMU was built."
@@ -59,7 +59,7 @@ def test_what_is_a_path_of_the_machine(text, path, of):
         b"",
     ],
 )
-def test_what_is_none(text, of):
+def test_other_text_is_not_a_path(text, of):
     assert of(text) == []
 
 
@@ -70,7 +70,7 @@ def test_several_are_one_problem(of):
     ]
 
 
-def test_binaries_and_the_description_are_searched_too(table1_fmu, tmp_path):
+def test_binaries_and_the_description_are_searched(table1_fmu, tmp_path):
     binary = members(table1_fmu)[BINARY] + b"\0/home/anna/robot/all.c\0"
     path = changed(
         table1_fmu,
@@ -82,7 +82,7 @@ def test_binaries_and_the_description_are_searched_too(table1_fmu, tmp_path):
     assert said(path, "paths") == [f"modelDescription.xml: {rest}", f"{BINARY}: {rest}"]
 
 
-def test_what_others_have_built_is_not_looked_at(source_fmu, tmp_path):
+def test_third_party_binaries_are_skipped(source_fmu, tmp_path):
     text = b"/home/anna/robot/x.c"
     nested = "resources/arm/binaries/linux64/libother.so.4.0.0"  # as in a container
     names = ("binaries/linux64/libother.so.4.0.0", nested, "binaries/linux64/libother.so")
@@ -93,8 +93,8 @@ def test_what_others_have_built_is_not_looked_at(source_fmu, tmp_path):
         assert (skipped in check(fmu).skipped) == (problems == 0)
 
 
-def test_libraries_of_fmpy_are_not_looked_at(source_fmu, tmp_path):
-    """Only those very bytes under a library's name: what is changed in them is the FMU's own."""
+def test_libraries_of_fmpy_are_skipped(source_fmu, tmp_path):
+    """Only identical bytes under a library's name are skipped; a modified file is searched."""
     own = Path(fmpy.container_fmu.__file__).parent / "binaries/x86_64-linux/container_fmu.so"
     library = own.read_bytes()
     other = library[:-1] + bytes([library[-1] ^ 1])

@@ -1,4 +1,4 @@
-"""Sources in an FMU: what is listed and included is there."""
+"""Sources in an FMU: all listed and included files exist."""
 
 import pytest
 from fmu_files import changed, said
@@ -9,7 +9,7 @@ from fmu_src.check import sources
 
 @pytest.fixture
 def of(source_fmu, tmp_path):
-    """What is said of an FMU with other source files; `listed` are those to be compiled."""
+    """Findings for an FMU with other source files; `listed` are those to be compiled."""
 
     def check_sources(files, listed=None):
         def change(xml):
@@ -27,7 +27,7 @@ def of(source_fmu, tmp_path):
     return check_sources
 
 
-def test_a_listed_file_is_there(source_fmu, tmp_path):
+def test_a_missing_listed_file_is_reported(source_fmu, tmp_path):
     path = changed(
         source_fmu,
         tmp_path / "F.fmu",
@@ -38,13 +38,13 @@ def test_a_listed_file_is_there(source_fmu, tmp_path):
     ]
 
 
-def test_neither_binaries_nor_sources(of):
+def test_an_fmu_needs_binaries_or_sources(of):
     assert of({}) == [
         "there are neither binaries nor a list of source files, so that nothing can run."
     ]
 
 
-def test_what_is_included_is_there(of):
+def test_a_missing_include_is_reported(of):
     code = b'#include <stdio.h>\n  #  include "sub/own.h" /* "x" */\n#include "none.h"\n'
     found = of({"m.c": code, "sub/own.h": b'#include "other.h"\n', "sub/other.h": b""}, ["m.c"])
     assert found == ["sources/m.c: includes 'none.h', which is not in the archive."]
@@ -60,7 +60,7 @@ def test_includes_are_followed(of):
     assert of(files, ["m.c"]) == ["sources/b.h: includes 'missing.h', which is not in the archive."]
 
 
-def test_a_folder_of_includes_beside_the_file_that_includes_them(of):
+def test_includes_are_relative_to_the_including_file(of):
     files = {"s/m.c": b'#include "top.h"\n#include "near.h"\n', "top.h": b"", "s/near.h": b""}
     assert of(files, ["s/m.c"]) == []
 
@@ -80,22 +80,22 @@ def test_a_folder_of_includes_beside_the_file_that_includes_them(of):
         b'const char *s = "\\"#include";',
     ],
 )
-def test_what_need_not_be_there(line, of):
+def test_optional_includes_may_be_missing(line, of):
     assert of({"m.c": line + b"\n"}, ["m.c"]) == []
 
 
-def test_a_comment_mark_in_a_string_is_none(of):
+def test_comment_marks_in_strings_are_ignored(of):
     assert of({"m.c": b'char s[] = "/*";\n#include "x.h"\nchar t[] = "*/";\n'}, ["m.c"]) == [
         "sources/m.c: includes 'x.h', which is not in the archive."
     ]
 
 
 @pytest.mark.parametrize("piece", [b"/*", b'"', b'\\"', b'"\\'])
-def test_sources_made_to_take_forever(piece, of):
+def test_malicious_sources_are_checked_quickly(piece, of):
     assert of({"m.c": piece * 100_000}, ["m.c"]) == []
 
 
-def test_without_a_list_all_are_looked_at(table1_fmu, tmp_path):
+def test_all_sources_are_checked_without_a_list(table1_fmu, tmp_path):
     def change(xml):
         for element in xml.root.findall(".//SourceFiles"):
             element.getparent().remove(element)

@@ -1,4 +1,4 @@
-"""Rules on ModelStructure: one change of Table I, one sentence that names the list."""
+"""Rules for ModelStructure: one change of Table I gives one message that names the list."""
 
 import pytest
 from lxml import etree
@@ -46,12 +46,12 @@ STRUCTURE = {
 
 
 @pytest.mark.parametrize(("change", "expected"), STRUCTURE.values(), ids=STRUCTURE)
-def test_what_is_changed_is_told_in_one_sentence(change, expected, xml):
+def test_each_change_gives_one_message(change, expected, xml):
     change(xml)
     assert sentences(xml) == ([expected] if isinstance(expected, str) else expected)
 
 
-def test_many_names_are_cut_short(xml):
+def test_long_lists_of_names_are_truncated(xml):
     for output in list(xml.find("ModelStructure/Outputs")):
         del output.attrib["dependencies"]
     names = [v.get("name") for v in xml.variables() if v.get("causality") == "output"]
@@ -61,7 +61,7 @@ def test_many_names_are_cut_short(xml):
 
 
 @pytest.mark.parametrize("exchange", [True, False])
-def test_derivatives_are_complete_for_model_exchange_only(exchange, xml):
+def test_complete_derivatives_are_required_only_for_model_exchange(exchange, xml):
     for element in xml.root.findall("ModelExchange"):
         xml.drop(element)
     if exchange:
@@ -76,7 +76,7 @@ def test_derivatives_are_complete_for_model_exchange_only(exchange, xml):
     assert sentences(xml) == ([wanted] if exchange else [])
 
 
-def test_derivatives_of_discrete_variables_are_no_states(xml):
+def test_derivatives_of_discrete_variables_are_not_states(xml):
     if xml.root.find("ModelExchange") is None:
         xml.root.insert(0, etree.Element("ModelExchange", modelIdentifier="m"))
     xml.variable("der(h[1])").set("variability", "discrete")

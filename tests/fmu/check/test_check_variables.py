@@ -1,4 +1,4 @@
-"""Rules on variables: one change of Table I, one sentence that names the variable."""
+"""Rules for variables: one change of Table I gives one message that names the variable."""
 
 import pytest
 from rule_changes import PARAMETER, enumeration, new, of_type, own, sentences, var
@@ -96,25 +96,25 @@ ALIASES = {
 
 
 @pytest.mark.parametrize(("change", "expected"), VARIABLES.values(), ids=VARIABLES)
-def test_what_is_changed_is_told_in_one_sentence(change, expected, xml):
+def test_each_change_gives_one_message(change, expected, xml):
     change(xml)
     assert sentences(xml) == ([expected] if isinstance(expected, str) else expected)
 
 
 @pytest.mark.parametrize(("first", "a", "second", "b", "expected"), ALIASES.values(), ids=ALIASES)
-def test_aliases(first, a, second, b, expected, xml):
+def test_aliases_are_checked(first, a, second, b, expected, xml):
     xml.add_variable("Real", first, name="a", valueReference="7000", **a)
     xml.add_variable("Real", second, name="b", valueReference="7000", **b)
     assert sentences(xml) == ([expected] if expected else [])
 
 
-def test_flat_names_may_be_anything(xml):
+def test_flat_names_are_unrestricted(xml):
     xml.root.set("variableNamingConvention", "flat")
     xml.variable("joint[1].alpha").set("name", "1 alpha")
     assert sentences(xml) == []
 
 
 @pytest.mark.parametrize("name", ["'a b'.c[1,2]", "der(a.b[1])", "der(x,2)", r"'\''", "_1"])
-def test_structured_names(name, xml):
+def test_structured_names_are_checked(name, xml):
     xml.variable("joint[1].alpha").set("name", name)
     assert sentences(xml) == []

@@ -1,4 +1,4 @@
-"""FMI 1: the archive, the schema and FMPy, and a word on what is not looked at; FMI 3: rules."""
+"""FMI 1: archive, schema and FMPy, with a note on skipped checks; FMI 3: also rules."""
 
 import re
 
@@ -35,7 +35,7 @@ FMI_1 = b"""<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def test_what_is_looked_at_in_fmi_1(tmp_path):
+def test_fmi_1_is_checked_in_part(tmp_path):
     found = check(write(tmp_path / "F.fmu", {MODEL: FMI_1}))
     assert texts(found) == []
     assert found.skipped == (
@@ -44,7 +44,7 @@ def test_what_is_looked_at_in_fmi_1(tmp_path):
     )
 
 
-def test_what_is_looked_at_in_fmi_3(tmp_path):
+def test_fmi_3_is_checked(tmp_path):
     found = check(write(tmp_path / "F.fmu", {MODEL: FMI_3}))
     assert texts(found) == [NOTHING_RUNS]
     assert found.skipped == ("VDMCheck2: it is for FMI 2.0, this is FMI 3.0.",)
@@ -79,7 +79,7 @@ FULL = re.sub(rb'<Float64 name="y".*?/>', TWO_INPUTS.encode(), FMI_3)
          "the attribute instantiationToken is empty"),
     ],
 )  # fmt: skip
-def test_rules_of_fmi_3(old, new, said):
+def test_rules_of_fmi_3_are_checked(old, new, said):
     assert old.encode() in FULL
     about = read_description(etree.fromstring(FULL.replace(old.encode(), new.encode())))
     rules = (*general.RULES, *variables.RULES, *variables.RULES_3, *structure.RULES)
@@ -101,7 +101,7 @@ def test_rules_of_fmi_3(old, new, said):
          'an illegal combination of causality="parameter" and variability="continuous".'),
     ],
 )  # fmt: skip
-def test_what_fmpy_finds_in_fmi_3_needs_no_rule(old, new, said, tmp_path):
+def test_findings_of_fmpy_in_fmi_3_need_no_rule(old, new, said, tmp_path):
     assert old.encode() in FULL
     members = {MODEL: FULL.replace(old.encode(), new.encode())}
     found = readers.validate(str(write(tmp_path / "F.fmu", members)))
@@ -119,7 +119,7 @@ BUILD = b"""<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def test_sources_and_binaries_of_fmi_3(tmp_path):
+def test_sources_and_binaries_of_fmi_3_are_checked(tmp_path):
     members = {
         MODEL: FMI_3, "sources/buildDescription.xml": BUILD,
         "sources/all.c": b'#include "fmi3Functions.h"\n#include "mine.h"\n',
@@ -140,18 +140,18 @@ def test_sources_and_binaries_of_fmi_3(tmp_path):
 
 
 @pytest.mark.parametrize("xml", [FMI_1, FMI_3])
-def test_the_schema_of_the_version(xml, tmp_path):
+def test_the_schema_of_the_version_is_used(xml, tmp_path):
     path = write(tmp_path / "F.fmu", {MODEL: xml.replace(b'causality="output"', b'causality="x"')})
     assert texts(check(path), "schema")
 
 
-def test_fmpy_of_fmi_3(tmp_path):
+def test_fmpy_checks_fmi_3(tmp_path):
     xml = FMI_3.replace(b'<InitialUnknown valueReference="1" dependencies=""/>', b"")
     (text,) = texts(check(write(tmp_path / "F.fmu", {MODEL: xml})), "fmpy")
     assert text.startswith("ModelStructure/InitialUnknowns does not contain the expected set of")
 
 
-def test_an_archive_that_leads_out_is_told_of_any_version(tmp_path):
+def test_names_outside_the_archive_are_reported_for_any_version(tmp_path):
     path = write(tmp_path / "F.fmu", {MODEL: FMI_3, "../x": b"/home/anna/robot"})
     found = check(path)
     assert [p.check for p in found.problems] == ["archive", "paths", "sources"]
@@ -174,7 +174,7 @@ CONNECTED = b"""<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def test_terminals(tmp_path):
+def test_terminals_are_checked(tmp_path):
     file = "terminalsAndIcons/terminalsAndIcons.xml"
     found = check(write(tmp_path / "F.fmu", {MODEL: FMI_3, file: CONNECTED}))
     assert texts(found, "terminals") == [

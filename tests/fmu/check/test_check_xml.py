@@ -1,4 +1,4 @@
-"""XML that is hostile, broken or not FMI's; and the schema."""
+"""Hostile, malformed and foreign XML, and the schema."""
 
 import sys
 
@@ -41,13 +41,13 @@ def bomb():
     ],
     ids=["bomb", "external entity", "external DTD", "empty", "parameter entity"],
 )
-def test_a_doctype(data, of_xml):
+def test_a_doctype_is_refused(data, of_xml):
     found = of_xml(data)
     assert texts(found) == [DOCTYPE]
     assert found.skipped == NO_MODEL
 
 
-def test_an_entity_that_is_not_declared(of_xml):
+def test_an_undeclared_entity_is_reported(of_xml):
     assert texts(of_xml(PROLOG + b"<x>&e;</x>")) == [
         "modelDescription.xml: it is not well-formed XML (undefined entity in line 2, column 4)."
     ]
@@ -63,11 +63,11 @@ def test_an_entity_that_is_not_declared(of_xml):
         (PROLOG + b"<a x='1' x='2'/>", "duplicate attribute in line 2, column 10"),
     ],
 )
-def test_xml_that_is_not_well_formed(data, why, of_xml):
+def test_malformed_xml_is_reported(data, why, of_xml):
     assert texts(of_xml(data)) == [f"modelDescription.xml: it is not well-formed XML ({why})."]
 
 
-def test_other_encodings(source_fmu, of_xml):
+def test_other_encodings_are_reported(source_fmu, of_xml):
     text = "<?xml version='1.0' encoding='{}'?><fmiModelDescription fmiVersion='2.0' x='ä'/>"
     no_utf8 = "modelDescription.xml: it is not valid UTF-8, which FMI requires (byte {})."
     latin = text.format("ISO-8859-1").encode("latin-1")
@@ -87,7 +87,7 @@ def test_other_encodings(source_fmu, of_xml):
         (b"", "no encoding"),
     ],
 )
-def test_another_declaration_of_the_same_bytes(declaration, declares, source_fmu, of_xml):
+def test_another_declaration_of_the_encoding_is_reported(declaration, declares, source_fmu, of_xml):
     data = declaration + b"<fmiModelDescription fmiVersion='2.0'/>"
     assert texts(of_xml(data), "xml") == [
         f"modelDescription.xml: its first line declares {declares}; FMI needs UTF-8."
@@ -99,7 +99,7 @@ def test_a_byte_order_mark_is_harmless(source_fmu, tmp_path, xml):
     assert said(path, "xml") == []
 
 
-def test_xml_that_would_fill_the_memory(of_xml, monkeypatch):
+def test_xml_that_exhausts_memory_is_refused(of_xml, monkeypatch):
     monkeypatch.setattr(markup, "MOST_NODES", 10)
     assert texts(of_xml(PROLOG + b"<a b='1'>" + b"<a/>" * 9 + b"</a>")) == [
         "modelDescription.xml: it has more than 10 elements and attributes; it is not read any "
@@ -111,27 +111,27 @@ def test_xml_that_would_fill_the_memory(of_xml, monkeypatch):
     ]
 
 
-def test_xml_that_is_too_deep(of_xml):
+def test_deeply_nested_xml_is_refused(of_xml):
     (text,) = texts(of_xml(PROLOG + b"<a>" * 5000 + b"</a>" * 5000))
     assert text.startswith("modelDescription.xml: it cannot be read as XML (Excessive depth in doc")
     assert sys.getrecursionlimit() < 5000
 
 
-def test_another_root(of_xml):
+def test_another_root_element_is_reported(of_xml):
     assert texts(of_xml(PROLOG + b"<a:model xmlns:a='urn:x'/>")) == [
         "modelDescription.xml: its root is '{urn:x}model'; it must be 'fmiModelDescription'."
     ]
 
 
 @pytest.mark.parametrize("version", ["", "2.1", "4.0"])
-def test_another_version(version, of_xml):
+def test_another_version_is_reported(version, of_xml):
     data = PROLOG + f"<fmiModelDescription fmiVersion='{version}'/>".encode()
     assert texts(of_xml(data)) == [
         f"modelDescription.xml: its fmiVersion is '{version}'; needed is '2.0'."
     ]
 
 
-def test_the_schema(source_fmu, tmp_path):
+def test_violations_of_the_schema_are_reported(source_fmu, tmp_path):
     def change(xml):
         xml.variable("dq[1]").set("causality", "inpud")
         xml.root.set("generationDateAndTime", "yesterday")
@@ -148,7 +148,7 @@ def test_the_schema(source_fmu, tmp_path):
     assert found.skipped == (others,)
 
 
-def test_only_so_many_problems_are_listed(source_fmu, tmp_path):
+def test_the_list_of_problems_is_limited(source_fmu, tmp_path):
     def change(xml):
         for i in range(1500):
             xml.add_variable("Real", {"unit": f"u{i}"}, name=f"x{i}")

@@ -1,4 +1,4 @@
-"""Drive FMUs of many laws at once, and how they are run."""
+"""Drive FMUs of many laws, and how to run them."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ Array = np.ndarray
 
 
 def model_of(laws: Mapping[str, FrictionLaw]) -> FrictionModel:
-    """One joint for each law."""
+    """One joint per law."""
     return FrictionModel(
         law="by_hand", robot="bench", joints=tuple(laws), laws=tuple(laws.values()),
         sample_time=0.005,
@@ -25,14 +25,14 @@ def model_of(laws: Mapping[str, FrictionLaw]) -> FrictionModel:
 def drive(
     laws: Mapping[str, FrictionLaw], folder: Path, inertia: Sequence[float], **more: Sequence[float]
 ) -> Path:
-    """Write the drive of one joint for each law."""
+    """Write the drive with one joint per law."""
     return write_fmu(
         content(model_of(laws), motors(len(laws), inertia=inertia, **more)), folder / "Drive.fmu"
     )
 
 
 class Run:
-    """A drive under torques that hold over each row of a grid.
+    """A drive under torques held over each row of a grid.
 
     Attributes
     ----------
@@ -63,6 +63,6 @@ class Run:
 
 
 def reversals(dq: Array) -> int:
-    """How often a speed changes its sign; rests between do not count."""
+    """Number of sign changes of a speed; rests in between do not count."""
     moving = np.sign(dq[dq != 0.0])
     return int(np.sum(moving[1:] != moving[:-1]))

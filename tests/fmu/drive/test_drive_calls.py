@@ -1,4 +1,4 @@
-"""A drive FMU in a host's hands: steps and inner steps, rest, states, what it refuses."""
+"""Host calls of a drive FMU: steps and inner steps, rest, states, refusals."""
 
 import ctypes
 import json
@@ -30,7 +30,7 @@ FLAGS = ("-std=c99", "-g", "-O1", "-I.", f"-I{FUZZ.parent}", "-fno-sanitize-reco
 
 @pytest.fixture(scope="module")
 def fmu(make_law, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A law that jumps at rest, one with a bristle and one with a scale in place of parameters."""
+    """A law that jumps at rest, one with a bristle, and one with a scale instead of parameters."""
     laws = {name: make_law(name) for name in ("viscous", "lugre", "gaussians")}
     return drive(laws, tmp_path_factory.mktemp("drive"), [0.6, 3.0, 1.0])
 
@@ -82,7 +82,7 @@ def test_inputs_have_no_effect_before_the_next_step(binary: Binary) -> None:
 
 
 def test_derivatives_are_those_at_the_end_of_the_step(binary: Binary, make_law) -> None:
-    """At the joint's speed and the states there, before the first step and after each."""
+    """Evaluated at the joint's speed and its states, before the first step and after each."""
     law = make_law("lugre")
     [element] = law.form.memory
     known = {c.symbol: law.values[c.name] for c in law.form.coefficients}
@@ -101,7 +101,7 @@ def test_derivatives_are_those_at_the_end_of_the_step(binary: Binary, make_law) 
     assert expected != 0.0
 
 
-def test_a_long_step_is_its_inner_steps(binary: Binary) -> None:
+def test_a_long_step_equals_its_inner_steps(binary: Binary) -> None:
     one = ready(binary, tau_motor=8.0, substep=1.0 / 1024.0)
     many = ready(binary, tau_motor=8.0)
     binary.set_all(many, {"tau_motor[2]": 15.0})
@@ -118,10 +118,8 @@ def test_a_long_step_is_its_inner_steps(binary: Binary) -> None:
 
 
 @pytest.mark.parametrize(("step", "parts"), [(0.9, 3), (0.6, 2), (0.601, 3), (0.1, 1)])
-def test_inner_steps_are_equal_and_no_more_than_needed(
-    binary: Binary, step: float, parts: int
-) -> None:
-    """0.9 / 0.3 is a little more than 3, which is rounding."""
+def test_inner_steps_are_equal_and_minimal(binary: Binary, step: float, parts: int) -> None:
+    """0.9 / 0.3 exceeds 3 by round-off."""
     start = {"tau_motor": 8.0, "inertia": 50.0}
     c, apart = ready(binary, substep=0.3, **start), ready(binary, substep=1.0, **start)
     assert binary.step(c, 0.0, step) == 0
@@ -130,8 +128,9 @@ def test_inner_steps_are_equal_and_no_more_than_needed(
     assert binary.get(c, "q[1]", "dq[1]") == pytest.approx(binary.get(apart, "q[1]", "dq[1]"))
 
 
-def test_friction_that_jumps_holds_a_joint_still(binary: Binary) -> None:
-    """4.5 N.m and 0.5 of ripple hold a joint; it breaks away beyond and stops in one step."""
+def test_coulomb_friction_holds_a_joint_at_rest(binary: Binary) -> None:
+    """4.5 N.m and 0.5 N.m of ripple hold a joint; above that it breaks away, then stops in one
+    step."""
     c = ready(binary, tau_motor=4.9)
     for k in range(100):
         assert binary.step(c, 0.01 * k, 0.01) == 0
@@ -162,7 +161,7 @@ def test_a_scale_multiplies_friction(fmu: Path) -> None:
     assert speeds[2] == pytest.approx(2.0 * speeds[1], rel=1e-2)
 
 
-def test_a_restored_state_goes_on_bit_for_bit(binary: Binary) -> None:
+def test_a_restored_state_resumes_bit_for_bit(binary: Binary) -> None:
     def run(c: ctypes.c_void_p, first: int) -> list[list[float]]:
         rows = []
         for k in range(first, first + 40):
@@ -191,7 +190,7 @@ def test_a_restored_state_goes_on_bit_for_bit(binary: Binary) -> None:
 
 
 def assert_discards(binary: Binary, c: ctypes.c_void_p, step: float, text: str) -> None:
-    """The whole step is refused, nothing has moved, and the host is told why."""
+    """The whole step is discarded with a reason, and nothing moves."""
     before = everything(binary, c)
     assert binary.step(c, 0.0, step) == DISCARD
     assert everything(binary, c) == before
@@ -200,7 +199,7 @@ def assert_discards(binary: Binary, c: ctypes.c_void_p, step: float, text: str) 
 
 
 def test_a_step_without_a_root_is_discarded(binary: Binary) -> None:
-    """Friction of the wrong sign drives faster than the inertia can follow."""
+    """Friction of the wrong sign accelerates beyond what the inertia allows."""
     c = ready(binary, tau_motor=8.0)
     assert binary.set_all(c, {"joint[1].sigma_2": -1e6, "tau_motor[2]": 20.0}) == 0
     assert_discards(
@@ -213,8 +212,8 @@ def test_a_step_without_a_root_is_discarded(binary: Binary) -> None:
     assert min(binary.get(c, "dq[1]", "dq[2]")) > 0.0
 
 
-def test_a_step_that_fails_on_its_way_is_discarded_as_a_whole(binary: Binary) -> None:
-    """It would run for some inner steps before no speed balances; other joints do not move."""
+def test_a_step_that_fails_midway_is_discarded_as_a_whole(binary: Binary) -> None:
+    """Some inner steps succeed before no speed balances the torques; other joints do not move."""
     start = {"joint[1].sigma_2": -1e3, "tau_motor[1]": 10.0, "tau_motor[2]": 20.0}
     c, ahead = ready(binary), ready(binary)
     for instance in (c, ahead):
@@ -231,7 +230,7 @@ def test_torques_that_overflow_are_discarded(binary: Binary) -> None:
     )
 
 
-def test_euler_that_is_not_stable_is_discarded(table1, tmp_path: Path, load) -> None:
+def test_unstable_euler_steps_are_discarded(table1, tmp_path: Path, load) -> None:
     path = drive({"j1": table1.laws[0]}, tmp_path, [3.0])
     binary = load(path)
     c = ready(binary, substep=1.0)
@@ -242,7 +241,7 @@ def test_euler_that_is_not_stable_is_discarded(table1, tmp_path: Path, load) -> 
     )  # fmt: skip
 
 
-def test_euler_is_judged_at_the_speed_to_which_a_step_leads(make_law, tmp_path: Path, load) -> None:
+def test_euler_stability_is_checked_at_the_final_speed(make_law, tmp_path: Path, load) -> None:
     law = replace(make_law("lugre"), discretisation="euler")
     binary = load(drive({"j1": law}, tmp_path, [3.0]))
     c = ready(binary, substep=1.0)
@@ -257,7 +256,7 @@ def test_euler_is_judged_at_the_speed_to_which_a_step_leads(make_law, tmp_path: 
     assert found == pytest.approx(k["sigma_0"] * abs(speed) / bound * 0.05, rel=1e-4)
 
 
-def test_steps_of_endless_inner_steps_are_discarded(binary: Binary) -> None:
+def test_steps_with_too_many_inner_steps_are_discarded(binary: Binary) -> None:
     assert_discards(
         binary, ready(binary, substep=1e-300), 0.01,
         r"A step of 0\.01 s would be 1e\+298 inner ones; at most 1e\+07 are made\. Take a shorter "
@@ -278,7 +277,7 @@ def test_steps_of_endless_inner_steps_are_discarded(binary: Binary) -> None:
         ("substep", 0.0, "substep is 0; it must be positive."),
     ],
 )
-def test_motors_that_cannot_be(fmu: Path, name: str, value: float, said: str) -> None:
+def test_invalid_motors_are_refused(fmu: Path, name: str, value: float, said: str) -> None:
     with FmuInstance(fmu) as component, pytest.raises(SimulationError, match=re.escape(said)):
         component.initialise(start={name: value})
 
@@ -302,7 +301,7 @@ def test_motors_that_cannot_be(fmu: Path, name: str, value: float, said: str) ->
          "drive: 'ratio' has 1 values; needed are 2, one for each joint."),
     ],
 )  # fmt: skip
-def test_exports_that_cannot_be(make_law, tmp_path: Path, more, said: str) -> None:
+def test_impossible_exports_are_refused(make_law, tmp_path: Path, more, said: str) -> None:
     model = model_of({"a": make_law("lugre"), "b": make_law("bare")})
     with pytest.raises(ExportError) as caught:
         export_drive(model, tmp_path / "Drive.fmu", **more)
@@ -320,7 +319,7 @@ def sources(fmu: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.ci
-def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources: Path) -> None:
+def test_call_sequences_have_no_undefined_behaviour(sources: Path) -> None:
     flags = (*LINUX, *FLAGS, "-fsanitize=undefined")
     compile_c(sources / "all.c", flags, sources / "lives", (str(FUZZ), "-lm"))
     assert_lives(sources)
@@ -328,7 +327,7 @@ def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources: Path) -> 
 
 @pytest.mark.ci
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
-def test_any_sequence_of_calls_is_free_of_memory_errors(sources: Path) -> None:
+def test_call_sequences_have_no_memory_errors(sources: Path) -> None:
     flags = (*FLAGS, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsanitize=address,undefined")
     command = ["gcc", *flags, "-o", "lives", "all.c", str(FUZZ), "-lm"]
     subprocess.run(command, cwd=sources, check=True)

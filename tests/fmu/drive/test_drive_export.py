@@ -1,4 +1,4 @@
-"""What is in a drive FMU: a valid description, a page, the model; on every platform the same."""
+"""Contents of a drive FMU: a valid description, a page, the model; the same on every platform."""
 
 import os
 import re
@@ -28,7 +28,7 @@ from hesr_model.friction.model import FrictionModel
 
 VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"
 QEMU = shutil.which("qemu-aarch64")
-ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
+ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # from Debian's libc6-arm64-cross
 AGREEMENT = 1e-12  # of the peak; the C libraries differ in the last digits
 INERTIA = [3.0, 3.0, 0.6]
 STEPS = 1000
@@ -45,7 +45,7 @@ def page(fmu: Path) -> str:
         return archive.read("documentation/index.html").decode()
 
 
-def test_no_validator_finds_anything(fmu: Path) -> None:
+def test_validators_find_no_problem(fmu: Path) -> None:
     has_vdmcheck = VDMCHECK2.is_dir() and shutil.which("java") is not None
     assert check(fmu, vdmcheck=VDMCHECK2 if has_vdmcheck else None).problems == ()
 
@@ -63,7 +63,7 @@ def test_laws_of_every_kind_are_valid(make_law, tmp_path: Path) -> None:
 
 
 def bristle_with_load() -> FrictionLaw:
-    """A law whose state and whose torque depend on the load."""
+    """A law with load-dependent state and torque."""
     rate = 20.0 * absolute(DQ) / (1.0 + 0.1 * absolute(TAU_LOAD))
     z = Relaxation(name="z", unit="rad", drive=DQ, rate=rate)
     output = 20.0 * z.state + 0.5 * z.derivative
@@ -78,8 +78,8 @@ def inputs_of(unknowns) -> dict[str, set[str]]:
     }
 
 
-def test_no_output_depends_on_an_input_of_the_same_instant(make_law, tmp_path: Path) -> None:
-    """So that neither a controller nor a link makes an algebraic loop with a drive."""
+def test_no_output_has_direct_feedthrough(make_law, tmp_path: Path) -> None:
+    """Hence neither a controller nor a link forms an algebraic loop with a drive."""
     laws = {"a": bristle_with_load(), "b": make_law("viscous"), "c": make_law("lugre")}
     fmu = export_drive(model_of(laws), tmp_path / "D.fmu", inertia=INERTIA, stiffness=INERTIA)
     assert check(fmu).problems == ()
@@ -93,7 +93,7 @@ def test_no_output_depends_on_an_input_of_the_same_instant(make_law, tmp_path: P
     assert initially == expected | {"tau_f[2]": {"tau_load[2]"}}
 
 
-def test_what_inputs_give_is_seen_until_the_initialisation_ends(make_law, tmp_path: Path) -> None:
+def test_inputs_affect_outputs_during_initialisation(make_law, tmp_path: Path) -> None:
     laws = {"a": bristle_with_load(), "b": make_law("viscous")}
     one = [1.0, 1.0]
     fmu = export_drive(
@@ -141,10 +141,10 @@ q_d = 0.0, dq_d = 0.0, q = 0.0 }
 
 
 @pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
-def test_a_link_that_answers_at_once_makes_no_algebraic_loop(
+def test_a_link_with_direct_feedthrough_forms_no_algebraic_loop(
     make_law, tmp_path: Path, order: str
 ) -> None:
-    """Its speed follows the torque of the same instant, which the drive takes for its next step."""
+    """Its speed follows the torque of the same instant; the drive uses it in its next step."""
     path = tmp_path / "system.toml"
     path.write_text(f'order = "{order}"\n' + ADMITTANCE.replace("\\\n", ""), encoding="utf-8")
     export_drive(
@@ -155,25 +155,25 @@ def test_a_link_that_answers_at_once_makes_no_algebraic_loop(
     result = System.read(path).run()
     torque, speed = (result.vector(n)[:, 0] for n in ("drive.tau_link", "link.dq_cmd"))
     assert len(result.t) == 51
-    # At the start all is at rest but the link: tau = -10 v and v = 0.02 (5 - tau).
+    # Initially only the link moves: tau = -10 v and v = 0.02 (5 - tau).
     assert (torque[0], speed[0]) == pytest.approx((-1.25, 0.125), rel=1e-3)
     late = int(order == "jacobi")
     np.testing.assert_allclose(speed[1:], 0.02 * (5.0 - torque[1 - late : 51 - late]), rtol=1e-9)
     assert np.ptp(torque) > 1.0
 
 
-def test_it_carries_its_model(fmu: Path, table1: FrictionModel) -> None:
+def test_the_model_is_embedded(fmu: Path, table1: FrictionModel) -> None:
     assert embedded_model(fmu) == table1
 
 
-def test_the_same_model_gives_the_same_bytes(table1: FrictionModel, tmp_path: Path) -> None:
+def test_the_export_is_reproducible(table1: FrictionModel, tmp_path: Path) -> None:
     one, two = (export_drive(table1, tmp_path / n, inertia=INERTIA) for n in ("1.fmu", "2.fmu"))
     assert one.read_bytes() == two.read_bytes()
     other = export_drive(table1, tmp_path / "3.fmu", inertia=[3.0, 3.0, 0.7])
     assert one.read_bytes() != other.read_bytes()
 
 
-def test_the_page_explains_the_drive_and_needs_nothing(fmu: Path) -> None:
+def test_the_page_explains_the_drive_and_is_self_contained(fmu: Path) -> None:
     text = page(fmu)
     words = " ".join(re.sub(r"<[^>]*>", " ", text).split())
     for said in (
@@ -192,7 +192,7 @@ def test_the_page_explains_the_drive_and_needs_nothing(fmu: Path) -> None:
 def test_the_page_documents_the_holding_torque(make_law, tmp_path: Path) -> None:
     model = model_of({"a": make_law("lugre"), "b": make_law("viscous")})
     text = page(export_drive(model, tmp_path / "D.fmu", inertia=[1.0, 1.0]))
-    # 12 N.m break away, 9 N.m and what the bristle's damping does not add at speed remain.
+    # Break-away at 12 N.m; 9 N.m and the lost damping of the bristle remain at speed.
     assert "At rest this law holds up to 12 N.m without load; a torque below 9 N.m lets" in text
     assert "At rest this law holds up to 4.5 N.m without load; a torque below 4.5 N.m lets" in text
     assert "load on the joint, used by b" in text
@@ -228,7 +228,7 @@ def assert_agrees(rows: np.ndarray, reference: np.ndarray) -> None:
 
 
 @pytest.mark.ci
-def test_windows(fmu: Path, native: np.ndarray, wine: Wine, tmp_path: Path) -> None:
+def test_windows_matches(fmu: Path, native: np.ndarray, wine: Wine, tmp_path: Path) -> None:
     program = build_host("drive_host.c", tmp_path, "x86_64-windows-gnu")
     program = program.rename(tmp_path / "host.exe")
     rows = speeds(
@@ -243,7 +243,7 @@ def test_windows(fmu: Path, native: np.ndarray, wine: Wine, tmp_path: Path) -> N
     QEMU is None or not ARM_LIBRARIES.is_dir(),
     reason="qemu-user and the C library of 64-bit ARM are not installed",
 )
-def test_linux_on_arm(fmu: Path, native: np.ndarray, tmp_path: Path) -> None:
+def test_linux_on_arm_matches(fmu: Path, native: np.ndarray, tmp_path: Path) -> None:
     program = build_host("drive_host.c", tmp_path, "aarch64-linux-gnu.2.17")
     rows = speeds(
         fmu, tmp_path, "aarch64-linux/drive_parfam_h.so", QEMU, "-L", ARM_LIBRARIES, program

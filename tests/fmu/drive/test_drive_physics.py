@@ -1,7 +1,7 @@
-"""What every law of the registry does in a drive: reversals, accuracy, energy, rest.
+"""Behaviour of every law of the registry in a drive: reversals, accuracy, energy, rest.
 
-The laws are fitted to one joint's friction of known form with fast and very slow motions, on which
-every law passes the passivity audit. All are joints of one FMU, each with 3 and with 0.6 kg.m2.
+The laws are fitted to one joint's friction of known form in fast and very slow motion; every law
+then passes the passivity audit. All are joints of one FMU, each with 3 and with 0.6 kg.m2.
 """
 
 from collections.abc import Mapping
@@ -29,19 +29,19 @@ from hesr_model.rigid_body.residual import FrictionRecord
 INERTIA = (3.0, 0.6)  # [kg.m2], both for every law
 STEPS = (1e-4, 1e-3, 5e-3, 1e-2)  # [s]
 REFERENCE = 1e-6  # [s]
-GRID = 1e-2  # [s] over which a torque holds
+GRID = 1e-2  # [s] duration of a held torque
 LAWS = STUDIED
 FORGETS = ("parfam_v", "parfam_h", "mlp_h", "rbfnn_h")
-"""Laws without memory of position: no state, or one that fades at rest (the paper's h)."""
+"""Laws without memory of position: no state, or one that decays at rest (the paper's h)."""
 NETWORKS = ("mlp_h", "rbfnn_h")
 JUMPS = ("stribeck",)
-"""Laws that hold by a jump at rest, if the data gave them one."""
+"""Laws that hold by a jump at rest, if the fit found one."""
 REMEMBERS = tuple(name for name in LAWS if name not in (*FORGETS, *JUMPS))
 
 
 @cache
 def records() -> tuple[FrictionRecord, ...]:
-    """What five elements with memory, load and viscous friction make of motions fast and slow."""
+    """Torque of five elements with memory, load and viscous friction in fast and slow motion."""
     form = estimator("dahl_load").form({})
     values = {f"kappa_{i}": 1.0 / d for i, d in enumerate(DEFLECTIONS, start=1)}
     values |= {f"F_{i}": f for i, f in enumerate((1.0, 3.0, 3.0, 2.0, 0.5), start=1)}
@@ -70,7 +70,7 @@ def fitted() -> dict[str, FrictionLaw]:
 
 
 def both(values: Mapping[str, float]) -> list[float]:
-    """A number of each law, for both of its joints."""
+    """One number per law for both of its joints."""
     return [values[name] for name in LAWS for _ in INERTIA]
 
 
@@ -89,8 +89,8 @@ def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def swung() -> np.ndarray:
     """A sine that moves a joint of 0.6 kg.m2 at up to 1 rad/s and reverses it four times.
 
-    For networks it is no larger than what was measured asks for: their own largest torque stands at
-    the edge of their training, and what overcomes that drives the joint to where nothing brakes it.
+    For networks it is limited to the measured torque: their own largest torque is at the edge of
+    their training range, and exceeding it drives the joint into speeds without friction.
     """
     trained = TrainedRange.of(records())
     measured = max(float(np.abs(r.tau).max()) for r in records())
@@ -105,7 +105,7 @@ def swung() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def runs(fmu: Path, swung: np.ndarray) -> dict[float, Run]:
-    """Each step is one inner step; the reference is seen every 0.1 ms."""
+    """Each step is one inner step; the reference is sampled every 0.1 ms."""
     found = {step: Run(fmu, swung, grid=GRID, step=step) for step in STEPS}
     return found | {REFERENCE: Run(fmu, swung, grid=GRID, step=1e-4, substep=REFERENCE)}
 
@@ -116,14 +116,14 @@ def name(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_the_laws_are_passive_so_what_follows_is_asked_of_them(law: str) -> None:
+def test_the_laws_are_passive(law: str) -> None:
     found = audit(fitted()[law], TrainedRange.of(records()))
     assert found.generated == 0.0
     assert found.driving_both_ways == ()
     assert not found.explodes
 
 
-def test_a_reversal_is_one_at_every_step(name: str, runs: dict[float, Run]) -> None:
+def test_reversals_are_single_at_every_step(name: str, runs: dict[float, Run]) -> None:
     truth, swings = runs[REFERENCE].dq[:, joints_of(name)], 0
     for joint in range(len(INERTIA)):
         true = reversals(truth[:, joint])
@@ -146,7 +146,7 @@ def default(fmu: Path, swung: np.ndarray) -> Run:
     return Run(fmu, swung, grid=GRID, step=GRID, substep=1e-3)
 
 
-def test_the_error_falls_with_the_step(name: str, runs: dict[float, Run]) -> None:
+def test_the_error_decreases_with_the_step(name: str, runs: dict[float, Run]) -> None:
     own = joints_of(name)
     truth = runs[REFERENCE].dq[round(GRID / 1e-4) - 1 :: round(GRID / 1e-4), own]
     errors = []
@@ -155,12 +155,12 @@ def test_the_error_falls_with_the_step(name: str, runs: dict[float, Run]) -> Non
         difference = runs[step].dq[rows - 1 :: rows, own] - truth
         errors.append(np.sqrt(np.mean(difference**2, axis=0)))
     assert np.all(np.diff(errors, axis=0) > 0.0)
-    order = np.log10(errors[1] / errors[0])  # from 0.1 ms to 1 ms
+    order = np.log10(errors[1] / errors[0])  # 0.1 ms to 1 ms
     assert np.all(order > 0.95), order
 
 
 def test_the_reference_is_the_continuous_motion(runs: dict[float, Run], swung: np.ndarray) -> None:
-    """LuGre in a drive is an ordinary differential equation, which SciPy solves."""
+    """LuGre in a drive is an ordinary differential equation, solved here by SciPy."""
     law, rows = fitted()["lugre"], 60
     k, own = law.values, joints_of("lugre")
 
@@ -181,12 +181,12 @@ def test_the_reference_is_the_continuous_motion(runs: dict[float, Run], swung: n
             y = solved.y[:, -1]
             speeds.append(y[0])
         found = runs[REFERENCE].dq[99 : 100 * rows : 100, own][:, joint]
-        # A millionth of a second is a thousandth of the error of 1 ms, which is 5e-3 rad/s.
+        # The error at 1 us is a thousandth of that at 1 ms, which is 5e-3 rad/s.
         np.testing.assert_allclose(found, speeds, rtol=0, atol=1e-5)
 
 
 def test_no_step_creates_energy(fmu: Path, swung: np.ndarray, runs: dict[float, Run]) -> None:
-    """Kinetic energy rises by the work of the torques less J (change of speed)^2 / 2."""
+    """Kinetic energy increases by the work of the torques minus J (change of speed)^2 / 2."""
     inertia = np.tile(INERTIA, len(LAWS))
     for step in STEPS:
         run = runs[step]
@@ -202,10 +202,10 @@ def test_no_step_creates_energy(fmu: Path, swung: np.ndarray, runs: dict[float, 
 
 @pytest.mark.parametrize("step", STEPS[1:])
 def test_a_nudged_joint_comes_to_rest(fmu: Path, step: float) -> None:
-    """Nothing but friction acts, less its offset; no law gives back more than the nudge."""
+    """Only friction without its offset acts; no law returns more than the nudge."""
     nudge, seconds = 0.05, 10.0
     still = both({n: float(predict(law, t=[0.0], dq=[0.0])[0]) for n, law in fitted().items()})
-    # Out of rest: what is stretched already, as in steady motion, would throw it back further.
+    # Start from rest: elements stretched as in steady motion would push it back further.
     start: dict[str, float] = {f"dq_start[{i}]": nudge for i in range(1, len(still) + 1)}
     start |= {"start_mode": 2}
     tau = np.tile(still, (round(seconds / GRID), 1))
@@ -216,13 +216,13 @@ def test_a_nudged_joint_comes_to_rest(fmu: Path, step: float) -> None:
 
 
 def offset(law: FrictionLaw) -> float:
-    """Middle of the torques of crawling to either side."""
+    """Mean of the torques of crawling in both directions."""
     return float(np.mean([predict(law, t=[0, 1e12], dq=[0, v])[1] for v in (-1e-9, 1e-9)]))
 
 
 @pytest.fixture(scope="module", params=[1e-3, 1e-2])
 def held(request: pytest.FixtureRequest, fmu: Path) -> np.ndarray:
-    """Way in 60 s, after 5 s, under half of what stops each law, or 3 N.m if nothing does."""
+    """Drift in 60 s, after 5 s, under half the holding torque of each law, or 3 N.m without any."""
     load = {name: offset(law) + 3.0 for name, law in fitted().items()}
     load |= {n: offset(fitted()[n]) + 0.5 * stopping_torque(fitted()[n]) for n in REMEMBERS}
     grid = 0.5
@@ -237,17 +237,17 @@ def test_laws_with_memory_of_position_hold_a_load(law: str, held: np.ndarray) ->
 
 
 @pytest.mark.parametrize("law", FORGETS)
-def test_laws_that_forget_at_rest_creep(law: str, held: np.ndarray) -> None:
+def test_laws_without_memory_at_rest_creep(law: str, held: np.ndarray) -> None:
     assert abs(holding_torque(fitted()[law])) < 1e-3
     assert np.abs(held[joints_of(law)]).min() > 1e-3
 
 
 @pytest.mark.parametrize("law", JUMPS)
 @pytest.mark.parametrize("step", [1e-3, 1e-2])
-def test_laws_that_jump_hold_a_load_without_any_drift(
+def test_discontinuous_laws_hold_a_load_without_drift(
     law: str, step: float, tmp_path: Path
 ) -> None:
-    """Given a break-away torque, which a fit to joints that pre-slide does not find."""
+    """With a given break-away torque; a fit to pre-sliding joints does not find one."""
     own = fitted()[law]
     own = replace(own, values={**own.values, "F_s": own.values["F_c"]})
     share = 0.9 * holding_torque(own)
@@ -257,8 +257,8 @@ def test_laws_that_jump_hold_a_load_without_any_drift(
     assert not run.q.any()
 
 
-def test_an_explicit_coupling_chatters_where_the_drive_does_not() -> None:
-    """The limit that the documentation gives: 2 inertia / slope."""
+def test_only_explicit_coupling_chatters() -> None:
+    """The limit stated in the documentation: 2 inertia / slope."""
     law = fitted()["parfam_h"]
     found = audit(law, TrainedRange.of(records()))
     assert found.slope is not None

@@ -1,4 +1,4 @@
-"""One inner step of a drive is the first root of its residual; the residual here is in NumPy."""
+"""One inner step of a drive is the first root of its residual, computed here in NumPy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -37,7 +37,7 @@ def functions(form: LawForm) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Stepped:
-    """What speeds at the end of a step would mean: (N,) each, states (N,) in pairs x, x'."""
+    """Consequences of speeds at the end of a step: (N,) each, states (N,) in pairs x, x'."""
 
     residual: Array
     tau_f: Array
@@ -47,7 +47,7 @@ class Stepped:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where a joint is, what acts on it, and its motor."""
+    """State of a joint, torques on it, and its motor."""
 
     law: FrictionLaw
     inertia: float
@@ -59,7 +59,7 @@ class Place:
     link: Mapping[str, float] = field(default_factory=dict)
 
     def at(self, v: Array, step: float) -> Stepped:
-        """Evaluate speeds of the motor."""
+        """Evaluate the residual at speeds of the motor."""
         inputs = (v / self.ratio, (self.q + step * v) / self.ratio, np.full(v.shape, LOAD))
         values = tuple(self.law.values.values())
         relaxations, output = functions(self.law.form)
@@ -79,9 +79,10 @@ class Place:
         return Stepped(residual=residual, tau_f=tau_f, tau_link=tau_link, states=states)
 
     def speed(self, step: float) -> tuple[float, bool, int]:
-        """The first root from the old speed outwards, whether the joint sticks there, how many."""
+        """First root from the old speed outwards, whether the joint sticks there, and the number of
+        roots."""
         first = self.at(np.array([self.dq]), step).residual[0]
-        # Friction that rises with speed leaves the root within step / inertia * |first|.
+        # For friction rising with speed the root lies within step / inertia * |first|.
         outward, reach = -np.sign(first), step / self.inertia * (abs(first) + 60.0)
         strides = np.union1d(np.geomspace(1e-9, 3.0, 600), np.linspace(0.0, 3.0, 2000))
         v = np.concatenate([self.dq + outward * reach * strides, [-BESIDE_ZERO, BESIDE_ZERO]])
@@ -111,7 +112,7 @@ def start_of(places: list[Place]) -> dict[str, float]:
 
 
 def somewhere(law: FrictionLaw, rng: np.random.Generator, *, linked: bool) -> Place:
-    """Fast, slow or at rest, ahead or back, with any gear."""
+    """Fast, slow or at rest, forwards or backwards, with any gear ratio."""
     signs = rng.choice((-1.0, 1.0), 3)
     link = {"stiffness": 10.0 ** rng.uniform(1, 4), "damping": 10.0 ** rng.uniform(-1, 2),
             "q_link": rng.uniform(-0.01, 0.01), "dq_link": rng.uniform(-1, 1)}  # fmt: skip
@@ -133,7 +134,7 @@ def somewhere(law: FrictionLaw, rng: np.random.Generator, *, linked: bool) -> Pl
 def test_a_step_balances_the_torques(
     make_law, tmp_path: Path, step: float, linked: bool, discretisation: str
 ) -> None:
-    # Euler's rate * step < 1 does not hold for stiff bristles.
+    # Euler's condition rate * step < 1 does not hold for stiff bristles.
     names = LAWS if discretisation == "exact" else ("parfam_tanh", "parfam_sin", "viscous")
     laws = {name: replace(make_law(name), discretisation=discretisation) for name in names}
     fmu, rng, sticking = drive(laws, tmp_path, [1.0] * len(laws)), np.random.default_rng(1), 0
@@ -176,8 +177,8 @@ def assert_stepped(component: FmuInstance, own: Place, i: int, step: float) -> b
     return sticks
 
 
-def test_of_several_roots_it_takes_the_one_that_is_met_first(table1, tmp_path: Path) -> None:
-    """Table I, joint 2: friction that falls with speed, and a joint that can hardly hold it."""
+def test_the_nearest_of_several_roots_is_used(table1, tmp_path: Path) -> None:
+    """Table I, joint 2: friction that falls with speed, and a joint that it hardly holds."""
     law, step, several = replace(table1.laws[1], discretisation="exact"), 1e-3, 0
     fmu = drive({"j2": law}, tmp_path, [0.6])
     own = Place(law=law, inertia=0.6, x=law.start)
@@ -196,8 +197,8 @@ def test_of_several_roots_it_takes_the_one_that_is_met_first(table1, tmp_path: P
 
 
 @pytest.mark.parametrize("ratio", [1.0, 2.5, -2.0])
-def test_a_flexspline_carries_the_link(make_law, tmp_path: Path, ratio: float) -> None:
-    """Motor, gear, spring and link, friction 3 dq: a linear system with a closed solution."""
+def test_a_flexspline_moves_the_link(make_law, tmp_path: Path, ratio: float) -> None:
+    """Motor, gear, spring and link, friction 3 dq: a linear system in closed form."""
     inertia, own, k, d, torque, end = 0.4, 1.5, 900.0, 6.0, 2.0, 0.5
     fmu = drive({"bare": make_law("bare")}, tmp_path, [inertia], stiffness=[k], damping=[d],
                 ratio=[ratio])  # fmt: skip
@@ -227,8 +228,8 @@ def test_a_flexspline_carries_the_link(make_law, tmp_path: Path, ratio: float) -
     assert errors[1].max() < 0.2 * errors[0].max()
 
 
-def test_a_drive_reverses_twice_where_explicit_coupling_chatters(table1, tmp_path: Path) -> None:
-    """Table I on 0.6 kg.m2 at 1 ms, a slow swing of the torque: one reversal to, one back."""
+def test_a_drive_reverses_twice_without_chatter(table1, tmp_path: Path) -> None:
+    """Table I on 0.6 kg.m2 at 1 ms, a slow torque cycle: one reversal each way."""
     step, inertia = 1e-3, 0.6
     tau = np.cos(0.1 * np.pi * np.arange(0.0, 20.0, step))[:, None] * (20.0, 30.0, 11.0)
     laws = [replace(law, discretisation="exact") for law in table1.laws]

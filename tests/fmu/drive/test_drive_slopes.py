@@ -1,4 +1,4 @@
-"""A drive whose inputs have slopes: inner steps see the inputs of their own time."""
+"""A drive with input derivatives: inner steps use the inputs of their own time."""
 
 import ctypes
 from collections.abc import Callable, Mapping
@@ -17,7 +17,7 @@ MOVES = ("q[1]", "dq[1]", "ddq[1]", "tau_f[1]", "tau_link[1]")
 
 @pytest.fixture
 def binary(make_law, load: Callable[[Path], Binary], tmp_path: Path) -> Binary:
-    """A law with a scale, by which it is switched off, and one that has a state and a load."""
+    """A law switched off by its scale, and one with a state and a load."""
     laws = {"free": make_law("gaussians"), "bristle": make_law("lugre"), "v": make_law("viscous")}
     return load(drive(laws, tmp_path, [1.0] * 3, stiffness=[STIFFNESS] * 3, damping=[5.0] * 3))
 
@@ -41,7 +41,7 @@ def follow(binary: Binary, c: ctypes.c_void_p, slopes: Mapping[str, float]) -> N
 
 
 def drawn(binary: Binary, *, steps: int = 1, **start: float) -> float:
-    """Torque on a link that has moved for 10 ms at 1 rad/s."""
+    """Torque on a link after 10 ms at 1 rad/s."""
     c = ready(binary, **start)
     for k in range(steps):
         follow(binary, c, {"q_link[1]": 1.0})
@@ -59,7 +59,7 @@ def test_the_torque_on_the_link_is_that_at_the_end_of_the_step(
     assert held == pytest.approx(-STIFFNESS * 1.0 * LONG, rel=1e-4)
 
 
-def test_a_finer_substep_makes_it_as_right_as_it_is_fine(binary: Binary) -> None:
+def test_the_error_is_proportional_to_the_substep(binary: Binary) -> None:
     """inertia q'' = -stiffness (q - t), so q - t is a sine of 100 rad/s; first order."""
     exact = -STIFFNESS * np.sin(100.0 * LONG) / 100.0
     substeps = LONG / np.array([10, 20, 40, 80, 160, 320])
@@ -68,7 +68,7 @@ def test_a_finer_substep_makes_it_as_right_as_it_is_fine(binary: Binary) -> None
     assert abs(drawn(binary, substep=1e-7) - exact) < 1e-3
 
 
-def test_a_long_step_is_its_inner_steps_along_slopes(binary: Binary) -> None:
+def test_a_long_step_equals_its_inner_steps_with_input_derivatives(binary: Binary) -> None:
     slopes = {f"{name}[{i}]": s * i for name, s in
               (("tau_motor", 900.0), ("q_link", 0.3), ("dq_link", -20.0), ("tau_load", 400.0))
               for i in (1, 2, 3)}  # fmt: skip
@@ -86,8 +86,8 @@ def test_a_long_step_is_its_inner_steps_along_slopes(binary: Binary) -> None:
     assert binary.get(one, *slopes) == pytest.approx([s * 0.2 for s in slopes.values()])
 
 
-def test_a_step_along_slopes_is_one_with_the_inputs_of_its_end(binary: Binary) -> None:
-    """As it is implicit; the slopes are those of one step only."""
+def test_an_implicit_step_uses_the_inputs_at_its_end(binary: Binary) -> None:
+    """The scheme is implicit; input derivatives apply to one step only."""
     start = {"substep": 1.0, "tau_motor": 3.0}
     sloped, held = ready(binary, **start), ready(binary, **start)
     follow(binary, sloped, {"tau_motor[1]": 500.0, "q_link[1]": 1.0, "dq_link[1]": 2.0})
@@ -97,15 +97,15 @@ def test_a_step_along_slopes_is_one_with_the_inputs_of_its_end(binary: Binary) -
         assert binary.get(sloped, *MOVES) == binary.get(held, *MOVES)
 
 
-def test_slopes_of_zero_are_none(binary: Binary) -> None:
+def test_zero_input_derivatives_have_no_effect(binary: Binary) -> None:
     sloped, held = ready(binary, tau_motor=3.0), ready(binary, tau_motor=3.0)
     follow(binary, sloped, {"tau_motor[1]": 0.0})
     assert binary.step(sloped, 0.0, LONG) == binary.step(held, 0.0, LONG) == OK
     assert binary.get(sloped, *MOVES) == binary.get(held, *MOVES)
 
 
-def test_a_step_that_is_refused_keeps_its_slopes(binary: Binary) -> None:
-    """The torque overflows on the way; a shorter step may follow, along the same slopes."""
+def test_a_refused_step_keeps_its_input_derivatives(binary: Binary) -> None:
+    """The torque overflows midway; a shorter step with the same input derivatives succeeds."""
     c = ready(binary, substep=1e-3)
     follow(binary, c, {"tau_motor[1]": 1.7e308, "tau_motor[2]": 300.0})
     before = binary.get(c, *MOVES, "q[2]", "tau_motor[1]")

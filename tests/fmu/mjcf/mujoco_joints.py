@@ -22,7 +22,7 @@ BODY = '<body><joint name="{joint}" axis="0 0 1" armature="0.6"/><geom size="0.1
 
 
 class Joints:
-    """Hinges, each of a body of its own, with included friction and nothing else."""
+    """Hinges, each with its own body, with only the included friction."""
 
     def __init__(self, joints: Sequence[str], friction: Path, step: float) -> None:
         robot = friction.with_name("robot.xml")
@@ -37,7 +37,7 @@ class Joints:
         mujoco.mj_step(self.model, self.data)
 
     def torque(self, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
-        """Friction torque at this position and velocity; it opposes the motion that it is for."""
+        """Friction torque at this position and velocity, positive against motion."""
         self._move(q, dq)
         mujoco.mj_forward(self.model, self.data)
         return -(self.data.qfrc_actuator + self.data.qfrc_passive)
@@ -47,7 +47,7 @@ class Joints:
 
 
 def reference(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
-    """The reference motion that an FMU of the model carries, and its torques there."""
+    """The reference motion in an FMU of the model, and its torques."""
     files = reference_files(model, "x")
 
     def rows(name: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A law as MJCF: its numbers, its inclusion in a robot, and what is refused."""
+"""A law as MJCF: its numbers, its inclusion in a robot, and refusals."""
 
 import json
 import xml.etree.ElementTree as ET
@@ -28,7 +28,7 @@ JOINTS = ("joint1", "joint2", "joint3")
 
 @pytest.fixture
 def twin():
-    """The true friction of the twin, which MuJoCo has parts for, whatever its law is called."""
+    """The true friction of the twin, which MuJoCo can represent under any law name."""
     return true_friction(UF850, JOINTS, sample_time=0.005)
 
 
@@ -38,7 +38,7 @@ def lugre(make_law, make_model):
 
 
 def without_friction(path):
-    """The robot of the twin with an include where its friction actuators were."""
+    """The robot of the twin with an include in place of its friction actuators."""
     tree = ET.parse(UF850)
     actuators = tree.find("actuator")
     for motor in actuators.findall("dcmotor"):
@@ -51,7 +51,7 @@ def without_friction(path):
     return path
 
 
-def test_the_numbers_have_all_their_digits(make_model, tmp_path):
+def test_numbers_have_full_precision(make_model, tmp_path):
     names = ("sigma_0", "sigma_1", "sigma_2", "F_c", "F_s", "v_s", "tau_0")
     value = dict(zip(names, np.exp(np.random.default_rng(0).normal(size=7)), strict=True))
     law = FrictionLaw(name="lugre", form=estimator("lugre").form({}), values=value)
@@ -67,8 +67,8 @@ def test_the_numbers_have_all_their_digits(make_model, tmp_path):
     assert robot.joint("joint2").id == robot.actuator_trnid[motor, 0]
 
 
-def test_the_friction_of_the_twin_comes_back(twin, tmp_path):
-    """The MJCF of its own friction makes the same arm again, step by step."""
+def test_the_friction_of_the_twin_is_reproduced(twin, tmp_path):
+    """The MJCF of its own friction gives the same arm, step by step."""
     assert export_mjcf_law(twin, tmp_path / "friction.xml").lines() == [
         "joint1: exact",
         "joint2: exact",
@@ -93,8 +93,8 @@ def test_the_friction_of_the_twin_comes_back(twin, tmp_path):
     np.testing.assert_allclose(states[1], states[0], rtol=0, atol=1e-12)
 
 
-def test_a_robot_whose_defaults_say_otherwise(lugre, tmp_path):
-    """Gear, damping and cogging of the robot's own motors do not reach the friction."""
+def test_defaults_of_the_robot_are_overridden(lugre, tmp_path):
+    """Gear, damping and cogging of the robot's own motors do not affect the friction."""
     (tmp_path / "robot.xml").write_text(
         '<mujoco><default><dcmotor gear="3" damping="7" cogging="1 2 3" motorconst="1 1"'
         ' resistance="2"/></default>'
@@ -109,11 +109,11 @@ def test_a_robot_whose_defaults_say_otherwise(lugre, tmp_path):
     data = mujoco.MjData(model)
     data.qvel[0] = 100.0
     mujoco.mj_forward(model, data)
-    # Bristles at rest have micro-damping only.
+    # Bristles at rest have only micro-damping.
     assert data.actuator_force[0] == pytest.approx(-150.0, rel=1e-14)
 
 
-def test_it_says_where_it_comes_from(lugre, tmp_path):
+def test_the_file_states_its_origin(lugre, tmp_path):
     model = replace(
         lugre, robot='"a" & <b>', joints=("arm's <1>",), provenance={"seed": 3, "files": ["x"]}
     )
@@ -128,7 +128,7 @@ def test_it_says_where_it_comes_from(lugre, tmp_path):
     assert [motor.get("joint") for motor in ET.parse(path).iter("dcmotor")] == ["arm's <1>"]
 
 
-def test_the_same_model_gives_the_same_bytes(twin, tmp_path):
+def test_the_export_is_reproducible(twin, tmp_path):
     for name in ("a.xml", "b.xml"):
         export_mjcf_law(twin, tmp_path / name)
     assert (tmp_path / "a.xml").read_bytes() == (tmp_path / "b.xml").read_bytes()
@@ -213,7 +213,7 @@ NO_COUNTERPART = {
 
 
 @pytest.mark.parametrize("name", NO_COUNTERPART)
-def test_what_mujoco_has_no_part_for_is_refused(name, make_model, tmp_path):
+def test_parts_missing_in_mujoco_are_refused(name, make_model, tmp_path):
     law, reason = NO_COUNTERPART[name]
     path = tmp_path / "friction.xml"
     with pytest.raises(ExportError) as refusal:
@@ -225,7 +225,7 @@ def test_what_mujoco_has_no_part_for_is_refused(name, make_model, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_part_that_is_no_number_is_named():
+def test_a_non_finite_part_is_named():
     law = odd(output=lambda z: F * z.state + sympy.log(C) * DQ, values=(0.1, 9.0, -2.0))
     with pytest.raises(ExportError) as refusal:
         parts_of(law)
@@ -254,7 +254,7 @@ REGISTRY = {
 
 
 def test_every_law_of_the_registry_is_exact_or_refused(fitted, make_model, tmp_path):
-    """A new law is asked for a line here, or is a sum of parts of MuJoCo."""
+    """A new law needs a line here unless it is a sum of MuJoCo's parts."""
     for name, law in fitted.items():
         model = make_model(law, law=name)
         if name not in REGISTRY:
@@ -272,7 +272,7 @@ def test_the_law_of_the_paper_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["friction.fmu", "friction", "xml"])
-def test_a_name_that_is_none_of_an_mjcf(name, lugre, tmp_path):
+def test_an_invalid_name_is_refused(name, lugre, tmp_path):
     path = tmp_path / name
     with pytest.raises(ExportError) as refusal:
         export_mjcf_law(lugre, path)
@@ -280,14 +280,14 @@ def test_a_name_that_is_none_of_an_mjcf(name, lugre, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_place_that_cannot_be_written(lugre, tmp_path):
+def test_an_unwritable_path_is_reported(lugre, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ArtifactError, match="cannot be written there"):
         export_mjcf_law(lugre, tmp_path / "file" / "friction.xml")
 
 
-def test_a_term_with_a_zero_counts_for_nothing():
-    """A load dependence of nothing is none; a state that nothing depends on is none either."""
+def test_terms_with_zero_coefficient_are_ignored():
+    """A load dependence of zero is ignored, and so is a state without effect."""
     plain = odd(output=lambda z: F * z.state * (1 + C * absolute(TAU_LOAD)), values=(0.1, 9.0, 0.0))
     assert parts_of(plain) == parts_of(odd())
     idle = odd(output=lambda z: 2 * DQ + 0 * z.state)
@@ -295,8 +295,8 @@ def test_a_term_with_a_zero_counts_for_nothing():
     assert parts_of(idle).viscous == 2.0
 
 
-def test_waves_turn_as_they_do_in_the_law():
-    """A torque F cos(c - 3 q) of a law stands on the other side of the equation in MuJoCo."""
+def test_ripple_has_the_phase_of_the_law():
+    """A torque F cos(c - 3 q) of a law is on the other side of the equation in MuJoCo."""
     law = odd(output=lambda z: F * z.state + F * sympy.cos(C - 3 * Q) + F * sympy.sin(3 * Q))
     q = np.linspace(-1.0, 1.0, 7)
     waves = parts_of(law).waves

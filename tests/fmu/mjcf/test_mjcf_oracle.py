@@ -1,4 +1,4 @@
-"""MuJoCo as an independent oracle: its bristles, against the exact relaxation and the FMU."""
+"""MuJoCo as an independent oracle: its bristles compared with exact relaxation and the FMU."""
 
 from dataclasses import replace
 
@@ -43,13 +43,13 @@ def rising_lugre():
 def dahl():
     form = estimator("dahl").form({})
     values = {f"kappa_{i}": 1.0 / x for i, x in enumerate(DEFLECTIONS, start=1)}
-    # An element without torque is none in MuJoCo.
+    # MuJoCo has no element without torque.
     values |= {"F_1": 0.0, "F_2": 7.5, "F_3": 2.25, "F_4": 0.2, "F_5": 0.3}
     return FrictionLaw(name="dahl", form=form, values=values | {"sigma_2": 12.0, "tau_0": 0.1})
 
 
 def damped_dahl():
-    """States of another unit than a deflection, whose derivative counts, too."""
+    """States in another unit than a deflection, with a torque from their derivative."""
     own = [Coefficient(name=n, unit="1", description="") for n in ("k", "F", "c")]
     k, force, c = (o.symbol for o in own)
     x = Relaxation(name="x", unit="1", drive=k * DQ, rate=k * absolute(DQ))
@@ -82,7 +82,7 @@ def law(request):
 
 
 def deflections(law, stepper):
-    """The states that count in the torque, as deflections; in MuJoCo's order."""
+    """The states that affect the torque, as deflections in MuJoCo's order."""
     numbers = {c.symbol: law.values[c.name] for c in law.form.coefficients}
     counted = law.form.output.subs(numbers).free_symbols
     scales = [float((r.drive / DQ).subs(numbers)) for r in law.form.relaxations]
@@ -93,8 +93,8 @@ def deflections(law, stepper):
     ]
 
 
-def test_every_state_and_torque_of_the_reference_motion(law, make_model, tmp_path):
-    """The importer's convention: inputs hold over a step, the torque is read at its end."""
+def test_states_and_torques_of_the_reference_motion_match(law, make_model, tmp_path):
+    """The importer's convention: inputs are held over a step, the torque is read at its end."""
     model = make_model(law)
     motion, expected = reference(model)
     assert export_mjcf_law(model, tmp_path / "friction.xml").exact
@@ -116,8 +116,8 @@ def test_every_state_and_torque_of_the_reference_motion(law, make_model, tmp_pat
     assert np.max(np.abs(np.array(torques) - expected)) < EXACT * np.max(np.abs(expected))
 
 
-def test_the_replay_of_a_log(law, make_model, tmp_path):
-    """The convention of logs: sample k is set, the step goes to it, and it is read."""
+def test_the_replay_of_a_log_matches(law, make_model, tmp_path):
+    """The convention of logs: set sample k, step to it, read it."""
     model = make_model(law)
     motion = reference_motion(model, frequency=0.4, periods=4.0, lead_in=1.0)
     export_mjcf_law(model, tmp_path / "friction.xml")
@@ -130,8 +130,8 @@ def test_the_replay_of_a_log(law, make_model, tmp_path):
     assert np.max(np.abs(np.squeeze(found) - expected)) < EXACT * np.max(np.abs(expected))
 
 
-def test_the_fmu_says_the_same(make_model, tmp_path):
-    """Six laws in one FMU, against MuJoCo, which shares no line of code with it."""
+def test_the_fmu_matches(make_model, tmp_path):
+    """Six laws in one FMU compared with MuJoCo, which shares no code with it."""
     model = make_model(*(law() for law in LAWS.values()))
     motion, _ = reference(model)
     export_mjcf_law(model, tmp_path / "friction.xml")
@@ -151,9 +151,10 @@ def test_the_fmu_says_the_same(make_model, tmp_path):
     assert np.all(difference < EXACT * np.max(np.abs(expected), axis=0))
 
 
-def test_a_simulation_of_its_own(law, make_model, tmp_path):
-    """What a user of MuJoCo gets: the states follow the velocity at the beginning of each step,
-    and the torque is that of the states and of the velocity at the same instant."""
+def test_a_plain_mujoco_simulation_matches(law, make_model, tmp_path):
+    """The view of a MuJoCo user: the states follow the velocity at the start of each step, and the
+    torque is that of the states and the velocity at the same instant.
+    """
     step = 1e-3
     model = make_model(law, sample_time=step)
     export_mjcf_law(model, tmp_path / "friction.xml")
@@ -168,7 +169,7 @@ def test_a_simulation_of_its_own(law, make_model, tmp_path):
         torque.append(-(data.qfrc_actuator + data.qfrc_passive)[0])
         mujoco.mj_step(joints.model, data)
     assert np.sum(np.diff(np.sign(dq)) != 0) > 5
-    # A step of the velocity before, then one of no length, which only reads the torque.
+    # A step with the previous velocity, then a zero step that only reads the torque.
     t = np.repeat(step * np.arange(4000), 2)[1:]
     rows = {name: np.repeat(values, 2)[:-1] for name, values in (("q", q), ("dq", dq))}
     expected = predict(law, t=t, **rows)[::2]

@@ -1,4 +1,4 @@
-"""Laws for which MuJoCo has no parts, by the nearest that it has: how far off, and honestly so."""
+"""Laws outside MuJoCo's parts, approximated by the nearest combination with a stated error."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ def dahl_basis(**forces):
     return by_hand("dahl", **DEFLECTIONS, **forces, sigma_2=12.0, tau_0=0.1)
 
 
-def test_what_is_within_the_family_is_found_again():
+def test_laws_within_the_family_are_recovered():
     law = dahl_basis(F_1=1.0, F_2=7.5, F_3=2.0, F_4=0.2, F_5=0.3)
     found, misfit, unseen = projected(law, TRAINED, STEP)
     assert max(misfit.relative, unseen.relative) < 2e-3
@@ -56,8 +56,8 @@ def test_what_is_within_the_family_is_found_again():
     assert found.values["tau_0"] == pytest.approx(0.1, abs=1e-3)
 
 
-def test_an_element_that_pushes_is_projected():
-    """As a least-squares fit of the Dahl basis may have; MuJoCo would take it for none at all."""
+def test_a_negative_element_is_projected():
+    """A least-squares fit of the Dahl basis may have one; MuJoCo would ignore it."""
     law = dahl_basis(F_1=-0.6, F_2=8.4, F_3=2.0, F_4=0.0, F_5=0.2)
     found, misfit, unseen = projected(law, TRAINED, STEP)
     assert 1e-3 < misfit.relative < 0.05
@@ -66,7 +66,7 @@ def test_an_element_that_pushes_is_projected():
 
 
 @pytest.mark.parametrize("name", ["parfam_tanh", "parfam_cos", "viscous", "gaussians", "bare"])
-def test_every_projection_is_made_of_parts_of_mujoco(name, make_law):
+def test_every_projection_uses_only_parts_of_mujoco(name, make_law):
     found, misfit, unseen = projected(make_law(name), TRAINED, STEP)
     parts = parts_of(found)
     assert len(parts.bristles) <= 5
@@ -78,8 +78,8 @@ def test_every_projection_is_made_of_parts_of_mujoco(name, make_law):
 
 
 @pytest.mark.parametrize("name", ["parfam_tanh", "viscous"])
-def test_the_error_is_that_of_mujoco(name, make_law, make_model, tmp_path):
-    """The unseen motion, run in MuJoCo with the file that was written, against the law."""
+def test_the_stated_error_is_that_of_mujoco(name, make_law, make_model, tmp_path):
+    """The unseen motion, run in MuJoCo with the written file, compared with the law."""
     law = make_law(name)
     model = make_model(law, trained=(TRAINED,))
     report = export_mjcf_law(model, tmp_path / "friction.xml", project=True)
@@ -111,7 +111,7 @@ def test_the_error_is_that_of_mujoco(name, make_law, make_model, tmp_path):
     assert report.lines()[0].partition("RMSE")[2] in (tmp_path / "friction.xml").read_text()
 
 
-def test_only_what_must_be_is_projected(make_law, make_model, tmp_path):
+def test_only_unsupported_parts_are_projected(make_law, make_model, tmp_path):
     model = make_model(stribeck(), make_law("lugre"), law="mixed")
     report = export_mjcf_law(model, tmp_path / "friction.xml", project=True)
     assert [joint.missing is None for joint in report.joints] == [False, True]
@@ -121,7 +121,7 @@ def test_only_what_must_be_is_projected(make_law, make_model, tmp_path):
 
 
 def test_ripple_is_kept():
-    """Its poles are known; lag and smoothing over speed have no counterpart, so they cost."""
+    """Its poles are known; lag and smoothing over speed have no counterpart and cause the error."""
     law = by_hand(
         "lugre_load_ripple",
         {"ripple": {"gear_ratio": 30.0, "orders": [2]}},
@@ -133,22 +133,22 @@ def test_ripple_is_kept():
     assert max(abs(wave.amplitude) for wave in waves) == pytest.approx(1.5, rel=0.1)
 
 
-def test_the_law_of_the_paper_is_no_friction_of_mujoco(tmp_path):
-    """Table I is far from any sum of bristles and viscous friction, and the file says so."""
+def test_the_projection_of_the_papers_law_is_poor(tmp_path):
+    """Table I is far from any sum of bristles and viscous friction, and the file states it."""
     model = FrictionModel.read(model_file("uf850-table1"))
     report = export_mjcf_law(model, tmp_path / "friction.xml", project=True)
     assert not report.exact
     assert all(joint.unseen.relative > 0.5 for joint in report.joints)
 
 
-def test_an_unknown_range_is_that_of_the_reference_motion():
-    """Where nothing is known of the training, speeds reach the usual one."""
+def test_the_default_range_is_that_of_the_reference_motion():
+    """Speeds reach the default value if the training range is unknown."""
     law = stribeck()
     wide = replace(TRAINED, dq=(-UNKNOWN_SPEED, UNKNOWN_SPEED), q=(0.0, 0.0), tau_load=(0.0, 0.0))
     assert projected(law, None, STEP)[1:] == projected(law, wide, STEP)[1:]
 
 
-def test_a_law_without_a_finite_torque(make_model, tmp_path):
+def test_a_law_without_a_finite_torque_is_refused(make_model, tmp_path):
     own = Coefficient(name="a", unit="1", description="")
     form = LawForm(coefficients=(own,), output=sympy.exp(own.symbol * DQ**2))
     law = FrictionLaw(name="wild", form=form, values={"a": 1e4})

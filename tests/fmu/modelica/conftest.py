@@ -19,7 +19,7 @@ COMPILERS = Path(__file__).parents[3] / ".tools/modelica"
 
 @pytest.fixture(scope="session")
 def compilers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], ModuleType]]:
-    """Import a compiler; what it caches goes to a temporary folder."""
+    """Import a compiler with its cache in a temporary folder."""
     if not (COMPILERS / "version").exists():
         pytest.skip(
             "the Modelica compilers are not there: run `.ci/modelica .tools/modelica` first"
@@ -37,7 +37,7 @@ def rumoca(compilers: Callable[[str], ModuleType]) -> Any:
 
 @pytest.fixture(scope="session")
 def laws(fitted: dict[str, FrictionLaw], make_law: Callable[[str], FrictionLaw]) -> FrictionModel:
-    """A robot whose joints have all the laws of `EVERY`."""
+    """A robot whose joints have all laws of `EVERY`."""
     more = {"ripple": parfam_hx(), "shapes": shapes()}
     more |= {"gaussians": make_law("gaussians"), "start": make_law("elements")}
     return FrictionModel(

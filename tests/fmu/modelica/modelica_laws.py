@@ -1,4 +1,4 @@
-"""The laws of which a package is exported for the compilers."""
+"""Laws of the package exported for the compilers."""
 
 from pathlib import Path
 
@@ -11,18 +11,18 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 
 LIBRARY = Path(__file__).parent / "library"
-"""Folder of the stand-in for the Modelica Standard Library."""
+"""Folder of the replacement for the Modelica Standard Library."""
 
 EVERY = (*STUDIED, "ripple", "gaussians", "start", "shapes")
-"""Names of the joints' laws: all of the registry, one with ripple in the joint angle, one of 90
-coefficients, one that does not start at zero, one with expressions that are easily misprinted."""
+"""Names of the joints' laws: all of the registry, one with ripple in the joint angle, one with 90
+coefficients, one with a non-zero start, one with expressions that are easily misprinted."""
 
 STOPS = ("parfam_s", "parfam_s_load", "parfam_s_v")
-"""Those with stops, whose form without events is stiff."""
+"""Laws with stops, whose event-free form is stiff."""
 
 
 def shapes() -> FrictionLaw:
-    """Powers of powers, quotients of quotients, signs of states and of products."""
+    """Powers of powers, quotients of quotients, signs of states and products."""
     own = tuple(Coefficient(name=n, unit="1", description=f'"{n}"') for n in "abcn")
     a, b, c, n = (coefficient.symbol for coefficient in own)
     h = Relaxation(

@@ -1,6 +1,6 @@
-"""A law on one reference motion in continuous time, by SciPy: from SymPy, and from the FMU.
+"""A law on one reference motion in continuous time by SciPy, from SymPy and from the FMU.
 
-Laws jump or bend where the velocity changes its sign, so both are integrated in two pieces.
+Laws jump or have kinks at reversals, so both are integrated in two pieces.
 """
 
 import ctypes
@@ -14,9 +14,9 @@ from hesr_model.friction.predict import first_states
 
 SPEED, OMEGA, PHASE = 0.5, 2.0 * np.pi, 0.35
 REVERSAL = (np.pi / 2 - PHASE) / OMEGA
-"""Of the motion dq = SPEED cos(OMEGA t + PHASE)."""
+"""The motion is dq = SPEED cos(OMEGA t + PHASE)."""
 TIMES = np.linspace(0.0, 0.5, 101)
-"""None of them lies on the reversal, where the torque of some laws jumps."""
+"""None of them is at the reversal, where the torque of some laws jumps."""
 
 MODELICA = """
 model Reference
@@ -41,8 +41,8 @@ def motion(t):
 def equations(law):
     """Derivatives of the states and torque as functions of the inputs and the states."""
     form, values = law.form, tuple(law.values.values())
-    # As arguments: numbers inside an expression are printed with 15 digits only, and the large
-    # coefficients of a Dahl basis cancel.
+    # Passed as arguments: numbers inside an expression are printed with only 15 digits, and the
+    # large coefficients of a Dahl basis cancel.
     symbols = (*(c.symbol for c in form.coefficients), *INPUTS)
     states = [s for m in form.memory for s in (m.state, m.derivative)]
     moving = lowered(
@@ -60,7 +60,7 @@ def equations(law):
 
 
 def integrated(slope, x, begin, end, times=()):
-    """States at `times` and at the end, row by row."""
+    """States at `times` and at the end, one row each."""
     inside = np.union1d(times, end)
     if not len(x):
         return np.zeros((len(inside), 0))
@@ -70,7 +70,7 @@ def integrated(slope, x, begin, end, times=()):
 
 
 def pieces():
-    """Begin and end of each piece of the motion, and which of TIMES lie in it."""
+    """Start and end of each piece of the motion, and the TIMES within it."""
     for begin, end in ((TIMES[0], REVERSAL), (REVERSAL, TIMES[-1])):
         yield begin, end, TIMES[(begin <= TIMES) & (end >= TIMES)]
 
@@ -87,9 +87,9 @@ def python_torque(law):
 
 
 def fmu_torque(fmu, joint, law):
-    """Torque of a joint at TIMES, by a solver that asks the FMU for derivatives.
+    """Torque of a joint at TIMES, by a solver that gets the derivatives from the FMU.
 
-    Signs are held between events: one event just behind the beginning of each piece sets them.
+    Signs are held between events: one event just after the start of each piece sets them.
     """
     inputs = [f"{symbol.name}[{joint}]" for symbol in INPUTS]
     every = [unknown.variable.derivative.name for unknown in fmu.about.derivatives]
@@ -123,5 +123,5 @@ def fmu_torque(fmu, joint, law):
 
 
 def relative(found, expected):
-    """Largest difference over the largest torque."""
+    """Largest difference relative to the largest torque."""
     return np.abs(found - expected).max() / np.abs(expected).max()

@@ -1,8 +1,8 @@
-"""Compilers of others read an exported package, and one simulates it: it is the law.
+"""Third-party compilers read an exported package, and one simulates it: results are the law's.
 
-The Modelica Standard Library is in no registry; for the bearings and the examples a stand-in is
-used (library/Modelica.mo), which has the names and equations of the real one's few classes, and
-the real one where MODELICAPATH, as Modelica's tools use it, names a folder that has it.
+The Modelica Standard Library is in no registry. The bearings and the examples use a replacement
+(library/Modelica.mo) with the names and equations of the few classes needed, or the real library
+if MODELICAPATH, as used by Modelica tools, names a folder that has it.
 """
 
 import os
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.ci
 
 @pytest.fixture(params=EVERY)
 def joint(request):
-    """Number of a joint, counted from 1."""
+    """One-based number of a joint."""
     return EVERY.index(request.param) + 1
 
 
@@ -40,7 +40,7 @@ in_motion = pytest.mark.parametrize(
     [pytest.param(name, marks=pytest.mark.soak if name in STOPS else ()) for name in EVERY],
     indirect=True,
 )
-"""Stops are stiff: to nine digits, solvers need minutes for half a second of them."""
+"""Stops are stiff: nine digits take solvers minutes for half a second."""
 
 
 @pytest.fixture
@@ -50,13 +50,13 @@ def law(joint, laws):
 
 @pytest.fixture(scope="session")
 def block(package, rumoca):
-    """Compile a class of the package, without any library."""
+    """Compile a class of the package without any library."""
     session = rumoca.Session()
     return lambda name: session.load(str(package), model=f"Every.{name}")
 
 
 def real_library():
-    """Folder with the sources of the Modelica Standard Library, None where there is none."""
+    """Folder of the sources of the Modelica Standard Library, or None."""
     places = os.environ.get("MODELICAPATH", "").split(os.pathsep)
     found = [f for p in places if p for f in sorted(Path(p).glob("Modelica [4-9]*/package.mo"))]
     found += [f for p in places if p for f in Path(p).glob("Modelica/package.mo")]
@@ -84,7 +84,7 @@ def coupled(package, rumoca, library):
 @pytest.fixture(scope="session")
 def simulated(rumoca):
     def run(model, times):
-        """Results by name, at `times`; there are further rows at events."""
+        """Results by name at `times`; events add further rows."""
         exact = rumoca.SimConfig(rtol=1e-13, atol=1e-16, solver="rk-like")
         result = model.simulate((0.0, float(times[-1])), dt=float(times[1]), config=exact)
         t = np.array(result.time)
@@ -110,7 +110,7 @@ def test_blocks_compile_without_any_library(joint, law, block):
     starts = zip((f"{m.name}_start" for m in law.form.memory), law.start, strict=True)
     values = {p.name: p.value for p in model.parameters}
     steady = {"steadyStart": 1.0} if law.form.memory else {}
-    assert values == law.values | dict(starts) | steady  # to the last bit
+    assert values == law.values | dict(starts) | steady  # bit for bit
     units = {p.name: p.unit for p in model.parameters}
     assert {c.name: c.unit for c in law.form.coefficients}.items() <= units.items()
 
@@ -136,12 +136,12 @@ def test_the_published_laws_agree(table1, table1_fmu, rumoca, simulated, load, t
 
 
 @in_motion
-def test_examples_move_a_bearing_as_the_law_says(joint, law, coupled, simulated):
+def test_examples_move_a_bearing_with_the_torque_of_the_law(joint, law, coupled, simulated):
     model = coupled(f"Examples.Joint{joint}Speed")
     amplitude, load = (value(model, name) for name in ("sine.amplitude", "load.k"))
     slope, torque = equations(law)
     rate = 2.0 * np.pi * 0.25
-    times = np.linspace(0.0, 3.0, 301)  # a reversal at 2 s
+    times = np.linspace(0.0, 3.0, 301)  # with a reversal at 2 s
 
     def inputs(t):
         return amplitude * np.sin(rate * t), amplitude / rate * (1.0 - np.cos(rate * t)), load
@@ -205,9 +205,7 @@ end Turning;
 """
 
 
-def test_a_bearing_brakes_its_shaft_and_takes_its_housing_along(
-    package, rumoca, simulated, library
-):
+def test_a_bearing_brakes_its_shaft_and_drags_its_housing(package, rumoca, simulated, library):
     text = package.read_text(encoding="utf-8")
     text += TWO_INERTIAS.format(joint=EVERY.index("dahl") + 1)
     model = rumoca.Session(roots=[library]).loads(text, model="Turning")
@@ -220,11 +218,11 @@ def test_a_bearing_brakes_its_shaft_and_takes_its_housing_along(
     assert shaft[-1] - housing[-1] < 1.9
 
 
-def test_rumoca_has_nothing_to_say(package, rumoca):
+def test_rumoca_reports_no_problem(package, rumoca):
     assert rumoca.validate(str(package)) == []
 
 
-def test_a_second_parser_reads_it(package, compilers):
+def test_a_second_parser_reads_the_package(package, compilers):
     tree = compilers("pymoca.parser").parse(
         (LIBRARY / "Modelica.mo").read_text(encoding="utf-8"), bypass_cache=True
     )
@@ -238,8 +236,8 @@ def test_a_second_parser_reads_it(package, compilers):
             assert flat.classes[f"Every.{name}"].equations
 
 
-def test_the_compilers_do_refuse(package, rumoca, compilers):
-    """What passes them is not passed by everything."""
+def test_the_compilers_reject_errors(package, rumoca, compilers):
+    """Guards against compilers that accept everything."""
     broken = package.read_text(encoding="utf-8").replace(
         "    equation\n      tau = ", "    tau = ", 1
     )
@@ -250,7 +248,7 @@ def test_the_compilers_do_refuse(package, rumoca, compilers):
         parser.parse(broken, bypass_cache=True)
 
 
-def test_a_law_with_load_gets_it_through_its_bearing(laws, coupled):
+def test_a_law_with_load_uses_the_load_of_its_bearing(laws, coupled):
     for joint, law in enumerate(laws.laws, start=1):
         loaded = "load.y" in coupled(f"Examples.Joint{joint}Speed").outputs.names
         assert loaded == (TAU_LOAD in law.form.inputs)

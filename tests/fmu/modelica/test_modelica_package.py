@@ -1,4 +1,4 @@
-"""The text of an exported Modelica package, and what cannot become one."""
+"""The text of an exported Modelica package, and refusals."""
 
 import re
 from dataclasses import replace
@@ -74,12 +74,12 @@ def test_joints_share_the_equations_of_a_form(make_law, make_model):
     assert "h_start=0.5," in part(text, "block", "Joint3")
 
 
-def test_a_law_without_anything_to_set(make_law, make_model):
+def test_a_law_without_parameters_is_exported(make_law, make_model):
     text = package(make_model(make_law("bare")), "Bare")
     assert "    extends Laws.ByHand;\n" in part(text, "block", "Joint1")
 
 
-def test_load_is_an_input_where_a_law_uses_it(make_model):
+def test_load_is_an_input_if_a_law_uses_it(make_model):
     loaded, plain = law(absolute(TAU_LOAD) * DQ), law(2 * DQ)
     text = package(make_model(loaded, plain), "Arm")
     assert "(useLoad=true, redeclare Joint1 law)" in part(text, "model", "Joint1Bearing")
@@ -88,7 +88,7 @@ def test_load_is_an_input_where_a_law_uses_it(make_model):
     assert "tau_load" not in part(text, "model", "Joint2Speed")
 
 
-def test_a_jump_at_rest_is_told_and_not_coupled_to_an_inertia(make_law, make_model):
+def test_a_jump_at_rest_is_noted_and_not_coupled_to_an_inertia(make_law, make_model):
     text = package(make_model(make_law("viscous"), make_law("lugre")), "Arm")
     assert "model Joint1Torque" not in text
     assert "model Joint2Torque" in text
@@ -96,7 +96,7 @@ def test_a_jump_at_rest_is_told_and_not_coupled_to_an_inertia(make_law, make_mod
     assert "jumps with the sign" not in package(make_model(make_law("lugre")), "Arm")
 
 
-def test_it_says_where_it_comes_from_and_what_was_found(table1):
+def test_origin_and_findings_are_documented(table1):
     text = package(table1, "Friction")
     joint, whole = (
         part(text, "block", "Joint1"),
@@ -135,7 +135,7 @@ def test_results_of_the_fit_are_documented(make_law, make_model):
     assert "Seed: 3." in text
 
 
-def test_a_law_without_an_audit_says_why(make_model):
+def test_a_missing_audit_is_explained(make_model):
     growing = Relaxation(name="h", unit="1", drive=DQ, rate=sympy.Integer(1))
     odd = law(sympy.exp(sympy.exp(1000 * growing.state + 1000)), growing)
     text = package(make_model(odd), "Odd")
@@ -151,7 +151,7 @@ def test_strings_are_escaped(make_law, make_model):
     assert 'block Joint1 "Friction of j\\"1"' in text
 
 
-def test_it_is_written_whole_and_the_same_again(make_law, make_model, tmp_path):
+def test_the_export_is_complete_and_reproducible(make_law, make_model, tmp_path):
     model = make_model(make_law("lugre"))
     path = tmp_path / "folder" / "Friction.mo"
     assert export_modelica(model, path) == path
@@ -177,13 +177,13 @@ def test_it_is_written_whole_and_the_same_again(make_law, make_model, tmp_path):
         ("Modelica.mo", "'Modelica' is taken by Modelica"),
     ],
 )
-def test_bad_file_names(name, reason, make_law, make_model, tmp_path):
+def test_invalid_file_names_are_refused(name, reason, make_law, make_model, tmp_path):
     with pytest.raises(ExportError, match=re.escape(reason)):
         export_modelica(make_model(make_law("bare")), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_cannot_be_written(make_law, make_model, tmp_path):
+def test_an_unwritable_folder_is_reported(make_law, make_model, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ArtifactError, match="cannot be written there"):
         export_modelica(make_model(make_law("bare")), tmp_path / "file" / "F.mo")
@@ -192,7 +192,7 @@ def test_a_folder_that_cannot_be_written(make_law, make_model, tmp_path):
 @pytest.mark.parametrize(
     "expression", [sympy.gamma(DQ), sympy.Piecewise((DQ, DQ > 1), (1, True)), sympy.erf(DQ) + DQ]
 )
-def test_expressions_that_modelica_lacks(expression, make_model, tmp_path):
+def test_expressions_missing_in_modelica_are_refused(expression, make_model, tmp_path):
     with pytest.raises(ExportError, match="has no counterpart in Modelica") as found:
         export_modelica(make_model(law(expression)), tmp_path / "F.mo")
     assert str(found.value) == f"friction law: '{expression}' has no counterpart in Modelica."
@@ -209,7 +209,7 @@ def test_expressions_that_modelica_lacks(expression, make_model, tmp_path):
         ("sign_dq", "used twice"),
     ],
 )
-def test_names_that_modelica_lacks(name, reason, make_model):
+def test_names_invalid_in_modelica_are_refused(name, reason, make_model):
     odd = law(absolute(DQ) * sympy.Symbol(name, real=True), **{name: 1.0})
     with pytest.raises(ExportError) as found:
         package(make_model(odd), "F")

@@ -1,4 +1,4 @@
-"""A robot whose joints have every law, and its FMU, with which files of code are compared."""
+"""A robot whose joints have all laws, and its FMU, as reference for code files."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from hesr_model.friction.model import FrictionModel
 
 @pytest.fixture(scope="session")
 def every_model(every_law, make_model) -> FrictionModel:
-    """A robot with a joint of every law, relaxations and stops among them."""
+    """A robot with a joint for every law, including relaxations and stops."""
     return make_model(*every_law.values(), maxwell_slip())
 
 

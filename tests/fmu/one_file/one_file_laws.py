@@ -1,4 +1,4 @@
-"""A robot whose joints have every law, and its FMU, with which files of code are compared."""
+"""A robot whose joints have all laws, and its FMU, as reference for code files."""
 
 import sys
 from pathlib import Path
@@ -14,7 +14,7 @@ STEP = 0.005
 
 
 def maxwell_slip() -> FrictionLaw:
-    """Ten stops, of a package that is not HESR's."""
+    """Ten stops, from another package."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(Path(__file__).parents[2] / "contract"))
         patch.setattr(estimator, "_REGISTRY", dict(estimator.registered()))
@@ -28,7 +28,8 @@ def maxwell_slip() -> FrictionLaw:
 
 
 def inputs(joints: int, seconds: float = 10.0) -> tuple[np.ndarray, ...]:
-    """(N, n) velocity, position and load, of single precision: rests, reversals, slow and fast."""
+    """(N, n) velocity, position and load in single precision: rests, reversals, slow and fast
+    motion."""
     t = STEP * np.arange(round(seconds / STEP))[:, None]
     phase = 0.3 + 0.4 * np.arange(joints)
     q = np.sin(2.0 * t + phase) + 0.2 * np.sin(9.0 * t)
@@ -40,7 +41,7 @@ def inputs(joints: int, seconds: float = 10.0) -> tuple[np.ndarray, ...]:
 
 
 def first_torques_of(fmu: Path, row: tuple[np.ndarray, ...]) -> np.ndarray:
-    """(n,) first torque of an FMU whose first inputs are those of a row."""
+    """(n,) first torque of an FMU with the first inputs of a row."""
     joints = range(1, len(row[0]) + 1)
     names = [f"{name}[{i}]" for name in ("dq", "q", "tau_load") for i in joints]
     with FmuInstance(fmu) as component:
@@ -51,7 +52,7 @@ def first_torques_of(fmu: Path, row: tuple[np.ndarray, ...]) -> np.ndarray:
 
 
 def torques_of(fmu: Path, rows: tuple[np.ndarray, ...], step: float = STEP) -> np.ndarray:
-    """(N, n) torque of an FMU that steps with the inputs of each row."""
+    """(N, n) torque of an FMU stepped with the inputs of each row."""
     joints = range(1, rows[0].shape[1] + 1)
     names = [f"{name}[{i}]" for name in ("dq", "q", "tau_load") for i in joints]
     outputs = [f"tau[{i}]" for i in joints]

@@ -1,7 +1,8 @@
-"""Run a generated file where its library is: torques in both precisions, and slopes of a sum.
+"""Run a generated file with its library: torques in both precisions and slopes of a sum.
 
-python run_tensors.py torch|jax FOLDER: the file is FOLDER/law.py; rows.npz beside it has (N, n) dq,
-q and load, `weights` (M, n) of the sum over the first M rows, and the step. It writes found.npz.
+python run_tensors.py torch|jax FOLDER: the file is FOLDER/law.py; rows.npz next to it has (N, n)
+dq, q and load, `weights` (M, n) of the sum over the first M rows, and the step. Results are
+written to found.npz.
 """
 
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 CHANGES = 1e-4 * np.array([-2.0, -1.0, 1.0, 2.0])
-"""Shares by which a coefficient is changed, and how the sums make its slope to the fourth order."""
+"""Relative changes of a coefficient, and weights of the sums for a fourth-order slope."""
 RULE = np.array([1.0, -8.0, 8.0, -1.0]) / 12e-4
 
 
@@ -75,7 +76,7 @@ def of_jax(law, step):
 
 
 def changed(law):
-    """Coefficients of a batch of robots: in row (i, k) the i-th of each law is changed."""
+    """Coefficients of a batch of robots: row (i, k) has the i-th of each law changed."""
     most = max(len(values) for _, _, _, values, _ in law._LAWS)
     for _, _, joints, values, _ in law._LAWS:
         own = {}

@@ -1,4 +1,4 @@
-"""The C header: the bits of the FMU on two processors, and a Cortex-M7 without operating system."""
+"""The C header: bitwise equal to the FMU on two processors, and on a bare-metal Cortex-M7."""
 
 import ctypes
 import shutil
@@ -24,7 +24,7 @@ from hesr_model.support.compiler import compile_c
 
 HERE = Path(__file__).parent
 QEMU = shutil.which("qemu-aarch64")
-ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
+ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # from Debian's libc6-arm64-cross
 M7_COMPILER, M7_MACHINE = shutil.which("arm-none-eabi-gcc"), shutil.which("qemu-system-arm")
 
 LIBRARY = """
@@ -48,7 +48,7 @@ EXPORT size_t side_by_side(size_t n, double *x, const double *dq, const double *
 
 
 class Law:
-    """A header that is compiled for this machine."""
+    """A header compiled for this machine."""
 
     def __init__(self, model: FrictionModel, folder: Path) -> None:
         export_c(model, folder / "law.h")
@@ -85,7 +85,7 @@ class Law:
         return count, tau
 
     def side_by_side(self, x, dq, q, load, dt: float) -> tuple[int, np.ndarray]:
-        """Move robots whose numbers stand in columns; x changes."""
+        """Step robots stored in columns; x changes."""
         tau = np.full(dq.shape, np.nan)
         function = self._library.side_by_side
         function.restype = c_size_t
@@ -96,7 +96,7 @@ class Law:
         return count, tau
 
     def start(self, robots: int) -> np.ndarray:
-        """What robots remember at the start, (states, robots)."""
+        """Initial states of robots (states, robots)."""
         state = bytes(self.state())[-8 * max(self._library.states(), 1) :]
         x = np.frombuffer(state)[: self._library.states(), None]
         return np.ascontiguousarray(np.repeat(x, robots, axis=1))
@@ -111,7 +111,7 @@ def every(every_model, tmp_path_factory) -> Law:
     return Law(every_model, tmp_path_factory.mktemp("header"))
 
 
-def test_every_law_has_the_bits_of_the_fmu(every, every_model, every_fmu) -> None:
+def test_every_law_is_bitwise_equal_to_the_fmu(every, every_model, every_fmu) -> None:
     rows = inputs(len(every_model.joints), seconds=4.0)
     state = every.state()
     found = np.array([every.step(state, *row, STEP) for row in zip(*rows, strict=True)])
@@ -119,7 +119,7 @@ def test_every_law_has_the_bits_of_the_fmu(every, every_model, every_fmu) -> Non
 
 
 @pytest.mark.parametrize("robots", [1, 8, 19])
-def test_robots_side_by_side_are_these_one_by_one(every, robots: int) -> None:
+def test_a_batch_of_robots_equals_single_robots(every, robots: int) -> None:
     rows = [row[: 40 * robots].reshape(40, robots, -1) for row in inputs(every.joints, seconds=4.0)]
     x, alone = every.start(robots), [every.state() for _ in range(robots)]
     for dq, q, load in zip(*rows, strict=True):
@@ -130,8 +130,8 @@ def test_robots_side_by_side_are_these_one_by_one(every, robots: int) -> None:
             np.testing.assert_array_equal(tau[:, i], expected)
 
 
-def test_angles_beyond_a_million_have_the_sine_of_the_fmu(every) -> None:
-    """Their sines are the C library's, which takes a branch; other robots go their own way."""
+def test_sines_of_huge_angles_equal_those_of_the_fmu(every) -> None:
+    """Their sines are those of the C library, on a separate branch; other robots are unaffected."""
     dq, q, load = (row[100:119].T.copy() for row in inputs(every.joints, seconds=2.0))
     whole, some = every.start(19), every.start(19)
     _, near = every.side_by_side(whole, dq, q, load, STEP)
@@ -146,7 +146,7 @@ def test_angles_beyond_a_million_have_the_sine_of_the_fmu(every) -> None:
     assert not np.array_equal(tau[:, 9], near[:, 9])
 
 
-def test_a_robot_that_cannot_be_moved_stays_with_its_neighbours(every) -> None:
+def test_a_failed_robot_leaves_its_batch_unchanged(every) -> None:
     dq, q, load = (row[100:119].T.copy() for row in inputs(every.joints, seconds=2.0))
     whole, some = every.start(19), every.start(19)
     _, expected = every.side_by_side(whole, dq, q, load, STEP)
@@ -162,7 +162,7 @@ def test_a_robot_that_cannot_be_moved_stays_with_its_neighbours(every) -> None:
         assert every.side_by_side(some, dq, q, load, dt)[0] == 0
 
 
-def test_it_begins_in_motion_where_the_fmu_does(every, every_fmu) -> None:
+def test_the_start_in_motion_equals_that_of_the_fmu(every, every_fmu) -> None:
     rows = inputs(every.joints, seconds=1.5)
     for k in (0, 220, 299):  # in motion, at rest, in motion
         row, state = [r[k] for r in rows], every.state()
@@ -173,14 +173,14 @@ def test_it_begins_in_motion_where_the_fmu_does(every, every_fmu) -> None:
         np.testing.assert_array_equal(found, first_torques_of(every_fmu, row))
 
 
-def test_the_laws_of_table_1_by_eulers_step(table1, table1_fmu, tmp_path) -> None:
+def test_euler_steps_of_table_1_match(table1, table1_fmu, tmp_path) -> None:
     law, rows = Law(table1, tmp_path), inputs(3)
     state = law.state()
     found = np.array([law.step(state, *row, STEP) for row in zip(*rows, strict=True)])
     np.testing.assert_array_equal(found, torques_of(table1_fmu, rows))
 
 
-def test_a_step_that_is_not_possible_changes_nothing(table1, tmp_path) -> None:
+def test_an_impossible_step_changes_nothing(table1, tmp_path) -> None:
     law, rows = Law(table1, tmp_path), np.full((3, 3), 0.3)
     state = law.state()
     law.step(state, *rows, STEP)
@@ -190,12 +190,12 @@ def test_a_step_that_is_not_possible_changes_nothing(table1, tmp_path) -> None:
     assert law.step(state, rows[0] * np.nan, *rows[1:], STEP) is None
     assert bytes(state) == before
     assert law.step(state, *rows, 0.0) is not None
-    assert bytes(state) == before  # reading moves nothing
+    assert bytes(state) == before  # reading has no side effect
 
 
-def test_a_batch_is_its_robots_one_by_one(every) -> None:
+def test_a_batch_of_table_1_equals_single_robots(every) -> None:
     rows = inputs(every.joints, seconds=0.5)
-    rows = [row[::10] for row in rows]  # each row another robot
+    rows = [row[::10] for row in rows]  # one row per robot
     states = every.state(len(rows[0]))
     for _ in range(3):
         count, tau = every.batch(states, *rows, STEP)
@@ -207,7 +207,7 @@ def test_a_batch_is_its_robots_one_by_one(every) -> None:
         np.testing.assert_array_equal(alone, tau[i])
 
 
-def test_the_data_beside_the_header_are_the_torques_of_the_fmu(every_model, every_fmu, tmp_path):
+def test_the_data_next_to_the_header_are_the_torques_of_the_fmu(every_model, every_fmu, tmp_path):
     path = export_c(every_model, tmp_path / "law.h").with_suffix(".csv")
     table = np.genfromtxt(path, delimiter=",", skip_header=1)
     rows, tau = np.split(table[:, 1:], 4, axis=1)[:3], np.split(table[:, 1:], 4, axis=1)[3]
@@ -216,7 +216,7 @@ def test_the_data_beside_the_header_are_the_torques_of_the_fmu(every_model, ever
     assert np.ptp(tau, axis=0).min() > 0.1
 
 
-def test_two_headers_stand_in_one_c_plus_plus_program(table1, make_model, tmp_path) -> None:
+def test_two_headers_share_one_c_plus_plus_program(table1, make_model, tmp_path) -> None:
     export_c(table1, tmp_path / "one.h")
     export_c(make_model(maxwell_slip()), tmp_path / "two.h")
     text = '#include "one.h"\n#include "two.h"\nint main() { one_state a; two_state b; '
@@ -251,7 +251,7 @@ int main(void) {
 """
 
 
-def test_the_controller_of_the_documentation(table1, tmp_path) -> None:
+def test_the_documented_controller_works(table1, tmp_path) -> None:
     export_c(table1, tmp_path / "friction.h")
     [block] = (b for b in blocks("c") if "friction_init(&friction)" in b.text)
     source = tmp_path / "controller.c"
@@ -287,7 +287,7 @@ def _lines(*command: object) -> list[str]:
     QEMU is None or not ARM_LIBRARIES.is_dir(),
     reason="qemu-user and the C library of 64-bit ARM are not installed",
 )
-def test_the_bits_of_the_fmu_on_arm_linux(every_law, make_model, tmp_path) -> None:
+def test_arm_linux_is_bitwise_equal_to_the_fmu(every_law, make_model, tmp_path) -> None:
     """Both run on the same emulated processor with the same C library."""
     triple, run = "aarch64-linux-gnu.2.17", (QEMU, "-L", ARM_LIBRARIES)
     names = ("parfam_cos", "viscous", "elements", "fitted_lugre_load_ripple")
@@ -308,7 +308,7 @@ def test_the_bits_of_the_fmu_on_arm_linux(every_law, make_model, tmp_path) -> No
     M7_COMPILER is None or M7_MACHINE is None,
     reason="gcc-arm-none-eabi and qemu-system-arm are not installed",
 )
-def test_a_cortex_m7_without_operating_system(table1, tmp_path, capsys) -> None:
+def test_a_bare_metal_cortex_m7_matches(table1, tmp_path, capsys) -> None:
     steps, m7 = 500, HERE / "m7"
     here = _lines(_program(table1, tmp_path, "x86_64-linux-gnu.2.17", steps))
     command = [
@@ -331,7 +331,7 @@ def test_a_cortex_m7_without_operating_system(table1, tmp_path, capsys) -> None:
     assert 100 < int(counted.split()[0]) < 3000
 
 
-# --- what is refused --------------------------------------------------------------------------
+# --- refusals ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -341,21 +341,21 @@ def test_a_cortex_m7_without_operating_system(table1, tmp_path, capsys) -> None:
         ("my-law.h", "the functions have the name of the file, but 'my-law' is not a name in C"),
     ],
 )
-def test_names_that_are_none(table1, tmp_path, name, sentence) -> None:
+def test_invalid_names_are_refused(table1, tmp_path, name, sentence) -> None:
     with pytest.raises(ExportError) as caught:
         export_c(table1, tmp_path / name)
     assert sentence in str(caught.value)
     assert not list(tmp_path.iterdir())
 
 
-def test_data_that_cannot_be_written_leave_no_header(table1, tmp_path) -> None:
+def test_unwritable_data_leave_no_header(table1, tmp_path) -> None:
     (tmp_path / "law.csv").mkdir()
     with pytest.raises(ArtifactError, match="cannot be written"):
         export_c(table1, tmp_path / "law.h")
     assert [path.name for path in tmp_path.iterdir()] == ["law.csv"]
 
 
-def test_a_law_without_finite_torques_has_no_code(make_model, make_law, tmp_path) -> None:
+def test_a_law_without_finite_torques_is_refused(make_model, make_law, tmp_path) -> None:
     law = make_law("viscous")
     law = replace(law, values=law.values | {"sigma_2": 1e99, "F_c": 1e99})
     law = replace(law, form=replace(law.form, output=law.form.output**5))
@@ -364,7 +364,7 @@ def test_a_law_without_finite_torques_has_no_code(make_model, make_law, tmp_path
     assert not list(tmp_path.iterdir())
 
 
-def test_texts_that_would_end_a_comment_do_not(make_law, tmp_path) -> None:
+def test_texts_cannot_close_a_comment(make_law, tmp_path) -> None:
     model = FrictionModel(
         law="x", robot="a */ b", joints=("j \\",), laws=(make_law("bare"),), sample_time=STEP
     )

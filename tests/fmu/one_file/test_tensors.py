@@ -1,4 +1,4 @@
-"""The files for PyTorch and JAX, run where these are, against the FMU."""
+"""The files for PyTorch and JAX compared with the FMU, if the libraries are available."""
 
 import re
 import subprocess
@@ -40,7 +40,7 @@ def library(request) -> str:
 
 @pytest.fixture(scope="module")
 def python(library: str) -> Path:
-    """The Python that has the library."""
+    """The Python interpreter that has the library."""
     if library == "torch" and not _runs(DEBIAN, "-c", "import torch"):
         pytest.skip("Debian's python3-torch is not installed")
     if library == "jax" and not JAX.exists():
@@ -72,7 +72,7 @@ def every(python, library, every_model, tmp_path_factory):
     return rows, run(python, library, every_model, tmp_path_factory.mktemp(library), rows)
 
 
-def test_every_law_gives_the_torques_of_the_fmu(every, every_fmu) -> None:
+def test_every_law_matches_the_fmu(every, every_fmu) -> None:
     rows, (double, single, _) = every
     expected = torques_of(every_fmu, rows)
     assert_equal(double, expected, 1e-12)
@@ -81,7 +81,9 @@ def test_every_law_gives_the_torques_of_the_fmu(every, every_fmu) -> None:
 
 
 @pytest.mark.soak
-def test_every_law_over_ten_seconds(python, library, every_model, every_fmu, tmp_path) -> None:
+def test_every_law_matches_over_ten_seconds(
+    python, library, every_model, every_fmu, tmp_path
+) -> None:
     rows = inputs(len(every_model.joints))
     double, single, _ = run(python, library, every_model, tmp_path, rows)
     expected = torques_of(every_fmu, rows)
@@ -89,15 +91,15 @@ def test_every_law_over_ten_seconds(python, library, every_model, every_fmu, tmp
     assert_equal(single, expected, 1e-4)
 
 
-def test_it_begins_in_motion_where_the_fmu_does(every, every_fmu) -> None:
+def test_the_start_in_motion_matches_that_of_the_fmu(every, every_fmu) -> None:
     rows, (_, _, found) = every
     for k, torque in enumerate(found["begun"]):
         expected = first_torques_of(every_fmu, tuple(row[k] for row in rows))
         np.testing.assert_allclose(torque, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_slopes_over_the_coefficients_are_finite_differences(every) -> None:
-    """Each times its coefficient, of the largest of the same joint."""
+def test_coefficient_slopes_match_finite_differences(every) -> None:
+    """Each multiplied by its coefficient, relative to the largest of the same joint."""
     _, (_, _, slopes) = every
     slopes = {name: both for name, both in slopes.items() if name != "begun"}
     assert len(slopes) > 100
@@ -105,7 +107,7 @@ def test_slopes_over_the_coefficients_are_finite_differences(every) -> None:
         assert np.all(np.abs(found - finite) <= 1e-6 * np.maximum(np.abs(finite), 1.0)), name
 
 
-def test_the_laws_of_table_1_by_eulers_step(python, library, table1, table1_fmu, tmp_path) -> None:
+def test_euler_steps_of_table_1_match(python, library, table1, table1_fmu, tmp_path) -> None:
     rows = inputs(3, seconds=2.0)
     double, single, _ = run(python, library, table1, tmp_path, rows)
     expected = torques_of(table1_fmu, rows)
@@ -114,7 +116,7 @@ def test_the_laws_of_table_1_by_eulers_step(python, library, table1, table1_fmu,
 
 
 def test_ripple_far_from_zero_keeps_its_phase(python, library, make_model, tmp_path) -> None:
-    """Sixteen times a gear of 160, some turns away: single precision alone has no phase left."""
+    """Sixteen times a gear of 160, some turns away: single precision alone has lost the phase."""
     law = FrictionLaw(
         name="ripple", form=LawForm(coefficients=(), output=DQ + sympy.cos(2560 * (Q - DQ / 500))),
         values={},
@@ -123,7 +125,7 @@ def test_ripple_far_from_zero_keeps_its_phase(python, library, make_model, tmp_p
     dq, q, load = inputs(1, seconds=2.0)
     rows = (dq, (q + 20.0).astype(np.float32).astype(float), load)
     double, single, _ = run(python, library, model, tmp_path, rows, 5)
-    # With more digits than the FMU has, whose own phase is off by 4e-12 rad out there.
+    # With more digits than the FMU, whose own phase is off by 4e-12 rad at that angle.
     wide_dq, wide_q = (row.astype(np.longdouble) for row in rows[:2])
     exact = wide_dq + np.cos(2560 * (wide_q - wide_dq / 500))
     assert_equal(double, exact, 1e-13)
@@ -132,7 +134,7 @@ def test_ripple_far_from_zero_keeps_its_phase(python, library, make_model, tmp_p
     assert np.abs(naive - np.cos(2560 * rows[1])).max() > 1e-3
 
 
-def test_a_file_checks_itself_against_the_data_beside_it(python, library, table1, tmp_path) -> None:
+def test_a_file_checks_itself_against_its_data(python, library, table1, tmp_path) -> None:
     path = EXPORT[library](table1, tmp_path / "law.py")
     command = [python, path, path.with_suffix(".csv")]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -182,7 +184,7 @@ for a, b in zip(own, some):
 
 
 @pytest.mark.parametrize("use", [MODULE, MANY], ids=["module", "many robots"])
-def test_what_is_done_with_a_file_for_torch(table1, tmp_path, use) -> None:
+def test_usual_torch_operations_work(table1, tmp_path, use) -> None:
     if not _runs(DEBIAN, "-c", "import torch"):
         pytest.skip("Debian's python3-torch is not installed")
     export_torch(table1, tmp_path / "law.py")
@@ -233,8 +235,8 @@ assert torch.equal(again, 10 * dq - tau) and not torch.equal(again[2], again[1])
 @pytest.mark.parametrize(
     ("name", "use"), [("FrictionActuator", ISAAC), ("FrictionPdActuator", MJLAB)]
 )
-def test_the_actuators_of_the_documentation(table1, tmp_path, name, use) -> None:
-    """Their bases here only hand the command on; what the classes do with it is as documented."""
+def test_the_documented_actuators_work(table1, tmp_path, name, use) -> None:
+    """The base classes here only pass the command on; the classes use it as documented."""
     if not _runs(DEBIAN, "-c", "import torch"):
         pytest.skip("Debian's python3-torch is not installed")
     export_torch(table1, tmp_path / "friction.py")
@@ -251,25 +253,25 @@ def test_the_actuators_of_the_documentation(table1, tmp_path, name, use) -> None
 def test_joints_of_one_form_are_one_function(make_model, make_law, name) -> None:
     text = tensor_code(make_model(*(make_law(n) for n in ("lugre", "bare", "lugre"))), name)
     functions = re.findall(r"\ndef (_law_\w+)", text)
-    assert len(functions) == len(set(functions)) == 4  # a step of each form, and where it begins
+    assert len(functions) == len(set(functions)) == 4  # a step of each form, and its start
     assert sum(name.startswith("_law_1") for name in functions) == 2
     assert "(0, 2)," in text
     compile(text, "law.py", "exec")
 
 
-def test_texts_that_would_end_a_string_do_not(make_model, make_law) -> None:
+def test_texts_cannot_close_a_string(make_model, make_law) -> None:
     model = make_model(make_law("bare"), robot='a """ b\\')
     compile(tensor_code(model, "torch"), "law.py", "exec")
 
 
 @pytest.mark.parametrize("name", ["torch", "jax"])
-def test_a_file_ends_in_py(table1, tmp_path, name) -> None:
+def test_the_suffix_must_be_py(table1, tmp_path, name) -> None:
     with pytest.raises(ExportError, match=r"a file for \w+ ends in .py."):
         EXPORT[name](table1, tmp_path / "law.c")
     assert not list(tmp_path.iterdir())
 
 
-def test_what_tensors_have_no_function_for(make_model) -> None:
+def test_functions_missing_for_tensors_are_refused(make_model) -> None:
     form = LawForm(coefficients=(), output=sympy.besselj(0, DQ))
     with pytest.raises(ExportError, match="has no counterpart in tensor code"):
         tensor_code(make_model(FrictionLaw(name="x", form=form, values={})), "torch")
@@ -281,7 +283,7 @@ def test_piecewise_laws_are_refused(make_model) -> None:
         tensor_code(make_model(FrictionLaw(name="x", form=form, values={})), "jax")
 
 
-def test_joints_are_integrated_alike(make_model) -> None:
+def test_joints_must_have_the_same_integration(make_model) -> None:
     h = Relaxation(name="h", unit="1", drive=DQ, rate=sympy.Integer(1))
     form = LawForm(coefficients=(), memory=(h,), output=h.state)
     laws = (FrictionLaw(name="x", form=form, values={}, discretisation=d)
