@@ -1,4 +1,4 @@
-"""FMPy and VDMCheck2, run on a copy of the FMU in which only checked XML files have content."""
+"""FMPy and VDMCheck2, run on a copy of the FMU that contains checked XML files only."""
 
 import re
 import shutil

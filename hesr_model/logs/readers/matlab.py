@@ -17,7 +17,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"  # after a header of 512 bytes
 def read_matlab(path: Path, *, time: str) -> LogTable:
     """Open a MATLAB file as a table as long as the vector `time`; raises LogError.
 
-    A matrix ``q`` of N rows or columns (also 1 x n x N as of Simulink) gives ``q1``, ``q2``, ..;
+    A matrix ``q`` of N rows or columns (also 1 x n x N, from Simulink) gives ``q1``, ``q2``, ..;
     fields are named as in MATLAB, ``log.t``, ``out.signals(2).values1``.
     """
     if not path.is_file():
