@@ -1,4 +1,4 @@
-"""FMPy and VDMCheck2, run on a copy of the FMU that contains checked XML files only."""
+"""FMPy and VDMCheck2, run on a copy of the FMU with all files but checked XML emptied."""
 
 import re
 import shutil
