@@ -1,4 +1,4 @@
-"""What benchmarks share."""
+"""Shared parts of the benchmarks."""
 
 import sys
 from collections.abc import Callable
@@ -47,7 +47,7 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Friction
 
 @pytest.fixture
 def tell(capsys: pytest.CaptureFixture[str]) -> Callable[[str], None]:
-    """Print a line past the capture: figures that the table of times has no column for."""
+    """Print a line despite the capture: results without a column in the table of times."""
 
     def line(text: str) -> None:
         with capsys.disabled():

@@ -1,4 +1,4 @@
-"""Table I as a PythonFMU slave made for speed: each expression lowered to Python's own numbers."""
+"""Table I as a fast PythonFMU slave: each expression lowered to Python's own numbers."""
 
 import sympy
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real

@@ -1,7 +1,7 @@
-"""Step an FMU as a tool does that has nothing but FMPy, and print how long each round took.
+"""Step an FMU with nothing but FMPy and print the duration of each round.
 
-A process of its own: in one that has imported the Python module `mujoco`, libmujoco asks that
-module for the time at every stage of every step, which costs the arm a tenth of its speed.
+This needs a separate process: in one that has imported the Python module `mujoco`, libmujoco
+queries that module's clock at every stage of every step, which makes the arm 10 % slower.
 
     python stepped.py FMU STOP STEPS ROUNDS [OUTPUT...]
 """

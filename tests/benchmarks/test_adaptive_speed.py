@@ -1,4 +1,4 @@
-"""What a step of the adaptive FMU costs beside one of the friction FMU, of the same laws."""
+"""Cost of a step of the adaptive FMU compared with the friction FMU of the same laws."""
 
 from pathlib import Path
 
@@ -16,8 +16,8 @@ STEP = 0.005
 
 @pytest.mark.parametrize("law", [lugre, stops])
 @pytest.mark.parametrize("adaptive", [False, True])
-def test_step(law, adaptive: bool, tmp_path: Path, benchmark: BenchmarkFixture) -> None:
-    """Aim: at most 1 us more than the friction FMU for three joints; the call itself takes most."""
+def test_adaptive_step(law, adaptive: bool, tmp_path: Path, benchmark: BenchmarkFixture) -> None:
+    """Target: at most 1 us more than the friction FMU for three joints, dominated by the call."""
     benchmark.group = f"doStep of three joints through FMPy, {law().name}"
     own = model(law(), law(), law())
     fmu = tmp_path / "Friction.fmu"

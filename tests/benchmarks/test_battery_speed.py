@@ -1,4 +1,4 @@
-"""How long the property battery takes on all laws of a robot."""
+"""Duration of the physics checks on all laws of a robot."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,8 +11,10 @@ from cosim.properties.battery import Subject, run_battery
 JOINTS = 3
 
 
-def test_the_battery_on_all_laws(benchmark: BenchmarkFixture, tell: Callable[[str], None]) -> None:
-    """Aim: 60 s for all laws of the registry on three joints, FMUs built, on two cores."""
+def test_physics_checks_on_all_laws(
+    benchmark: BenchmarkFixture, tell: Callable[[str], None]
+) -> None:
+    """Target: 60 s for all laws of the registry on three joints on two cores, FMUs built."""
     benchmark.group = "property battery"
     subjects = [
         Subject(

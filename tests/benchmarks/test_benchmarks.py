@@ -1,4 +1,4 @@
-"""How fast the product is. Figures are recorded, beside what was aimed at; none is a test.
+"""Speed of the product. Results are recorded next to their targets; none is a test.
 
 Run by `make benchmark`; `make test` leaves this folder out.
 """
@@ -49,7 +49,7 @@ print(json.dumps({
 
 @pytest.fixture(scope="module")
 def data() -> FrictionRecord:
-    """Twenty seconds of joint 1 of Table I along a sweep, with the noise of its torque sensor."""
+    """20 s of joint 1 of Table I along a sweep, with the noise of its torque sensor."""
     law = FrictionModel.read(model_file("uf850-table1")).laws[0]
     t = STEP * np.arange(ROWS)
     dq = (0.75 + 0.45 * np.sin(2.0 * np.pi * t / 7.0)) * np.sin(
@@ -83,7 +83,7 @@ def candidate() -> Candidate:
 def test_three_stage_fit_of_a_joint(
     benchmark: BenchmarkFixture, data: FrictionRecord, tell: Callable[[str], None]
 ) -> None:
-    """Aim: 1 s of CPU time at 4000 samples."""
+    """Target: 1 s of CPU time at 4000 samples."""
     benchmark.extra_info["aim"] = "1 s of CPU time"
     start = time.process_time()
     rounds = 3
@@ -104,7 +104,7 @@ def test_fit_of_another_law(benchmark: BenchmarkFixture, data: FrictionRecord, l
 
 
 def test_objective_with_gradient(benchmark: BenchmarkFixture, features: HysteresisFeatures) -> None:
-    """Aim: 75 us at 4000 samples (eq. 12 with one unit)."""
+    """Target: 75 us at 4000 samples (eq. 12 with one unit)."""
     benchmark.extra_info["aim"] = "75 us"
     x, tau = features.columns(11.0, 200.0), features.samples.tau
     scale = np.concatenate([[1.0], x[:, 1:].std(axis=0)])
@@ -132,7 +132,7 @@ def test_residual_and_jacobian_of_the_last_stage(
 def test_lowering_of_the_largest_networks(
     name: str, structure: dict[str, int], benchmark: BenchmarkFixture
 ) -> None:
-    """Aim: 2 s, to C with tangents."""
+    """Target: 2 s, to C with tangents."""
     form = estimator(name).form(structure)
     own = Functions(form.component, "law_1", tunable=False)
     text = benchmark.pedantic(lambda: own.step() + own.tangent())
@@ -146,7 +146,7 @@ def test_prediction_over_a_log(benchmark: BenchmarkFixture, data: FrictionRecord
 
 
 def test_help(benchmark: BenchmarkFixture) -> None:
-    """Aim: 0.3 s."""
+    """Target: 0.3 s."""
     benchmark.extra_info["aim"] = "0.3 s"
     command = [sys.executable, "-c", "from hesr.cli import main; main()", "--help"]
     result = benchmark.pedantic(
@@ -158,7 +158,7 @@ def test_help(benchmark: BenchmarkFixture) -> None:
 def test_whole_default_run(
     benchmark: BenchmarkFixture, tmp_path: Path, tell: Callable[[str], None]
 ) -> None:
-    """Aim: 60 s and at most 500 MB in any process."""
+    """Target: 60 s and at most 500 MB in any process."""
     command = [sys.executable, "-c", HESR_RUN, "run", "-o", str(tmp_path / "results")]
     result: subprocess.CompletedProcess[str] = benchmark.pedantic(
         subprocess.run, args=(command,), kwargs={"capture_output": True, "text": True}, rounds=1

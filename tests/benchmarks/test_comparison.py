@@ -1,7 +1,7 @@
-"""Size and power of the comparison of laws: equal laws, made of real ones, on the twin.
+"""Size and power of the comparison of laws: equal laws, derived from real ones, on the twin.
 
-The errors of every law are scaled to the same RMSE: over all motions, or on each motion. A table
-whose logs are cut from random motions is wrong if it calls any law worse than the best.
+The errors of every law are scaled to the same RMSE, over all motions or per motion. A table with
+logs drawn from random motions is wrong if it calls any law worse than the best.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -49,7 +49,7 @@ def errors() -> Errors:
             try:
                 tests += [found.log for found in recorded(arm, own, len(tests) + 1)]
             except ConfigError:
-                continue  # leaves the limits of the joints
+                continue  # exceeds the joint limits
     robot = Robot(RobotDescription.read(study.robot))
     body = identify(
         [logs[name] for name in study.logs.identification],
@@ -80,7 +80,7 @@ def tables(
     each: bool,
     ratio: float = 1.0,
 ) -> list[tuple[LawErrors, str]]:
-    """Tables of equal laws; one law, which is returned, has its error divided by `ratio`."""
+    """Tables of equal laws; the errors of one law, which is returned, are divided by `ratio`."""
     rng, rows, found = np.random.default_rng(1), round(seconds / PERIOD), []
     size = {
         law: [[np.sqrt(np.mean(e**2)) for e in of_joint] for of_joint in errors[law]]
@@ -101,18 +101,20 @@ def tables(
 
 
 def worse(table: LawErrors) -> set[str]:
-    """Laws that are called worse than the best of the sample."""
+    """Laws called worse than the best of the sample."""
     ratios = table.ratios(table.laws[table.best])
     adjusted = holm({law: r.p for law, r in ratios.items() if r.p is not None})
     return {law for law, p in adjusted.items() if p < SIGNIFICANCE}
 
 
 @pytest.mark.parametrize(("seconds", "logs"), [(40, 1), (72, 1), (40, 2), (20, 4)])
-def test_size(errors: Errors, seconds: float, logs: int, tell: Callable[[str], None]) -> None:
-    """At most 6.5 % of tables are wrong; 1,000 draws have a standard error of .7 %.
+def test_size_of_the_comparison(
+    errors: Errors, seconds: float, logs: int, tell: Callable[[str], None]
+) -> None:
+    """At most 6.5 % of tables are wrong; 1,000 draws have a standard error of 0.7 %.
 
-    Laws with rare large errors, as networks beyond their training, differ from motion to motion by
-    more than one or two motions show: printed, not asserted.
+    Laws with rare large errors, such as networks beyond their training range, vary more between
+    motions than one or two motions show: printed, not asserted.
     """
     laws = list(errors)
     share = {
@@ -129,8 +131,10 @@ def test_size(errors: Errors, seconds: float, logs: int, tell: Callable[[str], N
 
 
 @pytest.mark.parametrize(("seconds", "logs"), [(40, 1), (72, 1), (40, 4)])
-def test_power(errors: Errors, seconds: float, logs: int, tell: Callable[[str], None]) -> None:
-    """The share of true differences that is found, and that of the stated smallest difference."""
+def test_power_of_the_comparison(
+    errors: Errors, seconds: float, logs: int, tell: Callable[[str], None]
+) -> None:
+    """Share of true differences found, for several sizes and for the stated smallest difference."""
     for ratio in (1.05, 1.1, 1.2):
         found = tables(errors, NINE, seconds, logs, each=False, ratio=ratio)
         hits = [len(worse(t) - {better}) / (len(NINE) - 1) for t, better in found]

@@ -1,4 +1,4 @@
-"""How fast the drive FMU is in a host written in C."""
+"""Speed of the drive FMU in a C host."""
 
 import subprocess
 import zipfile
@@ -16,7 +16,7 @@ from fmu_src.drive.drive_fmu import export_drive
 from hesr_model.friction.model import FrictionModel
 
 INERTIA = [3.0, 3.0, 0.6]
-TORQUE = 25.0  # [N.m], more than holds any of the joints
+TORQUE = 25.0  # [N.m], above the holding torque of any joint
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def test_step_in_a_c_host(
     discretisation: str, step: str, host: Path, benchmark: BenchmarkFixture, tmp_path: Path,
     tell: Callable[[str], None],
 ) -> None:  # fmt: skip
-    """Aim: 1 us for three joints of ParFam-H, each step one inner step, through 80 reversals."""
+    """Target: 1 us for three joints of ParFam-H, one inner step per step, through 80 reversals."""
     model = FrictionModel.read(model_file("uf850-table1"))
     laws = tuple(replace(law, discretisation=discretisation) for law in model.laws)
     path = export_drive(replace(model, laws=laws), tmp_path / "Drive.fmu", inertia=INERTIA)

@@ -1,4 +1,4 @@
-"""How fast the closed loop with the native arm runs in each engine, side by side."""
+"""Speed of the closed loop with the native arm in each engine."""
 
 import json
 import subprocess
@@ -40,7 +40,7 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> Together:
 
 @pytest.fixture
 def told(benchmark: BenchmarkFixture, tell: Tell) -> Callable[[str, list[float], float], None]:
-    """Print how many times faster than real time the fastest round was."""
+    """Print the speed of the fastest round in multiples of real time."""
 
     def line(name: str, seconds: list[float], stop: float) -> None:
         speed = stop / min(seconds)
@@ -58,7 +58,7 @@ def test_engine(
     benchmark: BenchmarkFixture,
     told: Callable[[str, list[float], float], None],
 ) -> None:
-    """By the engine's own account of its steps; the rounds' times are those of whole processes."""
+    """As measured by the engine for its steps; times of rounds are those of whole processes."""
     try:
         engine.find(TOOLS)
     except SkippedError as error:
@@ -103,7 +103,7 @@ def test_the_loop_as_one_fmu(
     told: Callable[[str, list[float], float], None],
     tmp_path: Path,
 ) -> None:
-    """Aim: 200 times real time, on one core."""
+    """Target: 200 times real time on one core."""
     spec = closed.spec
     fmu = write_container(read_contents(spec, tmp_path / "closed"), tmp_path / "closed.fmu")
     steps = 1 if way == "one call for all" else spec.steps
@@ -126,7 +126,7 @@ def test_the_physics_alone(
     benchmark: BenchmarkFixture,
     told: Callable[[str, list[float], float], None],
 ) -> None:
-    """MuJoCo's own steps of the arm, in Python, whose module times their stages: a tenth more."""
+    """MuJoCo's own steps of the arm in Python; timing of the stages costs an extra 10 %."""
     model = mujoco.MjModel.from_xml_path(str(models_folder() / "uf850/uf850.xml"))
     data = mujoco.MjData(model)
     steps = round(closed.spec.stop / model.opt.timestep)

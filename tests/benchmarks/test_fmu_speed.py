@@ -1,4 +1,4 @@
-"""How fast the friction FMU is: from Python, in a host written in C, and beside a PythonFMU."""
+"""Speed of the friction FMU from Python, in a C host, and compared with a PythonFMU."""
 
 import re
 import shutil
@@ -41,19 +41,19 @@ def fmu(model: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module", params=["native", "PythonFMU", "PythonFMU, lowered"])
 def any_fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The FMU, and the same law as a PythonFMU in two ways."""
+    """The FMU, and the same law as PythonFMU in two variants."""
     if request.param == "native":
         path: Path = request.getfixturevalue("fmu")
         return path
     script = "slave.py" if request.param == "PythonFMU" else "lowered_slave.py"
     folder = tmp_path_factory.mktemp("python")
     built = Path(FmuBuilder.build_FMU(Path(__file__).with_name(script), dest=folder))
-    remember(built)  # in this process, as its doStep is called without the rest
+    remember(built)  # in this process, since its doStep is called alone
     return built
 
 
-def test_step(any_fmu: Path, benchmark: BenchmarkFixture) -> None:
-    """Aim: 1.3 us for the native one, at least five times less than for the others."""
+def test_friction_step(any_fmu: Path, benchmark: BenchmarkFixture) -> None:
+    """Target: 1.3 us for the native one, at most a fifth of the others."""
     benchmark.group = "doStep of three joints through FMPy"
     with FmuInstance(any_fmu) as component:
         component.initialise(start={"dq[1]": 0.3})
@@ -87,7 +87,7 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class InHost:
-    """doStep of three joints in a host written in C."""
+    """doStep of three joints in a C host."""
 
     def __init__(self, host: Path, fmu: Path, folder: Path) -> None:
         about = read_model_description(str(fmu))
@@ -103,11 +103,11 @@ class InHost:
         return subprocess.run(command, capture_output=True, text=True, check=True)
 
     def time(self) -> float:
-        """Return how long a step takes [ns]."""
+        """Return the duration of a step [ns]."""
         return float(self._run(20_000).stdout)
 
     def instructions(self) -> float:
-        """Return how many instructions a step has; a busy machine does not change them."""
+        """Return the number of instructions of a step, which is independent of the load."""
         counting = ("valgrind", "--tool=callgrind", f"--callgrind-out-file={self._folder}/out",
                     "--toggle-collect=fmi2DoStep")  # fmt: skip
         texts = [self._run(steps, *counting).stderr for steps in (10, 30)]
@@ -120,7 +120,7 @@ def test_step_in_a_c_host(
     discretisation: str, model: FrictionModel, host: Path, benchmark: BenchmarkFixture,
     tmp_path: Path, tell: Tell,
 ) -> None:  # fmt: skip
-    """Aim: 150 ns for three joints of ParFam-H; instructions are counted whatever the load."""
+    """Target: 150 ns for three joints of ParFam-H; the number of instructions ignores the load."""
     laws = tuple(replace(law, discretisation=discretisation) for law in model.laws)
     in_host = InHost(host, export_fmu(replace(model, laws=laws), tmp_path / "F.fmu"), tmp_path)
     taken = benchmark.pedantic(in_host.time, rounds=5)
@@ -133,7 +133,7 @@ def test_step_in_a_c_host(
 @pytest.mark.parametrize(
     ("law", "aim"), [("parfam_s_v", 1.3), ("parfam_s_load", None), ("parfam_s", 2.1)]
 )
-def test_a_step_of_stops_beside_lugres(
+def test_a_step_of_stops_compared_with_lugre(
     law: str, aim: float | None, records: dict[str, list[FrictionRecord]], host: Path,
     tmp_path: Path, tell: Tell,
 ) -> None:  # fmt: skip
@@ -156,7 +156,7 @@ def test_a_step_of_stops_beside_lugres(
 
 
 def test_instantiation(benchmark: BenchmarkFixture, fmu: Path, tmp_path: Path) -> None:
-    """Aim: 1 ms; loading the library and reading the XML do not count."""
+    """Target: 1 ms without loading the library and reading the XML."""
     about = read_model_description(str(fmu))
     folder = extract(str(fmu), unzipdir=str(tmp_path))
     slave = FMU2Slave(
@@ -183,7 +183,7 @@ def test_replay_of_a_log(benchmark: BenchmarkFixture, fmu: Path) -> None:
 def test_export(
     platforms: str, benchmark: BenchmarkFixture, model: FrictionModel, tmp_path: Path, tell: Tell
 ) -> None:
-    """Aim: 5 s for all platforms, the compiler's cache warm; 120 KB and 500 KB."""
+    """Target: 5 s for all platforms with a warm compiler cache; 120 KB and 500 KB."""
     path = benchmark.pedantic(
         export_fmu, args=(model, tmp_path / "F.fmu"), kwargs={"platforms": [platforms]},
         rounds=3, warmup_rounds=1,
@@ -191,10 +191,10 @@ def test_export(
     tell(f"FMU of three joints, {platforms}: {path.stat().st_size / 1024:.0f} KB")
 
 
-def test_rows_in_c_against_python(
+def test_rows_in_c_compared_with_python(
     fmu: Path, benchmark: BenchmarkFixture, monkeypatch: pytest.MonkeyPatch, tell: Tell
 ) -> None:
-    """Aim: twice the speed, although loading the FMU is part of both."""
+    """Target: twice the speed, although both include loading the FMU."""
     benchmark.group = "replay of a minute at 200 Hz, three joints"
     t = STEP * np.arange(12_000)
     dq = np.sin(np.outer(t, [1.0, 2.0, 3.0]))

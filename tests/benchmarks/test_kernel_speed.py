@@ -1,6 +1,6 @@
-"""Equations over rows in C: against NumPy, against the FMU step by step, and what fits take of it.
+"""Row-wise equations in C compared with NumPy and the stepped FMU, and their share of fits.
 
-Ratios are of the best of several rounds, taken in turns, so that a busy machine slows both alike.
+Ratios use the best of several interleaved rounds, so that other load slows both equally.
 """
 
 import shutil
@@ -33,7 +33,7 @@ from hesr_model.support.compiler import compile_c
 
 Tell = Callable[[str], None]
 STEP, ROWS, JOINTS = 0.005, 20000, 6
-NETWORKS = ("rbfnn_h", "mlp_h")  # whose fits are of kinds of their own
+NETWORKS = ("rbfnn_h", "mlp_h")  # with special kinds of fits
 
 
 def seconds(*functions: Callable[[], object], rounds: int = 20) -> list[float]:
@@ -49,7 +49,7 @@ def seconds(*functions: Callable[[], object], rounds: int = 20) -> list[float]:
 
 @pytest.fixture(scope="module")
 def joint(records: dict[str, list[FrictionRecord]]) -> Sequence[FrictionRecord]:
-    """The logs of one joint, some 8,000 rows."""
+    """The logs of one joint, about 8,000 rows."""
     return [of_joints[0] for of_joints in records.values()]
 
 
@@ -82,10 +82,10 @@ def test_torque_over_a_log(law: str, fitted: Callable[[str], FrictionLaw], tell:
 
 
 @pytest.mark.parametrize("law", STUDIED)
-def test_robots_side_by_side_against_steps_of_the_fmu(
+def test_a_batch_of_robots_compared_with_fmu_steps(
     law: str, fitted: Callable[[str], FrictionLaw], tmp_path: Path, tell: Tell
 ) -> None:
-    """Aim: 5 times with AVX2."""
+    """Target: 5 times with AVX2."""
     model = FrictionModel(
         law=law, robot="bench", joints=("j1", "j2", "j3"), laws=(fitted(law),) * 3,
         sample_time=STEP,
@@ -128,10 +128,10 @@ def test_robots_side_by_side_against_steps_of_the_fmu(
 @pytest.mark.parametrize(
     "law", ["lugre", "lugre_load", "parfam_hx", "parfam_h", "parfam_s_v", "parfam_v"]
 )
-def test_a_log_at_once_against_step_by_step(
+def test_a_whole_log_compared_with_single_steps(
     law: str, fitted: Callable[[str], FrictionLaw], tmp_path: Path, tell: Tell
 ) -> None:
-    """Aim: 5 times, against steps in C; the same torque to 1e-14 of its largest value."""
+    """Target: 5 times compared with steps in C; equal torque to 1e-14 of its largest value."""
     model = FrictionModel(
         law=law, robot="bench", joints=tuple(f"j{i}" for i in range(JOINTS)),
         laws=(fitted(law),) * JOINTS, sample_time=STEP,
@@ -191,7 +191,7 @@ def test_a_fit(law: str, aim: float | None, joint: Sequence[FrictionRecord], tel
 
 
 @pytest.mark.parametrize(("law", "aim"), [("parfam_s", 1.5), ("parfam_s_load", None)])
-def test_a_fit_of_stops_beside_lugres(
+def test_a_fit_of_stops_compared_with_lugre(
     law: str, aim: float | None, joint: Sequence[FrictionRecord], tell: Tell
 ) -> None:
     own, lugres = seconds(

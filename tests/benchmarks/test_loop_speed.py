@@ -1,4 +1,4 @@
-"""How fast a closed loop of FMUs is: against real time, against the loop without FMI, by size."""
+"""Speed of a closed loop of FMUs relative to real time, to the loop without FMI, and by size."""
 
 import time
 from collections.abc import Callable
@@ -50,7 +50,7 @@ def least(work: Callable[[], object], rounds: int = 5) -> float:
 def test_ten_seconds_of_the_closed_loop(
     scheme: str, bench: Bench, benchmark: BenchmarkFixture, tell: Tell
 ) -> None:
-    """Aims: 80 times real time, and 1.5 times the wall time of the loop without FMI."""
+    """Targets: 80 times real time, and 1.5 times the wall time of the loop without FMI."""
     benchmark.group = "10 s of the closed loop at 200 Hz, six or seven FMUs"
     loop = bench.loop(SCHEMES[scheme])
     spec = bench.system(loop)
@@ -58,7 +58,7 @@ def test_ten_seconds_of_the_closed_loop(
         found = benchmark.pedantic(
             lambda: master.run().require_success(), rounds=5, warmup_rounds=1
         )
-        # Turn about, so that a busy machine slows down both.
+        # Interleaved, so that other load slows both.
         pairs = [
             (least(lambda: master.run(), 1), least(lambda: run_loop(loop), 1)) for _ in range(5)
         ]
@@ -76,7 +76,7 @@ def test_ten_seconds_of_the_closed_loop(
 def test_ten_seconds_with_the_arm_as_a_python_fmu(
     bench: Bench, benchmark: BenchmarkFixture, tell: Tell, tmp_path: Path
 ) -> None:
-    """Aim: 40 times real time."""
+    """Target: 40 times real time."""
     benchmark.group = "10 s of the closed loop at 200 Hz, six or seven FMUs"
     folder = models_folder() / "uf850"
     arm = export_python_arm(folder / "uf850.xml", folder / "arm.toml", tmp_path / "Arm.fmu")
@@ -90,7 +90,7 @@ def test_ten_seconds_with_the_arm_as_a_python_fmu(
 
 
 def test_starting_the_closed_loop(bench: Bench, benchmark: BenchmarkFixture) -> None:
-    """Loading, checking, one step and freeing: what a run of any length pays once."""
+    """Loading, checking, one step and freeing: the fixed cost of a run."""
     spec = bench.system(bench.loop(SCHEMES["torque_error"]), stop=0.005)
 
     def live() -> None:
@@ -102,12 +102,12 @@ def test_starting_the_closed_loop(bench: Bench, benchmark: BenchmarkFixture) -> 
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An FMU that does next to nothing."""
+    """A nearly empty FMU."""
     return lag(tmp_path_factory.mktemp("small"))
 
 
 def chain(fmu: Path, count: int, stop: float) -> SystemSpec:
-    """Components in a row, each fed by the one before."""
+    """A chain of components, each fed by the previous one."""
     names = [f"c{i}" for i in range(count)]
     return SystemSpec.model_validate(
         {

@@ -1,4 +1,4 @@
-"""How long the page of a friction FMU takes for a log of 60 s, six joints and 100 Hz."""
+"""Time that the page of a friction FMU takes for a log of 60 s, six joints and 100 Hz."""
 
 import shutil
 import zipfile
@@ -17,7 +17,7 @@ ROWS, JOINTS = 6000, 6
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
 def test_a_dropped_log(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
-    """From the choice of the file to the drawn loops."""
+    """Time from choosing the file to the drawn loops."""
     playwright = pytest.importorskip("playwright.sync_api")
     model = FrictionModel.read(model_file("uf850-table1"))
     model = replace(

@@ -1,4 +1,4 @@
-"""How long a report takes, and how large it is."""
+"""Duration and size of a report."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What it costs that foreign FMUs are kept apart: those of ours, and those of others."""
+"""Cost of isolating foreign FMUs, for our FMUs and for foreign ones."""
 
 import subprocess
 import sys
@@ -30,14 +30,14 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 
 def recognise(fmus: list[Path]) -> None:
-    """Do for FMUs what would not be needed if all were trusted."""
+    """Do the work that is only needed because some FMUs are not trusted."""
     for fmu in fmus:
         with Archive(fmu) as archive:
             assert is_known(archive.digest())
 
 
-def test_share_of_recognising_our_own(bench: Bench, tmp_path: Path, tell: Tell) -> None:
-    """Aim: at most 5 % of `hesr simulate` on the default closed loop, from start to end."""
+def test_share_of_recognising_our_fmus(bench: Bench, tmp_path: Path, tell: Tell) -> None:
+    """Target: at most 5 % of `hesr simulate` on the default closed loop, start to end."""
     spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
     system = write_ssp(read_contents(spec, tmp_path / "loop.toml"), tmp_path / "loop.ssp")
     fmus = [component.fmu for component in spec.components]
@@ -56,8 +56,8 @@ def test_share_of_recognising_our_own(bench: Bench, tmp_path: Path, tell: Tell) 
 
 
 @pytest.mark.parametrize("whose", ["ours", "foreign"])
-def test_steps(whose: str, tmp_path: Path, benchmark: BenchmarkFixture) -> None:
-    """One step with an input and an output, in this process and over the connection."""
+def test_isolated_steps(whose: str, tmp_path: Path, benchmark: BenchmarkFixture) -> None:
+    """One step with an input and an output, in this process and in the isolated one."""
     benchmark.group = "a step of a small FMU"
     fmu = lag(tmp_path)
     if whose == "foreign":

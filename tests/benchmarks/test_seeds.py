@@ -1,6 +1,6 @@
-"""Ten seeds: whatever the starts that are drawn, a fit on the twin's sweep finds the same law.
+"""Ten seeds of the start points: a fit on the twin's sweep finds the same law.
 
-About a minute for each law, so it stands here and not among the tests.
+It takes about a minute per law and is therefore a benchmark.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ def error(law: FrictionLaw, record: FrictionRecord) -> float:
 @pytest.mark.parametrize("joint", range(3), ids=lambda joint: f"J{joint + 1}")
 @pytest.mark.parametrize("law", ["parfam_h", "parfam_hx"])
 def test_the_fit_does_not_depend_on_the_seed(records: Records, law: str, joint: int) -> None:
-    """Nine of ten within 1 % of the best in training; the Fourier test spreads by 3 % at most."""
+    """Nine of ten within 1 % of the best in training; at most 3 % spread in the Fourier test."""
     sweep, fourier = records["sweep"][joint], records["fourier_test"][joint]
     laws = [fit_joint(law, [sweep], seed=seed) for seed in SEEDS]
     training = np.array([error(found, sweep) for found in laws])

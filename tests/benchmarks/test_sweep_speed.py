@@ -1,4 +1,4 @@
-"""How fast many loops are: against MuJoCo's own steps, the steps in Python, and FMPy per task."""
+"""Speed of many loops compared with MuJoCo's own steps, steps in Python, and FMPy per task."""
 
 import os
 import threading
@@ -25,7 +25,7 @@ from hesr_model.friction.model import FrictionModel
 
 Tell = Callable[[str], None]
 
-EACH = 600  # runs of each core, so that what starts once does not count
+EACH = 600  # runs per core, so that start-up costs do not count
 
 STUDY = """
 name = "loops"
@@ -45,7 +45,7 @@ reference = "trajectory.q"
 
 
 def written(folder: Path, spec: SystemSpec, runs: int) -> Path:
-    """Write a study of so many runs and its system."""
+    """Write a study with the given number of runs, and its system."""
     write_system(spec, folder / "loop.toml")
     study = folder / f"study{runs}.toml"
     study.write_text(STUDY.replace("runs = 400", f"runs = {runs}"), encoding="utf-8")
@@ -53,7 +53,7 @@ def written(folder: Path, spec: SystemSpec, runs: int) -> Path:
 
 
 def lasted(work: Callable[[], object]) -> float:
-    """Wall time of a work [s]."""
+    """Wall time of a function [s]."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start
@@ -61,7 +61,7 @@ def lasted(work: Callable[[], object]) -> float:
 
 @contextmanager
 def largest_process() -> Iterator[list[int]]:
-    """Yield a list that holds, at the end, the most memory of a worker [B]."""
+    """Yield a list that finally has the peak memory of a worker [B]."""
     found, over = [0], threading.Event()
 
     def look() -> None:
@@ -91,14 +91,14 @@ def spec(bench: Bench) -> SystemSpec:
 
 
 def spent(work: Callable[[], object]) -> float:
-    """CPU time of this process [s]: other processes of the machine do not count."""
+    """CPU time of this process [s], independent of other processes."""
     start = time.process_time()
     work()
     return time.process_time() - start
 
 
 def turn_about(works: dict[str, Callable[[], object]], rounds: int = 7) -> dict[str, float]:
-    """Least CPU time of each of several works, done in turn, so that a busy machine slows all."""
+    """Least CPU time of each of several functions, interleaved so that other load slows all."""
     times: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(rounds):
         for name, work in works.items():
@@ -107,7 +107,7 @@ def turn_about(works: dict[str, Callable[[], object]], rounds: int = 7) -> dict[
 
 
 def test_loops_in_c(bench: Bench, spec: SystemSpec, tell: Tell) -> None:
-    """Aims: 1.7 times the steps in Python, at most 1.6 times MuJoCo's own steps."""
+    """Targets: 1.7 times the steps in Python, at most 1.6 times MuJoCo's own steps."""
     model = mujoco.MjModel.from_xml_path(str(bench.plant.model))
     count = round(spec.stop / model.opt.timestep)
     with Master(spec) as native, Master(spec, native=False) as readable:
@@ -127,8 +127,8 @@ def test_loops_in_c(bench: Bench, spec: SystemSpec, tell: Tell) -> None:
     )
 
 
-def test_a_sweep_against_fmpy_per_task(spec: SystemSpec, tell: Tell, tmp_path: Path) -> None:
-    """Aim: 4 times as many loops as simulate_fmu of the container, which loads it each time."""
+def test_a_sweep_compared_with_fmpy_per_task(spec: SystemSpec, tell: Tell, tmp_path: Path) -> None:
+    """Target: 4 times as many loops as simulate_fmu of the container, reloaded each time."""
     observed = spec.model_copy(update={"observe": ("arm.q_true", "trajectory.q")})
     container = write_container(read_contents(observed, tmp_path / "loop"), tmp_path / "loop.fmu")
     study = written(tmp_path, spec, 400)
@@ -149,7 +149,7 @@ def test_a_sweep_against_fmpy_per_task(spec: SystemSpec, tell: Tell, tmp_path: P
 
 
 def test_a_sweep_on_all_cores(spec: SystemSpec, tell: Tell, tmp_path: Path) -> None:
-    """Aims: 85 % of the rate of one core times their number, 400 MB a worker."""
+    """Targets: 85 % of the rate of one core times their number, 400 MB per worker."""
     cores = os.cpu_count() or 1
     studies = [written(tmp_path, spec, count) for count in (EACH, EACH * cores)]
     one = EACH / lasted(lambda: run_sweep(studies[0], tmp_path / "one", workers=1))
@@ -163,7 +163,7 @@ def test_a_sweep_on_all_cores(spec: SystemSpec, tell: Tell, tmp_path: Path) -> N
 
 
 def test_a_sweep_on_a_cluster(spec: SystemSpec, tell: Tell, tmp_path: Path) -> None:
-    """Aim: as long on two workers of dask.distributed as in two processes here, within 10 %."""
+    """Target: equal time on two dask.distributed workers and in two processes, within 10 %."""
     distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
     study = written(tmp_path, spec, 2 * EACH)
     with distributed.LocalCluster(

@@ -1,17 +1,17 @@
-"""Beside a peer: LuGre fitted by MuJoCo's own system identification to the same log of the twin.
+"""LuGre fitted by MuJoCo's own system identification to the same log of the twin.
 
-Both see the friction of one joint along the sweep (measured torque less the identified rigid body,
-velocity from the smoothed position), have the same seven numbers free within the same bounds, and
+Both use the friction of one joint along the sweep (measured torque minus the identified rigid body,
+velocity from the smoothed position), have the same seven parameters with the same bounds, and
 minimise the same sum of squares. Neither simulates an arm: the velocity is the measured one. In
-`mujoco.sysid` this is its usual rollout, of a joint so heavy that a motor, which is given what the
-measured acceleration takes, moves it along the log whatever the friction does. To roll out the
-measured torque and compare positions would need an inertia, and would integrate the torque's noise
-twice. The viscous torque is the motor's own, with its constant as a root, since MuJoCo's sensor of
-an actuator's force leaves the actuator's damping out.
+`mujoco.sysid` this is its usual rollout with a joint so heavy that a motor, commanded with the
+torque of the measured acceleration, moves it along the log under any friction. A rollout of the
+measured torque with a comparison of positions would need an inertia and would integrate the noise
+of the torque twice. The viscous torque is that of the motor, with the root of its constant as
+parameter, since MuJoCo's actuator force sensor excludes the damping of the actuator.
 
-What differs: MuJoCo relaxes the bristle with the velocity at the beginning of a step, the replay of
-a log here with that at its end; each is scored as it was fitted. The peer searches locally from a
-first guess, the estimator here globally without one.
+Differences: MuJoCo relaxes the bristle with the velocity at the start of a step, the replay of a
+log here with that at its end; each is scored as it was fitted. The peer searches locally from an
+initial guess, the estimator here globally without one.
 
 Needs the extra `peer`: pip install "hesr[peer]".
 """
@@ -43,7 +43,7 @@ if not hasattr(sysid, "optimize"):
 Records = dict[str, list[FrictionRecord]]
 
 HEAVY = 1e9
-"""Inertia of the joint [kg m2]: 100 N.m of friction change its velocity by 5e-10 in a step."""
+"""Inertia of the joint [kg m2]: 100 N.m of friction change its velocity by 5e-10 per step."""
 
 JOINT = f"""\
 <mujoco>
@@ -71,20 +71,20 @@ class Fit:
     law: FrictionLaw
     seconds: float
     early: bool
-    """Whether a step's velocity is that at its beginning."""
+    """Whether a step uses the velocity at its start."""
 
     def error(self, record: FrictionRecord) -> float:
-        """RMSE as the law was fitted [N.m]."""
+        """RMSE in the convention of the fit [N.m]."""
         t, dq, q, load = record.t, record.dq, record.q, record.tau_load
         if self.early:
-            # A step with the velocity of the row before, then one of no length to read the torque.
+            # A step with the velocity of the previous row, then a zero step to read the torque.
             t, dq, q, load = np.repeat(t, 2)[1:], *(np.repeat(u, 2)[:-1] for u in (dq, q, load))
         torque = predict(self.law, t=t, dq=dq, q=q, tau_load=load)
         return rmse((torque[::2] if self.early else torque) - record.tau)
 
 
 def parameters(record: FrictionRecord) -> sysid.ParameterDict:
-    """The seven numbers with a first guess and the bounds of our own search; logarithms of two."""
+    """The seven parameters with an initial guess and our search's bounds; two as logarithms."""
     most, usual = float(np.max(np.abs(record.tau))), float(np.median(np.abs(record.tau)))
     rows = {
         "F_c": (usual, 1e-9, 2.0 * most),
@@ -127,12 +127,12 @@ def model_of(found: sysid.ParameterDict, spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def by_peer(record: FrictionRecord) -> tuple[Fit, float]:
-    """The peer's fit, and the RMSE that it says itself [N.m]."""
+    """The peer's fit, and the RMSE that it reports [N.m]."""
     step = float(np.median(np.diff(record.t)))
     spec = mujoco.MjSpec.from_string(JOINT.replace("STEP", repr(step)))
     model = spec.compile()
     rows = len(record.t)
-    # A sensor of a rollout is read at the beginning of its step and dated at the end.
+    # A sensor of a rollout is read at the start of a step and stamped with its end.
     dated = step * np.arange(rows + 1)
     drive, torque = np.zeros((rows + 1, 1)), np.zeros((rows + 1, 1))
     drive[: rows - 1, 0] = HEAVY * np.diff(record.dq) / step
@@ -170,12 +170,12 @@ def row(name: str, fit: Fit, sweep: FrictionRecord, unseen: FrictionRecord) -> s
     return f"{name:<22} {fit.seconds:6.2f} {numbers} {errors}"
 
 
-def test_lugre_beside_mujoco_sysid(
+def test_lugre_compared_with_mujoco_sysid(
     benchmark: BenchmarkFixture, records: Records, tell: Callable[[str], None]
 ) -> None:
-    """Prints seconds, parameters, RMSE in training and on the Fourier test [N.m]."""
+    """Print seconds, parameters, RMSE in training and on the Fourier test [N.m]."""
     sweeps, unseen = records["sweep"], records["fourier_test"]
-    # Whether SymPy has compiled the law's expressions before is no question of the fit.
+    # Earlier compilation of the law's expressions by SymPy must not affect the times.
     fit_joint("lugre", [short(sweeps[0])], seed=0)
     ours = [by_us(record) for record in sweeps]
     peers = benchmark.pedantic(
@@ -188,7 +188,7 @@ def test_lugre_beside_mujoco_sysid(
         lines.append(row(f"{logs[0].joint}  mujoco.sysid", peer, *logs))
     tell("\n".join(lines))
     for own, (peer, said), sweep in zip(ours, peers, sweeps, strict=True):
-        # The peer's rollout is the law itself, so that the two figures mean the same.
+        # The peer's rollout equals the law, so both RMSE values are comparable.
         assert peer.error(sweep) == pytest.approx(said, rel=1e-6)
         assert own.error(sweep) <= 1.002 * said
 

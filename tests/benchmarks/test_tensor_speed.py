@@ -1,4 +1,4 @@
-"""How fast the files for PyTorch and JAX step 10^5 joints on a CPU."""
+"""Speed of the files for PyTorch and JAX with 10^5 joints on a CPU."""
 
 import subprocess
 from collections.abc import Callable
@@ -79,7 +79,7 @@ MODELS = {"Table I": lambda: FrictionModel.read(model_file("uf850-table1")), "ri
 def test_many_joints(
     library: str, dtype: str, law: str, tmp_path: Path, tell: Callable[[str], None]
 ) -> None:
-    """Aims on two cores: 10 s in PyTorch, 3 s in JAX, for 1000 steps."""
+    """Targets on two cores: 10 s in PyTorch, 3 s in JAX, for 1000 steps."""
     python = PYTHON[library]
     ready = [python, "-c", f"import {library}"]
     if not python.exists() or subprocess.run(ready, capture_output=True, check=False).returncode:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
-# Without a sandbox Chromium also runs as root; the others keep it from calling home.
+# Without its sandbox Chromium also runs as root; the other options stop its network requests.
 SWITCHES = (
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
@@ -20,7 +20,7 @@ SWITCHES = (
 OpenPage = Callable[..., "Page"]
 
 
-# For one module: while it lives, no other test could run an event loop.
+# Module scope: no other test can run an event loop during its life.
 @pytest.fixture(scope="module")
 def chromium() -> Iterator["Browser"]:
     program = next(filter(None, map(shutil.which, NAMES)), None)
@@ -35,16 +35,16 @@ def chromium() -> Iterator["Browser"]:
 
 @pytest.fixture
 def open_page(chromium: "Browser") -> Iterator[OpenPage]:
-    """Open a file as a page, with options of a browser's context.
+    """Open a file as a page, with options of a browser context.
 
-    At the end no page may have complained on its console, or asked for anything but files.
+    At the end the page must have no console errors and no requests except for files.
     """
     contexts: list[BrowserContext] = []
     wrong: list[str] = []
 
     def open_one(path: Path, *, prepare: str = "", **options: Any) -> "Page":
         context = chromium.new_context(offline=True, **options)
-        # A machine without a graphics card that is busy with other tests draws slowly.
+        # Drawing is slow without a graphics card under load.
         context.set_default_timeout(120_000)
         contexts.append(context)
         page = context.new_page()

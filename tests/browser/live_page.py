@@ -1,4 +1,4 @@
-"""What a user does on a live section, and what it gives."""
+"""User actions on a live section, and their results."""
 
 import csv
 from dataclasses import replace
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
 
 SAME = 1e-12
-"""Of the largest torque; asked for is 1e-9."""
+"""Tolerance relative to the largest torque; the requirement is 1e-9."""
 
 Columns = dict[str, np.ndarray]
 
@@ -34,7 +34,7 @@ def field(page: "Page", name: str) -> "Locator":
 
 
 def settle(page: "Page") -> None:
-    """Wait until what was moved is drawn."""
+    """Wait until the change is drawn."""
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
@@ -53,5 +53,5 @@ def expected(law: FrictionLaw, columns: Columns, **changed: float) -> np.ndarray
 
 
 def error(found: np.ndarray, wanted: np.ndarray) -> float:
-    """Largest difference over the largest torque, of the worst joint."""
+    """Largest difference relative to the largest torque, of the worst joint."""
     return float(np.max(np.max(np.abs(found - wanted), axis=0) / np.max(np.abs(wanted), axis=0)))

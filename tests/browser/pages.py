@@ -1,4 +1,4 @@
-"""Pages of every kind, of a robot of seven joints where a page has joints."""
+"""Pages of every kind, with a robot of seven joints if a page has joints."""
 
 import zipfile
 from collections.abc import Callable, Mapping
@@ -73,7 +73,7 @@ def _records(model: FrictionModel) -> list[FrictionRecord]:
 
 
 def log_csv() -> str:
-    """A log with what the page of the FMU asks for."""
+    """A log with the signals that the FMU's page needs."""
     t, q, dq = _motion()
     names = [f"{name}{k}" for name in ("q", "dq", "tau_friction") for k in range(1, 8)]
     tau = np.column_stack([record.tau for record in _records(_model())])

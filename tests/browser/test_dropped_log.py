@@ -1,4 +1,4 @@
-"""A log dropped into an FMU's page: the numbers of `hesr test --on`, plain words for the rest."""
+"""A log dropped into an FMU's page: the numbers of `hesr test --on`, and plain error messages."""
 
 import csv
 import zipfile
@@ -113,7 +113,7 @@ def table(named: dict[str, np.ndarray], delimiter: str = ",", point: str = ".") 
 
 @pytest.fixture
 def measured(arm_log: Log, arm: RobotDescription) -> Log:
-    """With noise, and stamps that are not even."""
+    """With noise and uneven time stamps."""
     rng = np.random.default_rng(3)
     t = arm_log.t + 2e-4 * rng.uniform(-1.0, 1.0, len(arm_log.t))
     assert arm_log.dq is not None
@@ -130,7 +130,7 @@ def scores_of(fmu: Path, log: Log, body: RigidBody, arm: RobotDescription) -> Co
 
 
 @pytest.mark.parametrize("logged", [True, False], ids=["velocity logged", "velocity derived"])
-def test_numbers_are_those_of_replay(
+def test_numbers_match_the_replay(
     page: "Page", fmu: Path, measured: Log, arm: RobotDescription, logged: bool
 ) -> None:
     body = hesr.identify(measured, robot=arm)
@@ -148,7 +148,7 @@ def test_numbers_are_those_of_replay(
         law, size = found[f"tau_law{k + 1}"], np.max(np.abs(wanted))
         assert np.max(np.abs(dq[:, k] - record.dq)) < SAME * np.max(np.abs(record.dq))
         assert np.max(np.abs(law - own[:, k])) < SAME * size
-        # The last digits of a difference of positions are rounding, which laws steep at rest show.
+        # The last digits of position differences are round-off, which laws steep at rest amplify.
         assert np.max(np.abs(law - wanted)) < (SAME if logged else 1e-10) * size
         assert np.array_equal(found[f"tau_friction{k + 1}"], record.tau)
         shown = float(cells(page, k).first.get_attribute("data-value") or "nan")
@@ -159,7 +159,7 @@ def test_numbers_are_those_of_replay(
 
 
 @pytest.mark.parametrize("logged", [True, False], ids=["velocity logged", "velocity derived"])
-def test_with_its_body_the_page_finds_the_friction_itself(
+def test_the_page_computes_friction_with_its_rigid_body(
     open_page: OpenPage,
     model: FrictionModel,
     measured: Log,
@@ -180,15 +180,15 @@ def test_with_its_body_the_page_finds_the_friction_itself(
     found = saved(page)
     for k, record in enumerate(records):
         size = np.max(np.abs(record.tau_load))
-        within = SAME if logged else 1e-10  # as above, and twice
+        within = SAME if logged else 1e-10  # as above, doubled
         assert np.max(np.abs(found[f"tau_load{k + 1}"] - record.tau_load)) < within * size
         assert np.max(np.abs(found[f"tau_friction{k + 1}"] - record.tau)) < within * size
         shown = float(cells(page, k).first.get_attribute("data-value") or "nan")
         assert shown == pytest.approx(scores.laws["law"].rmse[k], rel=within)
-    # A column of the log goes before the body.
+    # A column of the log has priority over the body.
     drop(page, table({**named, "tau_load1": named["tau_load1"] + 5.0}))
     assert saved(page)["tau_load1"] == pytest.approx(records[0].tau_load + 5.0, abs=1e-12)
-    # Without positions there is nothing to find it from.
+    # Without positions it cannot be computed.
     drop(page, table({name: c for name, c in named.items() if name[0] != "q" and "_" not in name}))
     if logged:
         assert "requires positions" in page.locator(".log-answer").inner_text()
@@ -196,7 +196,7 @@ def test_with_its_body_the_page_finds_the_friction_itself(
         assert "no position or velocity columns were recognised" in wrong(page)
 
 
-def test_a_log_of_a_stranger(page: "Page", fmu: Path, measured: Log) -> None:
+def test_a_foreign_log_is_read(page: "Page", fmu: Path, measured: Log) -> None:
     """Semicolons, decimal commas, units, rows without numbers, a gap."""
     gap = np.r_[0:900, 960 : len(measured.t)]
     assert measured.dq is not None
@@ -225,14 +225,14 @@ def test_a_log_of_a_stranger(page: "Page", fmu: Path, measured: Log) -> None:
 
 
 def predict_of(fmu: Path, log: Log, rows: np.ndarray) -> np.ndarray:
-    """Torque of the second joint by the tool, part by part."""
+    """Torque of the second joint caused by the tool, term by term."""
     kept = log.rows(np.delete(rows, 199))
     parts = [smooth(part) for part in kept.parts()]
     assert len(parts) == 2
     return np.concatenate([replay(fmu, part.t, part.dq, part.q_raw)[:, 1] for part in parts])
 
 
-def test_uncertain_columns_are_mapped_by_hand(page: "Page", measured: Log) -> None:
+def test_uncertain_columns_are_mapped_manually(page: "Page", measured: Log) -> None:
     named = {"stamp": measured.t}
     for k in range(3):
         named[f"a{k + 1}"] = measured.q[:, k]
@@ -272,7 +272,7 @@ def friction(model: FrictionModel) -> dict[str, np.ndarray]:
     }
 
 
-def test_whether_friction_has_drifted(page: "Page", friction: dict[str, np.ndarray]) -> None:
+def test_drifted_friction_is_detected(page: "Page", friction: dict[str, np.ndarray]) -> None:
     tau = friction["tau_friction2"]
     for changed, answer, cell in (
         (tau, "No.", "No: the level is within 10 %"),
@@ -288,7 +288,7 @@ def test_whether_friction_has_drifted(page: "Page", friction: dict[str, np.ndarr
         assert cells(page, 0).last.inner_text().startswith("No: the level is within 10 %")
 
 
-def test_faster_than_the_law_was_fitted_to_and_a_joint_that_rests(
+def test_speeds_beyond_training_and_joints_at_rest_are_noted(
     page: "Page", friction: dict[str, np.ndarray]
 ) -> None:
     rest = np.zeros(3000)
@@ -316,7 +316,7 @@ WRONG = [
 ]
 
 
-def test_what_cannot_be_read_is_one_sentence(page: "Page") -> None:
+def test_unreadable_logs_are_one_sentence(page: "Page") -> None:
     for text, said in WRONG:
         drop(page, text)
         assert wrong(page).startswith(f"day.csv: {said}")
@@ -324,7 +324,7 @@ def test_what_cannot_be_read_is_one_sentence(page: "Page") -> None:
         assert not page.locator(".log-app").is_visible()
 
 
-def test_a_file_that_is_chosen_and_one_that_is_no_text(
+def test_a_file_can_be_chosen_and_binary_files_are_refused(
     page: "Page", friction: dict[str, np.ndarray], tmp_path: Path
 ) -> None:
     (tmp_path / "bag.mcap").write_bytes(b"\x89MCAP0\xff\xfe")
@@ -342,6 +342,6 @@ def test_a_file_that_is_chosen_and_one_that_is_no_text(
         assert (measured == "") == (view == "residual")
 
 
-def test_the_fmu_says_what_it_refuses(page: "Page", friction: dict[str, np.ndarray]) -> None:
+def test_refusals_of_the_fmu_are_shown(page: "Page", friction: dict[str, np.ndarray]) -> None:
     drop(page, table({**friction, "t": 10.0 * friction["t"]}))
     assert wrong(page).startswith("day.csv: the FMU refuses it. h[1]: Euler needs rate * step < 1")

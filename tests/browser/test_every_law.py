@@ -1,4 +1,4 @@
-"""WebAssembly against Python and a binary: every law, on the FMU's reference motion."""
+"""WebAssembly compared with Python and a binary: every law on the FMU's reference motion."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,7 +23,7 @@ from hesr_model.friction.scales import scaled
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-# An importer of its own, which shares nothing with the page's but the module.
+# A separate importer that shares only the module with the page.
 RUN = """async ([motion, joints, step]) => {
   const bytes = Uint8Array.from(atob(globalThis.packed), (c) => c.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -56,14 +56,14 @@ def models(
 def in_browser(
     page: "Page", data: dict[str, Any], motion: ReferenceMotion, step: float
 ) -> np.ndarray:
-    """Torques (N, n) of the module in a page, stepped as a log is replayed."""
+    """Torques (N, n) of the module in a page, stepped as in the replay of a log."""
     page.evaluate("(text) => { globalThis.packed = text; }", data["module"])
     rows = np.column_stack([motion.dq, motion.q, motion.tau_load])
     return np.array(page.evaluate(RUN, [rows.tolist(), motion.dq.shape[1], step]))
 
 
 def in_binary(path: Path, motion: ReferenceMotion, step: float) -> np.ndarray:
-    """The same from the FMU's binary of this machine."""
+    """The same from the FMU's binary for this machine."""
     joints = range(1, motion.dq.shape[1] + 1)
     with FmuInstance(path) as component:
         inputs = component.buffer([f"{u}[{i}]" for u in ("dq", "q", "tau_load") for i in joints])
@@ -85,7 +85,7 @@ def in_binary(path: Path, motion: ReferenceMotion, step: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def live(models: dict[str, FrictionModel]) -> Callable[[str], dict[str, Any]]:
-    """Data of a model's live section, made once."""
+    """Data of a model's live section, computed once."""
     return lru_cache(maxsize=None)(lambda name: live_of(models[name]))
 
 
@@ -108,7 +108,7 @@ EVERY = ("table1", *STUDIED)
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_the_module_gives_what_python_gives(
+def test_the_module_matches_python(
     name: str, models: dict[str, FrictionModel], live: Callable[[str], dict[str, Any]],
     page_of: Callable[[str], "Page"], tmp_path: Path,
 ) -> None:  # fmt: skip

@@ -1,4 +1,4 @@
-"""The live section of a friction FMU's documentation, as a user works with it."""
+"""The live section of a friction FMU's documentation, with the actions of a user."""
 
 import re
 import zipfile
@@ -46,14 +46,14 @@ def drawn(page: "Page", name: str) -> np.ndarray:
 
 
 def scale(page: "Page", anchor: str, place: str) -> np.ndarray:
-    """Slope and offset from values to pixels, as the labels of an axis say."""
+    """Slope and offset from values to pixels, from the labels of an axis."""
     labels = page.locator(f".live-plot text[text-anchor={anchor}]:not(.live-axis)")
     found = labels.evaluate_all(f"all => all.map(e => [e.textContent, e.getAttribute('{place}')])")
     values, pixels = zip(*((float(v.replace("−", "-")), float(p)) for v, p in found), strict=True)
     return np.polyfit(values, pixels, 1)
 
 
-def test_the_loop_as_fitted_is_that_of_the_law(page: "Page", table1: FrictionModel) -> None:
+def test_the_fitted_loop_is_that_of_the_law(page: "Page", table1: FrictionModel) -> None:
     for number, law in enumerate(table1.laws):
         page.get_by_role("combobox", name="Joint").select_option(str(number))
         columns = saved(page)
@@ -80,7 +80,7 @@ def test_a_slider_moves_the_loop(page: "Page", table1: FrictionModel) -> None:
     ).inner_text().replace("−", "-")
 
 
-def test_what_is_drawn_is_what_was_computed(page: "Page") -> None:
+def test_the_drawn_curve_matches_the_computed_one(page: "Page") -> None:
     slider(page, "alpha").fill("0.9")
     columns = saved(page)
     cycle = slice(len(columns["t"]) - 801, None)
@@ -88,15 +88,15 @@ def test_what_is_drawn_is_what_was_computed(page: "Page") -> None:
     up = np.polyval(scale(page, "end", "y") - [0.0, 4.0], columns["tau"][cycle])
     points = np.column_stack([across, up])
     curve = drawn(page, "now")
-    # Each point of the curve is a row, to the hundredth of a pixel that it is written to ..
+    # Each point of the curve is a row, to the written hundredth of a pixel ..
     distances = np.linalg.norm(curve[:, None] - points[None], axis=2)
     assert np.max(np.min(distances, axis=1)) < 0.02
-    # .. and rows are left out only beside one that is drawn.
+    # .. and omitted rows are next to a drawn one.
     assert np.max(np.min(distances, axis=0)) < 0.35
     assert len(curve) > 300
 
 
-def test_reset_brings_the_fitted_loop_back(page: "Page", table1: FrictionModel) -> None:
+def test_reset_restores_the_fitted_loop(page: "Page", table1: FrictionModel) -> None:
     before, columns = drawn(page, "now"), saved(page)
     for name, share in (("c_h", "0.9"), ("beta", "0.1"), ("frequency", "0.7")):
         slider(page, name).fill(share)
@@ -111,7 +111,7 @@ def test_reset_brings_the_fitted_loop_back(page: "Page", table1: FrictionModel) 
     assert page.locator(".live-back:visible").count() == 0
 
 
-def test_each_joint_keeps_its_own_values(page: "Page", table1: FrictionModel) -> None:
+def test_each_joint_keeps_its_values(page: "Page", table1: FrictionModel) -> None:
     field(page, "c_h").fill("20")
     page.get_by_role("combobox", name="Joint").select_option("2")
     assert float(field(page, "c_h").input_value()) == table1.laws[2].values["c_h"]
@@ -123,7 +123,7 @@ def test_each_joint_keeps_its_own_values(page: "Page", table1: FrictionModel) ->
     assert error(columns["tau"], expected(table1.laws[0], columns, c_h=20.0)) < SAME
 
 
-def test_motion(page: "Page", table1: FrictionModel) -> None:
+def test_motion_can_be_changed(page: "Page", table1: FrictionModel) -> None:
     field(page, "amplitude").fill("0.7")
     field(page, "frequency").fill("0.5")
     field(page, "cycles").fill("5")
@@ -150,7 +150,7 @@ def test_figures_are_those_of_the_last_cycle(page: "Page") -> None:
     ("view", "column", "rows"),
     [("position", "q", 801), ("time", "t", 2401), ("velocity", "dq", 801)],
 )
-def test_views(page: "Page", view: str, column: str, rows: int) -> None:
+def test_views_can_be_switched(page: "Page", view: str, column: str, rows: int) -> None:
     page.get_by_role("radio", name=view).check(force=True)
     columns = saved(page)
     x = np.polyval(scale(page, "middle", "x"), columns[column][-rows:])
@@ -165,7 +165,7 @@ def refused(page: "Page") -> list[str]:
     return page.get_by_role("alert").all_inner_texts()
 
 
-def test_a_refused_step_is_said_in_the_words_of_the_fmu(page: "Page") -> None:
+def test_a_refused_step_is_shown_with_the_message_of_the_fmu(page: "Page") -> None:
     assert refused(page) == []
     field(page, "alpha").fill("300")
     assert refused(page)[0].startswith(
@@ -175,12 +175,12 @@ def test_a_refused_step_is_said_in_the_words_of_the_fmu(page: "Page") -> None:
     assert np.isnan(saved(page)["tau"][2:]).all()
     field(page, "alpha").fill("11.37")
     assert refused(page) == []
-    field(page, "alpha").fill("-1")  # a negative rate counts as zero
+    field(page, "alpha").fill("-1")  # a negative rate is treated as zero
     assert refused(page) == []
     assert np.isfinite(saved(page)["tau"]).all()
 
 
-def test_what_is_not_finite_is_said(page: "Page") -> None:
+def test_non_finite_results_are_reported(page: "Page") -> None:
     for name in ("c_h", "c_0"):
         field(page, name).fill("1.7e308")
     assert re.search(r"tau\[1\] became inf at time [\d.e-]+\.$", refused(page)[0])
@@ -223,7 +223,7 @@ def test_an_invalid_number_changes_nothing_and_is_reported(
     assert refused(page) == []
 
 
-def test_the_fields_of_a_motion_go_beyond_their_sliders(
+def test_fields_of_a_motion_accept_values_beyond_their_sliders(
     page: "Page", table1: FrictionModel
 ) -> None:
     for name, typed in (("frequency", "10"), ("amplitude", "6.5"), ("cycles", "40")):
@@ -238,7 +238,7 @@ def test_the_fields_of_a_motion_go_beyond_their_sliders(
     assert error(columns["tau"], expected(table1.laws[0], columns)) < SAME
 
 
-def test_faster_than_the_training_is_said_beyond_the_slider(
+def test_speeds_beyond_training_are_noted(
     open_page: OpenPage, table1: FrictionModel, tmp_path: Path
 ) -> None:
     seen = TrainedRange(
@@ -294,7 +294,7 @@ COLOURS = """element => {
 
 
 def contrast(one: list[int], other: list[int]) -> float:
-    """WCAG 2.2, of two colours (red, green, blue)."""
+    """WCAG 2.2 contrast of two colours (red, green, blue)."""
     shares = np.array([one[:3], other[:3]]) / 255.0
     linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
     low, high = sorted(linear @ [0.2126, 0.7152, 0.0722])
@@ -303,7 +303,7 @@ def contrast(one: list[int], other: list[int]) -> float:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_curves_and_borders_stand_out(open_page: OpenPage, unzipped: Path, scheme: str) -> None:
-    """3:1 is what WCAG 1.4.11 asks for."""
+    """WCAG 1.4.11 requires 3:1."""
     page = alive(open_page(unzipped, color_scheme=scheme))
     slider(page, "c_h").fill("0.6")
     settle(page)
@@ -318,7 +318,7 @@ def test_curves_and_borders_stand_out(open_page: OpenPage, unzipped: Path, schem
     assert contrast([0, 0, 0], [255, 255, 255]) == pytest.approx(21.0)
 
 
-def test_knobs_have_names_for_all_who_cannot_see_them(page: "Page") -> None:
+def test_sliders_have_accessible_names(page: "Page") -> None:
     knobs = page.locator(".live-knobs input")
     assert knobs.count() == 2 * (3 + 10 + 2)
     names = knobs.evaluate_all("all => all.map(e => e.getAttribute('aria-label'))")
@@ -329,7 +329,7 @@ def test_knobs_have_names_for_all_who_cannot_see_them(page: "Page") -> None:
     assert page.get_by_role("status").inner_text() == "All as fitted."
 
 
-def test_a_page_without_scripts_says_so(open_page: OpenPage, unzipped: Path) -> None:
+def test_disabled_scripts_are_reported(open_page: OpenPage, unzipped: Path) -> None:
     page = open_page(unzipped, java_script_enabled=False)
     said = page.locator("noscript p")
     assert said.is_visible()
@@ -339,7 +339,7 @@ def test_a_page_without_scripts_says_so(open_page: OpenPage, unzipped: Path) -> 
 
 
 @pytest.mark.parametrize("missing", ["WebAssembly", "DecompressionStream"])
-def test_a_browser_that_cannot_run_it_says_so(
+def test_an_unsuitable_browser_is_reported(
     open_page: OpenPage, unzipped: Path, missing: str
 ) -> None:
     page = open_page(unzipped, prepare=f"delete globalThis.{missing}")
@@ -349,7 +349,7 @@ def test_a_browser_that_cannot_run_it_says_so(
     assert not page.locator(".live-app").is_visible()
 
 
-def test_a_phone(open_page: OpenPage, unzipped: Path) -> None:
+def test_the_page_fits_a_phone(open_page: OpenPage, unzipped: Path) -> None:
     page = alive(open_page(
         unzipped, viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True
     ))  # fmt: skip
@@ -361,7 +361,7 @@ def test_a_phone(open_page: OpenPage, unzipped: Path) -> None:
     assert plot["y"] + plot["height"] < knob["y"] < 844
 
 
-def test_a_dark_page_and_paper(open_page: OpenPage, unzipped: Path) -> None:
+def test_dark_mode_and_print_are_readable(open_page: OpenPage, unzipped: Path) -> None:
     page = alive(open_page(unzipped, color_scheme="dark"))
     colour = "e => getComputedStyle(e).stroke"
     assert page.locator("path.live-now").evaluate(colour) == "rgb(125, 184, 238)"
@@ -372,7 +372,7 @@ def test_a_dark_page_and_paper(open_page: OpenPage, unzipped: Path) -> None:
 
 
 def written(folder: Path, sections: Mapping[str, FrictionModel]) -> Path:
-    """A page with several live sections, as a report has them."""
+    """A page with several live sections, like a report."""
     parts = [live_section(live_of(model), key=key) for key, model in sections.items()]
     path = folder / "page.html"
     path.write_text(
@@ -383,7 +383,9 @@ def written(folder: Path, sections: Mapping[str, FrictionModel]) -> Path:
     return path
 
 
-def test_load_and_position_where_a_law_uses_them(open_page: OpenPage, tmp_path: Path) -> None:
+def test_load_and_position_are_offered_if_a_law_uses_them(
+    open_page: OpenPage, tmp_path: Path
+) -> None:
     own = [Coefficient(name=n, unit="1", description=n) for n in ("F_c", "mu", "a", "cycles")]
     f_c, mu, a, cycles = (c.symbol for c in own)
     form = LawForm(
@@ -407,7 +409,7 @@ def test_load_and_position_where_a_law_uses_them(open_page: OpenPage, tmp_path: 
     assert error(columns["tau"], expected(law, columns, cycles=30.0)) < SAME
 
 
-def test_several_sections_of_names_that_are_text(
+def test_several_sections_with_escaped_names_work(
     open_page: OpenPage, table1: FrictionModel, tmp_path: Path
 ) -> None:
     hostile = '</script><script>console.error("run")</script><b>'

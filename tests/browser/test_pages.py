@@ -1,4 +1,4 @@
-"""Every page: nothing for the accessibility checker, and nothing cut at any width."""
+"""Every page passes the accessibility checker and is not clipped at any width."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -49,7 +49,7 @@ def axe() -> str:
 
 
 def unfold(page: "Page") -> None:
-    """Open all that is folded, and drop a log where a page takes one."""
+    """Unfold everything, and drop a log if the page accepts one."""
     page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
     if page.locator("section.log").count():
         page.locator(".log-start").wait_for()
@@ -62,7 +62,7 @@ def unfold(page: "Page") -> None:
 
 
 @pytest.mark.parametrize("path", [*PAGES, "report"], indirect=True)
-def test_nothing_is_cut(open_page: "OpenPage", path: Path) -> None:
+def test_nothing_is_clipped(open_page: "OpenPage", path: Path) -> None:
     page = open_page(path)
     unfold(page)
     for width in WIDTHS:
@@ -81,7 +81,7 @@ SMALL = 9.0  # [px]
 
 
 @pytest.mark.parametrize("path", ["inspection", "monitor", "sweep", "report"], indirect=True)
-def test_figures_can_be_read_on_a_telephone(open_page: "OpenPage", path: Path) -> None:
+def test_figures_are_readable_on_a_phone(open_page: "OpenPage", path: Path) -> None:
     page = open_page(path, viewport={"width": 390, "height": 844})
     unfold(page)
     letters = page.evaluate(LETTERS)
@@ -109,9 +109,7 @@ BESIDE = """() => [...document.querySelectorAll(".cards td.beside")]
 
 
 @pytest.mark.parametrize("path", ["arena", "scores"], indirect=True)
-def test_an_interval_stays_with_its_number_on_a_telephone(
-    open_page: "OpenPage", path: Path
-) -> None:
+def test_an_interval_stays_with_its_number_on_a_phone(open_page: "OpenPage", path: Path) -> None:
     page = open_page(path, viewport={"width": 390, "height": 844})
     unfold(page)
     intervals = page.evaluate(BESIDE)
@@ -120,9 +118,9 @@ def test_an_interval_stays_with_its_number_on_a_telephone(
         assert shown == f'"{text}"'
 
 
-# That of a run is looked at in test_report.py, with a view that zooms.
+# test_report.py covers the page of a run, with a zoomable view.
 @pytest.mark.parametrize("path", [*PAGES], indirect=True)
-def test_the_accessibility_checker_finds_nothing(
+def test_the_accessibility_checker_finds_no_problem(
     open_page: "OpenPage", path: Path, axe: str
 ) -> None:
     page = open_page(path)

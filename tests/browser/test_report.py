@@ -1,4 +1,4 @@
-"""The report in a browser: whole, alive, readable by everyone."""
+"""The report in a browser: complete, interactive and accessible."""
 
 import json
 from importlib.resources import files
@@ -55,7 +55,7 @@ def zoomed(page: "Page", key: str) -> "Locator":
 
 
 def ranges(page: "Page") -> list[list[float]]:
-    """Start and end of the horizontal axis of every plot that zooms."""
+    """Start and end of the horizontal axis of every zoomable plot."""
     found: list[list[float]] = page.evaluate(
         """() => Bokeh.documents.flatMap(d => [...d.all_models])
              .filter(m => m.type === "Figure")
@@ -102,7 +102,7 @@ def test_the_first_layer_fits_the_first_screen(
     assert (contents["x"] + contents["width"] <= main["x"]) == (width > 1440)
 
 
-def test_contents_stay_in_sight_and_mark_the_section(open_page: "OpenPage", report: Path) -> None:
+def test_contents_stay_visible_and_mark_the_section(open_page: "OpenPage", report: Path) -> None:
     page = open_page(report)
     unfold(page)
     current = page.locator("nav a[aria-current]")
@@ -213,7 +213,7 @@ def copy(page: "Page") -> None:
 
 
 def require_scores(text: str, results: Path) -> None:
-    """The CSV has every digit that was saved."""
+    """The CSV has every saved digit."""
     scores = json.loads((results / "evaluation.json").read_text())["trial & error"]
     rows = {row[0]: row[1:] for row in copied_rows(text)}
     assert rows["law"][::2] == ["J1", "J2", "J3"]
@@ -228,7 +228,7 @@ def test_a_table_is_copied(open_page: "OpenPage", report: Path, results: Path) -
     require_scores(page.evaluate("navigator.clipboard.readText()"), results)
 
 
-def test_a_table_is_copied_where_there_is_no_clipboard(
+def test_a_table_is_copied_without_a_clipboard(
     open_page: "OpenPage", report: Path, results: Path
 ) -> None:
     page = opened(open_page, report, prepare="delete Navigator.prototype.clipboard")
@@ -240,7 +240,7 @@ def test_a_table_is_copied_where_there_is_no_clipboard(
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_accessibility_checker_finds_nothing(
+def test_the_accessibility_checker_finds_no_problem(
     open_page: "OpenPage", report: Path, axe: str, scheme: str
 ) -> None:
     page = opened(open_page, report, color_scheme=scheme)
@@ -266,10 +266,10 @@ def contrast(one: str, other: str) -> float:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_lines_and_letters_of_figures_stand_out(
+def test_lines_and_text_of_figures_have_contrast(
     open_page: "OpenPage", report: Path, scheme: str
 ) -> None:
-    """The checker does not look into figures."""
+    """The checker does not inspect figures."""
     page = open_page(report, color_scheme=scheme)
     colour = "name => getComputedStyle(document.documentElement).getPropertyValue(name).trim()"
     found = {name: page.evaluate(colour, name) for name in (*VARIABLES.values(), "--paper")}
@@ -281,7 +281,7 @@ def test_lines_and_letters_of_figures_stand_out(
     assert contrast(found["--soft"], paper) >= 4.5
 
 
-def test_a_phone(open_page: "OpenPage", report: Path) -> None:
+def test_the_report_fits_a_phone(open_page: "OpenPage", report: Path) -> None:
     page = open_page(report, viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True)
     unfold(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
@@ -289,7 +289,7 @@ def test_a_phone(open_page: "OpenPage", report: Path) -> None:
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
-def test_paper_has_the_first_layer_and_the_summary_tables(
+def test_the_printout_has_the_first_layer_and_the_summary_tables(
     open_page: "OpenPage", report: Path
 ) -> None:
     page = open_page(report)
@@ -302,7 +302,7 @@ def test_paper_has_the_first_layer_and_the_summary_tables(
     assert len(page.pdf(format="A4")) > 50_000
 
 
-def test_without_scripts_it_can_be_read(open_page: "OpenPage", report: Path) -> None:
+def test_the_report_is_readable_without_scripts(open_page: "OpenPage", report: Path) -> None:
     page = open_page(report, java_script_enabled=False)
     page.get_by_role("heading", name="Prediction").click()
     assert page.locator("#figure-torque_1 .drawing svg").is_visible()
@@ -315,7 +315,7 @@ def live(open_page: "OpenPage", report: Path) -> "Page":
     return page
 
 
-def test_a_law_is_chosen_and_moves(live: "Page") -> None:
+def test_a_selected_law_is_interactive(live: "Page") -> None:
     names = live.locator("#live-law").locator("option").all_inner_texts()
     assert "ParFam-H" in names
     live.locator("#live-law").select_option(label="ParFam-H")

@@ -1,4 +1,4 @@
-"""What the pages show can be done: Python runs, TOML is read, commands have these options."""
+"""Code blocks of the pages are valid: Python runs, TOML is read, command options exist."""
 
 import inspect
 import re
@@ -21,7 +21,8 @@ from hesr_model.logs.robot_log import Log
 
 @pytest.fixture
 def folder(tmp_path: Path, arm_log: Log, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the blocks run: a robot file, logs of it and a friction FMU, under the pages' names."""
+    """Working folder of the blocks: a robot file, its logs and a friction FMU, named as on the
+    pages."""
     (tmp_path / "robot.toml").write_text(
         'name = "arm"\nmodel = "arm.xml"\njoints = ["j1", "j2", "j3"]\n', encoding="utf-8"
     )
@@ -37,34 +38,34 @@ def friction_fmu(folder: Path) -> Path:
 
 
 def run(text: str, name: str) -> dict[str, object]:
-    """Run a block; return the names it leaves."""
+    """Run a block; return the names it defines."""
     names: dict[str, object] = {"__name__": "__main__"}
     exec(compile(text, name, "exec"), names)
     return names
 
 
 @pytest.mark.parametrize("block", blocks("python"), ids=str)
-def test_python_is_python(block: Block) -> None:
+def test_python_blocks_compile(block: Block) -> None:
     compile(block.text, str(block), "exec")
 
 
 PACKAGES = ("add-a-law.md", "add-a-log-format.md")
-"""Pages whose Python is put to the test as a package: in test_toy_law.py and test_own_parts.py."""
+"""Pages whose Python is tested as a package, in test_toy_law.py and test_own_parts.py."""
 
 RUN = [b for b in blocks("python") if b.runs and b.page.name not in PACKAGES]
 
 
-def test_there_are_blocks_that_run() -> None:
+def test_some_blocks_are_run() -> None:
     assert RUN
 
 
 @pytest.mark.parametrize("block", RUN, ids=str)
-def test_python_runs(block: Block, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_python_blocks_run(block: Block, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run(block.text, str(block))
     assert capsys.readouterr().out.strip()
 
 
-def test_the_example_of_the_package_runs(folder: Path) -> None:
+def test_the_package_example_runs(folder: Path) -> None:
     documented = inspect.getdoc(hesr_model) or ""
     example = documented.split("::\n", 1)[1]
     lines = [line for line in example.splitlines() if line.startswith("    ") or not line]
@@ -77,12 +78,12 @@ def test_the_example_of_the_package_runs(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("block", blocks("toml"), ids=str)
-def test_toml_is_toml(block: Block) -> None:
+def test_toml_blocks_are_valid(block: Block) -> None:
     assert tomllib.loads(block.text)
 
 
 def commands() -> list[tuple[str, str]]:
-    """Lines of the pages that call hesr, with what continues them."""
+    """Lines of the pages that call hesr, with their continuation lines."""
     return [
         (page.name, line)
         for page in PAGES
@@ -91,7 +92,7 @@ def commands() -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(("page", "line"), commands())
-def test_commands_have_these_options(page: str, line: str) -> None:
+def test_options_of_commands_exist(page: str, line: str) -> None:
     from hesr.cli import app
 
     _, name, *rest = shlex.split(line, comments=True)
@@ -114,7 +115,7 @@ def linked() -> list[tuple[Path, str]]:
 @pytest.mark.parametrize(
     ("page", "target"), linked(), ids=lambda value: str(value).rpartition("/")[2]
 )
-def test_links_between_files_lead_somewhere(page: Path, target: str) -> None:
+def test_links_between_files_are_valid(page: Path, target: str) -> None:
     found = (page.parent / target).resolve()
     assert found.is_relative_to(ROOT)
     assert found.exists()

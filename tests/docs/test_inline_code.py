@@ -1,4 +1,4 @@
-"""Inline code of README and docs: options, files and names that it mentions exist."""
+"""Inline code of README and docs: its options, files and names exist."""
 
 import re
 import shlex
@@ -31,11 +31,11 @@ FOREIGN_NAMES = {
 }
 
 GENERATED_NAMES = {"band_floor", "band_slow", "friction_begin", "friction_side_by_side"}
-"""Names that HESR composes: of parameters, and of functions with a prefix."""
+"""Names composed by HESR: parameters, and functions with a prefix."""
 
 
 def spans(text: str) -> Iterator[str]:
-    """Yield the inline code of a page, without fenced and indented blocks."""
+    """Yield the inline code of a page without fenced and indented blocks."""
     text = re.sub(r"(?ms)^```.*?^```$", "", text)
     text = re.sub(r"(?m)^ {4}.*$", "", text)
     for match in re.finditer(r"(?s)(?<!`)`([^`]+)`(?!`)", text):
@@ -90,7 +90,7 @@ def words() -> set[str]:
     return set(re.findall(r"\w+", " ".join([texts(), names, *(b for one in fenced for b in one)])))
 
 
-def test_there_is_inline_code() -> None:
+def test_inline_code_is_found() -> None:
     assert len(INLINE) > 300
 
 
@@ -151,7 +151,7 @@ def test_dotted_names_can_be_imported() -> None:
 
 
 def test_names_occur_in_the_sources() -> None:
-    """A name that was renamed in the code is found here."""
+    """Detects names that were renamed in the code."""
     known = words() | FOREIGN_NAMES | GENERATED_NAMES
     wrong = [
         f"{page}: `{span}` ({name})"

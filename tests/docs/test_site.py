@@ -1,4 +1,4 @@
-"""What the site's strict build cannot see: names and pages that stand nowhere."""
+"""Names and pages missing from the site, which its strict build does not detect."""
 
 import re
 
@@ -9,7 +9,7 @@ import hesr
 DOCS = ROOT / "docs"
 
 
-def test_every_public_name_has_its_place_in_the_api() -> None:
+def test_every_public_name_is_in_the_api() -> None:
     listed = re.findall(r"^\.\. auto\w+:: (\w+)$", (DOCS / "api.md").read_text(), re.MULTILINE)
     assert sorted(listed) == sorted(name for name in dir(hesr) if not name.startswith("_"))
 
@@ -21,7 +21,7 @@ def test_every_page_is_in_the_contents() -> None:
     assert found - {"index"} == {name for name in listed if not name.startswith(("../", "```"))}
 
 
-def test_the_gallery_is_kept_without_outputs_and_with_claims() -> None:
+def test_the_gallery_has_claims_and_no_outputs() -> None:
     for page in DOCS.glob("gallery/*.md"):
         text = page.read_text(encoding="utf-8")
         assert text.count("```{code-cell}") > 2

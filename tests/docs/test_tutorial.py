@@ -1,4 +1,4 @@
-"""The tutorial notebook runs as it is, and is kept without what a run leaves in it."""
+"""The tutorial notebook runs unchanged and is stored without outputs."""
 
 import os
 import re
@@ -11,7 +11,7 @@ import pytest
 from documents import ROOT
 
 NOTEBOOK = ROOT / "docs" / "tutorial.ipynb"
-LONGEST_CELL = 300  # [s] only stops a kernel that hangs
+LONGEST_CELL = 300  # [s], only stops a kernel that hangs
 
 
 def notebook() -> nbformat.NotebookNode:
@@ -22,7 +22,7 @@ def code_cells(book: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
     return [cell for cell in book.cells if cell.cell_type == "code"]
 
 
-def test_it_is_kept_without_outputs() -> None:
+def test_the_notebook_has_no_outputs() -> None:
     book = notebook()
     nbformat.validate(book)
     assert len(code_cells(book)) > 10
@@ -34,7 +34,7 @@ def test_it_is_kept_without_outputs() -> None:
     assert set(book.metadata.kernelspec) == {"display_name", "language", "name"}
 
 
-def test_it_names_no_folder_of_a_machine() -> None:
+def test_the_notebook_has_no_machine_paths() -> None:
     for cell in notebook().cells:
         assert not re.search(r"(?<![\w.)\]}])/\w+/|~/|\b[A-Z]:[\\/]", cell.source), cell.source
 
@@ -51,9 +51,9 @@ nbformat.write(book, target)
 
 
 def executed(folder: Path) -> nbformat.NotebookNode:
-    """Run the notebook in a process of its own, with which ends what the client leaves open.
+    """Run the notebook in a separate process, whose end closes what the client leaves open.
 
-    Every file that it makes goes into the folder.
+    All its files are written to the folder.
     """
     target = folder / "executed.ipynb"
     ran = subprocess.run(
@@ -69,7 +69,7 @@ def executed(folder: Path) -> nbformat.NotebookNode:
 
 
 @pytest.mark.ci
-def test_it_runs_and_draws(tmp_path: Path) -> None:
+def test_the_notebook_runs_and_draws(tmp_path: Path) -> None:
     book = executed(tmp_path)
     outputs = [output for cell in code_cells(book) for output in cell.outputs]
     pictures = [o for o in outputs if "image/png" in o.get("data", {})]

@@ -47,7 +47,7 @@ def _table(path: Path, *, separator: str = ",") -> None:
 
 
 def _recording(path: Path) -> None:
-    """As the recorder of Universal Robots writes: blanks between cells, joints from 0."""
+    """Format of Universal Robots: blanks between cells, joints from 0."""
     rng = np.random.default_rng(6)
     values = np.column_stack([0.008 * np.arange(80) + 1.6e9, rng.normal(size=(80, 10))])
     kinds = ("actual_q", "actual_qd", "actual_current", "target_moment", "joint_temperatures")

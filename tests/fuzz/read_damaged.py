@@ -1,4 +1,4 @@
-"""Read damaged files in a process of its own, which may crash: says each result in a line of JSON.
+"""Read damaged files in a separate process, which may crash, and print one line of JSON each.
 
 Run as `python read_damaged.py READER FIRST COUNT FOLDER`; damage k has the seed k.
 """
@@ -18,12 +18,12 @@ from readers import READERS
 
 from hesr_model.errors import HesrError
 
-LONGEST = 10.0  # [s] for one file
+LONGEST = 10.0  # [s] per file
 LONGEST_SENTENCE = 3000
 
 
 def memory() -> int:
-    """Most memory that this process has had [B]."""
+    """Peak memory of this process [B]."""
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
@@ -38,7 +38,7 @@ def main() -> None:
     path = folder / f"file{reader.suffix}"
     reader.write(path)
     original = path.read_bytes()
-    reader.read(path)  # a real one is read
+    reader.read(path)  # an undamaged file
     logging.disable()
     warnings.simplefilter("ignore")
     before, longest = memory(), len(original)

@@ -1,4 +1,4 @@
-"""A kind of file that is damaged, and who reads it."""
+"""A kind of file to damage, and its reader."""
 
 import shutil
 import sys
@@ -26,10 +26,10 @@ class Reader:
 
     Attributes
     ----------
-    suffix : of the file.
-    write : writes a real one.
-    read : reads it, or raises a `HesrError`.
-    damage : returns a damaged copy of a file's content.
+    suffix : file suffix.
+    write : write a valid file.
+    read : read it, or raise a `HesrError`.
+    damage : return a damaged copy of a file's content.
     """
 
     suffix: str
@@ -47,7 +47,7 @@ def text(content: str) -> Callable[[Path], object]:
 
 
 def toml(module: str, name: str) -> Callable[[Path], object]:
-    """Read a file as a schema does."""
+    """Read a file by a schema."""
 
     def read(path: Path) -> object:
         schema: Any = getattr(import_module(module), name)

@@ -1,4 +1,4 @@
-"""Every kind of file that HESR reads: a real one, and who reads it."""
+"""Every kind of file that HESR reads: a valid one, and its reader."""
 
 from logs_and_robots import LOGS_AND_ROBOTS
 from results import RESULTS

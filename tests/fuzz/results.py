@@ -1,4 +1,4 @@
-"""What HESR writes and reads again: models, results, FMUs."""
+"""Files that HESR writes and reads: models, results, FMUs."""
 
 import json
 import shutil
@@ -116,7 +116,7 @@ def _paths(path: Path) -> object:
 
 
 def _in_place(name: str, read: Callable[[Path], object]) -> Callable[[Path], object]:
-    """Read a file from a folder of results, where it has a name of its own."""
+    """Read a file from a folder of results under its fixed name."""
 
     def of(path: Path) -> object:
         folder = path.parent / "results"
@@ -210,7 +210,7 @@ def _write_runs(path: Path) -> None:
 
 
 def _runs(folder: Path) -> object:
-    """Runs that are damaged are made anew, others are read."""
+    """Damaged runs are repeated, others are read."""
     from hesr.extras.sweep.store import Store
 
     store = Store(folder, INPUTS, OUTPUTS)
@@ -227,7 +227,7 @@ def _folder_of_sweep(folder: Path) -> object:
 
 
 def _write_fmu(path: Path) -> None:
-    """All that is read of an FMU of FMI 3.0 with reference results, but no binaries."""
+    """All readable parts of an FMU of FMI 3.0 with reference results but no binaries."""
     from fmu_src.blocks.velocity import velocity
     from fmu_src.export.description3 import to_xml3
     from fmu_src.friction.embedded_model import EMBEDDED_MODEL

@@ -1,4 +1,4 @@
-"""What people write: TOML of robots, plants, studies, systems and fleets."""
+"""User files: TOML of robots, plants, studies, systems and fleets."""
 
 from pathlib import Path
 
@@ -74,7 +74,7 @@ matrix = [[101, 0, 0], [0, 101, -50.5], [0, 0, 101]]
 logs = "motor"
 friction = ["motor", "motor", "joint"]
 """
-"""What the twin's own file does not say."""
+"""Settings missing in the twin's own file."""
 
 FLEET = """
 name = "line"
@@ -136,7 +136,7 @@ def _write_robot(path: Path) -> None:
 
 
 def _fleet(path: Path) -> object:
-    """Read a fleet and look for its robots beside it."""
+    """Read a fleet and find its robots in its folder."""
     from hesr.extras.fleet.study import FleetStudy, members
 
     return members(FleetStudy.read(path), path)

@@ -1,6 +1,6 @@
-"""Damaged files of every kind: read or refused in one sentence; no crash, no hang, no flood.
+"""Damaged files of every kind are read or refused in one sentence, without crash, hang or flood.
 
-Damage k of a reader has the seed k, so what fails can be had again by
+Damage k of a reader has the seed k, so a failure is reproduced by
 `python tests/fuzz/read_damaged.py READER k 1 FOLDER`.
 """
 
@@ -14,7 +14,7 @@ from readers import READERS
 
 CHILD = Path(__file__).with_name("read_damaged.py")
 MOST_MEMORY = (20, 500 * 2**20)
-"""Times the input, and bytes on top."""
+"""Memory limit: multiple of the input, plus bytes."""
 
 NEEDS = {".mat": "h5py", ".bag": "rosbags", ".db3": "rosbags", ".mcap": "rosbags"}
 
@@ -35,7 +35,7 @@ def read_damaged(name: str, first: int, count: int, folder: Path) -> None:
     assert not wrong, "\n".join(f"seed {line['seed']}: {line['wrong']}" for line in wrong[:5])
     assert child.returncode == 0, f"after {lines[-1:]}: {child.stderr[-3000:]}"
     end = lines[-1]
-    assert 0.3 * count < end["refused"] <= count  # the damage is damage
+    assert 0.3 * count < end["refused"] <= count  # most damage does matter
     share, more = MOST_MEMORY
     assert end["memory"] <= share * end["longest"] + more
 

@@ -1,4 +1,4 @@
-"""What engines are given to run, and how their results are compared."""
+"""Cases for engines, and the comparison of their results."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -19,28 +19,28 @@ from hesr_model.support.arrays import Array
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
 
 ALONE, TOGETHER = 1e-12, 1e-9
-"""Tolerances, relative to the largest value of a signal: rounding; rounding that a loop feeds."""
+"""Tolerances relative to the largest value of a signal: round-off, and round-off in a loop."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Alone:
-    """One FMU for co-simulation with inputs that hold over each step.
+    """An FMU for co-simulation with inputs held over each step.
 
-    The inputs of row k are set at k * step, row 0 before the initialisation ends; outputs are read
-    after the initialisation and after each step.
+    The inputs of row k are set at k * step, row 0 during initialisation; outputs are read
+    after initialisation and after each step.
 
     Attributes
     ----------
-    name : for tables.
+    name : label in tables.
     fmu : the FMU.
-    step : of communication [s].
-    steps : how many.
+    step : communication step [s].
+    steps : number of steps.
     inputs : (steps + 1,) of each input.
-    outputs : signals that are compared.
-    start : values of parameters, by the name of the variable.
+    outputs : compared signals.
+    start : values of parameters by variable name.
     fmi : version.
-    arrays : of FMI 3.0, names of the elements that are one array, by its name; where one element
-        has a start value, all have.
+    arrays : for FMI 3.0, element names by array name; if one element has a start value,
+        all have.
     """
 
     name: str
@@ -72,10 +72,10 @@ class Together:
 
     Attributes
     ----------
-    name : for tables.
+    name : label in tables.
     spec : the system.
     ssp : the same as SSP.
-    signals : outputs that are compared, `component.variable`.
+    signals : compared outputs, `component.variable`.
     """
 
     name: str
@@ -86,7 +86,7 @@ class Together:
     tolerance = TOGETHER
 
     def wiring(self) -> Wiring:
-        """Return how its FMUs are connected."""
+        """Return the connections of its FMUs."""
         variables = {}
         for component in self.spec.components:
             with FmuInstance(component.fmu) as slave:
@@ -99,14 +99,14 @@ Case = Alone | Together
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """What an engine gave.
+    """Results of an engine.
 
     Attributes
     ----------
-    signals : (N,) of each signal; engines may leave out the last point.
-    first : number of the instant with which they begin.
-    without : signals that the engine cannot give.
-    seconds : how long the steps took, None where the engine does not tell.
+    signals : (N,) of each signal; engines may omit the last point.
+    first : index of the first instant.
+    without : signals that the engine does not provide.
+    seconds : duration of the steps, None if unknown.
     """
 
     signals: Mapping[str, Array]
@@ -116,12 +116,12 @@ class Run:
 
 
 def deviation(run: Run, reference: Mapping[str, Array]) -> float:
-    """Return the largest difference of a signal, relative to the signal's largest value.
+    """Return the largest difference of a signal relative to the signal's largest value.
 
-    Signals of the reference are (N,), by name. The elements of a vector have one largest value,
-    since some are zero but for rounding, as the gravity torque of a vertical axis. What is zero
-    throughout is compared absolutely; a signal that is missing, or ends more than one point early,
-    or is no number deviates infinitely.
+    Signals of the reference are (N,), by name. The elements of a vector share one largest value,
+    since some are zero except for round-off, such as the gravity torque of a vertical axis. Signals
+    that are zero throughout are compared absolutely; a signal that is missing, ends more than one
+    point early or is not finite has an infinite deviation.
     """
     scales: dict[str, float] = {}
     for name, values in reference.items():
@@ -142,9 +142,9 @@ def deviation(run: Run, reference: Mapping[str, Array]) -> float:
 
 @contextmanager
 def opened_case(path: Path, folder: Path) -> Iterator[Together]:
-    """Yield a system as a case: an SSP, or a system file, which is packaged as one.
+    """Yield a system as a case: an SSP, or a system file to be packaged as one.
 
-    All outputs are compared that are connected or observed.
+    All connected or observed outputs are compared.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def opened_case(path: Path, folder: Path) -> Iterator[Together]:
     Raises
     ------
     ConfigError
-        If it cannot be read, or its system does not fit its FMUs.
+        If it cannot be read, or its system is inconsistent with its FMUs.
     """
     with opened_system(path) as spec:
         contents = read_contents(spec, path)

@@ -1,4 +1,4 @@
-"""What every engine runs: each FMU alone, and the two systems."""
+"""Cases of all engines: each FMU alone, and the two systems."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -37,7 +37,7 @@ OF_FMI_3 = (
 )  # fmt: skip
 """FMUs that are also run in FMI 3.0."""
 
-# States at their start attributes: CasADi, which evaluates the equations only, begins there.
+# States at their start attributes: CasADi evaluates only the equations and starts there.
 EXACT = {"discretisation": "exact", "start_mode": "given"}
 
 LUGRE = {
@@ -55,11 +55,11 @@ def every_case(folder: Path) -> list[Case]:
 
 def system(path: Path, folder: Path) -> Together:
     with opened_case(path, folder) as case:
-        return case  # its FMUs lie beside the file
+        return case  # its FMUs are next to the file
 
 
 def alone(folder: Path, closed: Together) -> list[Alone]:
-    """Return each FMU of the closed loop on its own, as it is set up there, and two frictions."""
+    """Return each FMU of the closed loop with its settings in the loop, and two frictions."""
     friction = export_fmu(FrictionModel.read(model_file("uf850-table1")), folder / "Friction.fmu")
     used = {c.name: c for c in closed.spec.components}
     names = ("trajectory", "body", "controller", "arm")
@@ -110,7 +110,7 @@ def lugre() -> FrictionModel:
 
 
 def followed() -> FrictionModel:
-    """The same law with a thermal model, as noisy as what the inputs of a run differ from it by."""
+    """The same law with a thermal model; its noise is the typical deviation of a run's inputs."""
     seen = TrainedRange(
         sample_time=0.005, dq=(-0.5, 0.5), q=(-0.5, 0.5), tau_load=(-0.5, 0.5), tau=(-15, 15)
     )

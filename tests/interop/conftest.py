@@ -1,4 +1,4 @@
-"""The matrix of engines and cases; printed at the end of the run."""
+"""The matrix of engines and cases, printed at the end of the run."""
 
 from collections.abc import Callable
 from functools import cache
@@ -33,13 +33,13 @@ _cells: dict[str, dict[str, EngineResult]] = {}
 
 @pytest.fixture(scope="session")
 def tools() -> Tools:
-    """Engines as `.ci/interop` lays them out beside the tests, and those of this machine."""
+    """Engines installed by `.ci/interop` next to the tests, and those of this machine."""
     return Tools(folder=Path(__file__).parents[2] / ".tools/interop")
 
 
 @pytest.fixture(scope="session")
 def need(tools: Tools) -> Callable[[Engine], None]:
-    """Skip the test where an engine is not there."""
+    """Skip the test if an engine is missing."""
 
     def check(engine: Engine) -> None:
         if engine.name not in _versions | _missing:
@@ -76,7 +76,7 @@ def cell(
     references: Expected,
     request: pytest.FixtureRequest,
 ) -> Callable[[Engine, str | Case], EngineResult]:
-    """Run an engine that is there on a case, and keep it for the table."""
+    """Run an available engine on a case and keep the result for the table."""
 
     def run(engine: Engine, case: str | Case) -> EngineResult:
         if isinstance(case, str):

@@ -1,4 +1,4 @@
-"""Inputs by which any FMU can be compared between engines."""
+"""Inputs for comparing any FMU between engines."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,28 +13,28 @@ from hesr_model.support.arrays import Array
 
 _AMPLITUDE, _RATE, _PHASE = 0.5, 2.0 * np.pi, 0.7
 _SECONDS = 2.0
-_STEP = 0.005  # [s] where the FMU names none
+_STEP = 0.005  # [s] if the FMU states none
 
 
 def driven(
     fmu: Path, *, name: str | None = None, start: Mapping[str, Value] | None = None
 ) -> Alone:
-    """Return a run of an FMU with sinusoidal inputs, each with a phase of its own.
+    """Return a run of an FMU with sinusoidal inputs, each with another phase.
 
-    They swing by 0.5 around their start values and stay within their limits. The step is the one
-    that the FMU prefers.
+    They have an amplitude of 0.5 around their start values and stay within their limits. The step
+    is the one preferred by the FMU.
 
     Parameters
     ----------
     fmu : for co-simulation.
-    name : for tables; the file's stem where not given.
+    name : label in tables; by default the file's stem.
     start : values of parameters by name.
 
     Raises
     ------
     SimulationError
-        If it is no FMU of FMI 2.0 or 3.0 for co-simulation with a binary for this machine, or the
-        start values do not fit it.
+        If it is not an FMU of FMI 2.0 or 3.0 for co-simulation with a binary for this machine, or
+        the start values are inconsistent with it.
     """
     with FmuInstance(fmu) as component:
         about, variables = component.description, component.variables

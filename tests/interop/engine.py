@@ -1,4 +1,4 @@
-"""What an engine is, where engines are looked for, and how their processes are run."""
+"""Engines: definition, search on this machine, and processes."""
 
 import csv
 import json
@@ -19,13 +19,13 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.process import FailedError, run
 
 DEFAULT_TOOLS = Path(".tools/interop")
-"""Where `.ci/interop` lays out engines, below the current folder."""
+"""Folder of the engines installed by `.ci/interop`, below the current one."""
 
 SECONDS = 300.0
-"""Longest run of an engine."""
+"""Time limit of an engine."""
 
 HOSTS = Path(__file__).with_name("hosts")
-_LONGEST = 300  # characters of what an engine said
+_LONGEST = 300  # characters of an engine's output
 _VERSIONS = """
 import importlib.metadata as m, json
 print(json.dumps({d.metadata["Name"].lower(): d.version for d in m.distributions()}))
@@ -33,7 +33,7 @@ print(json.dumps({d.metadata["Name"].lower(): d.version for d in m.distributions
 
 
 class SkippedError(Exception):
-    """An engine does not run a case; the text says why and has no full stop."""
+    """An engine does not run a case; the text gives the reason without a full stop."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class Tools:
 
     Attributes
     ----------
-    folder : as `.ci/interop` lays it out.
+    folder : in the layout of `.ci/interop`.
     """
 
     folder: Path = DEFAULT_TOOLS
@@ -91,16 +91,16 @@ class Tools:
 
 @dataclass(frozen=True, kw_only=True)
 class Engine:
-    """An engine that is not ours.
+    """A third-party engine.
 
     Attributes
     ----------
-    name : for tables.
+    name : label in tables.
     install : how to get it.
     find : its version on this machine, or `SkippedError`.
-    alone, together : run a case in an empty folder; `SkippedError`, or `FailedError` if the engine
-        fails. None where the engine is not for that.
-    coupling : how it passes values on.
+    alone, together : run a case in an empty folder; raise `SkippedError`, or `FailedError` if the
+        engine fails. None if unsupported.
+    coupling : its exchange scheme.
     """
 
     name: str
@@ -122,12 +122,12 @@ def describe(scheme: ExchangeScheme) -> str:
 
 
 def require_success(command: Sequence[str | Path], folder: Path) -> str:
-    """Run a program in a folder and return what it wrote.
+    """Run a program in a folder and return its output.
 
     Raises
     ------
     FailedError
-        If it ends with an error or takes too long, with the end of what it wrote.
+        If it ends with an error or takes too long, with the end of its output.
     """
     ended = run([str(part) for part in command], folder, SECONDS)
     if ended.code != 0:
@@ -137,7 +137,7 @@ def require_success(command: Sequence[str | Path], folder: Path) -> str:
 
 
 def host(python: Path, name: str, given: Mapping[str, Any], folder: Path) -> Run:
-    """Run one of the Python hosts, which need no package but the engine, on a case."""
+    """Run a Python host, which needs only the engine's package, on a case."""
     (folder / "case.json").write_text(json.dumps(given), encoding="utf-8")
     require_success((python, "-E", "-s", HOSTS / name, "case.json"), folder)
     seconds = folder / "seconds"
@@ -148,7 +148,7 @@ def host(python: Path, name: str, given: Mapping[str, Any], folder: Path) -> Run
 
 
 def given_alone(case: Alone) -> dict[str, Any]:
-    """Return one FMU as the Python hosts read it."""
+    """Return one FMU in the format of the Python hosts."""
     return {
         "fmu": str(case.fmu.resolve()),
         "step": case.step,
@@ -162,7 +162,7 @@ def given_alone(case: Alone) -> dict[str, Any]:
 
 
 def given_together(case: Together) -> dict[str, Any]:
-    """Return a system as the Python hosts read it."""
+    """Return a system in the format of the Python hosts."""
     return {
         "ssp": str(case.ssp.resolve()),
         "step": case.spec.step,
@@ -178,7 +178,7 @@ def require_fmi_2(case: Alone) -> None:
 
 
 def arguments(case: Alone) -> list[str]:
-    """Return stop time, step and start values as the hosts in other languages take them."""
+    """Return stop time, step and start values as arguments of the hosts in other languages."""
     columns = _columns(case, case.start)
     start = [
         f"{name}={' '.join(_literal(case.start[element]) for element in elements)}"
@@ -188,18 +188,18 @@ def arguments(case: Alone) -> list[str]:
 
 
 def _columns(case: Alone, names: Iterable[str]) -> dict[str, Sequence[str]]:
-    """Return the variables of a file's columns, the elements of an array in one, by their names."""
+    """Return the variables of a file's columns by name, the elements of an array in one column."""
     owner = {element: name for name, elements in case.arrays.items() for element in elements}
     return {owner.get(name, name): case.arrays.get(owner.get(name, ""), (name,)) for name in names}
 
 
 def _literal(value: float) -> str:
-    """Return a number so that it can be read as an integer where it is one."""
+    """Return a number as text, without decimals if it is an integer."""
     return str(int(value)) if value == int(value) else repr(value)
 
 
 def write_inputs(case: Alone, path: Path, delimiter: str = ",") -> None:
-    """Write the inputs as a table, all digits kept; spaces stand between elements of an array."""
+    """Write the inputs as a table with all digits; spaces separate the elements of an array."""
     columns = _columns(case, case.inputs)
     values = [np.column_stack([case.inputs[name] for name in names]) for names in columns.values()]
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -214,12 +214,12 @@ def read_signals(
 ) -> dict[str, Array]:
     """Read a table of times [s] and signals, (N,) each in their units.
 
-    Elements of an array in one column are told apart by spaces.
+    Spaces separate the elements of an array in one column.
 
     Raises
     ------
     FailedError
-        If there is none, or what it has are no numbers.
+        If it is missing or its content is not numeric.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""Every engine on every case: how far it is from what it should give, or why it was not run."""
+"""Every engine on every case: its deviation from the expected results, or why it was not run."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,10 +23,10 @@ class EngineResult:
     Attributes
     ----------
     deviation : largest difference of a signal relative to its largest value, None if not run.
-    tolerance : highest deviation that counts as the same.
-    skipped : why it was not run, empty if it was.
-    failure : what went wrong, empty if nothing did.
-    seconds : how long the steps took, None where the engine does not tell.
+    tolerance : largest deviation that counts as equal.
+    skipped : why it was not run, otherwise empty.
+    failure : error, otherwise empty.
+    seconds : duration of the steps, None if unknown.
     """
 
     deviation: float | None = None
@@ -37,7 +37,7 @@ class EngineResult:
 
     @property
     def fails(self) -> bool:
-        """Whether the engine failed or gave something else."""
+        """Whether the engine failed or its results differ."""
         return bool(self.failure) or (
             self.deviation is not None and not self.deviation <= self.tolerance
         )
@@ -49,8 +49,8 @@ class EngineRow:
 
     Attributes
     ----------
-    version : of it, empty where it was not found.
-    missing : why it was not found, and how to get it; empty where it was.
+    version : its version, empty if it was not found.
+    missing : why it was not found and how to get it, otherwise empty.
     cells : by the name of the case.
     """
 
@@ -85,12 +85,12 @@ def compare(
     engines: Sequence[Engine] = ENGINES,
     progress: Progress = silent,
 ) -> EngineMatrix:
-    """Run all engines that are there on all cases.
+    """Run all available engines on all cases.
 
     Raises
     ------
     HesrError
-        If a case cannot be run by our own code.
+        If our own code cannot run a case.
     """
     expected = cache(reference)
     rows = [_row(engine, cases, tools, expected) for engine in counted(engines, progress)]
@@ -98,11 +98,11 @@ def compare(
 
 
 Expected = Callable[[Case, ExchangeScheme], Mapping[str, Array]]
-"""What `reference` is, or that which remembers what it gave."""
+"""`reference` with a cache."""
 
 
 def reference(case: Case, coupling: ExchangeScheme) -> Mapping[str, Array]:
-    """Return what our own code gives for a case: (N,) of each signal in its unit."""
+    """Return the results of our own code for a case: (N,) of each signal in its unit."""
     return alone(case) if isinstance(case, Alone) else together(case, coupling)
 
 
@@ -116,8 +116,8 @@ def _row(engine: Engine, cases: Sequence[Case], tools: Tools, expected: Expected
 
 
 def run_cell(engine: Engine, case: Case, tools: Tools, expected: Expected) -> EngineResult:
-    """Run an engine on a case and compare it with what it should give."""
-    # Ours is first: a case that cannot be run at all is no engine's fault, and some never end.
+    """Run an engine on a case and compare it with the expected results."""
+    # Our code runs first: a case that cannot be run is not an engine's fault, and some never end.
     ours = expected(case, engine.coupling if isinstance(case, Together) else ExchangeScheme())
     try:
         run = _run(engine, case, tools)

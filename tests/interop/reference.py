@@ -1,4 +1,4 @@
-"""Expected results of an engine: the same FMUs, run by us under the engine's exchange scheme."""
+"""Expected results of an engine: our run of the same FMUs with the engine's exchange scheme."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def alone(case: Alone) -> dict[str, Array]:
 def together(case: Together, scheme: ExchangeScheme) -> dict[str, Array]:
     """Return the signals of a system, (steps + 1,) each in its unit.
 
-    All engines step all FMUs with inputs of the instant at which the step begins (Jacobi).
+    All engines step all FMUs with the inputs at the start of the step (Jacobi).
     """
     spec = case.spec.model_copy(update={"observe": tuple(case.signals), "limits": {}})
     with Master(spec, scheme=replace(scheme, order="jacobi")) as master:

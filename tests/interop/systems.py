@@ -1,4 +1,4 @@
-"""The two systems that every engine runs, each as a folder with its FMUs and a SYSTEM.toml."""
+"""The two systems for every engine, each as a folder with its FMUs and a SYSTEM.toml."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ SYSTEM = "SYSTEM.toml"
 
 
 def open_system(folder: Path) -> Path:
-    """Write the open system, a desired motion that feeds the friction of Table I."""
+    """Write the open system, a desired motion that drives the friction of Table I."""
     folder.mkdir(parents=True, exist_ok=True)
     friction = FrictionModel.read(model_file("uf850-table1"))
     joints = len(friction.joints)

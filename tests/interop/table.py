@@ -10,7 +10,7 @@ from cosim.report.tables.table import ResultTable, TableRow
 
 
 def table(matrix: EngineMatrix) -> ResultTable:
-    """Return the deviations, engine by case."""
+    """Return the deviations, engines by cases."""
     names = [case.name for case in matrix.cases]
     return ResultTable(
         caption="largest deviation, relative to the largest value of a signal",
@@ -27,7 +27,7 @@ def table(matrix: EngineMatrix) -> ResultTable:
 
 
 def notes(matrix: EngineMatrix) -> Iterator[str]:
-    """Yield one line for each way of coupling, each cell without a number and each failure."""
+    """Yield one line for each exchange scheme, each cell without a number and each failure."""
     systems = [case.name for case in matrix.cases if isinstance(case, Together)]
     for row in matrix.rows:
         name = row.engine.name

@@ -1,4 +1,4 @@
-"""Files as cases: an FMU and a system, in FMPy, which comes with HESR."""
+"""Files as cases: an FMU and a system in FMPy, which is installed with HESR."""
 
 from pathlib import Path
 
@@ -19,8 +19,8 @@ def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return lag(tmp_path_factory.mktemp("lag"))
 
 
-def test_one_fmu(fmu: Path, tmp_path: Path) -> None:
-    """Engines in a folder that does not exist are left out."""
+def test_an_fmu_file_is_run(fmu: Path, tmp_path: Path) -> None:
+    """Engines in a folder that does not exist are omitted."""
     matrix = compare([driven(fmu)], Tools(folder=tmp_path / "none"))
     assert not matrix.failing
     assert table(matrix).caption.startswith("largest deviation, relative to the")
@@ -36,7 +36,7 @@ def test_one_fmu(fmu: Path, tmp_path: Path) -> None:
     assert rows["OMSimulator"].missing.startswith("there is no library")
 
 
-def test_a_system(fmu: Path, tmp_path: Path) -> None:
+def test_a_system_file_is_run(fmu: Path, tmp_path: Path) -> None:
     parts = (ComponentSpec(name="a", fmu=fmu, start={"u": 2.0}), ComponentSpec(name="b", fmu=fmu))
     spec = SystemSpec(
         name="lags",
@@ -55,7 +55,7 @@ def test_a_system(fmu: Path, tmp_path: Path) -> None:
     assert cell.seconds > 0.0
 
 
-def test_unreadable_files(tmp_path: Path) -> None:
+def test_unreadable_files_are_refused(tmp_path: Path) -> None:
     for name, text in (("x.ssp", "not a readable SSP"), ("x.toml", "x.toml")):
         (tmp_path / name).write_text("nothing")
         with pytest.raises(HesrError, match=text), opened_case(tmp_path / name, tmp_path):

@@ -1,4 +1,4 @@
-"""Every engine gives what our own code gives in its way of coupling."""
+"""Every engine gives the results of our own code with its exchange scheme."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,7 +26,7 @@ REASONS = (
 
 @pytest.mark.parametrize("case", NAMES)
 @pytest.mark.parametrize("engine", ENGINES, ids=lambda engine: engine.name)
-def test_engine(
+def test_each_engine_matches(
     engine: Engine,
     case: str,
     need: Callable[[Engine], None],
@@ -45,17 +45,17 @@ def test_engine(
 
 
 SAME = 1e-15
-"""How far an engine's answers for FMI 3.0 may be from its own for FMI 2.0, of the largest value."""
+"""Tolerance between an engine's results for FMI 3.0 and FMI 2.0, relative to the largest value."""
 
 STEP = 2.0**-8
-"""[s]; sums of it do not round, as those of the preferred steps do, in engines in several ways."""
+"""[s]; its multiples are exact, so the engines' different sums of steps agree."""
 
 
 @pytest.mark.parametrize("name", OF_FMI_3)
 @pytest.mark.parametrize(
     "engine", [e for e in ENGINES if e.alone is not None], ids=lambda engine: engine.name
 )
-def test_fmi_3_gives_what_fmi_2_gives(
+def test_fmi_3_matches_fmi_2(
     engine: Engine,
     name: str,
     versions: dict[str, tuple[Alone, Alone]],
@@ -64,7 +64,7 @@ def test_fmi_3_gives_what_fmi_2_gives(
     cell: Callable[[Engine, str | Case], EngineResult],
     tmp_path: Path,
 ) -> None:
-    """In each engine, and against our own code."""
+    """In each engine, and compared with our own code."""
     need(engine)
     old, new = versions[name]
     found = cell(engine, new)

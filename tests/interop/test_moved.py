@@ -1,4 +1,4 @@
-"""A packaged system needs nothing of ours: another folder, hardly an environment."""
+"""A packaged system is self-contained: it runs in another folder with a minimal environment."""
 
 import json
 import os
@@ -20,15 +20,15 @@ PYTHON = {"FMPy": "run_fmpy_ssp.py", "libcosim": "run_libcosim.py", "ecos": "run
 
 
 def bare(python: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run an interpreter in a folder with next to no environment, without its user's packages."""
+    """Run an interpreter in a folder with a minimal environment, without user packages."""
     command = [str(python), "-E", "-s", *arguments]
-    path = {"PATH": os.defpath}  # ecos unpacks archives by a program
+    path = {"PATH": os.defpath}  # ecos unpacks archives by an external program
     return subprocess.run(command, cwd=folder, env=path, capture_output=True, text=True)
 
 
 @pytest.fixture
 def python(tools: Tools) -> Path:
-    """The interpreter of the engines, which has none of our packages."""
+    """The interpreter of the engines, without our packages."""
     found = (tools.folder / "python/bin/python").absolute()
     if not found.is_file():
         pytest.skip("there is no Python of the engines: make interop")
@@ -38,7 +38,7 @@ def python(tools: Tools) -> Path:
 
 
 @pytest.mark.parametrize("name", PYTHON)
-def test_the_closed_loop_runs_where_hesr_is_not(
+def test_the_closed_loop_runs_without_hesr(
     name: str,
     python: Path,
     need: Callable[[Engine], None],
@@ -50,7 +50,7 @@ def test_the_closed_loop_runs_where_hesr_is_not(
     need(engine)
     case = cases["closed"]
     assert isinstance(case, Together)
-    # Nothing but the one file and the script moves.
+    # Only the SSP file and the script are copied.
     (tmp_path / "moved.ssp").write_bytes(case.ssp.read_bytes())
     for script in ("files.py", PYTHON[name]):
         (tmp_path / script).write_bytes((HOSTS / script).read_bytes())

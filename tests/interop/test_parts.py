@@ -1,4 +1,4 @@
-"""The parts of the comparison, each against something else than an engine."""
+"""Parts of the comparison, each tested without an engine."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -37,8 +37,8 @@ def engine(run: Any, **more: Any) -> Engine:
     return Engine(name="made up", install="take another", find=lambda _: "1", alone=run, **more)
 
 
-def test_one_fmu_is_driven_as_the_law_in_python(tmp_path: Path) -> None:
-    """The input of row k holds over the step after it, so a log is one row later."""
+def test_one_fmu_is_driven_like_the_law_in_python(tmp_path: Path) -> None:
+    """The input of row k is held over the next step, so a log is one row later."""
     model = lugre()
     case = driven(export_fmu(model, tmp_path / "LuGre.fmu"))
     dq = case.inputs["dq[1]"]
@@ -49,14 +49,14 @@ def test_one_fmu_is_driven_as_the_law_in_python(tmp_path: Path) -> None:
     assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
 
 
-def test_inputs_stay_within_their_limits_and_leave_out_what_is_given(small: Alone) -> None:
+def test_inputs_stay_within_their_limits_and_skip_given_ones(small: Alone) -> None:
     assert set(small.inputs) == {"u"}
     assert (small.step, small.steps, small.stop) == (0.01, 200, 2.0)
     assert set(driven(small.fmu, start={"u": 1.0}).inputs) == set()
 
 
-def test_choices_are_integers_that_have_names(tmp_path: Path) -> None:
-    """Maestro loads no FMU with an Enumeration, and libcosim sets none."""
+def test_enumerations_are_integers_with_names(tmp_path: Path) -> None:
+    """Maestro loads no FMU with an Enumeration, and libcosim cannot set one."""
     fmu = write_fmu(trajectory(1), tmp_path / "Trajectory.fmu")
     assert driven(fmu, start={"kind": "sweep"}).start == {"kind": 3.0}
     assert driven(fmu, start={"kind": 2}).start == {"kind": 2.0}
@@ -66,8 +66,8 @@ def test_choices_are_integers_that_have_names(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("refreshed", ["none", "shown"])
-def test_systems_are_coupled_as_by_our_master(cases: dict[str, Case], refreshed: Any) -> None:
-    """Outputs that are shown for new inputs change nothing else."""
+def test_systems_are_coupled_like_by_our_master(cases: dict[str, Case], refreshed: Any) -> None:
+    """Outputs updated for new inputs change nothing else."""
     case = cases["closed"]
     assert isinstance(case, Together)
     changes = {"stop": 0.5, "order": "jacobi", "observe": tuple(case.signals)}
@@ -81,7 +81,7 @@ def test_systems_are_coupled_as_by_our_master(cases: dict[str, Case], refreshed:
     assert same == set(expected) if refreshed == "none" else held <= same < set(expected)
 
 
-def test_ways_of_coupling_differ_by_far_more_than_the_tolerance(cases: dict[str, Case]) -> None:
+def test_exchange_schemes_differ_by_far_more_than_the_tolerance(cases: dict[str, Case]) -> None:
     case = cases["closed"]
     assert isinstance(case, Together)
     short = replace(case, spec=case.spec.model_copy(update={"stop": 1.0}))
@@ -99,7 +99,7 @@ def test_ways_of_coupling_differ_by_far_more_than_the_tolerance(cases: dict[str,
     ]
 
 
-def test_deviation() -> None:
+def test_deviations_are_relative_to_the_largest_value() -> None:
     expected = {"a[1]": np.array([0.0, 2.0, -4.0]), "a[2]": np.zeros(3), "b": np.zeros(3)}
     off = {"a[1]": np.array([0.0, 2.0, -4.0]), "a[2]": np.full(3, 1e-3), "b": np.full(3, 1e-5)}
     assert deviation(Run(signals=expected), expected) == 0.0
@@ -107,13 +107,13 @@ def test_deviation() -> None:
     assert deviation(Run(signals=off, without={"a[2]"}), expected) == pytest.approx(1e-5)
     later = {name: values[1:] for name, values in off.items()}
     assert deviation(Run(signals=later, first=1), expected) == pytest.approx(1e-3 / 4.0)
-    assert deviation(Run(signals=later), expected) > 0.1  # shifted by a point
+    assert deviation(Run(signals=later), expected) > 0.1  # shifted by one point
     for wrong in (np.zeros(1), np.zeros(4), np.array([0.0, np.nan, 0.0])):
         assert deviation(Run(signals=expected | {"b": wrong}), expected) == np.inf
     assert deviation(Run(signals={}), expected) == np.inf
 
 
-def test_an_engine_that_gives_something_else_fails(small: Alone) -> None:
+def test_an_engine_with_different_results_fails(small: Alone) -> None:
     def off(_tools: Tools, case: Alone, _folder: Path) -> Run:
         return Run(signals={name: 1.0001 * v for name, v in alone(case).items()}, seconds=0.5)
 
@@ -125,7 +125,7 @@ def test_an_engine_that_gives_something_else_fails(small: Alone) -> None:
     assert cell.tolerance == 1e-12
 
 
-def test_an_engine_that_breaks_fails_and_one_that_skips_does_not(small: Alone) -> None:
+def test_a_broken_engine_fails_and_a_skipped_one_does_not(small: Alone) -> None:
     def breaks(*_: Any) -> Run:
         raise FailedError("it ended with code 1")
 
@@ -141,7 +141,7 @@ def test_an_engine_that_breaks_fails_and_one_that_skips_does_not(small: Alone) -
     assert len(table(matrix).rows) == 2
 
 
-def test_systems_of_several_steps_are_left_out(small: Alone, tmp_path: Path) -> None:
+def test_systems_with_several_steps_are_left_out(small: Alone, tmp_path: Path) -> None:
     parts = (ComponentSpec(name="a", fmu=small.fmu, start={"u": 2.0}),
              ComponentSpec(name="b", fmu=small.fmu, start={"u": 2.0}, step=0.02))  # fmt: skip
     spec = SystemSpec(name="lags", step=0.01, stop=0.5, components=parts, observe=("b.y",))
@@ -159,7 +159,7 @@ def test_missing_signals_fail(small: Alone) -> None:
     assert (cell.fails, cell.deviation) == (True, np.inf)
 
 
-def test_engines_that_are_not_there_say_so(small: Alone, tmp_path: Path) -> None:
+def test_missing_engines_are_reported(small: Alone, tmp_path: Path) -> None:
     tools = Tools(folder=tmp_path / "none")
     chosen = [e for e in ENGINES if e.name in ("FMI4j", "Maestro", "OMSimulator", "PyFMI")]
     matrix = compare([small], tools, engines=chosen)
@@ -174,7 +174,7 @@ def test_engines_that_are_not_there_say_so(small: Alone, tmp_path: Path) -> None
     ]
 
 
-def test_a_library_that_is_another_one_is_not_run(small: Alone, tmp_path: Path) -> None:
+def test_another_library_is_not_run(small: Alone, tmp_path: Path) -> None:
     (tmp_path / "lib").mkdir()
     (tmp_path / "lib" / "libOMSimulator.so").write_bytes(b"no library")
     chosen = [e for e in ENGINES if e.name == "OMSimulator"]
@@ -183,7 +183,7 @@ def test_a_library_that_is_another_one_is_not_run(small: Alone, tmp_path: Path) 
     assert "libOMSimulator.so" in row.missing
 
 
-def test_every_engine_says_what_it_is_for_and_where_it_comes_from() -> None:
+def test_every_engine_states_its_purpose_and_origin() -> None:
     names = [e.name for e in ENGINES]
     assert len(set(names)) == len(names)
     assert all(e.install for e in ENGINES)

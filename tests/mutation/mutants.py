@@ -1,9 +1,9 @@
-"""Small faults that are put into sources, to see whether a test notices.
+"""Small faults inserted into sources to see whether tests detect them.
 
-Those in Python are made by the operators of Cosmic Ray, but for numbers, which it only moves by one
-where faults of science are factors. Cosmic Ray's own runs have neither random samples nor tests of
-their own for each module, so `run.py` makes these. C is formatted by clang-format, which puts
-spaces around binary operators and around no others, so tokens are enough to tell them.
+Python faults come from the operators of Cosmic Ray, except numbers: it only changes them by one,
+while typical faults in science are factors. Cosmic Ray's own runs support neither random samples
+nor tests per module, so `run.py` performs them. C is formatted by clang-format, which puts spaces
+around binary operators only, so tokens suffice to distinguish them.
 """
 
 import re
@@ -26,7 +26,7 @@ class Mutant:
     Attributes
     ----------
     place : line and column of the fault, from 1 and 0.
-    before, after : the lines that differ, stripped.
+    before, after : the changed lines, stripped.
     text : the whole source.
     """
 
@@ -37,11 +37,11 @@ class Mutant:
 
 
 Variant = tuple[str, int]
-"""Name of a fault, and which of its occurrences in the source."""
+"""Name of a fault and the index of its occurrence in the source."""
 
 
 def variants(path: Path) -> dict[tuple[int, int], list[Variant]]:
-    """Faults that can be made in a source, by place."""
+    """Possible faults in a source, by place."""
     text = path.read_text(encoding="utf-8")
     found: dict[tuple[int, int], list[Variant]] = {}
     if path.suffix == ".py":
@@ -60,7 +60,7 @@ def variants(path: Path) -> dict[tuple[int, int], list[Variant]]:
 
 
 def mutant(path: Path, place: tuple[int, int], variant: Variant) -> Mutant:
-    """Make one of the faults that `variants` gives."""
+    """Make one of the faults listed by `variants`."""
     text = path.read_text(encoding="utf-8")
     name, occurrence = variant
     if path.suffix == ".py":
@@ -79,7 +79,7 @@ def mutant(path: Path, place: tuple[int, int], variant: Variant) -> Mutant:
 
 # --- Python -----------------------------------------------------------------------------------
 
-# Others are noticed by whatever runs the line, or are not about numbers.
+# Others are detected by any test that runs the line, or do not concern numbers.
 _KEPT = re.compile(
     r"core/(ReplaceBinaryOperator_(Add|Sub|Mul|Div|FloorDiv|Mod|Pow)_(Add|Sub|Mul|Div)|"
     r"ReplaceBinaryOperator_BitAnd_BitOr|"
@@ -90,13 +90,13 @@ _KEPT = re.compile(
 )
 
 
-# What is said to make mistakes of programmers impossible, or how much is remembered, changes
-# nothing in what works, and the star of a signature is no product.
+# Decorators against programming errors, and sizes of caches, do not change results; the star of a
+# signature is not a product.
 _NO_FAULT = re.compile(r"\b(frozen|kw_only|eq|strict|maxsize)=$|_Mul_\w+: (.*[\[({,])? *$")
 
 
 class _OtherNumber(Operator):  # type: ignore[misc]  # untyped
-    """Another number in place of one: twice, half, ten times, one more, one less."""
+    """Replacements of a number: twice, half, ten times, one more, one less."""
 
     def mutation_positions(self, node):
         if is_number(node):
@@ -118,7 +118,7 @@ def _operators() -> dict[str, Operator]:
 
 
 def _other_numbers(text: str) -> list[str]:
-    """Return other numbers in the notation of Python and C."""
+    """Return replacements of a number in the notation of Python and C."""
     if re.fullmatch(r"\d+", text):
         whole = int(text)
         return [str(whole + 1), *([str(whole - 1)] if whole else [])]
@@ -126,7 +126,7 @@ def _other_numbers(text: str) -> list[str]:
         value = float(text)
     except ValueError:  # hexadecimal, or with a suffix
         return []
-    # What is tiny stands for rounding: twice as much of it is no fault.
+    # Tiny numbers represent round-off: doubling them is not a fault.
     factors = (2.0, 0.5, 10.0) if value >= 1e-8 else (1e6,)
     return [repr(value * k) for k in factors] if value else ["1.0"]
 
@@ -153,7 +153,7 @@ _C_TOKEN = re.compile(
 
 
 def _c_faults(text: str) -> Iterator[tuple[int, int, list[str]]]:
-    """Start and end of what can be replaced in a source in C, and by what."""
+    """Start and end of replaceable text in C source, and its replacements."""
     place = 0
     while found := _C_TOKEN.search(text, place):
         kind, token, place = found.lastgroup, found.group(), found.end()

@@ -1,9 +1,8 @@
-"""How many small faults in the sources the tests notice: run by `make mutate`.
+"""Share of small faults in the sources that the tests detect: run by `make mutate`.
 
-Random faults are put, one by one, into a copy of the tree without anything beside it, and each is
-shown to the tests that are nearest to it, then to those further off (`nearest.toml`). Faults that
-change nothing that can be observed are listed in `equivalent.toml`, with the reason. C that does
-not compile is no fault.
+Random faults are inserted one by one into a clean copy of the tree. Each runs against the nearest
+tests first, then against more distant ones (`nearest.toml`). Faults without observable effect are
+listed in `equivalent.toml` with the reason. C that does not compile is not a fault.
 """
 
 import argparse
@@ -29,8 +28,8 @@ from mutants import Mutant, mutant, variants
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-PATIENCE = 5.0  # times what the tests take without a fault
-# Tests run in forks of a process that has the slow imports behind it, but none of ours.
+PATIENCE = 5.0  # multiple of the tests' time without a fault
+# Tests run in forks of a process that has the slow imports but none of our modules.
 FORK = multiprocessing.get_context("fork")
 SLOW_IMPORTS = (
     "numpy", "pinocchio", "pyarrow", "pydantic", "pytest", "scipy.interpolate",
@@ -47,7 +46,7 @@ AREAS: dict[str, list[str]] = table("nearest.toml", "areas")
 
 
 def copied(folder: Path) -> Path:
-    """Copy what git knows or would know, as it stands now."""
+    """Copy all files of git's working tree, including uncommitted changes."""
     listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
     files = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     for name in filter(None, files.split("\0")):
@@ -58,7 +57,7 @@ def copied(folder: Path) -> Path:
 
 
 def _run_tests(root: Path, tests: Sequence[str], marked: str, output: int) -> None:
-    """Run in a process of its own, which can be ended with all that it starts."""
+    """Run in a process group, which can be ended as a whole."""
     os.setsid()
     os.dup2(output, 1)
     os.dup2(output, 2)
@@ -72,7 +71,7 @@ def _run_tests(root: Path, tests: Sequence[str], marked: str, output: int) -> No
 
 
 class Tree:
-    """A copy of the tree in which faults are made."""
+    """A copy of the tree for faults."""
 
     def __init__(self, folder: Path, *, limit: float | None, marked: str) -> None:
         self.root = copied(folder)
@@ -85,14 +84,14 @@ class Tree:
         return sorted(str(path.relative_to(self.root)) for path in found)
 
     def nearest(self, source: str) -> tuple[str, ...]:
-        """Tests of the first entry that fits, those that are named like the source first."""
+        """Tests of the first matching entry, those named like the source first."""
         entry = next((e for e in table("nearest.toml") if fnmatch(source, str(e["sources"]))), None)
         named = self.sources(f"tests/**/test_{Path(source).stem}.py")
         others = [t for e in (entry["tests"] if entry else ()) for t in self.sources(f"tests/{e}")]
         return tuple(dict.fromkeys([*(() if entry else named), *others]))
 
     def beyond(self, source: str) -> list[tuple[str, ...]]:
-        """Tests further off: those of each entry that fits, entry by entry."""
+        """More distant tests: those of each matching entry, entry by entry."""
         entries = [e for e in table("nearest.toml", "beyond") if fnmatch(source, str(e["sources"]))]
         return [
             tuple(t for name in entry["tests"] for t in self.sources(f"tests/{name}"))
@@ -100,7 +99,7 @@ class Tree:
         ]
 
     def _pytest(self, tests: Sequence[str], limit: float | None = None) -> tuple[int | None, str]:
-        """Exit code of the tests, None if they do not end, and what they say."""
+        """Exit code of the tests, None if they do not end, and their output."""
         with tempfile.TemporaryFile("w+") as heard:
             running = FORK.Process(
                 target=_run_tests, args=(self.root, tests, self._marked, heard.fileno())
@@ -115,7 +114,7 @@ class Tree:
             return running.exitcode, heard.read()
 
     def _limit(self, tests: tuple[str, ...]) -> float:
-        """See that tests pass as they are, and return how long to wait for them [s]."""
+        """Check that tests pass without a fault, and return their time limit [s]."""
         if self._given:
             return self._given
         if tests not in self._seconds:
@@ -129,12 +128,12 @@ class Tree:
     def _write(self, source: str, text: str) -> None:
         path = self.root / source
         path.write_text(text, encoding="utf-8")
-        # By date and size alone, its bytecode could be taken for that of this text.
+        # With equal date and size, its bytecode could be reused for this text.
         for stale in (path.parent / "__pycache__").glob(f"{path.stem}.*"):
             stale.unlink()
 
     def verdict(self, source: str, fault: Mutant) -> tuple[str, str]:
-        """Return what becomes of a fault, and which test has noticed it."""
+        """Return the outcome of a fault and the test that detected it."""
         listed = table("equivalent.toml")
         if any(fnmatch(source, str(e["source"])) and e["before"] == fault.before
                and e["after"] == fault.after for e in listed):  # fmt: skip
@@ -156,7 +155,7 @@ class Tree:
 
 
 def faults(tree: Tree, patterns: Sequence[str], seed: int) -> Iterator[tuple[str, Mutant]]:
-    """All places in random order, with one fault for each."""
+    """All places in random order with one fault each."""
     found = [
         (source, place, choices)
         for source in tree.sources(*patterns)

@@ -1,4 +1,4 @@
-"""The faults of `make mutate` are faults, and every source has tests that are near to it."""
+"""The faults of `make mutate` are faults, and every source has nearby tests."""
 
 import tomllib
 from fnmatch import fnmatch
@@ -38,7 +38,7 @@ def changes(name: str, text: str, folder: Path) -> set[tuple[str, str]]:
     return {(m.before, m.after) for m in found}
 
 
-def test_faults_in_python(tmp_path: Path) -> None:
+def test_python_faults_are_generated(tmp_path: Path) -> None:
     found = changes("a.py", PYTHON, tmp_path)
     line = "return a * 0.5 if a < 2 else -a"
     for after in (
@@ -50,7 +50,7 @@ def test_faults_in_python(tmp_path: Path) -> None:
     assert {before for before, _ in found} == {line, "def f(a, *, b=True):"}
 
 
-def test_faults_in_c(tmp_path: Path) -> None:
+def test_c_faults_are_generated(tmp_path: Path) -> None:
     found = changes("a.c", C, tmp_path)
     addition = "sum += fabs(a[i]) * 2.5; /* nor here: 1 + 1 */"
     assert found == {
@@ -70,7 +70,7 @@ def test_faults_in_c(tmp_path: Path) -> None:
     ("table", "kind"),
     [("nearest.toml", "of"), ("nearest.toml", "beyond"), ("equivalent.toml", "of")],
 )
-def test_tables_name_what_there_is(table: str, kind: str) -> None:
+def test_tables_name_existing_files(table: str, kind: str) -> None:
     for entry in tomllib.loads((HERE / table).read_text(encoding="utf-8"))[kind]:
         pattern = str(entry.get("sources", entry.get("source")))
         named = [path for path in SOURCES if fnmatch(str(path.relative_to(ROOT)), pattern)]
@@ -82,7 +82,7 @@ def test_tables_name_what_there_is(table: str, kind: str) -> None:
             assert any(" ".join(entry["before"].split()) in text for text in texts), entry
 
 
-def test_every_source_has_tests_near_to_it() -> None:
+def test_every_source_has_nearby_tests() -> None:
     entries = tomllib.loads((HERE / "nearest.toml").read_text(encoding="utf-8"))["of"]
     bare = [
         str(path.relative_to(ROOT))

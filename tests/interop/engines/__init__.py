@@ -1,4 +1,4 @@
-"""The engines, one adapter each."""
+"""Engines, one adapter each."""
 
 from interop.engines.casadi import CASADI
 from interop.engines.ecos import ECOS

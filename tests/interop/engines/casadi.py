@@ -29,7 +29,7 @@ def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
 
 
 def _exact(case: Alone, about: Any) -> bool:
-    """Whether co-simulation is the exact solution for held inputs, as that of our laws can be."""
+    """Whether co-simulation is the exact solution for held inputs, an option of our laws."""
     (choice,) = [v for v in about.modelVariables if v.name == "discretisation"] or [None]
     ours = (about.generationTool or "").startswith("HESR")
     return ours and choice is not None and case.start.get(choice.name, int(choice.start)) == 1

@@ -1,4 +1,4 @@
-"""FMI4j, a library for the JVM, by a host of ours."""
+"""FMI4j, a library for the JVM, in our own host."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""fmi-rs, a Rust library, by a host of ours."""
+"""fmi-rs, a Rust library, in our own host."""
 
 from pathlib import Path
 

@@ -20,7 +20,7 @@ from hesr_model.support.process import FailedError, run
 
 
 def _find(tools: Tools) -> str:
-    # It answers, and ends with an error all the same.
+    # It prints the version but still exits with an error.
     answer = run((str(tools.program("fmi-sim")), "--version"), Path.cwd(), SECONDS).text
     found = re.search(r"fmi-sim (\d[\w.]*)", answer)
     if found is None:
@@ -33,7 +33,7 @@ def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
         raise SkippedError("it takes no arrays of several elements")
     units = model_description(case.fmu).unitDefinitions
     if case.fmi == 3 and any(unit.baseUnit and unit.baseUnit.K for unit in units):
-        # It expects FMI 3.0 to call kelvin k.
+        # It expects the name k for kelvin in FMI 3.0.
         raise SkippedError("it reads no units with kelvin in FMI 3.0")
     stop, step, *start = arguments(case)
     command: list[str | Path] = [tools.program("fmi-sim"), "--model", case.fmu.resolve()]

@@ -15,7 +15,7 @@ def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
 
 def _together(tools: Tools, case: Together, folder: Path) -> Run:
     run = host(tools.python("fmpy")[0], "run_fmpy_ssp.py", given_together(case), folder)
-    return replace(run, first=1)  # nothing is recorded before the first step
+    return replace(run, first=1)  # it records nothing before the first step
 
 
 FMPY = Engine(

@@ -23,12 +23,12 @@ def _together(tools: Tools, case: Together, folder: Path) -> Run:
     time = _NANOSECONDS.search(said)
     return Run(
         signals={name.partition("}.")[2]: values for name, values in found.items()},
-        seconds=1e-9 * float(time[1]) if time else None,  # with loading the FMUs
+        seconds=1e-9 * float(time[1]) if time else None,  # includes loading the FMUs
     )
 
 
 def _multi_model(case: Together) -> dict[str, Any]:
-    """Return a system as Maestro reads it."""
+    """Return a system in Maestro's format."""
     spec, wiring = case.spec, case.wiring()
     connections: dict[str, list[str]] = {}
     for into, out in wiring.sources.items():

@@ -1,4 +1,4 @@
-"""OMSimulator, by the C interface of its library, which no package registry has."""
+"""OMSimulator, by the C interface of its library; it is in no package registry."""
 
 import sys
 from ctypes.util import find_library

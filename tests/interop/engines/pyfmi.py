@@ -1,4 +1,4 @@
-"""PyFMI, by its calls for one FMU and its Master for several; no package registry has it built."""
+"""PyFMI, by its calls for one FMU and its Master for several; no registry has binaries of it."""
 
 from pathlib import Path
 

@@ -1,6 +1,6 @@
-"""What the Python hosts share: the case they are given and the files that they leave.
+"""Shared parts of the Python hosts: reading the case and writing the results.
 
-The hosts run in an interpreter that has an engine and need not have HESR.
+The hosts run in an interpreter that has an engine but not necessarily HESR.
 """
 
 import csv
@@ -12,14 +12,14 @@ from typing import Any
 
 
 def case() -> Any:
-    """Return the case, a JSON file that the command line names."""
+    """Return the case from the JSON file named on the command line."""
     return json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
 
 
 def leave(
     names: Sequence[str], rows: Iterable[Sequence[float]], seconds: float | None = None
 ) -> None:
-    """Write result.csv, all digits kept, and how long the steps took."""
+    """Write result.csv with all digits, and the duration of the steps."""
     with Path("result.csv").open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(["time", *names])

@@ -1,6 +1,6 @@
-"""One FMU for model exchange, evaluated by CasADi and integrated by the method of Runge and Kutta.
+"""One FMU for model exchange, evaluated by CasADi and integrated by a Runge-Kutta method.
 
-Inputs hold over each step, as in co-simulation.
+Inputs are held over each step, as in co-simulation.
 """
 
 import casadi

@@ -1,4 +1,4 @@
-"""A system that is packaged as SSP, run by ecos."""
+"""A system packaged as SSP, run by ecos."""
 
 import time
 

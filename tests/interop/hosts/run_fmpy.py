@@ -10,12 +10,12 @@ owner = {element: name for name, elements in arrays.items() for element in eleme
 
 
 def columns(names: list[str]) -> dict[str, list[str]]:
-    """Return the elements of each variable that has elements among these."""
+    """Return the elements of each array variable among these names."""
     return {owner.get(name, name): arrays.get(owner.get(name), [name]) for name in names}
 
 
 def shape(name: str) -> tuple[int, ...]:
-    """Return the shape of a variable by the indices of its last element."""
+    """Return the shape of a variable from the indices of its last element."""
     if name not in arrays:
         return ()
     return tuple(map(int, arrays[name][-1].rpartition("[")[2].rstrip("]").split(",")))

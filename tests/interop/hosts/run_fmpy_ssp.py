@@ -1,4 +1,4 @@
-"""A system that is packaged as SSP, run by FMPy's SSP runner."""
+"""A system packaged as SSP, run by FMPy's SSP runner."""
 
 import time
 
@@ -7,7 +7,7 @@ from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import ParameterSet, read_ssd
 
 given = case()
-# FMPy reads the parameter sets that an SSP binds to its components, and applies none: it wants one
+# FMPy reads the parameter sets that an SSP binds to its components but applies none: it expects one
 # for the whole system.
 everything = ParameterSet()
 for component in read_ssd(given["ssp"]).system.elements:
@@ -19,7 +19,7 @@ for component in read_ssd(given["ssp"]).system.elements:
 begin = time.perf_counter()
 result = simulate_ssp(
     given["ssp"],
-    # Half a step less, since FMPy adds up its times and might take a step too many.
+    # Half a step less, since FMPy accumulates its times and might take an extra step.
     stop_time=(given["steps"] - 0.5) * given["step"],
     step_size=given["step"],
     parameter_set=everything,

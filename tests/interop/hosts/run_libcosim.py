@@ -1,4 +1,4 @@
-"""A system that is packaged as SSP, run by libcosim."""
+"""A system packaged as SSP, run by libcosim."""
 
 import time
 
@@ -11,7 +11,7 @@ from libcosimpy.CosimObserver import CosimObserver
 log_output_level(CosimLogLevel.WARNING)
 given = case()
 steps = given["steps"]
-# Without a step size libcosim takes that of the SSP's annotation.
+# Without a step size libcosim uses that of the SSP's annotation.
 execution = CosimExecution.from_ssp_file(ssp_path=given["ssp"])
 observer = CosimObserver.create_time_series(buffer_size=steps + 1)
 execution.add_observer(observer=observer)

@@ -1,4 +1,4 @@
-"""A system that is packaged as SSP, run by the library of an installed OMSimulator.
+"""A system packaged as SSP, run by the library of an installed OMSimulator.
 
 run_omsimulator.py CASE.json         run it
 run_omsimulator.py version LIBRARY   print the library's version
@@ -16,7 +16,7 @@ _FAILED = 2  # statuses below are "ok" and "warning"
 
 
 def loaded(path: str) -> ctypes.CDLL:
-    """Return the library, its functions declared."""
+    """Return the library with its functions declared."""
     library = ctypes.CDLL(path)
     library.oms_getVersion.restype = Text
     library.oms_importFile.argtypes = [Text, ctypes.POINTER(Text)]
@@ -30,7 +30,7 @@ def loaded(path: str) -> ctypes.CDLL:
 
 
 class Model:
-    """A model in OMSimulator; every call that fails ends the program."""
+    """A model in OMSimulator; every failing call ends the program."""
 
     def __init__(self, library: ctypes.CDLL, ssp: str) -> None:
         self._library = library
@@ -68,7 +68,7 @@ def main() -> None:
     signals = [f"{system}.{signal}" for signal in given["signals"]]
     model.do("setResultFile", b"", 1)
     model.do("setStopTime", step * steps)
-    # By this way into it OMSimulator reads its own annotation, by others it does not.
+    # OMSimulator reads its own annotation only with this way of importing.
     model.within(system, "setFixedStepSize", step)
     model.do("instantiate")
     model.do("initialize")

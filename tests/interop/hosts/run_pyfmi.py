@@ -1,4 +1,4 @@
-"""One FMU, or a system of FMUs, run by PyFMI; a system by its Master, in fixed steps."""
+"""One FMU, or a system of FMUs, run by PyFMI; a system by its Master with fixed steps."""
 
 import time
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ def loaded(fmu: str, start: dict[str, Any]) -> Any:
 
 
 def alone(given: dict[str, Any]) -> tuple[Rows, float]:
-    """Return time and outputs of an FMU whose inputs hold over each step, and how long it took."""
+    """Return time, outputs and duration of an FMU with inputs held over each step."""
     model = loaded(given["fmu"], given["start"])
     inputs, step = list(given["inputs"]), given["step"]
     table = list(zip(*given["inputs"].values(), strict=True)) or [()] * len(given["times"])
@@ -47,17 +47,17 @@ def alone(given: dict[str, Any]) -> tuple[Rows, float]:
 
 
 def together(given: dict[str, Any]) -> tuple[Rows, float]:
-    """Return time and signals of a system, and how long it took with its initialisation."""
+    """Return time, signals and duration of a system, including initialisation."""
     models = {name: loaded(*part) for name, part in given["components"].items()}
     links = [(models[a], out, models[b], into) for a, out, b, into in given["connections"]]
     master = Master([*models.values()], links)
     options = master.simulate_options()
     options["step_size"] = given["step"]
     options["result_handling"] = "memory"
-    # Else inputs of the start are a root, as exact as its solver.
+    # Otherwise initial inputs are solved for, as accurately as the solver allows.
     options["block_initialization"] = True
     begin = time.perf_counter()
-    # A last step of rounding size is done already; without it rounding could shorten a true one.
+    # A last step of round-off size must be skipped; round-off may also shorten a real one.
     end = (given["steps"] + 1e-10) * given["step"]
     found = master.simulate(0.0, end, options=options)
     seconds = time.perf_counter() - begin
