@@ -129,7 +129,9 @@ class _Problem:
             position = _sizes(self._position(change[None])[0].reshape(-1, self._robot.n))
             ratio = float(np.sqrt(np.mean(np.square(position / self._position_sizes))))
             if np.all(torque <= MOST_TORQUE * self._torque_sizes) and ratio < 1.0:
-                friction = replace(self._moved(change), training_rmse=tuple(torque.tolist()))
+                friction = replace(
+                    self._moved(change), training_rmse=tuple(torque.tolist()), left_out_rmse=()
+                )
                 return Refined(body=self._moved_body(change), friction=friction, ratio=ratio)
         return Refined(body=self._body, friction=self._friction, ratio=1.0)
 
