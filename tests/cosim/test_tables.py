@@ -101,9 +101,9 @@ def test_page_and_terminal_show_the_same_figures() -> None:
     html = str(page(table))
     for row in table.rows:
         for cell in row.cells:
-            assert cell.text in terminal(table)  # type: ignore[union-attr]
-            assert f">{cell.text}</td>" in html  # type: ignore[union-attr]
-            assert f">{cell.side_note}</td>" in html  # type: ignore[union-attr]
+            assert cell.text in terminal(table)
+            assert f">{cell.text}</td>" in html
+            assert f">{cell.side_note}</td>" in html
 
 
 def findings(joints: int, keys: list[str]) -> Properties:
@@ -147,7 +147,7 @@ def test_thirteen_experiments_are_split_into_two_blocks(monkeypatch: pytest.Monk
     marked = re.findall(r"(?<!\S)(\S+)([✓✗])(?!\S)", text)
     assert len(marked) == len(LAWS) * len(keys) * 7
     cells = [cell for row in table.rows for cell in row.cells]
-    expected = sorted(line for cell in cells for line in cell.text.split("\n"))  # type: ignore[union-attr]
+    expected = sorted(line for cell in cells for line in cell.text.split("\n"))
     assert sorted(figure for figure, _ in marked) == expected
     assert page(table).count('class="pass"') == sum(mark == "✓" for _, mark in marked)
 
@@ -193,7 +193,7 @@ def test_changes_of_an_arm_are_grouped_by_scheme() -> None:
     for table, scheme in zip(tables, schemes, strict=True):
         assert table.caption.startswith(scheme.title)
         worst = [row.mean.max() for row in rows if replace(row.scheme, change="") == scheme]
-        assert [cell.value for row in table.rows for cell in row.cells] == pytest.approx(  # type: ignore[union-attr]
+        assert [cell.value for row in table.rows for cell in row.cells] == pytest.approx(
             [1e3 * error for error in worst]
         )
         terminal(table)

@@ -9,7 +9,6 @@ import pytest
 from registry_models import models_of_registry
 
 from cosim.report.tables.scores import errors
-from cosim.report.tables.table import TableCell
 from cosim.study.scores import ORACLE, Comparison, LawScores, Ratios, compare, predict_model
 from cosim.study.verdict import (
     Verdict,
@@ -116,14 +115,14 @@ def test_laws_without_significant_difference_lead_together(tested) -> None:
     assert [set(of_joint) for of_joint in found.leading] == [{"a", "b"}] * 2
     rows = errors("unseen", found).rows
     assert [row.head for row in rows[1:]][-1] == "c"
-    assert not any(cell.best for row in rows for cell in row.cells if isinstance(cell, TableCell))
+    assert not any(cell.best for row in rows for cell in row.cells)
     clear = compare(tested, {"c": off(3.0), "a": off(1.0)})
     assert clear.leading == (("a",), ("a",))
     rows = errors("unseen", clear).rows
     assert [row.head for row in rows[1:]] == ["a", "c"]
-    assert [cell.best for cell in rows[1].cells] == [True, True]  # type: ignore[union-attr]
+    assert [cell.best for cell in rows[1].cells] == [True, True]
     old = replace(clear, leading=())
-    assert not any(cell.best for cell in errors("unseen", old).rows[1].cells)  # type: ignore[union-attr]
+    assert not any(cell.best for cell in errors("unseen", old).rows[1].cells)
 
 
 def test_a_law_that_explains_little_is_called_inadequate(scores, models, trained, tested) -> None:

@@ -6,7 +6,7 @@ from interop.case import Together
 from interop.engine import describe
 from interop.matrix import EngineMatrix, EngineResult
 
-from cosim.report.tables.table import ResultTable, TableRow
+from cosim.report.tables.table import ResultTable, row_of
 
 
 def table(matrix: EngineMatrix) -> ResultTable:
@@ -17,9 +17,10 @@ def table(matrix: EngineMatrix) -> ResultTable:
         head=("engine", "version", *(f"{case.name} ({case.tolerance:g})" for case in matrix.cases)),
         words=(1,),
         rows=[
-            TableRow(
-                head=row.engine.name,
-                cells=(row.version or "-", *(_text(row.cells.get(name)) for name in names)),
+            row_of(
+                row.engine.name,
+                row.version or "-",
+                *(_text(row.cells.get(name)) for name in names),
             )
             for row in matrix.rows
         ],

@@ -12,7 +12,7 @@ def csv_text(table: ResultTable) -> str:
     """Return a table as CSV; a missing number is empty."""
     grouped = any(not row.cells for row in table.rows)
     columns = zip(*(row.cells for row in table.rows if row.cells), strict=True)
-    noted = [any(map(_notes, column)) for column in columns]
+    noted = [any(cell.notes for cell in column) for column in columns]
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     head = [table.head[0]]
@@ -26,23 +26,17 @@ def csv_text(table: ResultTable) -> str:
             continue
         fields = [_plain(row.head)]
         for cell, has_notes in zip(row.cells, noted, strict=True):
-            fields += [_value(cell), _notes(cell)] if has_notes else [_value(cell)]
+            fields += [_value(cell), *(["; ".join(cell.notes)] if has_notes else [])]
         writer.writerow([group, *fields] if grouped else fields)
     return text.getvalue()
 
 
-def _notes(cell: TableCell | str) -> str:
-    return "; ".join(cell.notes) if isinstance(cell, TableCell) else ""
-
-
-def _value(cell: TableCell | str) -> str:
-    if not isinstance(cell, TableCell):
-        return _plain(cell)
+def _value(cell: TableCell) -> str:
     if cell.value is not None:
         return str(cell.value)
     if cell.marks:
         return "; ".join(f"{mark} {figure}".strip() for mark, figure in cell.marked)
-    return "" if cell.text == "–" else cell.text
+    return "" if cell.text == "–" else _plain(cell.text)
 
 
 def _plain(text: str | Markup) -> str:

@@ -25,9 +25,7 @@ def _line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
-def _text(cell: TableCell | str) -> str:
-    if not isinstance(cell, TableCell):
-        return str(cell)
+def _text(cell: TableCell) -> str:
     if cell.marks:
         return "<br>".join(f"{line}{MARKS[mark]}" for mark, line in cell.marked)
     text = f"**{cell.text}**" if cell.best else cell.text

@@ -39,13 +39,14 @@ class TableRow:
     """Row of a table; without cells it is a heading of the rows below."""
 
     head: str | Markup
-    cells: Sequence[TableCell | str | Markup] = ()
+    cells: Sequence[TableCell] = ()
     quiet: bool = False
 
 
 def row_of(head: str | Markup, *cells: TableCell | str | Markup, quiet: bool = False) -> TableRow:
     """Return a row."""
-    return TableRow(head=head, cells=cells, quiet=quiet)
+    shown = [cell if isinstance(cell, TableCell) else TableCell(text=cell) for cell in cells]
+    return TableRow(head=head, cells=shown, quiet=quiet)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +63,7 @@ class ResultTable:
     @property
     def noted(self) -> bool:
         """Whether some cells have notes."""
-        return any(getattr(cell, "notes", ()) for row in self.rows for cell in row.cells)
+        return any(cell.notes for row in self.rows for cell in row.cells)
 
     @property
     def width(self) -> int:

@@ -81,9 +81,7 @@ def _width(texts: Sequence[Text]) -> int:
     return max((cell_len(line) for text in texts for line in text.plain.split("\n")), default=0)
 
 
-def _text(cell: TableCell | str) -> Text:
-    if not isinstance(cell, TableCell):
-        return Text(str(cell))
+def _text(cell: TableCell) -> Text:
     lines = [Text(cell.text, style="bold" if cell.best else "")]
     if cell.marks:
         lines = [
