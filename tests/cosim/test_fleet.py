@@ -416,7 +416,7 @@ def test_a_cyclic_link_is_refused(tmp_path: Path) -> None:
         members(*study_of(tmp_path, two="b/*"))
 
 
-def test_folders_with_other_files_are_refused(copied: Path, command: Command, capsys) -> None:
+def test_folders_of_another_fleet_are_refused(copied: Path, command: Command, capsys) -> None:
     file = copied / "fleet.toml"
     with (
         FileLock(copied / "out" / ".fleet-lock"),

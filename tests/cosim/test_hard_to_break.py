@@ -448,7 +448,7 @@ def test_unknown_encodings_are_refused(encoding: str, refused: Refused, tmp_path
 
 
 @pytest.mark.parametrize("letter", ["\\u0000", "\\u0007", "\\u202e"])
-def test_unprintable_names_are_escaped(letter: str, refused: Refused, tmp_path: Path) -> None:
+def test_unprintable_names_are_refused(letter: str, refused: Refused, tmp_path: Path) -> None:
     robot = robot_file(tmp_path, joint=f"joint{letter}1")
     assert "which cannot be printed" in refused(*identify(tmp_path / "log.csv", robot))
     data = json.loads(uf850("table1.json").read_text(encoding="utf-8"))

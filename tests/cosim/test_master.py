@@ -357,7 +357,7 @@ def test_silent_nan_is_reported_with_parameters_of_every_type(odd_fmu):
             assert str(result.failure) == "at t = 0.3 s odd.y is not a finite number."
 
 
-def test_undeclared_dependencies_are_handled(odd_fmu):
+def test_undeclared_dependencies_count_as_feedthrough(odd_fmu):
     spec = odd_system(odd_fmu, connections={"odd.u": "odd.y"})
     with pytest.raises(ConfigError) as error:
         System(spec, Path("system")).run()

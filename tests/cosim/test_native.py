@@ -178,7 +178,7 @@ def test_signals_are_handled_between_many_rows(lag_fmu, monkeypatch):
     assert rows_of_a_lag(lag_fmu, 1e9, 40) == whole
 
 
-def test_a_refused_input_ends_the_rows_before_it(lag_fmu, monkeypatch):
+def test_a_refused_input_ends_the_rows(lag_fmu, monkeypatch):
     """NaN is refused when it is set, after the rows before it."""
 
     def found() -> tuple[str, float]:

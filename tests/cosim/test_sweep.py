@@ -317,7 +317,7 @@ def test_oversized_grids_are_refused():
         chosen(of(design="grid", runs=None, inputs=inputs))
 
 
-def test_folders_with_other_files_are_refused(study: Path, tmp_path: Path):
+def test_folders_of_another_sweep_are_refused(study: Path, tmp_path: Path):
     out = tmp_path / "out"
     run_sweep(study, out, workers=1)
     before = files(out)

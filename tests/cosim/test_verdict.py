@@ -125,7 +125,7 @@ def test_laws_without_significant_difference_lead_together(tested) -> None:
     assert not any(cell.best for cell in errors("unseen", old).rows[1].cells)
 
 
-def test_a_law_that_explains_little_is_called_inadequate(scores, models, trained, tested) -> None:
+def test_joints_that_a_law_explains_badly_are_named(scores, models, trained, tested) -> None:
     whole = scores["unseen"]
     bad = replace(whole, tau_std=tuple(0.01 * s for s in whole.tau_std))
     weak = judged({"unseen": bad}, models, trained, tested).weak

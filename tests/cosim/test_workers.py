@@ -231,7 +231,7 @@ def test_a_job_may_print_and_read(tmp_path: Path) -> None:
     assert (out, err) == (f"{[('', 3)] * 3}\n", "by a library\n" * 3)
 
 
-def test_an_error_of_a_job_keeps_its_position(tmp_path: Path) -> None:
+def test_an_error_of_a_job_keeps_its_traceback(tmp_path: Path) -> None:
     text = JOBS + (
         "class Odd(Exception):\n"
         "    def __reduce__(self): raise TypeError\n"

@@ -313,7 +313,7 @@ def test_incompatible_parts_are_named(tmp_path):
         StartTable(unit="rad", joints=("joint1", "joint2"), others=("joint3",))
 
 
-def test_a_rigid_transmission_has_no_effect(tmp_path):
+def test_a_stiff_transmission_has_no_effect(tmp_path):
     """Without compliance, rotor and link move as one, as without a rotor."""
     losses = Losses(constant=(3.0, 3.0, 2.0))
     stiff = GearElasticity(

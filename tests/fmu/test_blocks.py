@@ -349,7 +349,7 @@ def controlled(fmus: Mapping[str, Path], compensation: str) -> tuple[Any, dict[s
     return given | {"tau_d": tau_d}, found
 
 
-def test_commands_equal_desired_positions_without_compensation(fmus: Mapping[str, Path]) -> None:
+def test_compensation_can_be_off(fmus: Mapping[str, Path]) -> None:
     _, found = controlled(fmus, "none")
     assert not found["dq_comp"].any()
 

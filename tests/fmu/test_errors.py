@@ -140,7 +140,7 @@ def exploding(make_law, make_model, load, tmp_path):
     return load(export_bare(make_model(make_law("parfam_exp")), tmp_path / "F.fmu"))
 
 
-def test_infinite_outputs_after_a_step_are_discarded(exploding):
+def test_infinite_outputs_after_a_step_are_errors(exploding):
     c = exploding.ready()
     exploding.set(c, dq=1e4)
     assert exploding.step(c, 2.0, 0.005) == ERROR
@@ -338,7 +338,7 @@ def test_an_experiment_must_not_end_before_it_starts(binary):
     assert "goes from 1 to 0.5" in binary.messages[-1][2]
 
 
-def test_asynchronous_status_is_refused(binary):
+def test_status_is_that_of_a_synchronous_slave(binary):
     c = binary.ready()
     binary.step(c, 0.0, 0.005)
     time, ended = ctypes.c_double(), ctypes.c_int(7)

@@ -150,7 +150,7 @@ def test_a_sliding_drive_equals_a_rotating_one(mixed_drive):
         assert abs(q_slid) > 1e-3
 
 
-def test_a_modelica_package_has_rotational_flanges(mixed, tmp_path):
+def test_modelica_refuses_sliding_joints(mixed, tmp_path):
     with pytest.raises(ExportError) as caught:
         export_modelica(mixed, tmp_path / "Friction.mo")
     assert str(caught.value) == (

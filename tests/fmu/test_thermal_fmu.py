@@ -146,7 +146,7 @@ def test_a_law_without_bounds_is_refused(tmp_path: Path) -> None:
     [("drive", "F.fmu"), ("mjcf", "F.xml"), ("modelica", "F.mo"), ("c", "f.h"),
      ("torch", "f.py"), ("jax", "f.py")],
 )  # fmt: skip
-def test_forms_without_temperature_state_it(form: Any, name: str, tmp_path: Path) -> None:
+def test_formats_without_temperature_are_refused(form: Any, name: str, tmp_path: Path) -> None:
     options = {"inertia": (1.0, 1.0)} if form == "drive" else {}
     with pytest.raises(ExportError, match="law 'tried' depends on temperature, which"):
         export(MODEL, tmp_path / name, format=form, **options)

@@ -20,7 +20,7 @@ def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def test_a_table_marks_best_similar_and_passed() -> None:
+def test_a_table_has_best_values_notes_and_marks() -> None:
     rows = [
         TableRow(head="inputs v"),
         TableRow(head="a|b", cells=[TableCell(text="1.5", best=True, notes=("0.9", "0.8–1.0"))]),

@@ -113,7 +113,7 @@ def reworked(make_law, make_model, tmp_path, monkeypatch) -> Callable[..., Path]
     return make
 
 
-def test_a_saved_state_without_support_is_reported(reworked):
+def test_refusal_of_a_dummy_state_is_reported(reworked):
     fmu = reworked("viscous", "n != own && (own > 0 || n > 1)", "n != own")
     assert found(fmu) == [
         "fmi2SetContinuousStates with one state is refused by an FMU without states; solvers that "
