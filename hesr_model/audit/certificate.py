@@ -12,11 +12,14 @@ k x^2 over states, and tau is read after they have moved. Torques of position al
                                            in continuous time
     f(v) v     f >= 0
     ripple     see `laws.stops.passive`: f at every speed above the energy of its lag
+
+Functions of speed are bounded over all speeds up to 1e6 rad/s by interval arithmetic.
 """
 
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf
 from typing import Literal
 
@@ -24,18 +27,23 @@ import numpy as np
 import sympy
 
 from hesr_model.audit.attack import Attack, attack
-from hesr_model.equations.functions import absolute, cardinal_sine, lowered, positive, sgn
+from hesr_model.equations.functions import absolute, cardinal_sine, larger, positive, sgn
+from hesr_model.equations.intervals import Interval, Least, enclosed, lowest
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.friction.equation import text_of
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.scales import COULOMB, LEAST, SCALES, scaled
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.laws.stops.passive import SPEEDS, distance
+from hesr_model.laws.stops.passive import distance
 from hesr_model.support.arrays import Array
 
 ProofVerdict = Literal["proven", "refuted", "open"]
 _ROUNDING = 1e-9  # relative
 _STEPS = np.geomspace(1e-6, 10.0, 141)  # [s] candidates of the largest certified step
+_REST = 1e-12  # [rad/s]; below, only torques above round-off count
+_EDGES = np.concatenate([[1e-300], np.geomspace(_REST, 1e6, 73)])  # [rad/s]
+_WAYS = (1.0, -1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,12 +79,27 @@ def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
 
 def least_viscosity(law: FrictionLaw) -> float:
     """Return the smallest factor on viscous friction that keeps the proof, else 0."""
+    return scale_limits(law)[1][0]
+
+
+def scale_limits(law: FrictionLaw) -> list[tuple[float, float | None]]:
+    """Return limits of each factor of `SCALES` (None: any) that keep the proof of a proven law.
+
+    The torque is linear in both; if either part alone could generate energy, both remain 1.
+    """
     proof = _Proof(law)
     try:
         proof.certificate()
     except _UnprovenError:
-        return 0.0
-    return proof.least
+        return [(0.0, None)] * len(SCALES)
+    parts = proof.scaled_parts()
+    try:
+        for part in parts:
+            _Steady(part).least_viscous()
+    except _UnprovenError:
+        return [(1.0, 1.0)] * len(SCALES)
+    least = min(float(f"{proof.least * (1.0 + 1e-5):.6g}"), 1.0)  # rounded up
+    return [(least if part != 0 else 0.0, None) for part in parts]
 
 
 def storage(law: FrictionLaw) -> Mapping[str, float]:
@@ -89,9 +112,10 @@ def storage(law: FrictionLaw) -> Mapping[str, float]:
 class _Proof:
     def __init__(self, law: FrictionLaw) -> None:
         self.law = law
-        numbers = {c.symbol: sympy.Float(law.values[c.name]) for c in law.form.coefficients}
-        self.memory: tuple[Element, ...] = tuple(m.subs(numbers) for m in law.form.memory)
-        self.output = law.form.output.xreplace(numbers)
+        self.numbers = {c.symbol: sympy.Float(law.values[c.name]) for c in law.form.coefficients}
+        self.memory: tuple[Element, ...] = tuple(m.subs(self.numbers) for m in law.form.memory)
+        self.still = {s: sympy.S.Zero for m in self.memory for s in (m.state, m.derivative)}
+        self.output = law.form.output.xreplace(self.numbers)
         self.stored: dict[str, float] = {}
         self.texts: list[str] = []
         self.conditions: list[str] = []
@@ -99,12 +123,11 @@ class _Proof:
         self.least = 0.0
 
     def certificate(self) -> Certificate:
-        states = {s: sympy.Integer(0) for m in self.memory for s in (m.state, m.derivative)}
         damping = 0.0
         for element in self.memory:
             damping += self._element(element)
-        rest = self.output.xreplace(states)
-        linear = sum(self.output.diff(s) * s for s in states if self.output.has(s))
+        rest = self.output.xreplace(self.still)
+        linear = sum(self.output.diff(s) * s for s in self.still if self.output.has(s))
         remainder = sympy.expand(self.output - rest - linear)
         _require(remainder == 0, "the torque is not linear in the states")
         terms = list(sympy.Add.make_args(sympy.expand_mul(rest)))
@@ -162,8 +185,8 @@ class _Proof:
         _require(proportional, f"the drive of {x} is not proportional to the velocity")
         inputs = element.rate.free_symbols
         if inputs <= {DQ}:
-            rate = _values(element.rate, np.concatenate([-SPEEDS[::-1], SPEEDS]))
-            _require(rate.min() >= 0.0, f"the rate of {x} is negative at some speed")
+            bound = _least_of(element.rate, enough=0.0)
+            _require(bound >= 0.0, f"the rate of {x} has no bound >= 0 at all speeds")
         else:
             known = inputs <= {DQ, TAU_LOAD} and never_negative(element.rate)
             _require(known, f"the rate of {x} depends on more than velocity and load")
@@ -178,47 +201,40 @@ class _Proof:
             raise _UnprovenError(f"the factor of {element.derivative} is negative, {damper:.3g}")
         constant = TAU_LOAD not in element.rate.free_symbols
         _require(constant, f"the rate of {element.name} with damping depends on the load")
-        speeds = SPEEDS[1:]
-        k = np.concatenate([_values(element.rate, s * speeds) / speeds for s in (1.0, -1.0)])
-        _require(k.min() > 0.0, f"{element.name} has no steady deflection at some speed")
+        k = sympy.expand_mul(element.rate / absolute(DQ))
+        low, high = _least_of(k), -_least_of(-k)
+        _require(low > 0.0, f"{element.name} has no steady deflection at some speed")
         self.step = None
-        return damper * (float(k.max() / k.min()) - 1.0) * float(element.drive.diff(DQ))
+        return damper * (high / low - 1.0) * float(element.drive.diff(DQ))
 
     def _viscous(self, steady: sympy.Expr, waves: list[sympy.Expr], damping: float) -> None:
-        speeds = SPEEDS[1:]
         own = steady.free_symbols <= {DQ}
         _require(own, "the torque without states depends on more than the velocity")
-        ahead, back = _values(steady, speeds), _values(steady, -speeds)
-        # A constant offset between forward and backward torques does no work over a closed path.
-        low, high = float(back.max()), float(ahead.min())
-        scale = max(float(np.abs([ahead, back]).max()), 1e-12)
-        v = (speeds[ahead.argmin()], speeds[back.argmax()])
-        _require(
-            low <= high + _ROUNDING * scale,
-            f"ahead at {v[0]:.3g} rad/s friction is {low - high:.3g} N.m less than back at "
-            f"{v[1]:.3g} rad/s",
-        )
-        least = low if low == high else float(_values(steady, np.zeros(1))[0])
-        offset = min(max(least, low), high)
-        f = np.minimum(ahead - offset, offset - back) / speeds
-        known = float(f.min())
-        positive_f = known >= -_ROUNDING * scale
-        _require(positive_f, f"viscous friction is negative, {known:.3g} N.m.s/rad")
-        self.conditions.append(f"f(v) >= {max(known, 0.0):.3g} N.m.s/rad at all speeds")
+        curve = _Steady(steady)
+        known = curve.least_viscous()
+        self.conditions.append(f"f(v) >= {known:.3g} N.m.s/rad at all speeds")
         if damping > 0.0:
+            share = curve.share(lambda v: np.full_like(v, damping))
             _require(
-                np.min(f - damping) >= -_ROUNDING * damping,
+                share >= 1.0 - _ROUNDING,
                 f"Barabanov and Ortega require {damping:.3g} N.m.s/rad of viscous friction, "
                 f"found {known:.3g}",
             )
             self.conditions.append(f"Barabanov and Ortega require {damping:.3g} of it")
-        need = np.full_like(f, damping)
+            self.least = 1.0 / share
         if waves:
-            need += self._ripple(waves, f - damping)
-        self.least = float(np.max(need / np.maximum(f, np.finfo(float).tiny)))
+            self._ripple(waves, curve, damping)
+        self.least = min(self.least, 1.0)
 
-    def _ripple(self, waves: list[sympy.Expr], f: Array) -> Array:
-        """Return the requirement on f at each speed [N.m.s/rad]."""
+    def scaled_parts(self) -> list[sympy.Expr]:
+        """Return the torque of speed alone that each factor of `SCALES` multiplies."""
+        level = {larger(COULOMB.symbol, LEAST): COULOMB.symbol}
+        torque = scaled(self.law.form).output.xreplace({**self.numbers, **self.still, **level})
+        terms = sympy.Add.make_args(sympy.expand_mul(torque))
+        own = sympy.Add(*(t for t in terms if not t.free_symbols & {Q, TAU_LOAD}))
+        return [own.coeff(scale.symbol) for scale in SCALES]
+
+    def _ripple(self, waves: list[sympy.Expr], curve: "_Steady", damping: float) -> None:
         found: dict[tuple[float, float, float, float], list[float]] = {}
         for term in waves:
             wave = next(iter(term.atoms(sympy.cos, sympy.sin)), None)
@@ -247,14 +263,100 @@ class _Proof:
             for key, a in found.items()
         ]
         any_step = all(window >= 0.0 for *_, window in groups)
-        steps = [h for h in ([inf] if any_step else _STEPS) if _holds(groups, f, float(h))]
-        _require(steps, "lagging ripple generates more energy than viscous friction dissipates")
-        step = float(steps[-1])
+
+        def share(step: float) -> float:
+            return curve.share(lambda v: damping + _needed(groups, step, v))
+
+        def fails(step: float) -> bool:
+            return share(step) < 1.0 - 1e-6
+
+        steps = np.array([inf]) if any_step else _STEPS
+        holding = bisect_left(steps, True, key=fails)  # longer steps need more
+        _require(holding, "lagging ripple generates more energy than viscous friction dissipates")
+        step = float(steps[holding - 1])
+        self.least = 1.0 / share(step)
         self.step = None if self.step is None else min(self.step, step)
         self.conditions.append(
             "f(v) >= sum_k A_k min(n_k c, 2/|v|) at all speeds, of lag, sampling and smoothing"
         )
-        return _needed(groups, step)
+
+
+class _Steady:
+    """Torque of steady motion, r(v) + v p(v), whose viscous friction is f = (r - offset) / v + p.
+
+    A constant offset between forward and backward torques does no work over a closed path.
+    """
+
+    def __init__(self, torque: sympy.Expr) -> None:
+        terms = sympy.Add.make_args(sympy.expand_mul(torque))
+        linear = [t for t in terms if t.as_powers_dict().get(DQ, 0) >= 1]
+        self.p = sympy.Add(*(t / DQ for t in linear))
+        self.constant, self.r = sympy.Add(*(t for t in terms if t not in linear)).as_coeff_Add()
+        ways = np.array(_WAYS)
+        size = max(float(np.max(np.abs(enclosed(torque, {DQ: (ways, ways)})))), 1e-12)
+        unbounded = "the torque of steady motion has no sufficient bound at all speeds"
+        _require(size < inf, unbounded)
+        self.slack = _ROUNDING * size
+        self.offset = 0.0
+        ahead, back = self._least(lambda r, p, a, b: r + np.where(p >= 0.0, p * a, p * b))
+        drop, v, w = -ahead.value - back.value, max(ahead.at, _REST), max(back.at, _REST)
+        _require(
+            drop <= self.slack,
+            f"ahead at {v:.3g} rad/s friction is {drop:.3g} N.m less than back at {w:.3g} rad/s",
+        )
+        _require(ahead.bound + back.bound >= -self.slack, unbounded)
+        self.offset = float(torque.subs(DQ, 0))
+        if not -back.bound - self.slack <= self.offset <= ahead.bound + self.slack:
+            self.offset = min(max(self.offset, -back.bound), ahead.bound)
+
+    def least_viscous(self) -> float:
+        """Return a lower bound >= 0 of f [N.m.s/rad]."""
+        found = self._least(lambda r, p, a, b: self._viscous(r, p, a, b, 0.0))
+        value, bound = (min(one.value for one in found), min(one.bound for one in found))
+        _require(value >= -self.slack, f"viscous friction is negative, {value:.3g} N.m.s/rad")
+        _require(bound >= -self.slack, "viscous friction has no bound >= 0 at all speeds")
+        return bound if bound > self.slack else 0.0
+
+    def share(self, need: Callable[[Array], Array]) -> float:
+        """Return a lower bound of f / need, which must not rise with speed."""
+
+        def share(r: Array, p: Array, a: Array, b: Array) -> Array:
+            f, needed = self._viscous(r, p, a, b, need(a)), need(a)
+            return np.where(needed > 0.0, f / needed, inf)
+
+        return min(one.bound for one in self._least(share))
+
+    def _viscous(self, r: Array, p: Array, a: Array, b: Array, need: Array | float) -> Array:
+        """Return f, or infinity near rest where the torque satisfies `need` up to round-off."""
+        enough = r + np.minimum(p - need, 0.0) * b >= -self.slack
+        f = p + np.where(r >= 0.0, r / b, r / a)
+        return np.where(enough & (b <= _REST), inf, f)
+
+    def _least(self, of: Callable[[Array, Array, Array, Array], Array]) -> list[Least]:
+        """Return the least of a function of r - offset against the motion, p, and ends of speed."""
+
+        def bound(way: float, a: Array, b: Array) -> Array:
+            low, high = enclosed(self.r, {DQ: _speeds(way, a, b)})
+            p = enclosed(self.p, {DQ: _speeds(way, a, b)})[0]
+            constant = way * float(self.constant - self.offset)
+            r = (low if way > 0.0 else -high) + constant * (abs(constant) > 1e-3 * self.slack)
+            with np.errstate(all="ignore"):
+                return of(*np.broadcast_arrays(r, p, a, b))
+
+        return [lowest(partial(bound, way), _EDGES, size=1e6 * self.slack) for way in _WAYS]
+
+
+def _speeds(way: float, a: Array, b: Array) -> Interval:
+    return (a, b) if way > 0.0 else (-b, -a)
+
+
+def _least_of(expression: sympy.Expr, enough: float = inf) -> float:
+    """Return a lower bound over all speeds in both directions."""
+
+    def bound(way: float, a: Array, b: Array) -> Array:
+        return np.broadcast_to(enclosed(expression, {DQ: _speeds(way, a, b)})[0], a.shape)
+
+    return min(lowest(partial(bound, way), _EDGES, enough=enough).bound for way in _WAYS)
 
 
 def never_negative(expression: sympy.Expr) -> bool:
@@ -269,12 +371,7 @@ def never_negative(expression: sympy.Expr) -> bool:
     return isinstance(e, sympy.Add | sympy.Mul) and all(map(never_negative, e.args))
 
 
-def _holds(groups: Sequence[tuple[float, ...]], f: Array, step: float) -> bool:
-    return bool(np.all(f >= _needed(groups, step) * (1.0 - 1e-6)))
-
-
-def _needed(groups: Sequence[tuple[float, ...]], step: float) -> Array:
-    speeds = SPEEDS[1:]
+def _needed(groups: Sequence[tuple[float, ...]], step: float, speeds: Array) -> Array:
     need = np.zeros_like(speeds)
     for amplitude, n, lag, smoothing, window in groups:
         c = distance(lag, window if window >= 0.0 else step)
@@ -289,10 +386,3 @@ def _window(mean: sympy.Expr) -> float:
         if part.func.__name__ == "positive":
             return -float(part.args[0].subs(DT, 0))
     return 0.0
-
-
-def _values(expression: sympy.Expr, speeds: Array) -> Array:
-    with np.errstate(all="ignore"):
-        found = np.broadcast_to(lowered([DQ], [expression])(speeds)[0], speeds.shape)
-    _require(np.all(np.isfinite(found)), "the law is not finite at some speeds")
-    return np.asarray(found, dtype=float)

@@ -37,7 +37,7 @@ def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
     warm = warmth(previous(TORQUE))
     own = parts(law, larger(COULOMB.symbol, LEAST), warm.coulomb)
     # Ripple needs a minimum viscosity.
-    viscous = VISCOUS.symbol * larger(warm.viscous, least_viscosity(law))
+    viscous = larger(VISCOUS.symbol * warm.viscous, least_viscosity(law))
     torque = own.hysteresis + viscous * own.viscous + own.rest
     base = law.form.component
     [known] = base.equations

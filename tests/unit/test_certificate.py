@@ -10,14 +10,15 @@ from oracles.over_log import StatesOverLog
 from oracles.stepper import Stepper
 
 from hesr_model.audit.attack import attack
-from hesr_model.audit.certificate import Certificate, certify, storage
-from hesr_model.equations.functions import absolute, sgn
+from hesr_model.audit.certificate import Certificate, certify, scale_limits, storage
+from hesr_model.equations.functions import absolute, cardinal_sine, sgn
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import registry
+from hesr_model.friction.scales import scaled
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.files import models_folder
 
@@ -170,6 +171,86 @@ def test_lugre_follows_the_condition_of_barabanov_and_ortega() -> None:
     assert (proven.verdict, proven.largest_step) == ("proven", None)
     less = certify(law_of("lugre", **LUGRE | {"sigma_1": 10.0, "sigma_2": 0.999 * enough}), TRAINED)
     assert less.verdict != "proven"
+
+
+STEEP = {"c_0": 0.0, "c_dq": 10.0, "c_g1": -5.4, "theta1_0": -1.01e5, "theta1_dq": 1e5}
+NEGATIVE = {"F_c": 4.0, "F_s": -4.0, "v_s": 2e-5, "sigma_2": 3.0, "tau_0": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("law", "why"),
+    [
+        (law_of("parfam_v", registry()["parfam_v"].typical, **STEEP), "at 1.01 rad/s friction"),
+        (law_of("stribeck", **NEGATIVE), "less than back"),
+        (law_of("stribeck", **NEGATIVE | {"v_s": 1e-11}), "less than back"),
+        (law_of("lugre", **LUGRE | {"F_s": -4.0, "v_s": 2e-5}), "rate of z has no bound"),
+        (own(absolute(DQ) * (absolute(DQ) - 0.5) * sgn(DQ)), "less than back"),
+        (own((3.0 + cardinal_sine(DQ)) * DQ), "no sufficient bound"),
+    ],
+    ids=["steep tanh", "negative F_s", "near rest", "bristle", "negative at low speed", "unknown"],
+)
+def test_what_happens_between_grid_points_is_no_proof(law: FrictionLaw, why: str) -> None:
+    found = certify(law, TRAINED)
+    assert found.verdict in ("refuted", "open")
+    assert why in found.rests_on[0]
+
+
+# --- factors ----------------------------------------------------------------------------------
+
+
+def test_limits_of_factors_of_laws_without_ripple() -> None:
+    free = [(0.0, None), (0.0, None)]
+    for law in (*PROVEN, law_of("lugre", **LUGRE | {"sigma_1": 10.0})):  # the last one is open
+        assert scale_limits(law) == free
+    # Either part alone would drive.
+    mixed = own(3.0 * sympy.tanh(DQ) - DQ + DQ * absolute(DQ))
+    assert certify(mixed, TRAINED).verdict == "proven"
+    assert scale_limits(mixed) == [(1.0, 1.0), (1.0, 1.0)]
+
+
+def test_damping_limits_the_viscous_factor() -> None:
+    law = law_of("lugre", **LUGRE | {"sigma_1": 10.0, "sigma_2": 8.0})
+    assert scale_limits(law)[0] == (0.0, None)
+    least, greatest = scale_limits(law)[1]
+    assert (least, greatest) == (pytest.approx(5.0 / 8.0, rel=1e-4), None)
+    assert least >= 5.0 / 8.0
+
+
+def test_ripple_limits_the_viscous_factor_to_where_the_proof_holds() -> None:
+    law = rippled()
+    coulomb, (least, greatest) = scale_limits(law)
+    assert (coulomb, greatest) == ((0.0, None), None)
+    for share, proven in ((least, True), (0.999 * least, False)):
+        viscous = {n: share * law.values[n] for n in ("sigma_2", "sigma_a")}
+        found = certify(replace(law, values={**law.values, **viscous}), TRAINED)
+        assert (found.verdict == "proven") == proven
+
+
+def generated(law: FrictionLaw, factors: dict[str, float], seed: int) -> float:
+    """Most energy [J] of random closed ways, in their third round."""
+    whole = replace(law, form=scaled(law.form), values={**law.values, **factors})
+    rng = np.random.default_rng(seed)
+    most = -inf
+    for _ in range(60):
+        dt = 10.0 ** rng.uniform(-4.0, -1.0)
+        n = int(rng.integers(20, 200))
+        phase = 2.0 * np.pi * np.arange(n) / n
+        dq = 10.0 ** rng.uniform(-2.0, 1.0) * np.sin(phase) + 0.1 * rng.normal(size=n)
+        dq = np.tile(dq - dq.mean(), 3)
+        q = np.cumsum(dq) * dt
+        tau = predict(whole, t=dt * np.arange(3 * n), dq=dq, q=q, tau_load=0.0 * q)
+        most = max(most, -float(np.sum((tau * dq)[-n:]) * dt))
+    return most
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_factors_within_their_limits_give_no_energy(seed: int) -> None:
+    law = rippled()
+    limits = dict(zip(("coulomb_scale", "viscous_scale"), scale_limits(law), strict=True))
+    low = {name: least for name, (least, _) in limits.items()}
+    for changed in ({}, {"coulomb_scale": 5.0}, {"viscous_scale": 5.0}):
+        assert generated(law, low | changed, seed) < 1e-12
+    assert generated(law, dict.fromkeys(low, 0.0), seed) > 1e-4
 
 
 # --- ripple -----------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from hesr_model.support.arrays import Array
 
 SPEEDS = np.concatenate([[0.0], np.geomspace(1e-4, 1e6, 241)])
-"""[rad/s] to check the condition; in between all terms are monotonic"""
+"""[rad/s] for the condition in a fit; in between all terms are monotonic"""
 
 
 def distance(lag: float, window: float) -> float:
@@ -42,6 +42,8 @@ def constrained(
     The last `free` of the unconstrained solution `x` have any sign and end in cosines and sines;
     those of `viscous` (S, V) precede them. `waves` (S, W) is the result of `needed`.
     """
+    # Bounds between neighbouring speeds: all columns are monotonic, and waves fall.
+    viscous, waves = np.minimum(viscous[:-1], viscous[1:]), waves[:-1]
     first = len(x) - free
     f, a = slice(first - viscous.shape[1], first), slice(len(x) - 2 * waves.shape[1], len(x))
 
