@@ -242,7 +242,10 @@ def common_attributes(variable: Variable, name: str, place: int, text: str) -> d
 
 
 def values(elements: Sequence[Variable]) -> dict[str, str]:
-    """Return the attributes for start values and limits of a variable or an array."""
+    """Return the attributes for start values and limits of a variable or an array.
+
+    An array has the limits that all elements share.
+    """
     first = elements[0]
     if first.enumeration:
         count = len(first.enumeration.items)
@@ -250,8 +253,10 @@ def values(elements: Sequence[Variable]) -> dict[str, str]:
     found = {}
     if not (first.computed or first.role == "state"):
         found["start"] = " ".join(repr(float(v.start)) for v in elements)
-    limits = {"min": first.least, "max": first.greatest}
-    return found | {name: repr(float(limit)) for name, limit in limits.items() if limit is not None}
+    least = [v.least for v in elements if v.least is not None]
+    greatest = [v.greatest for v in elements if v.greatest is not None]
+    found |= {"min": repr(float(max(least)))} if least else {}
+    return found | ({"max": repr(float(min(greatest)))} if greatest else {})
 
 
 def _scalar(variable: Variable, place: int, table: Interface) -> ET.Element:

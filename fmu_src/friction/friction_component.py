@@ -11,6 +11,7 @@ import sympy
 from fmu_src.equations.header import Joint, equations_header, indicators, own_size
 from fmu_src.export.interface import Enumeration, Interface, Role, Variable
 from fmu_src.friction.validity import discretisation_of
+from hesr_model.audit.certificate import scale_limits
 from hesr_model.equations.component import Component, Equation, Quantity
 from hesr_model.equations.memory import Element, Relaxation
 from hesr_model.equations.program import initial_state, initial_symbol, sources
@@ -223,10 +224,12 @@ def start_mode() -> Variable:
 
 
 def scales(model: FrictionModel) -> Iterator[Variable]:
-    """Yield the factors on Coulomb and viscous friction of every joint."""
-    for scale in SCALES:
+    """Yield the factors on Coulomb and viscous friction of every joint, limited by the proof."""
+    limits = list(map(scale_limits, model.laws))
+    for k, scale in enumerate(SCALES):
         for i, law in enumerate(model.laws, start=1):
-            own = of_joint(model, scale, i, "tunable", start=1.0, least=0.0)
+            least, greatest = limits[i - 1][k]
+            own = of_joint(model, scale, i, "tunable", start=1.0, least=least, greatest=greatest)
             if scale == VISCOUS and not has_viscous(law.form):
                 own = replace(own, description=f"{own.description}; its law has no such term")
             yield own
