@@ -242,10 +242,7 @@ def common_attributes(variable: Variable, name: str, place: int, text: str) -> d
 
 
 def values(elements: Sequence[Variable]) -> dict[str, str]:
-    """Return the attributes for start values and limits of a variable or an array.
-
-    An array has the limits that all elements share.
-    """
+    """Return the attributes for start values and common limits of a variable or an array."""
     first = elements[0]
     if first.enumeration:
         count = len(first.enumeration.items)

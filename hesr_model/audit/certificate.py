@@ -85,21 +85,22 @@ def least_viscosity(law: FrictionLaw) -> float:
 def scale_limits(law: FrictionLaw) -> list[tuple[float, float | None]]:
     """Return limits of each factor of `SCALES` (None: any) that keep the proof of a proven law.
 
-    The torque is linear in both; if either part alone could generate energy, both remain 1.
+    Both remain 1 if either part alone could generate energy, or Coulomb friction covers ripple.
     """
     proof = _Proof(law)
     try:
         proof.certificate()
     except _UnprovenError:
         return [(0.0, None)] * len(SCALES)
-    parts = proof.scaled_parts()
+    coulomb, viscous = proof.scaled_parts()
     try:
-        for part in parts:
+        _require(coulomb == 0 or not proof.least, "both parts cover ripple")
+        for part in (coulomb, viscous):
             _Steady(part).least_viscous()
     except _UnprovenError:
         return [(1.0, 1.0)] * len(SCALES)
     least = min(float(f"{proof.least * (1.0 + 1e-5):.6g}"), 1.0)  # rounded up
-    return [(least if part != 0 else 0.0, None) for part in parts]
+    return [(0.0, None), (least, None)]
 
 
 def storage(law: FrictionLaw) -> Mapping[str, float]:

@@ -206,6 +206,9 @@ def test_limits_of_factors_of_laws_without_ripple() -> None:
     mixed = own(3.0 * sympy.tanh(DQ) - DQ + DQ * absolute(DQ))
     assert certify(mixed, TRAINED).verdict == "proven"
     assert scale_limits(mixed) == [(1.0, 1.0), (1.0, 1.0)]
+    both = own(2.0 * sympy.tanh(DQ) + DQ + 1e-3 * sympy.cos(100 * Q - 0.1 * DQ))
+    assert certify(both, TRAINED).verdict == "proven"
+    assert scale_limits(both) == [(1.0, 1.0), (1.0, 1.0)]
 
 
 def test_damping_limits_the_viscous_factor() -> None:
