@@ -28,7 +28,7 @@ import sympy
 
 from hesr_model.audit.attack import Attack, attack
 from hesr_model.equations.functions import absolute, cardinal_sine, larger, positive, sgn
-from hesr_model.equations.intervals import Interval, Least, enclosed, lowest
+from hesr_model.equations.intervals import Enclosure, Least, enclosed, lowest
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.friction.equation import text_of
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
@@ -94,7 +94,7 @@ def scale_limits(law: FrictionLaw) -> list[tuple[float, float | None]]:
         return [(0.0, None)] * len(SCALES)
     coulomb, viscous = proof.scaled_parts()
     try:
-        _require(coulomb == 0 or not proof.least, "both parts cover ripple")
+        _require(coulomb == 0 or not proof.least, "")
         for part in (coulomb, viscous):
             _Steady(part).least_viscous()
     except _UnprovenError:
@@ -347,7 +347,7 @@ class _Steady:
         return [lowest(partial(bound, way), _EDGES, size=1e6 * self.slack) for way in _WAYS]
 
 
-def _speeds(way: float, a: Array, b: Array) -> Interval:
+def _speeds(way: float, a: Array, b: Array) -> Enclosure:
     return (a, b) if way > 0.0 else (-b, -a)
 
 

@@ -14,7 +14,7 @@ import sympy
 from hesr_model.equations.functions import NUMPY
 from hesr_model.support.arrays import Array
 
-Interval = tuple[Array, Array]
+Enclosure = tuple[Array, Array]
 
 _ROUNDS, _BOXES = 100, 200_000  # limits of the subdivision
 _PRECISION = 1e-6  # relative, of the least value
@@ -60,13 +60,13 @@ def lowest(
     return Least(min(known, rest), value, at)
 
 
-def enclosed(expression: sympy.Expr, box: Mapping[sympy.Symbol, Interval]) -> Interval:
+def enclosed(expression: sympy.Expr, box: Mapping[sympy.Symbol, Enclosure]) -> Enclosure:
     """Return bounds of an expression over boxes, the sides of each symbol as arrays."""
     with np.errstate(all="ignore"):  # NaN counts as any number
         return _visit(expression, dict(box))
 
 
-def _visit(e: sympy.Expr, known: dict[sympy.Expr, Interval]) -> Interval:
+def _visit(e: sympy.Expr, known: dict[sympy.Expr, Enclosure]) -> Enclosure:
     if e not in known:
         low, high = (np.asarray(side, dtype=float) for side in _extended(e, known))
         odd = np.isnan(low) | np.isnan(high)
@@ -74,7 +74,7 @@ def _visit(e: sympy.Expr, known: dict[sympy.Expr, Interval]) -> Interval:
     return known[e]
 
 
-def _extended(e: sympy.Expr, known: dict[sympy.Expr, Interval]) -> Interval:
+def _extended(e: sympy.Expr, known: dict[sympy.Expr, Enclosure]) -> Enclosure:
     if e.is_number:
         return np.array(float(e)), np.array(float(e))
     arguments = [_visit(a, known) for a in e.args]
@@ -117,12 +117,12 @@ def _product(a: Array, b: Array) -> Array:
     return np.where((a == 0.0) | (b == 0.0), 0.0, a * b)
 
 
-def _hull(ends: Sequence[Array]) -> Interval:
+def _hull(ends: Sequence[Array]) -> Enclosure:
     ends = np.broadcast_arrays(*ends)
     return np.minimum.reduce(ends), np.maximum.reduce(ends)
 
 
-def _power(low: Array, high: Array, exponent: float) -> Interval:
+def _power(low: Array, high: Array, exponent: float) -> Enclosure:
     if exponent < 0.0:
         low, high = _power(low, high, -exponent)
         through = (low < 0.0) & (high > 0.0)

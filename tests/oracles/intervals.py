@@ -11,7 +11,7 @@ from math import inf, prod
 import numpy as np
 import sympy
 
-from hesr_model.equations.intervals import Interval, enclosed
+from hesr_model.equations.intervals import Enclosure, enclosed
 from hesr_model.equations.memory import Element
 
 Box = Mapping[sympy.Symbol, tuple[float, float]]
@@ -54,7 +54,7 @@ def reach(element: Element, box: Box) -> Reach:
     return Reach(low=float(low.min()), high=float(high.max()), guarded=guarded)
 
 
-def _cut(box: Box) -> dict[sympy.Symbol, Interval]:
+def _cut(box: Box) -> dict[sympy.Symbol, Enclosure]:
     """Return the parts of a box: the sides of each symbol as arrays over the parts."""
     wide = [s for s, (low, high) in box.items() if low < high]
     each = max(1, round(_BOXES ** (1.0 / len(wide)))) if wide else 1
