@@ -333,7 +333,7 @@ def test_disabled_scripts_are_reported(open_page: OpenPage, unzipped: Path) -> N
     page = open_page(unzipped, java_script_enabled=False)
     said = page.locator("noscript p")
     assert said.is_visible()
-    assert said.inner_text().startswith("This plot requires scripts")
+    assert said.inner_text().endswith("requires scripts.")
     assert not page.locator(".live-app").is_visible()
     assert page.get_by_role("heading", name="Passivity audit").is_visible()
 

@@ -8,8 +8,10 @@ import pytest
 from small_study import Answer, Hesr, hesr_here
 from subjects import bristle, model, slip
 
+import hesr as package
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import read_properties
+from hesr_model.errors import ConfigError
 
 KIND = ("--kind", "properties")
 
@@ -112,3 +114,8 @@ def test_an_unwritable_file_is_reported_before_the_run(hesr: Hesr, tmp_path: Pat
     answer = hesr("test", "uf850-table1", *KIND, "-o", tmp_path)
     assert answer.code == 2
     assert f"{tmp_path}: cannot be written there" in answer.err
+
+
+def test_passivity_alone_needs_a_law_inside_the_fmu(slip_fmu: Path) -> None:
+    with pytest.raises(ConfigError, match="it carries no friction law that could be audited"):
+        package.test(slip_fmu, kind=["passivity"], trust=True)
