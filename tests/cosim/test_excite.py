@@ -27,7 +27,8 @@ NAMES = [
     "fourier_test",
     "chirp",
     "chirp_20s",
-    "fourier_80s",
+    "fourier_80s_1",
+    "fourier_80s_2",
 ]
 HOME = np.array([0.0, 0.3, -1.9])
 
