@@ -84,7 +84,13 @@ def test_servo_signals_give_the_logs_of_named_signals(motions, plant, everything
 def test_every_default_motion_gives_its_logs(everything):
     assert list(everything) == NAMES
     rows = {name: len(recording.log.t) for name, recording in everything.items()}
-    assert rows == {**dict.fromkeys(NAMES, 4000), "sweep": 8400, "chirp": 936}
+    assert rows == {
+        **dict.fromkeys(NAMES, 4000),
+        "sweep": 8400,
+        "chirp": 936,
+        "fourier_80s_1": 16_000,
+        "fourier_80s_2": 16_000,
+    }
 
 
 def test_logs_are_sampled_at_200_hz_from_zero(everything):

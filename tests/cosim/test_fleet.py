@@ -150,7 +150,7 @@ def test_growing_friction_is_reported_with_its_size(cell: Path) -> None:
     assert dict(growing["coefficients"])["F_c"] > dict(steady["coefficients"])["F_c"]
     assert b"joint[1].F_c" in (cell / "out" / "robots" / "R1" / "stribeck.ssv").read_bytes()
     page = (cell / "out" / "fleet.html").read_text(encoding="utf-8")
-    assert "wear or damage of this joint" in page
+    assert "wear, damage or heat of this joint" in page
     assert "Fewer than 5 robots are not compared: arm." in page
 
 
