@@ -50,7 +50,8 @@ def test_the_scores_of_a_run_are_read() -> None:
         for ratios in found["ratios"]["laws"].values():
             assert all(ratio.pop("p") is None for ratio in ratios)
         assert found["ratios"].pop("references") == {}
-        newer = {"leading": [], "per_log": None, "bands": {}}  # not yet in that version
+        assert found["ratios"].pop("by_joint") == {}
+        newer = {"leading": [], "per_log": None, "bands": {}, "detectable": [], "seconds": []}
         assert found == data | newer
 
 
