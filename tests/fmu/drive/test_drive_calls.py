@@ -286,7 +286,7 @@ def test_invalid_motors_are_refused(fmu: Path, name: str, value: float, said: st
     ("more", "said"),
     [
         ({"inertia": [1.0]},
-         "drive: 'inertia' has 1 values; needed are 2, one for each joint."),
+         "drive: 'inertia' has 1 values; 2 are needed, one per joint."),
         ({"inertia": [1.0, 0.0]},
          "drive: 'inertia' of joint 2 is 0 kg.m2; needed is a positive number."),
         ({"inertia": [float("inf"), 1.0]},
@@ -298,7 +298,7 @@ def test_invalid_motors_are_refused(fmu: Path, name: str, value: float, said: st
         ({"inertia": [1.0, 1.0], "ratio": [0.0, 1.0]},
          "drive: 'ratio' of joint 1 is 0 turns; needed is a number other than zero."),
         ({"inertia": [1.0, 1.0], "ratio": [1.0]},
-         "drive: 'ratio' has 1 values; needed are 2, one for each joint."),
+         "drive: 'ratio' has 1 values; 2 are needed, one per joint."),
     ],
 )  # fmt: skip
 def test_impossible_exports_are_refused(make_law, tmp_path: Path, more, said: str) -> None:
