@@ -1,71 +1,170 @@
-"""Results of runs as one page of Markdown."""
+"""Results of runs as one page of Markdown, one table per question, with all tables as CSV."""
 
-from collections.abc import Sequence
+import re
+import shutil
+from collections.abc import Iterator, Sequence
+from math import exp, fsum, log
 from pathlib import Path
+from statistics import fmean
 
+from cosim.loop.closed_loop import StandIn
 from cosim.report.results import Results
-from cosim.report.tables.loop import outcome
+from cosim.report.tables.csv_file import csv_text
+from cosim.report.tables.loop import outcome, tracking
 from cosim.report.tables.markdown import markdown
-from cosim.report.tables.properties import legend, properties
-from cosim.report.tables.scores import MEASURES, bands, errors, other_truths
-from cosim.report.tables.table import ResultTable, TableRow, named
-from cosim.study.verdict import read_verdict
+from cosim.report.tables.properties import properties
+from cosim.report.tables.scores import bands, errors, leading, other_truths
+from cosim.report.tables.table import ResultTable, TableRow, named, row_of, title
+from cosim.study.scores import ORACLE, REFERENCE
+from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.friction.registry import laws_with, papers_law
 from hesr_model.support.files import written_whole
 
 _INTRODUCTION = (
-    "Written by `hesr report` from the files of the runs below. RMSE of each exported FMU on "
-    "unseen logs; in brackets the ratio to the reference and its 95 % interval. For the method see "
-    "[methods.md](methods.md).\n"
+    "Written by `hesr report` from the files of the runs below; CSV files have all laws and tests. "
+    "RMSE of the exported FMUs on unseen logs; in brackets the ratio to the reference and its "
+    "95 % interval. For the method see [methods.md](methods.md).\n"
 )
 
 
 def write_digest(folders: Sequence[Path], output: Path) -> Path:
-    """Write the tables of result folders to a page of Markdown and return its path."""
+    """Write the main tables of runs to a page, all tables to CSV files in a folder of its name.
+
+    Raises ArtifactError or LogError if a folder has no results, or the page cannot be written.
+    """
     runs = [Results.read(folder) for folder in folders]
-    parts = ["# Results\n", _INTRODUCTION, *(part for results in runs for part in _run(results))]
+    data = output.with_suffix("")
+    parts = ["# Results\n", _INTRODUCTION]
     with written_whole(output) as temporary:
+        for results in runs:
+            tables = _data(results)
+            folder = data / results.run.study
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+            for name, table in tables.items():
+                (folder / f"{name}.csv").write_text(csv_text(table), encoding="utf-8")
+            files = ", ".join(f"[{name}]({data.name}/{folder.name}/{name}.csv)" for name in tables)
+            parts += [*_run(results), f"All laws: {files}.\n"]
         temporary.write_text("\n".join(parts), encoding="utf-8")
     return output
 
 
-def _run(results: Results) -> list[str]:
-    run, found = results.run, read_verdict(results.folder)
-    parts = [
-        f"## {run.study}: {run.robot}\n",
-        f"`{run.command}`\n",
-        *(f"{sentence}\n" for sentence in (found.sentences if found else ())),
-        "### Summary\n",
-        markdown(short(results)),
-        "### Prediction\n",
-    ]
-    for name, scores in results.comparisons.items():
-        first = name == results.tests[0]
-        parts += [
-            markdown(errors(name, scores, measure, run.inputs, results.sliding))
-            for measure in (MEASURES if first else ("rmse",))
-        ]
-        if scores.bands and first:
-            parts.append(markdown(bands(name, scores)))
+def _data(results: Results) -> dict[str, ResultTable]:
+    """Return all tables of a run by the name of their file."""
+    found = {}
+    for test, scores in results.comparisons.items():
+        name = file_name(test)
+        found[name] = errors(test, scores, inputs=results.run.inputs, sliding=results.sliding)
+        if scores.bands:
+            found[f"{name}_bands"] = bands(test, scores)
     if results.truths:
-        table = other_truths(results.comparisons, results.truths, run.truth)
-        parts += ["### Alternative plants\n", markdown(table)]
+        found["alternative_plants"] = other_truths(
+            results.comparisons, results.truths, results.run.truth
+        )
     if results.loop:
-        parts += ["### Closed loop\n", *map(markdown, outcome(results.loop))]
+        tables = enumerate(outcome(results.loop), start=1)
+        found |= {f"closed_loop_{k}": table for k, table in tables}
     if results.properties:
-        tables = (properties(results.properties), legend(results.sliding))
-        parts += ["### Physics checks\n", *map(markdown, tables)]
-    return parts
+        found["physics_checks"] = properties(results.properties, full=True)
+    return found
+
+
+def file_name(test: str) -> str:
+    """Return the stem of the file for a test set."""
+    return re.sub(r"[^\w.-]+", "_", test)
+
+
+def _run(results: Results) -> Iterator[str]:
+    """Yield the parts of a run's chapter."""
+    yield f"## {results.run.study}: {results.run.robot}\n"
+    yield f"`{results.run.command}`\n"
+    if results.verdict:
+        yield f"{results.verdict.sentences[0]}\n"
+    yield "### How well is the friction of unseen motions predicted?\n"
+    yield f"{_prediction(results)}\n"
+    yield markdown(short(results))
+    if results.truths:
+        yield "### Does the order of the laws depend on the true friction?\n"
+        leaders = [title(leading(of_plant)) for of_plant in results.truths.values()]
+        pairs = zip(results.truths, leaders, strict=True)
+        yield f"Lowest error: {', '.join(f'{law} with {plant}' for plant, law in pairs)}.\n"
+        table = other_truths(results.comparisons, results.truths, results.run.truth)
+        yield markdown(_rows(table, [REFERENCE, papers_law(), results.best, ORACLE]))
+    if results.loop:
+        yield "### Does friction compensation improve tracking?\n"
+        yield from _tracking(results)
+    if results.properties:
+        yield "### Which laws behave as friction in physics checks?\n"
+        yield from _physics(results)
+
+
+def _prediction(results: Results) -> str:
+    scores, best = results.comparisons[results.tests[0]], results.best
+    shares = zip(scores.laws[best].rmse, scores.tau_std, strict=True)
+    left = 100.0 * fmean(rmse / max(std, 1e-300) for rmse, std in shares)
+    text = f"{title(best)} leaves {left:.0f} % of the friction unexplained, averaged over joints"
+    ratios = scores.ratios.laws.get(best, ())
+    if not ratios:
+        return f"{text}."
+    mean = exp(fsum(log(ratio.value) for ratio in ratios) / len(ratios))
+    return f"{text}; its error is {mean:.2f} times that of its reference (geometric mean)."
 
 
 def short(results: Results) -> ResultTable:
     """Return the best classic law, the paper's and the best of all on the first test set."""
     test = results.tests[0]
     whole = errors(test, results.comparisons[test], sliding=results.sliding)
-    rows = {str(row.head): row for row in whole.rows}
-    classic = [head for head in rows if head in set(map(named, laws_with("classic")))]
-    best, paper = named(results.best), named(papers_law())
-    wanted = dict.fromkeys([*classic[:1], paper, best])
-    shown: list[TableRow] = [row for row in whole.rows if row.quiet]
+    heads = [str(row.head) for row in whole.rows]
+    classic = [law for law in laws_with("classic") if named(law) in heads]
+    first = sorted(classic, key=lambda law: heads.index(named(law)))[:1]
+    return _rows(whole, [*first, papers_law(), results.best])
+
+
+def _rows(table: ResultTable, laws: Sequence[str]) -> ResultTable:
+    """Return the rows of some laws, in the given order, below the quiet ones."""
+    rows = {str(row.head): row for row in table.rows}
+    wanted = dict.fromkeys(map(named, laws))
+    shown: list[TableRow] = [row for row in table.rows if row.quiet]
     shown += [rows[head] for head in wanted if head in rows]
-    return ResultTable(caption=whole.caption, head=whole.head, rows=shown)
+    return ResultTable(caption=table.caption, head=table.head, rows=shown)
+
+
+def _tracking(results: Results) -> Iterator[str]:
+    assert results.loop
+    wanted = {*StandIn, REFERENCE, papers_law(), results.recommended}
+    desired = (row for row in results.loop.tracking if row.scheme.source == "desired")
+    rows = [row for row in desired if row.law in wanted]
+    laws = [row for row in rows if row.law not in set(StandIn)]
+    body = [row for row in rows if row.law == StandIn.BODY_ONLY]
+    if laws and body:
+        best = min(laws, key=lambda row: float(row.mean.mean()))
+        alone = next((row for row in body if row.scheme == best.scheme), body[0])
+        yield (
+            f"Yes: {best.scheme.title} with {title(best.law)} tracks to "
+            f"{1e3 * best.mean.mean():.2f} mrad, averaged over joints; "
+            f"{title(alone.law)} to {1e3 * alone.mean.mean():.2f} mrad.\n"
+            if best.mean.mean() < alone.mean.mean()
+            else "No.\n"
+        )
+    yield markdown(tracking("RMSE of tracking [mrad], mean over the motions", rows))
+
+
+def _physics(results: Results) -> Iterator[str]:
+    found = results.properties
+    most = max(found, key=lambda law: found[law].passed)
+    yield (
+        f"{title(most)} passes {found[most].passed} of {len(EXPECTATIONS)} checks on all joints, "
+        f"the most of {len(found)} laws.\n"
+    )
+    wanted = dict.fromkeys([REFERENCE, papers_law(), results.recommended, most])
+    rows = []
+    for law in wanted:
+        if law in found:
+            failed = [
+                expectation.title
+                for key, expectation in EXPECTATIONS.items()
+                if any(joint.findings[key].verdict == "fail" for joint in found[law].joints)
+            ]
+            rows.append(row_of(named(law), str(found[law].passed), "; ".join(failed) or "–"))
+    head = ("law", "passed", "fails on at least one joint")
+    yield markdown(ResultTable(caption="Physics checks", head=head, rows=rows, numeric=False))
