@@ -22,7 +22,7 @@ def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def test_a_table_says_what_stands_out_what_is_beside_and_what_passes() -> None:
+def test_a_table_has_best_values_notes_and_marks() -> None:
     rows = [
         TableRow(head="inputs v"),
         TableRow(head="a|b", cells=[TableCell(text="1.5", best=True, notes=("0.9", "0.8–1.0"))]),
@@ -69,25 +69,25 @@ def test_csv_files_have_all_laws_with_all_digits(small_results: Path, tmp_path: 
             assert shown == list(scores.rmse)
 
 
-def test_pages_of_shipped_studies_have_at_most_150_lines() -> None:
+def test_the_page_of_results_has_at_most_150_lines() -> None:
     page = Path(__file__).parents[3] / "docs" / "results.md"
     assert len(page.read_text(encoding="utf-8").splitlines()) <= 150
 
 
-def test_in_short_the_papers_law_stands_beside_the_best(small_results: Path) -> None:
+def test_the_summary_lists_the_papers_law_next_to_the_best(small_results: Path) -> None:
     results = Results.read(small_results)
     heads = [str(row.head) for row in short(results).rows]
     assert named(results.best) in heads
     assert len(heads) == len(set(heads)) <= 4
 
 
-def test_a_folder_without_results_is_told(tmp_path: Path) -> None:
+def test_a_folder_without_results_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match="no results of 'hesr run'"):
         write_digest([tmp_path], tmp_path / "results.md")
     assert not (tmp_path / "results.md").exists()
 
 
-def test_the_command_says_what_it_wrote(small_results: Path, tmp_path: Path) -> None:
+def test_the_command_prints_the_written_file(small_results: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     ended = CliRunner().invoke(app, ["report", str(small_results), "-o", str(page)])
     assert ended.exit_code == 0, ended.output
