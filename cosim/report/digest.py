@@ -17,7 +17,7 @@ from cosim.report.tables.scores import bands, errors, leading, other_truths
 from cosim.report.tables.table import ResultTable, TableRow, named, row_of, title
 from cosim.study.scores import ORACLE, REFERENCE
 from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.friction.registry import laws_with, papers_law
+from hesr_model.friction.registry import papers_law
 from hesr_model.support.files import written_whole
 
 _INTRODUCTION = (
@@ -111,13 +111,12 @@ def _prediction(results: Results) -> str:
 
 
 def short(results: Results) -> ResultTable:
-    """Return the best classic law, the paper's and the best of all on the first test set."""
-    test = results.tests[0]
-    whole = errors(test, results.comparisons[test], sliding=results.sliding)
-    heads = [str(row.head) for row in whole.rows]
-    classic = [law for law in laws_with("classic") if named(law) in heads]
-    first = sorted(classic, key=lambda law: heads.index(named(law)))[:1]
-    return _rows(whole, [*first, papers_law(), results.best])
+    """Return the best law, its references and the paper's law on the first test set."""
+    test, best = results.tests[0], results.best
+    scores = results.comparisons[test]
+    references = [scores.ratios.of(best, k) for k in range(len(scores.joints))]
+    whole = errors(test, scores, sliding=results.sliding)
+    return _rows(whole, [*references, papers_law(), best])
 
 
 def _rows(table: ResultTable, laws: Sequence[str]) -> ResultTable:
