@@ -128,9 +128,10 @@ def _in_place(name: str, read: Callable[[Path], object]) -> Callable[[Path], obj
 
 
 def _simulations(path: Path) -> object:
-    from cosim.report.results import _simulated
+    from cosim.report.results import _by_test
+    from cosim.study.position_errors import PositionErrors
 
-    return _simulated(path)
+    return _by_test(PositionErrors, path, "the simulations of a run")
 
 
 def _write_simulations(path: Path) -> None:
