@@ -127,6 +127,7 @@ def test_a_model_of_another_robot_is_refused(rough: Callable[..., Log], arm_mode
         laws=friction.laws[:2],
         trained=(),
         training_rmse=(),
+        left_out_rmse=(),
     )
     with pytest.raises(ArtifactError, match="is for the joints j1, j2; the robot has j1, j2, j3"):
         identify_again([log], arm_model, body, two)
