@@ -142,6 +142,7 @@ def test_the_errors_of_the_first_layer_are_against_the_strongest_reference(resul
     assert [row.cells[3].value for row in turned.rows] == pytest.approx(np.divide(other, own))
 
 
+@pytest.mark.ci
 def test_every_table_is_a_csv_file_with_the_same_data(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -228,6 +229,7 @@ def test_the_page_is_reproducible(results: Path, tmp_path: Path) -> None:
     assert pages[0] == pages[1] == (results / "report.html").read_bytes()
 
 
+@pytest.mark.ci
 def test_measured_logs_have_neither_loop_nor_truth(copied: Path) -> None:
     edit(copied / "run.json", lambda run: run.update(twin=False, controller={}, robot="other"))
 
@@ -246,6 +248,7 @@ def test_measured_logs_have_neither_loop_nor_truth(copied: Path) -> None:
     assert "paper_prediction.csv" not in page.text
 
 
+@pytest.mark.ci
 def test_logs_of_one_name_in_two_folders_keep_their_hashes(copied: Path) -> None:
     def renamed(run: Json) -> None:
         for k, log in enumerate(run["logs"][:2]):
@@ -258,6 +261,7 @@ def test_logs_of_one_name_in_two_folders_keep_their_hashes(copied: Path) -> None
         assert f"{k}" * 64 in (copied / "tables/hashes.csv").read_text(encoding="utf-8")
 
 
+@pytest.mark.ci
 def test_only_the_live_plots_need_fmus(copied: Path) -> None:
     shutil.rmtree(copied / "fmus")
     page = Page(write_report(copied))
@@ -271,6 +275,7 @@ def test_variants_make_an_ablation(results: Path) -> None:
     assert "RMSE [N.m] of the variants, each with one part more" in text
 
 
+@pytest.mark.ci
 def test_the_command_rebuilds_the_page(hesr: Hesr, results: Path, tmp_path: Path) -> None:
     answer = hesr("report", results, "-o", tmp_path / "page.html")
     assert (answer.code, answer.err) == (0, "")
