@@ -1,15 +1,14 @@
 """Results of runs as one page of Markdown, one table per question, with all tables as CSV."""
 
 import re
-import shutil
 from collections.abc import Iterator, Sequence
 from math import exp, fsum, log
 from pathlib import Path
 from statistics import fmean
 
 from cosim.loop.closed_loop import StandIn
+from cosim.report.markup import Tables
 from cosim.report.results import Results
-from cosim.report.tables.csv_file import csv_text
 from cosim.report.tables.loop import outcome, tracking
 from cosim.report.tables.markdown import markdown
 from cosim.report.tables.properties import properties
@@ -33,17 +32,15 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
     Raises ArtifactError or LogError if a folder has no results, or the page cannot be written.
     """
     runs = [Results.read(folder) for folder in folders]
-    data = output.with_suffix("")
+    data = output.with_name(f"{output.stem}_tables")  # not the name of a folder of results
     parts = ["# Results\n", _INTRODUCTION]
     with written_whole(output) as temporary:
         for results in runs:
-            tables = _data(results)
-            folder = data / results.run.study
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir(parents=True)
-            for name, table in tables.items():
-                (folder / f"{name}.csv").write_text(csv_text(table), encoding="utf-8")
-            files = ", ".join(f"[{name}]({data.name}/{folder.name}/{name}.csv)" for name in tables)
+            tables = Tables(data / results.run.study)
+            for name, table in _data(results).items():
+                tables.csv(table, name)
+            where = f"{data.name}/{results.run.study}"
+            files = ", ".join(f"[{Path(file).stem}]({where}/{file})" for file in tables.written)
             parts += [*_run(results), f"All laws: {files}.\n"]
         temporary.write_text("\n".join(parts), encoding="utf-8")
     return output
@@ -156,14 +153,10 @@ def _physics(results: Results) -> Iterator[str]:
         f"the most of {len(found)} laws.\n"
     )
     wanted = dict.fromkeys([REFERENCE, papers_law(), results.recommended, most])
-    rows = []
-    for law in wanted:
-        if law in found:
-            failed = [
-                expectation.title
-                for key, expectation in EXPECTATIONS.items()
-                if any(joint.findings[key].verdict == "fail" for joint in found[law].joints)
-            ]
-            rows.append(row_of(named(law), str(found[law].passed), "; ".join(failed) or "–"))
+    rows = [
+        row_of(named(law), str(found[law].passed), "; ".join(found[law].failed) or "–")
+        for law in wanted
+        if law in found
+    ]
     head = ("law", "passed", "fails on at least one joint")
     yield markdown(ResultTable(caption="Physics checks", head=head, rows=rows, numeric=False))

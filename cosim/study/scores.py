@@ -116,7 +116,8 @@ class Comparison:
     @property
     def too_short(self) -> tuple[bool, ...]:
         """Whether the logs are too short to find any law worse, by joint."""
-        return tuple(len(self.laws) > 1 and not of_joint for of_joint in self.detectable)
+        pairs = zip(self.leading, self.detectable, strict=True)
+        return tuple(len(leading) > 1 and not found for leading, found in pairs)
 
     def to_pandas(self) -> Any:
         """Return a DataFrame of all measures [N.m; `r2` has none] by law and joint."""
@@ -201,7 +202,8 @@ def _table(
 def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, Ratio]:
     """Return the ratio of each law to its reference on a joint, as one family."""
     others = [law for law in table.laws if references[law] != law]
-    found = {law: table.ratios(references[law])[law] for law in others}
+    against = {reference: table.ratios(reference) for reference in set(references.values())}
+    found = {law: against[references[law]][law] for law in others}
     adjusted = holm({law: one.p for law, one in found.items() if one.p is not None})
     return {
         law: Ratio(value=one.value, low=one.low, high=one.high, p=adjusted.get(law))
@@ -224,7 +226,8 @@ def _against_best(
     adjusted = holm({law: p for law in others if (p := found[law].p) is not None})
     tied = (law for law in others if adjusted[law] >= SIGNIFICANCE)
     detectable = {law: x for law in others if (x := found[law].detectable) is not None}
-    seconds = float(np.median([table.seconds_for(law, best, RECORDED) for law in others]))
+    durations = [table.seconds_for(law, best, RECORDED, len(others)) for law in others]
+    seconds = float(np.median(durations))
     return (best, *tied), detectable, seconds
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from cosim.report.tables.table import joints as short_names
 from cosim.report.tables.table import title
 from cosim.study.scores import RECORDED, Comparison, Records, inputs_of
-from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import outside
 from hesr_model.logs.phases import MOVING
@@ -151,27 +150,22 @@ def recommend(scores: Comparison, models: Mapping[str, FrictionModel]) -> tuple[
         for law in candidates
     }
     close = [law for law in candidates if above[law] <= CLOSE]
+    within = f"within {100 * (CLOSE - 1):.0f} % of the lowest error of each joint"
+    if len(candidates) == 1:
+        law, rule = candidates[0], ", which holds for this law alone"
+    elif not close:
+        law = min(candidates, key=lambda name: above[name])
+        rule = f"; of {len(candidates)} such laws its error is nearest to the lowest of each joint"
+    elif len(close) == 1:
+        law, rule = close[0], f"; of {len(candidates)} such laws it alone is {within}"
+    else:
+        law = min(close, key=lambda name: (*simplicity(models[name]), above[name]))
+        inputs = inputs_of(models[law])
+        rule = f"; of the {len(close)} such laws {within} it is the simplest (inputs {inputs})"
     where = f"on {most} of {len(joints)} joints no other law is significantly better"
     if most < len(joints):
-        where += f"; no law leads on all joints ({_better(scores, candidates[0])})"
-    if len(candidates) == 1:
-        return candidates[0], f"{where}, which holds for this law alone."
-    if not close:
-        law = min(candidates, key=lambda name: above[name])
-        return law, (
-            f"{where}; of {len(candidates)} such laws its error is nearest to the lowest of each "
-            "joint."
-        )
-    law = min(close, key=lambda name: (*simplicity(models[name]), above[name]))
-    if len(close) == 1:
-        return law, (
-            f"{where}; of {len(candidates)} such laws it alone is within "
-            f"{100 * (CLOSE - 1):.0f} % of the lowest error of each joint."
-        )
-    return law, (
-        f"{where}; of the {len(close)} such laws within {100 * (CLOSE - 1):.0f} % of the lowest "
-        f"error of each joint it is the simplest (inputs {inputs_of(models[law])})."
-    )
+        where += f"; no law leads on all joints ({_better(scores, law)})"
+    return law, f"{where}{rule}."
 
 
 def simplicity(model: FrictionModel) -> tuple[int, int, int]:
@@ -235,13 +229,7 @@ def _weak(
     turning = [name for name, at, over in pairs if at is not None and at > _AT_REVERSALS * over]
     if turning:
         yield f"Large errors near reversals: {', '.join(turning)}."
-    failed = [
-        expectation.title
-        for key, expectation in EXPECTATIONS.items()
-        if law in properties
-        and any(joint.findings[key].verdict == "fail" for joint in properties[law].joints)
-    ]
-    if failed:
+    if law in properties and (failed := properties[law].failed):
         yield f"Physics checks it fails on at least one joint: {', '.join(failed)}."
 
 

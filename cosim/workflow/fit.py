@@ -262,7 +262,7 @@ def audit_tables(name: str, model: FrictionModel) -> list[ResultTable | str]:
 
 
 def passivity(joints: Sequence[str], certificates: Sequence[Certificate]) -> str:
-    """Return on which joints a law is proven passive, refuted or open."""
+    """Return the joints of a law by verdict: proven passive, refuted or open."""
     by_verdict = defaultdict(list)
     for joint, certificate in zip(joints, certificates, strict=True):
         by_verdict[certificate.verdict].append(joint)

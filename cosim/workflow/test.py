@@ -384,17 +384,10 @@ def _scores_lines(scores: Comparison) -> list[str]:
 
 def _failed(found: Properties) -> str:
     """Return the failed physics checks of a law with their joints."""
-    from hesr_model.audit.expectations import EXPECTATIONS
-
-    failed = []
-    for key, expectation in EXPECTATIONS.items():
-        joints = [
-            f"J{place}"
-            for place, joint in enumerate(found.joints, start=1)
-            if joint.findings[key].verdict == "fail"
-        ]
-        if joints:
-            failed.append(f"{expectation.title} ({', '.join(joints)})")
+    failed = [
+        f"{title} ({', '.join(f'J{joint}' for joint in joints)})"
+        for title, joints in found.failed.items()
+    ]
     return f"fails {'; '.join(failed)}." if failed else "passes all physics checks that apply."
 
 

@@ -106,6 +106,19 @@ class Properties:
     joints: tuple[JointProperties, ...]
 
     @property
+    def failed(self) -> dict[str, list[int]]:
+        """Numbers from 1 of the joints that fail, by title of the check."""
+        found = {
+            expectation.title: [
+                number
+                for number, joint in enumerate(self.joints, start=1)
+                if joint.findings[key].verdict == "fail"
+            ]
+            for key, expectation in EXPECTATIONS.items()
+        }
+        return {title: joints for title, joints in found.items() if joints}
+
+    @property
     def passed(self) -> int:
         """Number of properties that the law has on all joints."""
         return sum(

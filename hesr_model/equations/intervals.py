@@ -5,6 +5,7 @@ chapters 5 and 6). Bounds are those of real numbers, without the round-off of fl
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 from math import inf
 from typing import NamedTuple
 
@@ -80,7 +81,8 @@ def _extended(e: sympy.Expr, known: dict[sympy.Expr, Enclosure]) -> Enclosure:
     arguments = [_visit(a, known) for a in e.args]
     name = type(e).__name__
     if isinstance(e, sympy.Add):
-        return sum(a for a, _ in arguments), sum(b for _, b in arguments)  # type: ignore[return-value]
+        lows, highs = zip(*arguments, strict=True)
+        return reduce(np.add, lows), reduce(np.add, highs)
     if isinstance(e, sympy.Mul):
         low, high = arguments[0]
         for one in arguments[1:]:

@@ -28,7 +28,7 @@ SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)  # [rad/s] candidates of v_slow
 RESTS = 10  # minimum for the width at rest
 _LONG = 0.5  # [s] minimum duration below `MOVING`
 
-_LEVELS = (0.8, 0.9, 0.98)  # quantiles that determine the tail, besides 95 %
+_LEVELS = (0.8, 0.9, 0.98)  # quantiles that determine the tail, in addition to 95 %
 _TAIL = (0.4, 1.2)  # of the exponent
 _STEP = 1e-6
 _RANK = 1e-10  # relative variance of directions that were not free

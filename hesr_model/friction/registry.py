@@ -40,7 +40,7 @@ def papers_law() -> str:
 
 
 def laws_with(fact: str) -> tuple[str, ...]:
-    """Return the laws for which a fact such as `quick` or `classic` is true."""
+    """Return the laws with a fact such as `quick` or `classic`."""
     return tuple(name for name, law in registry().items() if getattr(law, fact))
 
 

@@ -28,6 +28,7 @@ _TIMES_PER_DEGREE = 3.0
 LEAST_DEGREES = 4
 """Degrees of freedom below which no law is called worse: about 40 s of logs."""
 LEAST_SECONDS = 40.0
+MOST_SECONDS = 1e7
 CALIBRATION = 5.0
 """Factor on p: a nominal level of 1 % has a true one of up to 5 % (`tests/benchmarks`)."""
 SIGNIFICANCE = 0.05
@@ -95,10 +96,7 @@ class LawErrors:
 
         The variance is the largest of three estimates.
         """
-        squares = (self.rows - self.rows[:, [other]]) ** 2
-        of = (np.ones(self.degrees, dtype=bool), self.slow, self.between)
-        largest = np.max([squares[rows].mean(axis=0) for rows in of if rows.any()], axis=0)
-        return np.asarray(np.sqrt(largest / self.bins))
+        return self._deviation(self.rows - self.rows[:, [other]])
 
     def ratios(self, other: str, family: int | None = None) -> dict[str, ErrorRatio]:
         """Return the ratios of all other laws to a law.
@@ -116,8 +114,7 @@ class LawErrors:
         errors = np.maximum(self.standard_errors(k), 1e-300)
         p = np.minimum(1.0, CALIBRATION * two_sided(np.log(values) / errors, self.degrees))
         wide = np.exp(stdtrit(self.degrees, 0.975) * errors)
-        level = SIGNIFICANCE / CALIBRATION / (family or max(1, len(self.laws) - 1))
-        found = np.exp(errors * detection_factor(self.degrees, level))
+        found = np.exp(errors * detection_factor(self.degrees, self._level(family)))
         return {
             law: ErrorRatio(
                 value=float(values[i]),
@@ -130,11 +127,13 @@ class LawErrors:
             if law != other
         }
 
-    def seconds_for(self, law: str, other: str, ratio: float) -> float:
-        """Return the duration of logs of this kind [s] that would show a ratio of two RMSEs."""
-        k = self.laws.index(other)
-        error = self.standard_errors(k)[self.laws.index(law)]
-        level = SIGNIFICANCE / CALIBRATION / max(1, len(self.laws) - 1)
+    def seconds_for(self, law: str, other: str, ratio: float, family: int | None = None) -> float:
+        """Return the duration of logs of this kind [s] that would show a ratio of two RMSEs.
+
+        At most `MOST_SECONDS`; see `ratios` for `family`.
+        """
+        difference = self.rows[:, self.laws.index(law)] - self.rows[:, self.laws.index(other)]
+        error, level = float(self._deviation(difference[:, None])[0]), self._level(family)
 
         def surplus(seconds: float) -> float:
             degrees = self.degrees * seconds / self.seconds
@@ -145,9 +144,20 @@ class LawErrors:
         if surplus(shortest) >= 0.0:
             return shortest
         longest = shortest
-        while surplus(longest) < 0.0 and longest < 1e7:
+        while surplus(longest) < 0.0 and longest < MOST_SECONDS:
             longest *= 4.0
-        return float(brentq(surplus, shortest, longest, rtol=1e-3)) if longest < 1e7 else np.inf
+        if longest >= MOST_SECONDS:
+            return MOST_SECONDS
+        return float(brentq(surplus, shortest, longest, rtol=1e-3))
+
+    def _level(self, family: int | None) -> float:
+        return SIGNIFICANCE / CALIBRATION / (family or max(1, len(self.laws) - 1))
+
+    def _deviation(self, differences: Array) -> Array:
+        squares = differences**2
+        of = (np.ones(self.degrees, dtype=bool), self.slow, self.between)
+        largest = np.max([squares[rows].mean(axis=0) for rows in of if rows.any()], axis=0)
+        return np.asarray(np.sqrt(largest / self.bins))
 
 
 def law_errors(

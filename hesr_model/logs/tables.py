@@ -100,7 +100,7 @@ class LogTable:
         return values
 
     def _first_text(self, name: str) -> LogError:
-        """Return the error at the first cell that is no number."""
+        """Return the error at the first cell that is not a number."""
         column = self._arrow.column(name)
         try:
             cells = column.to_pylist()

@@ -33,7 +33,7 @@ def dependence(model: Robot, base: tuple[int, ...]) -> Array:
 
 
 def offsets_apart(model: Robot, base: tuple[int, ...]) -> Mask:
-    """Return whether constant torques are independent of `base`, as of a vertical weight."""
+    """Return whether constant torques are independent of `base`, as with a vertical weight."""
     columns = at_random_states(model)[:, list(base)]
     coupling = model.description.coupling
     each = np.eye(model.n) if coupling is None else coupling.forward.T

@@ -203,6 +203,24 @@ def test_a_law_better_on_two_of_six_joints_is_named_for_them() -> None:
     assert "LuGre+load is better on J5, LuGre+load is better on J6" in why
 
 
+def test_the_joints_named_are_those_where_the_chosen_law_is_worse() -> None:
+    """Each law leads on one joint; the chosen one is worse where the other leads."""
+    rmse = {"lugre_load": [1.0, 1.3], "lugre": [1.3, 1.0]}
+    scores = case(rmse, [("lugre_load",), ("lugre",)])
+    law, why = recommend(scores, {law: model_of(law, 2) for law in rmse})
+    assert law == "lugre"
+    assert "(LuGre+load is better on J1)" in why
+
+
+def test_a_law_alone_is_not_a_short_test(scores, models, tested) -> None:
+    predicted = {"lugre": predict_model(models["lugre"], tested)}
+    truth = [[r.tau + 0.0 for r in of_joint] for of_joint in tested]
+    found = compare(tested, predicted | {ORACLE: truth})
+    assert found.too_short == (False, False)
+    law, why = recommend(found, {"lugre": models["lugre"]})
+    assert (law, "too short" in why) == ("lugre", False)
+
+
 def test_a_short_test_decides_nothing() -> None:
     """The law with the lowest error on left-out training logs, not on the test, is taken."""
     rmse = {"stribeck": [1.0], "lugre": [1.2]}

@@ -117,7 +117,7 @@ def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator)
 
 def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return at most (count, 3) centres of z (N, 3), and their mean distance to the nearest."""
-    # Equal rows, as of a joint at rest, break k-means.
+    # Equal rows, such as those at rest, break k-means.
     points = np.unique(z[:: max(1, len(z) // CLUSTERED_ROWS)], axis=0)
     with warnings.catch_warnings():
         # A centre without rows stays in place, which is harmless.

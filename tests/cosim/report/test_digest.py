@@ -2,6 +2,7 @@
 
 import csv
 import re
+import shutil
 from io import StringIO
 from pathlib import Path
 
@@ -58,7 +59,7 @@ def test_every_figure_is_that_of_the_run(small_results: Path, tmp_path: Path) ->
 def test_csv_files_have_all_laws_with_all_digits(small_results: Path, tmp_path: Path) -> None:
     page = write_digest([small_results], tmp_path / "results.md")
     results = Results.read(small_results)
-    files = sorted((tmp_path / "results" / results.run.study).iterdir())
+    files = sorted((tmp_path / "results_tables" / results.run.study).iterdir())
     links = re.findall(r"\]\((.*?\.csv)\)", page.read_text(encoding="utf-8"))
     assert sorted(tmp_path / link for link in links) == files
     for test in results.tests:
@@ -67,6 +68,15 @@ def test_csv_files_have_all_laws_with_all_digits(small_results: Path, tmp_path: 
         for law, scores in results.comparisons[test].laws.items():
             shown = [float(rows[named(law)][joint]) for joint in results.joints]
             assert shown == list(scores.rmse)
+
+
+def test_results_next_to_the_page_are_kept(small_results: Path, tmp_path: Path) -> None:
+    """The page results.md of results/small, written where that folder is."""
+    folder = tmp_path / "results" / Results.read(small_results).run.study
+    shutil.copytree(small_results, folder)
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    write_digest([folder], tmp_path / "results.md")
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
 def test_the_page_of_results_has_at_most_150_lines() -> None:

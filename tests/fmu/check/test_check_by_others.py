@@ -121,7 +121,7 @@ SCHEMA = {
         put(".", guid=None),
         "Element 'fmiModelDescription': The attribute 'guid' is required but missing.",
     ),
-    "date that is none": (
+    "impossible date": (
         put(".", generationDateAndTime="2024-02-30T07:08:09Z"),
         "attribute 'generationDateAndTime': '2024-02-30T07:08:09Z' is not a valid value of the "
         "atomic type 'xs:dateTime'.",
