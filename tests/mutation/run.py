@@ -1,15 +1,18 @@
 """Share of small faults in the sources that the tests detect: run by `make mutate`.
 
 Random faults are inserted one by one into a clean copy of the tree. Each runs against the nearest
-tests first, then against more distant ones (`nearest.toml`). Faults without observable effect are
+tests first, then against more distant ones (`nearest.toml`): those of `make test`, then of CI,
+until one fails or the CPU time per fault is used up. Faults without observable effect are
 listed in `equivalent.toml` with the reason. C that does not compile is not a fault.
 """
 
 import argparse
 import importlib
+import math
 import multiprocessing
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -19,16 +22,21 @@ import time
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from fnmatch import fnmatch
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from mutants import Mutant, mutant, variants
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 PATIENCE = 5.0  # multiple of the tests' time without a fault
+CPU = 60.0  # CPU seconds of tests per fault
+SELECTIONS = {"": "not soak and not ci", "in CI": "ci and not soak"}  # in this order
 # Tests run in forks of a process that has the slow imports but none of our modules.
 FORK = multiprocessing.get_context("fork")
 SLOW_IMPORTS = (
@@ -67,63 +75,101 @@ def _run_tests(root: Path, tests: Sequence[str], marked: str, output: int) -> No
     options = ["-xq", "-p", "no:cacheprovider", "--hypothesis-profile=ci", "-m", marked]
     code = pytest.main([*options, *tests])
     sys.stdout.flush()
-    os._exit(int(code))
+    os._exit(0 if code == pytest.ExitCode.NO_TESTS_COLLECTED else int(code))
+
+
+def cpu_of(process: psutil.Process) -> float:
+    """Return the CPU seconds of a process and all processes it has started."""
+    with suppress(psutil.NoSuchProcess):
+        return sum(sum(p.cpu_times()[:4]) for p in (process, *process.children(recursive=True)))
+    return 0.0
 
 
 class Tree:
     """A copy of the tree for faults."""
 
-    def __init__(self, folder: Path, *, limit: float | None, marked: str) -> None:
+    def __init__(self, folder: Path, *, limit: float | None, selections: dict[str, str]) -> None:
         self.root = copied(folder)
         self._given = limit
-        self._marked = marked
-        self._seconds: dict[tuple[str, ...], float] = {}
+        self._selections = selections
+        self._seconds: dict[tuple[str, tuple[str, ...]], float] = {}
 
     def sources(self, *patterns: str) -> list[str]:
         found = {path for pattern in patterns for path in self.root.glob(pattern)}
         return sorted(str(path.relative_to(self.root)) for path in found)
 
-    def nearest(self, source: str) -> tuple[str, ...]:
-        """Tests of the first matching entry, those named like the source first."""
+    def tests(self, name: str) -> list[str]:
+        """Test files, or one test of a file, `file::test`."""
+        pattern, of, test = name.partition("::")
+        return [f"{path}{of}{test}" for path in self.sources(f"tests/{pattern}")]
+
+    def groups(self, source: str) -> list[tuple[str, ...]]:
+        """Tests for a source without repetition: the nearest, those that import it, the others."""
+        found: list[tuple[str, ...]] = []
+        for tests in (self.nearest(source), self._importing(source), *self._beyond(source)):
+            new = dict.fromkeys(t for t in tests if not any(t in group for group in found))
+            found += [tuple(new)] if new else []
+        return found
+
+    def nearest(self, source: str) -> list[str]:
+        """Tests named like the source, then those of the first matching entry."""
         entry = next((e for e in table("nearest.toml") if fnmatch(source, str(e["sources"]))), None)
-        named = self.sources(f"tests/**/test_{Path(source).stem}.py")
-        others = [t for e in (entry["tests"] if entry else ()) for t in self.sources(f"tests/{e}")]
-        return tuple(dict.fromkeys([*(() if entry else named), *others]))
+        listed = [t for e in (entry["tests"] if entry else ()) for t in self.tests(e)]
+        # Names of files are unique within the packages, but not across them.
+        if source.startswith("hesr_model/"):
+            return self.sources(f"tests/unit/**/test_{Path(source).stem}.py") + listed
+        return listed if entry else self.sources(f"tests/**/test_{Path(source).stem}.py")
 
-    def beyond(self, source: str) -> list[tuple[str, ...]]:
-        """More distant tests: those of each matching entry, entry by entry."""
-        entries = [e for e in table("nearest.toml", "beyond") if fnmatch(source, str(e["sources"]))]
-        return [
-            tuple(t for name in entry["tests"] for t in self.sources(f"tests/{name}"))
-            for entry in entries
+    def _importing(self, source: str) -> list[str]:
+        """Tests that import a module, the quickest first."""
+        module = source.removesuffix(".py").replace("/", ".")
+        seconds = tomllib.loads((self.root / "tests/durations.toml").read_text(encoding="utf-8"))
+        found = [
+            test
+            for test in self.sources("tests/**/test_*.py")
+            if re.search(
+                rf"\b{re.escape(module)}\b", (self.root / test).read_text(encoding="utf-8")
+            )
         ]
+        return sorted(found, key=lambda test: seconds["default"]["files"].get(test, math.inf))
 
-    def _pytest(self, tests: Sequence[str], limit: float | None = None) -> tuple[int | None, str]:
-        """Exit code of the tests, None if they do not end, and their output."""
+    def _beyond(self, source: str) -> list[list[str]]:
+        """More distant tests: those of each matching entry."""
+        entries = [e for e in table("nearest.toml", "beyond") if fnmatch(source, str(e["sources"]))]
+        return [[t for name in entry["tests"] for t in self.tests(name)] for entry in entries]
+
+    def _pytest(
+        self, tests: Sequence[str], marked: str, *, limit: float = math.inf, cpu: float = math.inf
+    ) -> tuple[int | None, str, float]:
+        """Exit code of the tests, None if they do not end, their output and CPU seconds."""
         with tempfile.TemporaryFile("w+") as heard:
             running = FORK.Process(
-                target=_run_tests, args=(self.root, tests, self._marked, heard.fileno())
+                target=_run_tests, args=(self.root, tests, marked, heard.fileno())
             )
+            begin, used = time.monotonic(), 0.0
             running.start()
-            running.join(limit)
-            if running.exitcode is None:
-                os.killpg(running.pid, signal.SIGKILL)
-                running.join()
-                return None, "no end"
+            process = psutil.Process(running.pid)
+            while running.is_alive():
+                used = max(used, cpu_of(process))
+                if used > cpu or time.monotonic() - begin > limit:
+                    os.killpg(running.pid, signal.SIGKILL)
+                    running.join()
+                    return None, "out of CPU time" if used > cpu else "no end", used
+                running.join(0.5)
             heard.seek(0)
-            return running.exitcode, heard.read()
+            return running.exitcode, heard.read(), used
 
-    def _limit(self, tests: tuple[str, ...]) -> float:
+    def _limit(self, tests: tuple[str, ...], marked: str) -> float:
         """Check that tests pass without a fault, and return their time limit [s]."""
         if self._given:
             return self._given
-        if tests not in self._seconds:
+        if (marked, tests) not in self._seconds:
             begin = time.monotonic()
-            code, said = self._pytest(tests)
+            code, said, _ = self._pytest(tests, marked)
             if code:
                 sys.exit(f"{' '.join(tests)} fail without any fault:\n{said}")
-            self._seconds[tests] = time.monotonic() - begin
-        return 20.0 + PATIENCE * self._seconds[tests]
+            self._seconds[marked, tests] = time.monotonic() - begin
+        return 20.0 + PATIENCE * self._seconds[marked, tests]
 
     def _write(self, source: str, text: str) -> None:
         path = self.root / source
@@ -138,20 +184,26 @@ class Tree:
         if any(fnmatch(source, str(e["source"])) and e["before"] == fault.before
                and e["after"] == fault.after for e in listed):  # fmt: skip
             return "equivalent", ""
-        if not self.nearest(source):
+        groups = self.groups(source)
+        if not groups:
             return "survived", "no test is near; see nearest.toml"
         original = (self.root / source).read_text(encoding="utf-8")
-        for tests in (self.nearest(source), *self.beyond(source)):
-            limit = self._limit(tests)
+        left = CPU
+        for (where, marked), tests in product(self._selections.items(), groups):
+            limit = self._limit(tests, marked)
             self._write(source, fault.text)
-            code, said = self._pytest(tests, limit)
+            code, said, used = self._pytest(tests, marked, limit=limit, cpu=left)
             self._write(source, original)
+            left -= used
             if "the C compiler failed" in said:
                 return "stillborn", ""
+            if left <= 0.0:
+                return "survived", f"{CPU:.0f} CPU s of tests"
             if code != 0:
                 failed = [x for x in said.splitlines() if x.startswith(("FAILED", "ERROR"))]
-                return "killed", failed[0][:150] if failed else said.strip().splitlines()[-1][:150]
-        return "survived", " ".join(self.nearest(source))
+                said = failed[0] if failed else said.strip().splitlines()[-1]
+                return f"killed {where}".strip(), f"{CPU - left:.0f} s, {said[:150]}"
+        return "survived", f"{CPU - left:.0f} s, {' '.join(groups[0])}"
 
 
 def faults(tree: Tree, patterns: Sequence[str], seed: int) -> Iterator[tuple[str, Mutant]]:
@@ -180,29 +232,34 @@ def main() -> None:
         importlib.import_module(name)
     total: Counter[str] = Counter()
     with tempfile.TemporaryDirectory(prefix="hesr-mutation-") as folder:
-        marked = "not soak and not ci" if options.quick else "not soak"
-        tree = Tree(Path(folder, "tree"), limit=options.limit, marked=marked)
+        selections = dict(list(SELECTIONS.items())[: 1 if options.quick else None])
+        tree = Tree(Path(folder, "tree"), limit=options.limit, selections=selections)
         for area in options.areas:
             counts: Counter[str] = Counter()
             for source, fault in faults(tree, AREAS[area], options.seed):
-                if counts["killed"] + counts["survived"] == options.number:
+                if judged(counts) == options.number:
                     break
                 if not fnmatch(source, options.only):
                     continue
                 verdict, why = tree.verdict(source, fault)
                 counts[verdict] += 1
-                print(f"{verdict:10} {source}:{fault.place[0]}  {why}\n"
+                print(f"{verdict:12} {source}:{fault.place[0]}  {why}\n"
                       f"    - {fault.before}\n    + {fault.after}", flush=True)  # fmt: skip
             print(f"{area}: {said(counts)} (seed {options.seed})", flush=True)
             total += counts
     print(f"all: {said(total)}")
 
 
+def judged(counts: Counter[str]) -> int:
+    return counts["killed"] + counts["killed in CI"] + counts["survived"]
+
+
 def said(counts: Counter[str]) -> str:
-    judged = counts["killed"] + counts["survived"]
+    number = max(judged(counts), 1)
+    killed = counts["killed"] + counts["killed in CI"]
     return (
-        f"{counts['killed']} of {judged} faults killed, {counts['killed'] / max(judged, 1):.0%}; "
-        f"{counts['equivalent']} equivalent"
+        f"{killed} of {judged(counts)} faults killed, {killed / number:.0%}; "
+        f"{counts['killed'] / number:.0%} by `make test`; {counts['equivalent']} equivalent"
     )
 
 
