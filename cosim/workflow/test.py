@@ -378,7 +378,7 @@ def _scores_lines(scores: Comparison) -> list[str]:
     )
     return [
         f"Best: {best}. Unexplained friction: {shares}.",
-        *limits("The logs", best, tuple(separation(scores))),
+        *limits("The test", best, tuple(separation(scores))),
     ]
 
 

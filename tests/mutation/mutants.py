@@ -126,8 +126,9 @@ def _other_numbers(text: str) -> list[str]:
         value = float(text)
     except ValueError:  # hexadecimal, or with a suffix
         return []
-    # Tiny numbers represent round-off: doubling them is not a fault.
-    factors = (2.0, 0.5, 10.0) if value >= 1e-8 else (1e6,)
+    # Tiny numbers represent round-off, where doubling is not a fault; still smaller ones keep
+    # divisors from being zero, where no other such number is one.
+    factors = (2.0, 0.5, 10.0) if value >= 1e-8 else (1e6,) if value > 1e-200 else ()
     return [repr(value * k) for k in factors] if value else ["1.0"]
 
 

@@ -1,0 +1,150 @@
+"""Reports of `hesr.test`: which tests run, and summary, tables and JSON of their results."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from joint_data import law
+
+import hesr
+from cosim.report.tables.table import ResultTable
+from cosim.workflow.test import LawReport, _failed, _scores_lines
+from hesr_model.errors import ArgumentError, ArtifactError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import RobotDescription
+
+COULOMB = {"F_c": 3.0, "F_s": 3.0, "v_s": 0.1, "sigma_2": 1.5, "tau_0": 0.0}
+WIDE = TrainedRange(
+    sample_time=0.005, dq=(-9.0, 9.0), q=(-9.0, 9.0), tau_load=(-99.0, 99.0), tau=(-9.0, 9.0)
+)
+SLOW = replace(WIDE, dq=(-0.1, 0.1))
+
+
+def stribeck(*trained: TrainedRange, scale: float = 1.0) -> FrictionModel:
+    """The friction of `arm_log` times a factor."""
+    values = {name: value if name == "v_s" else scale * value for name, value in COULOMB.items()}
+    return FrictionModel(
+        law="stribeck",
+        robot="arm",
+        joints=("j1", "j2", "j3"),
+        laws=(law("stribeck", {}, **values),) * 3,
+        sample_time=0.005,
+        trained=trained,
+    )
+
+
+@pytest.fixture
+def file(arm: RobotDescription, arm_log: Log) -> Path:
+    path = arm.model.with_name("run.csv")
+    arm_log.write(path)
+    return path
+
+
+def test_laws_are_compared_on_logs(arm: RobotDescription, file: Path) -> None:
+    body = hesr.identify(file, robot=arm)
+    laws = {"half": stribeck(scale=0.5), "own": stribeck(WIDE, SLOW, WIDE)}
+    stages: list[str] = []
+    report = hesr.test(
+        laws, on=[file], robot=arm, rigid_body=body, progress=lambda what, *_: stages.append(what)
+    )
+    assert list(dict.fromkeys(stages)) == ["reading logs", "predicting", "simulating"]
+    scores = report.scores
+    assert scores is not None
+    assert list(scores.laws) == ["half", "own"]
+    assert all(np.less(scores.laws["own"].rmse, scores.laws["half"].rmse))
+    percent = 100.0 * np.divide(scores.laws["own"].rmse, scores.tau_std)
+    shares = ", ".join(f"j{k} {p:.0f} %" for k, p in enumerate(percent, start=1))
+    lines = report.summary().splitlines()
+    assert lines[0] == f"Best: own. Unexplained friction: {shares}."
+    assert lines[-2:] == [f"{name}: passivity proven on j1, j2, j3." for name in laws]
+    shown = report.tables()
+    captions = [one.caption for one in shown if isinstance(one, ResultTable)]
+    assert [one.partition(":")[0] for one in captions[:3]] == ["test"] * 3
+    assert sum("position" in one for one in captions) == 1
+    assert sum(one.startswith("Audit of") for one in captions) == 2
+    texts = [one for one in shown if isinstance(one, str)]
+    assert [one.partition(":")[0] for one in texts[:3]] == ["j1", "j2", "j3"]
+    assert [one for one in texts if "leaves" in one] == [texts[-1]]
+    assert texts[-1].startswith("j2: dq leaves the trained range in ")
+    assert "\n" not in texts[-1]
+    assert len(report.records) == 3
+    data = report.result()
+    assert set(data) == {"prediction", "simulation", "passivity", "properties"}
+    assert data["prediction"]["laws"]["own"]["rmse"] == list(scores.laws["own"].rmse)
+    assert [one["verdict"] for one in data["passivity"]["own"]] == ["proven"] * 3
+    assert data["simulation"]["joints"] == ["j1", "j2", "j3"]
+    assert report.passed
+
+
+def test_without_logs_only_passivity_is_tested(table1: FrictionModel) -> None:
+    report = hesr.test(table1)
+    assert report.scores is report.positions is None
+    assert report.summary() == ("parfam_h: passivity refuted on joint1, joint2; open on joint3.")
+    (finding,) = report.findings
+    assert (finding.check, finding.where) == ("passivity", "parfam_h")
+    assert finding.joints == ("joint1", "joint2")
+    assert not report.passed
+    assert report.result()["prediction"] is None
+    tables = [one for one in report.tables() if isinstance(one, ResultTable)]
+    assert [one.caption.partition(" of ")[0] for one in tables] == ["Audit"]
+
+
+def test_physics_checks_of_one_law(tmp_path: Path) -> None:
+    file = tmp_path / "found.json"
+    model = replace(stribeck(), joints=("j1",), laws=stribeck().laws[:1])
+    report = hesr.test({"own": model}, kind=["properties"], inertia=0.7, output=str(file))
+    assert (report.audits, report.scores, report.files) == ({}, None, (file,))
+    (joint,) = report.properties["own"].joints
+    assert joint.inertia == 0.7
+    failed = report.properties["own"].failed
+    assert failed
+    listed = "; ".join(f"{title} (J1)" for title in failed)
+    assert report.summary() == f"own: fails {listed}.\nWritten: {file}"
+    passing = replace(report.properties["own"], joints=())
+    assert _failed(passing) == "passes all physics checks that apply."
+    captions = [one.caption for one in report.tables() if isinstance(one, ResultTable)]
+    assert captions[0].startswith("Physics checks by law")
+    assert captions[1:] == ["", "Why"]
+    assert list(report.result()["properties"]) == ["own"]
+
+
+def test_what_a_test_needs_is_reported(table1: FrictionModel, tmp_path: Path) -> None:
+    for arguments, error, sentence in (
+        ({"load": float("nan")}, ArgumentError, "'load' is nan; needed is a number."),
+        ({"on": ["a.csv"]}, ArgumentError, "'kind' prediction needs 'rigid_body', the result of"),
+        ({"kind": "prediction", "rigid_body": "b"}, ArgumentError, "needs 'on', a log."),
+        ({"kind": "no"}, ArgumentError, "'kind' is no; allowed are prediction, passivity, prop"),
+    ):
+        with pytest.raises(error) as caught:
+            hesr.test(table1, **arguments)
+        assert sentence in str(caught.value)
+    with pytest.raises(ArtifactError, match=r"Foreign\.fmu: no such file"):
+        hesr.test(tmp_path / "Foreign.fmu", trust=True)
+    empty = LawReport(laws=())
+    assert (empty.summary(), empty.tables(), empty.passed) == ("", [], True)
+
+
+def test_the_best_law_has_the_lowest_errors_of_all_joints() -> None:
+    from cosim.study.scores import Comparison, LawScores, Ratios
+
+    def errors(*rmse: float) -> LawScores:
+        return LawScores(rmse=rmse, rmse_reversal=rmse, rmse_moving=rmse, r2=rmse)
+
+    scores = Comparison(
+        joints=("a", "b"),
+        tau_std=(10.0, 1.0),
+        laws={"x": errors(1.0, 0.5), "y": errors(3.0, 0.2)},
+        ratios=Ratios(reference="x", laws={}),
+        leading=(("x", "y"), ("y",)),
+        detectable=({"y": 1.3}, {"x": 1.2}),
+        seconds=(30.0, 10.0),
+    )
+    assert _scores_lines(scores) == [
+        "Best: y. Unexplained friction: a 30 %, b 20 %.",
+        "The test does not separate it from 1 law on J1 (30 %); in brackets the smallest "
+        "differences that would show.",
+        "To find 10 %, record tests of about 30 s.",
+    ]
