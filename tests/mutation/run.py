@@ -122,14 +122,13 @@ class Tree:
 
     def _importing(self, source: str) -> list[str]:
         """Tests that import a module, the quickest first."""
-        module = source.removesuffix(".py").replace("/", ".")
+        folder, _, name = source.removesuffix(".py").replace("/", ".").rpartition(".")
+        imported = re.compile(rf"\b{folder}(\.| import \(?[\w\s,]*\b){name}\b")
         seconds = tomllib.loads((self.root / "tests/durations.toml").read_text(encoding="utf-8"))
         found = [
             test
             for test in self.sources("tests/**/test_*.py")
-            if re.search(
-                rf"\b{re.escape(module)}\b", (self.root / test).read_text(encoding="utf-8")
-            )
+            if imported.search((self.root / test).read_text(encoding="utf-8"))
         ]
         return sorted(found, key=lambda test: seconds["default"]["files"].get(test, math.inf))
 
