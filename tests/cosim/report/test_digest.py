@@ -16,8 +16,6 @@ from cosim.report.tables.table import ResultTable, TableCell, TableRow, named
 from hesr.cli import app
 from hesr_model.errors import ArtifactError
 
-pytestmark = pytest.mark.ci
-
 
 def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip("|").split("|")]

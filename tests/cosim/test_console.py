@@ -1,0 +1,269 @@
+"""Output, errors and signals of commands, without a command."""
+
+import errno
+import logging
+import os
+import signal
+import sys
+import time
+from io import BytesIO, TextIOWrapper
+from pathlib import Path
+
+import click
+import pytest
+
+from hesr.cli.console import (
+    _Ended,
+    answer,
+    answer_file,
+    command_output,
+    ended_by_signals,
+    shown_progress,
+)
+from hesr.cli.errors import errors_said, home_where_needed, plain_where_needed, refuse
+from hesr_model.errors import ConfigError
+from hesr_model.support.interrupts import Interrupted
+
+Capture = pytest.CaptureFixture[str]
+
+
+# --- quiet, verbose and JSON ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("quiet", "verbose", "levels"),
+    [(True, False, ["ERROR"]), (False, False, ["WARNING", "ERROR"]),
+     (False, True, ["DEBUG", "INFO", "WARNING", "ERROR"])],
+)  # fmt: skip
+def test_verbosity_decides_what_is_printed_and_logged(
+    quiet: bool, verbose: bool, levels: list[str], capsys: Capture
+) -> None:
+    log = logging.getLogger("cosim.made_up")
+    with command_output(quiet=quiet, verbose=verbose, json_file=None):
+        click.echo("result")
+        for level in ("DEBUG", "INFO", "WARNING", "ERROR"):
+            log.log(logging.getLevelName(level), "as %s", level)
+    log.error("afterwards")
+    said = capsys.readouterr()
+    assert said.out == ("" if quiet else "result\n")
+    lines = said.err.splitlines()
+    assert [line.rpartition(" ")[2] for line in lines] == levels
+    assert all(line.startswith("hesr: as ") for line in lines) is not verbose
+
+
+def test_quiet_and_verbose_exclude_each_other() -> None:
+    with (
+        pytest.raises(ConfigError, match="--quiet does not go with --verbose"),
+        command_output(quiet=True, verbose=True, json_file=None),
+    ):
+        pytest.fail("the block runs")
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_json_is_the_only_standard_output(quiet: bool, capsys: Capture) -> None:
+    with command_output(quiet=quiet, verbose=False, json_file=Path("-")):
+        click.echo("summary")
+        answer(Path("-"), {"a": 1})
+    assert capsys.readouterr().out == ("" if quiet else '{\n  "a": 1\n}\n')
+
+
+def test_a_failed_command_writes_no_json(tmp_path: Path, capsys: Capture) -> None:
+    def fail(file: Path) -> None:
+        with answer_file(file) as wanted:
+            assert wanted
+            wanted.write_text("half")
+            raise KeyError
+
+    for file in (Path("-"), tmp_path / "a.json"):
+        with pytest.raises(KeyError):
+            fail(file)
+    assert capsys.readouterr().out == ""
+    assert list(tmp_path.iterdir()) == []
+    with answer_file(None) as wanted:
+        assert wanted is None
+    answer(tmp_path / "b.json", [1.5])
+    assert (tmp_path / "b.json").read_text() == "[\n  1.5\n]\n"
+
+
+def test_progress_is_logged_with_verbose(capsys: Capture) -> None:
+    for verbose in (True, False):
+        with (
+            command_output(quiet=False, verbose=verbose, json_file=None),
+            shown_progress() as progress,
+        ):
+            for done in (0, 1):
+                progress("fitting", done, 2)
+        said = capsys.readouterr()
+        assert said.out == ""
+        told = [line.rpartition("console: ")[2] for line in said.err.splitlines()]
+        assert told == (["fitting: 0 of 2", "fitting: 1 of 2"] if verbose else [])
+
+
+# --- interrupts -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("interrupt", "code", "sentence"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted; no file is half-written."),
+        (_Ended(), 143, "ended by another program; no file is half-written."),
+        (
+            Interrupted("3 laws are kept", KeyboardInterrupt()), 130,
+            "interrupted; no file is half-written, and 3 laws are kept.",
+        ),
+        (
+            Interrupted("3 laws are kept", _Ended()), 143,
+            "ended by another program; no file is half-written, and 3 laws are kept.",
+        ),
+    ],
+)  # fmt: skip
+def test_an_interrupt_is_one_sentence(
+    interrupt: KeyboardInterrupt, code: int, sentence: str, capsys: Capture
+) -> None:
+    with (
+        pytest.raises(click.exceptions.Exit) as ended,
+        command_output(quiet=True, verbose=False, json_file=None),
+    ):
+        raise interrupt
+    assert ended.value.exit_code == code
+    assert capsys.readouterr().err == f"hesr: {sentence}\n"
+
+
+def send(number: int) -> None:
+    os.kill(os.getpid(), number)
+
+
+def handlers() -> list[object]:
+    return [signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM), sys.unraisablehook]
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, _Ended)]
+)
+def test_signals_end_a_command_once(number: int, kind: type[BaseException]) -> None:
+    before = handlers()
+    cleaned = []
+
+    @ended_by_signals()
+    def work() -> None:
+        try:
+            send(number)
+            pytest.fail("the command goes on")
+        finally:
+            send(number)  # does not disturb the clean-up
+            cleaned.append(True)
+
+    with pytest.raises(kind) as ended:
+        work()
+    assert ended.type is kind
+    assert cleaned
+    assert handlers() == before
+
+
+def test_an_ignored_interrupt_stays_ignored() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with ended_by_signals():
+            send(signal.SIGINT)
+            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+            with pytest.raises(_Ended):
+                send(signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+class Dropping:
+    """Python drops an exception that is raised while it deallocates this object."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def __del__(self) -> None:
+        send(self.number)
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, _Ended)]
+)
+def test_a_dropped_interrupt_is_raised_again(number: int, kind: type[BaseException]) -> None:
+    waited = []
+
+    @ended_by_signals()
+    def work() -> None:
+        Dropping(number)
+        begin = time.monotonic()
+        try:
+            time.sleep(10.0)
+        finally:
+            waited.append(time.monotonic() - begin)
+
+    with pytest.raises(kind) as ended:
+        work()
+    assert ended.type is kind
+    assert waited[0] < 5.0
+
+
+# --- errors -----------------------------------------------------------------------------------
+
+FULL = OSError(errno.ENOSPC, "No space left\n on device.", "some/file")
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (ConfigError("key 'a' is missing."), "key 'a' is missing."),
+        (FULL, "some/file: the system reports an error (No space left on device)."),
+        (OSError("odd"), "the system reports an error (odd)."),
+        (MemoryError(), "memory does not suffice for this; give less data at once, or a machine "
+                        "with more."),
+        (RecursionError(), "a file that was read is nested too deeply."),
+    ],
+)  # fmt: skip
+def test_errors_are_one_sentence_and_exit_with_2(
+    error: Exception, sentence: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended, errors_said():
+        raise error
+    assert ended.value.code == 2
+    assert capfd.readouterr().err == f"hesr: {sentence}\n"
+
+
+def test_a_closed_output_ends_with_1(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended, errors_said():
+        raise BrokenPipeError
+    assert ended.value.code == 1
+    assert capfd.readouterr().err == ""
+    with pytest.raises(ZeroDivisionError), errors_said():
+        raise ZeroDivisionError  # bugs keep their traceback
+
+
+def test_long_sentences_are_cut(capfd: pytest.CaptureFixture[str]) -> None:
+    for length, shown in ((4000, "x" * 4000), (4001, f"{'x' * 4000}...")):
+        with pytest.raises(SystemExit) as ended:
+            refuse("x" * length)
+        assert ended.value.code == 2
+        assert capfd.readouterr().err == f"hesr: {shown}\n"
+
+
+def test_text_is_plain_where_the_output_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = {}
+    for encoding in ("ascii", "utf-8"):
+        raw = BytesIO()
+        monkeypatch.setattr(sys, "stdout", TextIOWrapper(raw, encoding=encoding))
+        plain_where_needed()
+        print("✓ 3–4 · “a” µm 字", end="", flush=True)  # noqa: T201
+        written[encoding] = raw.getvalue().decode("utf-8")
+    assert written == {"ascii": '+ 3-4 . "a" um ?', "utf-8": "✓ 3–4 · “a” µm 字"}
+
+
+def test_matplotlib_gets_a_folder_only_if_home_is_not_writable(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, empty_cache: Path
+) -> None:
+    monkeypatch.delenv("MPLCONFIGDIR", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    home_where_needed()
+    assert "MPLCONFIGDIR" not in os.environ
+    monkeypatch.setenv("HOME", str(tmp_path / "none"))
+    home_where_needed()
+    assert os.environ["MPLCONFIGDIR"] == str(empty_cache / "matplotlib")
+    monkeypatch.delenv("MPLCONFIGDIR")
