@@ -181,7 +181,7 @@ class Master:
         for station in self._layout.stations:
             station.read_outputs()
         if self._scheme.first == "zero":
-            self._layout.values[:] = 0.0
+            self._layout.values.fill(0.0)
 
     def _propagate(self) -> None:
         """Pass the initial values on until they settle.

@@ -11,6 +11,7 @@ from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from cosim.systems.system_file import System
 from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.master import ExchangeScheme
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.logs.tables import read_table
 
@@ -104,6 +105,47 @@ def test_values_settle_before_the_first_step_without_declared_dependencies(fakes
     )  # fmt: skip
     signals = run(spec).signals
     assert [signals[f"{n}.y"][0] for n in names] == [48.0, 24.0, 12.0, 6.0]
+
+
+@pytest.mark.parametrize("refreshed", ["none", "shown", "all"])
+def test_refreshed_outputs_follow_the_inputs_of_their_instant(fakes, refreshed):
+    """A gain of the time feeds an integrator; only "all" also passes its new output on."""
+    spec = fakes(
+        {"clock": "clock", "gain": "gain", "sum": "fake"},
+        {"gain.u": "clock.y", "sum.u[1]": "gain.y", "sum.u[2]": "gain.y"},
+        observe=["gain.y", "sum.y"],
+    )
+    scheme = ExchangeScheme(order="jacobi", refreshed=refreshed)
+    with Master(spec, scheme=scheme) as master:
+        found = master.run()
+    time = 0.1 * np.arange(11)
+    late = 2.0 * np.maximum(time - 0.1, 0.0)
+    shown = late if refreshed == "none" else 2.0 * time
+    passed_on = 2.0 * time if refreshed == "all" else late
+    np.testing.assert_allclose(found.signals["gain.y"], shown, atol=1e-14)
+    integral = np.concatenate([[0.0], np.cumsum(0.1 * passed_on)[:-1]])
+    np.testing.assert_allclose(found.vector("sum.y")[:, 0], integral, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("first", "refreshed", "rows"),
+    [
+        ("propagated", "none", [(3.0, 6.0), (3.6, 6.0)]),
+        ("zero", "none", [(0.0, 0.0), (3.0, 0.0), (3.0, 6.0)]),
+        ("zero", "shown", [(3.0, 0.0), (3.0, 6.0), (3.0, 6.0)]),
+    ],
+)
+def test_the_first_inputs_are_zero_or_propagated(fakes, first, refreshed, rows):
+    spec = fakes(
+        {"source": {"fmu": "fake", "start": {"y0": 3.0}}, "gain": "gain"},
+        {"gain.u": "source.y[1]", "source.u[1]": "gain.y", "source.u[2]": "gain.y"},
+        observe=["source.y[1]", "gain.y"],
+    )
+    scheme = ExchangeScheme(order="jacobi", first=first, refreshed=refreshed)
+    with Master(spec, scheme=scheme) as master:
+        found = master.run()
+    values = np.column_stack([found.signals["source.y[1]"], found.signals["gain.y"]])
+    np.testing.assert_allclose(values[: len(rows)], rows, atol=1e-14)
 
 
 # --- results -----------------------------------------------------------------------------------

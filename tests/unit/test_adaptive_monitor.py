@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from adaptive_models import lugre, model, motion, truth
 
-from hesr.extras.adaptive.monitor import shared_signs, watch
+from hesr.extras.adaptive.answer import Monitoring
+from hesr.extras.adaptive.monitor import Alarm, State, shared_signs, watch
 from hesr.extras.adaptive.tuning import TUNING
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -61,3 +62,48 @@ def test_a_common_change_needs_more_than_half_of_the_joints(sign: int) -> None:
     assert shared_signs([("j1", sign), ("j2", sign), ("j3", -sign)], 3) == [sign]
     assert shared_signs([("j1", sign), ("j1", sign)], 3) == []
     assert shared_signs([("j1", sign), ("j2", -sign)], 2) == []
+
+
+def monitoring(alarms: int) -> Monitoring:
+    def state(log: str, joint: str) -> State:
+        return State(
+            log=log, joint=joint, level=1.25, level_sd=0.01, viscosity=0.8, viscosity_sd=0.02,
+            offset=-0.4321, offset_sd=0.15, learning=1.0, rmse_fixed=0.5, rmse=0.25,
+        )  # fmt: skip
+
+    return Monitoring(
+        model=MODEL,
+        followed=(),
+        states=tuple(state(log, joint) for log in ("one", "two") for joint in MODEL.joints),
+        alarms=tuple(
+            Alarm(log="one", joint="j1", time=2.25, kind="shift", sign=(-1) ** k)
+            for k in range(alarms)
+        ),
+    )
+
+
+@pytest.mark.parametrize(
+    ("count", "first", "more"),
+    [
+        (0, "0 changes of friction found.", None),
+        (1, "1 change of friction found.", None),
+        (12, "12 changes of friction found.", None),
+        (15, "15 changes of friction found.", "3 more alarms: --verbose lists them."),
+    ],
+)
+def test_an_answer_lists_twelve_alarms_and_the_last_states(
+    count: int, first: str, more: str | None
+) -> None:
+    lines = monitoring(count).summary().splitlines()
+    assert lines[0] == first
+    for k, line in enumerate(lines[1 : 1 + min(count, 12)]):
+        assert line == (
+            f"one, j1, 2.2 s: {'less' if k % 2 else 'more'} than known (shift); likely cause: a "
+            "payload, a gravity error, or a sensor"
+        )
+    assert (more in lines) is (more is not None)
+    assert lines[-3:] == [
+        f"{joint}: level 1.250 ± 0.020, viscous factor 0.800 ± 0.040, offset -0.432 ± 0.3"
+        for joint in MODEL.joints
+    ]
+    assert len(lines) == 1 + min(count, 12) + (more is not None) + 3

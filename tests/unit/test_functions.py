@@ -9,13 +9,19 @@ from hypothesis import strategies as st
 
 from hesr_model.equations.functions import (
     NUMPY,
+    SCALAR,
     absolute,
     cardinal_sine,
     cardinal_slope,
+    clip,
+    decay,
+    exceeds,
     larger,
     lowered,
     over,
+    positive,
     sgn,
+    share,
 )
 from hesr_model.friction.inputs import DQ, INPUT_UNITS, INPUTS, TAU_LOAD, Q
 
@@ -136,3 +142,49 @@ def test_a_quotient_and_its_slopes_at_a_zero_divisor(
     whole = over(p, q, r)
     found = lowered([p, q, r], [whole, *(whole.diff(x) for x in (p, q, r))])(a, b, 7.0)
     assert tuple(map(float, found)) == values
+
+
+SLOPED = {
+    "sgn": (sgn(X), (-0.3, 2.0)),
+    "absolute": (absolute(X), (-0.3, 2.0)),
+    "positive": (positive(X), (-0.3, 2.0)),
+    "larger": (larger(X, 0.5), (-0.3, 2.0)),
+    "clip to a bound": (clip(X, 0.5), (-0.7, -0.3, 0.3, 2.0)),
+    "clip to x": (clip(0.5, X), (0.3, 2.0)),
+    "negative clip to x": (clip(-0.5, X), (0.3, 2.0)),
+    "exceeds": (exceeds(X, 0.5), (-0.3, 2.0)),
+    "decay": (decay(X, 0.0), (0.1, 2.0)),
+    "decay by Euler": (decay(X, 1.0), (0.1, 2.0)),
+    "share": (share(X, decay(X, 0.0), 0.0), (5e-4, 0.1, 2.0)),
+    "share by Euler": (share(X, decay(X, 1.0), 1.0), (0.1, 2.0)),
+    "cardinal_sine": (cardinal_sine(X), (-0.7, 5e-4, 3.0)),
+}
+
+
+@pytest.mark.parametrize("name", SLOPED)
+def test_slopes_match_differences(name: str) -> None:
+    whole, places = SLOPED[name]
+    value, slope = lowered([X], [whole]), lowered([X], [whole.diff(X)])
+    for x in places:
+        step = 1e-5 * abs(x)
+        difference = (value(x + step)[0] - value(x - step)[0]) / (2.0 * step)
+        assert float(slope(x)[0]) == pytest.approx(float(difference), rel=1e-6, abs=1e-6)
+
+
+VALUES = (-3.0, -0.5, -4e-4, 0.0, 4e-4, 0.5, 3.0)
+
+
+@pytest.mark.parametrize("name", sorted(SCALAR))
+def test_functions_of_one_number_match_those_of_arrays(name: str) -> None:
+    count = {"sgn": 1, "absolute": 1, "positive": 1, "cardinal_sine": 1, "over": 3, "share": 3}
+    for x in VALUES:
+        for y in VALUES[: 1 if count.get(name, 2) == 1 else None]:
+            rest = (y, 0.0)[: count.get(name, 2) - 1]
+            if name == "cardinal_sine" and x == 0.0:
+                continue
+            if name in ("decay", "share"):
+                rest = (float(y > 0.0),) if name == "decay" else (np.expm1(-x), float(y > 0.0))
+            if name == "clip":
+                rest = (abs(y),)
+            found = SCALAR[name](x, *rest)
+            assert found == pytest.approx(float(NUMPY[name](x, *rest)), rel=1e-12), (x, rest)
