@@ -60,6 +60,14 @@ def test_command_line_options_match_the_functions() -> None:
             assert given - {"listing"} == taken - {"progress"}, verb
 
 
+def test_flags_are_off_unless_given() -> None:
+    """Flags of the command line cannot switch off."""
+    for verb in app.list_commands(click.Context(app)):
+        for one in inspect.signature(workflow(verb)).parameters.values():
+            if one.annotation == "bool":
+                assert one.default is False, (verb, one.name)
+
+
 SECTIONS = ("Parameters", "Returns", "Raises", "Examples")
 
 

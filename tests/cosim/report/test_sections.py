@@ -1,0 +1,281 @@
+"""Recorded sections of the report of a small made-up run: numbers, names, tables and charts.
+
+After an intended change run `pytest tests/cosim/report/test_sections.py --regen-all` and review it.
+"""
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from joint_data import law
+from markupsafe import Markup
+from matplotlib.figure import Figure
+from pytest_regressions.file_regression import FileRegressionFixture
+
+from cosim.loop.closed_loop import Scheme, StandIn
+from cosim.loop.traces import LoopOutcome, Overcompensation, Trace, Tracked
+from cosim.report.figures.chart import Chart, Line
+from cosim.report.paper import table_ii, table_iii
+from cosim.report.results import Results
+from cosim.report.sections import inputs, laws, loop, physics, prediction, summary
+from cosim.report.tables.csv_file import csv_text
+from cosim.report.tables.table import ResultTable
+from cosim.study.results import SavedLog, SavedRun, write_findings, write_torques
+from cosim.study.scores import ORACLE, Comparison, compare, input_classes, predict_models
+from cosim.study.study import TimeBand
+from hesr_model.findings import Finding
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import FrictionRecord
+
+COULOMB = {"F_c": 3.0, "F_s": 3.1, "v_s": 0.1, "sigma_2": 1.5, "tau_0": 0.1}
+BRISTLES = COULOMB | {"sigma_0": 500.0, "sigma_1": 1.0}
+JOINTS = ("base", "arm")
+
+
+def records(seed: int) -> list[FrictionRecord]:
+    """One log of 18 s."""
+    t = 0.01 * np.arange(1800)
+    found = []
+    for k, joint in enumerate(JOINTS):
+        dq = np.sin((1.1 + 0.3 * k) * t + seed) + 0.3 * np.sin(2.3 * t)
+        load = 4.0 * np.cos(0.4 * t + k)
+        noise = np.random.default_rng(10 * seed + k).normal(0.0, 0.3, len(t))
+        tau = 3.0 * np.tanh(30.0 * dq) + 1.5 * dq + noise
+        found.append(
+            FrictionRecord(log=f"log{seed}", joint=joint, t=t, dq=dq, q=np.cumsum(0.01 * dq),
+                           tau_load=load, tau=tau)
+        )  # fmt: skip
+    return found
+
+
+def model(name: str, values: dict[str, float], *, scale: float = 1.0) -> FrictionModel:
+    own = {key: scale * value if key in ("F_c", "F_s") else value for key, value in values.items()}
+    one = law(name, {}, **own)
+    errors = dict.fromkeys(own, 0.01)
+    return FrictionModel(
+        law=name, robot="bench", joints=JOINTS, sample_time=0.01,
+        laws=(replace(one, standard_errors=errors), replace(one, values=own | {"F_c": 2.9})),
+        trained=tuple(TrainedRange.of([record]) for record in records(1)),
+    )  # fmt: skip
+
+
+def scored(logs: list[FrictionRecord], models: dict[str, FrictionModel]) -> Comparison:
+    of_joints = [[record] for record in logs]
+    predicted = predict_models(models, of_joints)
+    truth = [[record.tau + 0.05 * np.sin(record.t)] for record in logs]
+    return compare(of_joints, predicted | {ORACLE: truth}, input_classes(models), models)
+
+
+def outcome() -> LoopOutcome:
+    def tracked(scheme: Scheme, name: str, scale: float) -> Tracked:
+        rmse = scale * np.array([[0.001, 0.02], [0.003, 0.05]])
+        return Tracked(scheme=scheme, law=name, rmse=rmse, last=rmse / 8.0)
+
+    schemes = [
+        Scheme(compensation="none"), Scheme(compensation="torque_error"),
+        Scheme(compensation="torque_error", Kx=5.0), Scheme(compensation="servo_inversion"),
+        Scheme(compensation="servo_inversion", source="filtered"),
+    ]  # fmt: skip
+    names = (StandIn.BODY_ONLY, "lugre", "own")
+    rows = [tracked(s, n, 1.0 + k + 0.1 * m) for k, s in enumerate(schemes)
+            for m, n in enumerate(names)]  # fmt: skip
+    return LoopOutcome(
+        tracking=rows, long=rows[:2], sweeps=[replace(rows[0], law="lugre")],
+        overcompensation=[Overcompensation(law="lugre", scheme=schemes[1], factor=1.5)],
+    )  # fmt: skip
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Results:
+    models = {
+        "stribeck": model("stribeck", COULOMB, scale=0.9), "lugre": model("lugre", BRISTLES),
+        "own": replace(model("lugre", BRISTLES, scale=1.2), law="lugre"),
+    }  # fmt: skip
+    test = records(2)
+    write_torques(
+        tmp_path / "traces" / "torques_1.parquet", test,
+        {name: [one[0] for one in of_law]
+         for name, of_law in predict_models(models, [[r] for r in test]).items()}
+        | {ORACLE: [r.tau for r in test]},
+    )  # fmt: skip
+    whole = scored(test, models)
+    half = scored([r.rows(slice(900, None)) for r in test], models)
+    log = SavedLog(
+        name="unseen log", file="unseen.csv", sha256="ab", roles=("unseen", "identification"),
+        rows=1800, duration=17.99, rate=100.0, trace="torques_1.parquet",
+    )  # fmt: skip
+    other = replace(log, name="train", file="t.csv", roles=("training",), trace="", sample=True)
+    run = SavedRun(
+        study="made up", command="hesr run study.toml", robot="bench", model="arm.xml",
+        joints=JOINTS, gear_ratio=(101.0, 50.5), twin=True, quick=False, seed=3,
+        logs=(log, other, replace(other, name="spare", roles=())),
+        bands=(TimeBand(test="unseen", name="late", start=9.0),),
+        inputs={"stribeck": "v", "lugre": "v", "own": "v"}, variants={"own": "lugre"},
+        controller={"drift": 12.0, "Kx": 5.0}, versions={"numpy": "2.0", "hesr": "0.1"},
+    )  # fmt: skip
+    body = RigidBody(
+        robot="bench", joints=JOINTS, names=("l1.m", "l1.Ir", "l2.m"), base=(0, 1),
+        parameters=np.array([1.2345, -0.5, 0.0]), standard_errors=np.array([0.0123, 0.25]),
+        condition=12.345, ridge=0.0, friction=np.zeros((2, 3)), rmse=np.array([0.123, 4.567]),
+        rows=1800, logs=("log1",), method="stacked", weighting="wls",
+    )  # fmt: skip
+    findings = [
+        Finding(check="a", severity="warning", found="one", remedy="do it"),
+        Finding(check="b", severity="advice", logs=("unseen log",), found="two"),
+        Finding(check="c", severity="advice", found="three"),
+    ]
+    write_findings(tmp_path, findings)
+    fmus = tmp_path / "fmus"
+    fmus.mkdir()
+    (fmus / "stribeck.fmu").write_bytes(b"no archive")
+    t = np.linspace(0.0, 1.0, 11)
+    path = Trace(t=t, q_d=np.column_stack([t, t]), q=np.column_stack([t + 0.01, t - 0.02]))
+    keys = [(Scheme(compensation="torque_error"), name) for name in (StandIn.BODY_ONLY, "lugre")]
+    return Results(
+        folder=tmp_path, run=run, body=body, models=models,
+        comparisons={"unseen": whole, "late": half},
+        truths={"stiff": {"unseen": {"stribeck": (1.0, 2.0), "lugre": (0.5, 0.7)}}},
+        loop=outcome(), paths=dict.fromkeys(keys, path),
+        provenance={"files": [{"name": "robot.toml", "sha256": "cd"},
+                              {"name": "unseen.csv", "sha256": "ab"}]},
+    )  # fmt: skip
+
+
+_NUMBER = re.compile(r"-?\d+\.\d{4,}(e-\d+)?")
+
+
+def shown(value: object) -> str:
+    if isinstance(value, float | np.floating):
+        return f"{value:.3g}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(shown, value))}]"
+    return str(value)
+
+
+def of_line(line: Line) -> str:
+    y = np.asarray(line.y, dtype=float)
+    numbers = (line.x[0], line.x[-1], y[0], y[-1], np.sum(y), np.sum(np.abs(y)))
+    return f"{line.name} {line.stroke} {len(line.x)} {shown([float(n) for n in numbers])}"
+
+
+def told(name: str, value: Any) -> Iterator[str]:
+    """Yield lines on what a template gets."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from told(f"{name}.{key}", inner)
+    elif isinstance(value, ResultTable):
+        yield f"{name}: table {value.caption!r} {value.words} {value.numeric}"
+        yield _NUMBER.sub(lambda found: f"{float(found[0]):.4g}", csv_text(value))
+    elif isinstance(value, Chart):
+        yield f"{name}: chart {value.x} {value.height} {value.window}"
+        for panel in (panel for row in value.rows for panel in row):
+            yield f"  {panel.title!r} {panel.y!r} {panel.marks}"
+            yield from (f"    {of_line(line)}" for line in panel.lines)
+    elif isinstance(value, Figure):
+        yield f"{name}: figure {shown(list(value.get_size_inches()))}"
+        for axes in value.axes:
+            labels = [axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel()]
+            sums = [float(np.nansum(line.get_ydata())) for line in axes.lines]
+            ends = [float(np.nansum(line.get_xdata())) for line in axes.lines]
+            yield f"  {labels} {shown(list(axes.get_xlim()))} {shown(ends)} {shown(sums)}"
+    elif isinstance(value, list) and value and isinstance(value[0], dict | tuple | ResultTable):
+        for k, inner in enumerate(value):
+            yield from told(f"{name}[{k}]", inner)
+    elif isinstance(value, tuple) and any(isinstance(one, ResultTable | list) for one in value):
+        yield from (
+            told(name, list(value))
+            if isinstance(value[0], ResultTable)
+            else (line for k, inner in enumerate(value) for line in told(f"{name}.{k}", inner))
+        )
+    elif isinstance(value, Markup):
+        yield f"{name}: markup of {len(value) // 100} hundred characters"
+    elif isinstance(value, SavedRun | RigidBody | SavedLog):
+        yield f"{name}: {type(value).__name__}"
+    else:
+        yield f"{name}: {shown(value)}"
+
+
+Recorded = Callable[..., None]
+
+
+@pytest.fixture
+def recorded(file_regression: FileRegressionFixture) -> Recorded:
+    def check(**sections: object) -> None:
+        lines = [line for name, values in sections.items() for line in told(name, values)]
+        file_regression.check("\n".join(lines) + "\n", encoding="utf-8")
+
+    return check
+
+
+def test_the_first_layer(results: Results, recorded: Recorded) -> None:
+    assert results.recommended == results.best == "stribeck"
+    assert results.tests == ["unseen"]
+    assert results.laws == ["stribeck", "lugre"]
+    without = replace(results, comparisons={"unseen": _without_ratios(results)})
+    recorded(
+        summary=summary.summary(results),
+        other=summary.errors(results, "lugre"),
+        alone=summary.errors(without, "stribeck"),
+    )
+
+
+def _without_ratios(results: Results) -> Comparison:
+    whole = results.comparisons["unseen"]
+    return replace(whole, ratios=replace(whole.ratios, laws={}))
+
+
+def test_predictions(results: Results, recorded: Recorded) -> None:
+    recorded(
+        errors=prediction.errors_of_tests(results),
+        chirp=prediction.chirp(results),
+        loops=prediction.loops(results),
+        plain=prediction.chirp(replace(results, run=replace(results.run, bands=()))),
+    )
+
+
+def test_laws_and_physics(results: Results, recorded: Recorded) -> None:
+    audit = physics.audit(results)
+    assert audit
+    proofs = [(row.head, row.cells[0].text) for row in audit.pop("proofs").rows]
+    assert proofs == [
+        (law, joint) for law in ("Stribeck", "LuGre", "own") for joint in ("J1", "J2")
+    ]
+    recorded(
+        equations=laws.equations(results)["coefficients"],
+        ablation=laws.ablation(results),
+        hysteresis=laws.hysteresis(results),
+        live=laws.live(results),
+        audit=audit,
+        properties=physics.properties(results),
+    )
+
+
+def test_the_hysteresis_of_the_papers_law(
+    results: Results, table1: FrictionModel, recorded: Recorded
+) -> None:
+    run = replace(results.run, joints=table1.joints)
+    recorded(hysteresis=laws.hysteresis(replace(results, run=run, models={"parfam_h": table1})))
+
+
+def test_data_and_rigid_body(results: Results, recorded: Recorded) -> None:
+    told_files = inputs.provenance(results)
+    del told_files["bokeh"]
+    recorded(data=inputs.data(results), body=inputs.body(results), provenance=told_files)
+
+
+def test_the_closed_loop(results: Results, recorded: Recorded) -> None:
+    tracking = loop.tracking(results)
+    assert tracking
+    del tracking["diagram"]
+    recorded(tracking=tracking, robustness=loop.robustness(results))
+    assert loop.tracking(replace(results, loop=None)) is None
+
+
+def test_tables_of_the_paper(recorded: Recorded) -> None:
+    recorded(second=table_ii(("J1", "J2", "J3")), third=table_iii(("J1", "J2", "J3")))
