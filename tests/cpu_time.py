@@ -1,15 +1,23 @@
 """CPU time of every test with its processes: recorded by `make durations`, limited in CI."""
 
 import os
+import statistics
 from collections import defaultdict
 from collections.abc import Generator
 from pathlib import Path
+from time import process_time
 
 import psutil
 import pytest
 
 LIMIT = 10.0
-"""CPU seconds allowed per test of `make test`, without shared fixtures."""
+"""CPU seconds per test of `make test` on the reference machine, without shared fixtures."""
+
+PROBE_ON_REFERENCE = 0.2
+"""CPU seconds of `probe` on the reference machine, an idle core of a Xeon at 2.5 GHz."""
+
+ROUNDS = 500_000
+"""Rounds of `probe`."""
 
 _NAMED = 2.0
 """Minimum CPU seconds for a test to have its own line in the record."""
@@ -34,11 +42,27 @@ def used() -> float:
     return total
 
 
-class CpuTime:
-    """Measure tests, fail slow ones if `limited`, and write a record if given a file."""
+def probe() -> float:
+    """Return the CPU seconds of a fixed piece of work."""
+    start, table = process_time(), dict.fromkeys(range(4096), 0)
+    for k in range(ROUNDS):
+        table[k % 4096] += table[7 * k % 4096] % 1000 + len(str(k))
+    return process_time() - start
 
-    def __init__(self, *, limited: bool, record: Path | None) -> None:
-        self.limited = limited
+
+def slowness() -> float:
+    """Return the CPU time of work here and now, relative to the reference machine.
+
+    Another machine, or a core shared with others, needs a multiple of the reference's CPU time.
+    """
+    return statistics.median(probe() for _ in range(3)) / PROBE_ON_REFERENCE
+
+
+class CpuTime:
+    """Measure tests, fail those beyond a limit [s], and write a record if given a file."""
+
+    def __init__(self, *, limit: float | None, record: Path | None = None) -> None:
+        self.limit = limit
         self.record = record
         self.start = self.shared = 0.0
         self.sharing = False
@@ -50,7 +74,7 @@ class CpuTime:
         record = config.getoption("--record-cpu")
         limited = os.environ.get("CI") == "true"
         if limited or record:
-            config.pluginmanager.register(cls(limited=limited, record=record))
+            config.pluginmanager.register(cls(limit=LIMIT if limited else None, record=record))
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(
@@ -77,11 +101,14 @@ class CpuTime:
         seconds = used() - self.start - self.shared
         kind = "ci" if item.get_closest_marker("ci") else "default"
         item.user_properties.append((_PROPERTY, (kind, seconds, self.shared)))
-        if self.limited and kind == "default" and seconds > LIMIT:
-            pytest.fail(
-                f"took {seconds:.1f} CPU s; the limit for `make test` is {LIMIT:.0f} s: "
-                "share a fixture or mark it ci"
-            )
+        # The probe runs only after slow tests.
+        if self.limit and kind == "default" and seconds > self.limit:
+            reference = seconds / slowness()
+            if reference > self.limit:
+                pytest.fail(
+                    f"took {seconds:.1f} CPU s, {reference:.1f} s on the reference machine; the "
+                    f"limit for `make test` is {self.limit:g} s: share a fixture or mark it ci"
+                )
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call":

@@ -1,0 +1,62 @@
+"""Limit of the CPU time of a test, in units of a probe on the same machine."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cpu_time
+import pytest
+
+TESTS = """
+import pytest
+from cpu_time import probe
+
+def test_of_one_probe():
+    probe()
+
+def test_of_six_probes():
+    [probe() for _ in range(6)]
+
+@pytest.mark.ci
+def test_of_six_probes_in_ci():
+    [probe() for _ in range(6)]
+"""
+
+PROBE = cpu_time.PROBE_ON_REFERENCE / 5
+
+RUN = f"""
+import sys, cpu_time, pytest
+cpu_time.ROUNDS //= 5
+cpu_time.PROBE_ON_REFERENCE = float(sys.argv[1])
+plugin = cpu_time.CpuTime(limit=3 * {PROBE})
+options = ["-q", "-p", "no:cacheprovider", "-W", "ignore", "-rf", "--confcutdir=.", "test_it.py"]
+sys.exit(pytest.main(options, plugins=[plugin]))
+"""
+
+
+def failures(folder: Path, on_reference: float) -> tuple[str, int]:
+    """Run the tests with a stated cost of the probe on the reference machine."""
+    (folder / "test_it.py").write_text(TESTS, encoding="utf-8")
+    ended = subprocess.run(
+        [sys.executable, "-c", RUN, str(on_reference)],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={"PYTHONPATH": str(Path(cpu_time.__file__).parent), "PATH": ""},
+        check=False,
+    )
+    return ended.stdout, ended.returncode
+
+
+def test_a_slow_test_fails_by_the_cost_of_the_probe(tmp_path: Path) -> None:
+    said, code = failures(tmp_path, PROBE)
+    assert code == pytest.ExitCode.TESTS_FAILED, said
+    assert "1 failed, 2 passed" in said
+    assert "FAILED test_it.py::test_of_six_probes - Failed: took" in said
+    assert "share a fixture or mark it ci" in said
+
+
+def test_a_slow_machine_does_not_fail(tmp_path: Path) -> None:
+    """Compared with a reference machine that is ten times as fast."""
+    said, code = failures(tmp_path, PROBE / 10)
+    assert (code, "3 passed" in said) == (0, True), said
