@@ -320,7 +320,7 @@ def sources(fmu: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.ci
 def test_call_sequences_have_no_undefined_behaviour(sources: Path) -> None:
-    flags = (*LINUX, *FLAGS, "-fsanitize=undefined")
+    flags = (*LINUX, *FLAGS, "-fsanitize=undefined", "-fsanitize-trap=undefined")
     compile_c(sources / "all.c", flags, sources / "lives", (str(FUZZ), "-lm"))
     assert_lives(sources)
 
