@@ -8,8 +8,9 @@ k x^2 over states, and tau is read after they have moved. Torques of position al
     bristle    c x, x' = b v - r x, r >= 0 S = c x^2 / (2 b), any step of an exact relaxation
                                            and change of its rate r with speed and load
     level      sgn(v) g, g(v, load) >= 0   dissipates g |v|
-    with       + d x'                      f >= d (max k / min k - 1): Barabanov and Ortega (2000),
-                                           in continuous time
+    with       + d x', r = |v| k(v)        f >= b d (max k / min k - 1) >= -d x' / v for all states
+                                           |x| <= b / min k, which exact steps preserve; the
+                                           condition of Barabanov and Ortega (2000)
     f(v) v     f >= 0
     ripple     see `laws.stops.passive`: f at every speed above the energy of its lag
 
@@ -205,8 +206,10 @@ class _Proof:
         k = sympy.expand_mul(element.rate / absolute(DQ))
         low, high = _least_of(k), -_least_of(-k)
         _require(low > 0.0, f"{element.name} has no steady deflection at some speed")
-        self.step = None
-        return damper * (high / low - 1.0) * float(element.drive.diff(DQ))
+        gain = float(element.drive.diff(DQ))
+        bound = f"{gain / low:.3g} {element.unit}"
+        self.conditions.append(f"|{element.name}| <= {bound} times coulomb_scale at the start")
+        return damper * (high / low - 1.0) * gain
 
     def _viscous(self, steady: sympy.Expr, waves: list[sympy.Expr], damping: float) -> None:
         own = steady.free_symbols <= {DQ}

@@ -165,10 +165,11 @@ def test_missing_proofs_have_a_reason(law: FrictionLaw, why: str) -> None:
 
 
 def test_lugre_follows_the_condition_of_barabanov_and_ortega() -> None:
-    """In continuous time passive for sigma_2 >= sigma_1 (F_s - F_c)/F_c."""
+    """Passive for sigma_2 >= sigma_1 (F_s - F_c)/F_c, sampled exactly at any step."""
     enough = 10.0 * (6.0 - 4.0) / 4.0
     proven = certify(law_of("lugre", **LUGRE | {"sigma_1": 10.0, "sigma_2": enough}), TRAINED)
-    assert (proven.verdict, proven.largest_step) == ("proven", None)
+    assert (proven.verdict, proven.largest_step) == ("proven", inf)
+    assert "|z| <= 0.0012 rad times coulomb_scale at the start" in proven.rests_on
     less = certify(law_of("lugre", **LUGRE | {"sigma_1": 10.0, "sigma_2": 0.999 * enough}), TRAINED)
     assert less.verdict != "proven"
 
