@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterator, Sequence
 from math import exp, fsum, log
 from pathlib import Path
-from statistics import fmean
 
 from cosim.loop.closed_loop import StandIn
 from cosim.report.markup import Tables
@@ -97,8 +96,7 @@ def _run(results: Results) -> Iterator[str]:
 
 def _prediction(results: Results) -> str:
     scores, best = results.comparisons[results.tests[0]], results.best
-    shares = zip(scores.laws[best].rmse, scores.tau_std, strict=True)
-    left = 100.0 * fmean(rmse / max(std, 1e-300) for rmse, std in shares)
+    left = 100.0 * scores.size(best)
     text = f"{title(best)} leaves {left:.0f} % of the friction unexplained, averaged over joints"
     ratios = scores.ratios.laws.get(best, ())
     if not ratios:
@@ -127,7 +125,7 @@ def _rows(table: ResultTable, laws: Sequence[str]) -> ResultTable:
 
 def _tracking(results: Results) -> Iterator[str]:
     assert results.loop
-    wanted = {*StandIn, REFERENCE, papers_law(), results.recommended}
+    wanted = {*StandIn, REFERENCE, papers_law(), *results.recommended}
     desired = (row for row in results.loop.tracking if row.scheme.source == "desired")
     rows = [row for row in desired if row.law in wanted]
     laws = [row for row in rows if row.law not in set(StandIn)]
@@ -152,7 +150,7 @@ def _physics(results: Results) -> Iterator[str]:
         f"{title(most)} passes {found[most].passed} of {len(EXPECTATIONS)} checks on all joints, "
         f"the most of {len(found)} laws.\n"
     )
-    wanted = dict.fromkeys([REFERENCE, papers_law(), results.recommended, most])
+    wanted = dict.fromkeys([REFERENCE, papers_law(), *results.recommended, most])
     rows = [
         row_of(named(law), str(found[law].passed), "; ".join(found[law].failed) or "–")
         for law in wanted

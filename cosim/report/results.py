@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from operator import truediv
 from pathlib import Path
 from typing import Any
 
@@ -82,20 +81,25 @@ class Results:
         return read_verdict(self.folder)
 
     @property
-    def recommended(self) -> str:
-        """Law of the verdict, or else the best one."""
-        return self.verdict.law if self.verdict else self.best
+    def recommended(self) -> tuple[str, ...]:
+        """Laws of the verdict by joint, or else the best one."""
+        return self.verdict.laws if self.verdict else (self.best,) * len(self.joints)
+
+    @property
+    def fmu(self) -> str:
+        """Recommended FMU."""
+        return self.verdict.fmu if self.verdict else f"fmus/{self.best}.fmu"
+
+    def decided(self, test: str) -> tuple[str, ...]:
+        """Return the laws recommended by a test set, if it decided."""
+        return self.verdict.laws if self.verdict and self.verdict.test == test else ()
 
     @cached_property
     def best(self) -> str:
-        """Law with the lowest error over the first law's, on the first test set."""
-        scores = self.comparisons[self.tests[0]].laws
-        relative = {
-            law: sum(map(truediv, row.rmse, next(iter(scores.values())).rmse))
-            for law, row in scores.items()
-            if law != ORACLE and not law.endswith(MEASURED_START)
-        }
-        return min(relative, key=lambda law: relative[law])
+        """Law with the lowest error over the size of friction, on the first test set."""
+        scores = self.comparisons[self.tests[0]]
+        laws = (law for law in scores.laws if law != ORACLE and not law.endswith(MEASURED_START))
+        return min(laws, key=scores.size)
 
     @cached_property
     def key_laws(self) -> list[str]:

@@ -19,9 +19,10 @@ from fmu_src.export.toolchain import get_ready, targets
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.pages.datasheet import ModelAudit
 from fmu_src.pages.live.body import PageBody
+from hesr_model.audit.properties import combined
 from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError
-from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.model import MIXED, FrictionModel, mixed
 from hesr_model.friction.registry import laws_with
 from hesr_model.health.examine import checked
 from hesr_model.health.fit_checks import check_body, check_laws
@@ -120,6 +121,9 @@ def run_study(
                 gear_ratio=job.robot.gear_ratio is not None,
             )
             write_verdict(folder, words)
+            made = dict(models) | recommended(
+                words, models, folder, audits, found, platforms=platforms, body=body
+            )
             save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)
         shutil.rmtree(kept, ignore_errors=True)
         from cosim.report.page import write_report  # slow to import
@@ -129,8 +133,8 @@ def run_study(
     return Outcome(
         rigid_body=run.rigid_body,
         comparisons=run.comparisons,
-        models=models,
-        fmus={law: output / "fmus" / fmu.name for law, fmu in run.fmus.items()},
+        models=made,
+        fmus={law: output / "fmus" / f"{law}.fmu" for law in made},
         left_out=run.left_out,
         properties=found,
         verdict=words,
@@ -226,6 +230,31 @@ def _documented(
         audit = ModelAudit.of(model, model.trained)
     export_fmu(model, fmus[law], properties=found.get(law), audit=audit, **more)
     return audit
+
+
+def recommended(
+    words: Verdict,
+    models: Mapping[str, FrictionModel],
+    folder: Path,
+    audits: Mapping[str, ModelAudit | None],
+    found: "Mapping[str, Properties]",
+    **more: Any,
+) -> dict[str, FrictionModel]:
+    """Write and return the model with the recommended laws, if joints differ."""
+    if words.law != MIXED:
+        return {}
+    model = mixed([models[law] for law in words.laws])
+    model.write(folder / "laws" / f"{MIXED}.json")
+    audit = None
+    if all(known := [audits.get(law) for law in words.laws]):
+        joints = list(enumerate(audit for audit in known if audit))
+        audit = ModelAudit(
+            certificates=tuple(one.certificates[k] for k, one in joints),
+            audits=tuple(one.audits[k] for k, one in joints),
+        )
+    checks = combined(MIXED, found, words.laws)
+    export_fmu(model, folder / words.fmu, properties=checks, audit=audit, **more)
+    return {MIXED: model}
 
 
 def _of_each(

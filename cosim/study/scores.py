@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -118,6 +119,19 @@ class Comparison:
         """Whether the logs are too short to find any law worse, by joint."""
         pairs = zip(self.leading, self.detectable, strict=True)
         return tuple(len(leading) > 1 and not found for leading, found in pairs)
+
+    def of(self, laws: Sequence[str]) -> LawScores:
+        """Return the errors of a law per joint."""
+        rows = list(enumerate(self.laws[law] for law in laws))
+        return LawScores(**{m: tuple(getattr(row, m)[k] for k, row in rows) for m in MEASURES})
+
+    def unexplained(self, errors: Sequence[float]) -> tuple[float, ...]:
+        """Return errors by joint over the standard deviation of its friction."""
+        return tuple(e / max(std, 1e-300) for e, std in zip(errors, self.tau_std, strict=True))
+
+    def size(self, law: str) -> float:
+        """Return the unexplained share of friction, averaged over joints."""
+        return fmean(self.unexplained(self.laws[law].rmse))
 
     def to_pandas(self) -> Any:
         """Return a DataFrame of all measures [N.m; `r2` has none] by law and joint."""

@@ -30,7 +30,7 @@ from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.fitting.day_offsets import with_own
 from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import refine
-from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.friction.registry import estimator, registry
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smoothed
@@ -66,7 +66,7 @@ class Job:
         for law, options in study.options.items():
             self._require_law(f"options.{law}", law, options)
         for name, variant in study.variants.items():
-            if name in registry():
+            if name in (*registry(), MIXED):
                 raise self._error(f"key 'variants.{name}' has the name of a law; rename it.")
             self._require_law(f"variants.{name}.law", variant.law)
             self._require_law(f"variants.{name}.options", variant.law, variant.options)

@@ -1,16 +1,18 @@
 """Verdict of a run: the recommended FMU, its weaknesses, and helpful data."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cosim.report.tables.table import joints as short_names
-from cosim.report.tables.table import title
-from cosim.study.scores import RECORDED, Comparison, Records, inputs_of
-from hesr_model.friction.model import FrictionModel
+from cosim.report.tables.table import on_joints
+from cosim.study.scores import RECORDED, Comparison, LawScores, Records, inputs_of
+from hesr_model.audit.properties import combined
+from hesr_model.friction.model import MIXED, FrictionModel, alike
 from hesr_model.friction.trained_range import outside
 from hesr_model.logs.phases import MOVING
 from hesr_model.rigid_body.residual import all_at_friction
@@ -42,13 +44,14 @@ class Separation:
     tied: tuple[str, ...]
     detectable: tuple[float, float] | None
     seconds: float  # [s] test that would find `RECORDED`
+    law: str = ""  # recommended; empty in earlier versions
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
     """Verdict of a run in sentences."""
 
-    law: str
+    law: str  # `MIXED` if joints have different laws
     fmu: str  # path in the folder of results
     test: str  # deciding test set
     why: str
@@ -59,12 +62,18 @@ class Verdict:
     limits: tuple[str, ...] = ()  # of the test
 
     @property
+    def laws(self) -> tuple[str, ...]:
+        """Recommended law of each joint."""
+        known = tuple(one.law or self.law for one in self.joints)
+        return known or (self.law,) * len(self.unexplained)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """The verdict in sentences."""
         shares = zip(short_names(len(self.unexplained)), self.unexplained.values(), strict=True)
         left = ", ".join(f"{joint} {share:.0f} %" for joint, share in shares)
         return (
-            f"Recommended: {self.fmu} ({title(self.law)}): {self.why}",
+            f"Recommended: {self.fmu} ({on_joints(self.laws)}): {self.why}",
             *self.limits,
             f"Unexplained friction on '{self.test}': {left}.",
             *self.weak,
@@ -86,24 +95,22 @@ def verdict(
     See `recommend`. For a short test, the errors on left-out training logs decide.
     """
     test, scores = next(iter(comparisons.items()))
-    law, why = recommend(scores, models)
-    percent = {
-        joint: 100.0 * rmse / std
-        for joint, rmse, std in zip(
-            scores.joints, scores.laws[law].rmse, scores.tau_std, strict=True
-        )
-    }
-    joints = tuple(separation(scores))
+    laws, why = recommend(scores, models)
+    law = laws[0] if len(set(laws)) == 1 else MIXED
+    shares = scores.unexplained(scores.of(laws).rmse)
+    percent = {joint: 100.0 * share for joint, share in zip(scores.joints, shares, strict=True)}
+    pairs = zip(separation(scores), laws, strict=True)
+    joints = tuple(replace(one, law=own) for one, own in pairs)
     return Verdict(
         law=law,
         fmu=f"fmus/{law}.fmu",
         test=test,
         why=why,
         unexplained=percent,
-        weak=tuple(_weak(scores, law, percent, properties)),
-        improve=tuple(_improve(models[law], trained, tested, gear_ratio=gear_ratio)),
+        weak=tuple(_weak(scores.of(laws), percent, combined(law, properties, laws))),
+        improve=tuple(_improve(models[laws[0]], trained, tested, gear_ratio=gear_ratio)),
         joints=joints,
-        limits=tuple(limits(f"'{test}'", law, joints)),
+        limits=tuple(limits(f"'{test}'", joints)),
     )
 
 
@@ -122,50 +129,72 @@ def separation(scores: Comparison) -> Iterator[Separation]:
         )
 
 
-def recommend(scores: Comparison, models: Mapping[str, FrictionModel]) -> tuple[str, str]:
-    """Return the recommended law and the rule that decided.
+def recommend(
+    scores: Comparison, models: Mapping[str, FrictionModel]
+) -> tuple[tuple[str, ...], str]:
+    """Return the recommended law of each joint and the rule that decided.
 
-    It is the simplest of the laws that lead on most joints within `CLOSE` of the lowest error of
-    each joint, else the one nearest to that.
+    A law is good on a joint if none is significantly better and its error is within `CLOSE` of the
+    lowest. All joints have the simplest of the laws that are good on most of them; where it is not
+    good, the simplest one that is, if one FMU can have both.
     """
     names = [law for law in scores.laws if law in models]
-    joints = range(len(scores.joints))
-    if all(scores.too_short):
-        known = [law for law in names if models[law].left_out_rmse]
-        if not known:
-            law = min(names, key=lambda name: _mean(scores.laws[name].rmse, scores.tau_std))
-            return law, f"{_SHORT}; it has the lowest error."
-        law = min(known, key=lambda name: _mean(models[name].left_out_rmse, scores.tau_std))
-        return law, f"{_SHORT}; it has the lowest error on left-out training logs."
-    led = {law: sum(law in scores.leading[j] for j in joints) for law in names}
-    most = max(led.values())
-    candidates = [law for law in names if led[law] == most]
-    lowest = [scores.laws[scores.leading[j][0]].rmse[j] for j in joints]
-    above = {
-        law: max(
-            rmse / max(least, 1e-300)
-            for j, rmse, least in zip(joints, scores.laws[law].rmse, lowest, strict=True)
-            if law in scores.leading[j]
-        )
-        for law in candidates
-    }
-    close = [law for law in candidates if above[law] <= CLOSE]
-    within = f"within {100 * (CLOSE - 1):.0f} % of the lowest error of each joint"
+    count = len(scores.joints)
+    told = [j for j in range(count) if not scores.too_short[j]]
+    if not told:
+        law, why = _by_training(names, scores, models)
+        return (law,) * count, why
+    lowest = [scores.laws[leading[0]].rmse[j] for j, leading in enumerate(scores.leading)]
+    above = {law: _ratios(scores.laws[law].rmse, lowest) for law in names}
+    good = [
+        [law for law in scores.leading[j] if law in names and above[law][j] <= CLOSE]
+        for j in range(count)
+    ]
+    on = {law: sum(law in good[j] for j in told) for law in names}
+    most = max(on.values())
+    candidates = [law for law in names if on[law] == most]
+    law, rule = _simplest(candidates, models, {n: max(above[n][j] for j in told) for n in names})
+    why = (
+        f"on {most} of {len(told)} joints no law is significantly better and its error is within "
+        f"{100 * (CLOSE - 1):.0f} % of the lowest{rule}"
+    )
+    laws = [law] * count
+    for j in told:
+        fitting = [n for n in good[j] if alike(models[n], models[law])]
+        if law not in good[j] and fitting:
+            laws[j] = _simplest(fitting, models, {n: above[n][j] for n in fitting})[0]
+    short = short_names(count)
+    if others := [short[j] for j in told if laws[j] != law]:
+        why += f"; on {', '.join(others)} the simplest law for which this holds"
+    if worse := {short[j]: scores.leading[j][0] for j in told if laws[j] not in good[j]}:
+        why += f"; lower error: {on_joints(tuple(worse.values()), tuple(worse))}"
+    return tuple(laws), f"{why}."
+
+
+def _by_training(
+    names: Sequence[str], scores: Comparison, models: Mapping[str, FrictionModel]
+) -> tuple[str, str]:
+    """Return the best law on left-out training logs, or on the test if that is unknown."""
+    known = [law for law in names if models[law].left_out_rmse]
+    if not known:
+        return min(names, key=scores.size), f"{_SHORT}; it has the lowest error."
+    law = min(known, key=lambda name: fmean(scores.unexplained(models[name].left_out_rmse)))
+    return law, f"{_SHORT}; it has the lowest error on left-out training logs."
+
+
+def _simplest(
+    candidates: Sequence[str], models: Mapping[str, FrictionModel], above: Mapping[str, float]
+) -> tuple[str, str]:
+    """Return the simplest law, of equally simple ones that nearest to the lowest error."""
     if len(candidates) == 1:
-        law, rule = candidates[0], ", which holds for this law alone"
-    elif not close:
-        law = min(candidates, key=lambda name: above[name])
-        rule = f"; of {len(candidates)} such laws its error is nearest to the lowest of each joint"
-    elif len(close) == 1:
-        law, rule = close[0], f"; of {len(candidates)} such laws it alone is {within}"
-    else:
-        law = min(close, key=lambda name: (*simplicity(models[name]), above[name]))
-        inputs = inputs_of(models[law])
-        rule = f"; of the {len(close)} such laws {within} it is the simplest (inputs {inputs})"
-    where = f"on {most} of {len(joints)} joints no other law is significantly better"
-    if most < len(joints):
-        where += f"; no law leads on all joints ({_better(scores, law)})"
-    return law, f"{where}{rule}."
+        return candidates[0], ", which holds for this law alone"
+    least = min(simplicity(models[law]) for law in candidates)
+    simplest = [law for law in candidates if simplicity(models[law]) == least]
+    law = min(simplest, key=lambda name: above[name])
+    rule = f"; of {len(candidates)} such laws it is the simplest (inputs {inputs_of(models[law])})"
+    if len(simplest) > 1:
+        rule += f", of {len(simplest)} equally simple ones that nearest to the lowest error"
+    return law, rule
 
 
 def simplicity(model: FrictionModel) -> tuple[int, int, int]:
@@ -174,16 +203,8 @@ def simplicity(model: FrictionModel) -> tuple[int, int, int]:
     return inputs_of(model).count(",") + 1, states, max(len(law.values) for law in model.laws)
 
 
-def _mean(errors: Sequence[float], sizes: Sequence[float]) -> float:
-    return float(np.mean(np.divide(errors, np.maximum(sizes, 1e-300))))
-
-
-def _better(scores: Comparison, law: str) -> str:
-    return ", ".join(
-        f"{title(leading[0])} is better on {short}"
-        for short, leading in zip(short_names(len(scores.joints)), scores.leading, strict=True)
-        if law not in leading
-    )
+def _ratios(errors: Sequence[float], lowest: Sequence[float]) -> list[float]:
+    return [e / max(least, 1e-300) for e, least in zip(errors, lowest, strict=True)]
 
 
 def percent_above(low: float, high: float) -> str:
@@ -192,20 +213,19 @@ def percent_above(low: float, high: float) -> str:
     return f"{first} %" if first == last else f"{first} to {last} %"
 
 
-def limits(test: str, law: str, joints: Sequence[Separation]) -> Iterator[str]:
-    """Yield sentences on the limits of a test of a law."""
-    short = short_names(len(joints))
-    if all(one.detectable is None for one in joints):
-        if any(one.tied for one in joints):
-            seconds = max(one.seconds for one in joints)
-            yield f"{test} is too short to compare laws; record at least {seconds:.0f} s."
-        return
+def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
+    """Yield sentences on the limits of a test of each joint's law."""
+    named = dict(zip(short_names(len(joints)), joints, strict=True))
+    if short := [name for name, one in named.items() if one.detectable is None and one.tied]:
+        where = f" on {', '.join(short)}" if len(short) < len(joints) else ""
+        seconds = max(named[name].seconds for name in short)
+        yield f"{test} is too short to compare laws{where}; record at least {seconds:.0f} s."
     parts = []
-    for name, one in zip(short, joints, strict=True):
-        others = {one.best, *one.tied} - {law}
-        if one.detectable is not None and others and law in (one.best, *one.tied):
-            laws = f"{len(others)} law{'s' if len(others) > 1 else ''}"
-            parts.append(f"{laws} on {name} ({percent_above(*one.detectable)})")
+    for name, one in named.items():
+        laws = {one.best, *one.tied}
+        if one.detectable is not None and one.law in laws and len(laws) > 1:
+            count = f"{len(laws) - 1} law{'s' if len(laws) > 2 else ''}"
+            parts.append(f"{count} on {name} ({percent_above(*one.detectable)})")
     if parts:
         longest = max(one.seconds for one in joints)
         yield (
@@ -216,12 +236,9 @@ def limits(test: str, law: str, joints: Sequence[Separation]) -> Iterator[str]:
 
 
 def _weak(
-    scores: Comparison,
-    law: str,
-    percent: Mapping[str, float],
-    properties: "Mapping[str, Properties]",
+    own: LawScores, percent: Mapping[str, float], checks: "Properties | None"
 ) -> Iterable[str]:
-    short, own = short_names(len(scores.joints)), scores.laws[law]
+    short = short_names(len(percent))
     much = [name for name, share in zip(short, percent.values(), strict=True) if share > _MUCH]
     if much:
         yield f"Poorly modelled: {', '.join(much)} (more than {_MUCH:g} % of friction unexplained)."
@@ -229,7 +246,7 @@ def _weak(
     turning = [name for name, at, over in pairs if at is not None and at > _AT_REVERSALS * over]
     if turning:
         yield f"Large errors near reversals: {', '.join(turning)}."
-    if law in properties and (failed := properties[law].failed):
+    if checks and (failed := checks.failed):
         yield f"Physics checks it fails on at least one joint: {', '.join(failed)}."
 
 

@@ -60,7 +60,8 @@ class RunResult(Answer):
         shown: list[ResultTable | str] = [rigid_body(outcome.rigid_body, sliding)]
         for name, comparison in outcome.comparisons.items():
             shown += [errors(name, comparison, measure, inputs, sliding) for measure in MEASURES]
-            shown += filter(None, [separations(name, comparison)])
+            laws = outcome.verdict.laws if name == outcome.verdict.test else ()
+            shown += filter(None, [separations(name, comparison, laws)])
         if outcome.truths:
             shown.append(other_truths(outcome.comparisons, outcome.truths, outcome.truth))
         if outcome.loop:

@@ -366,19 +366,13 @@ def _scores_lines(scores: Comparison) -> list[str]:
     """Return the best law, its error, and what the logs cannot tell."""
     from cosim.study.verdict import limits, separation
 
-    size = {
-        name: sum(e / max(t, 1e-300) for e, t in zip(law.rmse, scores.tau_std, strict=True))
-        for name, law in scores.laws.items()
-    }
-    best = min(size, key=lambda name: size[name])
-    rmse = scores.laws[best].rmse
-    shares = ", ".join(
-        f"{joint} {100 * e / max(t, 1e-300):.0f} %"
-        for joint, e, t in zip(scores.joints, rmse, scores.tau_std, strict=True)
-    )
+    best = min(scores.laws, key=scores.size)
+    pairs = zip(scores.joints, scores.unexplained(scores.laws[best].rmse), strict=True)
+    shares = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in pairs)
+    joints = [replace(one, law=best) for one in separation(scores)]
     return [
         f"Best: {best}. Unexplained friction: {shares}.",
-        *limits("The test", best, tuple(separation(scores))),
+        *limits("The test", joints),
     ]
 
 

@@ -47,6 +47,7 @@ def to_html(
     """
     units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
     used = {symbol for law in model.laws for symbol in law.form.inputs}
+    titles = list(dict.fromkeys(title(law) for law in model.laws))
     start = table.variables[table.places["discretisation"]].start
     return rendered(
         "index.html.j2",
@@ -55,7 +56,7 @@ def to_html(
         model=model,
         live=live,
         properties=properties,
-        titles=list(dict.fromkeys(title(law) for law in model.laws)),
+        titles=titles,
         unused=[f"{symbol.name}[i]" for symbol in INPUTS if symbol not in used],
         discretisation=DISCRETISATION.items[int(start) - 1][0],
         joints=list(map(_joint, count(1), model.joints, model.laws)),
@@ -79,6 +80,7 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
     return {
         "number": joint,
         "name": name,
+        "law": title(law),
         "equations": equations(law),
         "text": form_lines(law.form),
         # Numbers of networks are not readable in equations.

@@ -1,6 +1,6 @@
 """Results of the physics checks and their file; the experiments are in `cosim.properties`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -125,6 +125,14 @@ class Properties:
             all(joint.findings[key].verdict in ("pass", "not applicable") for joint in self.joints)
             for key in EXPECTATIONS
         )
+
+
+def combined(name: str, found: Mapping[str, Properties], laws: Sequence[str]) -> Properties | None:
+    """Return the results of a model that has the law `laws[k]` on joint k; None if unknown."""
+    if not all(law in found for law in laws):
+        return None
+    own = tuple(found[law].joints[k] for k, law in enumerate(laws))
+    return replace(found[laws[0]], law=name, joints=own)
 
 
 @dataclass(frozen=True, kw_only=True)

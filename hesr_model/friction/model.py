@@ -28,6 +28,8 @@ from hesr_model.support.typed_json import from_json, read_json, to_json, write_j
 from hesr_model.support.untrusted_text import require_printable
 from hesr_model.units import unit_of_joints
 
+MIXED = "recommended"
+"""Name of a model with a law of its own on each joint."""
 _MOST_SHOWN = 40  # coefficients of a law up to which notebooks show its equations
 
 
@@ -359,3 +361,21 @@ class FrictionModel:
                 f"{', '.join(found) or 'none'}; needed is one record each of "
                 f"{', '.join(self.joints)}, in this order."
             )
+
+
+def alike(one: FrictionModel, other: FrictionModel) -> bool:
+    """Whether one FMU can have laws of both models: uncoupled joints, the same integration."""
+    steps = {law.discretisation for model in (one, other) for law in model.laws}
+    return one.coupling is None and len(steps) == 1
+
+
+def mixed(models: Sequence[FrictionModel]) -> FrictionModel:
+    """Return the model that has on joint k the law of `models[k]`, all of the same joints."""
+
+    def of(part: str) -> tuple[Any, ...]:
+        rows = [getattr(model, part) for model in models]
+        return tuple(row[k] for k, row in enumerate(rows)) if all(rows) else ()
+
+    own = ("laws", "trained", "training_rmse", "left_out_rmse", "thermal")
+    changes: dict[str, Any] = {part: of(part) for part in own}
+    return replace(models[0], law=MIXED, **changes)

@@ -107,7 +107,8 @@ def provenance(results: Results) -> dict[str, Any]:
     for file in results.provenance.get("files", ()):
         if file["sha256"] not in logs:
             files[file["name"], file["sha256"]] = None
-    written = [*(f"fmus/{law}.fmu" for law in results.models), *_FILES]
+    fmus = dict.fromkeys((results.fmu, *(f"fmus/{law}.fmu" for law in results.models)))
+    written = [*fmus, *_FILES]
     return {
         "run": run,
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),

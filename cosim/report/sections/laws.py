@@ -46,7 +46,7 @@ def equations(results: Results) -> dict[str, Any]:
                 for short, one in zip(results.joints, results.models[law].laws, strict=True)
             ],
         }
-        for law in results.shown(results.recommended, papers_law())
+        for law in results.shown(*results.recommended, papers_law())
     ]
     coefficients = {
         law: _coefficients(results, model)
@@ -173,7 +173,7 @@ def _changes(before: Sequence[float], after: Sequence[float]) -> list[str]:
 
 def live(results: Results) -> dict[str, Any] | None:
     """Return the interactive plots of the recommended, the paper's and the reference law."""
-    laws = results.shown(results.recommended, papers_law(), REFERENCE)
+    laws = dict.fromkeys((Path(results.fmu).stem, *results.shown(papers_law(), REFERENCE)))
     found = {law: _live_data(results.folder / "fmus" / f"{law}.fmu") for law in laws}
     lives = [
         (law, title(law), Markup(live_section(data, key=f"live-{law}")))

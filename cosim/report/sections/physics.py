@@ -7,11 +7,20 @@ from markupsafe import Markup
 from cosim.report.results import Results
 from cosim.report.tables.laws import audit as audit_table
 from cosim.report.tables.properties import properties as properties_table
-from cosim.report.tables.table import ResultTable, TableCell, fixed, number, row_of, title
+from cosim.report.tables.table import (
+    ResultTable,
+    TableCell,
+    fixed,
+    number,
+    on_joints,
+    row_of,
+    title,
+)
 from fmu_src.pages.datasheet import certified
 from fmu_src.pages.properties_sheet import section as sheet
 from hesr_model.audit.audit import Audit
 from hesr_model.audit.cycles import ENCODER
+from hesr_model.audit.properties import combined
 
 _ROUNDING = 1e-6  # energy of round-off [J]
 
@@ -73,10 +82,10 @@ def properties(results: Results) -> dict[str, Any] | None:
     """Return the results of the checks, and plots of the recommended law."""
     if not results.properties:
         return None
-    law = results.recommended
-    of_law = results.properties.get(law)
+    laws = results.recommended
+    of_law = combined(on_joints(laws), results.properties, laws)
     return {
         "properties": properties_table(results.properties, full=True),
-        "law": title(law),
+        "law": on_joints(laws),
         "sheet": of_law and Markup(sheet(of_law, sliding=results.sliding)),
     }

@@ -70,7 +70,7 @@ def _test(results: Results, test: str) -> dict[str, Any]:
         "traces": _chart(results, log, laws, window=window) if log and not split else None,
         "simulated": simulated and position_errors(test, simulated, results.sliding),
         "bands": bands(test, scores) if scores.bands else None,
-        "separations": separations(test, scores),
+        "separations": separations(test, scores, results.decided(test)),
     }
 
 

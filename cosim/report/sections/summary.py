@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,15 @@ from cosim.report.figures.style import MEASURED, SERIES, Stroke
 from cosim.report.results import Results
 from cosim.report.sections.prediction import WINDOW, band
 from cosim.report.tables.scores import leading, ratio_notes
-from cosim.report.tables.table import ResultTable, TableCell, decimals, fixed, row_of, title
+from cosim.report.tables.table import (
+    ResultTable,
+    TableCell,
+    decimals,
+    fixed,
+    on_joints,
+    row_of,
+    title,
+)
 from cosim.study.results import read_findings
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Ratio
 from hesr_model.audit.expectations import EXPECTATIONS
@@ -24,20 +33,19 @@ _WIDTH, _HEIGHT = 4.4, 1.9  # size of the plot [in], readable on a phone
 
 def summary(results: Results) -> dict[str, Any]:
     """Return the values of the first layer."""
-    law = results.recommended
-    fmu = f"fmus/{law}.fmu"
+    laws = results.recommended
     findings = read_findings(results.folder)
     passed = {name: of_law.passed for name, of_law in results.properties.items()}
     most = max(passed, key=lambda name: passed[name], default=None)
     return {
         "run": results.run,
         "verdict": results.verdict,
-        "law": title(law),
-        "fmu": fmu if (results.folder / fmu).is_file() else "",
+        "law": on_joints(laws),
+        "fmu": results.fmu if (results.folder / results.fmu).is_file() else "",
         "findings": len(findings),
         "first": [replace(finding, remedy="").sentence for finding in findings[:_FINDINGS]],
-        "errors": errors(results, law),
-        "plot": _plot(results, law),
+        "errors": errors(results, laws),
+        "plot": _plot(results, laws),
         "laws": len(results.models),
         "tests": len(results.tests),
         "has_loop": results.loop is not None,
@@ -49,53 +57,50 @@ def summary(results: Results) -> dict[str, Any]:
     }
 
 
-def errors(results: Results, law: str) -> ResultTable:
-    """Return error, unexplained share, and ratio to the strongest reference by joint."""
+def errors(results: Results, laws: Sequence[str]) -> ResultTable:
+    """Return error, unexplained share, and ratio to the strongest reference of a law per joint."""
     test = results.tests[0]
     scores = results.comparisons[test]
-    own = scores.laws[law].rmse
+    own = scores.of(laws).rmse
     places = decimals(own)
     head = ["joint", "RMSE", "unexplained"]
     columns = [
         [fixed(error, places) for error in own],
-        [
-            TableCell(text=f"{share:.0f} %", value=float(share))
-            for share in 100.0 * np.divide(own, np.maximum(scores.tau_std, 1e-300))
-        ],
+        [TableCell(text=f"{100 * s:.0f} %", value=100 * s) for s in scores.unexplained(own)],
     ]
-    caption = f"Error of {title(law)} on ‘{test}’ [{results.unit('N.m')}]"
-    if found := _reference(scores, law):
+    caption = f"Error of {on_joints(laws)} on ‘{test}’ [{results.unit('N.m')}]"
+    if found := _reference(scores, laws):
         references, ratios, role = found
         head += ["reference", "ratio"]
-        where: dict[str, list[str]] = {}
-        for short, reference in zip(results.joints, references, strict=True):
-            where.setdefault(title(reference), []).append(short)
-        names = "; ".join(f"{name} on {', '.join(of)}" for name, of in where.items())
-        said = f"{next(iter(where))}, {role}" if len(where) == 1 else f"{role} ({names})"
+        names = on_joints(references)
+        said = f"{names}, {role}" if len(set(references)) == 1 else f"{role} ({names})"
         caption += f" and of {said}; small: 95\u00a0% interval"
         columns += [
-            [fixed(scores.laws[r].rmse[k], places) for k, r in enumerate(references)],
+            [fixed(error, places) for error in scores.of(references).rmse],
             [fixed(ratio.value, 2, notes=ratio_notes(ratio)[1:]) for ratio in ratios],
         ]
     rows = [row_of(*cells) for cells in zip(results.joints, *columns, strict=True)]
     return ResultTable(caption=caption, head=head, rows=rows)
 
 
-def _reference(scores: Comparison, law: str) -> tuple[list[str], Sequence[Ratio], str] | None:
+def _reference(
+    scores: Comparison, laws: Sequence[str]
+) -> tuple[Sequence[str], Sequence[Ratio], str] | None:
     """Return the law to compare with on each joint, the ratios to it and its role."""
-    found, joints = scores.ratios, range(len(scores.joints))
-    if law in found.laws:
-        return [found.of(law, k) for k in joints], found.laws[law], "the strongest reference"
-    rivals = {
-        other: float(np.mean([ratio.value for ratio in ratios]))
-        for other, ratios in found.laws.items()
-        if all(found.of(other, k) == law for k in joints)
+    found, joints = scores.ratios, list(enumerate(laws))
+    if all(law in found.laws for law in laws):
+        references = [found.of(law, k) for k, law in joints]
+        return references, [found.laws[law][k] for k, law in joints], "the strongest reference"
+    rivals = [
+        other
+        for other in found.laws
+        if all(found.of(other, k) == law for k, law in joints)
         and other != ORACLE
         and not other.endswith(MEASURED_START)
-    }
+    ]
     if not rivals:
         return None
-    rival = min(rivals, key=lambda other: rivals[other])
+    rival = min(rivals, key=lambda other: fmean(ratio.value for ratio in found.laws[other]))
     inverse = [
         Ratio(
             value=1.0 / ratio.value,
@@ -105,16 +110,17 @@ def _reference(scores: Comparison, law: str) -> tuple[list[str], Sequence[Ratio]
         )
         for ratio in found.laws[rival]
     ]
-    return [rival] * len(inverse), inverse, f"the best law with {title(law)} as its reference"
+    role = f"the best law with {on_joints(laws)} as its reference"
+    return [rival] * len(inverse), inverse, role
 
 
-def _plot(results: Results, law: str) -> dict[str, Any] | None:
+def _plot(results: Results, laws: Sequence[str]) -> dict[str, Any] | None:
     test = results.tests[0]
     log, scores = results.log_of(test), results.comparisons[test]
     if log is None:
         return None
-    worst = int(np.argmax(np.divide(scores.laws[law].rmse, scores.tau_std)))
-    k, short, name = results.numbered[worst]
+    worst = int(np.argmax(scores.unexplained(scores.of(laws).rmse)))
+    (k, short, name), law = results.numbered[worst], laws[worst]
     torques = results.torques(log)
     t, predicted = torques["t"], torques[f"{law}.tau_f{k}"]
     measured = torques[f"tau{k}"] - torques[f"tau_rb{k}"]
@@ -126,7 +132,13 @@ def _plot(results: Results, law: str) -> dict[str, Any] | None:
     unit = results.unit("N.m", k - 1)
     panel = Panel(title=f"{short}: {name}, {title(law)}", y=f"friction [{unit}]", lines=lines)
     chart = Chart(x="t [s]", rows=((panel,),), height=_HEIGHT, window=(0.0, WINDOW))
-    return {"figure": drawn(chart, _WIDTH), "joint": name, "short": short, "log": log.name}
+    return {
+        "figure": drawn(chart, _WIDTH),
+        "joint": name,
+        "short": short,
+        "law": title(law),
+        "log": log.name,
+    }
 
 
 def _floor(results: Results) -> dict[str, str] | None:

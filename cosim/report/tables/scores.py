@@ -77,19 +77,26 @@ def errors(
     )
 
 
-def separations(name: str, scores: Comparison) -> ResultTable | None:
-    """Return which laws a test does not separate from the best, and what would show; or None."""
+def separations(name: str, scores: Comparison, laws: Sequence[str] = ()) -> ResultTable | None:
+    """Return which laws a test does not separate from the best, and what would show; or None.
+
+    `laws` are those recommended for each joint, if any.
+    """
     if not scores.detectable:
         return None
     rows = []
     shorts = joints(len(scores.joints))
-    for short, one in zip(shorts, separation(scores), strict=True):
+    for k, (short, one) in enumerate(zip(shorts, separation(scores), strict=True)):
         shown = percent_above(*one.detectable) if one.detectable else "too short"
         names = ", ".join(map(title, one.tied)) or "none"
-        rows.append(row_of(short, title(one.best), names, shown, f"{one.seconds:.0f} s"))
+        own = [title(law) for law in laws[k : k + 1]]
+        rows.append(row_of(short, *own, title(one.best), names, shown, f"{one.seconds:.0f} s"))
     return ResultTable(
         caption=f"{name}: laws that the test does not separate from the one with the lowest error",
-        head=("joint", "lowest error", "not separated", "would show", "for 10 %"),
+        head=(
+            *("joint", "recommended")[: 2 if laws else 1],
+            *("lowest error", "not separated", "would show", "for 10 %"),
+        ),
         rows=rows,
         numeric=False,
         note="Student's t over cosines of the squared errors and differences between logs, Holm "
@@ -204,8 +211,7 @@ def _fitted(per_log: Sequence[str] | None) -> str:
 
 
 def _relative(scores: Comparison, law: str) -> tuple[bool, float]:
-    pairs = zip(scores.laws[law].rmse, scores.tau_std, strict=True)
-    return law == ORACLE, sum(error / max(size, 1e-300) for error, size in pairs)
+    return law == ORACLE, scores.size(law)
 
 
 def ratio_notes(ratio: Ratio) -> tuple[str, str]:

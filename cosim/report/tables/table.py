@@ -76,6 +76,16 @@ def joints(count: int) -> tuple[str, ...]:
     return tuple(f"J{k}" for k in range(1, count + 1))
 
 
+def on_joints(laws: Sequence[str], named: Sequence[str] = ()) -> str:
+    """Return the titles of laws with the short names of their joints; one law of all alone."""
+    where: dict[str, list[str]] = {}
+    for law, name in zip(laws, named or joints(len(laws)), strict=True):
+        where.setdefault(title(law), []).append(name)
+    if len(where) == 1 and not named:
+        return next(iter(where))
+    return "; ".join(f"{law} on {', '.join(of)}" for law, of in where.items())
+
+
 def title(law: str) -> str:
     """Return the title of a law; a variant keeps its name."""
     if law in set(StandIn):
