@@ -10,8 +10,8 @@ from cosim.report.markup import Tables
 from cosim.report.results import Results
 from cosim.report.tables.loop import outcome, tracking
 from cosim.report.tables.markdown import markdown
-from cosim.report.tables.properties import properties
-from cosim.report.tables.scores import bands, errors, leading, other_truths
+from cosim.report.tables.properties import most_passed, properties
+from cosim.report.tables.scores import bands, errors, leading, left_out, other_truths
 from cosim.report.tables.table import ResultTable, TableRow, named, row_of, title
 from cosim.study.scores import ORACLE, REFERENCE
 from hesr_model.audit.expectations import EXPECTATIONS
@@ -53,6 +53,8 @@ def _data(results: Results) -> dict[str, ResultTable]:
         found[name] = errors(test, scores, inputs=results.run.inputs, sliding=results.sliding)
         if scores.bands:
             found[f"{name}_bands"] = bands(test, scores)
+    if table := left_out(results.models, results.sliding):
+        found["left_out"] = table
     if results.truths:
         found["alternative_plants"] = other_truths(
             results.comparisons, results.truths, results.run.truth
@@ -145,12 +147,12 @@ def _tracking(results: Results) -> Iterator[str]:
 
 def _physics(results: Results) -> Iterator[str]:
     found = results.properties
-    most = max(found, key=lambda law: found[law].passed)
+    laws, most = most_passed(found)
     yield (
-        f"{title(most)} passes {found[most].passed} of {len(EXPECTATIONS)} checks on all joints, "
-        f"the most of {len(found)} laws.\n"
+        f"{', '.join(map(title, laws))}: {most} of {len(EXPECTATIONS)} checks passed on all "
+        f"joints, the most of {len(found)} laws.\n"
     )
-    wanted = dict.fromkeys([REFERENCE, papers_law(), *results.recommended, most])
+    wanted = dict.fromkeys([REFERENCE, papers_law(), *results.recommended, *laws])
     rows = [
         row_of(named(law), str(found[law].passed), "; ".join(found[law].failed) or "–")
         for law in wanted

@@ -51,7 +51,13 @@ class RunResult(Answer):
         """Return body, scores, closed loop, physics checks, findings and use of the cache."""
         from cosim.report.tables import loop, properties
         from cosim.report.tables.laws import rigid_body
-        from cosim.report.tables.scores import MEASURES, errors, other_truths, separations
+        from cosim.report.tables.scores import (
+            MEASURES,
+            errors,
+            left_out,
+            other_truths,
+            separations,
+        )
         from cosim.study.scores import input_classes
 
         outcome = self.outcome
@@ -62,6 +68,7 @@ class RunResult(Answer):
             shown += [errors(name, comparison, measure, inputs, sliding) for measure in MEASURES]
             laws = outcome.verdict.laws if name == outcome.verdict.test else ()
             shown += filter(None, [separations(name, comparison, laws)])
+        shown += filter(None, [left_out(outcome.models, sliding)])
         if outcome.truths:
             shown.append(other_truths(outcome.comparisons, outcome.truths, outcome.truth))
         if outcome.loop:

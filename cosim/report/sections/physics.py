@@ -71,6 +71,9 @@ def audit(results: Results) -> dict[str, Any] | None:
         "noise": f"{1e6 * ENCODER:.0f}",
         "energy": energy,
         "proofs": proofs,
+        "proven": sum(
+            all(c.verdict == "proven" for c in of_law.certificates) for of_law in found.values()
+        ),
         "passive": sum(all(map(passive, of_law.audits)) for of_law in found.values()),
         "audits": [
             (law, audit_table(law, of.audits, results.sliding)) for law, of in found.items()

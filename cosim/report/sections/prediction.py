@@ -15,6 +15,7 @@ from cosim.report.tables.scores import (
     MEASURES,
     bands,
     errors,
+    left_out,
     other_truths,
     position_errors,
     separations,
@@ -48,6 +49,7 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
         "moving": f"{MOVING:g}",
         "window": f"{WINDOW:g}",
         "tests": [_test(results, test) for test in results.tests],
+        "left_out": left_out(results.models, results.sliding),
         "truths": truths and other_truths(results.comparisons, truths, run.truth),
         "paper": paper.table_ii(results.joints) if run.robot == paper.ROBOT else None,
     }

@@ -11,6 +11,7 @@ from cosim.report.figures.chart import Chart, Line, Panel, drawn
 from cosim.report.figures.style import MEASURED, SERIES, Stroke
 from cosim.report.results import Results
 from cosim.report.sections.prediction import WINDOW, band
+from cosim.report.tables.properties import most_passed
 from cosim.report.tables.scores import leading, ratio_notes
 from cosim.report.tables.table import (
     ResultTable,
@@ -35,8 +36,8 @@ def summary(results: Results) -> dict[str, Any]:
     """Return the values of the first layer."""
     laws = results.recommended
     findings = read_findings(results.folder)
-    passed = {name: of_law.passed for name, of_law in results.properties.items()}
-    most = max(passed, key=lambda name: passed[name], default=None)
+    found = results.properties
+    paper, most = found.get(papers_law()), most_passed(found) if found else None
     return {
         "run": results.run,
         "verdict": results.verdict,
@@ -51,8 +52,8 @@ def summary(results: Results) -> dict[str, Any]:
         "has_loop": results.loop is not None,
         "floor": _floor(results),
         "winners": [(title(leading(of)), plant) for plant, of in results.truths.items()],
-        "passed": passed.get(papers_law()),
-        "most": most and (title(most), passed[most]),
+        "passed": paper and paper.passed,
+        "most": most and (", ".join(map(title, most[0])), most[1]),
         "checks": len(EXPECTATIONS),
     }
 

@@ -25,6 +25,12 @@ def properties(found: Mapping[str, Properties], *, full: bool = False) -> Result
     )
 
 
+def most_passed(found: Mapping[str, Properties]) -> tuple[list[str], int]:
+    """Return the laws that pass the most checks on all joints, and the number of these."""
+    most = max(of_law.passed for of_law in found.values())
+    return [name for name, of_law in found.items() if of_law.passed == most], most
+
+
 def legend(sliding: Sequence[bool] = ()) -> ResultTable:
     """Return the meaning of the columns of `properties`."""
     rows = []

@@ -17,6 +17,7 @@ from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratio
 from cosim.study.verdict import percent_above, separation
 from hesr_model.friction.metrics import BandScore
+from hesr_model.friction.model import FrictionModel
 from hesr_model.units import unit_of_joints
 
 MEASURES = {
@@ -102,6 +103,27 @@ def separations(name: str, scores: Comparison, laws: Sequence[str] = ()) -> Resu
         note="Student's t over cosines of the squared errors and differences between logs, Holm "
         "over the laws of a joint; p is multiplied by 5 because the nominal level was calibrated. "
         "The result holds for motions of this kind.",
+    )
+
+
+def left_out(
+    models: Mapping[str, FrictionModel], sliding: Sequence[bool] = ()
+) -> ResultTable | None:
+    """Return the errors on training logs left out in turn, by law and joint; None if unknown."""
+    known = {law: model for law, model in models.items() if model.left_out_rmse}
+    if not known:
+        return None
+    columns = list(zip(*(model.left_out_rmse for model in known.values()), strict=True))
+    places = list(map(decimals, columns))
+    coordinates = any(model.coupling for model in known.values())
+    return ResultTable(
+        caption=f"RMSE on training logs left out in turn [{unit_of_joints('N.m', sliding)}]"
+        + ", of friction coordinates" * coordinates,
+        head=("law", *joints(len(columns))),
+        rows=[
+            row_of(named(law), *map(fixed, model.left_out_rmse, places))
+            for law, model in known.items()
+        ],
     )
 
 
