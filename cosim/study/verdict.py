@@ -12,7 +12,7 @@ from cosim.report.tables.table import joints as short_names
 from cosim.report.tables.table import on_joints
 from cosim.study.scores import RECORDED, Comparison, LawScores, Records, inputs_of
 from hesr_model.audit.properties import combined
-from hesr_model.friction.model import MIXED, FrictionModel, alike
+from hesr_model.friction.model import MIXED, FrictionModel, compatible
 from hesr_model.friction.trained_range import outside
 from hesr_model.logs.phases import MOVING
 from hesr_model.rigid_body.residual import all_at_friction
@@ -135,13 +135,13 @@ def recommend(
     """Return the recommended law of each joint and the rule that decided.
 
     A law is good on a joint if none is significantly better and its error is within `CLOSE` of the
-    lowest. All joints have the simplest of the laws that are good on most of them; where it is not
-    good, the simplest one that is, if one FMU can have both.
+    lowest. All joints have the simplest of the laws that are good on most of them. The others have
+    the simplest one that is good there, if one FMU can have both.
     """
     names = [law for law in scores.laws if law in models]
     count = len(scores.joints)
-    told = [j for j in range(count) if not scores.too_short[j]]
-    if not told:
+    long = [j for j in range(count) if not scores.too_short[j]]
+    if not long:
         law, why = _by_training(names, scores, models)
         return (law,) * count, why
     lowest = [scores.laws[leading[0]].rmse[j] for j, leading in enumerate(scores.leading)]
@@ -150,23 +150,23 @@ def recommend(
         [law for law in scores.leading[j] if law in names and above[law][j] <= CLOSE]
         for j in range(count)
     ]
-    on = {law: sum(law in good[j] for j in told) for law in names}
+    on = {law: sum(law in good[j] for j in long) for law in names}
     most = max(on.values())
     candidates = [law for law in names if on[law] == most]
-    law, rule = _simplest(candidates, models, {n: max(above[n][j] for j in told) for n in names})
+    law, rule = _simplest(candidates, models, {n: max(above[n][j] for j in long) for n in names})
     why = (
-        f"on {most} of {len(told)} joints no law is significantly better and its error is within "
+        f"on {most} of {len(long)} joints no law is significantly better and its error is within "
         f"{100 * (CLOSE - 1):.0f} % of the lowest{rule}"
     )
     laws = [law] * count
-    for j in told:
-        fitting = [n for n in good[j] if alike(models[n], models[law])]
+    for j in long:
+        fitting = [n for n in good[j] if compatible(models[n], models[law])]
         if law not in good[j] and fitting:
             laws[j] = _simplest(fitting, models, {n: above[n][j] for n in fitting})[0]
     short = short_names(count)
-    if others := [short[j] for j in told if laws[j] != law]:
-        why += f"; on {', '.join(others)} the simplest law for which this holds"
-    if worse := {short[j]: scores.leading[j][0] for j in told if laws[j] not in good[j]}:
+    if others := [short[j] for j in long if laws[j] != law]:
+        why += f"; on {', '.join(others)} the simplest law with this property"
+    if worse := {short[j]: scores.leading[j][0] for j in long if laws[j] not in good[j]}:
         why += f"; lower error: {on_joints(tuple(worse.values()), tuple(worse))}"
     return tuple(laws), f"{why}."
 

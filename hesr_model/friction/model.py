@@ -363,7 +363,7 @@ class FrictionModel:
             )
 
 
-def alike(one: FrictionModel, other: FrictionModel) -> bool:
+def compatible(one: FrictionModel, other: FrictionModel) -> bool:
     """Whether one FMU can have laws of both models: uncoupled joints, the same integration."""
     steps = {law.discretisation for model in (one, other) for law in model.laws}
     return one.coupling is None and len(steps) == 1

@@ -11,7 +11,7 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 BUDGET = {
     "hesr_model": 21_200,
     "fmu_src": 17_300,
-    "cosim": 13_400,
+    "cosim": 13_500,
     "hesr": 1_000,
     "hesr.extras": 7_300,
     "all": 59_000,

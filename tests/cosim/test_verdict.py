@@ -220,11 +220,11 @@ def made(sizes: dict[str, list[float]], seconds: float = 100.0) -> Comparison:
 
 
 REASON = re.compile(
-    r"on (?P<most>\d+) of (?P<told>\d+) joints no law is significantly better and its error is "
+    r"on (?P<most>\d+) of (?P<long>\d+) joints no law is significantly better and its error is "
     r"within 5 % of the lowest(?:(?P<alone>, which holds for this law alone)|; of (?P<many>\d+) "
     r"such laws it is the simplest \(inputs (?P<inputs>[\w, ]+)\)(?:, of (?P<equal>\d+) equally "
     r"simple ones that nearest to the lowest error)?)(?:; on (?P<other>[J\d, ]+) the simplest law "
-    r"for which this holds)?(?:; lower error: (?P<lower>.+))?\."
+    r"with this property)?(?:; lower error: (?P<lower>.+))?\."
 )
 
 
@@ -233,7 +233,7 @@ def judge(scores: Comparison, laws: tuple[str, ...], why: str) -> None:
     said = REASON.fullmatch(why)
     assert said, why
     joints = range(len(scores.joints))
-    told = [j for j in joints if len(scores.leading[j]) == 1 or scores.detectable[j]]
+    long = [j for j in joints if len(scores.leading[j]) == 1 or scores.detectable[j]]
     error = {law: scores.laws[law].rmse for law in scores.laws}
 
     def good(law: str, j: int) -> bool:
@@ -244,10 +244,10 @@ def judge(scores: Comparison, laws: tuple[str, ...], why: str) -> None:
     def simple(law: str) -> tuple[int, int, int]:
         return len(INPUTS[law].split(", ")), STATES[law], COEFFICIENTS[law]
 
-    often = {law: sum(good(law, j) for j in told) for law in error}
+    often = {law: sum(good(law, j) for j in long) for law in error}
     other = [int(name[1:]) - 1 for name in (said["other"] or "").split(", ") if name]
     [main] = {laws[j] for j in joints if j not in other} or {None}
-    assert int(said["told"]) == len(told)
+    assert int(said["long"]) == len(long)
     assert int(said["most"]) == max(often.values())
     if main is not None:
         assert often[main] == max(often.values())
@@ -263,7 +263,7 @@ def judge(scores: Comparison, laws: tuple[str, ...], why: str) -> None:
         assert good(laws[j], j)
         assert not good(main, j)
         assert not any(good(law, j) and simple(law) < simple(laws[j]) for law in error)
-    assert all(good(laws[j], j) for j in told) == (said["lower"] is None)
+    assert all(good(laws[j], j) for j in long) == (said["lower"] is None)
 
 
 def test_the_simpler_of_two_equal_laws_is_recommended() -> None:

@@ -89,9 +89,12 @@ def _reference(
 ) -> tuple[Sequence[str], Sequence[Ratio], str] | None:
     """Return the law to compare with on each joint, the ratios to it and its role."""
     found, joints = scores.ratios, list(enumerate(laws))
-    if all(law in found.laws for law in laws):
-        references = [found.of(law, k) for k, law in joints]
-        return references, [found.laws[law][k] for k, law in joints], "the strongest reference"
+    if any(law in found.laws for law in laws):
+        itself = Ratio(value=1.0, low=1.0, high=1.0, p=1.0)
+        known = [law in found.laws for law in laws]
+        references = [found.of(law, k) if known[k] else law for k, law in joints]
+        ratios = [found.laws[law][k] if known[k] else itself for k, law in joints]
+        return references, ratios, "the strongest reference"
     rivals = [
         other
         for other in found.laws
