@@ -1,11 +1,23 @@
 """Answers of commands: at most 25 lines, the JSON envelope, and their display."""
 
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
+from pkgutil import walk_packages
 
 import pytest
 
+import cosim.workflow
+import hesr.extras
 from cosim.report.tables.table import ResultTable, row_of
-from cosim.workflow.answer import Written, finding_lines, health_of, shortened, written_files
+from cosim.workflow.answer import (
+    Answer,
+    Written,
+    finding_lines,
+    health_of,
+    shortened,
+    written_files,
+)
 from hesr_model.findings import Finding
 from hesr_model.support.typed_json import to_json
 
@@ -77,3 +89,18 @@ def test_an_answer_is_displayed() -> None:
     assert html.startswith("<pre>a &lt; b\nc</pre>\n<p>1 &lt; 2</p>\n<")
     assert "lugre" in html
     assert "Errors" in html
+
+
+def kinds(of: type[Answer]) -> Iterator[type[Answer]]:
+    for kind in of.__subclasses__():
+        yield kind
+        yield from kinds(kind)
+
+
+def test_every_answer_is_displayed_by_its_first_line() -> None:
+    for package in (cosim.workflow, hesr.extras):
+        for module in walk_packages(package.__path__, f"{package.__name__}."):
+            import_module(module.name)
+    found = [kind for kind in kinds(Answer) if kind.__module__.startswith(("cosim.", "hesr."))]
+    assert len(found) > 5
+    assert [kind for kind in found if kind.__repr__ is not Answer.__repr__] == []

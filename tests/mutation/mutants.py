@@ -49,7 +49,8 @@ def variants(path: Path) -> dict[tuple[int, int], list[Variant]]:
         for name, operator in _operators().items():
             places = (at for node in nodes for at, _ in operator.mutation_positions(node))
             for occurrence, place in enumerate(places):
-                if not _NO_FAULT.search(f"{name}: {lines[place[0] - 1][: place[1]]}"):
+                line = lines[place[0] - 1]
+                if not _NO_FAULT.search(f"{name}: {line[: place[1]]}") and line != _FOR_CHECKERS:
                     found.setdefault(place, []).append((name, occurrence))
     else:
         for start, _, others in _c_faults(text):
@@ -93,6 +94,9 @@ _KEPT = re.compile(
 # Decorators against programming errors, and sizes of caches, do not change results; the star of a
 # signature is not a product.
 _NO_FAULT = re.compile(r"\b(frozen|kw_only|eq|strict|maxsize)=$|_Mul_\w+: (.*[\[({,])? *$")
+
+
+_FOR_CHECKERS = "if TYPE_CHECKING:"  # imports that never run, above code that runs without them
 
 
 class _OtherNumber(Operator):  # type: ignore[misc]  # untyped
@@ -144,7 +148,9 @@ _WORDS = {
     "true": "false", "false": "true", "fmin": "fmax", "fmax": "fmin", "sin": "cos", "cos": "sin",
     "fabs": "", "ceil": "floor", "floor": "ceil", "continue": "break", "break": "continue",
 }  # fmt: skip
+# Blocks for Windows are not compiled here.
 _C_TOKEN = re.compile(
+    r"^#ifdef _WIN32\n.*?^#(?:else|endif)[^\n]*|"
     r"//[^\n]*|/\*.*?\*/|\"(?:\\.|[^\"\\])*\"|'[^']*'|^[ ]*#(?!define)[^\n]*|"
     r"(?P<statement>(?<=[;{}/]\n) +(?!return\b|\w+ [*\w]|\(void\))[\w*(][^\n;{}]*;$)|"
     r"(?P<number>(?<![\w.])\d+(?:\.\d*)?(?:[eE][+-]?\d+)?(?![\w.]))|(?P<word>\b[A-Za-z_]\w*)|"

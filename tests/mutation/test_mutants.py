@@ -12,6 +12,8 @@ AREAS = tomllib.loads((HERE / "nearest.toml").read_text(encoding="utf-8"))["area
 SOURCES = sorted({p for area in AREAS.values() for pattern in area for p in ROOT.glob(pattern)})
 
 PYTHON = """
+if TYPE_CHECKING:
+    import a
 def f(a, *, b=True):
     '''Not 3 faults.'''
     return a * 0.5 if a < 2 else -a
@@ -19,6 +21,10 @@ def f(a, *, b=True):
 C = """
 /* Not 3 faults. */
 #include "x.h"
+#ifdef _WIN32
+#define NOT_HERE 2.5
+#else
+#endif
 static double f(const double *a, int n) {
     double sum = 0.0;
     for (int i = 0; i < n; i++) {

@@ -16,7 +16,7 @@ _MOST_ALARMS = 12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Monitoring(FollowedLogs, Answer):
+class Monitoring(Answer, FollowedLogs):
     """Alarms and states over logs."""
 
     format = "hesr-monitoring-1"

@@ -45,7 +45,7 @@ JOB = FleetJob()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class FleetResult(Fleet, Answer):
+class FleetResult(Answer, Fleet):
     """Result of a fleet; unused logs are errors."""
 
     format = "hesr-fleet-1"

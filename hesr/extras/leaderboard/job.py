@@ -48,7 +48,7 @@ JOB = LeaderboardJob()
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class LeaderboardResult(Leaderboard, Answer):
+class LeaderboardResult(Answer, Leaderboard):
     """Result of a leaderboard file."""
 
     format = FORMAT

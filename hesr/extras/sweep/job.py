@@ -44,7 +44,7 @@ JOB = SweepJob()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class SweepResult(SweepRuns, Answer):
+class SweepResult(Answer, SweepRuns):
     """Result of a sweep file."""
 
     format = "hesr-sweep-1"
