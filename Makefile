@@ -8,7 +8,8 @@
 # make durations  run all tests and record their CPU seconds in tests/durations.toml
 # make soak       run the tests that take too long for every day
 # make lint       formatting, static checks, types
-# make mutate     put small faults into the sources and count those that tests notice
+# make mutate     put small faults into the sources and count those that tests notice;
+#                 MUTATE='cli --number 5 --seed 7' chooses area, number and seed
 # make docs       build the documentation as a site in site/, strictly, notebooks executed
 # make interop    install other FMI engines in .tools and compare them with ours
 # make benchmark  speed and memory, recorded, not judged
