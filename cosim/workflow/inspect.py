@@ -22,12 +22,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Inspection(Answer):
-    """Result of `hesr.inspect`: proposed robot file with reasons, its logs and findings."""
+    """Result of `hesr.inspect`: proposed robot file with reasons, its logs and findings.
+
+    `limit` is what the test of the proposed study is too short to show.
+    """
 
     format = "hesr-inspection-1"
     proposal: Proposal
     constants: Sequence[Constant] = ()
     next_command: str = ""
+    limit: str = ""
     files: Sequence[Path] = field(default_factory=tuple)
 
     @property
@@ -50,7 +54,8 @@ class Inspection(Answer):
         lines += [f"proposed: {key}: {text}" for key, text in self.proposal.reasons.items()]
         lines += [constant.sentence for constant in self.constants]
         text = shortened(lines, self.files)
-        return f"{text}\nNext: {self.next_command}" if self.next_command else text
+        next_ = f"Next: {self.next_command}" if self.next_command else ""
+        return "\n".join(filter(None, [text, self.limit, next_]))
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return one line and one table per log, and all findings."""
@@ -80,6 +85,7 @@ class Inspection(Answer):
             "given": [to_json(finding) for finding in self.proposal.first],
             "proposed": [to_json(finding) for finding in self.findings],
             "reasons": dict(self.proposal.reasons),
+            "limit": self.limit,
             "torque_constants": [to_json(one) for one in self.constants if one.determined],
         }
 
@@ -147,6 +153,7 @@ def inspect(
     >>> hesr.inspect("sweep.csv", robot="robot.toml").passed
     True
     """
+    from cosim.study.proposal import split
     from cosim.workflow.arguments import listed
     from hesr_model.health.proposal import inspected
     from hesr_model.logs.robot_log import Log
@@ -173,8 +180,13 @@ def inspect(
         if torque_constants
         else ()
     )
-    command = f"hesr run {study}" if study else ""
-    return Inspection(proposal=proposal, constants=constants, next_command=command, files=written)
+    return Inspection(
+        proposal=proposal,
+        constants=constants,
+        next_command=f"hesr run {study}" if study else "",
+        limit=split(proposal.logs).limit if study else "",
+        files=written,
+    )
 
 
 def _write(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_study import Hesr, hesr_here
 
-from cosim.study.proposal import study_file
+from cosim.study.proposal import split, study_file
 from cosim.study.results import read_findings
 from cosim.study.run import score_study
 from cosim.study.steps import Job
@@ -18,6 +18,7 @@ from hesr_model.errors import ArtifactError, LogError
 from hesr_model.friction.records import predict_record
 from hesr_model.health.examine import examine
 from hesr_model.health.proposal import Proposal, propose, robot_file
+from hesr_model.inference.comparison import LawErrors, law_errors
 from hesr_model.logs.guess import guess
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
@@ -143,6 +144,72 @@ def test_training_lasts_until_each_joint_has_reversed(
     assert stop(0.95 * whole) == pytest.approx(0.8 * whole, rel=1e-3)
 
 
+def made_log(seconds: float) -> Log:
+    """Log of 100 Hz whose joint reverses every second."""
+    t = np.arange(round(100 * seconds) + 1) / 100
+    dq = np.cos(np.pi * t)[:, None]
+    return Log(name="made", path=Path("made.csv"), t=t, q=np.sin(np.pi * t)[:, None], dq=dq, tau=dq)
+
+
+def errors_of(log: Log, cut: float) -> LawErrors:
+    """Errors of two laws on the rows of a log from a cut, one law twice the other."""
+    rows = log.t[log.t >= cut]
+    rng = np.random.default_rng(len(rows))
+    errors = {law: [size * rng.normal(size=len(rows))] for law, size in (("a", 1.0), ("b", 2.0))}
+    return law_errors(errors, [0.01])
+
+
+@pytest.mark.parametrize(
+    ("seconds", "cut", "tested"),
+    [(60.0, 36.0, 24.0), (80.0, 40.0, 40.0), (87.23, 47.23, 40.0), (90.0, 50.0, 40.0),
+     (100.0, 60.0, 40.0), (200.0, 120.0, 80.0)],
+)  # fmt: skip
+def test_a_test_of_40_s_is_proposed_where_the_log_is_long_enough(
+    seconds: float, cut: float, tested: float
+) -> None:
+    log = made_log(seconds)
+    found = split([log])
+    assert (found.tested, found.cut, found.seconds) == (1, cut, pytest.approx(tested))
+    short = errors_of(log, cut).too_short
+    assert short == (tested < 40)
+    assert found.limit.startswith("The proposed test lasts 24 s, too short to compare") == short
+    of_twice = errors_of(log, cut).ratios("a")["b"]
+    assert (of_twice.p is None) == short
+    assert short or of_twice.p < 0.05
+
+
+@pytest.mark.parametrize(
+    ("durations", "tested", "short"),
+    [((60, 60), 1, False), ((20, 20, 20, 20), 2, False), ((20, 20, 20), 1, True),
+     ((100, 30), 1, True), ((80, 15, 15, 15), 3, False)],
+)  # fmt: skip
+def test_several_short_logs_together_are_the_test(
+    durations: tuple[int, ...], tested: int, *, short: bool
+) -> None:
+    found = split([made_log(seconds) for seconds in durations])
+    assert (found.tested, found.cut) == (tested, None)
+    assert found.seconds == pytest.approx(sum(durations[-tested:]))
+    assert bool(found.limit) == short
+
+
+def test_what_a_short_test_cannot_show_is_said(
+    messy: Path, arm: RobotDescription, hesr: Hesr
+) -> None:
+    robot, study = messy.with_name("robot.toml"), messy.with_name("study.toml")
+    answer, arguments = messy.with_name("a.json"), ("inspect", messy, "--robot", arm.model)
+    said = hesr(*arguments, "--write", robot, "--study", study, "--json", answer)
+    stop = tomllib.loads(study.read_text(encoding="utf-8"))["logs"]["parts"]["first"]["stop"]
+    seconds = np.ptp(Log.read(messy, RobotDescription.read(robot)).t) - stop
+    limit = (
+        f"The proposed test lasts {seconds:.3g} s, too short to compare laws: even twice "
+        "the error would not show. Record a test of at least 40 s."
+    )
+    assert f"\n{limit}\nNext: hesr run" in said.out
+    assert f"\n# {limit}\n[logs.test]\n" in study.read_text(encoding="utf-8")
+    assert json.loads(answer.read_text(encoding="utf-8"))["result"]["limit"] == limit
+    assert "too short" not in hesr(*arguments).out
+
+
 def test_a_clean_log_has_no_findings(
     tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription, hesr: Hesr
 ) -> None:
@@ -156,7 +223,7 @@ def test_a_clean_log_has_no_findings(
     assert "Nothing wrong or unusual was found." in said.out
     envelope = json.loads(answer.read_text("utf-8"))
     assert (envelope["passed"], envelope["findings"]) == (True, [])
-    empty = {"given": [], "proposed": [], "reasons": {}, "torque_constants": []}
+    empty = {"given": [], "proposed": [], "reasons": {}, "limit": "", "torque_constants": []}
     assert envelope["result"] == empty
 
 
