@@ -7,6 +7,7 @@ import base64
 import json
 import zlib
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from matplotlib.legend import Legend
 from matplotlib.patches import Rectangle
 from pytest_regressions.file_regression import FileRegressionFixture
 
 from cosim.report.figures.chart import Chart, Line, Panel, drawn, thinned
-from cosim.report.figures.motions import JointView, joints
+from cosim.report.figures.motions import JointView, excitation, joints
 from cosim.report.figures.plots import Sheet, loops, ratios, sheets
 from cosim.report.figures.style import (
     _RC,
@@ -35,6 +37,9 @@ from cosim.report.figures.style import (
 )
 from cosim.report.figures.zoom import _draw, _plot, zoom_data
 from cosim.study.scores import Ratio
+from hesr_model.motions.excitation import Excitation
+from hesr_model.motions.limits import Limits
+from hesr_model.motions.trajectories import Fourier
 
 T = np.linspace(0.0, 4.0, 801)
 DQ, TAU = np.sin(3.0 * T), 5.0 * np.sign(np.cos(2.9 * T)) + T
@@ -165,6 +170,37 @@ def test_joints_of_logs(recorded) -> None:
         name="j2", unit="m/s", velocities=(SHORT,), friction=None, covered=0.0 * T, loads=None
     )
     recorded(joints([view, still]))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_pictures_of_designed_motions(
+    count: int, recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The written picture; a joint has a row of its own."""
+    ones = np.ones(count)
+    motion = Fourier(
+        offset=0.1 * ones, a=np.outer(ones, [0.5, -0.5]), b=np.outer(ones, [0.4, -0.2]), period=4.0
+    )
+    limits = Limits(
+        lower=-2.0 * ones, upper=3.0 * ones, velocity=4.0 * ones, acceleration=ones, torque=ones
+    )
+    design = Excitation(
+        motion=motion, condition=9.0, sample_rate=50.0, limits=limits, peak_torque=ones
+    )
+    written: list[Figure] = []
+    save = Figure.savefig
+
+    def savefig(figure: Figure, *arguments: object, **options: object) -> None:
+        written.append(figure)
+        save(figure, *arguments, **options)
+
+    monkeypatch.setattr(Figure, "savefig", savefig)
+    excitation(tmp_path / "motion.png", design, [f"j{k}" for k in range(count)])
+    (figure,) = written
+    height, width, _ = imread(tmp_path / "motion.png").shape
+    assert (width, height) == (1080, 216 * count)
+    figure.set_layout_engine("constrained")
+    recorded(figure)
 
 
 def test_charts_of_panels(recorded) -> None:
