@@ -12,6 +12,8 @@ from cosim.report.tables.scores import errors
 from cosim.study.scores import ORACLE, Comparison, LawScores, Ratios, compare, predict_model
 from cosim.study.verdict import (
     Verdict,
+    _improve,
+    _weak,
     limits,
     read_verdict,
     recommend,
@@ -427,3 +429,52 @@ def test_the_reason_agrees_with_the_scores(scores, models, trained, tested) -> N
     assert found.limits == ()
     for one, of_joint in zip(found.joints, scores["unseen"].leading, strict=True):
         assert (one.best, *one.tied) == of_joint
+
+
+def test_weaknesses_are_named_by_joint() -> None:
+    none = (None,) * 4
+    own = LawScores(
+        rmse=(1.0, 1.0, 2.0, 1.0), rmse_reversal=(1.5, 1.51, 3.01, None), rmse_moving=none, r2=none
+    )
+    percent = {"a": 25.0, "b": 25.1, "c": 3.0, "d": 99.0}
+    assert list(_weak(own, percent, None)) == [
+        "Poorly modelled: J2, J4 (more than 25 % of friction unexplained).",
+        "Large errors near reversals: J2, J3.",
+    ]
+    assert list(_weak(replace(own, rmse_reversal=none), dict.fromkeys("abcd", 1.0), None)) == []
+
+
+def rows(*, fast: int = 0, resting: int = 10, load: float = 1.0) -> FrictionRecord:
+    """100 rows, of which some are faster than 1 rad/s, and some rest."""
+    dq = np.where(np.arange(100) % 2, 0.5, -0.5)
+    dq[:resting], dq[100 - fast :] = 0.0, 1.5
+    tau = np.linspace(-1.0, 1.0, 100)
+    t = 0.01 * np.arange(100)
+    return FrictionRecord(log="l", joint="a", t=t, dq=dq, q=0.0 * t, tau_load=load * tau, tau=tau)
+
+
+@pytest.mark.parametrize(
+    ("trained", "tested", "advice"),
+    [
+        ({}, {}, None),
+        ({}, {"fast": 2}, None),
+        ({}, {"fast": 3}, "J1: the test is faster than the training logs; record faster motion."),
+        ({"resting": 2}, {}, None),
+        ({"resting": 1}, {}, "J1: hardly any standstill in the training logs; record rests."),
+        ({"load": 0.51}, {}, None),
+        ({"load": 0.49}, {}, "J1: the load hardly changes; record a log with a payload to model "
+                             "load-dependent friction."),
+    ],
+)  # fmt: skip
+def test_helpful_data_are_named(
+    trained: dict[str, float], tested: dict[str, float], advice: str | None
+) -> None:
+    wide = TrainedRange(
+        sample_time=0.01, dq=(-1.0, 1.0), q=(-1.0, 1.0), tau_load=(-1.0, 1.0), tau=(-1.0, 1.0)
+    )
+    model = replace(model_of("stribeck", 1), trained=(wide,))
+    known, new = [[rows(**trained)]], [[rows(**tested)]]  # type: ignore[arg-type]
+    found = list(_improve(model, known, new, gear_ratio=True))
+    assert found == ([] if advice is None else [advice])
+    more = list(_improve(model, known, new, gear_ratio=False))
+    assert more == [*found, "Add gear_ratio to the robot file to also fit motor ripple."]
