@@ -86,7 +86,9 @@ def test_models_have_the_owner_of_their_robot(arm: RobotDescription, file: Path)
 
 
 def test_a_log_is_inspected(arm: RobotDescription, file: Path) -> None:
-    found = hesr.inspect(str(file), robot=str(arm.model))
+    told: list[tuple[str, int, int]] = []
+    found = hesr.inspect(str(file), robot=str(arm.model), progress=lambda *one: told.append(one))
+    assert told == [("inspecting logs", 0, 1)]
     assert [log.name for log in found.proposal.logs] == ["run"]
     assert hesr.inspect([file]).proposal.robot.joints == ("joint1", "joint2", "joint3")
 

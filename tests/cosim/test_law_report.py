@@ -44,13 +44,17 @@ def file(arm: RobotDescription, arm_log: Log) -> Path:
 
 
 def test_laws_are_compared_on_logs(arm: RobotDescription, file: Path) -> None:
-    body = hesr.identify(file, robot=arm)
+    told: list[tuple[str, int, int]] = []
+    body = hesr.identify(file, robot=arm, progress=lambda *one: told.append(one))
+    assert {one[0]: one for one in reversed(told)}["identifying"] == ("identifying", 0, 1)
+    told.clear()
     laws = {"half": stribeck(scale=0.5), "own": stribeck(WIDE, SLOW, WIDE)}
-    stages: list[str] = []
     report = hesr.test(
-        laws, on=[file], robot=arm, rigid_body=body, progress=lambda what, *_: stages.append(what)
+        laws, on=[file], robot=arm, rigid_body=body, progress=lambda *one: told.append(one)
     )
-    assert list(dict.fromkeys(stages)) == ["reading logs", "predicting", "simulating"]
+    begun = {what: (done, total) for what, done, total in reversed(told)}
+    assert begun == {"reading logs": (0, 1), "predicting": (0, 2), "simulating": (0, 1)}
+    assert [one for one in told if one[0] == "predicting"][-1] == ("predicting", 2, 2)
     scores = report.scores
     assert scores is not None
     assert list(scores.laws) == ["half", "own"]
