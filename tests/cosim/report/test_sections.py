@@ -243,7 +243,10 @@ def test_predictions(results: Results, recorded: Recorded) -> None:
 def test_laws_and_physics(results: Results, recorded: Recorded) -> None:
     audit = physics.audit(results)
     assert audit
-    proofs = [(row.head, row.cells[0].text) for row in audit.pop("proofs").rows]
+    table = audit.pop("proofs")
+    assert not table.numeric
+    assert all(row.cells[1].text.startswith("passive, proven") for row in table.rows)
+    proofs = [(row.head, row.cells[0].text) for row in table.rows]
     assert proofs == [
         (law, joint) for law in ("Stribeck", "LuGre", "own") for joint in ("J1", "J2")
     ]
