@@ -19,14 +19,7 @@ if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.study.position_errors import PositionErrors
     from cosim.study.scores import Comparison, Records
-    from cosim.workflow.arguments import (
-        BodyArg,
-        Laws,
-        LogArg,
-        NamedLaw,
-        PerJoint,
-        RobotArg,
-    )
+    from cosim.workflow.arguments import BodyArg, Laws, LogArg, NamedLaw, PerJoint, RobotArg
     from fmu_src.pages.datasheet import ModelAudit
     from hesr_model.audit.properties import Properties
     from hesr_model.findings import Finding
@@ -76,13 +69,7 @@ class LawReport(Answer):
         ]
 
     def _scores_tables(self) -> list[ResultTable | str]:
-        from cosim.report.tables.scores import (
-            MEASURES,
-            bands,
-            errors,
-            position_errors,
-            separations,
-        )
+        from cosim.report.tables.scores import MEASURES, bands, errors, position_errors, separations
         from cosim.study.scores import input_classes
 
         if self.scores is None:
@@ -265,13 +252,7 @@ def _predicted(
     """Add the scores of the laws on logs: FMUs are replayed, models computed."""
     from cosim.study.position_errors import simulate_tests
     from cosim.study.results import log_findings
-    from cosim.study.scores import (
-        by_joint,
-        compare,
-        input_classes,
-        predict_fmu,
-        predict_models,
-    )
+    from cosim.study.scores import by_joint, compare, input_classes, predict_fmu, predict_models
     from cosim.workflow.arguments import body_of, checked_logs
     from hesr_model.health.fit_checks import check_owner
 
