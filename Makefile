@@ -24,6 +24,9 @@ C_FILES := $(wildcard hesr_model/equations/*.[ch] fmu_src/c/*.c fmu_src/c/*.h te
 # As many test processes as cores: more threads of linear algebra would wait for each other.
 test test-all contract hard kernels interrupts durations soak: export OMP_NUM_THREADS = 1
 
+# Tests start many processes, which would compile all modules again without bytecode.
+unexport PYTHONDONTWRITEBYTECODE
+
 HARD := tests/fuzz tests/unit/test_cache.py tests/fmu/test_state.py tests/fmu/test_blocks.py \
   $(patsubst %,tests/cosim/test_%.py,hard_to_break full_disks hostile_archives foreign_fmus workers replay)
 

@@ -29,7 +29,7 @@ settings.register_profile("unhurried", deadline=None)
 settings.load_profile("unhurried")
 
 TESTS = Path(__file__).parent
-CI_FOLDERS = [TESTS / name for name in ("browser", "fuzz", "interop", "real")]
+CI_FOLDERS = ("browser", "fuzz", "interop", "real")
 """Folders of tests run only by `make test-all`."""
 
 
@@ -44,9 +44,15 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Do not import tests that the marks deselect."""
+    within = collection_path.parent == TESTS and collection_path.name in CI_FOLDERS
+    return True if within and "not ci" in config.option.markexpr else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if any(folder in item.path.parents for folder in CI_FOLDERS):
+        if item.path.relative_to(TESTS).parts[0] in CI_FOLDERS:
             item.add_marker(pytest.mark.ci)
 
 

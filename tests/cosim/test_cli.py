@@ -124,6 +124,7 @@ def test_results_state_their_provenance(ran: Run) -> None:
     assert {"excitation.csv", "excitation_reversed.csv"} <= body
 
 
+@pytest.mark.ci
 def test_the_same_study_gives_the_same_bytes(ran: Run, study_run_for_programs: Run) -> None:
     again = study_run_for_programs
     assert again.answer.code == 0, again.answer.err
@@ -225,6 +226,7 @@ def test_prediction_pools_the_rows_of_all_logs(ran: Run, tmp_path: Path, hesr: H
     np.testing.assert_allclose(together, squares("trial") + squares("sweep"), rtol=1e-9)
 
 
+@pytest.mark.ci
 def test_predictions_of_one_law_are_named_after_the_model_files(
     ran: Run, tmp_path: Path, hesr: Hesr
 ) -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from adaptive_models import model as model_of
 from fmpy import read_model_description
 from small_study import Run, hesr_here, uf850
@@ -41,6 +42,7 @@ def test_an_adaptive_fmu_is_exported(tmp_path: Path, capsys, monkeypatch) -> Non
     assert {v.name for v in read_model_description(fmu).modelVariables} >= {"level[1]", "adapt"}
 
 
+@pytest.mark.ci
 def test_temperature_is_found_in_logs(study_run: Run, tmp_path: Path, capsys, monkeypatch) -> None:
     hesr = hesr_here(capsys, monkeypatch)
     robot, body, law = uf850("robot.toml"), study_run.rigid_body, tmp_path / "law.json"

@@ -22,9 +22,9 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.fixture(scope="module")
-def ran(study_run_for_programs: Run) -> Run:
-    assert study_run_for_programs.answer.code == 0, study_run_for_programs.answer.err
-    return study_run_for_programs
+def ran(study_run: Run) -> Run:
+    assert study_run.answer.code == 0, study_run.answer.err
+    return study_run
 
 
 def scoring(ran: Run) -> list[object]:
@@ -37,9 +37,11 @@ def scoring(ran: Run) -> list[object]:
 # --- JSON --------------------------------------------------------------------------------------
 
 
-def test_json_is_the_only_output_of_a_run(ran: Run) -> None:
-    answer = json.loads(ran.answer.out)
-    answer = answer["result"]
+@pytest.mark.ci
+def test_json_is_the_only_output_of_a_run(study_run_for_programs: Run) -> None:
+    ran = study_run_for_programs
+    assert ran.answer.code == 0, ran.answer.err
+    answer = json.loads(ran.answer.out)["result"]
     assert answer["folder"] == "results"
     assert set(answer["fmus"]) == {"stribeck", "parfam_h"}
     for fmu in answer["fmus"].values():
@@ -167,6 +169,7 @@ def on_a_terminal(*arguments: object) -> str:
     return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", drawn.decode())
 
 
+@pytest.mark.ci
 def test_long_work_shows_progress_and_remaining_time(ran: Run, tmp_path: Path) -> None:
     results = ran.results
     drawn = on_a_terminal(

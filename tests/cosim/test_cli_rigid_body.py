@@ -63,6 +63,7 @@ def test_a_physical_body_is_reported_as_such(
     assert RigidBody.read(output).physical
 
 
+@pytest.mark.ci
 def test_a_body_is_refined_with_the_fitted_friction(
     hesr: Hesr, logs: dict[str, Path], tmp_path: Path
 ) -> None:

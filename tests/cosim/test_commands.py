@@ -78,6 +78,7 @@ def test_a_start_from_measured_torques_has_a_row_of_its_own(
     assert scores.laws["own"] != scores.laws["own + start"]
 
 
+@pytest.mark.ci
 def test_models_have_the_owner_of_their_robot(arm: RobotDescription, file: Path) -> None:
     owned = arm.model_copy(update={"owner": Owner(author="A", license="MIT")})
     for robot, owner in ((arm, {}), (owned, {"author": "A", "license": "MIT"})):

@@ -157,6 +157,7 @@ def test_growing_friction_is_reported_with_its_size(cell: Path) -> None:
 # --- many robots --------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 def test_results_do_not_depend_on_workers_and_are_reused(copied: Path) -> None:
     before = files(copied / "out")
     assert run_fleet(copied / "fleet.toml", copied / "out", workers=1).reused == 2

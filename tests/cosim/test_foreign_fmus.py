@@ -169,7 +169,13 @@ def test_a_crash_of_its_process_is_one_sentence(
 
 
 @pytest.mark.parametrize(
-    "deed", ["load loop", "fmi2DoStep loop", "fmi2DoStep half a word", "fmi2DoStep dribble"]
+    "deed",
+    [
+        pytest.param("load loop", marks=pytest.mark.ci),
+        "fmi2DoStep loop",
+        "fmi2DoStep half a word",
+        "fmi2DoStep dribble",
+    ],
 )
 def test_a_call_that_never_returns_is_ended(
     hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, deed: str
@@ -238,7 +244,10 @@ def test_an_undefined_status_is_an_error(
     assert failure.endswith(f"fmi2DoStep failed with status {status} (illegal return code).")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.ci), signal.SIGKILL],
+)
 def test_signals_end_a_run_at_once(
     hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, number: int
 ) -> None:

@@ -83,6 +83,7 @@ def test_the_next_run_removes_files_of_a_killed_run(tmp_path: Path) -> None:
     assert not [path for path in results.iterdir() if path.name != "whole"]
 
 
+@pytest.mark.ci
 def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
     study, results = write_study(tmp_path), tmp_path / "results"
     with started("run", study, "-o", results, folder=tmp_path) as first:

@@ -42,6 +42,7 @@ def test_the_picture_of_many_joints_is_valid(joints: int, table1: FrictionModel)
     assert len(picture) <= MOST
 
 
+@pytest.mark.ci
 def test_the_picture_is_equal_in_every_process(table1: FrictionModel) -> None:
     code = (
         "import hashlib; from fmu_src import model_file; "

@@ -146,7 +146,10 @@ def integrated(law: FrictionLaw, rows: np.ndarray) -> np.ndarray:
     return np.array([output(*values, *inputs(t[k]), *pairs[k])[0] for k in range(len(t))])
 
 
-@pytest.mark.parametrize("name", ["lugre", "parfam_tanh", "elements"])
+@pytest.mark.parametrize(
+    "name",
+    ["lugre", *(pytest.param(n, marks=pytest.mark.ci) for n in ("parfam_tanh", "elements"))],
+)
 def test_the_reference_of_model_exchange_is_the_integrated_law(
     name: str, make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
 ) -> None:

@@ -30,6 +30,7 @@ from hesr_model.support.cache import USED, since
 from hesr_model.support.compiler import compile_c
 
 FUNCTIONS = 44  # of FMI 2.0
+PLATFORMS = [pytest.param(f, marks=pytest.mark.ci) if f != "linux64" else f for f in TARGETS]
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
@@ -114,7 +115,7 @@ def exports(folder, data):
     return set(pe_exports(data) if folder == "win64" else elf_exports(data))
 
 
-@pytest.mark.parametrize("folder", list(TARGETS))
+@pytest.mark.parametrize("folder", PLATFORMS)
 def test_only_fmi_functions_are_exported(folder, table1, tmp_path):
     fmu = export_fmu(table1, tmp_path / "F.fmu", platforms=[folder])
     with zipfile.ZipFile(fmu) as archive:
@@ -128,6 +129,7 @@ def test_only_fmi_functions_are_exported(folder, table1, tmp_path):
     assert tempfile.gettempdir().encode() not in data
 
 
+@pytest.mark.ci
 def test_windows_binaries_need_only_system_libraries_and_no_start_up(table1, tmp_path):
     """Libraries of every Windows since 10; no code runs when the library is loaded."""
     fmu = export_fmu(table1, tmp_path / "F.fmu", platforms=["win64"])
@@ -171,7 +173,7 @@ def test_a_folder_with_a_percent_sign_gives_the_same_bytes(
     assert not list(percent.iterdir())
 
 
-@pytest.mark.parametrize("folder", list(TARGETS))
+@pytest.mark.parametrize("folder", PLATFORMS)
 def test_every_target_is_built_in_a_folder_with_a_percent_sign(
     folder, empty_cache, percent, tmp_path
 ):
@@ -333,6 +335,7 @@ def test_sources_compile_without_a_warning_by_another_compiler(compiler, sources
     assert len(set(elf_exports((sources / "own.so").read_bytes()))) == FUNCTIONS
 
 
+@pytest.mark.ci
 def test_two_fmus_can_be_linked_into_one_program(sources):
     for prefix in ("first_", "second_"):
         flags = ("-c", *CFLAGS, f"-DFMI2_FUNCTION_PREFIX={prefix}")

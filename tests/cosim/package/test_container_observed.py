@@ -7,6 +7,7 @@ from pathlib import Path
 
 import fmpy
 import numpy as np
+import pytest
 from fmpy.model_description import read_model_description
 
 from cosim.systems.container import write_container
@@ -39,6 +40,7 @@ def test_all_observable_variables_are_exposed(lags: Write, tmp_path: Path) -> No
         np.testing.assert_allclose(found[name], expected.signals[name], rtol=1e-12)
 
 
+@pytest.mark.ci
 def test_an_observed_tunable_parameter_is_exposed(opened: SystemContents, tmp_path: Path) -> None:
     spec = opened.spec.model_copy(
         update={"observe": (*opened.spec.observe, "friction.joint[1].alpha")}

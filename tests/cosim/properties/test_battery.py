@@ -214,6 +214,7 @@ def test_table_1_fails_as_friction(table_1: Properties) -> None:
 # --- whole sheets -------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 def test_fmu_and_model_agree_for_any_number_of_processes(
     bristles: Properties, tmp_path: Path
 ) -> None:

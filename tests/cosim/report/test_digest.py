@@ -39,39 +39,39 @@ def test_a_table_has_best_values_notes_and_marks() -> None:
     ]
 
 
-def test_every_figure_is_that_of_the_run(small_results: Path, tmp_path: Path) -> None:
-    page = write_digest([small_results], tmp_path / "results.md")
+def test_every_figure_is_that_of_the_run(results: Path, tmp_path: Path) -> None:
+    page = write_digest([results], tmp_path / "results.md")
     text = page.read_text(encoding="utf-8")
-    results = Results.read(small_results)
-    assert f"## {results.run.study}: {results.run.robot}\n" in text
-    assert results.verdict
-    assert results.verdict.sentences[0] in text.splitlines()
+    read = Results.read(results)
+    assert f"## {read.run.study}: {read.run.robot}\n" in text
+    assert read.verdict
+    assert read.verdict.sentences[0] in text.splitlines()
     head = next(line for line in text.splitlines() if "over all rows" in line)
-    assert results.tests[0] in head
-    scores = results.comparisons[results.tests[0]]
-    best = next(line for line in text.splitlines() if line.startswith(f"| {named(results.best)}"))
-    for shown, rmse in zip(cells(best)[1:], scores.laws[results.best].rmse, strict=True):
+    assert read.tests[0] in head
+    scores = read.comparisons[read.tests[0]]
+    best = next(line for line in text.splitlines() if line.startswith(f"| {named(read.best)}"))
+    for shown, rmse in zip(cells(best)[1:], scores.laws[read.best].rmse, strict=True):
         assert float(shown.replace("*", "").split()[0]) == pytest.approx(rmse, rel=0.01)
 
 
-def test_csv_files_have_all_laws_with_all_digits(small_results: Path, tmp_path: Path) -> None:
-    page = write_digest([small_results], tmp_path / "results.md")
-    results = Results.read(small_results)
-    files = sorted((tmp_path / "results_tables" / results.run.study).iterdir())
+def test_csv_files_have_all_laws_with_all_digits(results: Path, tmp_path: Path) -> None:
+    page = write_digest([results], tmp_path / "results.md")
+    read = Results.read(results)
+    files = sorted((tmp_path / "results_tables" / read.run.study).iterdir())
     links = re.findall(r"\]\((.*?\.csv)\)", page.read_text(encoding="utf-8"))
     assert sorted(tmp_path / link for link in links) == files
-    for test in results.tests:
+    for test in read.tests:
         table = files[0].with_name(f"{file_name(test)}.csv").read_text(encoding="utf-8")
         rows = {row["law"]: row for row in csv.DictReader(StringIO(table))}
-        for law, scores in results.comparisons[test].laws.items():
-            shown = [float(rows[named(law)][joint]) for joint in results.joints]
+        for law, scores in read.comparisons[test].laws.items():
+            shown = [float(rows[named(law)][joint]) for joint in read.joints]
             assert shown == list(scores.rmse)
 
 
-def test_results_next_to_the_page_are_kept(small_results: Path, tmp_path: Path) -> None:
+def test_results_next_to_the_page_are_kept(results: Path, tmp_path: Path) -> None:
     """The page results.md of results/small, written where that folder is."""
-    folder = tmp_path / "results" / Results.read(small_results).run.study
-    shutil.copytree(small_results, folder)
+    folder = tmp_path / "results" / Results.read(results).run.study
+    shutil.copytree(results, folder)
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
     write_digest([folder], tmp_path / "results.md")
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
@@ -82,10 +82,10 @@ def test_the_page_of_results_has_at_most_150_lines() -> None:
     assert len(page.read_text(encoding="utf-8").splitlines()) <= 150
 
 
-def test_the_summary_lists_the_papers_law_next_to_the_best(small_results: Path) -> None:
-    results = Results.read(small_results)
-    heads = [str(row.head) for row in short(results).rows]
-    assert named(results.best) in heads
+def test_the_summary_lists_the_papers_law_next_to_the_best(results: Path) -> None:
+    read = Results.read(results)
+    heads = [str(row.head) for row in short(read).rows]
+    assert named(read.best) in heads
     assert len(heads) == len(set(heads)) <= 4
 
 
@@ -95,8 +95,8 @@ def test_a_folder_without_results_is_reported(tmp_path: Path) -> None:
     assert not (tmp_path / "results.md").exists()
 
 
-def test_the_command_prints_the_written_file(small_results: Path, tmp_path: Path) -> None:
+def test_the_command_prints_the_written_file(results: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    ended = CliRunner().invoke(app, ["report", str(small_results), "-o", str(page)])
+    ended = CliRunner().invoke(app, ["report", str(results), "-o", str(page)])
     assert ended.exit_code == 0, ended.output
     assert page.name in ended.output.replace("\n", "")

@@ -48,6 +48,7 @@ def only_co_simulation(xml):
         xml.find("CoSimulation").set(capability, "false")
 
 
+@pytest.mark.ci
 def test_our_binaries_pass(table1, tmp_path):
     from fmu_src import export_fmu
 

@@ -69,6 +69,7 @@ def test_friction_laws_pass(law, make_law, make_model, tmp_path):
     assert not any("ostile" in reason for reason in report.skipped)
 
 
+@pytest.mark.ci
 def test_stops_and_ripple_pass_with_signals_of_their_size(make_model, tmp_path):
     """Ripple is faster than the steps, and bounds by load jump with held inputs."""
     form = Structure.of(
@@ -121,6 +122,7 @@ def test_refusal_of_a_dummy_state_is_reported(reworked):
     ]
 
 
+@pytest.mark.ci
 def test_an_additional_state_is_reported(reworked):
     fmu = reworked("lugre", "n != own && (own > 0 || n > 1)", "n < own")
     assert found(fmu) == [
@@ -142,6 +144,7 @@ def test_endless_events_are_reported(reworked):
     ]
 
 
+@pytest.mark.ci
 def test_a_refused_last_step_is_reported(reworked):
     fmu = reworked(
         "lugre", "if (is_rounding(step)) {", "if (is_rounding(step)) {\n return fmi2Discard;"
@@ -173,6 +176,7 @@ def test_a_division_by_the_step_is_reported(python_fmu):
         assert abs(float(match[1])) > 1e9
 
 
+@pytest.mark.ci
 def test_a_false_capability_is_reported(python_fmu):
     fmu = python_fmu(f"assert abs(step - 0.01) < 1e-6, 'only 10 ms'\n        {LAG}")
     sentences = found(fmu)
@@ -184,6 +188,7 @@ def test_a_false_capability_is_reported(python_fmu):
     assert "fmi2DoStep of 0.002 s at 0 s" in promised[0]
 
 
+@pytest.mark.ci
 def test_only_declared_step_sizes_are_used(python_fmu, tmp_path):
     def fixed(xml):
         xml.find("CoSimulation").set("canHandleVariableCommunicationStepSize", "false")

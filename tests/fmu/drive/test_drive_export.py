@@ -50,6 +50,7 @@ def test_validators_find_no_problem(fmu: Path) -> None:
     assert check(fmu, vdmcheck=VDMCHECK2 if has_vdmcheck else None).problems == ()
 
 
+@pytest.mark.ci
 def test_laws_of_every_kind_are_valid(make_law, tmp_path: Path) -> None:
     names = ("viscous", "lugre", "elements", "gaussians", "bare")
     model = model_of({name: make_law(name) for name in names})
