@@ -153,7 +153,7 @@ def explain(tau: Array, gravity: Array, inertial: Array, v: Array) -> JointTorqu
     shape = rubbing(v)
     columns = np.column_stack([gravity, inertial, shape, np.ones_like(v)])
     size = np.linalg.norm(columns, axis=0) / np.sqrt(len(v))
-    used = size > 1e-9 * max(float(size.max()), 1e-3)
+    used = size > 1e-9 * size.max()  # that of the offset is 1
     x = np.zeros(4)
     x[used] = np.linalg.lstsq(columns[:, used], tau, rcond=None)[0]
     residual = tau - columns @ x

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from small_study import Hesr, contents, hesr_here, uf850
 
+from cosim.study.sample_logs import is_sample, mark_samples
 from cosim.study.starter import start
 from cosim.study.study import Study
 from hesr_model.errors import ConfigError, RobotError
@@ -305,3 +306,16 @@ def test_a_non_empty_folder_is_left_alone(tmp_path: Path, hesr: Hesr) -> None:
     assert answer.code == 2
     assert answer.err == f"hesr: {tmp_path}: is not empty; give a new or an empty folder.\n"
     assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_only_unchanged_sample_logs_count_as_samples(tmp_path: Path, count: int) -> None:
+    files = [tmp_path / f"{k}.csv" for k in range(count)]
+    own = tmp_path / "own.csv"
+    for file in (*files, own):
+        file.write_text(f"log {file.name}", encoding="utf-8")
+    assert not is_sample(files[0])
+    mark_samples(files)
+    assert [is_sample(file) for file in (*files, own)] == [True] * count + [False]
+    files[0].write_text("replaced", encoding="utf-8")
+    assert not is_sample(files[0])
