@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.report.tables.table import joints as short_names
 from cosim.report.tables.table import on_joints
-from cosim.study.scores import RECORDED, Comparison, LawScores, Records, inputs_of
+from cosim.study.scores import RECORDED, Comparison, LawScores, Records
 from hesr_model.audit.properties import combined
 from hesr_model.friction.model import MIXED, FrictionModel, compatible
 from hesr_model.friction.trained_range import outside
@@ -134,9 +134,9 @@ def recommend(
 ) -> tuple[tuple[str, ...], str]:
     """Return the recommended law of each joint and the rule that decided.
 
-    A law is good on a joint if none is significantly better and its error is within `CLOSE` of the
-    lowest. All joints have the simplest of the laws that are good on most of them. The others have
-    the simplest one that is good there, if one FMU can have both.
+    It is the simplest law with an error within `CLOSE` of the lowest and none significantly better;
+    of equally simple ones that of most joints, then that nearest to the lowest errors. Joints with
+    a short test, and those whose laws one FMU cannot combine, have the law of most joints.
     """
     names = [law for law in scores.laws if law in models]
     count = len(scores.joints)
@@ -146,29 +146,29 @@ def recommend(
         return (law,) * count, why
     lowest = [scores.laws[leading[0]].rmse[j] for j, leading in enumerate(scores.leading)]
     above = {law: _ratios(scores.laws[law].rmse, lowest) for law in names}
-    good = [
-        [law for law in scores.leading[j] if law in names and above[law][j] <= CLOSE]
-        for j in range(count)
-    ]
-    on = {law: sum(law in good[j] for j in long) for law in names}
-    most = max(on.values())
-    candidates = [law for law in names if on[law] == most]
-    law, rule = _simplest(candidates, models, {n: max(above[n][j] for j in long) for n in names})
-    why = (
-        f"on {most} of {len(long)} joints no law is significantly better and its error is within "
-        f"{100 * (CLOSE - 1):.0f} % of the lowest{rule}"
+    good = {
+        j: [law for law in scores.leading[j] if law in names and above[law][j] <= CLOSE]
+        for j in long
+    }
+    spread = {n: (-sum(n in of for of in good.values()), max(above[n])) for n in names}
+    main = min(names, key=lambda n: (spread[n][0], simplicity(models[n]), spread[n][1]))
+    laws = [main] * count
+    reasons: dict[str, list[str]] = {}
+    for j, short in enumerate(short_names(count)):
+        fitting = [n for n in good.get(j, ()) if n == main or compatible(models[n], models[main])]
+        if fitting:
+            laws[j] = min(fitting, key=lambda n: (simplicity(models[n], j), *spread[n]))
+            least = simplicity(models[laws[j]], j)
+            equal = sum(simplicity(models[n], j) == least for n in fitting)
+            many = f"of {len(fitting)}" + f", {equal} equally simple" * (equal > 1)
+            reasons.setdefault(many if len(fitting) > 1 else "alone", []).append(short)
+        elif j in good:
+            reasons.setdefault("no such law fits into this FMU", []).append(short)
+    said = "; ".join(f"{', '.join(where)}: {reason}" for reason, where in reasons.items())
+    return tuple(laws), (
+        "no law is significantly better, and of those within "
+        f"{100 * (CLOSE - 1):.0f} % of the lowest error it is the simplest ({said})."
     )
-    laws = [law] * count
-    for j in long:
-        fitting = [n for n in good[j] if compatible(models[n], models[law])]
-        if law not in good[j] and fitting:
-            laws[j] = _simplest(fitting, models, {n: above[n][j] for n in fitting})[0]
-    short = short_names(count)
-    if others := [short[j] for j in long if laws[j] != law]:
-        why += f"; on {', '.join(others)} the simplest law with this property"
-    if worse := {short[j]: scores.leading[j][0] for j in long if laws[j] not in good[j]}:
-        why += f"; lower error: {on_joints(tuple(worse.values()), tuple(worse))}"
-    return tuple(laws), f"{why}."
 
 
 def _by_training(
@@ -182,25 +182,11 @@ def _by_training(
     return law, f"{_SHORT}; it has the lowest error on left-out training logs."
 
 
-def _simplest(
-    candidates: Sequence[str], models: Mapping[str, FrictionModel], above: Mapping[str, float]
-) -> tuple[str, str]:
-    """Return the simplest law, of equally simple ones that nearest to the lowest error."""
-    if len(candidates) == 1:
-        return candidates[0], ", which holds for this law alone"
-    least = min(simplicity(models[law]) for law in candidates)
-    simplest = [law for law in candidates if simplicity(models[law]) == least]
-    law = min(simplest, key=lambda name: above[name])
-    rule = f"; of {len(candidates)} such laws it is the simplest (inputs {inputs_of(models[law])})"
-    if len(simplest) > 1:
-        rule += f", of {len(simplest)} equally simple ones that nearest to the lowest error"
-    return law, rule
-
-
-def simplicity(model: FrictionModel) -> tuple[int, int, int]:
-    """Return numbers of inputs, states and coefficients, the largest of all joints."""
-    states = max(len(law.start) for law in model.laws)
-    return inputs_of(model).count(",") + 1, states, max(len(law.values) for law in model.laws)
+def simplicity(model: FrictionModel, joint: int | None = None) -> tuple[int, int, int]:
+    """Return numbers of inputs, states and coefficients of a joint, or the largest of all."""
+    laws = model.laws if joint is None else model.laws[joint : joint + 1]
+    inputs = {symbol for law in laws for symbol in law.form.inputs}
+    return len(inputs), max(len(law.start) for law in laws), max(len(law.values) for law in laws)
 
 
 def _ratios(errors: Sequence[float], lowest: Sequence[float]) -> list[float]:
