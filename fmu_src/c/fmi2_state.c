@@ -39,9 +39,8 @@ SELDOM static bool in_range(const Component *component, Message *why) {
     for (int i = 0; i < VARIABLES; i++) {
         const double value = component->v[i], slope = i < SLOPES ? component->slope[i] : 0.0;
         const Role role = variables[i].role;
-        const bool whole =
-            variables[i].type == REAL ||
-            (value >= variables[i].low && value <= variables[i].high && value == floor(value));
+        const bool whole = value >= variables[i].low && value <= variables[i].high &&
+                           (variables[i].type == REAL || value == floor(value));
         const bool set = role == INPUT || role == STATE || role == FIXED || role == TUNABLE;
         if (set && !(isfinite(value) && isfinite(slope) && whole)) {
             snprintf(why->text, sizeof why->text, "%s is %g", variables[i].name, value);

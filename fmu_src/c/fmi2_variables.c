@@ -167,6 +167,13 @@ FMI2_STATUS(fmi2SetReal)
         return refuse_number(instance, function, vr[odd], value[odd]);
     }
     for (size_t i = 0; i < n; i++) {
+        const Variable *variable = variable_of(vr[i]);
+        if (value[i] < variable->low || value[i] > variable->high) {
+            return refuse(instance, "%s: %s is %g; needed is %g to %g.", function, variable->name,
+                          value[i], variable->low, variable->high);
+        }
+    }
+    for (size_t i = 0; i < n; i++) {
         set_one(&instance->memory, vr[i], value[i]);
     }
     return fmi2OK;
@@ -182,7 +189,7 @@ FMI2_STATUS(fmi2SetInteger)
     for (size_t i = 0; i < n; i++) {
         const Variable *variable = variable_of(vr[i]);
         if (value[i] < variable->low || value[i] > variable->high) {
-            complain(instance, "%s: %s is %d; needed is %d to %d.", function, variable->name,
+            complain(instance, "%s: %s is %d; needed is %g to %g.", function, variable->name,
                      value[i], variable->low, variable->high);
             return failed(instance);
         }

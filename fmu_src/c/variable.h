@@ -3,6 +3,8 @@
 #ifndef VARIABLE_H
 #define VARIABLE_H
 
+#include <math.h>
+
 typedef enum {
     INPUT,      /* set at any time */
     OUTPUT,     /* computed */
@@ -24,8 +26,8 @@ typedef struct {
     double start;
     Role role;
     Type type;
-    int low, high; /* bounds of an INTEGER */
-    int used;      /* whether any result depends directly on it, even if only at the start */
+    double low, high; /* bounds, maybe infinite */
+    int used;         /* whether any result depends directly on it, even if only at the start */
 } Variable;
 
 /* Target of a value reference: `size` consecutive variables, more than one for an array. */

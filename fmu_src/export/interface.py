@@ -47,7 +47,8 @@ class Variable:
 
     The unit, in FMI's spelling, is None only for an enumeration. The start value of a computed
     variable or a state is not written. Solvers scale the tolerance of a state by its nominal value.
-    `least` and `greatest` are recommended limits. Hosts must not interpolate a `switch`.
+    `least` and `greatest` are recommended limits, values outside which are refused if `limited`.
+    Hosts must not interpolate a `switch`.
 
     Initial dependencies count in addition until initialisation ends; for a state they are those of
     its initial value.
@@ -63,6 +64,7 @@ class Variable:
     nominal: float = 1.0
     least: float | None = None
     greatest: float | None = None
+    limited: bool = False
     switch: bool = False
     derivative_of: str | None = None
     dependencies: tuple[str, ...] = ()
@@ -205,7 +207,7 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
     }
     rows, inputs, watched = [], [0], []
     for i, v in enumerate(variables):
-        kind = f"INTEGER, 1, {len(v.enumeration.items)}" if v.enumeration else "REAL, 0, 0"
+        kind = f"INTEGER, 1, {len(v.enumeration.items)}" if v.enumeration else _bounds(v)
         counts = int(v.role != "input" or v.name in used)
         role = "DERIVATIVE" if v.derivative_of else v.role.upper()
         rows.append(f'    {{"{v.name}", {literal(v.start)}, {role}, {kind}, {counts}}},')
@@ -232,6 +234,13 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
         nominal_list=_list([literal(variables[i].nominal) for i in states]),
         watched_list=_list(watched + derivatives),
     )
+
+
+def _bounds(variable: Variable) -> str:
+    limits = (variable.least, variable.greatest) if variable.limited else (None, None)
+    free = ("-INFINITY", "INFINITY")
+    low, high = (x if at is None else literal(at) for at, x in zip(limits, free, strict=True))
+    return f"REAL, {low}, {high}"
 
 
 def _list(items: Sequence[object]) -> str:

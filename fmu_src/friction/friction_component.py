@@ -229,7 +229,8 @@ def scales(model: FrictionModel) -> Iterator[Variable]:
     for k, scale in enumerate(SCALES):
         for i, law in enumerate(model.laws, start=1):
             least, greatest = limits[i - 1][k]
-            own = of_joint(model, scale, i, "tunable", start=1.0, least=least, greatest=greatest)
+            limits_of_own = {"least": least, "greatest": greatest, "limited": True}
+            own = of_joint(model, scale, i, "tunable", start=1.0, **limits_of_own)
             if scale == VISCOUS and not has_viscous(law.form):
                 own = replace(own, description=f"{own.description}; its law has no such term")
             yield own

@@ -157,10 +157,10 @@ def test_the_table_of_variables_is_complete():
         )
     )
     text = to_c(table, "{guid}", 0.005)
-    assert '{"u[1]", 0.10000000000000001, INPUT, REAL, 0, 0, 1},' in text
+    assert '{"u[1]", 0.10000000000000001, INPUT, REAL, -INFINITY, INFINITY, 1},' in text
     assert '{"kind", 2.0, FIXED, INTEGER, 1, 2, 1},' in text
     assert (
-        '{"held", 0.0, INPUT, REAL, 0, 0, 0},' in text
+        '{"held", 0.0, INPUT, REAL, -INFINITY, INFINITY, 0},' in text
     )  # not held, so no output depends on an old value
     assert '#define MODEL_GUID "{guid}"' in text
 

@@ -73,6 +73,7 @@ def test_every_tunable_parameter_has_a_slider(table1: FrictionModel, live: dict[
         assert variable.name == knob["name"] or variable.name.endswith(f".{knob['name']}")
         assert knob["value"] == variable.start
         assert knob["low"] < knob["value"] < knob["high"]
+        assert (knob["least"], knob["most"]) == (variable.least, variable.greatest)
         assert knob["scale"] != "log" or knob["low"] * knob["high"] > 0.0
 
 

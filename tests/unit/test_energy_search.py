@@ -21,9 +21,10 @@ from test_certificate import (
 from test_classic_laws import NAMES
 from test_classic_laws import law as classic
 
-from hesr_model.audit.certificate import certify
+from hesr_model.audit.certificate import certify, scale_limits
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Stop
+from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -88,6 +89,18 @@ def test_no_energy_from_a_fitted_proven_law(
 @pytest.mark.parametrize("law", MADE.values(), ids=MADE)
 def test_no_energy_from_a_proven_law(law: FrictionLaw, tmp_path: Path) -> None:
     assert attack(law, tmp_path).share < ROUNDING
+
+
+def test_factors_beyond_their_limits_are_refused(tmp_path: Path) -> None:
+    _, (least, _) = scale_limits(rippled())
+    with attacked(rippled(), tmp_path) as target:
+        with pytest.raises(SimulationError) as caught:
+            target.component.initialise(start={"viscous_scale[1]": 0.99 * least})
+        said = f"fmi2SetReal: viscous_scale[1] is {0.99 * least:g}; needed is {least:g} to inf."
+        assert str(caught.value).endswith(said)
+        target.component.reset()
+        target.component.initialise(start={"viscous_scale[1]": least})
+        assert target.component.get(["viscous_scale[1]"]) == least
 
 
 @pytest.mark.soak

@@ -108,12 +108,18 @@ def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Kn
         reference = table.places[name]
         variable = table.variables[reference]
         factor = coefficient is None or _is_factor(law.form, coefficient.symbol)
+        least, most = variable.least, variable.greatest
+        low, high, kind = ends(variable.start, factor=factor)
         yield Knob(
             coefficient.name if coefficient else name,
             variable.description,
             "" if variable.unit in (None, "1") else str(variable.unit),
             variable.start,
-            *ends(variable.start, factor=factor),
+            low if least is None else max(low, least),
+            high if most is None else min(high, most),
+            kind,
+            least,
+            most,
             symbol=symbol(coefficient.name) if coefficient else "",
             reference=reference,
         )
