@@ -262,10 +262,10 @@ def audit_tables(name: str, model: FrictionModel) -> list[ResultTable | str]:
 
 
 def passivity(joints: Sequence[str], certificates: Sequence[Certificate]) -> str:
-    """Return the joints of a law by verdict: proven passive, refuted or open."""
+    """Return the joints of a law by verdict: proven passive, refuted or tested."""
     by_verdict = defaultdict(list)
     for joint, certificate in zip(joints, certificates, strict=True):
-        by_verdict[certificate.verdict].append(joint)
+        by_verdict[certificate.label].append(joint)
     return "; ".join(f"{verdict} on {', '.join(names)}" for verdict, names in by_verdict.items())
 
 

@@ -122,7 +122,12 @@ class LawReport(Answer):
             "simulation": self.positions and to_json(self.positions),
             "passivity": {
                 name: [
-                    {"verdict": c.verdict, "storage": c.storage, "rests_on": list(c.rests_on)}
+                    {
+                        "verdict": c.label,
+                        "storage": c.storage,
+                        "rests_on": list(c.rests_on),
+                        "sequences": c.sequences,
+                    }
                     for c in found.certificates
                 ]
                 for name, found in self.audits.items()

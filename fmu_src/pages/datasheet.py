@@ -86,7 +86,7 @@ def certified(found: Certificate, *, slides: bool = False) -> str:
     elif found.cycle is not None:
         said = f"not passive, refuted by a cycle: {found.cycle.text}"
     else:
-        said = f"open: no cycle was found that gives energy, and no proof: {found.rests_on[0]}"
+        said = f"{found.label} without energy gain; no proof: {found.rests_on[0]}"
     for unit in ("N.m.s/rad", "N.m", "rad/s"):
         said = said.replace(unit, unit_of_joint(unit, slides=slides)) if slides else said
     return f"{said}."

@@ -1,4 +1,7 @@
-"""Search for cycles with net energy: sines, also with a load at twice their frequency."""
+"""Search for cycles with net energy: sines, also with a load at twice their frequency.
+
+If a proof fails at two speeds, there are ways ahead at one and back at the other as well.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,12 +21,17 @@ from hesr_model.support.arrays import Array
 ANGLES = (1e-5, 1e-4, 1e-3, 1e-2)  # [rad] with a moving load
 PHASES = tuple(np.arange(8) * np.pi / 4.0)  # [rad] of the load
 _CYCLES, _FREQUENCY = 40, 1.0  # [Hz]; the last two cycles must agree
+_DISTANCES = (1.0, 1e-2, 1e-4, 1e-6)  # [rad] ahead and back
+_ROWS, _TURNS = 100, 4  # rows of a way; cycles
 _LEAST, _ALIKE = 1e-6, 0.05  # smallest share of the work; tolerance between two cycles
 
 
 @dataclass(frozen=True, kw_only=True)
 class Attack:
-    """A cycle dq = amplitude cos(2 pi f t) with the load mean + swing cos(4 pi f t + phase)."""
+    """A cycle dq = amplitude cos(2 pi f t) with the load mean + swing cos(4 pi f t + phase).
+
+    With a speed `back` it goes ahead at `amplitude` and returns at that speed.
+    """
 
     energy: float  # [J] generated
     amplitude: float  # [rad/s]
@@ -31,6 +39,7 @@ class Attack:
     mean: float  # [N.m]
     swing: float = 0.0  # [N.m]
     phase: float = 0.0  # [rad]
+    back: float | None = None  # [rad/s]
 
     @property
     def text(self) -> str:
@@ -38,28 +47,60 @@ class Attack:
         load = f"a load of {self.mean:.3g} N.m"
         if self.swing:
             load += f" + {self.swing:.3g} N.m cos(4 pi f t + {self.phase:.2f})"
-        return (
-            f"{self.energy:.3g} J a cycle: dq = {self.amplitude:.3g} rad/s cos(2 pi f t), "
-            f"f = {self.frequency:.3g} Hz, {load}"
-        )
+        motion = f"{self.amplitude:.3g} rad/s cos(2 pi f t)"
+        if self.back:
+            motion = f"{self.amplitude:.3g} rad/s ahead and {self.back:.3g} rad/s back"
+        return f"{self.energy:.3g} J a cycle: dq = {motion}, f = {self.frequency:.3g} Hz, {load}"
 
 
-def attack(law: FrictionLaw, trained: TrainedRange) -> Attack | None:
-    """Return the cycle that generates the most energy, if any."""
-    found = _still(law, trained)
+def attack(
+    law: FrictionLaw, trained: TrainedRange, speeds: Sequence[tuple[float, float]] = ()
+) -> tuple[Attack | None, int]:
+    """Return the cycle that generates the most energy, if any, and the number of cycles tried.
+
+    `speeds` are pairs [rad/s] for ways ahead and back, tried until one gives energy.
+    """
+    tried = [*_still(law, trained), *_ways(law, trained, speeds)]
     if TAU_LOAD in law.form.inputs:
-        found += _moving(law, trained)
-    return max(found, key=lambda a: a.energy, default=None)
+        tried += _moving(law, trained)
+    best = max(tried, key=lambda a: a.energy)  # the first of equals
+    return (best if best.energy > 0.0 else None), len(tried)
 
 
-def _still(law: FrictionLaw, trained: TrainedRange) -> list[Attack]:
+def _still(law: FrictionLaw, trained: TrainedRange) -> Iterator[Attack]:
     amplitudes, loads = np.multiply(AMPLITUDES, trained.speed), loads_of(law, trained)
-    return [
-        Attack(energy=-c.work, amplitude=c.amplitude, frequency=c.frequency, mean=c.tau_load)
-        for response in responses(law, trained, amplitudes, loads, _run)
-        for c in cycles(*response)
-        if c.work < 0.0 and c.share < -_LEAST
-    ]
+    for response in responses(law, trained, amplitudes, loads, _run):
+        for c in cycles(*response):
+            yield Attack(
+                energy=-c.work if c.share < -_LEAST else 0.0,
+                amplitude=c.amplitude,
+                frequency=c.frequency,
+                mean=c.tau_load,
+            )
+
+
+def _ways(
+    law: FrictionLaw, trained: TrainedRange, speeds: Sequence[tuple[float, float]]
+) -> Iterator[Attack]:
+    load, given = loads_of(law, trained)[0], 0.0
+    for (ahead, back), distance in product(speeds, _DISTANCES):
+        if given:
+            break  # slower ways would give a little more
+        dq = np.tile(np.repeat([ahead, -back], _ROWS), _TURNS)
+        dt = distance / _ROWS / np.abs(dq)
+        q = trained.middle + np.cumsum(dq * dt)
+        tau = _run(law, np.cumsum(dt), dq, q, np.full(dq.shape, load))
+        power = (tau * dq * dt).reshape(_TURNS, -1)
+        given = _settled(power[-1], power[-2])
+        frequency = 1.0 / (distance / ahead + distance / back)
+        yield Attack(energy=given, amplitude=ahead, frequency=frequency, mean=load, back=back)
+
+
+def _settled(last: Array, before: Array) -> float:
+    """Return the energy generated in the last of two equal cycles from their work, else 0."""
+    settled = last.sum() < -_LEAST * np.abs(last).sum()
+    alike = abs(last.sum() - before.sum()) < _ALIKE * abs(last.sum())
+    return -float(last.sum()) if settled and alike else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,10 +116,7 @@ class LoadedMotion:
     def given(self, tau: Array) -> float:
         """Return the energy [J] generated by `tau` (K,) [N.m] in a settled last cycle, else 0."""
         power = tau * self.dq / (self.rows * self.cycle.frequency)
-        last, before = power[-self.rows :].sum(), power[-2 * self.rows : -self.rows].sum()
-        moved = np.abs(power[-self.rows :]).sum()
-        settled = last < -_LEAST * moved and abs(last - before) < _ALIKE * abs(last)
-        return -float(last) if settled else 0.0
+        return _settled(power[-self.rows :], power[-2 * self.rows : -self.rows])
 
 
 def loaded_motions(
@@ -114,8 +152,7 @@ def _moving(law: FrictionLaw, trained: TrainedRange) -> Iterator[Attack]:
     for motion in loaded_motions(trained):
         t: Array = trained.sample_time * np.arange(len(motion.dq), dtype=float)
         energy = motion.given(_run(law, t, motion.dq, motion.q, motion.load))
-        if energy > 0.0:
-            yield replace(motion.cycle, energy=energy)
+        yield replace(motion.cycle, energy=energy)
 
 
 def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: Array) -> Array:

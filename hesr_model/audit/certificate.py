@@ -1,4 +1,4 @@
-"""Passivity of a law: proven by a storage function, refuted by a cycle with net energy, or open.
+"""Passivity of a law: proven by a storage function, refuted by a cycle with energy, or tested.
 
 A storage function S >= 0 with tau dq >= dS for every step dq = v dt proves passivity. S is a sum of
 k x^2 over states, and tau is read after they have moved. Torques of position alone are left out.
@@ -28,6 +28,7 @@ import numpy as np
 import sympy
 
 from hesr_model.audit.attack import Attack, attack
+from hesr_model.audit.audit import SLOWEST
 from hesr_model.equations.functions import absolute, cardinal_sine, larger, positive, sgn
 from hesr_model.equations.intervals import Enclosure, Least, enclosed, lowest
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
@@ -39,7 +40,7 @@ from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.stops.passive import distance
 from hesr_model.support.arrays import Array
 
-ProofVerdict = Literal["proven", "refuted", "open"]
+ProofVerdict = Literal["proven", "refuted", "tested"]
 _ROUNDING = 1e-9  # relative
 _STEPS = np.geomspace(1e-6, 10.0, 141)  # [s] candidates of the largest certified step
 _REST = 1e-12  # [rad/s]; below, only torques above round-off count
@@ -56,25 +57,38 @@ class Certificate:
     rests_on: tuple[str, ...] = ()  # conditions of the proof, or the one that failed
     largest_step: float | None = None  # [s] inf for any; None in continuous time
     cycle: Attack | None = None  # with net energy
+    sequences: int = 0  # tried without a proof
+
+    @property
+    def label(self) -> str:
+        """The verdict in words."""
+        return f"tested on {self.sequences} sequences" if self.verdict == "tested" else self.verdict
 
 
 class _UnprovenError(Exception):
-    """A condition of the proof fails."""
+    """A condition of the proof fails, maybe at a speed ahead and another back [rad/s]."""
+
+    def __init__(self, why: str, *speeds: tuple[float, float]) -> None:
+        super().__init__(why)
+        self.speeds = speeds
 
 
-def _require(condition: object, otherwise: str) -> None:
+def _require(condition: object, otherwise: str, *speeds: tuple[float, float]) -> None:
     if not condition:
-        raise _UnprovenError(otherwise)
+        raise _UnprovenError(otherwise, *speeds)
 
 
 def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
-    """Prove the passivity of a law, refute it by a cycle, or return the open condition."""
+    """Prove the passivity of a law, refute it by a cycle, or return the condition that fails."""
     try:
         return _Proof(law).certificate()
     except _UnprovenError as reason:
-        cycle = attack(law, trained)
+        slowest = (trained.speed * SLOWEST, trained.speed * SLOWEST**2, 0.0)
+        pairs = [(max(v, s), max(w, s)) for v, w in reason.speeds for s in slowest]
+        cycle, sequences = attack(law, trained, pairs)
+        verdict: ProofVerdict = "refuted" if cycle else "tested"
         return Certificate(
-            verdict="refuted" if cycle else "open", rests_on=(str(reason),), cycle=cycle
+            verdict=verdict, rests_on=(str(reason),), cycle=cycle, sequences=sequences
         )
 
 
@@ -307,6 +321,7 @@ class _Steady:
         _require(
             drop <= self.slack,
             f"ahead at {v:.3g} rad/s friction is {drop:.3g} N.m less than back at {w:.3g} rad/s",
+            (v, w),
         )
         _require(ahead.bound + back.bound >= -self.slack, unbounded)
         self.offset = float(torque.subs(DQ, 0))

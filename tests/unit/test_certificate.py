@@ -192,7 +192,7 @@ NEGATIVE = {"F_c": 4.0, "F_s": -4.0, "v_s": 2e-5, "sigma_2": 3.0, "tau_0": 0.0}
 )
 def test_what_happens_between_grid_points_is_no_proof(law: FrictionLaw, why: str) -> None:
     found = certify(law, TRAINED)
-    assert found.verdict in ("refuted", "open")
+    assert found.verdict in ("refuted", "tested")
     assert why in found.rests_on[0]
 
 
@@ -340,7 +340,8 @@ def test_load_is_refuted_as_a_factor_but_not_as_a_bound() -> None:
     assert found.cycle.energy > 1e-7
     assert f"{found.cycle.energy:.3g} J a cycle" in found.cycle.text
     bound = replace(x, bound=2.0 + absolute(TAU_LOAD))
-    assert attack(own(x.state + DQ, bound), TRAINED) is None
+    # 6 frequencies, 8 amplitudes, 3 loads, and 4 x 8 x 2 small motions with a moving load.
+    assert attack(own(x.state + DQ, bound), TRAINED) == (None, 6 * 8 * 3 + 4 * 8 * 2)
     assert certify(own(x.state + DQ, bound), TRAINED).verdict == "proven"
 
 
@@ -348,6 +349,23 @@ def test_driving_at_low_speed_is_refuted() -> None:
     found = certify(own(DQ - 0.1 * sgn(DQ)), TRAINED)
     assert found.verdict == "refuted"
     assert "less than back" in found.rests_on[0]
+
+
+@pytest.mark.parametrize(
+    ("law", "energy"),
+    [
+        # Up to 5.4 N.m - (10 v - 5.4 N.m) at v = 1.01 rad/s; less .01 N.m back at .001 rad/s.
+        (law_of("parfam_v", registry()["parfam_v"].typical, **STEEP), 0.689),
+        (law_of("stribeck", **NEGATIVE), 8.0 * np.exp(-(0.05**2)) * 2.0 - 8.0),
+    ],
+    ids=["steep tanh", "negative F_s"],
+)
+def test_speeds_at_which_a_proof_fails_refute_it(law: FrictionLaw, energy: float) -> None:
+    found = certify(law, TRAINED)
+    assert found.verdict == "refuted"
+    assert found.cycle is not None
+    assert found.cycle.energy == pytest.approx(energy, rel=1e-2)
+    assert f"{found.cycle.amplitude:.3g} rad/s ahead and" in found.cycle.text
 
 
 def test_an_offset_does_not_count_as_driving() -> None:
