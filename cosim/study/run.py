@@ -157,7 +157,8 @@ def score_study(
     findings += log_findings(check_body(rigid_body, model))
     about = [study.robot, job.robot.model, *(files[name] for name in job.trained_on)]
     owner = study.owner.known or job.robot.owner.known
-    source = provenance(files=about, seed=study.seed) | ({"owner": owner} if owner else {})
+    source = provenance(files=about, seed=study.seed, **job.robot.constants)
+    source |= {"owner": owner} if owner else {}
     if study.twin is None:  # the twin's logs are new in each run
         source |= {"created": newest([files[name] for name in job.trained_on])}
     replace(rigid_body, provenance=source).write(folder / "rigid_body.json")

@@ -16,6 +16,7 @@ from hesr_model.friction.model import MIXED, FrictionModel, compatible
 from hesr_model.friction.trained_range import outside
 from hesr_model.logs.phases import MOVING
 from hesr_model.rigid_body.residual import all_at_friction
+from hesr_model.robots.sources import statements
 from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ class Verdict:
     improve: tuple[str, ...]
     joints: tuple[Separation, ...] = ()  # empty in earlier versions
     limits: tuple[str, ...] = ()  # of the test
+    constants: tuple[str, ...] = ()  # of the robot, with sources
 
     @property
     def laws(self) -> tuple[str, ...]:
@@ -74,6 +76,7 @@ class Verdict:
         left = ", ".join(f"{joint} {share:.0f} %" for joint, share in shares)
         return (
             f"Recommended: {self.fmu} ({on_joints(self.laws)}): {self.why}",
+            *self.constants,
             *self.limits,
             f"Unexplained friction on '{self.test}': {left}.",
             *self.weak,
@@ -111,6 +114,7 @@ def verdict(
         improve=tuple(_improve(models[laws[0]], trained, tested, gear_ratio=gear_ratio)),
         joints=joints,
         limits=tuple(limits(f"'{test}'", joints)),
+        constants=tuple(statements(models[laws[0]].provenance)),
     )
 
 

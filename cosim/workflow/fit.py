@@ -176,6 +176,7 @@ def _fit(
     if logs:
         source["created"] = newest(logs)
     description = read.robot.description
+    source |= description.constants
     if owner := description.owner.known:
         source["owner"] = owner
     joined = by_joint(records)
@@ -197,10 +198,11 @@ def _fit(
 def answer(model: FrictionModel, output: PathArg | None) -> Answer:
     """Return the answer of a fitted law: equations, errors and passivity of each joint."""
     from fmu_src.pages import datasheet
+    from hesr_model.robots.sources import statements
     from hesr_model.support.plugins import names
 
     joints = ", ".join(model.joints)
-    lines = [f"{model.law} for {joints}.", *_equations(model)]
+    lines = [f"{model.law} for {joints}.", *statements(model.provenance), *_equations(model)]
     if model.trained:
         certificates = datasheet.certificates(model, model.trained)
         lines.append(f"Passivity: {passivity(model.joints, certificates)}.")

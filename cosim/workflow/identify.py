@@ -108,7 +108,7 @@ def identify(
     forward, backward = read.logs[: len(forward_logs)], read.logs[len(forward_logs) :]
     progress("identifying", 0, 1)
     files = [*read.files, *_paths(payload, friction, rigid_body)]
-    more: dict[str, Any] = {}
+    more: dict[str, Any] = {**read.robot.description.constants}
     if payload is not None:
         without = body_of(payload, (), read.robot)
         carried = identify_payload(read.logs, read.robot, without)
@@ -143,6 +143,7 @@ def _paths(*given: object) -> list[Any]:
 def answer(body: RigidBody, output: PathArg | None) -> Answer:
     """Return the answer of a rigid body: parameters and residuals, or the payload."""
     from cosim.report.tables.laws import rigid_body
+    from hesr_model.robots.sources import statements
     from hesr_model.support.typed_json import to_json
 
     payload = body.provenance.get("payload")
@@ -153,7 +154,7 @@ def answer(body: RigidBody, output: PathArg | None) -> Answer:
     )
     return Written(
         format="hesr-rigid-body-1",
-        lines=[line],
+        lines=[*statements(body.provenance), line],
         data=to_json(body),
         findings=health_of(body.provenance),
         files=written_files(output),

@@ -155,7 +155,7 @@ def inspect(
     """
     from cosim.study.proposal import split
     from cosim.workflow.arguments import listed
-    from hesr_model.health.proposal import inspected
+    from hesr_model.health.proposal import inspected, with_constants
     from hesr_model.logs.robot_log import Log
     from hesr_model.support.files import path_of
 
@@ -174,12 +174,11 @@ def inspect(
         raise ArgumentError("logs are inspected in their files; needed is the path of each.")
     progress("inspecting logs", 0, 1)
     proposal = inspected([file for file in files if file], robot)
+    constants: Sequence[Constant] = ()
+    if torque_constants:
+        constants = _torque_constants(logs, robot, mass_error, loaded, payload, progress)
+        proposal = with_constants(proposal, constants)
     written = _write(proposal, output, write, study)
-    constants = (
-        _torque_constants(logs, robot, mass_error, loaded, payload, progress)
-        if torque_constants
-        else ()
-    )
     return Inspection(
         proposal=proposal,
         constants=constants,

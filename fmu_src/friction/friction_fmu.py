@@ -38,6 +38,7 @@ from hesr_model.equations.component import Equation
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.owner import Owner
+from hesr_model.robots.sources import statements
 from hesr_model.support.progress import Progress, silent
 
 # Range of dates in a ZIP archive; the first also means no date.
@@ -173,7 +174,7 @@ def description_of(
     return Description(
         name=name,
         identifier=re.sub(r"\W", "_", identifier, flags=re.ASCII),
-        text=text,
+        text=" ".join([text, *statements(model.provenance, "guessed")]),
         created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
         step=step,
         owner=Owner.of(model.provenance),

@@ -23,6 +23,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
 from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.robots.sources import statements
 from hesr_model.units import unit_of_joints
 
 _INTERVAL = 1.96  # standard errors of a two-sided 95 % interval
@@ -120,7 +121,10 @@ def training(provenance: Mapping[str, Any]) -> dict[str, Any]:
     files = [(str(f.get("name", "")), str(f.get("sha256", ""))) for f in found]
     versions = provenance.get("versions") or {}
     return {
-        "remarks": [str(provenance[key]) for key in ("source", "note") if provenance.get(key)],
+        "remarks": [
+            *statements(provenance),
+            *(str(provenance[key]) for key in ("source", "note") if provenance.get(key)),
+        ],
         "files": [
             {"name": PurePosixPath(name.replace("\\", "/")).name, "sha256": digest}
             for name, digest in files

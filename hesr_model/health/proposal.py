@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os.path import relpath
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from hesr_model.logs.readers.formats import COLUMNS, format_of
 from hesr_model.logs.readers.matlab import read_matlab
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import LogTable, read_table
+from hesr_model.rigid_body.torque_constants import Constant
 from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, description_of
 
 _ROUNDS = 4
@@ -103,6 +104,7 @@ def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) 
     }
     if "tau" not in found.columns and robot.log.torque_per_ampere is None:
         changes["log.torque_per_ampere"] = (1.0,) * len(robot.joints)
+        changes["sources.torque_per_ampere"] = "guessed"
         reasons["log.torque_per_ampere"] = "guess: only currents are logged"
     return changed(robot, changes)
 
@@ -191,6 +193,23 @@ def _constants(
     )
     new = tuple(float(f"{gain * scale.get(j, rest):.4g}") for j, gain in enumerate(gains))
     return {"log.torque_per_ampere": new}
+
+
+def with_constants(proposal: Proposal, constants: Sequence[Constant]) -> Proposal:
+    """Return the proposal with the torque constants that were determined."""
+    robot = proposal.robot
+    gains = robot.log.torque_per_ampere
+    if gains is None or not any(one.determined for one in constants):
+        return proposal
+    key, sources = "torque_per_ampere", robot.sources.each("torque_per_ampere", len(gains))
+    new = [
+        float(f"{c.value:.4g}") if c.determined else g
+        for c, g in zip(constants, gains, strict=True)
+    ]
+    known = ["identified" if c.determined else s for c, s in zip(constants, sources, strict=True)]
+    robot = changed(robot, {f"log.{key}": tuple(new), f"sources.{key}": tuple(known)})
+    said = "identified: from known masses"
+    return replace(proposal, robot=robot, reasons={**proposal.reasons, f"log.{key}": said})
 
 
 def _value(robot: RobotDescription, key: str) -> Any:

@@ -20,6 +20,7 @@ from hesr_model.robots.model_file import (
     set_joint,
 )
 from hesr_model.robots.owner import Owner
+from hesr_model.robots.sources import Sources, sourced
 from hesr_model.robots.transmission import Coupling, Transmission
 from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config, PrintableName, RelativePath
@@ -39,6 +40,7 @@ class RobotDescription(Config):
     `rotor_inertia` adds a rotor inertia per joint, reflected through its gear, to the parameters.
     `gear_ratio` (turns of the motor per turn of the joint) is needed by laws with motor ripple;
     `transmission` if motors turn several joints or were logged, it then sets the gear ratios.
+    `sources` states how constants are known.
     """
 
     name: PrintableName
@@ -50,6 +52,7 @@ class RobotDescription(Config):
     gear_ratio: tuple[Annotated[float, Field(gt=0)], ...] | None = None
     transmission: Transmission | None = None
     log: LogFormat = LogFormat()
+    sources: Sources = Sources()
     owner: Owner = Owner()
 
     @model_validator(mode="after")
@@ -80,6 +83,15 @@ class RobotDescription(Config):
         of_motors = self.transmission and self.transmission.logs == "motor"
         return self.motors if of_motors else None
 
+    @property
+    def constants(self) -> dict[str, Any]:
+        """Entry of a provenance for the constants that turn logs into torques."""
+        gains, sources = self.log.torque_per_ampere, self.sources
+        if gains is None:
+            return {}
+        known = sources.each("torque_per_ampere", len(gains))
+        return sourced("torque constant", "N.m/A", self.joints, gains, known)
+
     @classmethod
     def read(cls, path: PathArg) -> Self:
         """Read a robot file; raises ConfigError, or RobotError for a list of wrong length."""
@@ -98,6 +110,7 @@ class RobotDescription(Config):
             "gear_ratio": self.gear_ratio,
             "log.torque_per_ampere": self.log.torque_per_ampere,
             "log.zero": self.log.zero,
+            "sources.torque_per_ampere": self.sources.torque_per_ampere,
             "log.bag.joints": self.log.bag.joints,
             **{f"log.columns.{key}": entries for key, entries in self.log.columns},
             **{f"log.units.{key}": entries for key, entries in self.log.units},

@@ -125,6 +125,7 @@ class _Robot:
             "robot": member.name,
             "fleet": study.name,
             "sample": sum(len(m.t) for m in sample),
+            **self._model.description.constants,
         }
         failed: dict[str, FitError] = {}
         models = fit_models(
