@@ -44,7 +44,7 @@ RECORDED = 1.1  # ratio of errors that a recommended test would find
 class Ratio:
     """RMSE of a law over that of its reference, and 95 % interval; None for short logs.
 
-    p is adjusted for the laws of the joint (Holm) and by `CALIBRATION`.
+    p is adjusted for the laws of the joint (Holm) and by `calibration`.
     """
 
     value: float

@@ -30,7 +30,11 @@ LEAST_DEGREES = 4
 LEAST_SECONDS = 40.0
 MOST_SECONDS = 1e7
 CALIBRATION = 5.0
-"""Factor on p: a nominal level of 1 % has a true one of up to 5 % (`tests/benchmarks`)."""
+"""Factor on p for up to `CALIBRATED` simultaneous comparisons; more need a factor in proportion.
+
+A nominal level of 1 % has a true one of up to 5 % (`tests/benchmarks`).
+"""
+CALIBRATED = 8
 SIGNIFICANCE = 0.05
 """Level of p after the factor, adjusted for all laws of a table."""
 POWER = 0.8
@@ -41,7 +45,7 @@ POWER = 0.8
 class ErrorRatio:
     """Ratio of the RMSEs of two laws: value and 95 % interval.
 
-    `p` is two-sided, times `CALIBRATION`, not adjusted. `detectable` is the smallest ratio above 1
+    `p` is two-sided, times `calibration`, not adjusted. `detectable` is the smallest ratio above 1
     that these logs would show. All but the value are None if the logs are too short.
     """
 
@@ -112,7 +116,8 @@ class LawErrors:
                 if law != other
             }
         errors = np.maximum(self.standard_errors(k), 1e-300)
-        p = np.minimum(1.0, CALIBRATION * two_sided(np.log(values) / errors, self.degrees))
+        factor = calibration(family or len(self.laws) - 1)
+        p = np.minimum(1.0, factor * two_sided(np.log(values) / errors, self.degrees))
         wide = np.exp(stdtrit(self.degrees, 0.975) * errors)
         found = np.exp(errors * detection_factor(self.degrees, self._level(family)))
         return {
@@ -151,7 +156,8 @@ class LawErrors:
         return float(brentq(surplus, shortest, longest, rtol=1e-3))
 
     def _level(self, family: int | None) -> float:
-        return SIGNIFICANCE / CALIBRATION / (family or max(1, len(self.laws) - 1))
+        comparisons = family or max(1, len(self.laws) - 1)
+        return SIGNIFICANCE / calibration(comparisons) / comparisons
 
     def _deviation(self, differences: Array) -> Array:
         squares = differences**2
@@ -222,6 +228,11 @@ def _degrees(psi: Array, seconds: float) -> int:
 def _orthogonal(vector: Array) -> Array:
     """Return an orthonormal basis (K-1, K) of the vectors orthogonal to one."""
     return np.linalg.svd(vector[None, :])[2][1:]
+
+
+def calibration(comparisons: int) -> float:
+    """Return the factor on p for a number of simultaneous comparisons."""
+    return CALIBRATION * max(1.0, comparisons / CALIBRATED)
 
 
 def two_sided(t: Array, degrees: float) -> Array:

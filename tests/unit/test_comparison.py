@@ -9,6 +9,7 @@ from hesr_model.inference.comparison import (
     LEAST_DEGREES,
     SIGNIFICANCE,
     LawErrors,
+    calibration,
     holm,
     law_errors,
 )
@@ -138,3 +139,16 @@ def test_equal_predictions_are_equal() -> None:
 def test_holms_adjustment() -> None:
     assert holm({"a": 0.01, "b": 0.04, "c": 0.03}) == {"a": 0.03, "b": 0.06, "c": 0.06}
     assert CALIBRATION * 0.01 == SIGNIFICANCE
+
+
+def test_factor_on_p_grows_with_the_number_of_laws() -> None:
+    assert [calibration(n) for n in (1, 8, 16)] == [5.0, 5.0, 10.0]
+    of = errors(0, 2, 1, 80.0, common=0.9)
+    found = compared(of | {"law_1": [1.3 * e for e in of["law_1"]]})
+    few, many = (found.ratios("law_0", family)["law_1"] for family in (8, 16))
+    assert few.p is not None
+    assert 0.0 < few.p < 0.5
+    assert many.p == pytest.approx(2.0 * few.p)
+    assert few.detectable is not None
+    assert many.detectable is not None
+    assert few.detectable < many.detectable

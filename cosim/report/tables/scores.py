@@ -101,8 +101,8 @@ def separations(name: str, scores: Comparison, laws: Sequence[str] = ()) -> Resu
         rows=rows,
         numeric=False,
         note="Student's t over cosines of the squared errors and differences between logs, Holm "
-        "over the laws of a joint; p is multiplied by 5 because the nominal level was calibrated. "
-        "The result holds for motions of this kind.",
+        "over the laws of a joint; p is multiplied by 5 (more beyond 9 laws, in proportion) since "
+        "the nominal level was calibrated. The result holds for motions of this kind.",
     )
 
 
