@@ -23,7 +23,7 @@ def under_truths(
     names = twin.truths if twin else ()
     return {
         truth: _under(study, twin.model_copy(update={"truth": truth}), path, laws)
-        for truth in counted(names, progress)
+        for truth in counted(names, progress, str)
         if twin
     }
 

@@ -81,7 +81,8 @@ def track(
     progress(len(done), len(rows))
     jobs = [partial(_tracked, rows[i], motions, duration, limits, traced) for i in left]
     try:
-        with parallel.results_of(jobs, workers) as results:
+        names = [f"{rows[i].law}, {rows[i].scheme}" for i in left]
+        with parallel.results_of(jobs, workers, names=names) as results:
             for i, result in zip(left, results, strict=True):
                 done[i] = result
                 if kept:

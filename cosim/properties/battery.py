@@ -81,7 +81,8 @@ def run_battery(
         _require_inertia(subject)
     jobs = [partial(_measured, subject, load=load, kept=kept) for subject in subjects]
     costs = [subject.model.size if subject.model else 0 for subject in subjects]
-    with parallel.results_of(jobs, workers, costs) as results:
+    names = [subject.name for subject in subjects]
+    with parallel.results_of(jobs, workers, costs, names) as results:
         return [next(results) for _ in counted(jobs, progress)]
 
 

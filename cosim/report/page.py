@@ -87,7 +87,8 @@ def write_report(
     jobs = [partial(_made, part, results, folder) for part in parts]
     made: list[Made] = []
     # Starting processes costs more than they save.
-    with parallel.results_of(jobs, None if parallel.shared() else 1) as found:
+    workers, names = None if parallel.shared() else 1, [part.title or part.key for part in parts]
+    with parallel.results_of(jobs, workers, names=names) as found:
         made += filter(None, [_made(_SUMMARY, results, folder)])
         for _ in counted(jobs, partial(progress, "writing the report")):
             made += filter(None, [next(found)])

@@ -56,7 +56,7 @@ def simulate_tests(
             logs[test] = list(map(whole, of_joints))
     cut = [w for of_test in (*windows.values(), *logs.values()) for w in of_test]
     jobs = [partial(_errors, model, cut, robot, body) for model in models.values()]
-    with parallel.results_of(jobs) as results:
+    with parallel.results_of(jobs, names=list(models)) as results:
         of_laws = list(results)
     parts = {}
     for law, errors in zip(models, of_laws, strict=True):

@@ -264,7 +264,8 @@ def _of_each(
     progress: Progress,
 ) -> dict[str, Returned]:
     jobs = [partial(do, law, fitted) for law, fitted in models.items()]
-    with parallel.results_of(jobs, costs=[fitted.size for fitted in models.values()]) as done:
+    costs = [fitted.size for fitted in models.values()]
+    with parallel.results_of(jobs, None, costs, list(models)) as done:
         return {law: next(done) for law in counted(list(models), progress)}
 
 

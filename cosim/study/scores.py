@@ -372,7 +372,7 @@ def predict_models(
     rows = rows_of(models)
     return {
         row: predict_model(models[name], records, measured_start=with_start)
-        for row, (name, with_start) in counted(rows.items(), progress)
+        for row, (name, with_start) in counted(rows.items(), progress, lambda row: row[0])
     }
 
 

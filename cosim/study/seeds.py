@@ -80,7 +80,7 @@ def run_seeds(
     if not named:
         raise ConfigError(f"{path}: --seeds needs the key 'laws', or --quick.")
     jobs = [partial(one_draw, study, study.seed + k, named) for k in range(seeds)]
-    with parallel.results_of(jobs) as results:
+    with parallel.results_of(jobs, names=[f"draw {k + 1}" for k in range(seeds)]) as results:
         drawn = [next(results) for _ in counted(jobs, progress)]
     reference = REFERENCE if REFERENCE in named else named[0]
     return Seeds(

@@ -319,7 +319,8 @@ class Job:
             for test, _, law, with_start in cases
         ]
         replayed: dict[str, dict[str, list[list[Array]]]] = {name: {} for name in tests}
-        with parallel.results_of(jobs) as results:
+        names = [f"{row} on {test}" for test, row, *_ in cases]
+        with parallel.results_of(jobs, names=names) as results:
             for test, row, *_ in counted(cases, partial(self.progress, "replaying the FMUs")):
                 replayed[test][row] = next(results)
         for name, logs in tests.items():

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.workflow.answer import Answer, finding_lines, shortened
 from hesr_model.errors import ArgumentError, HesrError
-from hesr_model.support.progress import Stages, silent
+from hesr_model.support.progress import Stages, counted, silent
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -151,8 +152,7 @@ def check(
     remember_trust(paths, trust=trust)
     folder = None if vdmcheck is None else path_of(vdmcheck, "a folder")
     reports = []
-    for done, path in enumerate(paths):
-        progress("checking", done, len(paths))
+    for path in counted(paths, partial(progress, "checking"), lambda path: path.name):
         report = (
             Report(path, (), ())
             if path in systems

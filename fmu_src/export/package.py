@@ -138,7 +138,7 @@ def write_fmu(
     with scratch_folder() as home:
         for name, text in sources.items():
             (home / name).write_text(text, encoding="utf-8")
-        for target in counted(wanted, progress):
+        for target in counted(wanted, progress, lambda one: one.folder):
             own = content.libraries.get(target.folder)
             library = _built(home / "all.c", about.identifier, target, own)
             for folder in folders.get(target.folder, (target.folder,)):

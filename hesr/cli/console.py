@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ import click
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support.files import written_whole
 from hesr_model.support.interrupts import Interrupted
-from hesr_model.support.progress import Stages
+from hesr_model.support.progress import Stages, listed_in
 
 INTERRUPTED = 130
 """Exit codes after signals: 128 and the number of the signal."""
@@ -166,11 +166,11 @@ def _raise_in_main_thread(number: int) -> None:
 
 @contextmanager
 def shown_progress() -> Iterator[Stages]:
-    """Show progress and remaining time on standard error.
+    """Show progress, times and the work of the moment on standard error.
 
     It is drawn on a terminal, logged with --verbose, and omitted with --quiet.
     """
-    from rich.console import Console
+    from rich.console import Console, RenderableType
     from rich.progress import (
         BarColumn,
         Progress,
@@ -180,25 +180,38 @@ def shown_progress() -> Iterator[Stages]:
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
+    from rich.text import Text
+
+    names: list[str] = []
+
+    class Block(Progress):
+        def get_renderables(self) -> Iterable[RenderableType]:
+            yield from super().get_renderables()
+            if at_work := "; ".join(names):
+                yield Text(f"  {at_work}", no_wrap=True, overflow="ellipsis")
 
     # Messages above the bar are not wrapped, so that paths in them can be copied.
     console, wanted = Console(stderr=True, soft_wrap=True), _output.get()
     tasks: dict[str, TaskID] = {}
-    with Progress(
+    block = Block(
         TextColumn("{task.description}"),
         BarColumn(20),
         TaskProgressColumn(),
         TimeElapsedColumn(),
-        TextColumn("left:"),
+        TextColumn("spent,"),
         TimeRemainingColumn(),
+        TextColumn("left"),
         console=console,
         transient=True,
         disable=wanted.quiet or wanted.verbose or not console.is_terminal,
-    ) as shown:
+    )
+    with listed_in(names), block as shown:
 
         def tell(what: str, done: int, total: int) -> None:
             _log.info("%s: %d of %d", what, done, total)
             if what not in tasks:
+                for task in shown.tasks:
+                    shown.update(task.id, visible=not task.finished)
                 tasks[what] = shown.add_task(what, total=total)
             shown.update(tasks[what], completed=done)
 

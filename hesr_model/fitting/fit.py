@@ -133,14 +133,15 @@ def fit_models(
             ]
             for law in laws
         }
-        plain = _run(jobs, workers, progress, left_out)
+        plain = _run(jobs, [r[0].joint for r in records], workers, progress, left_out)
     pooled = {law: with_pooled_errors(of_joints) for law, of_joints in plain.items()}
     banded = [
         partial(calibrated, law, of_joint)
         for of_joints in pooled.values()
         for law, of_joint in zip(of_joints, records, strict=True)
     ]
-    with parallel.results_of(banded, workers) as results:
+    names = [f"{r[0].joint}, {law}" for law in pooled for r in records]
+    with parallel.results_of(banded, workers, names=names) as results:
         fitted = {law: tuple(next(results) for _ in records) for law in pooled}
     periods = [float(np.median(np.diff(r.t))) for of_joint in records for r in of_joint]
     return {
@@ -168,6 +169,7 @@ def _all_known(errors: Sequence[float | None]) -> tuple[float, ...]:
 
 def _run(
     jobs: Mapping[str, Sequence["partial[FrictionLaw | FitError]"]],
+    joints: Sequence[str],
     workers: int | None,
     progress: Progress,
     left_out: Callable[[str, FitError], None] | None,
@@ -177,7 +179,8 @@ def _run(
     done: dict[str, list[FrictionLaw]] = {law: [] for law in jobs}
     failed: dict[str, FitError] = {}
     files = [job.keywords["progress"] for job in every]
-    with watched(files, progress), parallel.results_of(every, workers) as results:
+    names = [f"{joint}, {law}" for law in jobs for joint in joints]
+    with watched(files, progress), parallel.results_of(every, workers, names=names) as results:
         for law, of_law in jobs.items():
             for result in islice(results, len(of_law)):
                 if isinstance(result, FrictionLaw):

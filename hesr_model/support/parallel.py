@@ -6,7 +6,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -21,6 +21,7 @@ from hesr_model.errors import WorkerError
 from hesr_model.support import interrupts
 from hesr_model.support.cache import USED
 from hesr_model.support.process import ChildProcess, end_marked, new_mark
+from hesr_model.support.progress import current, running
 from hesr_model.support.worker import JOBS, JobAnswer, read_answer
 
 Returned = TypeVar("Returned")
@@ -47,16 +48,18 @@ def results_of(
     jobs: Sequence[Callable[[], Returned]],
     workers: int | None = None,
     costs: Sequence[float] = (),
+    names: Sequence[str] = (),
 ) -> Iterator[Iterator[Returned]]:
     """Run jobs in processes; yield the iterator of their results, in the order of the jobs.
 
-    Jobs with large `costs` start first. Processes are new, one per core by default, or those of
-    `one_pool`. One worker is this process. If the block fails, also by Ctrl-C, processes are killed
-    at once. The iterator raises WorkerError if a process ended before its job was done.
+    Jobs with large `costs` start first; `names` are shown while jobs run. Processes are new, one
+    per core by default, or those of `one_pool`. One worker is this process. If the block fails,
+    also by Ctrl-C, processes are killed at once. The iterator raises WorkerError if a process
+    ended before its job was done.
     """
     count = min(workers or os.cpu_count() or 1, len(jobs))
     if count <= 1:
-        yield (job() for job in jobs)
+        yield _here(jobs, names)
         return
     with ExitStack() as cleanup:
         if _sharing is None or workers is not None:
@@ -64,7 +67,7 @@ def results_of(
         else:
             cleanup.push(_sharing.stop_on_error)
             pool = _sharing.pool()
-        futures = pool.submit(jobs, costs)
+        futures = pool.submit(jobs, costs, names)
         yield (_result(future) for future in futures)
 
 
@@ -94,7 +97,8 @@ def shared() -> bool:
     return _sharing is not None
 
 
-_Task = tuple[int, int, Future[JobAnswer]]  # batch, job in it, and its answer
+# Batch, job in it, its answer, and the display of its name.
+_Task = tuple[int, int, Future[JobAnswer], AbstractContextManager[None]]
 
 
 class _Pool:
@@ -127,7 +131,10 @@ class _Pool:
                 child.process.wait()
 
     def submit(
-        self, jobs: Sequence[Callable[[], object]], costs: Sequence[float] = ()
+        self,
+        jobs: Sequence[Callable[[], object]],
+        costs: Sequence[float] = (),
+        names: Sequence[str] = (),
     ) -> list[Future[JobAnswer]]:
         """Queue jobs, the most expensive first; return futures of answers."""
         self._batches += 1
@@ -137,7 +144,7 @@ class _Pool:
                 self._start()
         futures = [Future[JobAnswer]() for _ in jobs]
         for k in sorted(range(len(jobs)), key=lambda k: -costs[k] if costs else k):
-            self._tasks.put((self._batches, k, futures[k]))
+            self._tasks.put((self._batches, k, futures[k], _display(names, k)))
         return futures
 
     def _start(self) -> None:
@@ -163,10 +170,12 @@ class _Pool:
         assert answers is not None
         with requests, answers:
             while (task := self._tasks.get()) is not None:
-                batch, k, future = task
+                batch, k, future, display = task
                 try:
-                    os.write(requests.fileno(), f"{batch} {k}\n".encode())
-                    future.set_result(read_answer(answers))
+                    with display:
+                        os.write(requests.fileno(), f"{batch} {k}\n".encode())
+                        answer = read_answer(answers)
+                    future.set_result(answer)
                 except (EOFError, OSError):
                     for other in self._children:
                         other.process.kill()
@@ -212,6 +221,17 @@ class _SharedPool:
 
 
 _sharing: _SharedPool | None = None
+
+
+def _display(names: Sequence[str], k: int) -> AbstractContextManager[None]:
+    return running(names[k], current()) if names else nullcontext()
+
+
+def _here(jobs: Sequence[Callable[[], Returned]], names: Sequence[str]) -> Iterator[Returned]:
+    for k, job in enumerate(jobs):
+        with _display(names, k):
+            result = job()
+        yield result
 
 
 def _result(future: "Future[JobAnswer]") -> Any:

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TypeVar
@@ -18,11 +18,42 @@ def silent(*_told: object) -> None:
     """Report nothing."""
 
 
-def counted(items: Collection[Item], progress: Progress) -> Iterator[Item]:
-    """Yield items; report the number of finished ones."""
+_current: ContextVar[list[str]] = ContextVar("_current")
+
+
+def current() -> list[str]:
+    """Return the list of the work in progress, which `running` changes."""
+    return _current.get([])
+
+
+@contextmanager
+def listed_in(names: list[str]) -> Iterator[None]:
+    """List the work in progress within the block in `names`."""
+    token = _current.set(names)
+    try:
+        yield
+    finally:
+        _current.reset(token)
+
+
+@contextmanager
+def running(name: str, listed: list[str]) -> Iterator[None]:
+    """List the block as work in progress."""
+    listed.append(name)
+    try:
+        yield
+    finally:
+        listed.remove(name)
+
+
+def counted(
+    items: Collection[Item], progress: Progress, name: Callable[[Item], str] | None = None
+) -> Iterator[Item]:
+    """Yield items; report the number of finished ones, and the `name` of the current one."""
     for done, item in enumerate(items):
         progress(done, len(items))
-        yield item
+        with running(name(item), current()) if name else nullcontext():
+            yield item
     progress(len(items), len(items))
 
 

@@ -177,8 +177,10 @@ def test_long_work_shows_progress_and_remaining_time(ran: Run, tmp_path: Path) -
         *("--rigid-body", results / "rigid_body.json", "--law", "lugre"),
         *("-o", tmp_path / "law.json"),
     )
-    assert re.search(r"fitting lugre .* 0% \d:\d\d:\d\d left: -:--:--", drawn)
+    assert re.search(r"fitting lugre .* 0% \d:\d\d:\d\d spent, -:--:-- left", drawn)
     assert re.search(r"fitting lugre .* 100%", drawn)
+    assert re.search(r"^  .*joint[123], lugre", drawn, re.MULTILINE)  # all jobs at work
+    assert not re.search(r"reading logs [^\r\n]*\r?\nfitting lugre", drawn)  # one stage at a time
     # Sentences, such as findings in a log, are not wrapped.
     bars = [line for line in re.split(r"[\r\n]+|\x1b\[[\d;?]*[A-Za-z]", drawn) if "━" in line]
     assert max(map(len, bars)) <= 80

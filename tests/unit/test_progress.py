@@ -1,10 +1,15 @@
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
+import pytest
+
+from hesr_model.support import parallel
 from hesr_model.support.progress import (
     counted,
     into_file,
+    listed_in,
     silent,
     step,
     steps_told,
@@ -22,6 +27,27 @@ def test_items_are_counted_before_each_and_after_the_last() -> None:
 
     assert list(work()) == ["a", "b"]
     assert told == [(0, 2), "a", (1, 2), "b", (2, 2)]
+
+
+def test_items_are_listed_while_in_progress() -> None:
+    names: list[str] = []
+    with listed_in(names):
+        seen = [(item, names.copy()) for item in counted([1, 2], silent, str)]
+    assert (seen, names) == ([(1, ["1"]), (2, ["2"])], [])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_jobs_are_listed_while_they_run(workers: int) -> None:
+    class Names(list[str]):
+        def append(self, name: str) -> None:
+            super().append(name)
+            most.append(len(self))
+
+    most: list[int] = []
+    names, jobs = Names(), [partial(time.sleep, 0.05)] * 5
+    with listed_in(names), parallel.results_of(jobs, workers, names=list("abcde")) as results:
+        assert list(results) == [None] * 5
+    assert (names, len(most), max(most)) == ([], 5, workers)
 
 
 def test_progress_without_a_listener_is_dropped() -> None:

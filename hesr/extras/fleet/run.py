@@ -34,7 +34,8 @@ def run_fleet(
     robots = members(study, path)
     with taken(output, ROBOTS, ABOUT, {"key": study.name}):
         jobs = [partial(look_at, robot, study, output / ROBOTS / robot.name) for robot in robots]
-        with parallel.results_of(jobs, workers) as done_before:
+        names = [robot.name for robot in robots]
+        with parallel.results_of(jobs, workers, names=names) as done_before:
             each = counted(jobs, partial(progress, study.name))
             reused = sum(next(done_before) for _ in each)
         results = tuple(read_result(output / ROBOTS / robot.name) for robot in robots)
