@@ -1,10 +1,12 @@
 """Report of a run: a first layer, then folded sections, from saved results."""
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from markupsafe import Markup
 
@@ -84,17 +86,18 @@ def write_report(
     results = replace(Results.read(folder), audited=audits)
     path = output or folder / REPORT
     parts = [part for of_section in SECTIONS.values() for part in of_section]
-    jobs = [partial(_made, part, results, folder) for part in parts]
+    home = _link_from(path.parent.resolve(), folder.resolve())
+    jobs = [partial(_made, part, results, folder, home) for part in parts]
     made: list[Made] = []
     # Starting processes costs more than they save.
     workers, names = None if parallel.shared() else 1, [part.title or part.key for part in parts]
     with parallel.results_of(jobs, workers, names=names) as found:
-        made += filter(None, [_made(_SUMMARY, results, folder)])
+        made += filter(None, [_made(_SUMMARY, results, folder, home)])
         for _ in counted(jobs, partial(progress, "writing the report")):
             made += filter(None, [next(found)])
     zooms = {key: data for one in made for key, data in one.zooms.items()}
     sections = [
-        _section(*names, [one for one in made if one.part in of_section])
+        _section(*names, [one for one in made if one.part in of_section], home)
         for names, of_section in SECTIONS.items()
     ]
     _write_index(Tables(folder / TABLES), made)
@@ -110,22 +113,31 @@ def write_report(
     return path
 
 
-def _made(part: Chapter, results: Results, folder: Path) -> Made | None:
+def _link_from(place: Path, folder: Path) -> str:
+    """Return what links from a page in `place` to files of `folder` begin with."""
+    try:
+        way = quote(Path(os.path.relpath(folder, place)).as_posix())
+    except ValueError:  # two drives of Windows
+        way = folder.as_uri()
+    return "" if way == "." else f"{way}/"
+
+
+def _made(part: Chapter, results: Results, folder: Path, home: str) -> Made | None:
     pictures, tables = Pictures(folder / FIGURES), Tables(folder / TABLES)
     values = part.values(results)
     if values is None:
         return None
-    values |= {"unit": results.unit, "table": tables.table, "csv": tables.csv}
+    values |= {"home": home, "unit": results.unit, "table": tables.table, "csv": tables.csv}
     values |= {"figure": pictures.figure, "chart": pictures.chart, "drawing": pictures.drawing}
     html = render(f"sections/{part.key}.html.j2", **values)
     return Made(part, html, pictures.zooms, tables.written)
 
 
-def _section(key: str, title: str, parts: list[Made]) -> Section | None:
+def _section(key: str, title: str, parts: list[Made], home: str) -> Section | None:
     if not parts:
         return None
     files = {f"{TABLES}/{file}": text for one in parts for file, (text, _) in one.tables.items()}
-    html = render("section.html.j2", parts=parts, files=files)
+    html = render("section.html.j2", parts=parts, files=files, home=home)
     return Section(key=key, title=title, html=html, folded=True)
 
 

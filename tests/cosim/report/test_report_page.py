@@ -1,6 +1,7 @@
 """The report: sections, numbers, files, missing data and errors."""
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, unquote
 
 import numpy as np
 import pandas as pd
@@ -16,7 +18,7 @@ import pytest
 from small_study import Hesr, hesr_here
 
 from cosim.report.markup import Tables
-from cosim.report.page import write_report
+from cosim.report.page import _link_from, write_report
 from cosim.report.results import Results
 from cosim.report.sections.summary import errors as summary_errors
 from cosim.report.tables.table import ResultTable
@@ -162,7 +164,8 @@ def test_every_table_is_a_csv_file_with_the_same_data(
     page = Page(write_report(results, tmp_path / "page.html"))
     files = {path.name for path in (results / "tables").iterdir()}
     assert set(described) == files
-    assert {f"tables/{name}" for name in files} <= set(page.files) | {"tables/joints.csv"}
+    linked = {Path(link).name for link in page.files}
+    assert files <= linked | {"joints.csv"}
     captions = re.findall(r"<caption>([^<]+)</caption>", page.text)
     assert {unescape(one) for one in captions} <= {one.caption for one in described.values()}
     for name, shown in described.items():
@@ -232,7 +235,31 @@ def test_names_are_escaped(results: Path) -> None:
 @of_a_whole_study
 def test_the_page_is_reproducible(results: Path, tmp_path: Path) -> None:
     pages = [write_report(results, tmp_path / name).read_bytes() for name in ("a", "b")]
-    assert pages[0] == pages[1] == (results / "report.html").read_bytes()
+    assert pages[0] == pages[1]
+    home = f'href="{quote(os.path.relpath(results, tmp_path))}/'.encode()
+    assert pages[0].replace(home, b'href="') == (results / "report.html").read_bytes()
+
+
+@pytest.mark.ci
+def test_links_of_a_page_elsewhere_lead_to_the_results(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a b").mkdir()
+    for name in ("page.html", "a b/page.html"):
+        monkeypatch.chdir(tmp_path)
+        page = write_report(results, Path(name))
+        links = re.findall(r'href="([^"#:]+)"', page.read_text(encoding="utf-8"))
+        files = {(page.parent / unquote(link)).resolve() for link in links}
+        assert {results.resolve() / "tables/index.csv", *results.resolve().glob("fmus/*")} <= files
+        assert [file for file in files if not file.is_file()] == []
+
+
+def test_links_to_another_drive_are_absolute(monkeypatch: pytest.MonkeyPatch) -> None:
+    def relpath(path: Path, start: Path) -> str:
+        raise ValueError(f"path is on mount {path!r}, start on mount {start!r}")
+
+    monkeypatch.setattr(os.path, "relpath", relpath)
+    assert _link_from(Path("/a"), Path("/b c")) == "file:///b%20c/"
 
 
 @of_a_whole_study
