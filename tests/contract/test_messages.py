@@ -1,6 +1,7 @@
-"""User-visible sentences, listed by module in `messages.txt` so that changes show in a diff.
+"""User-visible sentences, listed by module so that changes show in a diff.
 
-`make messages` writes the file.
+`messages.txt` has errors, warnings, findings and the output of commands; `descriptions.txt` has
+descriptions of variables and options, and texts of pages. `make messages` writes both.
 """
 
 import ast
@@ -11,9 +12,19 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
-SNAPSHOT = Path(__file__).with_name("messages.txt")
+SNAPSHOTS = {kind: Path(__file__).with_name(f"{kind}.txt") for kind in ("messages", "descriptions")}
 PACKAGES = ("hesr", "hesr_model", "fmu_src", "cosim")
+# Modules whose sentences are descriptions, except those of errors and log records.
+DESCRIPTIVE = re.compile(
+    r"cosim/(report|properties)/|cosim/loop/(closed_loop|robustness)|cosim/systems/ssp_results"
+    r"|fmu_src/(blocks|drive|export|friction|pages)/|fmu_src/arm/(parts|truth)"
+    r"|fmu_src/run/reference_results|hesr_model/(audit|friction|laws)/|hesr/cli/(app|derive)"
+    r"|hesr/extras/(laws|modelica|one_file)/|hesr/extras/\w+/(component|figures|monitor|page|tables)"
+)
+LOGGED = {"debug", "info", "warning", "error"}
 # Literals that are code, markup or patterns, not sentences.
 NOT_PROSE = re.compile(
     r"</?[a-z!]|/>|->|;\n|\(\?|\\[ndsbw(]|^\s*[\[(/#*]|==|&&|\bdouble\b|\breturn\b|[a-z]\(.*\);"
@@ -45,10 +56,21 @@ def _part(part: ast.expr) -> str:
     return str(ast.literal_eval(part))
 
 
-def _strings(path: Path) -> Iterator[str]:
+def _is_error(node: ast.AST) -> bool:
+    """Tell whether a node raises or logs its strings."""
+    if not isinstance(node, ast.Call):
+        return isinstance(node, ast.Raise)
+    name = ast.unparse(node.func)
+    return name.endswith("Error") or name.rpartition(".")[2] in LOGGED
+
+
+def _strings(path: Path) -> Iterator[tuple[str, str]]:
+    """Yield the kind and text of each sentence."""
     source = path.read_text(encoding="utf-8")
+    kind = "descriptions" if DESCRIPTIVE.match(str(path.relative_to(ROOT))) else "messages"
     if path.suffix != ".py":
-        yield from filter(is_sentence, re.findall(r'"((?:[^"\\\n]|\\.)*)"', source))
+        literals = re.findall(r'"((?:[^"\\\n]|\\.)*)"', source)
+        yield from ((kind, text) for text in literals if is_sentence(text))
         return
     tree = ast.parse(source)
     inner = {
@@ -59,11 +81,16 @@ def _strings(path: Path) -> Iterator[str]:
         if child is not node and (isinstance(node, ast.JoinedStr) or child is node.value)
         if isinstance(child, ast.Constant | ast.JoinedStr)
     }
-    raised = {c for n in ast.walk(tree) if isinstance(n, ast.Raise) for c in ast.walk(n)}
+    listed = {  # names in one string, as of columns
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and node.attr == "split"
+    }
+    raised = {c for n in ast.walk(tree) if _is_error(n) for c in ast.walk(n)}
     for node in ast.walk(tree):
-        text = None if node in inner else literal(node)
+        text = None if node in inner or node in listed else literal(node)
         if text and is_sentence(text, 2 if node in raised else 3):
-            yield text
+            yield "messages" if node in raised else kind, text
 
 
 def is_sentence(text: str, least: int = 3) -> bool:
@@ -72,28 +99,28 @@ def is_sentence(text: str, least: int = 3) -> bool:
 
 
 @cache
-def messages() -> dict[str, list[str]]:
-    """Sentences by module, in alphabetical order."""
-    found = {}
+def sentences() -> dict[str, dict[str, list[str]]]:
+    """Sentences by kind and module, in alphabetical order."""
+    found: dict[str, dict[str, list[str]]] = {kind: {} for kind in SNAPSHOTS}
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.*")):
-            if path.suffix not in {".py", ".c", ".h"}:
-                continue
-            texts = {" ".join(t.split()) for t in _strings(path)}
-            if texts:
-                found[str(path.relative_to(ROOT))] = sorted(texts)
+            if path.suffix in {".py", ".c", ".h"}:
+                for kind, text in sorted({(k, " ".join(t.split())) for k, t in _strings(path)}):
+                    found[kind].setdefault(str(path.relative_to(ROOT)), []).append(text)
     return found
 
 
-def listed() -> str:
-    parts = (f"# {module}\n" + "\n".join(texts) for module, texts in messages().items())
+def listed(kind: str) -> str:
+    parts = (f"# {module}\n" + "\n".join(texts) for module, texts in sentences()[kind].items())
     return "\n\n".join(parts) + "\n"
 
 
-def test_the_snapshot_is_up_to_date() -> None:
+@pytest.mark.parametrize("kind", SNAPSHOTS)
+def test_the_snapshot_is_up_to_date(kind: str) -> None:
+    file = SNAPSHOTS[kind]
     if "WRITE_MESSAGES" in os.environ:
-        SNAPSHOT.write_text(listed(), encoding="utf-8")
-    assert SNAPSHOT.read_text(encoding="utf-8") == listed(), "run `make messages` and read the diff"
+        file.write_text(listed(kind), encoding="utf-8")
+    assert file.read_text(encoding="utf-8") == listed(kind), "run `make messages` and read the diff"
 
 
 def _asserted() -> Iterator[tuple[str, str]]:
@@ -116,7 +143,12 @@ def _pairs(text: str) -> set[str]:
 
 
 def test_sentences_asserted_in_tests_are_in_the_snapshot() -> None:
-    known = [_pairs(text) for texts in messages().values() for text in texts]
+    known = [
+        _pairs(text)
+        for modules in sentences().values()
+        for texts in modules.values()
+        for text in texts
+    ]
     unknown, asserted = [], 0
     for place, text in _asserted():
         pairs = _pairs(text)
