@@ -1,7 +1,8 @@
 """User-visible sentences, listed by module so that changes show in a diff.
 
-`messages.txt` has errors, warnings, findings and the output of commands; `descriptions.txt` has
-descriptions of variables and options, and texts of pages. `make messages` writes both.
+`messages.txt` has errors, warnings and the output of commands, `findings.txt` sentences about logs,
+laws and FMUs, `descriptions.txt` descriptions of variables and options, and texts of pages.
+`make messages` writes them.
 """
 
 import ast
@@ -15,11 +16,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SNAPSHOTS = {kind: Path(__file__).with_name(f"{kind}.txt") for kind in ("messages", "descriptions")}
+KINDS = ("messages", "findings", "descriptions")
+SNAPSHOTS = {kind: Path(__file__).with_name(f"{kind}.txt") for kind in KINDS}
 PACKAGES = ("hesr", "hesr_model", "fmu_src", "cosim")
-# Modules whose sentences are descriptions, except those of errors and log records.
+# Modules by kind of their sentences, except those of errors and log records.
+FINDINGS = re.compile(
+    r"cosim/(properties/|study/verdict)|fmu_src/check/|hesr_model/(audit/(attack|certificate)|health/)"
+    r"|hesr/extras/mjcf/parts"
+)
 DESCRIPTIVE = re.compile(
-    r"cosim/(report|properties)/|cosim/loop/(closed_loop|robustness)|cosim/systems/ssp_results"
+    r"cosim/report/|cosim/loop/(closed_loop|robustness)|cosim/systems/ssp_results"
     r"|fmu_src/(blocks|drive|export|friction|pages)/|fmu_src/arm/(parts|truth)"
     r"|fmu_src/run/reference_results|hesr_model/(audit|friction|laws)/|hesr/cli/(app|derive)"
     r"|hesr/extras/(laws|modelica|one_file)/|hesr/extras/\w+/(component|figures|monitor|page|tables)"
@@ -67,7 +73,9 @@ def _is_error(node: ast.AST) -> bool:
 def _strings(path: Path) -> Iterator[tuple[str, str]]:
     """Yield the kind and text of each sentence."""
     source = path.read_text(encoding="utf-8")
-    kind = "descriptions" if DESCRIPTIVE.match(str(path.relative_to(ROOT))) else "messages"
+    name = str(path.relative_to(ROOT))
+    kind = "descriptions" if DESCRIPTIVE.match(name) else "messages"
+    kind = "findings" if FINDINGS.match(name) else kind
     if path.suffix != ".py":
         literals = re.findall(r'"((?:[^"\\\n]|\\.)*)"', source)
         yield from ((kind, text) for text in literals if is_sentence(text))
@@ -82,9 +90,9 @@ def _strings(path: Path) -> Iterator[tuple[str, str]]:
         if isinstance(child, ast.Constant | ast.JoinedStr)
     }
     listed = {  # names in one string, as of columns
-        node.value
+        node.args[0]
         for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and node.attr == "split"
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "_words"
     }
     raised = {c for n in ast.walk(tree) if _is_error(n) for c in ast.walk(n)}
     for node in ast.walk(tree):

@@ -250,7 +250,8 @@ def test_links_of_a_page_elsewhere_lead_to_the_results(
         page = write_report(results, Path(name))
         links = re.findall(r'href="([^"#:]+)"', page.read_text(encoding="utf-8"))
         files = {(page.parent / unquote(link)).resolve() for link in links}
-        assert {results.resolve() / "tables/index.csv", *results.resolve().glob("fmus/*")} <= files
+        assert results.resolve() / "tables/index.csv" in files
+        assert results.resolve() / "fmus/stribeck.fmu" in files
         assert [file for file in files if not file.is_file()] == []
 
 
