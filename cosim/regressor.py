@@ -163,7 +163,7 @@ class FrictionRegressor:
         model = self._fitted()
         if (logs := self._logs(X)) is not None:
             if len(logs) != 1:
-                raise TableError(f"predict() was given {len(logs)} logs; needed is one.")
+                raise TableError(f"predict() was given {len(logs)} logs; expected one.")
             (records,) = self._records(logs)
             return self._whole(model.predict(records), records)
         moved = self._table(X)

@@ -243,13 +243,13 @@ def _require_inertia(subject: Subject, joints: int | None = None) -> Array | Non
     wanted = len(model.laws) if model else joints
     if wanted is not None and len(given) not in (1, wanted):
         raise ConfigError(
-            f"{subject.name}: {len(given)} inertias are given; needed is one, or one for each of "
+            f"{subject.name}: {len(given)} inertias are given; expected one, or one for each of "
             f"the {wanted} joints."
         )
     for joint, value in enumerate(given, start=1):
         if not (isfinite(value) and value > 0.0):
             raise ConfigError(
-                f"{subject.name}: the inertia of joint {joint} is {value:g} kg.m2; needed is a "
+                f"{subject.name}: the inertia of joint {joint} is {value:g} kg.m2; expected a "
                 "positive number."
             )
     return np.broadcast_to(np.array(given), (wanted or len(given),)).copy()

@@ -186,7 +186,7 @@ def per_joint(name: str, values: PerJoint | None, joints: int) -> tuple[float, .
         return several
     if len(several) > 1:
         raise ArgumentError(
-            f"'{name}': found {len(several)} values, but the model has {joints} joints; needed is "
+            f"'{name}': found {len(several)} values, but the model has {joints} joints; expected "
             "one for each, or one for all."
         )
     return several * joints

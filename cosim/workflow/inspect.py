@@ -171,7 +171,7 @@ def inspect(
         )
     files = [g.path if isinstance(g, Log) else path_of(g, "a log") for g in listed(logs)]
     if None in files or not files:
-        raise ArgumentError("logs are inspected in their files; needed is the path of each.")
+        raise ArgumentError("logs are inspected in their files; expected the path of each.")
     progress("inspecting logs", 0, 1)
     proposal = inspected([file for file in files if file], robot)
     constants: Sequence[Constant] = ()
@@ -230,7 +230,7 @@ def _torque_constants(
     carried = tuple(payload) if isinstance(payload, Sequence) else None
     if payload is not None and (carried is None or len(carried) != 4):
         raise ArgumentError(
-            f"'payload': found {len(carried or (payload,))} values; needed are its mass and the "
+            f"'payload': found {len(carried or (payload,))} values; expected its mass and the "
             "three coordinates of its centre."
         )
     model = robot_of(robot, ())

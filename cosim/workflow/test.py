@@ -229,7 +229,7 @@ def test(
         if name not in (*KINDS, *plugged):
             raise ArgumentError(f"'kind' is {name}; allowed are {', '.join((*KINDS, *plugged))}.")
     if not isfinite(load):
-        raise ArgumentError(f"'load' is {load}; needed is a number.")
+        raise ArgumentError(f"'load' is {load}; expected a number.")
     tested = laws_of(laws)
     remember_trust((law.fmu for law in tested if law.fmu), trust=trust)
     report = LawReport(laws=tested)

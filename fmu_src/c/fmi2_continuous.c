@@ -79,7 +79,7 @@ static Instance *with_array(fmi2Component c, int modes, const char *function, co
     Instance *instance =
         n > 0 ? entered_with(c, modes, function, array) : entered(c, modes, function);
     if (instance && n != own && (own > 0 || n > 1)) {
-        complain(instance, "%s: the array has %lu elements; needed are %lu.", function,
+        complain(instance, "%s: the array has %lu elements; expected %lu.", function,
                  (unsigned long)n, (unsigned long)own);
         failed(instance);
         return NULL;

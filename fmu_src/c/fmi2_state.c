@@ -146,7 +146,7 @@ static bool is_sound(Saved *saved, Message *why) {
     const uint64_t sum = saved->sum;
     saved->sum = 0;
     if (saved->version != STATE_VERSION) {
-        snprintf(why->text, sizeof why->text, "it is of version %lu, needed is %d",
+        snprintf(why->text, sizeof why->text, "it is of version %lu, expected %d",
                  (unsigned long)saved->version, STATE_VERSION);
         return false;
     }

@@ -169,7 +169,7 @@ FMI2_STATUS(fmi2SetReal)
     for (size_t i = 0; i < n; i++) {
         const Variable *variable = variable_of(vr[i]);
         if (value[i] < variable->low || value[i] > variable->high) {
-            return refuse(instance, "%s: %s is %g; needed is %g to %g.", function, variable->name,
+            return refuse(instance, "%s: %s is %g; expected %g to %g.", function, variable->name,
                           value[i], variable->low, variable->high);
         }
     }
@@ -189,7 +189,7 @@ FMI2_STATUS(fmi2SetInteger)
     for (size_t i = 0; i < n; i++) {
         const Variable *variable = variable_of(vr[i]);
         if (value[i] < variable->low || value[i] > variable->high) {
-            complain(instance, "%s: %s is %d; needed is %g to %g.", function, variable->name,
+            complain(instance, "%s: %s is %d; expected %g to %g.", function, variable->name,
                      value[i], variable->low, variable->high);
             return failed(instance);
         }

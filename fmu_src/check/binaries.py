@@ -153,7 +153,7 @@ def _exports(
     part: Mapping[str, Any], about: ParsedDescription, kinds: list[InterfaceKind]
 ) -> Iterator[str]:
     if not part["shared"]:
-        yield "it is a program or object file; needed is a shared library."
+        yield "it is a program or object file; expected a shared library."
     exports = set(part["exports"])
     if about.fmi == 2:
         for kind in kinds:

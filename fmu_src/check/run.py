@@ -188,5 +188,5 @@ def _model(contents: Contents) -> tuple[etree._Element | None, list[str]]:
         return None, [*texts, f"{_MODEL}: its root is {tag}; it must be 'fmiModelDescription'."]
     version = root.get("fmiVersion", "")
     if version not in ("1.0", "2.0") and not version.startswith("3."):
-        return None, [*texts, f"{_MODEL}: its fmiVersion is {quoted(version)}; needed is '2.0'."]
+        return None, [*texts, f"{_MODEL}: its fmiVersion is {quoted(version)}; expected '2.0'."]
     return root, texts

@@ -82,7 +82,7 @@ def motors(
         for joint, value in enumerate(values, start=1):
             if not (isfinite(value) and sound(value)):
                 raise ExportError(
-                    f"drive: '{name}' of joint {joint} is {value:g} {unit}; needed is {text}."
+                    f"drive: '{name}' of joint {joint} is {value:g} {unit}; expected {text}."
                 )
         found[name] = values
     return Motors(**found)

@@ -106,7 +106,7 @@ class Interface:
             if twice or not _NAME.fullmatch(variable.name):
                 odd = "used twice" if twice else "not a structured name of FMI"
                 raise ExportError(
-                    f"variable name '{variable.name}' is {odd}; needed are distinct names of "
+                    f"variable name '{variable.name}' is {odd}; expected distinct names of "
                     "letters, digits and underscores."
                 )
             seen.add(variable.name)

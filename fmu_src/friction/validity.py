@@ -54,7 +54,7 @@ def discretisation_of(model: FrictionModel) -> str:
     if len(found) > 1:
         raise ExportError(
             f"friction model '{model.law}': its joints use both exact and Euler integration; "
-            "needed is one for all joints."
+            "expected one for all joints."
         )
     return found.pop() if found else "exact"
 

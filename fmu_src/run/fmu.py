@@ -144,7 +144,7 @@ class FmuInstance:
         library = f"{VERSIONS[fmi].folder}{identifier}{SUFFIX}"
         if not (folder / library).is_file():
             raise SimulationError(
-                f"{self.fmu}: has no binary for this platform; needed is {library}."
+                f"{self.fmu}: has no binary for this platform; expected {library}."
             )
         unpacked = UnpackedFmu(
             folder=str(folder),

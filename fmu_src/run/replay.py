@@ -53,7 +53,7 @@ def replay(
     for name, part in zip(given, parts, strict=True):
         if part.shape != zero.shape:
             raise SimulationError(
-                f"{component.fmu}: '{name}' has the shape {part.shape}; needed is {zero.shape}, "
+                f"{component.fmu}: '{name}' has the shape {part.shape}; expected {zero.shape}, "
                 f"{len(time)} samples of {joints} joints."
             )
     if np.any(np.diff(time) <= 0.0):

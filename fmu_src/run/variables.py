@@ -75,7 +75,7 @@ def description_of(folder: Path, fmu: Path) -> tuple[ModelDescription, list[Decl
         # It becomes a file name and part of function names.
         if kind is not None and not _IDENTIFIER.fullmatch(kind.modelIdentifier or ""):
             raise SimulationError(
-                f"{fmu}: its modelIdentifier is {quoted(str(kind.modelIdentifier))}; needed is an "
+                f"{fmu}: its modelIdentifier is {quoted(str(kind.modelIdentifier))}; expected an "
                 "identifier of C with at most 200 characters."
             )
     return about, declared
@@ -288,6 +288,6 @@ class Variables:
         if variable.type == "Integer":
             items = {m[2]: int(m[1]) for m in _CHOICE.finditer(variable.description or "")}
         if value not in items:
-            known = f"needed is one of {', '.join(items)}" if items else "it has no choices"
+            known = f"expected one of {', '.join(items)}" if items else "it has no choices"
             raise SimulationError(f"{self._fmu}: '{name}' cannot be '{value}'; {known}.")
         return items[value]

@@ -76,7 +76,7 @@ class _Numbers(Kind):
             return tuple(float(part) for part in str(value).split(","))
         except ValueError as error:
             raise ConfigError(
-                f"{_option(param)} is '{value}'; needed are numbers with commas between them, as "
+                f"{_option(param)} is '{value}'; expected numbers with commas between them, as "
                 "3,3,0.6."
             ) from error
 
@@ -91,7 +91,7 @@ class _Pair(Kind):
             return parse_toml(str(value))
         except ValueError as error:
             raise ConfigError(
-                f"{_option(param)} is '{value}'; needed is KEY=VALUE with a value as in TOML, for "
+                f"{_option(param)} is '{value}'; expected KEY=VALUE with a value as in TOML, for "
                 'instance ripple=false or search="paper".'
             ) from error
 

@@ -134,7 +134,7 @@ class FrictionLaw:
             odd = sorted(set(needed) ^ set(self.values))[0]
             raise ArtifactError(
                 f"law '{self.name}': coefficient '{odd}' is "
-                f"{'missing' if odd in needed else 'unknown'}; needed are {', '.join(needed)}."
+                f"{'missing' if odd in needed else 'unknown'}; expected {', '.join(needed)}."
             )
         object.__setattr__(self, "values", {name: float(self.values[name]) for name in needed})
         for name, value in self.values.items():

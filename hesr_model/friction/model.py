@@ -108,7 +108,7 @@ class FrictionModel:
             )
         if not 0.0 < self.sample_time < inf:
             raise ArtifactError(
-                f"friction model '{self.law}': sample time is {self.sample_time} s; needed is a "
+                f"friction model '{self.law}': sample time is {self.sample_time} s; expected a "
                 "positive number."
             )
         if not any(self.sliding):
@@ -348,7 +348,7 @@ class FrictionModel:
         rows = np.broadcast_to(0.0, shape) if values is None else np.asarray(values, dtype=float)
         if rows.shape != shape:
             raise SimulationError(
-                f"friction model '{self.law}': '{name}' has the shape {rows.shape}; needed is "
+                f"friction model '{self.law}': '{name}' has the shape {rows.shape}; expected "
                 f"{shape}, {count} samples of {len(self.joints)} joints."
             )
         return rows
@@ -358,7 +358,7 @@ class FrictionModel:
         if found != self.joints:
             raise SimulationError(
                 f"friction model '{self.law}': the records are of the joints "
-                f"{', '.join(found) or 'none'}; needed is one record each of "
+                f"{', '.join(found) or 'none'}; expected one record each of "
                 f"{', '.join(self.joints)}, in this order."
             )
 

@@ -77,7 +77,7 @@ class JointEntry:
             unit = unit_of_joint(coefficient.unit, slides=bool(self.sliding))
             if entry is not None and entry.unit != unit:
                 raise ArtifactError(
-                    f"coefficient '{coefficient.name}' has the unit '{entry.unit}', needed is "
+                    f"coefficient '{coefficient.name}' has the unit '{entry.unit}', expected "
                     f"'{unit}'."
                 )
         errors = {name: entry.standard_error for name, entry in entries.items()}

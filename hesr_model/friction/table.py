@@ -12,7 +12,7 @@ from hesr_model.errors import TableError
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
-_NEEDED = "needed are t, q, dq, load, or t, q1.., dq1.., load1.. of several joints"
+_NEEDED = "expected t, q, dq, load, or t, q1.., dq1.., load1.. of several joints"
 _NAME = re.compile(r"(q|dq|load|tau_load)(\d*)")
 
 
@@ -30,7 +30,7 @@ class MotionTable:
         n = self.dq.shape[1]
         if friction.shape[1] != n:
             raise TableError(
-                f"y has {friction.shape[1]} columns, but X is the motion of {n} joints; needed is "
+                f"y has {friction.shape[1]} columns, but X is the motion of {n} joints; expected "
                 "one column for each joint."
             )
         joints = robot_joints or [f"joint{k}" for k in range(1, n + 1)]
@@ -51,7 +51,7 @@ class MotionTable:
 def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
     """Return the finite numbers (N, P) and column names of a table; raise TableError otherwise."""
     if hasattr(table, "tocsr"):
-        raise TableError(f"{name} is a sparse matrix; needed is a dense table.")
+        raise TableError(f"{name} is a sparse matrix; expected a dense table.")
     names: tuple[str, ...] = ()
     if isinstance(table, Mapping):
         names, values = tuple(map(str, table)), _columns(table, name)
@@ -67,7 +67,7 @@ def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
         raise TableError(f"{name} must hold numbers ({error}).") from error
     if found.ndim != 2:
         raise TableError(
-            f"{name} has {found.ndim} dimensions; needed is a table of rows and columns. Reshape "
+            f"{name} has {found.ndim} dimensions; expected a table of rows and columns. Reshape "
             "your data: X.reshape(-1, 1) has one column, X.reshape(1, -1) one row."
         )
     if found.shape[1] < 1:
@@ -77,7 +77,7 @@ def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
     if len(found) < 1:
         raise TableError(f"{name} has 0 sample(s) (shape={found.shape}); rows are needed.")
     if not np.all(np.isfinite(found)):
-        raise TableError(f"{name} contains NaN or infinity; needed are finite numbers.")
+        raise TableError(f"{name} contains NaN or infinity; expected finite numbers.")
     return found, names
 
 
@@ -124,7 +124,7 @@ def motion(values: Array, names: Sequence[str] = ()) -> MotionTable:
 def _columns(table: Mapping[str, Any], name: str) -> NDArray[Any]:
     lengths = {np.shape(column) for column in table.values()}
     if len(lengths) != 1 or len(next(iter(lengths))) != 1:
-        raise TableError(f"{name} has columns of unequal lengths; needed is a table.")
+        raise TableError(f"{name} has columns of unequal lengths; expected a table.")
     return np.column_stack([np.asarray(column) for column in table.values()])
 
 
@@ -150,7 +150,7 @@ def _in_order(values: Array) -> dict[str, Array]:
     joints, odd = divmod(values.shape[1] - 1, 3)
     if odd or not joints:
         raise TableError(
-            f"X has {values.shape[1]} columns without names; needed are t, and q, dq and load of "
+            f"X has {values.shape[1]} columns without names; expected t, and q, dq and load of "
             "each joint."
         )
     parts = np.split(values[:, 1:], 3, axis=1)

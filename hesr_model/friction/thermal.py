@@ -50,7 +50,7 @@ class Thermal:
             positive = name in ("coulomb_scale", "viscous_scale", "time_constant")
             if not isfinite(value) or (positive and value <= 0.0):
                 needed = "a positive number" if positive else "a number"
-                raise ArtifactError(f"thermal model: '{name}' is {value}; needed is {needed}.")
+                raise ArtifactError(f"thermal model: '{name}' is {value}; expected {needed}.")
 
     def factors(self, temperature: Array) -> tuple[Array, Array]:
         """Return the Coulomb and viscous factors at temperatures (N,) [degC]."""

@@ -35,7 +35,7 @@ class TrainedRange:
         if not (self.speed > 0.0 and self.sample_time > 0.0):
             raise ArtifactError(
                 f"trained range of 'dq' is {self.dq[0]} to {self.dq[1]} rad/s at a sample time of "
-                f"{self.sample_time} s; needed are motion and a positive time."
+                f"{self.sample_time} s; expected motion and a positive time."
             )
 
     @classmethod

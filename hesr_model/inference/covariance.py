@@ -50,7 +50,7 @@ class Covariance:
         for matrix in (self.within, self.carried):
             if matrix.shape != shape:
                 raise ArtifactError(
-                    f"a covariance has the shape {matrix.shape}; needed is {shape}, that of its "
+                    f"a covariance has the shape {matrix.shape}; expected {shape}, that of its "
                     "names."
                 )
 

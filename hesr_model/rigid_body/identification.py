@@ -191,7 +191,7 @@ class RigidBody:
     def _indices(cls, base: Any, info: ValidationInfo) -> list[int]:
         names = info.data.get("names", ())
         if not isinstance(base, list) or any(name not in names for name in base):
-            raise ValueError("needed are names of parameters")
+            raise ValueError("expected names of parameters")
         return [names.index(name) for name in base]
 
 

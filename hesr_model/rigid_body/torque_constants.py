@@ -72,7 +72,7 @@ def torque_constants(
     """
     if not 0.0 < mass_error < 1.0:
         raise FitError(
-            f"the declared error of the masses is {mass_error:g}; needed is a share from 0 to 1."
+            f"the declared error of the masses is {mass_error:g}; expected a share from 0 to 1."
         )
     if bool(loaded) != (payload is not None):
         raise FitError("motions under a payload need its parameters, and vice versa.")

@@ -34,7 +34,7 @@ class Owner(Config):
             return cls.model_validate(found)
         except ValidationError as error:
             raise ArtifactError(
-                f"the provenance's 'owner' is {found!r}; needed are texts for author, copyright "
+                f"the provenance's 'owner' is {found!r}; expected texts for author, copyright "
                 "and license, of printable characters."
             ) from error
 

@@ -31,7 +31,7 @@ def path_of(value: object, what: str) -> Path:
     if isinstance(value, str | os.PathLike):
         return Path(value)
     raise ConfigError(
-        f"{what} is given as {type(value).__name__}; needed is a path, as text or as a Path."
+        f"{what} is given as {type(value).__name__}; expected a path, as text or as a Path."
     )
 
 

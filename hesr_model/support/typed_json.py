@@ -59,7 +59,7 @@ def read_json(path: Path, expected_format: str | None = None) -> Any:
         return data
     found = data.pop("format", None) if isinstance(data, dict) else None
     if found != expected_format:
-        raise ArtifactError(f"{path}: 'format' is {found!r}, needed is '{expected_format}'.")
+        raise ArtifactError(f"{path}: 'format' is {found!r}, expected '{expected_format}'.")
     return data
 
 

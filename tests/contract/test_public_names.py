@@ -127,12 +127,12 @@ def test_predict_over_arrays_equals_the_laws(model: FrictionModel) -> None:
     [
         (
             {"dq": np.zeros(10)},
-            "friction model 'lugre': 'dq' has the shape (10,); needed is (10, 2), 10 samples of "
+            "friction model 'lugre': 'dq' has the shape (10,); expected (10, 2), 10 samples of "
             "2 joints.",
         ),
         (
             {"tau_load": np.zeros((10, 3))},
-            "friction model 'lugre': 'tau_load' has the shape (10, 3); needed is (10, 2), 10 "
+            "friction model 'lugre': 'tau_load' has the shape (10, 3); expected (10, 2), 10 "
             "samples of 2 joints.",
         ),
         (
@@ -154,7 +154,7 @@ def test_records_of_other_joints_are_refused(model: FrictionModel) -> None:
     with pytest.raises(SimulationError) as caught:
         model.predict(records("three")[::-1])
     assert str(caught.value) == (
-        "friction model 'lugre': the records are of the joints b, a; needed is one record each of "
+        "friction model 'lugre': the records are of the joints b, a; expected one record each of "
         "a, b, in this order."
     )
 

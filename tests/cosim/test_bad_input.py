@@ -552,7 +552,7 @@ STUDY_FAULTS = {
     "an option of no use": (
         "cells = 2",
         "cells = 0",
-        "table 'options.parfam_h': ParFam option 'cells' is 0; needed is at least 1.",
+        "table 'options.parfam_h': ParFam option 'cells' is 0; expected at least 1.",
     ),
     "a negative seed": ("seed = 3", "seed = -3", "key 'seed' is -3: "),
     "a name that is no name": ('"small"', '"../small"', "key 'name' is '../small': "),
@@ -698,11 +698,11 @@ def test_swapped_model_and_rigid_body_are_refused(
     swapped = replace(bench, rigid_body=bench.law, law=bench.rigid_body)
     for command in ("fit", "test fmu"):
         assert refused(*swapped.command(command, output=tmp_path / "output")) == (
-            f"{bench.law}: 'format' is 'hesr-friction-model-1', needed is 'hesr-rigid-body-1'."
+            f"{bench.law}: 'format' is 'hesr-friction-model-1', expected 'hesr-rigid-body-1'."
         )
     for command in ("test law", "export"):
         assert refused(*swapped.command(command, output=tmp_path / "output")) == (
-            f"{bench.rigid_body}: 'format' is 'hesr-rigid-body-1', needed is "
+            f"{bench.rigid_body}: 'format' is 'hesr-rigid-body-1', expected "
             "'hesr-friction-model-1'."
         )
 
@@ -717,7 +717,7 @@ def test_an_invalid_rigid_body_is_refused(
     arguments = replace(bench, rigid_body=path).command(command, output=tmp_path / "output")
     sentence = refused(*arguments)
     assert sentence.startswith(
-        (f"{path}: not a readable JSON file (", f"{path}: 'format' is None, needed is ")
+        (f"{path}: not a readable JSON file (", f"{path}: 'format' is None, expected ")
     )
 
 

@@ -127,7 +127,7 @@ def test_law_options_use_toml_syntax(hesr: Hesr, logs: dict[str, Path], tmp_path
     fit = ("fit", logs["sweep"], "--robot", ROBOT, "--rigid-body", body, "-o", law)
     answer = hesr(*fit, "--law", "parfam_v", "--option", "functions=tanh")
     assert answer.code == 2
-    assert answer.err.startswith("hesr: --option is 'functions=tanh'; needed is KEY=VALUE")
+    assert answer.err.startswith("hesr: --option is 'functions=tanh'; expected KEY=VALUE")
     answer = hesr(*fit, "--law", "parfam_v", "--option", 'functions=["tanh"]')
     assert answer.code == 0, answer.err
     assert json.loads(law.read_text())["provenance"]["options"] == {"functions": ["tanh"]}

@@ -165,7 +165,7 @@ def test_an_fmu_for_model_exchange_only_is_refused(friction_fmu, tmp_path, folde
 
 def test_fmus_for_other_platforms_are_refused(friction_fmu, tmp_path, folder):
     fmu = without(friction_fmu, tmp_path / "X.fmu", "binaries/")
-    with pytest.raises(SimulationError, match="has no binary for this platform; needed is"):
+    with pytest.raises(SimulationError, match="has no binary for this platform; expected"):
         FmuInstance(fmu).__enter__()
     assert not list(folder.iterdir())
 

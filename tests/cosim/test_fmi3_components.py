@@ -72,7 +72,7 @@ def test_errors_read_as_those_of_fmi_2(fmu: Path) -> None:
         friction.initialise()
         with pytest.raises(SimulationError, match="fmi3DoStep: the step is -1 s from time 0 s"):
             friction.step(0.0, -1.0)
-    said = "fmi3SetInt32: discretisation is 7; needed is"
+    said = "fmi3SetInt32: discretisation is 7; expected"
     with FmuInstance(fmu) as friction, pytest.raises(SimulationError, match=said):
         friction.set({"discretisation": 7})
     with FmuInstance(fmu) as friction:

@@ -126,7 +126,7 @@ def test_paths_as_identifiers_are_refused(
         },
         tmp_path / "Evil.fmu",
     )
-    said = r"Evil\.fmu: its modelIdentifier is '.*'; needed is an identifier of C"
+    said = r"Evil\.fmu: its modelIdentifier is '.*'; expected an identifier of C"
     for command in commands(fmu)[:-2]:
         ended = hesr(*command)
         assert ended.code == 2, (command, ended)

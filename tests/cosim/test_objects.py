@@ -108,7 +108,7 @@ def test_an_instance_is_freed_on_every_exit(
 def test_files_other_than_fmus_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SimulationError, match=r"none\.fmu: no such file\.$"):
         hesr.Fmu(tmp_path / "none.fmu", trust=True)
-    with pytest.raises(ConfigError, match="an FMU is given as int; needed is a path"):
+    with pytest.raises(ConfigError, match="an FMU is given as int; expected a path"):
         hesr.Fmu(3)  # type: ignore[arg-type]  # the mistake
 
 

@@ -121,7 +121,7 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
     whole = hesr.FrictionRegressor("stribeck", target="torque", robot=arm).fit([str(file)])
     assert whole.score(str(file)) > regressor.score(log)
     for call, sentence in [
-        (lambda: regressor.predict([log, log]), r"predict\(\) was given 2 logs; needed is one"),
+        (lambda: regressor.predict([log, log]), r"predict\(\) was given 2 logs; expected one"),
         (lambda: regressor.fit(log, log.tau), "y was given beside logs, which hold the measured"),
     ]:
         with pytest.raises(TableError, match=sentence):
@@ -132,22 +132,22 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda: motion(np.zeros((9, 3))), "X has 3 columns without names; needed are t, and q"),
+        (lambda: motion(np.zeros((9, 3))), "X has 3 columns without names; expected t, and q"),
         (lambda: motion(np.ones((9, 4))), "time must increase in X, but t is 1 s in row 2, after"),
         (lambda: motion(np.ones((1, 4))), "X has 1 sample; a motion needs at least 2"),
         (lambda: motion(np.ones((9, 2)), ("t", "q")), "X has no column 'dq', only t, q; needed"),
         (lambda: motion(np.ones((9, 3)), ("t", "dq", "x")), "X has the unknown column 'x'; needed"),
         (
             lambda: motion(TALL, ("t", "dq1", "dq2", "q")),
-            "X has 1 columns of q, but 2 of dq; needed are",
+            "X has 1 columns of q, but 2 of dq; expected",
         ),
-        (lambda: numbers(1.0), "X has 0 dimensions; needed is a table of rows and columns"),
+        (lambda: numbers(1.0), "X has 0 dimensions; expected a table of rows and columns"),
         (lambda: numbers([["a"]]), "X must hold numbers "),
         (lambda: numbers([[1j]]), "Complex data not supported: X must hold real numbers"),
-        (lambda: numbers([[np.nan]]), "X contains NaN or infinity; needed are finite numbers"),
+        (lambda: numbers([[np.nan]]), "X contains NaN or infinity; expected finite numbers"),
         (lambda: numbers(np.zeros((0, 4))), r"X has 0 sample\(s\) \(shape=\(0, 4\)\); rows are"),
         (lambda: numbers(np.zeros((4, 0))), r"X has 0 feature\(s\) \(shape=\(4, 0\)\) while a"),
-        (lambda: numbers({"t": [1], "dq": [1, 2]}), "X has columns of unequal lengths; needed is"),
+        (lambda: numbers({"t": [1], "dq": [1, 2]}), "X has columns of unequal lengths; expected"),
         (lambda: torques(None, 3), "a table of motion requires y to be passed, but the target y"),
         (lambda: torques([1.0], 3), "X has 3 rows and y 1; the numbers must be equal"),
         (lambda: REGRESSOR.fit(TABLE, np.ones((1500, 2))), "y has 2 columns, but X is the motion"),
@@ -169,7 +169,7 @@ def test_other_tables_than_the_fitted_one_are_refused(fitted: hesr.FrictionRegre
     for table, sentence in [
         ({"t": T, "dq": DQ}, "FrictionRegressor is expecting 4 features as input"),
         ({"t": T, "dq1": DQ, "dq2": DQ, "dq3": DQ}, "X is the motion of 3 joints; the law was"),
-        (sparse.csr_matrix(np.eye(4)), "X is a sparse matrix; needed is a dense table"),
+        (sparse.csr_matrix(np.eye(4)), "X is a sparse matrix; expected a dense table"),
     ]:
         with pytest.raises(TableError, match=sentence):
             fitted.predict(table)

@@ -38,7 +38,7 @@ def test_start_values_are_set(friction_fmu, log):
 
 def test_unsuitable_logs_are_refused(friction_fmu, log):
     t, dq = (x[:50] for x in log)
-    with pytest.raises(SimulationError, match=r"'dq' has the shape \(50, 2\); needed is \(50, 3\)"):
+    with pytest.raises(SimulationError, match=r"'dq' has the shape \(50, 2\); expected \(50, 3\)"):
         replay(friction_fmu, t, dq[:, :2])
     with pytest.raises(SimulationError, match="'q' has the shape"):
         replay(friction_fmu, t, dq, q=dq[:-1])

@@ -281,7 +281,7 @@ def test_integration_is_chosen_before_the_start(binary):
     vr, value = binary.references(["discretisation"]), (ctypes.c_int * 1)(3)
     c = binary.instantiate()
     assert binary("SetInteger", c, vr, 1, value) == ERROR
-    assert binary.messages[-1][2] == "fmi2SetInteger: discretisation is 3; needed is 1 to 2."
+    assert binary.messages[-1][2] == "fmi2SetInteger: discretisation is 3; expected 1 to 2."
     c = binary.ready()
     value[0] = 1
     assert binary("SetInteger", c, vr, 1, value) == ERROR

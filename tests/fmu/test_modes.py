@@ -235,7 +235,7 @@ def test_arrays_of_a_wrong_size_are_refused(fmu, function):
         fmu.messages.clear()
         assert fmu(function, c, reals(8), n) == ERROR
         (message,) = fmu.messages
-        assert message.text == f"fmi2{function}: the array has {n} elements; needed are {right}."
+        assert message.text == f"fmi2{function}: the array has {n} elements; expected {right}."
 
 
 @pytest.mark.parametrize("odd", [float("nan"), float("inf")])

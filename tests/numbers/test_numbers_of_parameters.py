@@ -119,7 +119,7 @@ def test_uncertainty_of_a_model_file() -> None:
 
 @pytest.mark.parametrize("error", [0.0, 1.0, -0.1])
 def test_a_declared_error_is_relative(error: float, arm_model: Robot) -> None:
-    with pytest.raises(FitError, match="needed is a share"):
+    with pytest.raises(FitError, match="expected a share"):
         torque_constants.torque_constants([], arm_model, [1.0] * 3, mass_error=error)
 
 

@@ -369,8 +369,8 @@ def test_ranges_cover_all_records() -> None:
     [
         ({"q": (1.0, -1.0)}, "^trained range of 'q' is 1.0 to -1.0"),
         ({"tau": (0.0, np.inf)}, "^trained range of 'tau' is 0.0 to inf"),
-        ({"dq": (0.0, 0.0)}, "needed are motion and a positive time"),
-        ({"sample_time": 0.0}, "needed are motion and a positive time"),
+        ({"dq": (0.0, 0.0)}, "expected motion and a positive time"),
+        ({"sample_time": 0.0}, "expected motion and a positive time"),
     ],
 )
 def test_invalid_ranges_are_refused(change: dict[str, object], message: str) -> None:

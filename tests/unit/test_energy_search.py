@@ -96,7 +96,7 @@ def test_factors_beyond_their_limits_are_refused(tmp_path: Path) -> None:
     with attacked(rippled(), tmp_path) as target:
         with pytest.raises(SimulationError) as caught:
             target.component.initialise(start={"viscous_scale[1]": 0.99 * least})
-        said = f"fmi2SetReal: viscous_scale[1] is {0.99 * least:g}; needed is {least:g} to inf."
+        said = f"fmi2SetReal: viscous_scale[1] is {0.99 * least:g}; expected {least:g} to inf."
         assert str(caught.value).endswith(said)
         target.component.reset()
         target.component.initialise(start={"viscous_scale[1]": least})

@@ -207,7 +207,7 @@ PROBLEMS = [
     ),
     (
         [message(k, stamp=0) for k in range(N)],
-        r"its messages have no time stamps \(all are 0\); needed is time\.$",
+        r"its messages have no time stamps \(all are 0\); expected time\.$",
     ),
     (
         [message(k, effort=[]) for k in range(N)],
@@ -257,7 +257,7 @@ def test_an_error_names_the_topic_and_the_message(
         ),
         (
             "/note",
-            r"run: topic '/note' has messages std_msgs/msg/String; needed are "
+            r"run: topic '/note' has messages std_msgs/msg/String; expected "
             r"sensor_msgs/msg/JointState\.$",
         ),
     ],

@@ -80,7 +80,7 @@ def test_a_covariance_must_match_its_names(tmp_path: Path) -> None:
         }  # fmt: skip
 
     assert refused(changed(tmp_path, change)) == (
-        "a covariance has the shape (2, 2); needed is (1, 1), that of its names."
+        "a covariance has the shape (2, 2); expected (1, 1), that of its names."
     )
 
 
@@ -232,9 +232,9 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
     [
         (
             lambda d: d.update(format="hesr-rigid-body-1"),
-            "'format' is 'hesr-rigid-body-1', needed is 'hesr-friction-model-1'.",
+            "'format' is 'hesr-rigid-body-1', expected 'hesr-friction-model-1'.",
         ),
-        (lambda d: d.pop("format"), "'format' is None, needed is 'hesr-friction-model-1'."),
+        (lambda d: d.pop("format"), "'format' is None, expected 'hesr-friction-model-1'."),
         (lambda d: d.pop("robot"), "key 'robot' is missing."),
         (lambda d: d.pop("provenance"), "key 'provenance' is missing."),
         (lambda d: first(d).pop("joint"), "key 'joints.0.joint' is missing."),
@@ -251,16 +251,16 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ),
         (
             lambda d: first(d)["coefficients"]["alpha"].update(unit="1/min"),
-            "coefficient 'alpha' has the unit '1/min', needed is '1/s'.",
+            "coefficient 'alpha' has the unit '1/min', expected '1/s'.",
         ),
         (
             lambda d: first(d)["coefficients"].pop("beta"),
-            "law 'parfam_h': coefficient 'beta' is missing; needed are c_0, c_h, c_dh, c_g1, "
+            "law 'parfam_h': coefficient 'beta' is missing; expected c_0, c_h, c_dh, c_g1, "
             "theta1_0, theta1_dq, theta1_h, theta1_dh, alpha, beta.",
         ),
         (
             lambda d: first(d)["coefficients"].update(gamma={"value": 1.0, "unit": "1"}),
-            "law 'parfam_h': coefficient 'gamma' is unknown; needed are c_0, c_h, c_dh, c_g1, "
+            "law 'parfam_h': coefficient 'gamma' is unknown; expected c_0, c_h, c_dh, c_g1, "
             "theta1_0, theta1_dq, theta1_h, theta1_dh, alpha, beta.",
         ),
         (
@@ -286,7 +286,7 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ),
         (
             lambda d: d.update(sample_time=0.0),
-            "friction model 'parfam_h': sample time is 0.0 s; needed is a positive number.",
+            "friction model 'parfam_h': sample time is 0.0 s; expected a positive number.",
         ),
         (lambda d: d.update(joints=[]), "friction model 'parfam_h': 0 laws for 0 joints."),
         (
@@ -303,7 +303,7 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ),
         (
             lambda d: first(d)["structure"].update(depth=2),
-            "ParFam structure has the keys ['depth', 'linear', 'units']; needed are 'linear' and "
+            "ParFam structure has the keys ['depth', 'linear', 'units']; expected 'linear' and "
             "'units', and 'state' and 'denominator' are allowed.",
         ),
         (
@@ -363,7 +363,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         assert refused(path).startswith("not a readable JSON file (")
     for content in ("[]", "3", "null", '"hesr-friction-model-1"'):
         path.write_text(content)
-        assert refused(path) == "'format' is None, needed is 'hesr-friction-model-1'."
+        assert refused(path) == "'format' is None, expected 'hesr-friction-model-1'."
     assert refused(tmp_path).startswith("not a readable JSON file (")
 
 
@@ -381,7 +381,7 @@ def test_mistakes_in_a_rigid_body_are_reported(rigid_body: RigidBody, tmp_path: 
     assert said(lambda d: d.pop("parameters")) == "key 'parameters' is missing."
     assert said(lambda d: d.pop("friction")) == "key 'friction' is missing."
     assert said(lambda d: d.update(format=MODEL_FORMAT)) == (
-        "'format' is 'hesr-friction-model-1', needed is 'hesr-rigid-body-1'."
+        "'format' is 'hesr-friction-model-1', expected 'hesr-rigid-body-1'."
     )
     for change in (
         lambda d: d.update(parameters=[1.0]),
@@ -396,7 +396,7 @@ def test_mistakes_in_a_rigid_body_are_reported(rigid_body: RigidBody, tmp_path: 
 def test_a_file_of_another_format_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text('{"format": "hesr-study-1"}')
-    with pytest.raises(ArtifactError, match="needed is 'a-format'"):
+    with pytest.raises(ArtifactError, match="expected 'a-format'"):
         read_json(path, "a-format")
 
 

@@ -119,19 +119,19 @@ def test_structures_of_other_laws_are_refused(
     for found in (0, -1, largest + 1, 2.0, "2", True, None):
         with pytest.raises(ArtifactError, match=f"'{key}', a whole number from 1 to {largest}"):
             estimator.form({key: found})
-    with pytest.raises(ArtifactError, match="needed is only"):
+    with pytest.raises(ArtifactError, match="expected only"):
         estimator.form({key: 2, "width": 1.0})
 
 
 def test_invalid_network_sizes_are_refused() -> None:
     for sizes in ((), (1,), (10, 41), (2.5,)):
         with pytest.raises(
-            FitError, match=r"'centres' is .*; needed are whole numbers from 2 to 40\."
+            FitError, match=r"'centres' is .*; expected whole numbers from 2 to 40\."
         ):
             fit_joint("rbfnn_h", [record(300)], seed=0, options={"centres": sizes})
     for sizes in ((), (0,), (4, 17)):
         with pytest.raises(
-            FitError, match=r"'hidden' is .*; needed are whole numbers from 1 to 16\."
+            FitError, match=r"'hidden' is .*; expected whole numbers from 1 to 16\."
         ):
             fit_joint("mlp_h", [record(300)], seed=0, options={"hidden": sizes})
 

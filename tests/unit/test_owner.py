@@ -22,7 +22,7 @@ def test_the_owner_is_part_of_the_provenance() -> None:
     assert Owner.of({"owner": {"copyright": "(c) B"}}) == Owner(copyright="(c) B")
     for wrong in ({"author": 3}, {"name": "B"}, {"author": "a\nb"}, "B"):
         with pytest.raises(
-            ArtifactError, match=r"the provenance's 'owner' is .*; needed are texts"
+            ArtifactError, match=r"the provenance's 'owner' is .*; expected texts"
         ):
             Owner.of({"owner": wrong})
 

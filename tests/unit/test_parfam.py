@@ -478,9 +478,9 @@ def test_a_function_outside_the_family_is_refused() -> None:
             {"discretisation": "rk4"},
             "ParFam option 'discretisation' is 'rk4'; allowed are exact, euler.",
         ),
-        ({"cells": 0}, "ParFam option 'cells' is 0; needed is at least 1."),
-        ({"starts": 0}, "ParFam option 'starts' is 0; needed is at least 1."),
-        ({"candidates": 0}, "ParFam option 'candidates' is 0; needed is at least 1."),
+        ({"cells": 0}, "ParFam option 'cells' is 0; expected at least 1."),
+        ({"starts": 0}, "ParFam option 'starts' is 0; expected at least 1."),
+        ({"candidates": 0}, "ParFam option 'candidates' is 0; expected at least 1."),
         ({"units": 3}, "ParFam option 'units' is 3; allowed are 1, 2."),
         (
             {"search": "paper", "functions": ()},

@@ -121,7 +121,7 @@ def _with(key: str, value: object) -> Change:
         (_with("figures", [1]), "not findings of the property battery ("),
         (
             lambda data: data.update(format="other"),
-            f"'format' is 'other', needed is '{FORMAT}'.",
+            f"'format' is 'other', expected '{FORMAT}'.",
         ),
     ],
 )

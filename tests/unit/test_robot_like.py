@@ -38,7 +38,7 @@ def test_a_robot_file_is_read(arm: RobotDescription) -> None:
 def test_other_objects_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         Robot(3)  # type: ignore[arg-type]  # the mistake
-    assert str(caught.value) == ("a robot is given as int; needed is a path, as text or as a Path.")
+    assert str(caught.value) == ("a robot is given as int; expected a path, as text or as a Path.")
     with pytest.raises(RobotError, match="no such model file"):
         Robot(tmp_path / "none.urdf")
 
@@ -51,5 +51,5 @@ def test_a_log_read_from_a_path_has_its_robot(arm: RobotDescription, arm_log: Lo
     assert log.joints == log.robot.joints == arm.joints
     assert log.rows(slice(0, 9)).robot is log.robot
     np.testing.assert_array_equal(log.q, arm_log.q)
-    with pytest.raises(ConfigError, match=r"a log is given as list; needed is a path"):
+    with pytest.raises(ConfigError, match=r"a log is given as list; expected a path"):
         Log.read([file], arm)  # type: ignore[arg-type]  # the mistake

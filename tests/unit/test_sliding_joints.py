@@ -138,7 +138,7 @@ def test_wrong_fields_are_refused(model: FrictionModel, tmp_path: Path) -> None:
         FrictionModel.read(file)
     del data["joints"][1]["sliding"]
     file.write_text(json.dumps(data))
-    with pytest.raises(ArtifactError, match=r"has the unit '.+', needed is '.*N\.m.*'"):
+    with pytest.raises(ArtifactError, match=r"has the unit '.+', expected '.*N\.m.*'"):
         FrictionModel.read(file)
 
 

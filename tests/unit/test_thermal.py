@@ -196,7 +196,7 @@ def test_logs_without_thermal_information_are_refused(logs) -> None:
         replace(coupled, thermal=(TRUE,))
     with pytest.raises(FitError, match="several joints; a thermal model needs"):
         fit_thermal(coupled, logs)
-    with pytest.raises(ArtifactError, match=r"thermal model: 'time_constant' is 0\.0; needed is a"):
+    with pytest.raises(ArtifactError, match=r"thermal model: 'time_constant' is 0\.0; expected a"):
         replace(TRUE, time_constant=0.0)
     with pytest.raises(ArtifactError, match="2 thermal models for 1 joints"):
         replace(model(stops()), thermal=(TRUE, TRUE))

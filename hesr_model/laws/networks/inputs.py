@@ -57,7 +57,7 @@ class NetworkEstimator(Estimator):
         least, largest = self.sizes
         if not tried or any(type(x) is not int or not least <= x <= largest for x in tried):
             raise FitError(
-                f"law '{self.name}': '{self.key}' is {list(tried)}; needed are whole numbers from "
+                f"law '{self.name}': '{self.key}' is {list(tried)}; expected whole numbers from "
                 f"{least} to {largest}."
             )
         self.tried = tuple(tried)
@@ -70,7 +70,7 @@ class NetworkEstimator(Estimator):
         found, largest = structure.get(cls.key), cls.sizes[1]
         if set(structure) != {cls.key} or type(found) is not int or not 1 <= found <= largest:
             raise ArtifactError(
-                f"law '{cls.name}': structure is {dict(structure)}; needed is only '{cls.key}', a "
+                f"law '{cls.name}': structure is {dict(structure)}; expected only '{cls.key}', a "
                 f"whole number from 1 to {largest}."
             )
         return found

@@ -71,7 +71,7 @@ class ParFamH(Estimator):
                 )
         for option in ("cells", "starts", "candidates"):
             if (count := getattr(self, option)) < 1:
-                raise FitError(f"ParFam option '{option}' is {count}; needed is at least 1.")
+                raise FitError(f"ParFam option '{option}' is {count}; expected at least 1.")
 
     @staticmethod
     def form(structure: Mapping[str, Any]) -> LawForm:

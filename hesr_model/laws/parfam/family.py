@@ -144,7 +144,7 @@ def _checked(
 ) -> tuple[list[str], list[tuple[str, list[str]]], str, list[str]]:
     if not {"linear", "units"} <= set(structure) <= {"linear", "units", "state", "denominator"}:
         raise ArtifactError(
-            f"ParFam structure has the keys {sorted(structure)}; needed are 'linear' and 'units', "
+            f"ParFam structure has the keys {sorted(structure)}; expected 'linear' and 'units', "
             "and 'state' and 'denominator' are allowed."
         )
     state = structure.get("state", "paper")

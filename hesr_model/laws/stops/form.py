@@ -99,7 +99,7 @@ class Structure:
         for kind, node in found.stops:
             if kind not in BOUNDS or not 0 <= node < len(DEFLECTIONS):
                 raise ArtifactError(
-                    f"stop {[kind, node]!r} is unknown; needed are a bound of "
+                    f"stop {[kind, node]!r} is unknown; expected a bound of "
                     f"{', '.join(repr(k) for k in BOUNDS)} and a number from 0 to "
                     f"{len(DEFLECTIONS) - 1}."
                 )

@@ -41,7 +41,7 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
         raise _missing_joints(where, joints, messages)
     stamps = [message.stamp for message in used]
     if not any(stamps):
-        raise LogError(f"{where}: its messages have no time stamps (all are 0); needed is time.")
+        raise LogError(f"{where}: its messages have no time stamps (all are 0); expected time.")
     drop = robot.log.missing == "drop"
     effort = _values(where, used, joints, "effort", missing=drop)
     if effort is None:
@@ -129,7 +129,7 @@ def _connections(path: Path, reader: Any, topic: str) -> list[Any]:
     for connection in connections:
         if connection.msgtype != _TYPE:
             raise LogError(
-                f"{path}: topic '{topic}' has messages {connection.msgtype}; needed are {_TYPE}."
+                f"{path}: topic '{topic}' has messages {connection.msgtype}; expected {_TYPE}."
             )
     return connections
 

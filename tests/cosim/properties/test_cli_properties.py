@@ -72,21 +72,21 @@ def test_laws_and_fmus_share_the_tables(
         (["uf850-table1", "uf850-table1"], "'uf850-table1' is given twice."),
         (
             ["uf850-table1", "--inertia", "3;3"],
-            "--inertia is '3;3'; needed are numbers with commas between them, as 3,3,0.6.",
+            "--inertia is '3;3'; expected numbers with commas between them, as 3,3,0.6.",
         ),
         (
             ["uf850-table1", "--inertia", "3,3"],
-            "uf850-table1: 2 inertias are given; needed is one, or one for each of the 3 joints.",
+            "uf850-table1: 2 inertias are given; expected one, or one for each of the 3 joints.",
         ),
         (
             ["uf850-table1", "--inertia", "3,-1,0.6"],
-            "uf850-table1: the inertia of joint 2 is -1 kg.m2; needed is a positive number.",
+            "uf850-table1: the inertia of joint 2 is -1 kg.m2; expected a positive number.",
         ),
         (
             ["uf850-table1", "--inertia", "inf"],
-            "uf850-table1: the inertia of joint 1 is inf kg.m2; needed is a positive number.",
+            "uf850-table1: the inertia of joint 1 is inf kg.m2; expected a positive number.",
         ),
-        (["uf850-table1", "--load", "nan"], "--load is nan; needed is a number."),
+        (["uf850-table1", "--load", "nan"], "--load is nan; expected a number."),
     ],
 )
 def test_unsuitable_subjects_are_refused_in_one_sentence(

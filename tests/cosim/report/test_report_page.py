@@ -374,7 +374,7 @@ def test_a_damaged_file_is_named(copied: Path, name: str, said: str) -> None:
     ("results", "name", "change", "said"),
     [
         ("part", "run.json", lambda d: d.update(format="x"),
-         "'format' is 'x', needed is 'hesr-run-1'."),
+         "'format' is 'x', expected 'hesr-run-1'."),
         ("part", "run.json", lambda d: d.pop("logs"), "key 'logs' is missing."),
         ("part", "run.json", lambda d: d.update(more=1), "not the description of a run"),
         ("part", "evaluation.json", lambda d: d.clear(),

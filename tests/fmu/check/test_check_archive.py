@@ -15,7 +15,7 @@ from fmu_src.run.archive import opened
 from hesr_model.errors import ArtifactError
 
 LEADS_OUT = (
-    "leads out of the folder that the archive is unpacked to; needed are relative names without "
+    "leads out of the folder that the archive is unpacked to; expected relative names without "
     "'..'."
 )
 NOTHING_ELSE = ("All other checks: the archive could not be read.",)

@@ -112,7 +112,7 @@ def test_a_program_is_reported(library, of):
         "int main(void) { return 0; }", flags=(*LINUX, "-no-pie"), last=("-rdynamic",),
     )  # fmt: skip
     found = of(program)
-    assert f"{BINARY}: it is a program or object file; needed is a shared library." in found
+    assert f"{BINARY}: it is a program or object file; expected a shared library." in found
 
 
 def test_missing_functions_are_reported(library, of):

@@ -127,7 +127,7 @@ def test_another_root_element_is_reported(of_xml):
 def test_another_version_is_reported(version, of_xml):
     data = PROLOG + f"<fmiModelDescription fmiVersion='{version}'/>".encode()
     assert texts(of_xml(data)) == [
-        f"modelDescription.xml: its fmiVersion is '{version}'; needed is '2.0'."
+        f"modelDescription.xml: its fmiVersion is '{version}'; expected '2.0'."
     ]
 
 
