@@ -122,7 +122,7 @@ class FrictionRegressor:
             )
         if (logs := self._logs(X)) is not None:
             if y is not None:
-                raise TableError("y was given beside logs, which hold the measured torque.")
+                raise TableError("y was given with logs, which contain the measured torque.")
             robot = robot_of(self.robot, logs)
             self.robot_ = robot.description
             self.rigid_body_ = body_of(self.rigid_body, logs, robot)
@@ -279,7 +279,7 @@ class FrictionRegressor:
 
     def _records(self, logs: Sequence[Log]) -> list[Record]:
         if not hasattr(self, "robot_"):
-            raise TableError("a law that was fitted to a table has no rigid body; give a table.")
+            raise TableError("a law fitted to a table needs a table.")
         robot = model_of(self.robot_)
         return [friction_records(log, robot, self.rigid_body_) for log in logs]
 

@@ -70,7 +70,7 @@ def unit_of_joint(unit: str, *, slides: bool) -> str:
     if not slides:
         return unit
     if " " in unit:
-        raise ValueError(f"'{unit}' is no unit")
+        raise ValueError(f"'{unit}' is not a unit")
     over, slash, under = unit.partition("/")
     below = _slid(under.removeprefix("(").removesuffix(")"))
     return _slid(over) + slash + (f"({below})" if "." in below else below)

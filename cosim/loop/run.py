@@ -103,7 +103,7 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
             check="masters",
             severity="warning",
             found=f"the Python and the native master differ by {worst:.1e} of a signal's largest "
-            f"value; at most {_AGREEMENT:g} is rounding",
+            f"value, more than rounding ({_AGREEMENT:g})",
             remedy="report this as a bug, with closed_loop.toml and fmus/",
         )
     ]

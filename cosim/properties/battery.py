@@ -109,7 +109,7 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
         fmu = subject.fmu
         if fmu is None:
             if model is None:
-                raise ConfigError(f"{subject.name}: there is neither a model nor an FMU.")
+                raise ConfigError(f"{subject.name}: model and FMU are both missing.")
             fmu = export_bare(model, Path(folder, "friction.fmu"))
         with FmuInstance(fmu) as component:
             bench = FrictionBench(component)
@@ -243,8 +243,8 @@ def _require_inertia(subject: Subject, joints: int | None = None) -> Array | Non
     wanted = len(model.laws) if model else joints
     if wanted is not None and len(given) not in (1, wanted):
         raise ConfigError(
-            f"{subject.name}: {len(given)} inertias are given; expected one, or one for each of "
-            f"the {wanted} joints."
+            f"{subject.name}: {len(given)} inertias; expected one, or one for each of the {wanted} "
+            "joints."
         )
     for joint, value in enumerate(given, start=1):
         if not (isfinite(value) and value > 0.0):

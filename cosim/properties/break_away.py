@@ -73,7 +73,7 @@ def _broken(peaks: Array, ways: Array, level: float) -> PropertyResult:
     fall = float((peaks[0] - peaks[-1]) / peaks[0]) if peaks[0] > 0.0 else 0.0
     wrong = []
     if peaks[0] <= 0.0:
-        wrong.append("Nothing has to be broken away: the law drives the joint.")
+        wrong.append("No break-away: the law drives the joint.")
     elif ways[0] > _CREEPS * ways[1]:
         wrong.append(
             "No break-away: the joint creeps, by half the torque "
@@ -81,7 +81,7 @@ def _broken(peaks: Array, ways: Array, level: float) -> PropertyResult:
         )
     if peaks[0] > 0.0 and fall < FALLS:
         wrong.append(
-            f"It falls by {fall:.1%} only." if fall > 1e-3 else "It does not fall with the rate."
+            f"It only falls by {fall:.1%}." if fall > 1e-3 else "It does not fall with the rate."
         )
     rates = level / np.array(RAMPS)
     return judged(

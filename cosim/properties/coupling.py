@@ -119,7 +119,7 @@ def _judged(
         return PropertyResult(
             verdict="not applicable",
             figures=measured,
-            reason="Whatever the step, the joint does not come to a stop: the law drives it.",
+            reason="The joint does not stop at any step: the law drives it.",
             plot=drawn,
         )
     if largest is None:

@@ -153,8 +153,8 @@ def _slid(fast: Array, slow: Array, amplitude: float) -> PropertyResult:
         wrong.append("After a reversal the torque goes the wrong way.")
     if abs(ratio - 1.0) > RATE:
         wrong.append(
-            f"At a tenth of the speed the loop takes {ratio:.2g} times the work: it is one of "
-            "velocity and time, not of position."
+            f"At a tenth of the speed the loop takes {ratio:.2g} times the work: it depends on "
+            "velocity, not on position."
         )
     x = _positions(amplitude)
     return judged(
@@ -196,7 +196,7 @@ def _remembered(
     depth = float(np.ptp(inner)) / max(height, loaded)
     wrong = []
     if depth > INNER:
-        wrong.append(f"The inner loop is as high as the outer one ({depth:.0%}): nothing is kept.")
+        wrong.append(f"The inner loop is as high as the outer one ({depth:.0%}): no memory.")
     if max(miss, onwards) > CLOSED:
         wrong.append(
             f"The inner loop misses its start by {miss:.1%} of the outer height, the branch after "

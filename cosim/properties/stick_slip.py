@@ -62,12 +62,12 @@ def _pulled(
         else "It ends in steady sliding"
     )
     if drives:
-        right, why = False, "its steady friction drives at low speed, so there is nothing to pull"
+        right, why = False, "its steady friction drives at low speed"
     elif weak or flat:
         right = cycles == weak
         why = f"its steady curve falls by {falls:.1%} of the level"
     else:
-        right, why = True, f"its steady curve falls by {falls:.1%} only, where either may be"
+        right, why = True, f"its steady curve falls by {falls:.1%} only, so both are allowed"
     return PropertyResult(
         verdict="pass" if right else "fail",
         figures=figures(

@@ -86,8 +86,8 @@ def plausible_friction(model: Robot, motion: Fourier) -> list[FrictionLaw]:
         if peak <= LEAST_PEAK:
             raise RobotError(
                 f"robot '{model.description.name}': the limits of joint '{joint}' allow at most "
-                f"{peak:.2g} rad/s (m/s); identification needs more than {LEAST_PEAK:g}, so leave "
-                "the joint out."
+                f"{peak:.2g} rad/s (m/s); leave the joint out, identification needs "
+                f"{LEAST_PEAK:g}."
             )
     return [
         FrictionLaw(

@@ -313,8 +313,8 @@ def within(
         if not kept:
             longest = max(float(r.t[-1] - r.t[0]) for r in of_joint)
             raise ConfigError(
-                f"the band from {start:g} to {stop:g} s holds no rows; the longest log of its test "
-                f"set lasts {longest:.3g} s."
+                f"the band from {start:g} to {stop:g} s is empty; the longest log of its test set "
+                f"lasts {longest:.3g} s."
             )
         kept_records.append([of_joint[k].rows(rows[k]) for k in kept])
         kept_torques.append([predicted[k][rows[k]] for k in kept])

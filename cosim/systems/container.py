@@ -75,8 +75,8 @@ def _require_one_step(contents: SystemContents) -> None:
     for component in spec.components:
         if spec.every(component) > 1:
             raise ConfigError(
-                f"{contents.path}: component '{component.name}' has a step of {component.step:g} s;"
-                f" in a container it must be that of the system, {spec.step:g} s."
+                f"{contents.path}: component '{component.name}' has a step of {component.step:g} "
+                f"s; it must equal the container's, {spec.step:g} s."
             )
 
 
@@ -133,8 +133,8 @@ def _runtime(folder: str, name: str) -> bytes:
         return (Path(container_fmu.__file__).parent / "binaries" / folder / name).read_bytes()
     except (ImportError, OSError) as error:
         raise ExportError(
-            f"FMPy {distribution('fmpy').version} has no runtime for containers; FMPy 0.3.32 or "
-            "newer is needed."
+            f"FMPy {distribution('fmpy').version} has no container runtime; install FMPy 0.3.32 or "
+            "newer."
         ) from error
 
 

@@ -25,7 +25,7 @@ _MOST_COMPONENTS = 1000
 
 def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
     if not bounds[0] < bounds[1]:
-        raise ValueError(f"the limits {bounds[0]:g} and {bounds[1]:g} leave nothing between them")
+        raise ValueError(f"the limits {bounds[0]:g} and {bounds[1]:g} are not in ascending order")
     return bounds
 
 

@@ -100,8 +100,8 @@ class Wiring:
         kinds = [self._slaves[name][variable].type for name, variable in (into, out)]
         if kinds != ["Real", "Real"]:
             raise self._error(
-                f"{where}: an input of type {kinds[0]} and an output of type {kinds[1]}; both must "
-                "be Real."
+                f"{where}: the input is of type {kinds[0]}, the output of type {kinds[1]}; both "
+                "must be Real."
             )
         taken, given = (self._slaves[name].unit(variable) for name, variable in (into, out))
         # Compare SI base units, because tools spell units differently.

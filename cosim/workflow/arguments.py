@@ -68,7 +68,7 @@ def logs_of(logs: Logs, robot: RobotArg | None = None, progress: Progress = sile
             continue
         path = path_of(log, "a log")
         if known is None:
-            raise ArgumentError(f"{path}: to read this log its robot must be known; give 'robot'.")
+            raise ArgumentError(f"{path}: give 'robot' to read this log.")
         read.append(Log.read(path, known))
     return read
 
@@ -77,7 +77,7 @@ def robot_of(robot: RobotArg | None, logs: Sequence[Log]) -> Robot:
     """Return the given robot, by default that of the logs."""
     found = robot if robot is not None else next((log.robot for log in logs if log.robot), None)
     if found is None:
-        raise ArgumentError("the logs do not say of which robot they are; give 'robot'.")
+        raise ArgumentError("the logs do not name their robot; give 'robot'.")
     return model_of(found)
 
 
@@ -187,7 +187,7 @@ def per_joint(name: str, values: PerJoint | None, joints: int) -> tuple[float, .
     if len(several) > 1:
         raise ArgumentError(
             f"'{name}': found {len(several)} values, but the model has {joints} joints; expected "
-            "one for each, or one for all."
+            "one per joint, or one for all."
         )
     return several * joints
 

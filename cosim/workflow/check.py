@@ -140,10 +140,7 @@ def check(
     paths = paths_of(fmus, "an FMU")
     systems = [path for path in paths if path.suffix.lower() == ".ssp"]
     if systems and set(kind) != {"references"}:
-        raise ArgumentError(
-            f"{systems[0]}: of an SSP the reference results are checked and nothing else; give "
-            "'kind' references only."
-        )
+        raise ArgumentError(f"{systems[0]}: an SSP only supports 'kind' references.")
     for path in paths:
         if path not in systems:
             opened(path).close()  # refuse an unreadable file before the work on others

@@ -137,7 +137,7 @@ def export(
     path = path_of(output, "an output")
     given: dict[str, Any] = {k: v for k, v in options.items() if v is not None and v is not False}
     if ("robot" in given) != ("rigid_body" in given):
-        raise ArgumentError("'robot' and 'rigid_body' go together; only one of them was given.")
+        raise ArgumentError("'robot' and 'rigid_body' go together; give both.")
     suffix = Path(source).suffix.lower() if isinstance(source, str | Path) else ""
     building = partial(progress, f"building {path.name}")
     if suffix == ".xml":
@@ -165,7 +165,7 @@ def _write_arm(
     signals = Path(given["signals"]) if "signals" in given else None
     if format == "python-arm":
         if platform is not None:
-            raise ArgumentError("'platform' is for native FMUs; python-arm has no such choice.")
+            raise ArgumentError("'platform' is for native FMUs, not python-arm.")
         export_python_arm(model, signals, output)
     elif format == "fmu":
         platforms = platform or ("linux64",)
@@ -192,7 +192,7 @@ def _write_system(
 
     _refuse_others(given, _OF_SYSTEMS, "friction laws, not for a system")
     if platform is not None:
-        raise ArgumentError("'platform' is for FMUs that are built; a system holds those it has.")
+        raise ArgumentError("'platform' is for FMUs; a system contains built ones.")
     kind = format or ("fmu" if output.suffix.lower() == ".fmu" else "ssp")
     if kind not in ("fmu", "ssp"):
         raise ArgumentError(f"'format' is {kind}; a system becomes an SSP (ssp) or an FMU (fmu).")
@@ -295,7 +295,7 @@ def _refuse_option(option: str, format: str, formats: Mapping[str, Any]) -> None
     ]
     shown = "platform" if option == "platforms" else option
     if not taking:
-        raise ArgumentError(f"'{shown}' is an option of no format.")
+        raise ArgumentError(f"'{shown}' is not an option of any format.")
     raise ArgumentError(
         f"'{shown}' needs 'format' {' or '.join(taking)}, but the format is '{format}'."
     )

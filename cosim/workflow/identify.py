@@ -96,7 +96,7 @@ def identify(
     from hesr_model.support.typed_json import to_json
 
     if (friction is None) != (rigid_body is None):
-        raise ArgumentError("'friction' and 'rigid_body' go together; only one of them was given.")
+        raise ArgumentError("'friction' and 'rigid_body' go together; give both.")
     if payload is not None and (physical or friction is not None or method != "stacked"):
         raise ArgumentError(
             "'payload' excludes 'physical', 'friction' and 'method' paper; give it alone."

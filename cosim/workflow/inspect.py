@@ -166,12 +166,10 @@ def inspect(
             "'study' needs 'write': a study names the robot file that reads its logs."
         )
     if not torque_constants and (loaded or payload is not None or mass_error != 0.2):
-        raise ArgumentError(
-            "'mass_error', 'loaded' and 'payload' are for 'torque_constants'; give that, too."
-        )
+        raise ArgumentError("'mass_error', 'loaded' and 'payload' need 'torque_constants'.")
     files = [g.path if isinstance(g, Log) else path_of(g, "a log") for g in listed(logs)]
     if None in files or not files:
-        raise ArgumentError("logs are inspected in their files; expected the path of each.")
+        raise ArgumentError("logs are inspected as files; give their paths.")
     progress("inspecting logs", 0, 1)
     proposal = inspected([file for file in files if file], robot)
     constants: Sequence[Constant] = ()
@@ -230,8 +228,8 @@ def _torque_constants(
     carried = tuple(payload) if isinstance(payload, Sequence) else None
     if payload is not None and (carried is None or len(carried) != 4):
         raise ArgumentError(
-            f"'payload': found {len(carried or (payload,))} values; expected its mass and the "
-            "three coordinates of its centre."
+            f"'payload': found {len(carried or (payload,))} values; expected mass and the three "
+            "coordinates of its centre."
         )
     model = robot_of(robot, ())
     description = model.description

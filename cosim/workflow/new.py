@@ -65,7 +65,7 @@ def answer(made: NewProject, _: PathArg | None) -> Answer:
     """Return the answer of a new project: its joints and the next command."""
     lines = [f"{made.folder}: a study of the joints {', '.join(made.joints)}."]
     if made.unused:
-        lines.append(f"Not used, they stand still: {', '.join(made.unused)}.")
+        lines.append(f"Not used, without motion: {', '.join(made.unused)}.")
     lines += [
         f"Its logs are sample data; replace them with yours: see {made.folder / 'README.txt'}.",
         f"Next: hesr run {made.folder / 'study.toml'}",

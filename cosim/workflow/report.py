@@ -93,7 +93,7 @@ def report(
     writers = plugins.load("hesr.reports")
     if kind in writers:
         if len(folders) > 1:
-            raise ArgumentError("one result is shown at a time; use 'law' to compare laws.")
+            raise ArgumentError("give one result; use 'law' to compare laws.")
         writers[kind].load()(folders[0], path, progress=progress, **drawn)
         return path or folders[0]
     if given:
@@ -106,7 +106,7 @@ def report(
         known = ", ".join(f".{one}" for one in ("html", "md", *writers) if one != "view")
         raise ArgumentError(f"{path}: reports are {known}.")
     if len(folders) > 1:
-        raise ArgumentError("a page (.html) shows one result; several go into Markdown (.md).")
+        raise ArgumentError("a page (.html) shows one result; use Markdown (.md) for several.")
     return write_report(folders[0], path, progress=progress)
 
 

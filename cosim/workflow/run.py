@@ -225,7 +225,7 @@ def _going_on(kept: Path) -> Iterator[None]:
         if not finished:
             raise
         raise Interrupted(
-            f"{', '.join(finished)} are kept in {kept}: the same command goes on from there",
+            f"{', '.join(finished)} are kept in {kept}: repeat the command to continue",
             interrupt,
         ) from interrupt
 

@@ -294,7 +294,7 @@ def _certified(report: LawReport, *, alone: bool) -> LawReport:
     for law in report.laws:
         if law.model is None:
             if alone:
-                raise ConfigError(f"{law.fmu}: it carries no friction law that could be audited.")
+                raise ConfigError(f"{law.fmu}: it contains no friction law to audit.")
             continue
         try:
             seen = ranges(law.model, reference_motion(law.model))

@@ -107,6 +107,5 @@ def _downloaded(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
 
 def _missing(platform: str, wanted: str, why: str) -> ExportError:
     return ExportError(
-        f"platform '{platform}': MuJoCo for it is in the wheel of {wanted}, which pip could not "
-        f"get ({why})."
+        f"platform '{platform}': pip could not download MuJoCo's wheel of {wanted} ({why})."
     )

@@ -69,9 +69,7 @@ def arm(
     """
     model = signals.model
     if model.nplugin:
-        raise ExportError(
-            f"model '{name}': it uses plugins of MuJoCo, which an FMU does not carry."
-        )
+        raise ExportError(f"model '{name}': plugins of MuJoCo are not supported in an FMU.")
     state = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
     table = Interface(
         variables=variables(signals),

@@ -64,7 +64,7 @@ SELDOM static bool is_possible(const Memory *memory, Message *why) {
         memory->refusals > MOST_REFUSALS + 1 ||
         (memory->sloped | memory->stale | memory->paused) >> 1 != 0 || isnan(memory->stop) ||
         !isfinite(memory->refused) || !isfinite(memory->component.time)) {
-        snprintf(why->text, sizeof why->text, "no instance can be in it");
+        snprintf(why->text, sizeof why->text, "no instance can have this state");
         return false;
     }
     return memory->mode == FAILED ||
@@ -151,7 +151,7 @@ static bool is_sound(Saved *saved, Message *why) {
         return false;
     }
     if (sum != sum_of(saved)) {
-        snprintf(why->text, sizeof why->text, "its checksum is wrong, so its bytes were changed");
+        snprintf(why->text, sizeof why->text, "its checksum is wrong");
         return false;
     }
     return is_possible(&saved->memory, why);

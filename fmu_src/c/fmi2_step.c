@@ -68,7 +68,7 @@ static fmi2Status refuse_step(Instance *instance, double step, const Message *wh
     if (memory->refusals <= MOST_REFUSALS) {
         return refuse(instance, "%s", why->text);
     }
-    complain(instance, "%s This step has been asked for %d times.", why->text, memory->refusals);
+    complain(instance, "%s This step has been requested %d times.", why->text, memory->refusals);
     return failed(instance);
 }
 

@@ -282,15 +282,15 @@ static bool differentiable(const Instance *instance, const char *function,
         const Role role = variable_of(unknowns[i])->role;
         if (role != OUTPUT && role != LOCAL && role != DERIVATIVE &&
             !(role == STATE && initialising)) {
-            complain(instance, "%s: %s is no continuous output and no state derivative.", function,
-                     variable_of(unknowns[i])->name);
+            complain(instance, "%s: %s is neither a continuous output nor a state derivative.",
+                     function, variable_of(unknowns[i])->name);
             return false;
         }
     }
     for (size_t i = 0; i < n_known; i++) {
         const Role role = variable_of(knowns[i])->role;
         if (role != INPUT && role != TUNABLE && role != (initialising ? FIXED : STATE)) {
-            complain(instance, "%s: nothing can be derived with respect to %s.", function,
+            complain(instance, "%s: derivatives with respect to %s are not available.", function,
                      variable_of(knowns[i])->name);
             return false;
         }

@@ -4,7 +4,7 @@
 /* Accept an empty call; report an error otherwise. */
 static fmi3Status without(fmi3Instance c, const char *function, size_t n) {
     if (c && n > 0) {
-        complain(INNER(c), "%s: this FMU has nothing of the kind.", function);
+        complain(INNER(c), "%s: this FMU does not support it.", function);
     }
     return c && n == 0 ? fmi3OK : fmi3Error;
 }

@@ -86,7 +86,7 @@ FMI2_EXPORT fmi2Component FMI2_NAME(fmi2Instantiate)(fmi2String name, fmi2Type t
     if (own && !load(&own->runtime) && functions && functions->logger) {
         functions->logger(functions->componentEnvironment, name ? name : "", fmi2Error,
                           "logStatusError",
-                          RUNTIME_FILE " cannot be loaded from beside the FMU's binary.");
+                          RUNTIME_FILE " cannot be loaded from the folder of the FMU's binary.");
     } else if (own) {
         own->inner =
             own->runtime.fmi2Instantiate(name, type, guid, resources, functions, visible, logging);

@@ -95,9 +95,9 @@ def _duplicates(names: list[str]) -> Iterator[str]:
             continue
         other = first[folded]
         if other == name:
-            yield f"the entry {quoted(name)} is there more than once."
+            yield f"the entry {quoted(name)} is duplicated."
         else:
             yield (
-                f"the entries {quoted(other)} and {quoted(name)} are one file where upper and "
-                "lower case are the same, as on Windows."
+                f"the entries {quoted(other)} and {quoted(name)} are the same file on Windows, "
+                "which ignores case."
             )

@@ -78,7 +78,7 @@ def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[str], 
         return [], [f"VDMCheck2: it gave no verdict but said '{first}'."]
     rules = [match for line in lines if (match := _RULE.fullmatch(line))]
     problems = [_rule(m[1], m[2]) for m in rules if not m[2].startswith(("//", "Warning:"))]
-    return problems or ["it found errors that it does not name."], []
+    return problems or ["it found unnamed errors."], []
 
 
 def _rule(name: str, text: str) -> str:

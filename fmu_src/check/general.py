@@ -23,8 +23,8 @@ def _kinds(about: ParsedDescription) -> Iterator[str]:
             )
         if kind.can("needsExecutionTool"):
             yield (
-                f"{kind.element} has needsExecutionTool='true', so that the FMU runs only where "
-                "its tool is installed."
+                f"{kind.element} has needsExecutionTool='true', so the FMU runs only where its "
+                "tool is installed."
             )
         if kind.can("canSerializeFMUstate") and not kind.can("canGetAndSetFMUstate"):
             yield (

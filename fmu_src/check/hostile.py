@@ -120,7 +120,7 @@ class _Master:
     def _scenarios(self) -> list[str]:
         chosen: list[str] = []
         if self._simulation is None:
-            self.skipped.append("Hostile steps: it is not for co-simulation here.")
+            self.skipped.append("Hostile steps: co-simulation is not available.")
         else:
             chosen += ["nominal", "summed", "refreshed"]
             if self._varies:

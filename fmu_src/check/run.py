@@ -132,7 +132,7 @@ class _Found:
             )
         if damaged or broken or invalid:
             self.skipped.append(
-                "FMPy and VDMCheck2: run once the archive, its XML and the schema are right."
+                "FMPy and VDMCheck2: not run; the archive, its XML or the schema is wrong."
             )
         else:
             self._run_others(contents, version)

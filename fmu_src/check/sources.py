@@ -35,7 +35,7 @@ def problems(about: ParsedDescription, contents: Contents) -> Iterator[str]:
     names = set(contents.names)
     binaries = any(name.startswith("binaries/") for name in names)
     if not binaries and not any(kind.sources for kind in about.kinds):
-        yield "there are neither binaries nor a list of source files, so that nothing can run."
+        yield "binaries and a list of source files are both missing."
     for kind in about.kinds:
         for source in kind.sources:
             if _FOLDER + source not in names:

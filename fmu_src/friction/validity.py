@@ -38,12 +38,12 @@ def require_exportable(model: FrictionModel, form: str, *, coupled: bool = True)
     if model.coupling and not coupled:
         raise ExportError(
             f"law '{model.law}': motors of '{model.robot}' turn with several joints, which {form} "
-            "cannot say; export it as an FMU (--format fmu, or drive)."
+            "does not support; use --format fmu or drive."
         )
     if model.thermal:
         raise ExportError(
-            f"law '{model.law}' depends on temperature, which {form} does not support; export it "
-            "as an FMU (--format fmu), or export the model without temperature."
+            f"law '{model.law}' depends on temperature, which {form} does not support; use "
+            "--format fmu, or a model without temperature."
         )
     require_numbers(model)
 

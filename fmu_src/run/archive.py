@@ -177,8 +177,7 @@ def hazards(entry: zipfile.ZipInfo) -> Iterator[str]:
         yield "an entry has no name."
     elif parts[0] == "" or _DRIVE.match(name) or ".." in parts:
         yield (
-            f"the entry {shown} leads out of the folder that the archive is unpacked to; needed "
-            "are relative names without '..'."
+            f"the entry {shown} leads out of the archive; expected a relative name without '..'."
         )
     if not name.isprintable() or entry.orig_filename.rstrip("\0") != name:
         yield f"the entry {quoted(entry.orig_filename)} has control characters in its name."

@@ -116,8 +116,8 @@ class _Fmi3(_Fmi2):
         results = [byref(result) for result in (event, end, early, last)]
         call("fmi3DoStep", time, size, c_bool(True), *results)
         if end.value:
-            return "fmi3DoStep asked for the end of the simulation"
-        return "fmi3DoStep ended early, unasked" if early.value else ""
+            return "fmi3DoStep requested termination"
+        return "fmi3DoStep returned early" if early.value else ""
 
 
 VERSIONS: Mapping[int, _Fmi2] = {2: _Fmi2(), 3: _Fmi3()}

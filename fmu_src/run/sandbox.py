@@ -37,7 +37,7 @@ _POLL = 0.1  # [s] between checks of the process
 _PIECE = 1 << 16  # bytes received at once
 _MOST_PREFETCHED = 8  # buffers
 _MOST_RESULT = 64 << 20  # bytes
-NONSENSE = "gave an answer that makes no sense and was ended"
+NONSENSE = "gave an invalid answer and was ended"
 
 
 class Sandbox:

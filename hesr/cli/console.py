@@ -68,7 +68,7 @@ def command_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Ite
         try:
             yield
         except HesrError:
-            _log.debug("This is where it was found out:", exc_info=True)
+            _log.debug("Origin of the error:", exc_info=True)
             raise
         except KeyboardInterrupt as interrupt:
             kept, cause = "", interrupt

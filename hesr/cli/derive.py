@@ -76,8 +76,7 @@ class _Numbers(Kind):
             return tuple(float(part) for part in str(value).split(","))
         except ValueError as error:
             raise ConfigError(
-                f"{_option(param)} is '{value}'; expected numbers with commas between them, as "
-                "3,3,0.6."
+                f"{_option(param)} is '{value}'; expected numbers such as 3,3,0.6."
             ) from error
 
 
@@ -91,8 +90,8 @@ class _Pair(Kind):
             return parse_toml(str(value))
         except ValueError as error:
             raise ConfigError(
-                f"{_option(param)} is '{value}'; expected KEY=VALUE with a value as in TOML, for "
-                'instance ripple=false or search="paper".'
+                f"{_option(param)} is '{value}'; expected KEY=VALUE in TOML, such as "
+                'ripple=false or search="paper".'
             ) from error
 
 
@@ -259,7 +258,7 @@ def _common() -> Iterator[click.Option]:
         ["--fail-on"],
         type=click.Choice(["error", "warning", "advice", "never"]),
         default="error",
-        help="Least severity of a finding that makes the exit code 1; default: error.",
+        help="Lowest severity with exit code 1 (default: error).",
     )
     yield click.Option(["--quiet"], is_flag=True, help="Print errors only.")
     yield click.Option(

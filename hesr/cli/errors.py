@@ -65,9 +65,9 @@ def errors_said() -> Iterator[None]:
         _give_up_output()
         refuse(f"{where}the system reports an error ({reason}).")
     except MemoryError:
-        refuse("memory does not suffice for this; give less data at once, or a machine with more.")
+        refuse("not enough memory; give less data at once.")
     except RecursionError:
-        refuse("a file that was read is nested too deeply.")
+        refuse("an input file is nested too deeply.")
 
 
 def refuse(sentence: str) -> NoReturn:

@@ -92,8 +92,8 @@ def library() -> ctypes.CDLL:
             found = ctypes.CDLL(str(built(Path(folder), host)))
     except (ExportError, ImportError, OSError) as error:
         raise ExportError(
-            "laws cannot be run without the C compiler of the package 'ziglang': "
-            f"{str(error).rstrip('.')}; reinstall it."
+            f"the C compiler of the package 'ziglang' is missing: {str(error).rstrip('.')}; "
+            "reinstall it."
         ) from error
     address, number = ctypes.c_void_p, ctypes.c_int64
     found.solve.argtypes = address, number, number, address, address, address

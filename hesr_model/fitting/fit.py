@@ -66,13 +66,13 @@ def fit(
 ) -> FrictionModel:
     """Fit one law to every joint; each of `logs` has one record per joint, of the same joints."""
     if not logs:
-        raise FitError(f"law '{law}': no log is given; pass the records of at least one.")
+        raise FitError(f"law '{law}': no log given; pass the records of at least one.")
     joints = [tuple(record.joint for record in log) for log in logs]
     for own in joints[1:]:
         if own != joints[0]:
             raise FitError(
-                f"law '{law}': one log has the joints {', '.join(joints[0])}, another one has "
-                f"{', '.join(own)}; all must have the same."
+                f"law '{law}': logs have different joints, {', '.join(joints[0])} and "
+                f"{', '.join(own)}."
             )
     return fit_models(
         [law],

@@ -104,9 +104,8 @@ class Simulator:
             np.linalg.cholesky(mass)
         except np.linalg.LinAlgError as error:
             raise SimulationError(
-                f"robot '{self.robot.description.name}': its identified mass matrix is not "
-                "positive, so that nothing can be simulated; identify it with --physical, or from "
-                "more logs."
+                f"robot '{self.robot.description.name}': the identified mass matrix is not "
+                "positive; identify with --physical, or from more logs."
             ) from error
         return np.asarray(np.linalg.inv(mass), dtype=np.float64), bias
 

@@ -55,8 +55,8 @@ def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -
     carrying = [m for m, own in zip(form.memory, scaled, strict=True) if m != own]
     if not carrying:
         raise ExportError(
-            f"law '{law.name}' has neither stops nor bristles to scale; use a law with bounds, "
-            "such as ParFam-S or LuGre."
+            f"law '{law.name}' has neither stops nor bristles to scale; use ParFam-S or LuGre, for "
+            "example."
         )
     states = {s: sympy.Integer(0) for m in form.memory for s in (m.state, m.derivative)}
     still = form.output.subs(states)

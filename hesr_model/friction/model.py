@@ -98,8 +98,7 @@ class FrictionModel:
                 )
         if self.thermal and self.coupling:
             raise ArtifactError(
-                f"friction model '{self.law}': its motors turn with several joints; a thermal "
-                "model needs uncoupled joints."
+                f"friction model '{self.law}': a thermal model does not support coupled joints."
             )
         if self.coupling and len(self.coupling.matrix) != len(self.joints):
             raise ArtifactError(
@@ -332,8 +331,7 @@ class FrictionModel:
         """
         if self.coupling is not None:
             raise SimulationError(
-                f"friction model '{self.law}': its motors turn with several joints; a band needs "
-                "uncoupled joints."
+                f"friction model '{self.law}': a band does not support coupled joints."
             )
         if not self.banded:
             raise SimulationError(

@@ -138,9 +138,7 @@ def predict_band(
     `coverage` is the share of rows within, 0.5 to 0.999. Raises ArtifactError without a band.
     """
     if law.band is None:
-        raise ArtifactError(
-            f"law '{law.name}' has no band; laws that are fitted with this version have one."
-        )
+        raise ArtifactError(f"law '{law.name}' has no band; fit it again with this version.")
     dt, inputs = _arrays(t, (dq, q, tau_load))
     given = np.array([*law.values.values(), *law.band.values.values(), coverage])
     lower, upper = KernelRun(_band(law.form), [*inputs, torque], dt).at(given).T

@@ -85,8 +85,8 @@ def torques(y: Any, rows: int) -> Array:
     """Return torques as (N, n), from (N,) for one joint; raise TableError if they do not match."""
     if y is None:
         raise TableError(
-            "a table of motion requires y to be passed, but the target y is None; y is the "
-            "measured torque, (N,) or (N, n)."
+            "a table of motion requires y to be passed, but the target y is None; pass the "
+            "measured torque."
         )
     listed = y if hasattr(y, "tocsr") else np.asarray(y)
     found, _ = numbers(listed.reshape(-1, 1) if listed.ndim == 1 else listed, "y")

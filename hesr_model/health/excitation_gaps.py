@@ -18,7 +18,7 @@ def unseen(examination: Examination, joints: Sequence[str]) -> Iterator[tuple[st
     for j, joint in enumerate(joints):
         parts = [k for k, part in enumerate(examination.parts) if part.moves[j]]
         if not parts:
-            yield joint, "it stands still in all logs"
+            yield joint, "it does not move in any log"
             continue
         own = [examination.parts[k].v[:, j] for k in parts]
         v = np.concatenate(own)
@@ -32,4 +32,4 @@ def unseen(examination: Examination, joints: Sequence[str]) -> Iterator[tuple[st
         if fits and not any(fit.bears_gravity for fit in fits):
             yield joint, "no gravity torque: its torque constant cannot be checked"
         elif fits and all(fit.gravity_size < _LOAD * fit.friction_size for fit in fits):
-            yield joint, "hardly any change of load: not how friction rises with it"
+            yield joint, "hardly any change of load: no load-dependent friction"

@@ -19,10 +19,10 @@ class HealthError(LogError):
 def _said(findings: Sequence[Finding]) -> str:
     lines = [f"{f.sentence} [{f.check}]" for f in findings]
     names = " ".join(f"--accept {name}" for name in dict.fromkeys(f.check for f in findings))
-    told = f"To go on nevertheless: {names}."
+    told = f"To continue anyway: {names}."
     if len(lines) == 1:
         return f"{lines[0]} {told}"
-    return "\n  ".join([f"{len(lines)} things in the data cannot be right.", *lines, told])
+    return "\n  ".join([f"{len(lines)} errors in the data.", *lines, told])
 
 
 def of_log(log: Log, findings: Iterable[Finding]) -> list[Finding]:

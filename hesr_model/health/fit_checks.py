@@ -32,7 +32,7 @@ def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
             found=f"the identified mass matrix is not positive definite (eigenvalue {lowest:.2g}, "
             f"for instance at q = {at})",
             remedy="the identified masses are not physically possible; use longer or faster logs, "
-            "or physical = true in the study (--physical)",
+            "or --physical",
         )
     for name, (coulomb, _, _), rmse in zip(joints, body.friction, body.rmse, strict=True):
         if -coulomb > _NEGATIVE * rmse:

@@ -47,8 +47,8 @@ def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[F
         yield Finding(
             check="missing-rows",
             joints=(model.description.joints[j],),
-            found=f"rows are missing throughout; its sliding torque at {speeds[worst]:.2g} {unit} "
-            f"is uncertain by {100 * min(uncertain[worst], 9.99):.2g} %",
+            found=f"many rows are missing; its sliding torque at {speeds[worst]:.2g} {unit} is "
+            f"uncertain by {100 * min(uncertain[worst], 9.99):.2g} %",
             remedy=f"friction needs {100 * _UNCERTAIN:g} %; record without losses, or for longer",
         )
 

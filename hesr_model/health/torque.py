@@ -48,8 +48,8 @@ def check_torque(
                 joints=(model.description.joints[j],),
                 found="its gravity torque has the opposite sign of the model's "
                 f"({fit.gravity.value:.2g} times, {abs(fit.gravity.t):.0f} standard errors)",
-                remedy="the mounting differs from 'gravity', its zero is half a turn off, or its "
-                "torque or position counts backwards",
+                remedy="the mounting differs from 'gravity', its zero is off by half a turn, or "
+                "torque or position has the wrong sign",
             )
         if fit.r2 < NO_SIGNAL:
             levels = len(np.unique(motion.tau[:, j]))
@@ -59,8 +59,7 @@ def check_torque(
                 joints=(model.description.joints[j],),
                 found=f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
                 f"which takes {levels} values",
-                remedy="it contains almost no signal, or belongs to another joint; a fit to it is "
-                "meaningless",
+                remedy="it contains almost no signal, or belongs to another joint",
             )
     yield from _no_friction(found, model)
     yield from _against_limits(motion, found, model)

@@ -208,8 +208,8 @@ def _cause(
             if abs(np.log(ratio * units.factors("t", 1)[0] / factor)) < _SAME:
                 return f"time is in {unit}; set [log.units] t = '{unit}'", {"log.units.t": unit}
         return (
-            f"the same at all joints: the time stamps run {1 / ratio:.2g} times as fast as time "
-            "(wrong sample rate), or the unit of dq is wrong",
+            f"all joints agree: time stamps run {1 / ratio:.2g} times as fast as time (wrong "
+            "sample rate), or the unit of dq is wrong",
             {"log.units.t": float(units.factors("t", 1)[0]) * ratio},
         )
     return "units, a gear ratio or the signal itself are wrong; see [log.units]", {}

@@ -271,8 +271,8 @@ def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
     if samples.is_current:
         if gains is None:
             raise LogError(
-                f"{path}: its efforts are currents by 'log.bag.effort' of the robot file, which "
-                "needs 'log.torque_per_ampere' for them."
+                f"{path}: the efforts are currents (log.bag.effort); add log.torque_per_ampere to "
+                "the robot file."
             )
         torque = torque * gains
     if robot.transmission is None or robot.transmission.logs == "joint":
@@ -321,7 +321,7 @@ def _require_steady_time(log: Log, samples: LogSamples, robot: RobotDescription)
     found = [nominal * period for period in (log.period, 1.0 / log.rate) if nominal]
     if nominal and not any(1 / _RATE_MARGIN <= ratio <= _RATE_MARGIN for ratio in found):
         raise LogError(
-            f"{log.where}: {samples.time}: rows are {log.period:.4g} s apart, but the robot "
-            f"file's sample_rate of {nominal:g} Hz means {1 / nominal:.4g} s; time must be in s, "
-            "or its unit stand under 'log.units.t'."
+            f"{log.where}: {samples.time}: rows are {log.period:.4g} s apart, but the robot file's "
+            f"sample_rate of {nominal:g} Hz means {1 / nominal:.4g} s; give the unit of time, "
+            "'log.units.t'."
         )

@@ -117,6 +117,6 @@ def _require_rate(log: Log, period: float, cutoff: float) -> None:
     highest = _HIGHEST_SHARE_OF_NYQUIST * 0.5 / period
     if cutoff > highest:
         raise LogError(
-            f"{log.where}: its rows are {period:.3g} s apart ({1 / period:.4g} Hz), too slow for "
-            f"a filter_cutoff of {cutoff:g} Hz; {highest:.3g} Hz is the most at this rate."
+            f"{log.where}: its rows are {period:.3g} s apart ({1 / period:.4g} Hz); at this rate "
+            f"filter_cutoff can be at most {highest:.3g} Hz."
         )

@@ -181,7 +181,7 @@ def _dialect(path: Path) -> _Dialect:
     if (length := path.stat().st_size) > _MOST_CSV:
         raise LogError(
             f"{path}: is {length / 1e9:.1f} GB long; a CSV of up to {_MOST_CSV / 1e9:.1f} GB can "
-            "be read; write it as Parquet, or split it."
+            "be read; use Parquet, or split it."
         )
     try:
         with path.open(encoding="utf-8-sig") as file:
@@ -294,8 +294,7 @@ def _read_parquet(path: Path) -> Any:
             _require_columns(path, columns)
             if 8 * rows * columns > most_bytes(path):
                 raise LogError(
-                    f"{path}: has {rows} rows of {columns} columns, far more than a file of its "
-                    "length can hold; leave out columns, or split it."
+                    f"{path}: has {rows} rows of {columns} columns, more than fits into the file."
                 )
             return file.read()
     except LogError:
@@ -306,9 +305,7 @@ def _read_parquet(path: Path) -> Any:
 
 def _require_columns(path: Path, count: int) -> None:
     if count > _MOST_COLUMNS:
-        raise LogError(
-            f"{path}: has {count} columns; at most {_MOST_COLUMNS} can be read, so leave some out."
-        )
+        raise LogError(f"{path}: has {count} columns; at most {_MOST_COLUMNS} are allowed.")
 
 
 def _read_csv(path: Path, dialect: _Dialect) -> Any:

@@ -113,9 +113,8 @@ def design(
     for joint, peak in zip(model.description.joints, np.abs(dq).max(axis=0), strict=True):
         if not peak > LEAST_PEAK:
             raise FitError(
-                f"robot '{model.description.name}': the limits admit no motion of joint '{joint}' "
-                f"that is faster than {peak:.2g} rad/s; identification needs more than "
-                f"{LEAST_PEAK:g} rad/s, so wider limits are needed."
+                f"robot '{model.description.name}': the limits allow joint '{joint}' at most "
+                f"{peak:.2g} rad/s; widen them, identification needs {LEAST_PEAK:g} rad/s."
             )
     return Excitation(
         motion=replace(motion, periods=settings.periods),

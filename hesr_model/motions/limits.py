@@ -45,8 +45,8 @@ class MotionLimits(Config):
         for joint, (lowest, highest) in enumerate(self.position or (), start=1):
             if not lowest < highest:
                 raise ValueError(
-                    f"position of joint {joint} goes from {lowest:g} to {highest:g}, which admits "
-                    "no motion; the first must be the lower"
+                    f"position of joint {joint} goes from {lowest:g} to {highest:g}; the first "
+                    "must be the lower"
                 )
         return self
 
@@ -138,8 +138,8 @@ class Limits:
             low, high = (middle, high) if keeps(middle) else (low, middle)
         if low == 0.0:
             raise FitError(
-                f"robot '{model.description.name}': the limits admit no motion: gravity alone "
-                "uses up limits.torque even at the best position; larger torques are needed."
+                f"robot '{model.description.name}': the limits allow no motion: gravity exceeds "
+                "limits.torque in every position."
             )
         return towards_rest(low)
 
@@ -166,10 +166,9 @@ class Limits:
         joint = int(np.argmax(needed / self.torque))
         if needed[joint] >= self.torque[joint]:
             raise FitError(
-                f"robot '{model.description.name}': the limits admit no motion, because joint "
+                f"robot '{model.description.name}': the limits allow no motion: joint "
                 f"'{model.description.joints[joint]}' needs {needed[joint]:.3g} N.m against "
-                f"gravity even where it takes least, but limits.torque is "
-                f"{self.torque[joint]:g} N.m."
+                f"gravity, but limits.torque is {self.torque[joint]:g} N.m."
             )
         return rest
 

@@ -35,7 +35,7 @@ def matched(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:
         raise FitError(
             f"log {backward.name}: is not the time-reversed counterpart of {forward.name}; "
             f"positions differ by {distances[best]:.3g} rad in the mean, at most "
-            f"{_LARGEST_MISMATCH:g} rad can be matched."
+            f"{_LARGEST_MISMATCH:g} rad is allowed."
         )
     times = mirror + shifts[best]
     rows = _covered(times, backward.t)

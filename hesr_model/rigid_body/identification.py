@@ -367,6 +367,6 @@ def require_speed(where: str, peaks: Array, model: Robot) -> None:
     for joint, peak in zip(model.description.joints, peaks, strict=True):
         if not peak > LEAST_PEAK:
             raise FitError(
-                f"{where}: joint '{joint}' is never faster than {peak:.2g} rad/s; "
-                f"a peak of more than {LEAST_PEAK:g} rad/s is needed in at least one log."
+                f"{where}: joint '{joint}' is never faster than {peak:.2g} rad/s; at least one log "
+                f"must exceed {LEAST_PEAK:g} rad/s."
             )

@@ -155,8 +155,7 @@ def _require_mass(name: str, payload: Payload) -> None:
     if not payload.mass > _SIGNIFICANT * error:
         raise FitError(
             f"{name}: no significant payload; its mass is {payload.mass:.3g} kg with a standard "
-            f"error of {error:.2g} kg, and more than {_SIGNIFICANT:g} standard errors are "
-            "needed."
+            f"error of {error:.2g} kg (at least {_SIGNIFICANT:g} standard errors needed)."
         )
 
 

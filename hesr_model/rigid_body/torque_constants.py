@@ -50,8 +50,8 @@ class Constant:
         if self.determined:
             return f"joint '{self.joint}': {self.value:.4g} +- {self.error:.2g} N.m/A."
         return (
-            f"joint '{self.joint}': not determined; its load is too light compared with "
-            "friction, or too uncertain. Record a known payload that loads this joint."
+            f"joint '{self.joint}': not determined; record a known, heavier payload that loads "
+            "this joint."
         )
 
 

@@ -37,8 +37,8 @@ def _mjcf(path: Path) -> ElementTree.Element:
     root = ElementTree.parse(path).getroot()
     if (include := root.find(".//include")) is not None:
         raise RobotError(
-            f"{path}: includes '{include.get('file')}', and included files are not read; write the "
-            "model as one file, as MuJoCo's mj_saveLastXML does."
+            f"{path}: includes '{include.get('file')}'; write the model as one file (MuJoCo: "
+            "mj_saveLastXML)."
         )
     return root
 
@@ -69,7 +69,7 @@ def joints_of(path: Path) -> tuple[ModelJoint, ...]:
     try:
         names = list(model.names)[1:]
     except UnicodeDecodeError as error:
-        raise RobotError(f"{path}: a joint's name is no UTF-8 text.") from error
+        raise RobotError(f"{path}: a joint name is not valid UTF-8.") from error
     return tuple(
         ModelJoint(name=name, freedom=joint.nv, slides=_slides(joint))
         for name, joint in zip(names, list(model.joints)[1:], strict=True)

@@ -48,7 +48,7 @@ class Transmission(Config):
             raise ValueError(f"'friction' has {len(self.friction)} entries; {n} are needed, or one")
         for what, matrix in (("matrix", self.motors), ("friction", self.coordinates)):
             if np.linalg.cond(matrix) > _MOST_CONDITION:
-                raise ValueError(f"its {what} does not tell the joints apart (it is singular)")
+                raise ValueError(f"its {what} is singular")
         return self
 
     @property
@@ -75,7 +75,7 @@ class Transmission(Config):
             if slides[i] != slides[j]:
                 raise RobotError(
                     f"key 'transmission.matrix' couples the motor of joint '{joints[i]}' to joint "
-                    f"'{joints[j]}'; one of them slides and the other turns, which cannot be."
+                    f"'{joints[j]}'; a sliding and a turning joint cannot be coupled."
                 )
 
 

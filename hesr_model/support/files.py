@@ -109,8 +109,7 @@ def _take(path: Path, cleanup: ExitStack) -> None:
         lock.acquire()
     except Timeout as error:
         raise ArtifactError(
-            f"{path}: another run is writing into this folder; wait until it has ended, or give "
-            "another folder."
+            f"{path}: another run is writing here; wait for it, or give another folder."
         ) from error
     except OSError as error:
         raise _unwritable(path, error) from error

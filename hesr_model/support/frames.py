@@ -29,6 +29,4 @@ def _library(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        raise ConfigError(
-            f"{name} is not installed, which this needs; pip install 'hesr[tables]' brings it."
-        ) from error
+        raise ConfigError(f"{name} is not installed; pip install 'hesr[tables]'.") from error

@@ -181,9 +181,8 @@ class _Pool:
                         other.process.kill()
                     future.set_exception(
                         WorkerError(
-                            "a worker process ended before its job was done, killed by another "
-                            "program or for lack of memory; run it again, with fewer processes if "
-                            "memory is short."
+                            "a worker process was killed, perhaps for lack of memory; run it "
+                            "again with fewer workers."
                         )
                     )
                 except Exception as error:  # the answer cannot be unpickled here

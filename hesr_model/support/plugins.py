@@ -49,8 +49,8 @@ class Plugin:
             if self.own:
                 raise
             raise ConfigError(
-                f"{self.label} cannot be loaded ({type(error).__name__}: {error}); "
-                "mend the package or uninstall it."
+                f"{self.label} cannot be loaded ({type(error).__name__}: {error}); repair or "
+                "uninstall the package."
             ) from error
 
 

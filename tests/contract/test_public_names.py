@@ -167,11 +167,10 @@ def test_predict_without_a_motion_is_a_type_error(model: FrictionModel) -> None:
 @pytest.mark.parametrize(
     ("logs", "sentence"),
     [
-        ([], "law 'lugre': no log is given; pass the records of at least one."),
+        ([], "law 'lugre': no log given; pass the records of at least one."),
         (
             [records("one"), records("two", ("a", "c"))],
-            "law 'lugre': one log has the joints a, b, another one has a, c; all must have the "
-            "same.",
+            "law 'lugre': logs have different joints, a, b and a, c.",
         ),
     ],
 )

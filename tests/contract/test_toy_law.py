@@ -181,7 +181,7 @@ def test_the_law_fulfils_the_contract_of_all_laws(site: Path) -> None:
             "import no_such_library",
             LAW,
             "law 'smooth_coulomb' of the package 'my-laws' cannot be loaded (ModuleNotFoundError: "
-            "No module named 'no_such_library'); mend the package or uninstall it.",
+            "No module named 'no_such_library'); repair or uninstall the package.",
         ),
         (
             MODULE,

@@ -49,7 +49,7 @@ def test_paths_are_read_with_the_robot_of_the_logs_beside_them(
         assert [log.path for log in found] == [file] * len(found)
         assert all(log.robot and log.robot.joints == arm.joints for log in found)
     assert logs_of([arm_log, read])[0] is arm_log
-    with pytest.raises(ArgumentError, match=r"run\.csv: to read this log its robot must be known"):
+    with pytest.raises(ArgumentError, match=r"run\.csv: give 'robot' to read this log"):
         logs_of([arm_log, file])
 
 
@@ -67,7 +67,7 @@ def test_the_given_robot_precedes_that_of_the_logs(
     other = arm.model_copy(update={"name": "other"})
     assert robot_of(None, [arm_log, log]).description is arm
     assert robot_of(other, [log]).description is other
-    with pytest.raises(ArgumentError, match="the logs do not say of which robot they are"):
+    with pytest.raises(ArgumentError, match="the logs do not name their robot"):
         robot_of(None, [arm_log])
 
 

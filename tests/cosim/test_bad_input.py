@@ -208,7 +208,7 @@ LOG_FAULTS: dict[str, tuple[Callable[[Rows], object], str]] = {
     ),
     "more joints than the robot": (
         fourth_joint,
-        "has column 'q4', but the robot has 3 joints; name the columns one by one",
+        "has column 'q4', but the robot has 3 joints; name the columns to use",
     ),
     "fewer joints than the robot": (
         without("q3", "dq3", "tau3"),

@@ -53,7 +53,7 @@ def test_temperature_is_found_in_logs(study_run: Run, tmp_path: Path, capsys, mo
     options += ("-o", out)
     answer = hesr("fit", study_run.log("sweep"), *options)
     assert answer.code == 2
-    assert "without temperatures, logs of at least 300 s" in answer.err
+    assert "without temperatures it must last 300 s" in answer.err
     assert not out.exists()
     warm = np.linspace(20.0, 40.0, len(cold.t))[:, None] * np.ones(cold.q.shape[1])
     replace(cold, temperature=warm).write(log)

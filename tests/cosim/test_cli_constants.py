@@ -47,7 +47,7 @@ def test_a_payload_needs_four_numbers(hesr: Hesr, tmp_path: Path, arm_log: Log) 
     robot, log = write(tmp_path, arm_log)
     answer = hesr("inspect", log, "--robot", robot, "--torque-constants", "--payload", "2.0,0.1")
     assert answer.code == 2
-    assert "--payload: found 2 values; expected its mass" in answer.err
+    assert "--payload: found 2 values; expected mass and" in answer.err
     answer = hesr(
         "inspect", log, "--robot", robot, "--torque-constants", "--payload", "2.0,0.1,0,0"
     )

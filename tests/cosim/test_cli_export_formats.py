@@ -104,12 +104,12 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         ),
         (
             ["--format", "drive", "--inertia", "3,3", "-o", "D.fmu"],
-            "--inertia: found 2 values, but the model has 3 joints; expected one for each, or one "
-            "for all.",
+            "--inertia: found 2 values, but the model has 3 joints; expected one per joint, or "
+            "one for all.",
         ),
         (
             ["--format", "drive", "--inertia", "heavy", "-o", "D.fmu"],
-            "--inertia is 'heavy'; expected numbers with commas between them, as 3,3,0.6.",
+            "--inertia is 'heavy'; expected numbers such as 3,3,0.6.",
         ),
         (["--fmi", "4", "-o", "F.fmu"], "Invalid value for '--fmi': '4' is not one of '2', '3'."),
         (
@@ -131,7 +131,7 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         ),
         (
             ["--robot", "robot.toml", "-o", "F.fmu"],
-            "--robot and --rigid-body go together; only one of them was given.",
+            "--robot and --rigid-body go together; give both.",
         ),
         (
             ["--robot", "robot.toml", "--rigid-body", "body.json", "-o", "F.fmu"],

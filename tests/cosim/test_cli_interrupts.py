@@ -127,7 +127,7 @@ def test_an_interrupted_closed_loop_names_its_checkpoint(tmp_path: Path) -> None
     one_sentence(said, STOPPED)
     found = re.search(r"(\d+) finished rows of the closed loop are kept in (\S+): the", said)
     assert found
-    assert said.endswith("the same command goes on from there.\n")
+    assert said.endswith("repeat the command to continue.\n")
     assert found[2] == str(kept)
     rows = int(found[1])
     assert rows == len(list(kept.glob("*.json"))) >= 2

@@ -50,7 +50,7 @@ def test_limits_that_admit_no_motion_are_refused(hesr: Hesr, tmp_path: Path) -> 
     answer = hesr("excite", ROBOT, "-o", tmp_path / "motion.csv", "--settings", settings)
     assert answer.code == 2
     assert answer.err.count("\n") == 1
-    assert "the limits admit no motion" in answer.err
+    assert "the limits allow no motion" in answer.err
     assert not (tmp_path / "motion.csv").exists()
 
 

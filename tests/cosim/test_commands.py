@@ -111,9 +111,9 @@ def test_unusable_arguments_are_refused(
     fleet.write_text("[types]\n", encoding="utf-8")
     board.write_text("robots = []\n", encoding="utf-8")
     for call, sentence in [
-        (lambda: hesr.identify(arm_log), "the logs do not say of which robot they"),
-        (lambda: hesr.identify("a.csv"), "a.csv: to read this log its robot must be"),
-        (lambda: hesr.inspect(arm_log), "logs are inspected in their files; needed"),
+        (lambda: hesr.identify(arm_log), "the logs do not name their robot"),
+        (lambda: hesr.identify("a.csv"), "a.csv: give 'robot' to read this log"),
+        (lambda: hesr.inspect(arm_log), "logs are inspected as files; give their"),
         (lambda: hesr.export(table1, "a", format="x"), "'format' is x; allowed are adaptive, c"),
         (lambda: hesr.export(table1, tmp_path / "a.txt"), "a.txt"),
         (lambda: hesr.export(table1, "a", robot="r"), "'robot' and 'rigid_body' go together"),
@@ -134,11 +134,11 @@ def test_unusable_arguments_are_refused(
         (lambda: hesr.report(3), "a folder is given as int; expected a path"),
         (lambda: hesr.report("a", output="b.pdf"), "b.pdf: reports are .html, .md, .mp4, .webp."),
         (lambda: hesr.report("a", magnify=2.0), "are for 'view' and videos"),
-        (lambda: hesr.report(["a", "b"]), "a page (.html) shows one result; several go into Mar"),
-        (lambda: hesr.report(["a", "b"], view=True), "one result is shown at a time; use 'law'"),
+        (lambda: hesr.report(["a", "b"]), "a page (.html) shows one result; use Markdown"),
+        (lambda: hesr.report(["a", "b"], view=True), "give one result; use 'law'"),
         (
             lambda: hesr.inspect("a.csv", payload=1.0),
-            "'mass_error', 'loaded' and 'payload' are for 'torque_constants'; give that, too.",
+            "'mass_error', 'loaded' and 'payload' need 'torque_constants'.",
         ),
         (
             lambda: hesr.test(table1, on=[board], kind=["passivity"]),

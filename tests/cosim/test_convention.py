@@ -90,8 +90,8 @@ def test_an_fmu_with_other_connectors_is_refused_before_it_is_checked(
     friction_fmu: Path, drive_fmu: Path, hesr: Hesr
 ) -> None:
     sentence = (
-        f"{drive_fmu}: --kind convention needs a friction FMU (velocity in, torque out), and this "
-        "one has no input 'dq[1]'."
+        f"{drive_fmu}: --kind convention needs a friction FMU (velocity in, torque out); this one "
+        "has no input 'dq[1]'."
     )
     with pytest.raises(SimulationError) as caught:
         measure(drive_fmu)

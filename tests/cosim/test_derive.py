@@ -171,8 +171,8 @@ def test_wrong_usage_is_refused(
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        (["--inertia", "1,,2"], "--inertia is '1,,2'; expected numbers with commas between them"),
-        (["--option", "a"], "--option is 'a'; expected KEY=VALUE with a value as in TOML"),
+        (["--inertia", "1,,2"], "--inertia is '1,,2'; expected numbers such as"),
+        (["--option", "a"], "--option is 'a'; expected KEY=VALUE in TOML"),
     ],
 )
 def test_values_of_wrong_form_are_reported(

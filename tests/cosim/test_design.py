@@ -148,7 +148,7 @@ def test_other_suffixes_than_tables_are_refused(tmp_path):
     ("text", "kind", "sentence"),
     [
         ("velocity = [1.0]", RobotError, "key 'limits.velocity' has 1 entries"),
-        ("torque = [200.0, 1e-4, 1e-4]", FitError, "robot 'uf850': the limits admit no motion"),
+        ("torque = [200.0, 1e-4, 1e-4]", FitError, "robot 'uf850': the limits allow no motion"),
         ("speed = [1.0]", ConfigError, "unknown key 'limits.speed'"),
     ],
 )

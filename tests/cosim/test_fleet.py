@@ -389,7 +389,7 @@ def test_logs_are_found_in_folders_and_partitions(tmp_path: Path) -> None:
         ('"robot.toml"', '"no.toml"', "no.toml: no such file."),
         ('"logs/robot=*"', '"logs/robot=*"\naccept = ["zeros"]', "--accept is 'zeros'; the"),
         ('"logs/robot=*"', '"logs/robot=*"\n[types.b]\nrobot = "robot.toml"\nlogs = "logs/*"',
-         "robot 'R0' is of the types 'arm' and 'b'; give each robot one type."),
+         "robot 'R0' has the types 'arm' and 'b'; give each robot one type."),
     ],
 )  # fmt: skip
 def test_invalid_fleets_are_refused(
@@ -413,7 +413,7 @@ def test_a_cyclic_link_is_refused(tmp_path: Path) -> None:
     (arm,) = members(*study_of(tmp_path, two="b/*"))
     assert [name for name, _ in arm.logs] == ["arm2/far/arm3/run3", "arm2/run2"]
     (tmp_path / "b/arm2/loop").symlink_to("..")
-    with pytest.raises(ConfigError, match="b/arm2/loop: is a link to a folder that contains it"):
+    with pytest.raises(ConfigError, match="b/arm2/loop: links to a folder that contains it"):
         members(*study_of(tmp_path, two="b/*"))
 
 
@@ -421,7 +421,7 @@ def test_folders_of_another_fleet_are_refused(copied: Path, command: Command, ca
     file = copied / "fleet.toml"
     with (
         FileLock(copied / "out" / ".fleet-lock"),
-        pytest.raises(ArtifactError, match="another fleet is writing into this folder; wait"),
+        pytest.raises(ArtifactError, match="another fleet is writing here; wait"),
     ):
         run_fleet(file, copied / "out", workers=1)
     file.write_text(file.read_text(encoding="utf-8").replace('"cell"', '"hall"'), encoding="utf-8")

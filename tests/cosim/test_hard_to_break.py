@@ -68,7 +68,7 @@ def test_the_next_run_removes_files_of_a_killed_run(tmp_path: Path) -> None:
         wait_for(lambda: list(results.glob(".hesr-*/half")), process)
         # That process is alive, so its files are left alone.
         with (
-            pytest.raises(ArtifactError, match="another run is writing into this folder"),
+            pytest.raises(ArtifactError, match="another run is writing here"),
             folder_written_whole(results),
         ):
             raise AssertionError
@@ -93,8 +93,7 @@ def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
         assert second.returncode == 2
         assert (out, err) == (
             "",
-            f"hesr: {results}: another run is writing into this folder; wait until it has ended, "
-            "or give another folder.\n",
+            f"hesr: {results}: another run is writing here; wait for it, or give another folder.\n",
         )
         assert first.poll() is None
         assert list(results.glob(".hesr-*/*"))
@@ -353,7 +352,7 @@ def test_200_000_columns_are_handled_quickly(suffix: str, refused: Refused, tmp_
         pyarrow.parquet.write_table(pyarrow.table({name: [1.5] for name in few}), log)
         names = few
     assert refused(*identify(log, robot_file(tmp_path))) == (
-        f"{log}: has {len(names)} columns; at most 10000 can be read, so leave some out.\n"
+        f"{log}: has {len(names)} columns; at most 10000 are allowed.\n"
     )
 
 
@@ -413,7 +412,7 @@ def test_10_gb_of_zeros_take_no_memory(name: str, head: bytes, tmp_path: Path) -
     sentence, memory = err.splitlines()
     assert sentence.startswith(f"hesr: {path}: ")
     if head.startswith(b"t;"):
-        assert "is 10.0 GB long; a CSV of up to 2.1 GB can be read; write it as" in sentence
+        assert "is 10.0 GB long; a CSV of up to 2.1 GB can be read; use Parquet" in sentence
     assert int(memory) < 500_000  # kB; the imports of the command take 230 MB
 
 
@@ -434,7 +433,7 @@ def test_insufficient_memory_is_one_sentence(tmp_path: Path) -> None:
     )
     assert (result.returncode, result.stderr) == (
         2,
-        "hesr: memory does not suffice for this; give less data at once, or a machine with more.\n",
+        "hesr: not enough memory; give less data at once.\n",
     )
 
 
@@ -486,12 +485,12 @@ def test_decompression_bombs_as_logs_are_refused(refused: Refused, tmp_path: Pat
     zeros = np.zeros(4_200_000)
     table = pyarrow.table({f"c{k}": zeros for k in range(10)})
     pyarrow.parquet.write_table(table, log)
-    assert "far more than a file of its length can hold" in refused(*identify(log, robot))
+    assert "more than fits into the file" in refused(*identify(log, robot))
     log = tmp_path / "log.mat"
     with h5py.File(log, "w", userblock_size=512) as file:
         file.create_dataset("t", (10**9,), dtype=np.float64)
     sentence = refused(*identify(log, robot))
-    assert "holds far more data than a file of its length can; leave out variables" in sentence
+    assert "claims more data than fits into the file" in sentence
 
 
 def test_an_endless_motion_is_refused() -> None:

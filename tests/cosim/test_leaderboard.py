@@ -240,7 +240,7 @@ def test_the_physics_checks_are_on_the_page(laid: Path, table1_fmu: Path, tmp_pa
             r"twin, motion 'trial' \(MIT\)\.",
         ),
         ("warm_up = 0.5", "warm_up = 9.0", "s, not longer than the warm-up of 9 s"),
-        ('"all", ', "", "'scores' lacks 'all', which ranks the entries"),
+        ('"all", ', "", "'scores' must contain 'all', which ranks the entries"),
         ("[[logs]]", '[[logs]]\nrobot = "ur5"', "a log is of the robot 'ur5'; known are uf850"),
         (
             "block = 1.0",

@@ -464,7 +464,7 @@ MANY = "".join(f'name = "c{k}"\nfmu = "B.fmu"\n\n[[components]]\n' for k in rang
         ("stop = 1.0", "stop = 1.0\nstopp = 2.0", "unknown key 'stopp'; allowed here: components,"),
         ("stop = 1.0", 'stop = 1.0\nobserve = ["a"]', "key 'observe.0' is 'a'"),
         ("stop = 1.0", 'stop = 1.0\nlimits = {"a.y" = [1.0, 1.0]}',
-         "the limits 1 and 1 leave nothing between them."),
+         "the limits 1 and 1 are not in ascending order."),
         ("stop = 1.0", "", "key 'stop' is missing."),
     ],
 )  # fmt: skip

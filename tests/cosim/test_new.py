@@ -192,7 +192,7 @@ def test_all_kinds_of_joints_are_supported(tmp_path: Path, hesr: Hesr) -> None:
     answer = hesr("new", tmp_path / "all", "--robot", model)
     assert (answer.code, answer.err) == (0, "")
     assert "a study of the joints turn, slide, left.\n" in answer.out
-    assert "Not used, they stand still: right.\n" in answer.out
+    assert "Not used, without motion: right.\n" in answer.out
     description = RobotDescription.read(tmp_path / "all" / "robot.toml")
     log = Log.read(tmp_path / "all" / "logs" / "sample_training.csv", description)
     robot = Robot(description)
@@ -210,7 +210,7 @@ def test_all_kinds_of_joints_are_supported(tmp_path: Path, hesr: Hesr) -> None:
     assert np.abs(truth).max() > 20.0
 
     answer = hesr("new", tmp_path / "two", "--robot", model, "--joints", "turn, left")
-    assert "Not used, they stand still: slide, right.\n" in answer.out
+    assert "Not used, without motion: slide, right.\n" in answer.out
     assert RobotDescription.read(tmp_path / "two" / "robot.toml").joints == ("turn", "left")
     text = (tmp_path / "two" / "robot.toml").read_text()
     assert '# locked = { "slide" = 0.0 }' in text
@@ -269,7 +269,7 @@ ERRORS = [
         ONE_JOINT.replace('velocity="2"', 'velocity="0.01"'),
         [],
         r"^robot 'new': the limits of joint 'pitch' allow at most 0\.0093 rad/s "
-        r"\(m/s\); identification needs more than 0\.02, so leave the joint out\.$",
+        r"\(m/s\); leave the joint out, identification needs 0\.02\.$",
     ),
     ("arm.urdf", "<robot", [], r"arm\.urdf: cannot be parsed as a URDF \(.+\)\.$"),
     (

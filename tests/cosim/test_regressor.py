@@ -122,7 +122,7 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
     assert whole.score(str(file)) > regressor.score(log)
     for call, sentence in [
         (lambda: regressor.predict([log, log]), r"predict\(\) was given 2 logs; expected one"),
-        (lambda: regressor.fit(log, log.tau), "y was given beside logs, which hold the measured"),
+        (lambda: regressor.fit(log, log.tau), "y was given with logs, which contain the measured"),
     ]:
         with pytest.raises(TableError, match=sentence):
             call()
@@ -174,5 +174,5 @@ def test_other_tables_than_the_fitted_one_are_refused(fitted: hesr.FrictionRegre
         with pytest.raises(TableError, match=sentence):
             fitted.predict(table)
     log = Log(name="a", t=T, q=T[:, None], dq=None, tau=T[:, None])
-    with pytest.raises(TableError, match="a law that was fitted to a table has no rigid body"):
+    with pytest.raises(TableError, match="a law fitted to a table needs a table"):
         fitted.predict(log)

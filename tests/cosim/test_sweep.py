@@ -271,10 +271,10 @@ def test_the_command_summarises_and_replays(study: Path, tmp_path: Path, monkeyp
         ('["a.T", "b.T"]', '["a.T", "a.T"]', "'a.T' is listed twice."),
         ('["a.T", "b.T"]', '["a.T", "a.u"]', "'a.u' is varied or measured twice."),
         ('["a.T", "b.T"]', '["b.refused"]',
-         "'b.refused' is varied by a factor, so the system must give it"),
+         "'b.refused' is varied by a factor; give it"),
         ("runs = 12", "", "the design 'monte_carlo' needs the key 'runs'."),
         ('"monte_carlo"', '"sobol"', "the design 'sobol' needs a power of 2 as 'runs', not 12."),
-        ('"monte_carlo"', '"grid"', "a grid has as many runs as its inputs have values"),
+        ('"monte_carlo"', '"grid"', "a grid determines the number of runs"),
         ("start = 0.2", "start = 2.0",
          "output 'difference' starts at 2 s, but a run ends at 1 s."),
         ('"b.y"\nmeasure = "max"', '"b.z"\nmeasure = "max"', "observed 'b.z'"),
@@ -299,7 +299,7 @@ def test_invalid_studies_are_refused(study: Path, tmp_path: Path, old: str, new:
         ({"design": "grid", "runs": None, "inputs": [{"variables": ["a.x"], "mean": 1, "std": 1}]},
          "a grid needs 'values' or 'low' and 'high' of every input."),
         ({"correlated": [{"variables": ["a.p", "a.r"], "mean": [1.0], "covariance": [[1.0]]}]},
-         "2 variables that are correlated need a mean of 2 and a covariance of 2 x 2 numbers."),
+         "2 correlated variables need 2 means and a covariance of 2 x 2."),
         ({"correlated": [{"variables": ["a.p", "a.r"], "mean": [0, 0],
                           "covariance": [[1, 2], [2, 1]]}]},
          "the covariance of 'a.p' and others is not symmetric and positive semidefinite."),
@@ -329,7 +329,7 @@ def test_folders_of_another_sweep_are_refused(study: Path, tmp_path: Path):
 
     with (
         FileLock(out / ".sweep-lock"),
-        pytest.raises(ArtifactError, match="another sweep is writing into this folder; wait"),
+        pytest.raises(ArtifactError, match="another sweep is writing here; wait"),
     ):
         run_sweep(study, out, workers=1)
     (tmp_path / "file").touch()

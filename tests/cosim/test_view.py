@@ -185,7 +185,7 @@ def test_results_without_their_arm_are_refused(result: Path, tmp_path: Path) -> 
     fmu = tmp_path / "fmus" / "Arm.fmu"
     with pytest.raises(ArtifactError) as missing:
         choose(tmp_path, ViewOptions())
-    assert str(missing.value) == f"{fmu}: no such file; the arm cannot be shown without it."
+    assert str(missing.value) == f"{fmu}: no such file; rerun 'hesr run'."
     fmu.parent.mkdir()
     with zipfile.ZipFile(fmu, "w") as archive:
         archive.writestr("modelDescription.xml", "")
@@ -364,9 +364,7 @@ def test_a_missing_screen_is_reported(
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     answer = hesr("report", result, "--view")
     assert (answer.code, answer.out) == (2, "")
-    assert answer.err == (
-        "hesr: a window needs a screen; -o FILE.mp4 writes a video without one.\n"
-    )
+    assert answer.err == ("hesr: no screen found; write a video (-o FILE.mp4).\n")
 
 
 @pytest.mark.ci
@@ -401,8 +399,8 @@ def test_failing_opengl_is_reported(result: Path, tmp_path: Path) -> None:
     )
     assert (answer.returncode, answer.stdout) == (2, "")
     said = answer.stderr.splitlines()[-1]
-    assert said.startswith("hesr: OpenGL does not draw on this machine (")
-    assert said.endswith("); try MUJOCO_GL=osmesa or MUJOCO_GL=egl, or another machine.")
+    assert said.startswith("hesr: OpenGL is not available (")
+    assert said.endswith("); try MUJOCO_GL=osmesa or MUJOCO_GL=egl.")
     assert "Traceback" not in answer.stderr
     assert not list(tmp_path.iterdir())
 
@@ -466,8 +464,8 @@ def test_a_viewer_that_needs_another_interpreter_is_reported(
     answer = hesr("report", result, "--view")
     assert (answer.code, answer.out) == (2, "")
     assert answer.err == (
-        "hesr: the viewer does not open (`launch_passive` requires that the script be run under "
-        "`mjpython`); -o FILE.mp4 writes a video.\n"
+        "hesr: the viewer cannot open (`launch_passive` requires that the script be run under "
+        "`mjpython`); write a video (-o FILE.mp4).\n"
     )
 
 

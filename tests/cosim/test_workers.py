@@ -18,8 +18,8 @@ pytestmark = [
 
 TABLE_1 = models_folder() / "uf850" / "table1.json"
 LOST = (
-    "hesr: a worker process ended before its job was done, killed by another program or for lack "
-    "of memory; run it again, with fewer processes if memory is short.\n"
+    "hesr: a worker process was killed, perhaps for lack of memory; run it again with fewer "
+    "workers.\n"
 )
 
 FITS = """

@@ -193,11 +193,15 @@ def test_a_signal_at_rest_has_a_slope_without_sign(fmu, joints):
 @pytest.mark.parametrize(
     ("unknown", "known", "reason"),
     [
-        ("dtau_ddq[2]", "dq[2]", "dtau_ddq[2] is no continuous output and no state derivative."),
-        ("dq[2]", "dq[2]", "dq[2] is no continuous output and no state derivative."),
-        ("h[1]", "dq[1]", "h[1] is no continuous output and no state derivative."),
-        ("tau[2]", "tau[1]", "nothing can be derived with respect to tau[1]."),
-        ("tau[2]", "der(h[1])", "nothing can be derived with respect to der(h[1])."),
+        (
+            "dtau_ddq[2]",
+            "dq[2]",
+            ("dtau_ddq[2] is neither a continuous output nor a state derivative."),
+        ),
+        ("dq[2]", "dq[2]", "dq[2] is neither a continuous output nor a state derivative."),
+        ("h[1]", "dq[1]", "h[1] is neither a continuous output nor a state derivative."),
+        ("tau[2]", "tau[1]", "derivatives with respect to tau[1] are not available."),
+        ("tau[2]", "der(h[1])", "derivatives with respect to der(h[1]) are not available."),
         ("tau[2]", "discretisation", "there is no variable of this type with value reference {}."),
     ],
 )

@@ -103,7 +103,7 @@ def test_repeated_refusals_become_an_error(binary):
             assert binary.step(c, 0.0, step) == DISCARD
     binary.messages.clear()
     assert binary.step(c, 0.0, 0.1) == ERROR
-    assert_failed(binary, c, f"{text} This step has been asked for 11 times.")
+    assert_failed(binary, c, f"{text} This step has been requested 11 times.")
 
 
 def test_a_successful_step_resets_the_count_of_refusals(binary):
@@ -120,7 +120,7 @@ def test_fmpy_ends_if_every_step_is_refused(tmp_path):
     with pytest.raises(FMICallException):
         simulate_fmu(str(fmu), output_interval=0.1, stop_time=1.0, fmi_type="CoSimulation",
                      logger=lambda *message: told.append(message[-1]))  # fmt: skip
-    assert told[-1].endswith(b"This step has been asked for 11 times.")
+    assert told[-1].endswith(b"This step has been requested 11 times.")
 
 
 def test_negative_rates_are_treated_as_zero(binary):

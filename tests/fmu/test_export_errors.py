@@ -85,7 +85,7 @@ def test_an_arm_needs_the_library_of_its_platform(tmp_path, monkeypatch):
         export_mjcf(ARM, tmp_path / "Arm.fmu")
     wanted = f"mujoco-core=={mujoco.__version__}"
     assert str(caught.value) == (
-        f"platform 'linux64': MuJoCo for it is in the wheel of {wanted}, which pip could not get "
+        f"platform 'linux64': pip could not download MuJoCo's wheel of {wanted} "
         f"(ERROR: No matching distribution found for {wanted})."
     )
     assert not list(tmp_path.iterdir())

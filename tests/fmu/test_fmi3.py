@@ -278,11 +278,11 @@ def test_calls_for_unused_features_are_handled(friction3, tmp_path) -> None:
         assert (name, call(name, new.fmu.component, 0)) == (name, 0)
         assert len(new.said) == said
         assert (name, call(name, new.fmu.component, 1)) == (name, 3)
-        assert new.said[-1].endswith(f"{name}: this FMU has nothing of the kind.")
+        assert new.said[-1].endswith(f"{name}: this FMU does not support it.")
         assert (name, call(name, None, 0)) == (name, 3)
     for name in NEVER:
         assert (name, call(name, new.fmu.component, 0)) == (name, 3)
-        assert new.said[-1].endswith(f"{name}: this FMU has nothing of the kind.")
+        assert new.said[-1].endswith(f"{name}: this FMU does not support it.")
 
 
 @pytest.mark.ci

@@ -154,8 +154,8 @@ def test_modelica_refuses_sliding_joints(mixed, tmp_path):
     with pytest.raises(ExportError) as caught:
         export_modelica(mixed, tmp_path / "Friction.mo")
     assert str(caught.value) == (
-        "Modelica: joint 'axis_2' slides, and the package has rotational flanges; export its law "
-        "as a friction FMU (--format fmu), which Modelica tools import."
+        "Modelica: joint 'axis_2' is prismatic, which the package does not support; export a "
+        "friction FMU (--format fmu)."
     )
     assert list(tmp_path.iterdir()) == []
 

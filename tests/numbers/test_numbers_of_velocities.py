@@ -95,10 +95,8 @@ def test_velocities_of_a_wrong_scale(
             ),
             "ms": edge(lambda x: says("time is in ms", x), 9e2, 1e3),
             "ms at most": edge(lambda x: says("time is in ms", x), 1e3, 1.2e3),
-            "alike": edge(lambda x: says("the same at all joints", 2.0, by=[1.0, x]), 0.8, 1.0),
-            "alike at most": edge(
-                lambda x: says("the same at all joints", 2.0, by=[1.0, x]), 1.0, 1.2
-            ),
+            "alike": edge(lambda x: says("all joints agree", 2.0, by=[1.0, x]), 0.8, 1.0),
+            "alike at most": edge(lambda x: says("all joints agree", 2.0, by=[1.0, x]), 1.0, 1.2),
             "far": edge(lambda x: says("| q is in", 360.0, travel=x, own=turns), 1.0, 12.0),
         },
         rtol=1e-4,

@@ -110,5 +110,5 @@ def test_a_missing_band_is_reported(banded: FrictionLaw) -> None:
     with pytest.raises(SimulationError, match="has no band; fit the model to logs"):
         model_of(TRUTH).predict_band([record])
     coupled = model_of(banded, banded, coupling=Coupling(matrix=((1.0, 0.0), (1.0, 1.0))))
-    with pytest.raises(SimulationError, match="a band needs uncoupled joints"):
+    with pytest.raises(SimulationError, match="a band does not support coupled joints"):
         coupled.require_band()

@@ -243,7 +243,7 @@ def test_positions_outside_the_joint_range_are_refused(arm_model: Robot) -> None
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("[limits]\nposition = [[0.5, 0.5]]", "joint 1 goes from 0.5 to 0.5, which admits no mo"),
+        ("[limits]\nposition = [[0.5, 0.5]]", "joint 1 goes from 0.5 to 0.5; the first must be"),
         ("[limits]\nvelocity = [0.0]", "key 'limits.velocity.0' is 0.0: Input should be greater"),
         ("period = [20.0, 10.0]", "key 'period' is [20.0, 10.0]: the shortest period must come"),
         ("harmonics = 1", "key 'harmonics' is 1: Input should be greater than or equal to 2"),
@@ -264,23 +264,23 @@ def test_settings_that_admit_no_motion_are_refused(
 def test_torque_below_gravity_admits_no_motion(arm_model: Robot) -> None:
     position = ((-1.0, 1.0), (0.0, 0.2), (0.0, 0.2))
     message = (
-        r"^robot 'arm': the limits admit no motion, because joint 'j2' needs \d+(\.\d+)? N\.m "
-        r"against gravity even where it takes least, but limits\.torque is 5 N\.m\.$"
+        r"^robot 'arm': the limits allow no motion: joint 'j2' needs \d+(\.\d+)? N\.m against "
+        r"gravity, but limits\.torque is 5 N\.m\.$"
     )
     with pytest.raises(FitError, match=message):
         design(arm_model, with_limits(position=position, torque=(50.0, 5.0, 5.0)))
 
 
 def test_torque_limits_used_up_by_gravity_admit_no_motion(arm_model: Robot) -> None:
-    message = r"^robot 'arm': the limits admit no motion: gravity alone uses up limits\.torque"
+    message = r"^robot 'arm': the limits allow no motion: gravity exceeds limits\.torque"
     with pytest.raises(FitError, match=message):
         design(arm_model, with_limits(torque=(1e-4, 1e-4, 1e-4)))
 
 
 def test_limits_too_narrow_to_identify_anything_are_refused(arm_model: Robot) -> None:
     message = (
-        r"^robot 'arm': the limits admit no motion of joint 'j3' that is faster than 0\.0\d+ "
-        r"rad/s; identification needs more than 0\.02 rad/s, so wider limits are needed\.$"
+        r"^robot 'arm': the limits allow joint 'j3' at most 0\.0\d+ rad/s; widen them, "
+        r"identification needs 0\.02 rad/s\.$"
     )
     with pytest.raises(FitError, match=message):
         design(arm_model, with_limits(position=((-1, 1), (-1, 1), (0.0, 0.002))))

@@ -318,7 +318,7 @@ def test_a_missing_compiler_is_refused() -> None:
                tau_0=0.4)  # fmt: skip
     with pytest.raises(
         ExportError,
-        match=r"without the C compiler of the package 'ziglang': .*No such file.*; reinstall it\.",
+        match=r"the package 'ziglang' is missing: .*No such file.*; reinstall it\.",
     ):
         predict(made, t=np.arange(5.0), dq=np.ones(5))
 

@@ -227,7 +227,7 @@ def test_milliamperes_are_converted_to_torques(read: Read) -> None:
 def test_an_odd_rate_suggests_another_time_unit(read: Read) -> None:
     values = rows()
     values[:, 0] *= 1e3
-    with pytest.raises(LogError, match=r"must be in s, or its unit stand under 'log\.units\.t'\.$"):
+    with pytest.raises(LogError, match=r"; give the unit of time, 'log\.units\.t'\.$"):
         read(written(values), LogFormat(sample_rate=100.0))
     log = read(written(values), LogFormat(sample_rate=100.0, units=LogUnits(t="ms")))
     assert log.period == pytest.approx(0.01)

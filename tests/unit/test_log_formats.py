@@ -32,7 +32,7 @@ def test_another_package_adds_a_format(install_plugin: InstallPlugin) -> None:
 
 def test_a_broken_format_is_named(install_plugin: InstallPlugin) -> None:
     install_plugin(formats.GROUP, own="no_such_module:FORMAT")
-    with pytest.raises(ConfigError, match=r"; mend the package or uninstall it\.$"):
+    with pytest.raises(ConfigError, match=r"; repair or uninstall the package\.$"):
         format_of(Path("run.csv"))
     with pytest.raises(ConfigError, match=r"^log format 'own' of the package 'my-plugins' cannot"):
         format_of(Path("run.csv"))

@@ -70,5 +70,5 @@ def test_a_file_without_drivable_joints_is_refused(tmp_path: Path) -> None:
 def test_a_name_that_is_not_text_is_refused(tmp_path: Path) -> None:
     path = urdf(tmp_path, {"name": "turn", "kind": "revolute"})
     path.write_bytes(path.read_bytes().replace(b'"turn"', b'"t\xf4rn"'))
-    with pytest.raises(RobotError, match=r"chain\.urdf: a joint's name is no UTF-8 text\.$"):
+    with pytest.raises(RobotError, match=r"chain\.urdf: a joint name is not valid UTF-8\.$"):
         joints_of(path)

@@ -162,8 +162,8 @@ def test_networks_that_explode_are_skipped(records: list[FrictionRecord]) -> Non
             yield wild
 
     said = (
-        r"^joint 'j1': the torque of the best networks explodes just outside the trained speeds; "
-        r"more training motion is needed\.$"
+        "^joint 'j1': the torque of the best networks explodes just outside the trained speeds; "
+        r"record more motion\.$"
     )
     with pytest.raises(FitError, match=said):
         first_tame(endless(), records)

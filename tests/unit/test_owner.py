@@ -21,9 +21,7 @@ def test_the_owner_is_part_of_the_provenance() -> None:
     assert Owner.of({}) == Owner()
     assert Owner.of({"owner": {"copyright": "(c) B"}}) == Owner(copyright="(c) B")
     for wrong in ({"author": 3}, {"name": "B"}, {"author": "a\nb"}, "B"):
-        with pytest.raises(
-            ArtifactError, match=r"the provenance's 'owner' is .*; expected texts"
-        ):
+        with pytest.raises(ArtifactError, match=r"the provenance's 'owner' is .*; expected texts"):
             Owner.of({"owner": wrong})
 
 

@@ -47,7 +47,7 @@ def test_a_broken_plugin_is_refused_by_name_and_package(install_plugin: InstallP
         plugins.load("hesr.exports")["toy"].load()
     assert str(caught.value) == (
         "export format 'toy' of the package 'my-plugins' cannot be loaded (ModuleNotFoundError: "
-        "No module named 'no_such_module'); mend the package or uninstall it."
+        "No module named 'no_such_module'); repair or uninstall the package."
     )
 
 

@@ -288,8 +288,7 @@ def test_an_mjcf_with_includes_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RobotError) as caught:
         Robot(RobotDescription(name="lift", model=path, joints=("z", "a")))
     assert str(caught.value) == (
-        f"{path}: includes 'tip.xml', and included files are not read; write the model as one "
-        "file, as MuJoCo's mj_saveLastXML does."
+        f"{path}: includes 'tip.xml'; write the model as one file (MuJoCo: mj_saveLastXML)."
     )
 
 

@@ -146,7 +146,7 @@ MESSAGES = [
     ),
     (
         lambda t: [HEADER + ",q3", *(line + ",0" for line in t[1:])],
-        r"has column 'q3', but the robot has 2 joints; name the columns one by one",
+        r"has column 'q3', but the robot has 2 joints; name the columns to use",
     ),
     (
         lambda t: [HEADER.replace("tau", "m"), *t[1:]],
@@ -154,7 +154,7 @@ MESSAGES = [
     ),
     (
         lambda t: [HEADER.replace("tau", "i"), *t[1:]],
-        r"column 'tau1' is missing; to use the currents in 'i1', give 'log\.torque_per_ampere'",
+        r"column 'tau1' is missing; for the currents in 'i1' add 'log\.torque_per_ampere'",
     ),
     (lambda t: [*t[:4], "0.03,1,2", *t[4:]], r"row 5 has 3 cells; the header has 7 columns"),
     (lambda t: [*t[:4], row(3) + ",9", *t[4:]], r"row 5 has 8 cells; the header has 7 columns"),

@@ -105,6 +105,4 @@ def test_a_missing_library_is_named(
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ConfigError) as caught:
         getattr(arm_log, call)()
-    assert str(caught.value) == (
-        f"{library} is not installed, which this needs; pip install 'hesr[tables]' brings it."
-    )
+    assert str(caught.value) == (f"{library} is not installed; pip install 'hesr[tables]'.")

@@ -62,7 +62,7 @@ def test_units_of_a_sliding_joint(turning: str, sliding: str) -> None:
 
 
 def test_other_texts_are_refused_as_units() -> None:
-    with pytest.raises(ValueError, match=r"'3 N\.m' is no unit"):
+    with pytest.raises(ValueError, match=r"'3 N\.m' is not a unit"):
         unit_of_joint("3 N.m", slides=True)
 
 

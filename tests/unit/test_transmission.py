@@ -168,7 +168,7 @@ def test_a_coupling_of_other_joints_is_refused(table1: FrictionModel) -> None:
     [
         ("matrix = [[50.0, 0.0], [0.0, 1.0, 2.0]]", "has 2 rows; each needs 2 entries"),
         ("matrix = [[50.0, 0.0], [1.0, 0.0]]", "the gear ratio of motor 2"),
-        ("matrix = [[5.0, 5.0], [1.0, 1.0]]", "does not tell the joints apart"),
+        ("matrix = [[5.0, 5.0], [1.0, 1.0]]", "is singular"),
         ("matrix = [[5.0]]\nfriction = ['motor', 'joint']", "'friction' has 2 entries"),
         ("matrix = [[5.0]]\nlogs = 'gear'", "'motor' or 'joint'"),
     ],

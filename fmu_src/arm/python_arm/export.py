@@ -36,7 +36,7 @@ def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path
             signals_of(parts[0])
         except ConfigError as error:
             raise ConfigError(
-                f"{mjcf}: refers to other files, which an FMU in Python does not carry."
+                f"{mjcf}: refers to other files, which python-arm does not support."
             ) from error
         with zipfile.ZipFile(_built(Path(folder), parts)) as archive:
             members = {name: archive.read(name) for name in sorted(archive.namelist())}

@@ -34,12 +34,11 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
     """Return the adaptive equations of each joint."""
     if model.coupling is not None:
         raise SimulationError(
-            f"friction model '{model.law}': its motors turn with several joints; adaptation needs "
-            "uncoupled joints."
+            f"friction model '{model.law}': adaptation does not support coupled joints."
         )
     if not (model.trained and model.training_rmse):
         raise SimulationError(
-            f"friction model '{model.law}': adaptation needs its training ranges and errors."
+            f"friction model '{model.law}': training ranges and errors are missing; fit it again."
         )
     thermal = model.thermal or (None,) * len(model.laws)
     rows = zip(model.laws, model.training_rmse, model.trained, thermal, strict=True)

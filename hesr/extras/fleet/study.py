@@ -87,7 +87,7 @@ def members(study: FleetStudy, path: Path) -> list[Member]:
         for name, files in logs.items():
             if name in found:
                 raise ConfigError(
-                    f"{path}: robot '{name}' is of the types '{found[name].type}' and '{type_}'; "
+                    f"{path}: robot '{name}' has the types '{found[name].type}' and '{type_}'; "
                     "give each robot one type."
                 )
             own = tuple(sorted(files.items()))
@@ -111,7 +111,7 @@ def _logs_in(folder: Path, above: tuple[Path, ...] = ()) -> list[Path]:
     found: list[Path] = []
     own = Path(os.path.realpath(folder))
     if any(other.is_relative_to(own) for other in above):  # its logs would count repeatedly
-        raise ConfigError(f"{folder}: is a link to a folder that contains it; remove it.")
+        raise ConfigError(f"{folder}: links to a folder that contains it; remove the link.")
     for entry in sorted(folder.iterdir()):
         if entry.name.startswith((".", "_")):
             continue

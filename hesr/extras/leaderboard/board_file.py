@@ -79,7 +79,7 @@ class BoardFile(Config):
         if idle := [name for name in names if name not in of_robots]:
             raise ValueError(f"robot '{idle[0]}' has no log")
         if "all" not in self.scores:
-            raise ValueError("'scores' lacks 'all', which ranks the entries")
+            raise ValueError("'scores' must contain 'all', which ranks the entries")
         return self
 
 

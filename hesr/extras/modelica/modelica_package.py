@@ -62,8 +62,8 @@ def package(model: FrictionModel, name: str) -> str:
     for joint, slides in zip(model.joints, model.slides, strict=True):
         if slides:
             raise ExportError(
-                f"Modelica: joint '{joint}' slides, and the package has rotational flanges; export "
-                "its law as a friction FMU (--format fmu), which Modelica tools import."
+                f"Modelica: joint '{joint}' is prismatic, which the package does not support; "
+                "export a friction FMU (--format fmu)."
             )
     require_exportable(model, "a Modelica package", coupled=False)
     environment = code_templates(
@@ -95,8 +95,8 @@ def _check_name(path: Path) -> None:
         raise ExportError(f"{path}: a Modelica package ends in .mo, found '{path.suffix}'.")
     if odd := _oddity(path.stem, _WORDS | _LIBRARIES):
         raise ExportError(
-            f"{path}: the package has the name of its file, but '{path.stem}' is {odd}; use "
-            "letters, digits and underscores, starting with a letter."
+            f"{path}: the package name '{path.stem}' is {odd}; start with a letter, then use "
+            "letters, digits and underscores."
         )
 
 

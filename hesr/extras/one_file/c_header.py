@@ -33,8 +33,8 @@ def export_c(model: FrictionModel, path: Path) -> Path:
         raise ExportError(f"{path}: a C header ends in .h, found '{path.suffix}'.")
     if not _IDENTIFIER.fullmatch(path.stem):
         raise ExportError(
-            f"{path}: the functions have the name of the file, but '{path.stem}' is not a name in "
-            "C; use letters, digits and underscores, starting with a letter."
+            f"{path}: '{path.stem}' is not a valid C name; start with a letter, then use letters, "
+            "digits and underscores."
         )
     return write_beside(path, header(model, path.stem), model)
 

@@ -66,6 +66,6 @@ def _motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
         if np.all(np.isfinite(torque)):
             return motion, torque
     raise ExportError(
-        f"friction model '{model.law}': its torque is not finite on a motion of up to "
-        f"{np.abs(motion.dq).max():g} rad/s, so its code gets no test data."
+        f"friction model '{model.law}': torque is not finite at speeds up to "
+        f"{np.abs(motion.dq).max():g} rad/s; no test data can be made."
     )

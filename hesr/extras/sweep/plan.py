@@ -114,8 +114,8 @@ def _base(spec: SystemSpec, component: str, variable: str, path: Path) -> tuple[
     value: Value | None = starts.get(component, {}).get(variable)
     if value is None or isinstance(value, str | bool):
         raise ConfigError(
-            f"{path}: '{component}.{variable}' is varied by a factor, so the system must give it a "
-            "numeric start value."
+            f"{path}: '{component}.{variable}' is varied by a factor; give it a numeric start "
+            "value."
         )
     return tuple(map(float, value)) if isinstance(value, tuple) else (float(value),)
 

@@ -96,8 +96,7 @@ def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Ite
             lock.acquire()
         except Timeout as error:
             raise ArtifactError(
-                f"{folder}: another {what} is writing into this folder; wait until it has ended, "
-                "or give another folder."
+                f"{folder}: another {what} is writing here; wait for it, or give another folder."
             ) from error
         except OSError as error:
             raise ArtifactError(f"{folder}: cannot be written there ({error.strerror}).") from error

@@ -72,8 +72,7 @@ class Correlated(Config):
         rows = [len(row) for row in self.covariance]
         if len(self.mean) != n or rows != [n] * n:
             raise ValueError(
-                f"{n} variables that are correlated need a mean of {n} and a covariance of "
-                f"{n} x {n} numbers"
+                f"{n} correlated variables need {n} means and a covariance of {n} x {n}"
             )
         found = np.array(self.covariance)
         scale = float(np.abs(found).max())
@@ -144,9 +143,7 @@ class SweepStudy(Config):
     def _fits_design(self) -> None:
         if self.design == "grid":
             if self.runs is not None:
-                raise ValueError(
-                    "a grid has as many runs as its inputs have values; leave out 'runs'"
-                )
+                raise ValueError("a grid determines the number of runs; remove 'runs'")
             if self.correlated or any(one.mean is not None for one in self.inputs):
                 raise ValueError("a grid needs 'values' or 'low' and 'high' of every input")
             return

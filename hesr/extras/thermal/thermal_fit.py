@@ -89,8 +89,7 @@ def fit_thermal(
     """Fit the temperature dependence of a fitted model to logs [log][joint]."""
     if model.coupling is not None:
         raise FitError(
-            f"friction model '{model.law}': its motors turn with several joints; a thermal model "
-            "needs uncoupled joints."
+            f"friction model '{model.law}': a thermal model does not support coupled joints."
         )
     found = tuple(_of_joint(law, [log[j] for log in logs]) for j, law in enumerate(model.laws))
     return replace(model, thermal=tuple(f.thermal for f in found)), found
@@ -114,9 +113,7 @@ def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit
     measured = [r.temperature for r in records if r.temperature is not None]
     if measured and len(measured) < len(records):
         without = next(r.log for r in records if r.temperature is None)
-        raise FitError(
-            f"log {without}: holds no temperatures, but others do; use logs of one kind."
-        )
+        raise FitError(f"log {without}: temperatures are missing, but other logs have them.")
     problem = _Problem(law, records)
     if measured:
         every = np.concatenate(measured)
@@ -133,7 +130,7 @@ def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit
     if longest < LEAST_TIME:
         raise FitError(
             f"joint '{records[0].joint}': the longest log takes {longest:.3g} s; without "
-            f"temperatures, logs of at least {LEAST_TIME:g} s from a cold start are needed."
+            f"temperatures it must last {LEAST_TIME:g} s from a cold start."
         )
     start = Thermal(
         coulomb=0.0, viscous=0.0, time_constant=longest / 3.0, resistance=1.0, measured=False
@@ -143,8 +140,8 @@ def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit
     found = ((thermal.coulomb, fitted.coulomb_error), (thermal.viscous, fitted.viscous_error))
     if all(abs(value) < _WIDTH * error for value, error in found):
         raise FitError(
-            f"joint '{fitted.joint}': its friction does not change with the heat of the logs; "
-            "longer ones from a cold start are needed."
+            f"joint '{fitted.joint}': friction does not change as the joint warms up; use longer "
+            "logs from a cold start."
         )
     return fitted
 

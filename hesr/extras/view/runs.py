@@ -84,7 +84,7 @@ def _telling(runs: Mapping[str, Trace]) -> list[str]:
 
 def _mjcf(fmu: Path) -> str:
     if not fmu.is_file():
-        raise ArtifactError(f"{fmu}: no such file; the arm cannot be shown without it.")
+        raise ArtifactError(f"{fmu}: no such file; rerun 'hesr run'.")
     with Archive(fmu) as archive:
         content = archive.read(_MODEL) if _MODEL in archive.names else b""
     with suppress(UnicodeDecodeError):

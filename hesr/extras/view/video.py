@@ -64,8 +64,8 @@ def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
             if isinstance(error, ConfigError):
                 raise
             raise ConfigError(
-                f"OpenGL does not draw on this machine ({_first_line(error)}); try "
-                "MUJOCO_GL=osmesa or MUJOCO_GL=egl, or another machine."
+                f"OpenGL is not available ({_first_line(error)}); try MUJOCO_GL=osmesa or "
+                "MUJOCO_GL=egl."
             ) from error
         cleanup.callback(target.free)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, target)

@@ -29,7 +29,7 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
         )
     except RuntimeError as error:  # macOS needs MuJoCo's own interpreter
         raise ConfigError(
-            f"the viewer does not open ({str(error).rstrip('.')}); -o FILE.mp4 writes a video."
+            f"the viewer cannot open ({str(error).rstrip('.')}); write a video (-o FILE.mp4)."
         ) from error
     with ExitStack() as cleanup:
         # Its thread draws until it notices the end; Python must not end before it.
@@ -59,4 +59,4 @@ def require_screen() -> None:
     if sys.platform == "linux" and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     ):
-        raise ConfigError("a window needs a screen; -o FILE.mp4 writes a video without one.")
+        raise ConfigError("no screen found; write a video (-o FILE.mp4).")

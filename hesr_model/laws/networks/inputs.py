@@ -123,6 +123,6 @@ def first_tame(laws: Iterable[FrictionLaw], records: Sequence[FrictionRecord]) -
         if not explodes(law, trained):
             return law
     raise FitError(
-        f"joint '{records[0].joint}': the torque of the best networks explodes just outside "
-        "the trained speeds; more training motion is needed."
+        f"joint '{records[0].joint}': the torque of the best networks explodes just outside the "
+        "trained speeds; record more motion."
     )

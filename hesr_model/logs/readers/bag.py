@@ -41,7 +41,7 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
         raise _missing_joints(where, joints, messages)
     stamps = [message.stamp for message in used]
     if not any(stamps):
-        raise LogError(f"{where}: its messages have no time stamps (all are 0); expected time.")
+        raise LogError(f"{where}: its messages have no time stamps (all are 0).")
     drop = robot.log.missing == "drop"
     effort = _values(where, used, joints, "effort", missing=drop)
     if effort is None:
@@ -141,12 +141,10 @@ def _missing_joints(where: str, joints: Sequence[str], messages: Sequence[_Messa
     for joint in joints:
         if joint not in listed:
             return LogError(
-                f"{where}: has no joint '{joint}'; its messages list {', '.join(listed)}; if names "
-                "differ from the model's, give them under 'log.bag.joints' of the robot file."
+                f"{where}: has no joint '{joint}'; its messages list {', '.join(listed)}; map "
+                "names under 'log.bag.joints' of the robot file."
             )
-    return LogError(
-        f"{where}: no message lists all of {', '.join(joints)}; they must be published together."
-    )
+    return LogError(f"{where}: no message lists all of {', '.join(joints)} together.")
 
 
 def _values(

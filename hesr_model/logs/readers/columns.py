@@ -53,8 +53,8 @@ def _require_joint_count(table: LogTable, pattern: str, n: int) -> None:
     found = next(k for k, name in enumerate(names) if name not in there)
     if found > n:
         raise LogError(
-            f"{table.path}: has column '{names[n]}', but the robot has {n} joints; "
-            "name the columns one by one under 'log.columns' of the robot file to use some."
+            f"{table.path}: has column '{names[n]}', but the robot has {n} joints; name the "
+            "columns to use under 'log.columns' of the robot file."
         )
     if 0 < found < n and names[n - 1] not in table.names:
         raise LogError(
@@ -73,8 +73,8 @@ def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:
         return _joints(table, columns.tau, robot), False
     if current in table.names:
         raise LogError(
-            f"{table.path}: column '{torque}' is missing; to use the currents in "
-            f"'{current}', give 'log.torque_per_ampere' in the robot file."
+            f"{table.path}: column '{torque}' is missing; for the currents in '{current}' add "
+            "'log.torque_per_ampere' to the robot file."
         )
     raise LogError(
         f"{table.path}: column '{torque}' (torque) or '{current}' (current) is missing; "

@@ -29,8 +29,8 @@ def read_matlab(path: Path, *, time: str) -> LogTable:
     if t is None or t.ndim != 1:
         found = listed([_described(name, array) for name, array in arrays.items()])
         raise LogError(
-            f"{path}: column '{time}' is missing; it has {found or 'no numeric arrays'}. Tables "
-            "and timeseries of MATLAB cannot be read: save their data as arrays or structs."
+            f"{path}: column '{time}' is missing; it has {found or 'no numeric arrays'}. Save "
+            "tables and timeseries as arrays or structs."
         )
     columns: dict[str, Array] = {}
     others = []
@@ -63,10 +63,7 @@ def _classic(path: Path) -> Iterator[tuple[str, Array]]:
 
 
 def _too_large(path: Path) -> LogError:
-    return LogError(
-        f"{path}: holds far more data than a file of its length can; leave out variables, or split "
-        "it."
-    )
+    return LogError(f"{path}: claims more data than fits into the file.")
 
 
 def _numeric(value: Any, name: str) -> Iterator[tuple[str, Array]]:
@@ -87,8 +84,7 @@ def _hdf5(path: Path) -> Iterator[tuple[str, Array]]:
         import h5py
     except ModuleNotFoundError as error:
         raise LogError(
-            f"{path}: is of MATLAB's version 7.3, which needs the package h5py: "
-            "pip install 'hesr[matlab]', or save it in MATLAB with the option '-v7'."
+            f"{path}: MATLAB 7.3 files need h5py: pip install 'hesr[matlab]', or save with '-v7'."
         ) from error
 
     found: list[tuple[str, Array]] = []

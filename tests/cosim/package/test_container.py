@@ -247,8 +247,8 @@ def test_a_component_step_is_refused(lags: Write, tmp_path: Path) -> None:
     path = lags()
     with pytest.raises(
         ConfigError,
-        match=r"lags\.toml: component 'b' has a step of 0\.2 s; in a container it must be that of "
-        r"the system, 0\.1 s\.$",
+        match=r"lags\.toml: component 'b' has a step of 0\.2 s; it must equal the container's, "
+        r"0\.1 s\.$",
     ):
         write_container(read_contents(SystemSpec.read(path), path), tmp_path / "lags.fmu")
     assert not (tmp_path / "lags.fmu").exists()
@@ -280,5 +280,5 @@ def test_a_runtime_is_required(
     from fmpy import container_fmu
 
     monkeypatch.setattr(container_fmu, "__file__", str(tmp_path / "__init__.py"))
-    with pytest.raises(ExportError, match=r"has no runtime for containers; FMPy 0\.3\.32 or"):
+    with pytest.raises(ExportError, match=r"has no container runtime; install FMPy 0\.3\.32 or"):
         write_container(opened, tmp_path / "open.fmu")

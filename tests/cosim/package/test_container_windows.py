@@ -46,7 +46,7 @@ def test_the_closed_loop_matches_linux(wine: Wine, tmp_path: Path) -> None:
     try:
         bench = build(tmp_path, FrictionModel.read(model_file("uf850-table1")), platforms)
     except ExportError as error:
-        if "which pip could not get" in str(error):
+        if "pip could not download MuJoCo's wheel" in str(error):
             pytest.skip(f"MuJoCo for Windows cannot be had here: {error}")
         raise
     spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))

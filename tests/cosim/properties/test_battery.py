@@ -267,7 +267,7 @@ def test_a_failing_fmu_fails_the_check_with_its_reason() -> None:
 def test_a_subject_is_required() -> None:
     with pytest.raises(ConfigError) as caught:
         measure(Subject(name="nothing", model=None))
-    assert str(caught.value) == "nothing: there is neither a model nor an FMU."
+    assert str(caught.value) == "nothing: model and FMU are both missing."
 
 
 def test_a_load_factor_supplies_energy_while_it_varies() -> None:

@@ -14,10 +14,7 @@ from fmu_src.check.run import check
 from fmu_src.run.archive import opened
 from hesr_model.errors import ArtifactError
 
-LEADS_OUT = (
-    "leads out of the folder that the archive is unpacked to; expected relative names without "
-    "'..'."
-)
+LEADS_OUT = "leads out of the archive; expected a relative name without '..'."
 NOTHING_ELSE = ("All other checks: the archive could not be read.",)
 
 
@@ -139,13 +136,13 @@ def test_entries_other_than_files_are_reported(kind, what, entry, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 def test_duplicate_entries_are_reported(entry):
-    assert entry(MODEL) == ["the entry 'modelDescription.xml' is there more than once."]
+    assert entry(MODEL) == ["the entry 'modelDescription.xml' is duplicated."]
 
 
 def test_names_differing_only_in_case_are_reported(entry):
     assert entry("modeldescription.XML") == [
-        "the entries 'modelDescription.xml' and 'modeldescription.XML' are one file where upper "
-        "and lower case are the same, as on Windows."
+        "the entries 'modelDescription.xml' and 'modeldescription.XML' are the same file on "
+        "Windows, which ignores case."
     ]
 
 
@@ -274,7 +271,7 @@ def test_overlapping_entries_are_reported(tmp_path, monkeypatch):
     # Newer Python versions detect it themselves.
     own = "the entry 'a' cannot be read (Overlapped entries: 'a' (possible zip bomb))."
     assert [text for text in found if text != own] == [
-        "the entry 'a' is there more than once.",
+        "the entry 'a' is duplicated.",
         f"its entries claim {300 * (9 << 20)} bytes unpacked; more than {50 << 20} are not read; "
         "left out: 'a'.",
     ]

@@ -79,7 +79,7 @@ def test_findings_of_fmpy_for_a_broken_fmu_are_reported(change, source_fmu, tmp_
 def test_further_findings_are_reported(decay):
     found = check(decay)
     assert {
-        "CoSimulation has needsExecutionTool='true', so that the FMU runs only where its tool is "
+        "CoSimulation has needsExecutionTool='true', so the FMU runs only where its tool is "
         "installed.",
         "ModelStructure/Outputs gives no dependencies for 'x', 'n', so importers assume all "
         "inputs and find false algebraic loops.",

@@ -21,7 +21,7 @@ GENERAL = {
     ),
     "tool": (
         put("CoSimulation", needsExecutionTool="1"),
-        "CoSimulation has needsExecutionTool='true', so that the FMU runs only where its tool is "
+        "CoSimulation has needsExecutionTool='true', so the FMU runs only where its tool is "
         "installed.",
     ),
     "serialise": (

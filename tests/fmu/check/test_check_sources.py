@@ -39,9 +39,7 @@ def test_a_missing_listed_file_is_reported(source_fmu, tmp_path):
 
 
 def test_an_fmu_needs_binaries_or_sources(of):
-    assert of({}) == [
-        "there are neither binaries nor a list of source files, so that nothing can run."
-    ]
+    assert of({}) == ["binaries and a list of source files are both missing."]
 
 
 def test_a_missing_include_is_reported(of):

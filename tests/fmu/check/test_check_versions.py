@@ -10,7 +10,7 @@ from fmu_src.check import general, readers, structure, variables
 from fmu_src.check.description import read_description
 from fmu_src.check.run import check
 
-NOTHING_RUNS = "there are neither binaries nor a list of source files, so that nothing can run."
+NOTHING_RUNS = "binaries and a list of source files are both missing."
 
 FMI_3 = b"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="Line" instantiationToken="{1}">
@@ -156,7 +156,7 @@ def test_names_outside_the_archive_are_reported_for_any_version(tmp_path):
     found = check(path)
     assert [p.check for p in found.problems] == ["archive", "paths", "sources"]
     assert found.skipped[-1] == (
-        "FMPy and VDMCheck2: run once the archive, its XML and the schema are right."
+        "FMPy and VDMCheck2: not run; the archive, its XML or the schema is wrong."
     )
 
 

@@ -41,9 +41,7 @@ def test_missing_rows_that_make_friction_uncertain_are_refused(
 ) -> None:
     log = noisy(3.0)
     assert checked([log], arm_model) == []
-    with pytest.raises(
-        HealthError, match=r"'j1'.* rows are missing throughout; .* rad/s is uncertain"
-    ):
+    with pytest.raises(HealthError, match=r"'j1'.* many rows are missing; .* rad/s is uncertain"):
         checked([lossy(log, 0.5)], arm_model)
     told = checked([lossy(log, 0.5)], arm_model, ["missing-rows"])
     assert {finding.check for finding in told} == {"missing-rows"}

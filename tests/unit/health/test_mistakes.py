@@ -280,13 +280,13 @@ def test_a_wrong_gravity_direction_is_reported(log: Log, arm_model: Robot) -> No
 
 def test_all_problems_are_reported_at_once_and_can_be_accepted(log: Log, arm_model: Robot) -> None:
     wrong = replace(log, dq=column(log.dq, 2, -1.0), tau=column(log.tau, 1, -1.0))
-    with pytest.raises(HealthError, match=r"^2 things in the data cannot be right\.") as refused:
+    with pytest.raises(HealthError, match=r"^2 errors in the data\.") as refused:
         checked([wrong], arm_model)
     message = str(refused.value)
     assert "joint 'j2'" in message
     assert "joint 'j3'" in message
     assert "--accept velocity-sign" in message
-    with pytest.raises(HealthError, match=r"To go on nevertheless: --accept torque-sign\.$"):
+    with pytest.raises(HealthError, match=r"To continue anyway: --accept torque-sign\.$"):
         checked([wrong], arm_model, ["velocity-sign"])
     told = checked([wrong], arm_model, ["velocity-sign", "torque-sign"])
     assert {f.check for f in told} == {"velocity-sign", "torque-sign"}
