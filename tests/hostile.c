@@ -1,5 +1,5 @@
-/* What a hostile FMU does in a call, as the environment wants it: DEED is "<call> <deed>". Stands
- * before all other code of an FMU; `hostile.py` puts the calls of `misbehave` into its functions.
+/* Misbehaviour of a hostile FMU in a call, selected by the environment: DEED is "<call> <deed>". Precedes
+ * all other code of an FMU; `hostile.py` puts the calls of `misbehave` into its functions.
  */
 #include <math.h>
 #include <signal.h>
@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Not of C99, and not in its headers. */
+/* Neither in C99 nor in its headers. */
 int chdir(const char *path);
 int close(int file);
 int fork(void);
@@ -27,7 +27,7 @@ static void *crash(void *with) {
 }
 
 static void flee(void) {
-    /* A grandchild that has left the session, and whose parent is no more. */
+    /* An orphaned grandchild outside the session. */
     if (fork() == 0) {
         setsid();
         if (fork() == 0) {
@@ -125,7 +125,7 @@ static void misbehave(const char *call) {
         flee();
         exit(0);
     } else if (strcmp(deed, "pull away") == 0) {
-        /* What the other end might open when this process has ended: reading it never ends. */
+        /* A file that the other end might open after this process has ended; reading it never ends. */
         remove("position");
         if (mkfifo("position", 0600) != 0) {
             abort();

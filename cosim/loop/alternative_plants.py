@@ -18,7 +18,7 @@ from hesr_model.support.progress import Progress, counted, silent
 def under_truths(
     study: Study, path: Path, laws: Sequence[str], *, progress: Progress = silent
 ) -> dict[str, Errors]:
-    """Return the errors of laws by alternative plant of the twin, fitted anew to each."""
+    """Return the errors of laws by alternative plant of the twin, refitted to each."""
     twin = study.twin
     names = twin.truths if twin else ()
     return {

@@ -114,7 +114,7 @@ def write_report(
 
 
 def _link_from(place: Path, folder: Path) -> str:
-    """Return what links from a page in `place` to files of `folder` begin with."""
+    """Return the prefix of links from a page in `place` to files of `folder`."""
     try:
         way = quote(Path(os.path.relpath(folder, place)).as_posix())
     except ValueError:  # two drives of Windows

@@ -171,7 +171,7 @@ def _by_test(kind: Any, path: Path, what: str) -> dict[str, Any]:
 
 def _truths(path: Path) -> dict[str, Errors]:
     found = read_json(path) if path.is_file() else {}
-    return from_json(dict[str, Errors], found, path, "the errors under other truths")
+    return from_json(dict[str, Errors], found, path, "the errors on alternative plants")
 
 
 def _loop(folder: Path) -> dict[str, Any]:

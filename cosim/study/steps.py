@@ -218,7 +218,7 @@ class Job:
             return {}
         from cosim.loop.alternative_plants import under_truths
 
-        progress = partial(self.progress, "trying other truths")
+        progress = partial(self.progress, "trying alternative plants")
         return under_truths(self.study, self.path, laws, progress=progress)
 
     def rigid_body(

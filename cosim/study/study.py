@@ -26,7 +26,7 @@ class Twin(Config):
     @model_validator(mode="after")
     def _a_truth_is_run_as_an_fmu(self) -> Self:
         if (self.truth is not None or self.truths) and self.signals is None:
-            raise ValueError("other truths need the key 'signals'")
+            raise ValueError("alternative plants need the key 'signals'")
         return self
 
 

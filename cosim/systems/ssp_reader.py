@@ -57,7 +57,7 @@ class _Reader:
         candidates = (str(PurePosixPath(n)) for n in (unquote(name), name))
         member = next((n for n in candidates if n in names), None)
         if member is None:
-            raise self.error(f"{where}there is no {name} in it.")
+            raise self.error(f"{where}{name} is missing.")
         return self.archive.read(member, most)
 
     def parsed(self, name: str, where: str = "") -> ET.Element:

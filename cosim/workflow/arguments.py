@@ -169,7 +169,7 @@ def _law(law: LawArg) -> tuple[FrictionModel | None, Path | None]:
 def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
     """Return the first row of `namings` (ways, things) whose names are unique.
 
-    `what` is a past participle for the error ("given"), which names one that occurs twice.
+    The error names a duplicate and uses `what`, a past participle ("given").
     """
     for names in namings:
         if len(set(names)) == len(names):

@@ -95,9 +95,7 @@ def simulate(
     with opened_system(path) as spec:
         remember_trust((component.fmu for component in spec.components), trust=trust)
         if not spec.observe:
-            raise ConfigError(
-                f"{path}: key 'observe' names no signals, so nothing would be written."
-            )
+            raise ConfigError(f"{path}: key 'observe' names no signals to write.")
         stages = partial(progress, spec.name)
         if file is None:
             return System(spec, path).run(stages)

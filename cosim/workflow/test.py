@@ -285,7 +285,7 @@ def _predicted(
 
 
 def _certified(report: LawReport, *, alone: bool) -> LawReport:
-    """Add proofs of passivity; laws without equations are refused only if nothing else is asked."""
+    """Add proofs of passivity; laws without equations are refused if `alone`."""
     from fmu_src.friction.reference import reference_motion
     from fmu_src.pages.datasheet import ModelAudit, ranges
     from hesr_model.findings import Finding, errors_first
@@ -349,7 +349,7 @@ def _checked(
 
 
 def _scores_lines(scores: Comparison) -> list[str]:
-    """Return the best law, its error, and what the logs cannot tell."""
+    """Return the best law, its error, and the limits of the logs."""
     from cosim.study.verdict import limits, separation
 
     best = min(scores.laws, key=scores.size)

@@ -49,7 +49,7 @@ SELDOM static bool in_range(const Component *component, Message *why) {
     }
     for (int i = 0; i < OWN; i++) {
         if (!isfinite(component->own[i])) {
-            snprintf(why->text, sizeof why->text, "what it remembers is %g", component->own[i]);
+            snprintf(why->text, sizeof why->text, "a state in it is %g", component->own[i]);
             return false;
         }
     }

@@ -50,7 +50,7 @@ static bool move(Memory *memory, void *workspace, double step, Message *why) {
     return component_step(&memory->component, workspace, step, why);
 }
 
-/* Round-off of accumulated times is no step: the component divides by its length. */
+/* Skip round-off of accumulated times: the component divides by the step. */
 static bool is_rounding(double step) {
     return step < 1e-9 * PREFERRED_STEP;
 }

@@ -47,7 +47,7 @@ def unpack(path: Path, folder: Path) -> Contents:
 def _read_all(archive: zipfile.ZipFile, folder: Path) -> Contents:
     found = archive.infolist()
     if len(found) > MOST_ENTRIES:
-        text = f"it has {len(found)} entries; more than {MOST_ENTRIES} are not looked at."
+        text = f"it has {len(found)} entries; more than {MOST_ENTRIES} are not checked."
         return Contents(problems=(text,))
     problems = [text for entry in found for text in _oddities(entry)]
     problems += _duplicates([entry.filename for entry in found])

@@ -104,7 +104,7 @@ def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iter
 def skipped(about: ParsedDescription, contents: Contents) -> list[str]:
     """Return the folders whose binaries are not checked, with the reason."""
     return [
-        f"binaries/{plain(platform)}: not looked at, since no platform of this name is known."
+        f"binaries/{plain(platform)}: not checked; the platform is unknown."
         for platform in _by_platform(contents)
         if platform not in PLATFORMS[about.fmi]
     ]

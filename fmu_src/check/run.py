@@ -110,7 +110,7 @@ class _Found:
     def check(self, contents: Contents) -> None:
         damaged = self._add("archive", contents.problems)
         if not contents.names and damaged:
-            self.skipped.append("All other checks: the archive could not be read.")
+            self.skipped.append("All other checks: not run; the archive could not be read.")
             return
         self._add("paths", paths.problems(contents))
         self.skipped += paths.skipped(contents)
@@ -127,9 +127,7 @@ class _Found:
         if version != "1.0":
             self._check_rules(about, contents)
         else:
-            self.skipped.append(
-                "Rules, sources and binaries: looked at in FMI 2.0 and 3.0 only, this is FMI 1.0."
-            )
+            self.skipped.append("Rules, sources and binaries: not checked in FMI 1.0.")
         if damaged or broken or invalid:
             self.skipped.append(
                 "FMPy and VDMCheck2: not run; the archive, its XML or the schema is wrong."

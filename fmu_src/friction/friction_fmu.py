@@ -193,6 +193,6 @@ def date_of(model: FrictionModel) -> datetime:
             date = datetime.fromisoformat(str(created))
     except (ValueError, OverflowError, OSError) as error:
         found = f"SOURCE_DATE_EPOCH is '{epoch}'" if epoch else f"'created' is '{created}'"
-        raise ExportError(f"{found}; expected a date.") from error
+        raise ExportError(f"{found}; it must be a date.") from error
     date = date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC)
     return min(max(date, _FIRST_DATE), _LAST_DATE)

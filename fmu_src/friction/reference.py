@@ -44,13 +44,13 @@ co_simulation/{name}_shown.csv
 
 model_exchange/{name}_in.csv, _ref.csv, _ref.opt
     Inputs are linear between the rows. The reference is the law integrated over {substeps} substeps
-    between two rows, each exact for inputs held at its middle. RelTol {close:g} is, of the largest
-    torque of a joint, what the reference itself is good for; StepSize 0 asks for a solver with
-    step size control. The motion is under way at the start, so no row lies on a reversal. Importers
+    between two rows, each exact for inputs held at its middle. RelTol {close:g} (of the largest
+    torque of a joint) is the accuracy of the reference; StepSize 0 requests a solver with step
+    size control. The motion is under way at the start, so no row lies on a reversal. Importers
     that hold inputs while their solver steps, as CVode of FMPy 0.3.32 does, do not come near.
 """
 _NONE = """\
-There are no reference results: the torque of this law is not finite on the reference motion.
+Reference results are missing: the torque of this law is not finite on the reference motion.
 """
 
 

@@ -24,8 +24,8 @@ def require_numbers(model: FrictionModel) -> None:
                 if c.symbol in part.free_symbols
             )
             raise ExportError(
-                f"law '{model.law}' of joint '{joint}' cannot be run: {shown(part)} in it is no "
-                f"number with {at}."
+                f"law '{model.law}' of joint '{joint}' cannot be run: {shown(part)} in it is not "
+                f"finite with {at}."
             )
 
 

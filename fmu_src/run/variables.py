@@ -288,6 +288,6 @@ class Variables:
         if variable.type == "Integer":
             items = {m[2]: int(m[1]) for m in _CHOICE.finditer(variable.description or "")}
         if value not in items:
-            known = f"expected one of {', '.join(items)}" if items else "it has no choices"
+            known = f"it must be one of {', '.join(items)}" if items else "it has no choices"
             raise SimulationError(f"{self._fmu}: '{name}' cannot be '{value}'; {known}.")
         return items[value]

@@ -14,7 +14,7 @@ from hesr_model.units import unit_of_joint
 FORMAT = "hesr-friction-properties-1"
 
 PropertyVerdict = Literal["pass", "fail", "not applicable", "not run"]
-"""Not applicable: without meaning for the law, which is no defect."""
+"""Not applicable to the law; this is not a defect."""
 MARKS = {"pass": "✓", "fail": "✗", "not applicable": "n/a", "not run": "–"}
 
 

@@ -80,7 +80,7 @@ class Graph:
                 self._move_together(group[k : k + STOPS], i + k)
 
     def _move_together(self, group: Sequence[Element], first: int) -> None:
-        """Move one element, or stops that do not read one another."""
+        """Move one element, or independent stops."""
         (element, *_), states = group, [m.state for m in group]
         sees_itself = element.state in sympy.Tuple(*element.parts).free_symbols
         if sees_itself:

@@ -61,8 +61,8 @@ class LawForm:
         torque = Equation(
             name=TORQUE,
             unit="N.m",
-            description="friction {effort} of {joint}: what the drive must deliver, a plant "
-            "subtracts it",
+            description="friction {effort} of {joint}, delivered by the drive; a plant subtracts "
+            "it",
             expression=sympy.S.Zero + self.output,
             output=True,
         )

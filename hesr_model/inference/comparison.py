@@ -1,4 +1,4 @@
-"""Comparison of laws on the same test logs: which are worse than the best, and what can be found.
+"""Comparison of laws on the same test logs: significance and smallest detectable differences.
 
 Errors of neighbouring rows are correlated and peak at reversals. The variance of the log ratio of
 two RMSEs is therefore estimated from low-frequency cosines of the squared errors (equally weighted

@@ -34,7 +34,7 @@ def matched(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:
     if not distances[best] <= _LARGEST_MISMATCH:
         raise FitError(
             f"log {backward.name}: is not the time-reversed counterpart of {forward.name}; "
-            f"positions differ by {distances[best]:.3g} rad in the mean, at most "
+            f"positions differ by {distances[best]:.3g} rad on average; at most "
             f"{_LARGEST_MISMATCH:g} rad is allowed."
         )
     times = mirror + shifts[best]

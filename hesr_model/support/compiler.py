@@ -61,8 +61,8 @@ def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
         relative = f"{written.parent.name}/{output.name}"
         compiler = str(files("ziglang"))
         command = [str(files("ziglang") / "zig"), "cc", *flags, "-o", relative, source.name]
-        # The compiler's object cache is stale with concurrent compilations, so each has its own;
-        # that of the C library, slow to build, is shared.
+        # The compiler's object cache breaks under concurrent compilations, so each has its own.
+        # The C library is slow to build; its cache is shared.
         caches = {
             "ZIG_LOCAL_CACHE_DIR": str(cache),
             "ZIG_GLOBAL_CACHE_DIR": str(cache_folder() / "zig"),

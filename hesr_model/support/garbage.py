@@ -7,6 +7,6 @@ _THRESHOLDS = (100_000, 20, 20)
 
 
 def collect_seldom() -> None:
-    """Collect garbage seldom: it takes a sixth of the import time."""
+    """Collect garbage rarely: it takes a sixth of the import time."""
     gc.set_threshold(*_THRESHOLDS)
     atexit.register(gc.freeze)

@@ -43,7 +43,7 @@ def _held_back_here() -> Iterator[None]:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Interrupt of work that can be continued as `kept` says."""
+    """Interrupt of work that can be continued; `kept` describes how."""
 
     def __init__(self, kept: str, interrupt: KeyboardInterrupt) -> None:
         super().__init__(kept)

@@ -1,4 +1,4 @@
-/* How long ROBOTS robots take side by side [ns for a robot and step]; the argument is the number of
+/* Time that ROBOTS robots take side by side [ns for a robot and step]; the argument is the number of
  * steps. The header is law.h. */
 #include <stdio.h>
 #include <stdlib.h>

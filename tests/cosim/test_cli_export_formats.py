@@ -220,6 +220,6 @@ def test_a_law_that_divides_by_zero_is_refused(hesr, tmp_path, monkeypatch, argu
     answer = hesr("export", "law.json", *arguments)
     assert answer.code == 2
     assert answer.err == (
-        "hesr: law 'lugre' of joint 'hip' cannot be run: 1/F_c in it is no number with F_c = 0.\n"
+        "hesr: law 'lugre' of joint 'hip' cannot be run: 1/F_c in it is not finite with F_c = 0.\n"
     )
     assert [path.name for path in tmp_path.iterdir()] == ["law.json"]

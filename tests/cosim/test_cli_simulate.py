@@ -87,7 +87,7 @@ def test_limits_name_time_and_signal(write: Write, tmp_path: Path, hesr: Hesr) -
         ('"b.u" = "a.y"', '"b.v" = "a.y"', "{path}: connection 'b.v' = 'a.y': "),
         ('"b.u" = "a.y"', "", "{path}: input 'b.u' is not connected and has no start value."),
         ("u = 2.0", "w = 2.0", "{path}: start values of 'a': "),
-        ('["a.y", "b.y"]', "[]", "{path}: key 'observe' names no signals, so nothing would be wri"),
+        ('["a.y", "b.y"]', "[]", "{path}: key 'observe' names no signals to wri"),
         ('["a.y", "b.y"]', '["c.y"]', "{path}: observed 'c.y': there is no component 'c'; there a"),
         ('"FMU"', '"Missing.fmu"', "{folder}/Missing.fmu: no such file."),
         ("T = 0.5", "T = -1.0", "Lag.fmu ('a') at t = 0 s: T is -1 s; it must be positive."),

@@ -279,7 +279,7 @@ def test_a_log_that_ends_before_a_band_is_left_out_of_it(
 
 
 def test_a_band_without_rows_is_refused(records: list[list[FrictionRecord]]) -> None:
-    with pytest.raises(ConfigError, match=r"^the band from 60 to 70 s holds no rows.* lasts 5\."):
+    with pytest.raises(ConfigError, match=r"^the band from 60 to 70 s is empty.* lasts 5\."):
         within(records, wrong_by(records, 1.0, 0), 60.0, 70.0)
 
 

@@ -98,8 +98,8 @@ def test_the_table_of_alternative_plants_is_complete():
 @pytest.mark.parametrize(
     ("keys", "sentence"),
     [
-        ('truths = ["strain_wave"]\n', "other truths need the key 'signals'"),
-        ('truth = "strain_wave"\n', "other truths need the key 'signals'"),
+        ('truths = ["strain_wave"]\n', "alternative plants need the key 'signals'"),
+        ('truth = "strain_wave"\n', "alternative plants need the key 'signals'"),
     ],
 )
 def test_alternative_plants_need_an_fmu(keys, sentence, tmp_path: Path, capsys, monkeypatch):

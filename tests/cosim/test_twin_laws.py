@@ -39,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 LAWS = ("stribeck", "lugre", "parfam_v", "parfam_h", "parfam_hx",
         "parfam_s", "parfam_s_load", "parfam_s_v")  # fmt: skip
-"""Laws used by the tests here; the whole study has all."""
+"""Laws used by these tests, a subset of the study."""
 COMPENSATING = ("parfam_h", "parfam_hx")
 
 

@@ -159,7 +159,7 @@ def test_algebraic_loops_are_refused():
         ({"moed": 1.0}, "controller.fmu: there is no variable 'moed'; did you mean mode?"),
         ({"q": [1.0, 2.0, 3.0]}, "controller.fmu: 'q' has 2 elements; 3 values are given."),
         ({"Kp": [1.0, 2.0]}, "controller.fmu: 'Kp' has 1 element; 2 values are given."),
-        ({"mode": "quick"}, "'mode' cannot be 'quick'; expected one of slow, fast."),
+        ({"mode": "quick"}, "'mode' cannot be 'quick'; it must be one of slow, fast."),
         ({"Kp": "slow"}, "'Kp' cannot be 'slow'; it has no choices."),
         ({"count": 1.5}, "'count' is of type Integer; it cannot be 1.5."),
         ({"Kp": True}, "'Kp' is of type Real; it cannot be True."),

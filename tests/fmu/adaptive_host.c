@@ -1,11 +1,11 @@
-/* A host in plain C that tells what a step of an adaptive FMU takes, and an instance.
+/* A host in plain C that measures the time of a step and the size of an instance of an adaptive FMU.
  *
  *     adaptive_host LIBRARY GUID JOINTS TAU_MEAS TAU_RIGID TAU STEPS
  *
  * Of tau_meas[1], tau_rigid[1] and tau[1] the value references are given; dq[i] have 0, 1, ..
  * It prints the time of a doStep [ns], that with inputs set and torques read, and the size of all
- * that an instance knows [B]. Measured torque is the friction before it times 1.2: factors do
- * follow. */
+ * that an instance knows [B]. The measured torque is 1.2 times the last friction, so the factors
+ * change. */
 #include "host.h"
 
 enum { MOST = 16 };

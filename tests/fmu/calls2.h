@@ -1,4 +1,4 @@
-/* Calls that only FMI 2.0 has, or has so. */
+/* Calls specific to FMI 2.0. */
 #include "chance.h"
 
 static Status set_up(Host *h) {

@@ -1,7 +1,7 @@
-/* Calls that only FMI 3.0 has, or has so. */
+/* Calls specific to FMI 3.0. */
 #include "chance.h"
 
-/* How many numbers the host says there are, and where it has room for them: sometimes it lies. */
+/* Number of values that the host declares, sometimes wrongly, and their buffer. */
 static size_t told_count(void) {
     static const size_t lies[] = {0, 1, 2, VARIABLES, ROOM, SIZE_MAX};
     return below(30) ? n_values : lies[below(6)];
@@ -52,7 +52,7 @@ static Status set_real(Host *h) {
     case __COUNTER__ - BEFORE:                                                                     \
         return fmi3##name(h->c, vr, few, values, values, values);
 
-/* What there is nothing of; and integers. */
+/* Types that the FMU lacks, and integers. */
 static Status get_or_set_others(Host *h) {
     enum { BEFORE = __COUNTER__ + 1 };
     const size_t few = below(9) ? 0 : n;

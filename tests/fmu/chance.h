@@ -1,4 +1,4 @@
-/* What random lives are made of: numbers, arguments of calls, allocations that fail. */
+/* Parts of random lives: numbers, arguments of calls, failing allocations. */
 #ifndef CHANCE_H
 #define CHANCE_H
 
@@ -11,7 +11,7 @@
 
 enum { MOST = 5, ROOM = MOST * (VARIABLES + INDICATORS + 1) };
 
-/* Where an instance is, as far as the host can tell; PAUSED is event mode in co-simulation. */
+/* State of an instance as seen by the host; PAUSED is event mode in co-simulation. */
 enum {
     START = 1,
     INITIAL = 2,
@@ -32,7 +32,7 @@ typedef struct {
     double time;
 } Host;
 
-/* Arguments of a call. They end where their arrays do, so that whoever reads on is found out. */
+/* Arguments of a call. They end with their arrays, so that reading past the end is detected. */
 static Ref *vr;
 static double *real;
 static int *integer;
@@ -63,7 +63,7 @@ void *__wrap_calloc(size_t n_items, size_t size) {
 }
 #endif
 
-/* End with what must not be. */
+/* Fail on a forbidden result. */
 static void wrong(const char *what, double found) {
     printf("%s: %g\n", what, found);
     exit(1);
@@ -82,10 +82,10 @@ static double number(void) {
     return below(300) ? (below(2001) - 1000.0) / 500.0 : odd[below(8)];
 }
 
-/* A pointer, or now and then none. */
+/* A pointer, sometimes NULL. */
 #define OR_NULL(pointer) (below(300) ? (pointer) : NULL)
 
-/* Whether variables can be asked for at a place, rather than at one within an array. */
+/* Whether variables are addressed one by one, rather than within an array. */
 static int begins(Ref v) {
 #if FMI == 3
     return extents[v] > 0;
@@ -133,7 +133,7 @@ static void choose_arguments(void) {
     choose_numbers();
 }
 
-/* Have inputs alone among the arguments, nearly always: none where nothing is an input. */
+/* Pass almost only inputs as arguments; none if there are no inputs. */
 static void choose_inputs(void) {
     Ref any = 0;
     while (any < VARIABLES && variables[any].role != INPUT) {
@@ -148,7 +148,7 @@ static void choose_inputs(void) {
     choose_numbers();
 }
 
-/* Outputs whose derivatives are asked for; returns how many. */
+/* Outputs whose derivatives are requested; returns their number. */
 static size_t choose_unknowns(Ref unknown[MOST]) {
     const size_t count = below(MOST + 1);
     for (size_t i = 0; i < count; i++) {
@@ -159,7 +159,7 @@ static size_t choose_unknowns(Ref unknown[MOST]) {
     return count;
 }
 
-/* Numbers that were read of the arguments, all finite if they are outputs of what has not ended. */
+/* Values that were read; outputs of a running instance must be finite. */
 static void look_at(const Host *h, const double value[]) {
     for (size_t i = 0, k = 0; i < n; k += size_at(vr[i++])) {
         for (size_t j = 0; j < size_at(vr[i]) && vr[i] < VARIABLES; j++) {

@@ -2,7 +2,7 @@
  *
  *     container_lives LIBRARY GUID RESOURCES LIVES REFERENCE..
  *
- * An output that is not finite and a call that fails end it. */
+ * A non-finite output or a failed call ends it. */
 #include <math.h>
 #include <stdint.h>
 
@@ -10,7 +10,7 @@
 
 enum { MOST = 64, CROWD = 3, LONGEST = 20 };
 
-/* Libraries stay loaded: what MuJoCo keeps for good would be lost with it, and called a leak. */
+/* Libraries stay loaded: permanent allocations of MuJoCo would count as leaks. */
 int dlclose(void *library) {
     return library == NULL;
 }

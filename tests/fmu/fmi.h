@@ -1,5 +1,5 @@
-/* What hosts of the tests call alike in both versions of FMI. CALL(name) is the function that has
- * this name in FMI 2.0, and the same arguments in both. */
+/* Functions with the same arguments in both versions of FMI. CALL(name) is the function with this
+ * name in FMI 2.0. */
 #ifndef FMI_H
 #define FMI_H
 
@@ -12,7 +12,7 @@
 #define FMI 2
 #endif
 
-/* Each host defines as LOGGER { .. } what it does with a message. */
+/* Each host defines the handling of a message as LOGGER { .. }. */
 #define IGNORED __attribute__((unused))
 
 #define OK CALL(OK)
@@ -20,7 +20,7 @@
 #define ERROR CALL(Error)
 #define FATAL CALL(Fatal)
 enum { EXCHANGE, COUPLED_STEPS, OTHER_TYPE }; /* as FMI 2.0 numbers its types */
-enum { WITH_EVENTS = 1, MAY_END_EARLY = 2 };  /* what hosts of FMI 3.0 ask for */
+enum { WITH_EVENTS = 1, MAY_END_EARLY = 2 };  /* requested by hosts of FMI 3.0 */
 
 #if FMI == 3
 
@@ -57,7 +57,7 @@ static inline Fmu made(Text name, int type, Text token, Text resources, int told
     }
 }
 
-/* How many numbers a variable has; one where it is not known. */
+/* Number of elements of a variable; 1 if unknown. */
 static inline size_t size_at(Ref v) {
     if (v == VARIABLES + 1) {
         return INDICATORS;

@@ -1,10 +1,10 @@
-/* The functions of FMI 3.0, which its importers declare as the standard does. */
+/* Functions of FMI 3.0, declared by importers as in the standard. */
 #ifndef FMI3_FUNCTIONS_H
 #define FMI3_FUNCTIONS_H
 
 #include "fmi3.h"
 
-/* What hosts call as in FMI 2.0, where it has another name. */
+/* Functions with another name in FMI 2.0. */
 #define fmi3GetFMUstate fmi3GetFMUState
 #define fmi3SetFMUstate fmi3SetFMUState
 #define fmi3FreeFMUstate fmi3FreeFMUState
@@ -78,7 +78,7 @@ DECLARED(GetEventIndicators, fmi3Float64 indicator[], size_t n)
 DECLARED(GetNumberOfEventIndicators, size_t *n)
 DECLARED(GetNumberOfContinuousStates, size_t *n)
 
-/* What our FMUs have none of: other types, binaries, clocks. */
+/* Not in our FMUs: other types, binaries, clocks. */
 #define TYPES(DO)                                                                                  \
     DO(Float32)                                                                                    \
     DO(Int8) DO(UInt8) DO(Int16) DO(UInt16) DO(UInt32) DO(Int64) DO(UInt64) DO(Boolean) DO(String)

@@ -1,6 +1,6 @@
-/* A host that goes through thousands of random lives of an FMU's instances. It calls what the
- * standard allows, mostly, with right arguments, mostly. A sanitizer makes a failure of every error
- * of memory; the host itself one of what must not be: an output that is not finite, say.
+/* A host that runs thousands of random lives of an FMU's instances. Most calls are allowed by the
+ * standard and have valid arguments. A sanitizer fails on memory errors, the host on forbidden
+ * results, such as non-finite outputs.
  *
  *     fuzz [LIVES [FAIL_EVERY [RESOURCES [NAME=VALUE ..]]]]
  *
@@ -33,7 +33,7 @@ static Status exit_initialisation(Host *h) {
     return status;
 }
 
-/* Those that have no events seldom try. */
+/* Instances without events rarely try. */
 static Status enter_event(Host *h) {
     const int mode = after_initialisation(h);
     if (mode == STEPS && below(50)) {
@@ -93,8 +93,7 @@ static Status serialise(Host *h) {
     return CALL(SerializeFMUstate)(h->c, h->state, OR_NULL(bytes), size_of_state - !below(99));
 }
 
-/* Bytes of an earlier life, which may have been of the other type, or were damaged since: used in
- * few lives. */
+/* Bytes of an earlier life, perhaps of the other type or damaged; used in few lives. */
 static Status deserialise(Host *h) {
     if (below(20)) {
         return get_state(h);
@@ -149,7 +148,7 @@ static Status exchange_states(Host *h) {
     }
 }
 
-/* Which call is right where, how often it is to be tried, and where it leads. */
+/* States that allow each call, its frequency, and the state after it. */
 static const struct {
     Status (*call)(Host *);
     Status (*plain)(Fmu);
@@ -239,7 +238,7 @@ int main(int count, char **arguments) {
     for (long i = 0; i < lives; i++) {
         live();
     }
-    /* For the test to see that much has happened. */
+    /* Lets the test check that enough has happened. */
     printf("{\"calls\": %lu, \"steps\": %lu, \"derivatives\": %lu, \"events\": %lu, "
            "\"restored\": %lu, \"refusals\": %lu, \"errors\": %lu, \"messages\": %lu, "
            "\"failed_allocations\": %lu}\n",

@@ -1,4 +1,4 @@
-/* Start values that a host is given: NAME=VALUE of variables, or of all elements of vectors. */
+/* Start values of a host: NAME=VALUE of variables, or of all elements of vectors. */
 #ifndef GIVEN_H
 #define GIVEN_H
 

@@ -33,7 +33,7 @@ int main(int count, char **argument) {
         dq[i] = (fmi2ValueReference)i;
         tau[i] = (fmi2ValueReference)(atoi(argument[4]) + i);
     }
-    /* When timed, a hundred steps share one input: the clock and the setting do not count. */
+    /* When timed, a hundred steps share one input, so clock and setting hardly count. */
     for (int k = 0; k < steps; k++) {
         for (int i = 0; i < joints; i++) {
             u[i] = velocity(k, i);

@@ -1,4 +1,4 @@
-/* What hosts of the tests share: they load a binary on any platform and begin a simulation. */
+/* Shared by the hosts of the tests: load a binary on any platform and begin a simulation. */
 #ifndef HOST_H
 #define HOST_H
 

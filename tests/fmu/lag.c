@@ -1,5 +1,5 @@
-/* A component of the tests: T x' = u - x, y = x, by the exact step for inputs held; it refuses a
- * step past a time that is given to it. */
+/* A component of the tests: T x' = u - x, y = x, by the exact step for inputs held; it refuses
+ * steps past a given time. */
 #include <math.h>
 #include <stdio.h>
 
@@ -9,7 +9,7 @@
 /* Value references, in the order of the table in small_fmus.py. */
 enum { U, Y, X, DER_X, T, REFUSED, X_START };
 
-/* What it remembers besides: whether the initialisation has ended. */
+/* State in addition: whether the initialisation has ended. */
 enum { STARTED };
 
 static bool component_output(Component *component, void *workspace, Message *why) {

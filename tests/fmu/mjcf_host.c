@@ -8,7 +8,7 @@
 
 enum { MOST = 64 };
 
-/* A triangle of velocity from -0.6 to 0.6, of additions and multiplications only. */
+/* A triangle of velocity from -0.6 to 0.6, by additions and multiplications only. */
 static double input(int k, int i) {
     const int place = (k + 37 * i) % 400;
     return 0.6 * ((place < 200 ? place : 400 - place) / 100.0 - 1.0);

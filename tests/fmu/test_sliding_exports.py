@@ -62,10 +62,10 @@ def test_every_variable_has_the_unit_of_its_joint(mixed_fmu):
     ):
         assert [found[name.format(i)].unit for i in (1, 2)] == [turning, sliding], name
     assert found["tau[1]"].description == (
-        "friction torque of axis_1: what the drive must deliver, a plant subtracts it"
+        "friction torque of axis_1, delivered by the drive; a plant subtracts it"
     )
     assert found["tau[2]"].description == (
-        "friction force of axis_2: what the drive must deliver, a plant subtracts it"
+        "friction force of axis_2, delivered by the drive; a plant subtracts it"
     )
     assert (
         found["tau_load[2]"].description == "load force on axis_2: rigid-body force of the motion"

@@ -219,7 +219,7 @@ def test_the_date_is_that_given(epoch, created, expected, table1, load, tmp_path
 
 def test_an_invalid_date_is_refused(table1, tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "today")
-    with pytest.raises(ExportError, match=r"SOURCE_DATE_EPOCH is 'today'; expected a date\."):
+    with pytest.raises(ExportError, match=r"SOURCE_DATE_EPOCH is 'today'; it must be a date\."):
         export_fmu(table1, tmp_path / "F.fmu")
 
 

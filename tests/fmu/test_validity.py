@@ -45,7 +45,7 @@ def test_a_zero_divisor_is_refused(
     with pytest.raises(ExportError) as caught:
         EXPORTS[way](model, tmp_path)
     assert str(caught.value) == (
-        "law 'lugre' of joint 'axis_2' cannot be run: 1/F_c in it is no number with F_c = 0."
+        "law 'lugre' of joint 'axis_2' cannot be run: 1/F_c in it is not finite with F_c = 0."
     )
     assert not list(tmp_path.iterdir())
 
@@ -53,16 +53,16 @@ def test_a_zero_divisor_is_refused(
 A, B = (Coefficient(name=name, unit="1", description=name) for name in "ab")
 a, b = A.symbol, B.symbol
 UNDEFINED = {
-    "square": (sympy.exp(-((DQ / a) ** 2)), "a**(-2) in it is no number with a = 0."),
-    "within what hides it": (1 / (1 + 1 / a), "1/a in it is no number with a = 0."),
+    "square": (sympy.exp(-((DQ / a) ** 2)), "a**(-2) in it is not finite with a = 0."),
+    "within what hides it": (1 / (1 + 1 / a), "1/a in it is not finite with a = 0."),
     "beside an input": (
         1 / (a * DQ + a**2),
-        "1/(a**2 + a*dq) in it is no number with a = 0.",
+        "1/(a**2 + a*dq) in it is not finite with a = 0.",
     ),
-    "logarithm": (sympy.log(a), "log(a) in it is no number with a = 0."),
-    "root": (sympy.sqrt(b) * DQ, "sqrt(b) in it is no number with b = -2."),
-    "several": (DQ / (a * b + a), "1/(a*b + a) in it is no number with a = 0, b = -2."),
-    "own functions": (1 / absolute(a * b), "1/abs(a*b) in it is no number with a = 0, b = -2."),
+    "logarithm": (sympy.log(a), "log(a) in it is not finite with a = 0."),
+    "root": (sympy.sqrt(b) * DQ, "sqrt(b) in it is not finite with b = -2."),
+    "several": (DQ / (a * b + a), "1/(a*b + a) in it is not finite with a = 0, b = -2."),
+    "own functions": (1 / absolute(a * b), "1/abs(a*b) in it is not finite with a = 0, b = -2."),
 }
 
 

@@ -1,5 +1,5 @@
-/* A host with two threads, each of which leads an instance of its own through its life, again and
- * again; a sanitizer for threads sees whatever they share. */
+/* A host with two threads that repeatedly run their own instances; a thread sanitizer detects
+ * shared data. */
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>

@@ -1,10 +1,10 @@
-/* Starts a host on Windows: the start-up of the compiler's own C library takes long to build. */
+/* Start-up code of a host on Windows; that of the compiler's C library takes long to build. */
 #include <corecrt_startup.h>
 #include <stdlib.h>
 
 int main(int argc, char **argv);
 
-/* main calls it for constructors, of which C has none. */
+/* Called by main for constructors, which C lacks. */
 void __main(void) {
 }
 

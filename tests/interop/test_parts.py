@@ -60,7 +60,7 @@ def test_enumerations_are_integers_with_names(tmp_path: Path) -> None:
     fmu = write_fmu(trajectory(1), tmp_path / "Trajectory.fmu")
     assert driven(fmu, start={"kind": "sweep"}).start == {"kind": 3.0}
     assert driven(fmu, start={"kind": 2}).start == {"kind": 2.0}
-    with pytest.raises(SimulationError, match="'kind' cannot be 'fast'; expected one of fourier, "
+    with pytest.raises(SimulationError, match="'kind' cannot be 'fast'; it must be one of fourier, "
                        "sine, sweep"):  # fmt: skip
         driven(fmu, start={"kind": "fast"})
 

@@ -62,7 +62,7 @@ def test_known_elements_are_accepted(tmp_path: Path, order: str) -> None:
         data = b"" if kind == 14 else b"\0" * 8
         said = of_5(tmp_path, element(kind, data, order), order=order)
         if kind == 15:  # a packed element, but these bytes are not
-            assert said == "its packed data are broken"
+            assert said == "its compressed data are corrupt"
         else:
             assert said == ("" if kind in KNOWN else f"an element is of the unknown type {kind}")
 
@@ -70,8 +70,8 @@ def test_known_elements_are_accepted(tmp_path: Path, order: str) -> None:
 def test_matrices_are_of_known_classes_and_begin_with_flags(tmp_path: Path) -> None:
     for kind in range(20):
         said = of_5(tmp_path, matrix(kind=kind))
-        assert said == ("" if 1 <= kind <= 17 else "a matrix is of no known class")
-    begin = "a matrix does not begin with its flags"
+        assert said == ("" if 1 <= kind <= 17 else "a matrix has an unknown class")
+    begin = "a matrix lacks its flags"
     assert of_5(tmp_path, matrix(flags=5)) == begin
     assert of_5(tmp_path, matrix(size=4)) == begin
     assert of_5(tmp_path, element(14, b"\0" * 15)) == begin
@@ -94,7 +94,7 @@ def test_nesting_is_limited_to_fifty(tmp_path: Path) -> None:
 
 
 def test_elements_end_within_their_parent(tmp_path: Path) -> None:
-    behind = "an element ends behind what holds it"
+    behind = "an element extends past its container"
     assert of_5(tmp_path, element(1, b"\0" * 8, length=8)) == ""
     assert of_5(tmp_path, element(1, b"\0" * 8, length=9)) == behind
     # Data are padded to eight bytes; a remainder too short for a tag is ignored.
@@ -104,13 +104,13 @@ def test_elements_end_within_their_parent(tmp_path: Path) -> None:
     inner = element(1, b"\0" * 8)
     assert of_5(tmp_path, matrix(inner)) == ""
     assert of_5(tmp_path, matrix(inner, inner[:12])) == behind
-    assert of_5(tmp_path, matrix(inner, inner[:7])) == "an element is cut off"
+    assert of_5(tmp_path, matrix(inner, inner[:7])) == "an element is truncated"
 
 
 def test_short_elements_hold_at_most_four_bytes(tmp_path: Path) -> None:
     for length in (1, 4, 5):
         short = struct.pack("<I", length << 16 | 1) + b"abcd"
-        expected = "" if length <= 4 else "a short element is long"
+        expected = "" if length <= 4 else "a short element has too many bytes"
         assert of_5(tmp_path, matrix(short)) == expected
         assert of_5(tmp_path, matrix(short, element(99))) == (
             expected or "an element is of the unknown type 99"
@@ -148,16 +148,18 @@ def test_version_4_matrices_have_the_declared_length(tmp_path: Path, order: str)
             assert of_4(tmp_path, one) == ""
             assert of_4(tmp_path, one, one) == ""
             cut = version_4(kind, imaginary=imaginary, digits=digits, order=order, less=1)
-            assert of_4(tmp_path, cut) == "a matrix ends behind the file"
+            assert of_4(tmp_path, cut) == "a matrix extends past the file"
 
 
 def test_invalid_version_4_matrices_are_refused(tmp_path: Path) -> None:
-    wrong = "a matrix is not as it must be"
+    wrong = "a matrix is malformed"
     for changes in ({"kind": 6}, {"rows": -1}, {"columns": -1}, {"imaginary": 2}, {"name": b""}):
         assert of_4(tmp_path, version_4(**changes)) == wrong, changes
     for changes in ({"rows": 0}, {"columns": 0}, {"imaginary": 1}, {"name": b"q"}):
         assert of_4(tmp_path, version_4(**changes)) == "", changes
     assert of_4(tmp_path, version_4(rows=-1, columns=-1)) == wrong
     for rest in (1, 19):
-        assert of_4(tmp_path, version_4()[:rest]) == "a matrix is cut off"
-    assert of_4(tmp_path, version_4(columns=0, name=b"q")[:20]) == "a matrix ends behind the file"
+        assert of_4(tmp_path, version_4()[:rest]) == "a matrix is truncated"
+    assert of_4(tmp_path, version_4(columns=0, name=b"q")[:20]) == (
+        "a matrix extends past the file"
+    )

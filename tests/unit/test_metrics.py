@@ -80,7 +80,7 @@ def test_the_score_of_a_band_counts_its_rows_and_compares_its_width() -> None:
     dq = np.where(t < 1.0, 0.0, 0.5)
     moved = record(t, dq, np.where(t < 1.0, 0.0, 4.0))
     still = record(t[:50], np.zeros(50), np.ones(50))
-    # At rest 80 of 100 are inside, on the edge; in motion all; of the second log none.
+    # 80 of 100 rows at rest are inside (on the edge), all in motion, none of the second log.
     upper = np.where(t < 1.0, np.where(t < 0.795, 0.0, -1.0), 7.0)
     bands = [(np.full(200, -3.0), upper), (np.full(50, 2.0), np.full(50, 6.0))]
     torque = [np.where(t < 1.0, 0.1, 1.0), np.full(50, 6.0)]

@@ -26,7 +26,7 @@
       await navigator.clipboard.writeText(text);
       return true;
     } catch {
-      // Browsers that keep the clipboard from pages in files still copy what is selected.
+      // Browsers that keep the clipboard from pages in files still copy the selection.
       const area = document.createElement("textarea");
       area.value = text;
       area.setAttribute("aria-hidden", "true");

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from hesr.extras.fleet.result import Fleet
 
 _MOST = 30
-"""Rows per table; the Parquet file has all."""
+"""Maximum rows per table; the Parquet file is complete."""
 
 
 def all_tables(fleet: "Fleet") -> Iterator[ResultTable]:

@@ -250,5 +250,5 @@ def _uses_inputs(expression: sympy.Expr) -> bool:
 def _number(expression: sympy.Expr, values: Values, what: str) -> float:
     value = expression.subs(values)
     if not value.is_real:
-        raise NoCounterpartError(f"its coefficients make {what} no number ({shown(expression)})")
+        raise NoCounterpartError(f"its coefficients make {what} non-finite ({shown(expression)})")
     return float(value)

@@ -105,9 +105,7 @@ def _gl() -> Any:
     if sys.platform == "linux" and not wanted:
         found = [name for name, library in _BACKENDS.items() if ctypes.util.find_library(library)]
         if not found:
-            raise ConfigError(
-                "videos need libEGL or libOSMesa (Debian: apt install libegl1 or libosmesa6)."
-            )
+            raise ConfigError("videos need libEGL or libOSMesa (Debian: libegl1, libosmesa6).")
         wanted = found[0]
     if wanted == "egl":
         from mujoco.egl import GLContext

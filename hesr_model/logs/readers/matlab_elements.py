@@ -46,16 +46,16 @@ def _require_version_4(content: memoryview) -> None:
     place = 0
     while place < len(content):
         if place + 20 > len(content):
-            raise ValueError("a matrix is cut off")
+            raise ValueError("a matrix is truncated")
         little = struct.unpack_from("<I", content, place)[0] < 5000  # the byte order
         header = struct.unpack_from(f"{'<' if little else '>'}IiiII", content, place)
         digits, rows, columns, imaginary, name = header
         size = _SIZES.get(digits // 10 % 10)
         if size is None or rows < 0 or columns < 0 or imaginary > 1 or name == 0:
-            raise ValueError("a matrix is not as it must be")
+            raise ValueError("a matrix is malformed")
         place += 20 + name + rows * columns * size * (1 + imaginary)
     if place > len(content):
-        raise ValueError("a matrix ends behind the file")
+        raise ValueError("a matrix extends past the file")
 
 
 def _unpacked(packed: memoryview, most: int) -> bytes:
@@ -63,7 +63,7 @@ def _unpacked(packed: memoryview, most: int) -> bytes:
     try:
         unpacked = unpacker.decompress(packed, max(most, 1))
     except zlib.error as error:
-        raise ValueError("its packed data are broken") from error
+        raise ValueError("its compressed data are corrupt") from error
     if unpacker.unconsumed_tail:
         raise OverflowError
     return unpacked
@@ -72,19 +72,19 @@ def _unpacked(packed: memoryview, most: int) -> bytes:
 def _require_element(content: memoryview, place: int, order: Order, depth: int) -> int:
     """Check an element; return the start of the next one."""
     if place + 8 > len(content):
-        raise ValueError("an element is cut off")
+        raise ValueError("an element is truncated")
     kind, length = struct.unpack_from(f"{order}II", content, place)
     if kind >> 16:  # short: length in the upper half, data in the tag
         kind, length, start, after = kind & 0xFFFF, kind >> 16, place + 4, place + 8
         if length > 4:
-            raise ValueError("a short element is long")
+            raise ValueError("a short element has too many bytes")
     else:
         start = place + 8
         after = start + length + -length % 8
     if kind not in _KNOWN:
         raise ValueError(f"an element is of the unknown type {kind}")
     if start + length > len(content):
-        raise ValueError("an element ends behind what holds it")
+        raise ValueError("an element extends past its container")
     if kind == _MATRIX and length:
         _require_matrix(content[start : start + length], order, depth + 1)
     return after
@@ -94,9 +94,9 @@ def _require_matrix(content: memoryview, order: Order, depth: int) -> None:
     if depth > _DEEPEST:
         raise ValueError("it is nested too deeply")
     if len(content) < 16 or struct.unpack_from(f"{order}II", content) != (_FLAGS, 8):
-        raise ValueError("a matrix does not begin with its flags")
+        raise ValueError("a matrix lacks its flags")
     if struct.unpack_from(f"{order}I", content, 8)[0] & 0xFF not in _CLASSES:
-        raise ValueError("a matrix is of no known class")
+        raise ValueError("a matrix has an unknown class")
     place = 16
     while place < len(content):
         place = _require_element(content, place, order, depth)

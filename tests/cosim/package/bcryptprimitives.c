@@ -1,5 +1,5 @@
-/* What wine 8 lacks of Windows and FMPy's runtime needs: random numbers, to which it gives none of
- * its results. */
+/* Random numbers of Windows, missing in wine 8; FMPy's runtime needs them, but no result depends
+ * on them. */
 #include <stddef.h>
 
 __declspec(dllimport) unsigned char __stdcall SystemFunction036(void *data, unsigned long size);

@@ -171,7 +171,7 @@ def test_an_invalid_ssp_is_refused(tmp_path: Path, hesr: Hesr) -> None:
 
 
 SSP: list[tuple[dict[str, Any], str]] = [
-    ({"without": SSD}, "there is no SystemStructure.ssd in it."),
+    ({"without": SSD}, "SystemStructure.ssd is missing."),
     ({"without": "resources/friction.ssv"},
      "component 'friction': there is no resources/friction.ssv in it."),
     ({"changes": [("</ssd:System>", "")]},

@@ -15,7 +15,7 @@ from fmu_src.run.archive import opened
 from hesr_model.errors import ArtifactError
 
 LEADS_OUT = "leads out of the archive; expected a relative name without '..'."
-NOTHING_ELSE = ("All other checks: the archive could not be read.",)
+NOTHING_ELSE = ("All other checks: not run; the archive could not be read.",)
 
 
 @pytest.fixture
@@ -180,7 +180,7 @@ def test_too_much_content_is_refused(content, tmp_path, monkeypatch):
 def test_too_many_entries_are_refused(content, tmp_path, monkeypatch):
     monkeypatch.setattr(archive, "MOST_ENTRIES", 3)
     found = check(write(tmp_path / "F.fmu", content))
-    assert texts(found) == [f"it has {len(content)} entries; more than 3 are not looked at."]
+    assert texts(found) == [f"it has {len(content)} entries; more than 3 are not checked."]
     assert found.skipped == NOTHING_ELSE
 
 

@@ -1,4 +1,4 @@
-/* What a Cortex-M7 without an operating system needs before main. */
+/* Start-up code of a Cortex-M7 without operating system. */
 #include <stdint.h>
 #include <stdlib.h>
 
@@ -28,7 +28,7 @@ __attribute__((section(".vectors"), used)) static void (*const vectors[])(void) 
     (void (*)(void))(uintptr_t)&stack_top, reset, stop, stop, stop, stop, stop,
 };
 
-/* Asked for by the C library, and never called to any effect. */
+/* Required by the C library, but without effect. */
 void _init(void) {
 }
 void _fini(void) {
