@@ -214,9 +214,8 @@ FULL = OSError(errno.ENOSPC, "No space left\n on device.", "some/file")
         (ConfigError("key 'a' is missing."), "key 'a' is missing."),
         (FULL, "some/file: the system reports an error (No space left on device)."),
         (OSError("odd"), "the system reports an error (odd)."),
-        (MemoryError(), "memory does not suffice for this; give less data at once, or a machine "
-                        "with more."),
-        (RecursionError(), "a file that was read is nested too deeply."),
+        (MemoryError(), "not enough memory; give less data at once."),
+        (RecursionError(), "an input file is nested too deeply."),
     ],
 )  # fmt: skip
 def test_errors_are_one_sentence_and_exit_with_2(
