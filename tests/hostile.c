@@ -132,7 +132,7 @@ static void misbehave(const char *call) {
         }
         exit(0);
     } else if (strcmp(deed, "fork") == 0) {
-        fork(); /* and both go on */
+        fork(); /* both continue */
     } else if (strcmp(deed, "dig") == 0) {
         for (int i = 0; i < 1200; i++) {
             if (mkdir("d", 0700) != 0 || chdir("d") != 0) {

@@ -34,7 +34,7 @@ _OUTPUTS = {
 
 
 def twin_plant(twin: Twin, study: Path, folder: Path) -> tuple[Plant, SignalTable | None]:
-    """Return plant and table of signals of a twin, with the friction that its study names.
+    """Return plant and table of signals of a twin with the friction of its study.
 
     `study` is for messages; `folder` receives the MJCF of an alternative plant.
     """

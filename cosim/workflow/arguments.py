@@ -62,7 +62,9 @@ def logs_of(logs: Logs, robot: RobotArg | None = None, progress: Progress = sile
     if known is None:
         known = next((g.robot for g in several if isinstance(g, Log) and g.robot), None)
     read = []
-    for log in counted(several, progress, lambda log: Path(getattr(log, "path", log)).name):
+    for log in counted(
+        several, progress, lambda log: log.name if isinstance(log, Log) else str(log)
+    ):
         if isinstance(log, Log):
             read.append(log)
             continue

@@ -91,7 +91,7 @@ def _of_fmpy() -> dict[int, list[Path]]:
 
 
 def _paths(file: Path) -> Iterator[str]:
-    # No mapping: Python's search in it reads one byte beyond the end.
+    # Read the file instead of mapping it: Python's search in a map reads one byte past the end.
     data = file.read_bytes()
     for literal, before, pattern in _PLACES:
         place = data.find(literal)

@@ -63,7 +63,7 @@ def test_a_covariance(logs: int, unchanged: Unchanged) -> None:
 
 
 def test_the_leverage_of_a_row_is_limited() -> None:
-    """Leverage counts as nine tenths at most."""
+    """Leverage is capped at 0.9."""
     jacobian = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0]])
     found = left_out(jacobian, np.ones(5), jacobian.T @ jacobian)
     np.testing.assert_allclose(found, [10.0, *[4.0 / 3.0] * 4], rtol=1e-9)

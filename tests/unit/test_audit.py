@@ -326,7 +326,7 @@ def test_an_audit_survives_json_and_is_reproducible(audited: FrictionLaw) -> Non
     assert audit(audited, TRAINED) == found
 
 
-def test_the_work_of_a_cycle_is_that_of_the_stated_frequency(
+def test_a_cycle_has_the_work_of_its_stated_frequency(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # A damper of -1 N.m.s/rad generates amplitude^2 / (2 f).
