@@ -139,7 +139,7 @@ def test_vectors_of_one_joint_are_named_one_by_one(tmp_path: Path, save: Save) -
         ),
         (
             lambda d: {"note": f"nothing but {', '.join(d)}"},
-            r"run\.mat: column 't' is missing; it has no numeric arrays\. Tables and timeseries",
+            r"run\.mat: column 't' is missing; it has no numeric arrays\. Save tables and",
         ),
         (
             lambda d: {**d, "q": d["q"][:-1]},
