@@ -82,23 +82,23 @@ def test_laws_are_listed_with_their_equations() -> None:
 
 def body(**provenance: object) -> RigidBody:
     return RigidBody(
-        robot="arm", joints=("j1", "tip"), names=("l1.m", "l1.Ir"), base=(0, 1),
+        robot="arm", joints=("j1", "j2", "tip"), names=("l1.m", "l1.Ir"), base=(0, 1),
         parameters=np.array([1.0, 2.0]), standard_errors=np.array([0.1, 0.2]), condition=12.345,
-        ridge=0.0, friction=np.zeros((2, 3)), rmse=np.array([0.5, 2.0]), rows=10, logs=("a", "b"),
-        method="stacked", weighting="wls", provenance=provenance,
+        ridge=0.0, friction=np.zeros((3, 3)), rmse=np.array([0.5, 2.0, 3.0]), rows=10,
+        logs=("a", "b"), method="stacked", weighting="wls", provenance=provenance,
     )  # fmt: skip
 
 
 def test_a_rigid_body_is_told_with_its_units() -> None:
     plain, sliding = (
         identify.answer(body(), None),
-        identify.answer(body(sliding=[False, True]), None),
+        identify.answer(body(sliding=[False, False, True]), None),
     )
     start = (
         "Rigid body: 2 base parameters of 2 (1 of them rotor inertias), condition 12.3, from a, b"
     )
-    assert plain.summary() == f"{start}; residual RMSE 0.5, 2 N.m."
-    assert sliding.summary() == f"{start}; residual RMSE 0.5, 2 N.m (N where it slides)."
+    assert plain.summary() == f"{start}; residual RMSE 0.5, 2, 3 N.m."
+    assert sliding.summary() == f"{start}; residual RMSE 0.5, 2, 3 N.m (N where it slides)."
     assert plain.format == "hesr-rigid-body-1"
 
 

@@ -9,12 +9,17 @@ from fmu_src.arm.native import export_mjcf
 from fmu_src.run.fmu import FmuInstance
 
 DT = 0.01
+LATE = 'delay="0.0155" nsample="9"'
+ALL_LATE = CART_POLE.replace('gear="10"', f'gear="10" {LATE}').replace(
+    'gear="-4"', f'gear="-4" {LATE}'
+)
 MODELS = {
     "implicit": CART_POLE,
     "Euler": CART_POLE.replace("implicitfast", "Euler"),
     "Runge-Kutta": CART_POLE.replace("implicitfast", "RK4"),
     "dry friction": CART_POLE.replace('damping="0.01"', 'damping="0.01" frictionloss="0.05"'),
     "late commands": CART_POLE.replace('gear="10"', 'gear="10" delay="0.02" nsample="9"'),
+    "interpolated commands": ALL_LATE.replace(LATE, f'{LATE} interp="linear"'),
     "late sensors": CART_POLE.replace('name="x"', 'name="x" delay="0.02" nsample="9"'),
     "seldom read": CART_POLE.replace('name="dx"', 'name="dx" interval="0.02" nsample="3"'),
     "sleeping": CART_POLE.replace("/>", '><flag sleep="enable"/></option>', 1),
