@@ -70,6 +70,11 @@ class OneForm(Described):
     def space(self) -> SearchSpace:
         """Return the search space of the core."""
 
+    def space_of(self, law: FrictionLaw) -> SearchSpace:
+        """Return the search space of a fitted law, with its ripple."""
+        waves = law.structure.get("ripple")
+        return Ripple.of_structure(waves).extend_space(self.space()) if waves else self.space()
+
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search the non-linear coefficients (seeded by `rng`) and solve the linear ones."""
         form = self.core({})

@@ -52,7 +52,7 @@ def fit_joint(
             )
     with threadpool_limits(1):
         fitted = configured.fit(records, np.random.default_rng(seed))
-        space = configured.space() if isinstance(configured, OneForm) else None
+        space = configured.space_of(fitted) if isinstance(configured, OneForm) else None
         return with_standard_errors(fitted, records, space)
 
 

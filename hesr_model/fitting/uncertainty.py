@@ -43,11 +43,11 @@ def with_standard_errors(
 ) -> FrictionLaw:
     """Return the law with covariance and standard errors of its coefficients.
 
-    `space` is the search space of a law whose form was not chosen by the data.
+    `space` is the search space of the law's form, if known.
     """
     if len(law.values) > MOST_COEFFICIENTS:
         return law
-    moved = _searched(law, space) if space and not law.structure else _every(law)
+    moved = _searched(law, space) if space else _every(law)
     # Initial states are measured, so they are constant.
     starts = [record_start(law, r) for r in records]
 

@@ -41,6 +41,7 @@ class DahlBasis(OneForm):
     order = 80
     classic = True
     load: ClassVar[bool] = False
+    relaxed = False
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
@@ -60,10 +61,7 @@ class DahlBasis(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Solve for all coefficients; without load F_i >= 0, since elements must not drive.
-
-        With load the force of an element is F_i + mu_i |tau_load|, so F_i may be negative.
-        """
+        """Solve for all coefficients; F_i, mu_i >= 0, since elements must not drive."""
         linear = (*_FORCE, *(_LOAD if self.load else ()), SIGMA_2, TAU_0)
         return SearchSpace(
             bounds=(),
@@ -71,19 +69,22 @@ class DahlBasis(OneForm):
             values=tuple(
                 (k.name, sympy.Float(1.0 / d)) for k, d in zip(_KAPPA, DEFLECTIONS, strict=True)
             ),
-            non_negative=0 if self.load else len(_FORCE),
+            non_negative=0 if self.relaxed else len(linear) - 2,
         )
 
 
 @register
 class DahlBasisLoad(DahlBasis):
-    """The Dahl basis with F_i + mu_i |tau_load| in place of F_i."""
+    """The Dahl basis with F_i + mu_i |tau_load| in place of F_i, of any sign if `relaxed`."""
 
     name = "dahl_load"
     title = "Dahl basis+load"
     order = 90
     adds = ("dahl", "load")
     load = True
+
+    def __init__(self, *, relaxed: bool = False) -> None:
+        self.relaxed = relaxed
 
 
 RISE = Coefficient(name="rise", unit="1/(N.m)", description="relative rise of the bounds per load")

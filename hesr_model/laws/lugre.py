@@ -20,7 +20,8 @@ SIGMA_1 = Coefficient(name="sigma_1", unit="N.m.s/rad", description="bristle dam
 MU = Coefficient(name="mu", unit="1/(N.m)", description="relative rise with the load")
 
 DEFLECTION_BOUNDS = (1e-5, 0.1)  # [rad] F_c / sigma_0; wide, since the update is exact
-STATIC_RATIO_BOUNDS = (0.2, 5.0)  # F_s / F_c; below 1 as in lubricated gears
+RATIO_TEXTBOOK = (1.0, 5.0)  # F_s / F_c: static above Coulomb friction
+STATIC_RATIO_BOUNDS = (0.2, 5.0)  # relaxed: below 1 as in lubricated gears
 
 
 def bristle() -> Relaxation:
@@ -40,7 +41,7 @@ def bristle_space(
     With sigma_0 = F_c / deflection and F_s = ratio F_c, eq. 1 is linear in the others.
     """
     f_c, deflection, ratio = sympy.symbols("F_c deflection ratio", real=True)
-    usual = {"deflection": DEFLECTION_BOUNDS, "ratio": STATIC_RATIO_BOUNDS, "v_s": VELOCITY_BOUNDS}
+    usual = {"deflection": DEFLECTION_BOUNDS, "ratio": RATIO_TEXTBOOK, "v_s": VELOCITY_BOUNDS}
     return SearchSpace(
         bounds=tuple((usual | bounds).items()),
         linear=linear,
@@ -69,7 +70,10 @@ def _with(form: LawForm, term: sympy.Expr, *own: Coefficient) -> LawForm:
 
 @register
 class LuGre(OneForm):
-    """z' = v - sigma_0 |v|/g(v) z, tau = sigma_0 z + sigma_1 z' + sigma_2 v + tau_0."""
+    """z' = v - sigma_0 |v|/g(v) z, tau = sigma_0 z + sigma_1 z' + sigma_2 v + tau_0.
+
+    F_s >= F_c, unless `relaxed`.
+    """
 
     name = "lugre"
     title = "LuGre"
@@ -79,6 +83,9 @@ class LuGre(OneForm):
     proposed = True
     paper = 2
 
+    def __init__(self, *, relaxed: bool = False) -> None:
+        self._relaxed = {"ratio": STATIC_RATIO_BOUNDS} if relaxed else {}
+
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions."""
@@ -87,7 +94,8 @@ class LuGre(OneForm):
 
     def space(self) -> SearchSpace:
         """Search the bristle."""
-        return bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0"), non_negative=3)
+        linear = ("F_c", "sigma_1", "sigma_2", "tau_0")
+        return bristle_space(linear, non_negative=3, **self._relaxed)
 
 
 @register
@@ -107,7 +115,8 @@ class LuGreLoad(LuGre):
 
     def space(self) -> SearchSpace:
         """Search the bristle; solve for F_c mu, in which the torque is linear."""
-        plain = bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0", "F_c_mu"), non_negative=3)
+        linear = ("F_c", "sigma_1", "sigma_2", "tau_0", "F_c_mu")
+        plain = bristle_space(linear, non_negative=3, **self._relaxed)
         product = sympy.Symbol("F_c_mu", real=True)
         return replace(plain, values=(*plain.values, (MU.name, product / F_C.symbol)))
 
@@ -126,7 +135,6 @@ class LuGreLoadRipple(LuGreLoad):
     start_samples = 5
 
 
-RATIO_TEXTBOOK = (1.0, 5.0)  # static above Coulomb friction
 SIGMA_T = Coefficient(
     name="sigma_t", unit="N.m.s/rad", description="viscous friction that thins with speed"
 )
@@ -137,10 +145,10 @@ THINNING_BOUNDS = (1e-2, 3.0)  # [rad/s]
 
 @register
 class LuGreTextbook(LuGre):
-    """LuGre with F_s >= F_c and shear-thinning viscous friction + sigma_t v / (1 + |v|/v_t)."""
+    """LuGre with shear-thinning viscous friction + sigma_t v / (1 + |v|/v_t)."""
 
     name = "lugre_textbook"
-    title = "LuGre, F_s >= F_c"
+    title = "LuGre, shear thinning"
     order = 60
 
     @classmethod
@@ -152,7 +160,7 @@ class LuGreTextbook(LuGre):
     def space(self) -> SearchSpace:
         """Search the bristle and the speed of thinning."""
         linear = ("F_c", "sigma_1", "sigma_2", "sigma_t", "tau_0")
-        return bristle_space(linear, 4, ratio=RATIO_TEXTBOOK, v_t=THINNING_BOUNDS)
+        return bristle_space(linear, 4, v_t=THINNING_BOUNDS, **self._relaxed)
 
 
 @register
@@ -167,6 +175,9 @@ class LuGrePassive(LuGre):
     title = "LuGre, passive"
     order = 70
 
+    def __init__(self) -> None:
+        super().__init__()
+
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions."""
@@ -178,4 +189,4 @@ class LuGrePassive(LuGre):
 
     def space(self) -> SearchSpace:
         """Search the bristle; F_s/F_c is searched, so the rest is linear."""
-        return bristle_space(("F_c", "sigma_1", "s_2", "tau_0"), 3, ratio=RATIO_TEXTBOOK)
+        return bristle_space(("F_c", "sigma_1", "s_2", "tau_0"), 3)

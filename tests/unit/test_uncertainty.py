@@ -24,7 +24,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.inference.correlation import correlation_length, standard_errors
 from hesr_model.laws.dahl import DahlBasis
-from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS, LuGre
+from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS, LuGre, LuGreLoadRipple
 
 TRUTH = law(
     "strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5
@@ -170,6 +170,22 @@ def test_coefficients_at_a_bound_have_no_interval() -> None:
         replace(truth, values={**values, "F_s": 5.0, "sigma_1": 10.0}), [record], LuGre().space()
     )
     assert set(inside.standard_errors) == set(values)
+
+
+def test_ripple_does_not_free_coefficients_at_a_bound() -> None:
+    """Otherwise left-out errors, a step from a gradient that is not 0, would be too large."""
+    ratio = STATIC_RATIO_BOUNDS[1]
+    structure = LuGreLoadRipple.typical
+    values = {"sigma_0": 4e3, "sigma_1": 10.0, "sigma_2": 5.0, "F_c": 4.0, "F_s": 4.0 * ratio,
+              "v_s": 0.05, "tau_0": 0.1, "mu": 0.02, "ripple2_cos": 0.3, "ripple2_sin": 0.1,
+              "lag": 0.003, "smoothing": 0.001}  # fmt: skip
+    truth = law("lugre_load_ripple", structure, **values)
+    found = with_standard_errors(
+        truth, [along(truth, path(0), noise=0.3)], LuGreLoadRipple().space_of(truth)
+    ).covariance
+    assert found is not None
+    f_c, f_s = found.names.index("F_c"), found.names.index("F_s")
+    assert found.matrix[f_s, f_s] == pytest.approx(ratio**2 * found.matrix[f_c, f_c], rel=1e-6)
 
 
 def test_a_nonlinear_coefficient_states_the_wider_side() -> None:

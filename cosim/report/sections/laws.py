@@ -25,7 +25,7 @@ from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import papers_law, registry
+from hesr_model.friction.registry import laws_with, papers_law, registry
 
 _INTERVAL = 1.96  # half width of a 95 % interval in standard errors
 _FREQUENCY = 0.25  # frequency of the paper's sine [Hz]
@@ -134,7 +134,8 @@ def ablation(results: Results) -> dict[str, Any] | None:
     test = results.tests[0]
     laws = results.comparisons[test].laws
     steps = [(a, b, part) for a, b, part in _steps() if a in laws and b in laws]
-    variants = [name for name in results.run.variants if name in laws]
+    relaxed = laws_with("classic")  # other limits, no further part
+    variants = [n for n, law in results.run.variants.items() if n in laws and law not in relaxed]
     tables = {}
     if variants:
         whole = results.run.variants[variants[-1]]
