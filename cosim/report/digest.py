@@ -11,7 +11,14 @@ from cosim.report.results import Results
 from cosim.report.tables.loop import outcome, tracking
 from cosim.report.tables.markdown import markdown
 from cosim.report.tables.properties import most_passed, properties
-from cosim.report.tables.scores import bands, errors, leading, left_out, other_truths
+from cosim.report.tables.scores import (
+    bands,
+    errors,
+    leading,
+    left_out,
+    other_truths,
+    own_friction,
+)
 from cosim.report.tables.table import ResultTable, TableRow, named, row_of, title
 from cosim.study.scores import ORACLE, REFERENCE
 from hesr_model.audit.expectations import EXPECTATIONS
@@ -85,7 +92,8 @@ def _run(results: Results) -> Iterator[str]:
         yield "### Does the order of the laws depend on the true friction?\n"
         leaders = [title(leading(of_plant)) for of_plant in results.truths.values()]
         pairs = zip(results.truths, leaders, strict=True)
-        yield f"Lowest error: {', '.join(f'{law} with {plant}' for plant, law in pairs)}.\n"
+        led = ", ".join(f"{law} with {plant}" for plant, law in pairs)
+        yield f"{own_friction(results.run.truth)} Lowest error: {led}.\n"
         table = other_truths(results.comparisons, results.truths, results.run.truth)
         yield markdown(_rows(table, [REFERENCE, papers_law(), results.best, ORACLE]))
     if results.loop:

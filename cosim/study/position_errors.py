@@ -8,7 +8,8 @@ from itertools import islice
 
 import numpy as np
 
-from cosim.study.scores import Records, by_joint
+from cosim.study.scores import by_joint
+from fmu_src.friction.predictions import Records
 from hesr_model.errors import SimulationError
 from hesr_model.forward.simulation import Simulator, inner_steps, position_errors
 from hesr_model.forward.windows import Logs, Windows, joined, whole, windows_of

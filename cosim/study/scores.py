@@ -1,28 +1,26 @@
-"""Scores of friction predictions by Python models or FMUs."""
+"""Scores of friction predictions."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 
-from hesr_model.errors import ArtifactError, ConfigError
+from fmu_src.friction.predictions import Records, predict_model
+from hesr_model.errors import ConfigError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.metrics import BandScore, Score, score, score_band, time_band
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import first_states, predict_band
-from hesr_model.friction.records import record_start
+from hesr_model.friction.predict import predict_band
 from hesr_model.friction.registry import laws_with
 from hesr_model.inference.comparison import LEAST_SECONDS, SIGNIFICANCE, LawErrors, holm, law_errors
-from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.frames import pandas_frame
 from hesr_model.support.html import table
 from hesr_model.support.progress import Progress, counted, silent
 
-Records = Sequence[Sequence[FrictionRecord]]  # [joint][log]
 LogRecords = Mapping[str, Sequence[Sequence[FrictionRecord]]]  # by log, [part][joint]
 Predictions = Mapping[str, Mapping[str, Sequence[Sequence[Array]]]]
 """Torques (N,) [N.m] by test set and law, [joint][log]."""
@@ -51,6 +49,7 @@ class Ratio:
     low: float | None
     high: float | None
     p: float | None = None  # None in earlier versions
+    others: tuple[float, float] | None = None  # interval for other logs of this kind
 
     @property
     def verdict(self) -> str:
@@ -100,7 +99,8 @@ class LawScores:
 class Comparison:
     """Scores of several laws on the same logs.
 
-    By joint, `leading` has the law with the lowest error and all not significantly worse (Holm),
+    The velocity of predictions is causal; `zero_phase` is the RMSE with that of the fits. By joint,
+    `leading` has the law with the lowest error and all not significantly worse (Holm),
     `detectable` the smallest ratio at which each other law would be found worse, if any.
     """
 
@@ -113,6 +113,7 @@ class Comparison:
     bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)  # coverage of 95 %
     detectable: tuple[Mapping[str, float], ...] = ()
     seconds: tuple[float, ...] = ()  # [s] test that finds `RECORDED`, median
+    zero_phase: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # RMSE without lag
 
     @property
     def too_short(self) -> tuple[bool, ...]:
@@ -151,6 +152,11 @@ def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionReco
     return [list(of_joint) for of_joint in zip(*logs, strict=True)]
 
 
+def causal(records: Records) -> list[list[FrictionRecord]]:
+    """Return records with the velocity that a user of an FMU has."""
+    return [[r.causal for r in of_joint] for of_joint in records]
+
+
 def records_of(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
     """Return the records of the named logs, [joint][part]."""
     return by_joint([part for name in names for part in records[name]])
@@ -161,10 +167,12 @@ def compare(
     predictions: Mapping[str, Sequence[Sequence[Array]]],
     inputs: Mapping[str, str] | None = None,
     models: Mapping[str, FrictionModel] | None = None,
+    zero_phase: Mapping[str, Sequence[Sequence[Array]]] | None = None,
 ) -> Comparison:
     """Score predictions [law][joint][log], (N,) [N.m] each, on records [joint][log].
 
-    The `inputs` of each law decide the references. Bands of `models` are also scored.
+    The `inputs` of each law decide the references. Bands of `models` are also scored, and
+    predictions of a `zero_phase` velocity. Rows are moving or reversing by the records' own dq.
     """
     scores = {
         law: [score(r, p) for r, p in zip(records, predicted, strict=True)]
@@ -197,6 +205,10 @@ def compare(
         bands=_band_scores(models or {}, records, predictions),
         detectable=tuple(detectable for _, detectable, _ in against),
         seconds=tuple(seconds for *_, seconds in against),
+        zero_phase={
+            law: tuple(score(r, p).rmse for r, p in zip(records, of, strict=True))
+            for law, of in (zero_phase or {}).items()
+        },
     )
 
 
@@ -220,7 +232,9 @@ def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, Ratio]
     found = {law: against[references[law]][law] for law in others}
     adjusted = holm({law: one.p for law, one in found.items() if one.p is not None})
     return {
-        law: Ratio(value=one.value, low=one.low, high=one.high, p=adjusted.get(law))
+        law: Ratio(
+            value=one.value, low=one.low, high=one.high, p=adjusted.get(law), others=one.others
+        )
         for law, one in found.items()
     }
 
@@ -256,7 +270,7 @@ def _band_scores(
                 of_joint,
                 predicted,
                 [
-                    predict_band(law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load, torque=torque)
+                    predict_band(law, **r.causal.motion, torque=torque)
                     for r, torque in zip(of_joint, predicted, strict=True)
                 ],
             )
@@ -346,25 +360,6 @@ def input_classes(models: Mapping[str, FrictionModel]) -> dict[str, str]:
     }
 
 
-def predict_model(
-    model: FrictionModel, records: Records, *, measured_start: bool = False
-) -> list[list[Array]]:
-    """Return the model's torque (N,) [N.m] by joint and log.
-
-    With `measured_start` the initial state is estimated from the first measured torques.
-    """
-    joints = tuple(of_joint[0].joint for of_joint in records)
-    if joints != model.joints:
-        raise ArtifactError(
-            f"friction model '{model.law}' is for the joints {', '.join(model.joints)}; the robot "
-            f"has {', '.join(joints)}."
-        )
-    torques = [
-        model.predict(log, measured_start=measured_start) for log in zip(*records, strict=True)
-    ]
-    return [[torque[:, joint] for torque in torques] for joint in range(len(records))]
-
-
 def predict_models(
     models: Mapping[str, FrictionModel], records: Records, progress: Progress = silent
 ) -> dict[str, list[list[Array]]]:
@@ -374,33 +369,3 @@ def predict_models(
         row: predict_model(models[name], records, measured_start=with_start)
         for row, (name, with_start) in counted(rows.items(), progress, lambda row: row[0])
     }
-
-
-def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) -> list[list[Array]]:
-    """Return the torque (N,) [N.m] of an FMU by joint and log, replayed in FMPy.
-
-    With `measured_start` the model inside the FMU estimates the initial state.
-    """
-    from fmu_src.friction.embedded_model import embedded_model
-    from fmu_src.friction.friction_component import GIVEN, START_MODE, place
-    from fmu_src.run.replay import replay
-
-    model = embedded_model(fmu) if measured_start else None
-    torques = []
-    for log in zip(*records, strict=True):
-        start: dict[str, float] = {}
-        if model is not None and len(model.laws) == len(log):
-            rubbing = at_friction([replace(r, coupling=model.coupling) for r in log])
-            start[START_MODE] = GIVEN
-            for i, (law, record) in enumerate(zip(model.laws, rubbing, strict=True), start=1):
-                first = (float(getattr(record, u)[0]) for u in ("dq", "q", "tau_load"))
-                estimated = law.start_samples > 0
-                values = record_start(law, record) if estimated else first_states(law, *first)
-                start |= dict(zip(place(law, i).starts, values, strict=True))
-        dq, q, tau_load = (
-            np.column_stack([getattr(r, u) for r in log]) for u in ("dq", "q", "tau_load")
-        )
-        warm = [r.temperature for r in log if r.temperature is not None]
-        temperature = np.column_stack(warm) if len(warm) == len(log) else None
-        torques.append(replay(fmu, log[0].t, dq, q, tau_load, start=start, temperature=temperature))
-    return [[torque[:, joint] for torque in torques] for joint in range(len(records))]

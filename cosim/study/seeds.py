@@ -14,7 +14,7 @@ from scipy.special import stdtrit
 from cosim.loop.excite import Recording, recorded
 from cosim.loop.motions import FourierMotion, Motions, MotionSpec, SweepMotion
 from cosim.loop.twin import loaded_arm
-from cosim.study.scores import ORACLE, REFERENCE, Errors, by_joint, predict_models
+from cosim.study.scores import ORACLE, REFERENCE, Errors, by_joint, causal, predict_models
 from cosim.study.study import Study
 from fmu_src.arm.plant import Plant, servo_signals
 from hesr_model.errors import ConfigError
@@ -133,7 +133,7 @@ def errors_on(
     errors: dict[str, dict[str, list[float]]] = {}
     for test, names in study.logs.test.items():
         tested = of_logs(names)
-        predicted = predict_models(models, tested)
+        predicted = predict_models(models, causal(tested))
         predicted[ORACLE] = [[truths[name][:, k] for name in names] for k in range(len(tested))]
         errors[test] = {
             law: [score(r, p).rmse for r, p in zip(tested, of_law, strict=True)]

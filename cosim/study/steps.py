@@ -1,10 +1,12 @@
 """Steps of a study, from its logs to its closed loop."""
 
 import logging
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from inspect import signature
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,14 +20,15 @@ from cosim.study.scores import (
     Errors,
     LogRecords,
     Predictions,
+    causal,
     compare,
     input_classes,
-    predict_fmu,
     records_of,
     rows_of,
     within,
 )
 from cosim.study.study import Part, Study
+from fmu_src.friction.predictions import predict_fmu
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.fitting.day_offsets import with_own
 from hesr_model.fitting.fit import fit_models
@@ -302,39 +305,38 @@ class Job:
     ) -> tuple[dict[str, Comparison], Predictions]:
         """Score the FMUs on every test set and its bands; return scores and torques.
 
+        Their velocity is causal; all rows of whole tests are also predicted without its lag.
         With `per_log`, a second comparison has the offsets of each test log fitted. `records` are
         the last rows of `runs`.
         """
         comparisons, predictions = {}, {}
         inputs = input_classes(models)
         tests = self.study.logs.test
-        cases = [(test, row, *case) for test in tests for row, case in rows_of(models).items()]
+        every = product(tests, rows_of(models).items(), (True, False))
+        cases = [(test, row, lag, *case) for test, (row, case), lag in every]
         jobs = [
             partial(
                 predict_fmu,
                 fmus / f"{law}.fmu",
-                records_of(tests[test], runs),
+                (causal if lag else list)(records_of(tests[test], runs)),
                 measured_start=with_start,
             )
-            for test, _, law, with_start in cases
+            for test, _, lag, law, with_start in cases
         ]
-        replayed: dict[str, dict[str, list[list[Array]]]] = {name: {} for name in tests}
+        replayed: dict[tuple[str, bool], dict[str, list[list[Array]]]] = defaultdict(dict)
         names = [f"{row} on {test}" for test, row, *_ in cases]
         with parallel.results_of(jobs, names=names) as results:
-            for test, row, *_ in counted(cases, partial(self.progress, "replaying the FMUs")):
-                replayed[test][row] = next(results)
-        for name, logs in tests.items():
-            tested = records_of(logs, records)
-            predicted = {
-                row: [
+            for test, row, lag, *_ in counted(cases, partial(self.progress, "replaying the FMUs")):
+                tested = records_of(tests[test], records)
+                replayed[test, lag][row] = [
                     [tau[-len(r.t) :] for tau, r in zip(*of_joint, strict=True)]
-                    for of_joint in zip(torques, tested, strict=True)
+                    for of_joint in zip(next(results), tested, strict=True)
                 ]
-                for row, torques in replayed[name].items()
-            }
+        for name, logs in tests.items():
+            tested, predicted = records_of(logs, records), replayed[name, True]
             if self.study.twin:
                 predicted[ORACLE] = self._true_friction([files[log] for log in logs])
-            comparisons[name] = compare(tested, predicted, inputs, models)
+            comparisons[name] = compare(tested, predicted, inputs, models, replayed[name, False])
             predictions[name] = predicted
             if per_log := self.study.per_log:
                 comparisons[name] = replace(comparisons[name], per_log=())

@@ -10,7 +10,8 @@ import numpy as np
 
 from cosim.report.tables.table import joints as short_names
 from cosim.report.tables.table import on_joints
-from cosim.study.scores import RECORDED, Comparison, LawScores, Records
+from cosim.study.scores import RECORDED, Comparison, LawScores
+from fmu_src.friction.predictions import Records
 from hesr_model.audit.properties import combined
 from hesr_model.friction.model import MIXED, FrictionModel, compatible
 from hesr_model.friction.trained_range import outside

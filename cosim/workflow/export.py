@@ -34,6 +34,7 @@ class ExportOptions(TypedDict, total=False):
     properties: bool
     power: bool
     band: bool
+    low_pass: float
     robot: RobotArg
     rigid_body: BodyArg
     signals: PathArg
@@ -96,6 +97,8 @@ def export(
     band : bool
         FMU: add the 95 % band of measured friction as outputs, and write coefficients and
         covariance as NAME.ssv.
+    low_pass : float, Hz
+        FMU: cut-off of a causal low pass of the velocity; by default none.
     robot : robot or path
         FMU: with --rigid-body, its page finds the friction in a dropped log.
     rigid_body : body or path

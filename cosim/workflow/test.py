@@ -18,8 +18,9 @@ from hesr_model.support.progress import Stages, silent
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.study.position_errors import PositionErrors
-    from cosim.study.scores import Comparison, Records
+    from cosim.study.scores import Comparison
     from cosim.workflow.arguments import BodyArg, Laws, LogArg, NamedLaw, PerJoint, RobotArg
+    from fmu_src.friction.predictions import Records
     from fmu_src.pages.datasheet import ModelAudit
     from hesr_model.audit.properties import Properties
     from hesr_model.findings import Finding
@@ -257,8 +258,9 @@ def _predicted(
     """Add the scores of the laws on logs: FMUs are replayed, models computed."""
     from cosim.study.position_errors import simulate_tests
     from cosim.study.results import log_findings
-    from cosim.study.scores import by_joint, compare, input_classes, predict_fmu, predict_models
+    from cosim.study.scores import by_joint, causal, compare, input_classes, predict_models
     from cosim.workflow.arguments import body_of, checked_logs
+    from fmu_src.friction.predictions import predict_fmu
     from hesr_model.health.fit_checks import check_owner
 
     if not logs or rigid_body is None:
@@ -271,12 +273,14 @@ def _predicted(
     findings = list(read.findings)
     for model in models.values():
         findings += log_findings(check_owner(model, read.robot))
-    predicted = predict_models(models, records, partial(progress, "predicting"))
+    predicted = predict_models(models, causal(records), partial(progress, "predicting"))
+    zero_phase = predict_models(models, records)
     for law in report.laws:
         if law.fmu:
             progress(f"replaying {law.fmu.name}", 0, 1)
-            predicted[law.name] = predict_fmu(law.fmu, records)
-    scores = compare(records, predicted, input_classes(models), models)
+            predicted[law.name] = predict_fmu(law.fmu, causal(records))
+            zero_phase[law.name] = predict_fmu(law.fmu, records)
+    scores = compare(records, predicted, input_classes(models), models, zero_phase)
     positions = None
     if models:
         progress("simulating", 0, 1)

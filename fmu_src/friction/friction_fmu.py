@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,7 @@ def export_fmu(
     audit: ModelAudit | None = None,
     power: bool = False,
     band: bool = False,
+    low_pass: float | None = None,
     body: PageBody | None = None,
     progress: Progress = silent,
     fmi: Version = 2,
@@ -62,7 +64,8 @@ def export_fmu(
 
     FMUs of thermal models are for co-simulation only, without pages. Physics checks (`properties`)
     and the audit, by default computed, are for documentation. `power` and `band` add outputs:
-    dissipated power, `tau_lower[i]` and `tau_upper[i]`. With `body`, the FMU's page accepts logs of
+    dissipated power, `tau_lower[i]` and `tau_upper[i]`; `low_pass` is the cut-off [Hz] of a causal
+    low pass of dq in the FMU. With `body`, the FMU's page accepts logs of
     measured torques.
 
     The same model gives the same bytes. The date is SOURCE_DATE_EPOCH, otherwise that of the
@@ -71,9 +74,11 @@ def export_fmu(
     """
     check_request(path, platforms)
     if model.thermal:
-        whole = thermal_content(model, beside=bool(power or band or properties or body))
+        whole = thermal_content(model, beside=bool(power or band or low_pass or properties or body))
     else:
-        whole = content(model, properties, audit, power=power, band=band, body=body)
+        whole = content(
+            model, properties, audit, power=power, band=band, low_pass=low_pass, body=body
+        )
     return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
@@ -103,10 +108,12 @@ def content(
     *,
     power: bool = False,
     band: bool = False,
+    low_pass: float | None = None,
     body: PageBody | None = None,
 ) -> Content:
     """Return the FMU of a friction model, before it is compiled."""
-    bare = _component(model, (POWER,) if power else (), band=band)
+    bare = _component(model, (POWER,) if power else (), band=band, low_pass=low_pass)
+    model = _as_run(model, low_pass)
     with ThreadPoolExecutor(max_workers=1) as pool:
         # The picture is drawn while the compiler runs in its own process.
         module = pool.submit(wasm, translation_unit(bare)[1])
@@ -125,21 +132,37 @@ def content(
 
 
 def _component(
-    model: FrictionModel, more: tuple[Equation, ...] = (), *, band: bool = False
+    model: FrictionModel,
+    more: tuple[Equation, ...] = (),
+    *,
+    band: bool = False,
+    low_pass: float | None = None,
 ) -> Content:
     require_numbers(model)
     if band:
         model.require_band()
     about = about_model(model, "friction", "from their motion")
-    return bare_content(model, about, *friction_equations(model, more, band=band))
+    equations = friction_equations(_as_run(model, low_pass), more, band=band)
+    return bare_content(model, about, *equations)
+
+
+def _as_run(model: FrictionModel, low_pass: float | None) -> FrictionModel:
+    if low_pass is None:
+        return model
+    if not 0.0 < low_pass < inf:
+        raise ExportError(
+            f"friction model '{model.law}': the cut-off of its low pass is {low_pass:g} Hz; it "
+            "must be positive."
+        )
+    return model.behind_low_pass(low_pass)
 
 
 def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
     """Return the FMU of a model that follows temperature, before it is compiled."""
     if beside:
         raise ExportError(
-            f"friction model '{model.law}': a thermal FMU supports no power, band, properties or "
-            "rigid body; export the model without temperature."
+            f"friction model '{model.law}': a thermal FMU supports no power, band, low pass, "
+            "properties or rigid body; export the model without temperature."
         )
     about = about_model(model, "friction", "from their motion and temperature")
     equations = thermal_equations(model)

@@ -96,6 +96,10 @@ class Relaxation(_Element):
         return (self.state + over(first, second, self.state + FIRST_STEP * first)) / 2
 
 
+class Prompt(Relaxation):
+    """Relaxation that begins in its steady state, also at rest."""
+
+
 class Slow(Relaxation):
     """Relaxation over minutes or hours, whose initial state is its start."""
 

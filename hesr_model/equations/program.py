@@ -8,7 +8,7 @@ import sympy
 
 from hesr_model.equations.component import Component, in_order
 from hesr_model.equations.functions import absolute, positive, sgn
-from hesr_model.equations.memory import Element
+from hesr_model.equations.memory import Element, Prompt
 
 Assignments = Mapping[sympy.Symbol, sympy.Expr]
 
@@ -55,7 +55,8 @@ def initial_state(
             found[nearer] = settled.xreplace({element.state: x})
             x = nearer
         end = x if element.seeks else settled
-        found[initial_symbol(element)] = element.state + settling * (end - element.state)
+        share = sympy.S.One if isinstance(element, Prompt) else settling
+        found[initial_symbol(element)] = element.state + share * (end - element.state)
         seen[element.state] = initial_symbol(element)
     return found
 

@@ -17,6 +17,7 @@ import sympy
 
 from hesr_model.equations.component import Component, Equation, Quantity
 from hesr_model.equations.functions import absolute, clip
+from hesr_model.equations.low_pass import low_pass_of
 from hesr_model.equations.memory import Discretisation, Element, Relaxation, Stop
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import Band
@@ -159,3 +160,15 @@ class FrictionLaw:
             raise ArtifactError(
                 f"law '{self.name}': {what} is {value:g}; numbers up to {_LARGEST:g} can be used."
             )
+
+
+def behind_low_pass(law: FrictionLaw, cutoff: float) -> FrictionLaw:
+    """Return a law whose velocity passes a causal low pass with a cutoff [Hz]; not for files."""
+    speed = low_pass_of(DQ, cutoff, "rad/s")
+    swap = {DQ: speed.state}
+    form = replace(
+        law.form,
+        memory=(speed, *(m.subs(swap) for m in law.form.memory)),
+        output=law.form.output.xreplace(swap),
+    )
+    return replace(law, form=form, start=(0.0, *law.start))

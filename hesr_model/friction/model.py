@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.band import LEVEL
 from hesr_model.friction.equation import equations
-from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.law import FrictionLaw, behind_low_pass
 from hesr_model.friction.model_file import MODEL_FORMAT, JointEntry, ModelFile
 from hesr_model.friction.predict import predict_band, predict_joints
 from hesr_model.friction.records import predict_record
@@ -207,6 +207,15 @@ class FrictionModel:
             provenance=self.provenance,
         )
         return {"format": MODEL_FORMAT, **to_json(file, sparse=True)}
+
+    def behind_low_pass(self, cutoff: float) -> Self:
+        """Return the model with its velocity behind a causal low pass, for prediction and export.
+
+        Parameters
+        ----------
+        cutoff : of the low pass [Hz].
+        """
+        return replace(self, laws=tuple(behind_low_pass(law, cutoff) for law in self.laws))
 
     @property
     def slides(self) -> tuple[bool, ...]:

@@ -27,6 +27,7 @@ _TIMES_PER_DEGREE = 3.0
 """Minimum duration per degree of freedom in correlation times."""
 LEAST_DEGREES = 4
 """Degrees of freedom below which no law is called worse: about 40 s of logs."""
+_BOTH_SETS = 2.0**0.5  # standard error of a difference between two sets of logs, over that of one
 LEAST_SECONDS = 40.0
 MOST_SECONDS = 1e7
 CALIBRATION = 5.0
@@ -45,8 +46,10 @@ POWER = 0.8
 class ErrorRatio:
     """Ratio of the RMSEs of two laws: value and 95 % interval.
 
-    `p` is two-sided, times `calibration`, not adjusted. `detectable` is the smallest ratio above 1
-    that these logs would show. All but the value are None if the logs are too short.
+    `others` is the interval on as many other logs of this kind: both sets vary within and between
+    logs. It needs several logs. `p` is two-sided, times `calibration`, not adjusted. `detectable`
+    is the smallest ratio above 1 that these logs would show. All but the value are None if the logs
+    are too short.
     """
 
     value: float
@@ -54,6 +57,7 @@ class ErrorRatio:
     high: float | None
     p: float | None
     detectable: float | None
+    others: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -119,6 +123,7 @@ class LawErrors:
         factor = calibration(family or len(self.laws) - 1)
         p = np.minimum(1.0, factor * two_sided(np.log(values) / errors, self.degrees))
         wide = np.exp(stdtrit(self.degrees, 0.975) * errors)
+        wider = self._wide_for_others(k, wide)
         found = np.exp(errors * detection_factor(self.degrees, self._level(family)))
         return {
             law: ErrorRatio(
@@ -127,6 +132,9 @@ class LawErrors:
                 high=float(values[i] * wide[i]),
                 p=float(p[i]),
                 detectable=float(found[i]),
+                others=None
+                if wider is None
+                else (float(values[i] / wider[i]), float(values[i] * wider[i])),
             )
             for i, law in enumerate(self.laws)
             if law != other
@@ -154,6 +162,15 @@ class LawErrors:
         if longest >= MOST_SECONDS:
             return MOST_SECONDS
         return float(brentq(surplus, shortest, longest, rtol=1e-3))
+
+    def _wide_for_others(self, other: int, wide: Array) -> Array | None:
+        """Return the factors (L,) of the intervals for other logs; None for a single log."""
+        apart = (self.rows - self.rows[:, [other]])[self.between]
+        if not len(apart):
+            return None
+        t = stdtrit(len(apart), 0.975)
+        between = t * np.sqrt((apart**2).mean(axis=0) / self.bins)
+        return np.asarray(np.exp(_BOTH_SETS * np.maximum(np.log(wide), between)))
 
     def _level(self, family: int | None) -> float:
         comparisons = family or max(1, len(self.laws) - 1)

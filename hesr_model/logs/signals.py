@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from hesr_model.equations.low_pass import low_passed
 from hesr_model.errors import LogError
 from hesr_model.logs.robot_log import Log, parts_of
 from hesr_model.robots.robot import Robot
@@ -19,8 +20,8 @@ _PADDING_PERIODS = 3.0  # mirrored ends in periods of the cut-off
 class Motion:
     """The smoothed motion of a log, at its own time stamps.
 
-    q, dq, ddq (N, n) [rad, rad/s, rad/s2] are low-passed. tau [N.m], q_raw [rad] and temperature
-    [degC] are raw.
+    q, dq, ddq (N, n) [rad, rad/s, rad/s2] are low-passed without lag, dq_causal [rad/s] with it, as
+    users of FMUs have it. tau [N.m], q_raw [rad] and temperature [degC] are raw.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Motion:
     tau: Array
     q_raw: Array
     temperature: Array | None = None
+    dq_causal: Array | None = None
 
     def rows(self, rows: slice | Mask) -> "Motion":
         """Return the motion of some rows, a slice or a mask (N,)."""
@@ -69,17 +71,15 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
             f"{padding + 1} at this rate."
         )
 
-    def low_passed(values: Array) -> Array:
+    def filtered(values: Array) -> Array:
         even = make_interp_spline(log.t, values, k=3)(grid)
         longer = np.concatenate([_before(even, padding), even, _before(even[::-1], padding)[::-1]])
-        filtered: Array = sosfiltfilt(sos, longer, axis=0, padlen=0)
-        return filtered[padding:-padding]
+        found: Array = sosfiltfilt(sos, longer, axis=0, padlen=0)
+        return found[padding:-padding]
 
-    position = make_interp_spline(grid, low_passed(log.q), k=5)
+    position = make_interp_spline(grid, filtered(log.q), k=5)
     velocity = (
-        position.derivative()
-        if log.dq is None
-        else make_interp_spline(grid, low_passed(log.dq), k=5)
+        position.derivative() if log.dq is None else make_interp_spline(grid, filtered(log.dq), k=5)
     )
     return Motion(
         name=log.name,
@@ -90,7 +90,16 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
         tau=log.tau,
         q_raw=log.q,
         temperature=log.temperature,
+        dq_causal=low_passed(log.t, measured_velocity(log), cutoff),
     )
+
+
+def measured_velocity(log: Log) -> Array:
+    """Return the logged velocity (N, n) [rad/s], or backward differences of the position."""
+    if log.dq is not None:
+        return log.dq
+    speed = np.diff(log.q, axis=0) / np.diff(log.t)[:, None]
+    return np.vstack([speed[:1], speed])
 
 
 def smoothed(logs: Iterable[Log], model: Robot) -> list[Motion]:

@@ -25,7 +25,7 @@ class FrictionRecord:
     `tau_load_spread` (N, r) is the error of `tau_load` for one standard deviation of each
     independent error of the rigid body. `gear_ratio` is turns of the motor per turn of the joint. A
     `sliding` joint has m and N. `temperature` is in degC. `coupling` is None if uncoupled, and
-    after `at_friction`.
+    after `at_friction`. `dq_causal` is the velocity behind a causal low pass.
     """
 
     log: str
@@ -40,6 +40,12 @@ class FrictionRecord:
     sliding: bool = False
     temperature: Array | None = None
     coupling: Coupling | None = None
+    dq_causal: Array | None = None
+
+    @property
+    def causal(self) -> "FrictionRecord":
+        """The record with the velocity that a user of an FMU has, if known."""
+        return self if self.dq_causal is None else replace(self, dq=self.dq_causal)
 
     @property
     def motion(self) -> dict[str, Any]:
@@ -48,7 +54,7 @@ class FrictionRecord:
 
     def rows(self, rows: slice | Mask) -> "FrictionRecord":
         """Return some of the rows."""
-        columns = ("t", "dq", "q", "tau_load", "tau", "tau_load_spread", "temperature")
+        columns = ("t", "dq", "dq_causal", "q", "tau_load", "tau", "tau_load_spread", "temperature")
         return some_rows(self, columns, rows)
 
 
@@ -58,7 +64,8 @@ def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
     if coupling is None:
         return list(records)
 
-    ways = dict.fromkeys(("dq", "q"), coupling.motion)
+    speeds = ("dq",) if records[0].dq_causal is None else ("dq", "dq_causal")
+    ways = dict.fromkeys((*speeds, "q"), coupling.motion)
     ways |= dict.fromkeys(("tau_load", "tau"), coupling.torque)
     moved = {
         name: way(np.column_stack([getattr(record, name) for record in records]))
@@ -113,6 +120,9 @@ def motion_records(motion: Motion, model: Robot, rigid_body: RigidBody) -> list[
             sliding=model.tree[k].prismatic,
             temperature=None if motion.temperature is None else motion.temperature[:, k],
             coupling=coupling,
+            dq_causal=None
+            if motion.dq_causal is None
+            else np.ascontiguousarray(motion.dq_causal[:, k]),
         )
         for k, joint in enumerate(model.description.joints)
     ]

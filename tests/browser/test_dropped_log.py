@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import hesr
-from cosim.study.scores import Comparison, predict_fmu
+from cosim.study.scores import Comparison
 from fmu_src import export_fmu
+from fmu_src.friction.predictions import predict_fmu
 from fmu_src.run.replay import replay
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange

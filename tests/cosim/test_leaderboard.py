@@ -17,11 +17,12 @@ from small_twin import MOTIONS
 
 from cosim.loop.excite import excite
 from cosim.loop.motions import Motions
-from cosim.study.scores import by_joint, compare, predict_model
+from cosim.study.scores import by_joint, compare
 from cosim.workflow.test import test as test_laws
 from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant
 from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.friction.predictions import predict_model
 from hesr.extras.leaderboard.board_file import BoardFile, read_grounds
 from hesr.extras.leaderboard.entry import Entry, tried
 from hesr.extras.leaderboard.leaderboard import Leaderboard, run_leaderboard

@@ -16,12 +16,11 @@ from cosim.study.scores import (
     compare,
     input_classes,
     inputs_of,
-    predict_fmu,
-    predict_model,
     within,
 )
 from fmu_src import export_fmu
 from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.friction.predictions import predict_fmu, predict_model
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
 from hesr_model.friction.band import Band
 from hesr_model.friction.law import FrictionLaw

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.report.tables.scores import errors
-from cosim.study.scores import ORACLE, Comparison, LawScores, Ratios, compare, predict_model
+from cosim.study.scores import ORACLE, Comparison, LawScores, Ratios, compare
 from cosim.study.verdict import (
     Verdict,
     _improve,
@@ -21,6 +21,7 @@ from cosim.study.verdict import (
     verdict,
     write_verdict,
 )
+from fmu_src.friction.predictions import predict_model
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import JointProperties, Properties, PropertyResult
 from hesr_model.errors import ArtifactError

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.study.scores import predict_fmu
 from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.friction.predictions import predict_fmu
 from hesr_model.fitting.fit import fit
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify

@@ -152,3 +152,28 @@ def test_factor_on_p_grows_with_the_number_of_laws() -> None:
     assert few.detectable is not None
     assert many.detectable is not None
     assert few.detectable < many.detectable
+
+
+def test_the_interval_for_other_logs_contains_the_ratio_of_the_next_logs() -> None:
+    """Logs whose errors have levels of their own; the interval for these logs is too narrow."""
+
+    def logs(seed: int) -> LawErrors:
+        rng = np.random.default_rng([seed, 1])
+        of = errors(seed, 2, 4, 10.0, memory=0.5)
+        return compared({law: [np.exp(rng.normal(0.0, 0.1)) * e for e in own]
+                         for law, own in of.items()})  # fmt: skip
+
+    inside, narrower, draws = 0, 0, 200
+    for seed in range(draws):
+        found, after = (logs(k).ratios("law_1")["law_0"] for k in (2 * seed, 2 * seed + 1))
+        assert found.others is not None
+        assert found.low is not None
+        assert found.high is not None
+        inside += found.others[0] <= after.value <= found.others[1]
+        narrower += found.low <= after.value <= found.high
+    assert 0.93 * draws <= inside
+    assert narrower < 0.9 * draws
+
+
+def test_a_single_log_tells_nothing_of_others() -> None:
+    assert compared(errors(0, 2, 1, 60.0)).ratios("law_1")["law_0"].others is None

@@ -7,7 +7,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from cosim.study.scores import by_joint, compare, predict_model
+from cosim.study.scores import by_joint, compare
+from fmu_src.friction.predictions import predict_model
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import _MOST_SHOWN, FrictionModel
 from hesr_model.logs.robot_log import Log

@@ -17,6 +17,7 @@ from cosim.report.tables.scores import (
     errors,
     left_out,
     other_truths,
+    own_friction,
     position_errors,
     separations,
 )
@@ -51,6 +52,7 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
         "tests": [_test(results, test) for test in results.tests],
         "left_out": left_out(results.models, results.sliding),
         "truths": truths and other_truths(results.comparisons, truths, run.truth),
+        "family": own_friction(run.truth),
         "paper": paper.table_ii(results.joints) if run.robot == paper.ROBOT else None,
     }
 

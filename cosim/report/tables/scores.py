@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from operator import truediv
+from statistics import geometric_mean
 
 from cosim.report.tables.table import (
     ResultTable,
@@ -35,7 +37,7 @@ def errors(
     inputs: Mapping[str, str] | None = None,
     sliding: Sequence[bool] = (),
 ) -> ResultTable:
-    """Return one of `MEASURES` by law and joint, the lowest error first.
+    """Return one of `MEASURES` by law and joint, the lowest error first, and that without lag.
 
     Bold: significantly better than all others that users can run.
     """
@@ -44,10 +46,12 @@ def errors(
     whole = measure == "rmse"
     ratios = scores.ratios.laws if whole else {}
     alone = [of_joint[0] if len(of_joint) == 1 else "" for of_joint in scores.leading]
+    ideal = scores.zero_phase if whole else {}
     best = alone if whole and len(values) > 1 and alone else [""] * len(scores.joints)
     rows = []
     if whole:
         cells = [fixed(s, n) for s, n in zip(scores.tau_std, places, strict=True)]
+        cells += [fixed(None, 2)] * bool(ideal)
         rows.append(row_of("(std of friction)", *cells, quiet=True))
 
     def cell(law: str, k: int, value: float | None) -> TableCell:
@@ -59,7 +63,11 @@ def errors(
         if label is not None:
             rows.append(row_of(f"inputs {label}" if label else "for comparison"))
         rows += [
-            row_of(named(law), *(cell(law, k, value) for k, value in enumerate(values[law])))
+            row_of(
+                named(law),
+                *(cell(law, k, value) for k, value in enumerate(values[law])),
+                *([_without_lag(values[law], ideal.get(law))] if ideal else []),
+            )
             for law in laws
         ]
     unit, speed = (unit_of_joints(u, sliding) for u in ("N.m", "rad/s"))
@@ -69,11 +77,15 @@ def errors(
         else title(scores.ratios.reference)
     )
     small = f"; small: ratio to {reference} with its 95\u00a0% interval" if ratios else ""
+    if any(ratio.others for of_law in ratios.values() for ratio in of_law):
+        small += " on these logs, then on other logs of the kind"
+    if ideal:
+        small += "; velocity behind a causal low pass; zero phase: mean ratio of RMSE without lag"
     words = MEASURES[measure].format(speed=speed)
     return ResultTable(
         caption=f"{name}: RMSE of the predicted torque [{unit}] {words}{small}"
         f"{_fitted(scores.per_log)}",
-        head=("law", *joints(len(scores.joints))),
+        head=("law", *joints(len(scores.joints)), *(["zero phase"] if ideal else [])),
         rows=rows,
     )
 
@@ -183,6 +195,15 @@ def other_truths(
     )
 
 
+def own_friction(truth: str) -> str:
+    """Return a sentence on the family of a twin's true friction; "" is that of its MJCF."""
+    if truth:
+        return f"The friction of this simulated robot is '{truth}' of its plant."
+    return (
+        "The friction of this simulated robot is LuGre bristles in parallel, which favours LuGre."
+    )
+
+
 def leading(errors: Errors) -> str:
     """Return the law with the lowest geometric mean error."""
     laws = [law for law in next(iter(errors.values())) if law != ORACLE]
@@ -224,6 +245,12 @@ def position_errors(name: str, found: PositionErrors, sliding: Sequence[bool] = 
     )
 
 
+def _without_lag(errors: Sequence[float], ideal: Sequence[float] | None) -> TableCell:
+    if ideal is None or min(*errors, *ideal) <= 0.0:
+        return fixed(None, 2)
+    return fixed(geometric_mean(map(truediv, ideal, errors)), 2)
+
+
 def _fitted(per_log: Sequence[str] | None) -> str:
     if per_log is None:
         return ""
@@ -236,11 +263,12 @@ def _relative(scores: Comparison, law: str) -> tuple[bool, float]:
     return law == ORACLE, scores.size(law)
 
 
-def ratio_notes(ratio: Ratio) -> tuple[str, str]:
-    """Return a ratio and its interval."""
+def ratio_notes(ratio: Ratio) -> tuple[str, ...]:
+    """Return a ratio, its interval, and that for other logs if known."""
     if ratio.low is None or ratio.high is None:
         return f"{ratio.value:.2f}", "too short"
-    return f"{ratio.value:.2f}", f"{ratio.low:.2f}–{ratio.high:.2f}"
+    others = ["{:.2f}–{:.2f}".format(*ratio.others)] if ratio.others else []
+    return f"{ratio.value:.2f}", f"{ratio.low:.2f}–{ratio.high:.2f}", *others
 
 
 def _by_inputs(

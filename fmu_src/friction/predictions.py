@@ -1,0 +1,65 @@
+"""Predictions of friction over records, by models or FMUs."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import first_states
+from hesr_model.friction.records import record_start
+from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.support.arrays import Array
+
+Records = Sequence[Sequence[FrictionRecord]]  # [joint][log]
+
+
+def predict_model(
+    model: FrictionModel, records: Records, *, measured_start: bool = False
+) -> list[list[Array]]:
+    """Return the model's torque (N,) [N.m] by joint and log.
+
+    With `measured_start` the initial state is estimated from the first measured torques.
+    """
+    joints = tuple(of_joint[0].joint for of_joint in records)
+    if joints != model.joints:
+        raise ArtifactError(
+            f"friction model '{model.law}' is for the joints {', '.join(model.joints)}; the robot "
+            f"has {', '.join(joints)}."
+        )
+    torques = [
+        model.predict(log, measured_start=measured_start) for log in zip(*records, strict=True)
+    ]
+    return [[torque[:, joint] for torque in torques] for joint in range(len(records))]
+
+
+def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) -> list[list[Array]]:
+    """Return the torque (N,) [N.m] of an FMU by joint and log, replayed in FMPy.
+
+    With `measured_start` the model inside the FMU estimates the initial state.
+    """
+    from fmu_src.friction.embedded_model import embedded_model
+    from fmu_src.friction.friction_component import GIVEN, START_MODE, place
+    from fmu_src.run.replay import replay
+
+    model = embedded_model(fmu) if measured_start else None
+    torques = []
+    for log in zip(*records, strict=True):
+        start: dict[str, float] = {}
+        if model is not None and len(model.laws) == len(log):
+            rubbing = at_friction([replace(r, coupling=model.coupling) for r in log])
+            start[START_MODE] = GIVEN
+            for i, (law, record) in enumerate(zip(model.laws, rubbing, strict=True), start=1):
+                first = (float(getattr(record, u)[0]) for u in ("dq", "q", "tau_load"))
+                estimated = law.start_samples > 0
+                values = record_start(law, record) if estimated else first_states(law, *first)
+                start |= dict(zip(place(law, i).starts, values, strict=True))
+        dq, q, tau_load = (
+            np.column_stack([getattr(r, u) for r in log]) for u in ("dq", "q", "tau_load")
+        )
+        warm = [r.temperature for r in log if r.temperature is not None]
+        temperature = np.column_stack(warm) if len(warm) == len(log) else None
+        torques.append(replay(fmu, log[0].t, dq, q, tau_load, start=start, temperature=temperature))
+    return [[torque[:, joint] for torque in torques] for joint in range(len(records))]
