@@ -14,12 +14,13 @@ from cosim.loop.closed_loop import Scheme
 from cosim.systems.container import write_container
 from cosim.systems.contents import read_contents
 from cosim.systems.ssp import write_ssp
+from cosim.systems.ssp_results import _run, verify_ssp
 from cosim.systems.ssp_results import result_files as result_files_of
-from cosim.systems.ssp_results import verify_ssp
 from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.export.package import zip_members
 from fmu_src.run.reference_results import ROWS, TOLERANCE, Stimuli, result_files, verify
+from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import Fourier
 
@@ -159,3 +160,10 @@ def test_systems_of_foreign_fmus_carry_no_results(lag_fmu: Path, tmp_path: Path)
     lag = ComponentSpec(name="a", fmu=foreign, start={"u": 1.0})
     spec = SystemSpec(name="one", step=0.1, stop=1.0, components=(lag,), observe=("a.y",))
     assert result_files_of(read_contents(spec, Path("one.toml"))) == {}
+
+
+def test_vectors_of_a_system_are_no_reference_results(bench: Bench) -> None:
+    spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
+    vector = spec.observe[0].partition("[")[0]
+    with pytest.raises(SimulationError, match=f"'{vector}' is a vector; reference results are"):
+        _run(spec, [vector], np.zeros(3), "hold")

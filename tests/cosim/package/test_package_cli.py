@@ -65,6 +65,10 @@ def test_an_ssp_and_a_container_are_written(
             ["-o", "open.ssp", "--format", "c"],
             "--format is c; a system becomes an SSP (ssp) or an FMU (fmu).",
         ),
+        (
+            ["-o", "open.fmu", "--platform", "win64"],
+            "--platform is for FMUs; a system contains built ones.",
+        ),
         (["-o", "open.ssp", "--inertia", "3"], "--inertia is for friction laws, not for a system."),
         (
             ["-o", "open.fmu", "--ssp", "1.0"],
