@@ -19,7 +19,7 @@ from cosim.report.tables.scores import (
     other_truths,
     own_friction,
 )
-from cosim.report.tables.table import ResultTable, TableRow, named, row_of, title
+from cosim.report.tables.table import ResultTable, TableRow, row_of, title
 from cosim.study.scores import ORACLE, REFERENCE
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.friction.registry import papers_law
@@ -116,7 +116,7 @@ def _prediction(results: Results) -> str:
 
 
 def short(results: Results) -> ResultTable:
-    """Return the best law, its references and the paper's law on the first test set."""
+    """Return the best law, its references and ParFam-H on the first test set."""
     test, best = results.tests[0], results.best
     scores = results.comparisons[test]
     references = [scores.ratios.of(best, k) for k in range(len(scores.joints))]
@@ -127,7 +127,7 @@ def short(results: Results) -> ResultTable:
 def _rows(table: ResultTable, laws: Sequence[str]) -> ResultTable:
     """Return the rows of some laws, in the given order, below the quiet ones."""
     rows = {str(row.head): row for row in table.rows}
-    wanted = dict.fromkeys(map(named, laws))
+    wanted = dict.fromkeys(map(title, laws))
     shown: list[TableRow] = [row for row in table.rows if row.quiet]
     shown += [rows[head] for head in wanted if head in rows]
     return ResultTable(caption=table.caption, head=table.head, rows=shown)
@@ -162,7 +162,7 @@ def _physics(results: Results) -> Iterator[str]:
     )
     wanted = dict.fromkeys([REFERENCE, papers_law(), *results.recommended, *laws])
     rows = [
-        row_of(named(law), str(found[law].passed), "; ".join(found[law].failed) or "–")
+        row_of(title(law), str(found[law].passed), "; ".join(found[law].failed) or "–")
         for law in wanted
         if law in found
     ]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from cosim.loop.closed_loop import StandIn
 from cosim.report.tables.loop import mrad
-from cosim.report.tables.table import ResultTable, named, number, row_of
+from cosim.report.tables.table import ResultTable, number, row_of, title
 
 ROBOT = "uf850"
 
@@ -31,7 +31,7 @@ def table_ii(joints: Sequence[str]) -> ResultTable:
     return ResultTable(
         caption="Table II of the paper: RMSE of the predicted torque [N.m] on the measured robot",
         head=("law", *joints),
-        rows=[row_of(named(law), *(number(v, 4) for v in row)) for law, row in TABLE_II.items()],
+        rows=[row_of(title(law), *(number(v, 4) for v in row)) for law, row in TABLE_II.items()],
     )
 
 
@@ -40,5 +40,5 @@ def table_iii(joints: Sequence[str]) -> ResultTable:
     return ResultTable(
         caption="Table III of the paper: RMSE of tracking [mrad] on the measured robot",
         head=("torque model", *joints),
-        rows=[row_of(named(law), *(mrad(v, 1) for v in row)) for law, row in TABLE_III.items()],
+        rows=[row_of(title(law), *(mrad(v, 1) for v in row)) for law, row in TABLE_III.items()],
     )

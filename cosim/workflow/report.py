@@ -89,8 +89,9 @@ def report(
     drawn = {"law": law, "scheme": scheme, "magnify": magnify, "speed": speed}
     given = law or scheme is not None or (magnify, speed) != (1.0, 1.0)
     suffix = path.suffix.lower().lstrip(".") if path else "html"
-    kind = "view" if view else suffix
     writers = plugins.load("hesr.reports")
+    kind = "view" if view else suffix
+    kind = next((name for name in writers if (folders[0] / f"{name}.json").is_file()), kind)
     if kind in writers:
         if len(folders) > 1:
             raise ArgumentError("give one result; use 'law' to compare laws.")

@@ -139,7 +139,7 @@ def run(
     seeds: int | None = None,
     accept: Sequence[str] = (),
     progress: Stages = silent,
-) -> RunResult | Seeds:
+) -> RunResult | Seeds | Answer:
     """Do the whole job: identify, fit, build FMUs and score them.
 
     The scores are those of the FMUs on motions that the laws were not fitted to. An interrupted run
@@ -148,7 +148,8 @@ def run(
     Parameters
     ----------
     study : path, optional
-        Study (.toml); by default the digital twin.
+        Study (.toml), or paper, the shipped study of the paper's claims; by default the digital
+        twin.
     output : path, optional
         Folder of the results; by default results/NAME.
     platform : sequence of str
@@ -166,7 +167,8 @@ def run(
     Returns
     -------
     RunResult
-        Verdict, scores [N.m], FMUs and findings; with `seeds` the spread over the draws.
+        Verdict, scores [N.m], FMUs and findings; with `seeds` the spread over the draws; of a study
+        of claims an answer with their table.
 
     Raises
     ------
@@ -179,6 +181,7 @@ def run(
 
         $ hesr run tests/real/ur10e_study.toml -o results/ur10e
         $ hesr run --quick --seeds 20
+        $ hesr run paper
 
     In Python:
 
@@ -190,11 +193,19 @@ def run(
     from cosim.study.run import run_study, unfinished
     from cosim.study.seeds import run_seeds
     from cosim.study.study import Study
+    from cosim.workflow.jobs import find_job
     from hesr_model.friction.registry import laws_with
     from hesr_model.support.files import models_folder, path_of
     from hesr_model.support.typed_json import to_json, write_json
 
     path = path_of(study or models_folder() / "studies" / "default.toml", "a study")
+    shipped = models_folder() / "studies" / f"{path.name}.toml"
+    if path == Path(path.name) and not path.is_file() and shipped.is_file():
+        path = shipped
+    if job := find_job(path, "run"):
+        given = {"quick": quick, "seeds": seeds, "accept": accept}
+        given["platform"] = tuple(platform) != ("linux64",)
+        return job.run(path, output=output and Path(output), progress=progress, **given)
     folder = path_of(output or Path("results") / Study.read(path).name, "a folder")
     if seeds is not None:
         laws = laws_with("quick") if quick else ()

@@ -13,6 +13,10 @@ DEFAULTS = {
     "cosim/report/sections/prediction.py": {"rbfnn_h"},  # comparison with Fig. 5 of the paper
     "cosim/study/scores.py": {"lugre", "stribeck"},  # REFERENCE and BASELINE
     "hesr/extras/fleet/study.py": {"lugre"},  # default of the key `laws`
+    # Study of the paper: its truth, and the fits of LuGre and ParFam-H that it compares.
+    "hesr/extras/paper/evidence.py": {"lugre", "stribeck"},
+    "hesr/extras/paper/measures.py": {"lugre"},
+    "hesr/extras/paper/report.py": {"lugre", "lugre_static_first"},
     # Not laws: a parameter of an alternative plant and an attribute of MuJoCo.
     "fmu_src/arm/truth.py": {"stribeck"},
     "hesr/extras/mjcf/mjcf_file.py": {"lugre"},

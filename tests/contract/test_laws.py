@@ -122,7 +122,9 @@ def test_a_law_describes_itself(name: str) -> None:
 
 def test_titles_and_equations_are_unique() -> None:
     assert len({entry.title for entry in registry().values()}) == len(registry())
-    assert len({entry.as_text() for entry in registry().values()}) == len(registry())
+    # Laws of one equation differ by the fit.
+    fits = {(entry.as_text(), entry.fit) for entry in registry().values()}
+    assert len(fits) == len(registry())
 
 
 def test_hyper_parameters_are_keywords_with_defaults(name: str) -> None:

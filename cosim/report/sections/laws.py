@@ -37,7 +37,7 @@ _DATA = re.compile(r'<script type="application/json">(.*?)</script>', re.DOTALL)
 
 
 def equations(results: Results) -> dict[str, Any]:
-    """Typeset the recommended law and the paper's; return the coefficients of all."""
+    """Typeset the recommended law and ParFam-H; return the coefficients of all."""
     entries = [
         {
             "title": title(law),
@@ -172,7 +172,7 @@ def _changes(before: Sequence[float], after: Sequence[float]) -> list[str]:
 
 
 def live(results: Results) -> dict[str, Any] | None:
-    """Return the interactive plots of the recommended, the paper's and the reference law."""
+    """Return the interactive plots of the recommended law, ParFam-H and the reference."""
     laws = dict.fromkeys((Path(results.fmu).stem, *results.shown(papers_law(), REFERENCE)))
     found = {law: _live_data(results.folder / "fmus" / f"{law}.fmu") for law in laws}
     lives = [

@@ -28,7 +28,7 @@ from hesr_model.friction.predict import predict_band
 from hesr_model.friction.registry import papers_law
 from hesr_model.support.arrays import Array
 
-_NETWORK = "rbfnn_h"  # law compared with the paper's in its Fig. 5
+_NETWORK = "rbfnn_h"  # law compared with ParFam-H in Fig. 5 of the paper
 WINDOW = 10.0  # [s] in static figures
 MOVING = 0.25  # window of the moving error [s]; it averages out noise
 _LOOPS = 20.0  # time span of friction loops [s]

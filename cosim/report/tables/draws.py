@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from cosim.report.tables.table import ResultTable, TableCell, joints, named, row_of, title
+from cosim.report.tables.table import ResultTable, TableCell, joints, row_of, title
 from cosim.study.seeds import Seeds
 
 
@@ -19,7 +19,7 @@ def over_draws(found: Seeds) -> Iterator[ResultTable]:
                 texts = [f"{s.mean:.3f} [{s.low:.3f}, {s.high:.3f}]" for s in spreads]
                 pairs = zip(texts, spreads, strict=True)
                 cells = [TableCell(text=text, value=s.mean) for text, s in pairs]
-                rows.append(row_of(named(law), *cells))
+                rows.append(row_of(title(law), *cells))
             yield ResultTable(
                 caption=f"{what}, {draws}", head=("law", *joints(len(found.joints))), rows=rows
             )

@@ -13,7 +13,6 @@ from cosim.report.tables.table import (
     decimals,
     fixed,
     joints,
-    named,
     number,
     row_of,
     title,
@@ -40,7 +39,7 @@ def tracking(caption: str, rows: Sequence[Tracked]) -> ResultTable:
             if row.scheme == scheme:
                 notes = row.last[0] if one else row.spread
                 cells = [mrad(*part) for part in zip(row.mean, digits, notes, strict=True)]
-                table_rows.append(row_of(named(row.law), *cells))
+                table_rows.append(row_of(title(row.law), *cells))
     small = "mean error of its last tenth" if one else "spread over the motions"
     return ResultTable(
         caption=f"{caption}; small: {small}",
@@ -62,7 +61,7 @@ def sweeps(rows: Sequence[Tracked]) -> list[ResultTable]:
         tables.append(
             ResultTable(
                 caption=f"{scheme.title}: RMSE of the worst joint [mrad] under changes",
-                head=("change", *map(named, laws)),
+                head=("change", *map(title, laws)),
                 rows=[
                     row_of(change, *(mrad(found[change, law], 2) for law in laws))
                     for change in dict.fromkeys(change for change, _ in found)

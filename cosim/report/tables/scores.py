@@ -11,7 +11,6 @@ from cosim.report.tables.table import (
     decimals,
     fixed,
     joints,
-    named,
     row_of,
     title,
 )
@@ -64,7 +63,7 @@ def errors(
             rows.append(row_of(f"inputs {label}" if label else "for comparison"))
         rows += [
             row_of(
-                named(law),
+                title(law),
                 *(cell(law, k, value) for k, value in enumerate(values[law])),
                 *([_without_lag(values[law], ideal.get(law))] if ideal else []),
             )
@@ -133,7 +132,7 @@ def left_out(
         + ", of friction coordinates" * coordinates,
         head=("law", *joints(len(columns))),
         rows=[
-            row_of(named(law), *map(fixed, model.left_out_rmse, places))
+            row_of(title(law), *map(fixed, model.left_out_rmse, places))
             for law, model in known.items()
         ],
     )
@@ -156,7 +155,7 @@ def bands(name: str, scores: Comparison) -> ResultTable:
         caption=f"{name}: rows within the 95\u00a0% band [%]; small: moving, near reversals, and "
         "width over that of a constant band of the same coverage",
         head=("law", *joints(len(scores.joints))),
-        rows=[row_of(named(law), *map(cell, scores.bands[law])) for law in ranked],
+        rows=[row_of(title(law), *map(cell, scores.bands[law])) for law in ranked],
     )
 
 
@@ -187,7 +186,7 @@ def other_truths(
         head=("law", *truths),
         rows=[
             row_of(
-                named(law),
+                title(law),
                 *(fixed(m, 3, best=m == best) for m, best in zip(means[law], least, strict=True)),
             )
             for law in ranked
@@ -235,7 +234,7 @@ def position_errors(name: str, found: PositionErrors, sliding: Sequence[bool] = 
         }
         places = [decimals(column) for column in zip(*scaled.values(), strict=True)]
         rows.append(row_of(heading))
-        rows += [row_of(named(law), *map(fixed, row, places)) for law, row in scaled.items()]
+        rows += [row_of(title(law), *map(fixed, row, places)) for law, row in scaled.items()]
     unit = unit_of_joints("mrad", sliding)
     return ResultTable(
         caption=f"{name}: RMS error of the simulated position [{unit}]: measured torque in, "

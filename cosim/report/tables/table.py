@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from cosim.loop.closed_loop import StandIn
 from cosim.study.scores import MEASURED_START
-from hesr_model.friction.registry import papers_law, registry
+from hesr_model.friction.registry import registry
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,13 +92,6 @@ def title(law: str) -> str:
         return StandIn(law).words
     known, name = registry(), law.removesuffix(MEASURED_START)
     return known[name].title + law[len(name) :] if name in known else law
-
-
-def named(law: str) -> str:
-    """Return the title of a law in a row."""
-    if law == papers_law():
-        return f"{title(law)} (the paper’s)"
-    return title(law)
 
 
 def number(value: float | None, digits: int = 3, *, notes: tuple[str, ...] = ()) -> TableCell:

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from cosim.report.digest import file_name, short, write_digest
 from cosim.report.results import Results
 from cosim.report.tables.markdown import markdown
-from cosim.report.tables.table import ResultTable, TableCell, TableRow, named
+from cosim.report.tables.table import ResultTable, TableCell, TableRow, title
 from hesr.cli import app
 from hesr_model.errors import ArtifactError
 
@@ -49,7 +49,7 @@ def test_every_figure_is_that_of_the_run(results: Path, tmp_path: Path) -> None:
     head = next(line for line in text.splitlines() if "over all rows" in line)
     assert read.tests[0] in head
     scores = read.comparisons[read.tests[0]]
-    best = next(line for line in text.splitlines() if line.startswith(f"| {named(read.best)}"))
+    best = next(line for line in text.splitlines() if line.startswith(f"| {title(read.best)}"))
     for shown, rmse in zip(cells(best)[1:], scores.laws[read.best].rmse, strict=True):
         assert float(shown.replace("*", "").split()[0]) == pytest.approx(rmse, rel=0.01)
 
@@ -64,7 +64,7 @@ def test_csv_files_have_all_laws_with_all_digits(results: Path, tmp_path: Path) 
         table = files[0].with_name(f"{file_name(test)}.csv").read_text(encoding="utf-8")
         rows = {row["law"]: row for row in csv.DictReader(StringIO(table))}
         for law, scores in read.comparisons[test].laws.items():
-            shown = [float(rows[named(law)][joint]) for joint in read.joints]
+            shown = [float(rows[title(law)][joint]) for joint in read.joints]
             assert shown == list(scores.rmse)
 
 
@@ -85,7 +85,7 @@ def test_the_page_of_results_has_at_most_150_lines() -> None:
 def test_the_summary_lists_the_papers_law_next_to_the_best(results: Path) -> None:
     read = Results.read(results)
     heads = [str(row.head) for row in short(read).rows]
-    assert named(read.best) in heads
+    assert title(read.best) in heads
     assert len(heads) == len(set(heads)) <= 4
 
 

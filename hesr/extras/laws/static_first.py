@@ -1,0 +1,67 @@
+"""LuGre fitted in two steps: static curve first, then stiffness and damping of the bristles."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import sympy
+from scipy.optimize import minimize_scalar
+
+from hesr_model.fitting.estimator import register
+from hesr_model.fitting.joint_rows import JointRows
+from hesr_model.fitting.separable import SearchSpace, Separable
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.laws.lugre import RATIO_TEXTBOOK, LuGre, bristle_space
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
+
+FREE_RATIO = (0.01, 5.0)  # F_s / F_c; 0 would leave no bristle at rest
+_STIFF = (1.0e-5, 1.01e-5)  # [rad] deflection of bristles that follow the static curve
+
+
+@register
+class LuGreStaticFirst(LuGre):
+    """LuGre with a static curve fitted first, the mean of both branches of the loop.
+
+    sigma_0 and sigma_1 are fitted with it fixed. With `textbook` F_s >= F_c.
+    """
+
+    name = "lugre_static_first"
+    title = "LuGre, static first"
+    order = 35
+    everyday = False
+
+    def __init__(self, *, textbook: bool = False) -> None:
+        self.ratio = RATIO_TEXTBOOK if textbook else FREE_RATIO
+
+    def space(self) -> SearchSpace:
+        """Search the bristle within the limits of the static curve."""
+        return bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0"), 3, ratio=self.ratio)
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Fit the static curve (seeded by `rng`), then search the deflection F_c / sigma_0."""
+        form, space = self.core({}), self.space()
+        samples = JointRows.of(records, coefficients=len(form.coefficients))
+        stiff = replace(
+            bristle_space(("F_c", "sigma_2", "tau_0"), 2, ratio=self.ratio, deflection=_STIFF),
+            values=(*space.values, ("sigma_1", sympy.Integer(0))),
+        )
+        curve, problem = Separable(form, stiff, samples), Separable(form, space, samples)
+        static = curve.polish(curve.search(rng))
+        (f_c, *others), _ = curve.solve(static)
+
+        def solved(place: float) -> tuple[float, Array, Array]:
+            """Return the sum of squares, the point and the unknowns with the best sigma_1 >= 0."""
+            point = np.array([place, *static[1:]])
+            columns, unknowns = problem.columns(point), np.array([f_c, 0.0, *others])
+            left = samples.tau - columns @ unknowns
+            slope = columns[:, 1]
+            unknowns[1] = max(0.0, float(slope @ left) / max(float(slope @ slope), 1e-300))
+            return float(np.sum((left - unknowns[1] * slope) ** 2)), point, unknowns
+
+        places = np.linspace(problem.bounds[0, 0], problem.bounds[0, 1], 25)
+        best = int(np.argmin([solved(float(place))[0] for place in places]))
+        around = (places[max(best - 1, 0)], places[min(best + 1, 24)])
+        found = minimize_scalar(lambda place: solved(place)[0], bounds=around, method="bounded")
+        values = problem.values(*solved(float(found.x))[1:])
+        return FrictionLaw(name=self.name, structure={}, form=form, values=values)

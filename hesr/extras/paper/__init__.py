@@ -1,0 +1,1 @@
+"""Study of the paper: its claims, tested on the digital twin."""
