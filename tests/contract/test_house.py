@@ -7,14 +7,14 @@ from collections.abc import Iterator
 
 from sources import LAYERS, MODULES, ROOT, layer, tree
 
-# Maximum lines of Python, C and headers.
+# Maximum lines of Python, C and headers: 59,000, and 1,800 for evidence, robots and logs.
 BUDGET = {
-    "hesr_model": 21_200,
+    "hesr_model": 22_000,
     "fmu_src": 17_300,
-    "cosim": 13_500,
+    "cosim": 13_700,
     "hesr": 1_000,
-    "hesr.extras": 7_300,
-    "all": 59_000,
+    "hesr.extras": 7_700,
+    "all": 60_800,
 }
 
 FMT_SKIPS = 20  # lines that `ruff format` must skip
