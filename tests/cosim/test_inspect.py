@@ -334,12 +334,12 @@ def test_a_part_is_tested_after_the_earlier_rows(messy: Path, arm: RobotDescript
     law = run.models["lugre"].laws[0]
     for k, rows in enumerate(run.logs["b"].parts()):
         record = friction_records(whole.parts()[k - 2], run.robot, run.rigid_body)[0]
-        expected = predict_record(law, record)[-len(rows.t) :]
+        expected = predict_record(law, record.causal)[-len(rows.t) :]
         found = run.predictions["b"]["lugre"][0][k]
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
         np.testing.assert_array_equal(run.records["b"][k][0].t, rows.t)
         np.testing.assert_array_equal(run.records["b"][k][0].tau, record.tau[-len(rows.t) :])
-    alone = predict_record(law, run.records["b"][0][0])
+    alone = predict_record(law, run.records["b"][0][0].causal)
     assert np.abs(alone - run.predictions["b"]["lugre"][0][0]).max() > 0.01
 
 
