@@ -12,7 +12,7 @@ from hesr_model.laws.lugre import LuGre
 from hesr_model.logs.noise import standard_normal
 from hesr_model.logs.robot_log import Log
 from hesr_model.motions.excitation import ExcitationSettings, condition, random_motions
-from hesr_model.motions.limits import MotionLimits
+from hesr_model.motions.limits import KEPT_FREE, MotionLimits
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.identification import LEAST_PEAK
@@ -58,11 +58,18 @@ def sample_logs(model: Robot) -> tuple[Log, Log]:
 
 def sample_settings(model: Robot, period: float = _PERIOD) -> ExcitationSettings:
     """Return the settings of sample motions with a period [s]."""
+    lower, upper, speed = model.reach
+    free = KEPT_FREE * (upper - lower)
+    ranges = zip((lower + free).tolist(), (upper - free).tolist(), strict=True)
     return ExcitationSettings(
         harmonics=_HARMONICS,
         period=(period, period),
         sample_rate=RATE,
-        limits=MotionLimits(torque=(_NO_LIMIT,) * model.n),
+        limits=MotionLimits(
+            position=tuple(ranges),
+            velocity=tuple(speed.tolist()),
+            torque=(_NO_LIMIT,) * model.n,
+        ),
     )
 
 

@@ -3,7 +3,7 @@
 import json
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,8 @@ import jinja2
 from cosim.study.sample_logs import RATE, mark_samples, sample_logs
 from cosim.study.study import Study
 from hesr_model.errors import ConfigError, RobotError
-from hesr_model.robots.model_file import driven_joints, joints_of
+from hesr_model.findings import Finding
+from hesr_model.robots.model_file import driven_joints, fingers, joints_of
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import folder_written_whole, is_empty, models_folder
 
@@ -25,7 +26,10 @@ class NewProject:
 
     folder: Path
     joints: tuple[str, ...]  # joints in the robot file
-    unused: tuple[str, ...]  # fixed, or following others
+    unused: tuple[str, ...]  # fixed
+    followers: tuple[str, ...]
+    fingers: Mapping[str, float]  # positions at which unused fingers are locked [m]
+    doubts: tuple[Finding, ...]
 
 
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
@@ -44,6 +48,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
         )
     used = driven_joints(model, joints)
     others = [joint for joint in joints_of(model) if joint not in used]
+    locked = fingers(model, [joint.name for joint in used])
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", folder.resolve().name).lstrip("_-") or "study"
     with folder_written_whole(folder) as temporary:
         shutil.copyfile(model, temporary / model.name)
@@ -55,7 +60,8 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
                 folder=folder.as_posix(),
                 model=model.name,
                 joints=used,
-                resting=[joint for joint in others if joint.freedom == 1],
+                resting={j.name: locked.get(j.name, 0.0) for j in others if j.freedom == 1},
+                fingers=bool(locked),
                 unused=", ".join(joint.name for joint in others),
                 names=", ".join(json.dumps(joint.name, ensure_ascii=False) for joint in used),
                 ratios=", ".join(["100.0"] * len(used)),
@@ -70,14 +76,18 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
         description = RobotDescription.read(temporary / "robot.toml")
         Study.read(temporary / "study.toml")
         written = []
-        for log in sample_logs(Robot(description)):
+        robot = Robot(description)
+        for log in sample_logs(robot):
             written.append(temporary / "logs" / f"{log.name}.csv")
             log.write(written[-1])
         mark_samples(written)
     return NewProject(
         folder=folder,
         joints=tuple(joint.name for joint in used),
-        unused=tuple(joint.name for joint in others),
+        unused=tuple(joint.name for joint in others if joint.freedom),
+        followers=tuple(joint.name for joint in others if not joint.freedom),
+        fingers=locked,
+        doubts=robot.doubts,
     )
 
 

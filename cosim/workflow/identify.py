@@ -121,7 +121,7 @@ def identify(
         found = identify_body(
             forward, read.robot, method=method, reversed_logs=backward, physical=physical
         )
-    if any(slides := [joint.prismatic for joint in read.robot.tree]):
+    if any(slides := read.robot.slides):
         more["sliding"] = slides
     impossible = list(check_body(found, read.robot))
     health = [to_json(finding) for finding in (*read.findings, *impossible)]

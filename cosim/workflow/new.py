@@ -27,7 +27,7 @@ def new(
     robot : path
         URDF or MJCF (.xml) of the robot.
     joints : sequence of str, optional
-        Joints that move in the logs, repeatable or with commas; default: all.
+        Joints that move in the logs, repeatable or with commas; default: all but fingers.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -66,6 +66,12 @@ def answer(made: NewProject, _: PathArg | None) -> Answer:
     lines = [f"{made.folder}: a study of the joints {', '.join(made.joints)}."]
     if made.unused:
         lines.append(f"Not used, without motion: {', '.join(made.unused)}.")
+    if made.followers:
+        lines.append(f"Followers of other joints: {', '.join(made.followers)}.")
+    if made.fingers:
+        places = ", ".join(f"{name} = {x:g} m" for name, x in made.fingers.items())
+        lines.append(f"Locked as fingers of a gripper: {places}; --joints selects other joints.")
+    lines += [doubt.sentence for doubt in made.doubts]
     lines += [
         f"Its logs are sample data; replace them with yours: see {made.folder / 'README.txt'}.",
         f"Next: hesr run {made.folder / 'study.toml'}",

@@ -18,7 +18,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 from pydantic import Field, model_validator
 
-from fmu_src.arm.signals import compiled, passive_motors
+from fmu_src.arm.signals import passive_motors
 from fmu_src.arm.table import (
     Losses,
     LossTable,
@@ -29,6 +29,7 @@ from fmu_src.arm.table import (
     require_entries,
 )
 from hesr_model.errors import ConfigError
+from hesr_model.robots.mjcf import compiled
 from hesr_model.support.config import Config
 from hesr_model.support.files import written_whole
 

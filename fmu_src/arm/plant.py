@@ -9,9 +9,10 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from fmu_src.arm.alternative_plants import Truth, TruthName
 from fmu_src.arm.parts import ArmSignals
-from fmu_src.arm.signals import compiled, named_signals, passive_motors
+from fmu_src.arm.signals import named_signals, passive_motors
 from fmu_src.arm.table import InputTable, OutputTable, SignalTable, StartTable, require_entries
 from hesr_model.errors import ConfigError
+from hesr_model.robots.mjcf import compiled
 from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config, RelativePath
 

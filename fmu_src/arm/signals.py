@@ -1,12 +1,10 @@
 """Signals of an MJCF: those named by a table, or every control and sensor."""
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -14,6 +12,7 @@ import numpy as np
 from fmu_src.arm.parts import ArmInput, ArmOutput, ArmSignals, ArmStart, Loss
 from fmu_src.arm.table import LossTable, OutputTable, SignalTable, StartTable
 from hesr_model.errors import ConfigError
+from hesr_model.robots.mjcf import compiled
 
 _S, _J = mujoco.mjtSensor, mujoco.mjtJoint
 
@@ -36,46 +35,6 @@ _UNITS_AT_JOINT = {
     _S.mjSENS_JOINTVEL: ("rad/s", "m/s"),
     _S.mjSENS_JOINTACTFRC: ("N.m", "N"),
 }
-_MOST_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
-
-
-def compiled(path: Path) -> Any:
-    """Return the MuJoCo model of an MJCF; ConfigError if it is missing or invalid."""
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such model file.")
-    _require_an_end(path)
-    try:
-        return mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, RuntimeError) as error:  # RuntimeError: out of memory
-        reason = " ".join(str(error).split()).rstrip(".")
-        raise ConfigError(f"{path}: cannot be compiled as an MJCF ({reason}).") from error
-
-
-def _require_an_end(path: Path) -> None:
-    """Reject endless copies and special files: MuJoCo cannot be interrupted."""
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError:  # reported by MuJoCo
-        return
-    if (parts := _parts(root)) > _MOST_PARTS:
-        raise ConfigError(f"{path}: has {parts} elements; at most {_MOST_PARTS} can be compiled.")
-    folders = {
-        element.get(kind, "")
-        for element in root.iter("compiler")
-        for kind in ("assetdir", "meshdir", "texturedir")
-    }
-    for name in filter(None, (element.get("file") for element in root.iter())):
-        for folder in {"", *folders}:
-            file = path.parent / folder / name
-            if file.exists() and not file.is_file():
-                raise ConfigError(f"{path}: names the file '{name}', which is not a regular file.")
-
-
-def _parts(element: ElementTree.Element) -> int:
-    """Return the number of elements after replication."""
-    count = element.get("count", "") if element.tag == "replicate" else ""
-    copies = int(count) if re.fullmatch(r"\d{1,18}", count) else 1
-    return 1 + copies * sum(map(_parts, element))
 
 
 def passive_motors(model: Any, joint: str | None = None) -> list[int]:

@@ -7,13 +7,14 @@ from typing import Any
 import mujoco
 import sympy
 
-from fmu_src.arm.signals import compiled, passive_motors
+from fmu_src.arm.signals import passive_motors
 from fmu_src.arm.table import LossTable
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
+from hesr_model.robots.mjcf import compiled
 
 _COEFFICIENTS = (
     ("stiffness", "N.m/rad", "bristle stiffness"),

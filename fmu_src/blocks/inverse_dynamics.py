@@ -18,7 +18,8 @@ def inverse_dynamics(
 ) -> Content:
     """Return the InverseDynamics FMU; parameters (P,) are ordered as `robot.parameter_names`."""
     n = robot.n
-    rotors = parameters[10 * n :] if len(parameters) > 10 * n else np.zeros(n)
+    links = 10 * robot.links
+    rotors = parameters[links:] if len(parameters) > links else np.zeros(n)
     zeros = np.zeros(n)
     needed = [f"{name}[{i}]" for name in ("q", "dq", "ddq") for i in range(1, n + 1)]
     own = []
@@ -43,7 +44,7 @@ def inverse_dynamics(
     )
     first = {"POSITION": "q", "VELOCITY": "dq", "ACCELERATION": "ddq", "TORQUE": "tau"}
     first |= {"PARAMETERS": "link[1].m", "ROTORS": "link[1].Ir"}
-    header = places(table, "PLACES_H", first, JOINTS=n)
+    header = places(table, "PLACES_H", first, JOINTS=n, LINKS=robot.links)
     return content(
         table,
         name="InverseDynamics",
@@ -60,11 +61,15 @@ def inverse_dynamics(
 
 def _tree(robot: Robot) -> str:
     rows = []
-    motors, gravity = robot.description.motors, robot.description.gravity
+    motors, gravity = robot.description.motors, robot.gravity.tolist()
     for joint in robot.tree:
         numbers = map(_numbers, (joint.rotation.ravel(), joint.translation, joint.axis))
         rows.append(f"    {{{joint.parent}, {int(joint.prismatic)}, {', '.join(numbers)}}},")
+    slopes, offsets = robot.follow or (np.eye(robot.n), np.zeros(robot.n))
     return _TREE.format(
+        follows=int(robot.follow is not None),
+        slopes="\n".join(f"    {_numbers(row)}," for row in slopes),
+        offsets=_numbers(offsets),
         rows="\n".join(rows),
         coupled=int(motors is not None),
         motors="\n".join(
@@ -98,9 +103,17 @@ typedef struct {{
     double axis[3];        /* unit vector in its own frame */
 }} Joint;
 
-static const Joint joints[JOINTS] = {{
+static const Joint joints[LINKS] = {{
 {rows}
 }};
+
+/* Positions of the links' joints over those of the robot, q = slopes q_robot + offsets, if some
+ * FOLLOW others. */
+enum {{ FOLLOW = {follows} }};
+static const double slopes[LINKS][JOINTS] = {{
+{slopes}
+}};
+static const double offsets[LINKS] = {offsets};
 
 /* Motor angles per joint angles, divided by gear ratios; used if COUPLED. */
 enum {{ COUPLED = {coupled} }};

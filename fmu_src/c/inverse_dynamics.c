@@ -73,12 +73,22 @@ static void own_needs(Link *link, const double *p) {
                        cross(moments, link->acceleration));
 }
 
+/* Motion of a link's joint, from that of the robot's joints. */
+static double followed(const double *motion, int i) {
+    double sum_of_leaders = 0.0;
+    for (int j = 0; j < JOINTS; j++) {
+        sum_of_leaders += slopes[i][j] * motion[j];
+    }
+    return FOLLOW ? sum_of_leaders : motion[i];
+}
+
 static void move_link(const double *v, int i, Link *links) {
     static const Link base = {.acceleration = {-GRAVITY_X, -GRAVITY_Y, -GRAVITY_Z}};
     const Joint *joint = &joints[i];
     const Link *parent = joint->parent < 0 ? &base : &links[joint->parent];
     const Vector axis = vector(joint->axis);
-    const double q = v[POSITION + i], dq = v[VELOCITY + i], ddq = v[ACCELERATION + i];
+    const double q = followed(&v[POSITION], i) + (FOLLOW ? offsets[i] : 0.0);
+    const double dq = followed(&v[VELOCITY], i), ddq = followed(&v[ACCELERATION], i);
     Link *link = &links[i];
     link->cosine = joint->prismatic ? 1.0 : cos(q);
     link->sine = joint->prismatic ? 0.0 : sin(q);
@@ -125,17 +135,17 @@ static bool component_initialise(Component *component, void *workspace, Message 
 
 static bool component_output(Component *component, void *workspace, Message *why) {
     double *v = component->v;
-    Link links[JOINTS];
+    Link links[LINKS];
+    double needed[LINKS];
     (void)workspace, (void)why;
-    for (int i = 0; i < JOINTS; i++) {
+    for (int i = 0; i < LINKS; i++) {
         move_link(v, i, links);
     }
-    for (int i = JOINTS - 1; i >= 0; i--) {
+    for (int i = LINKS - 1; i >= 0; i--) {
         const Joint *joint = &joints[i];
         const Link *link = &links[i];
         const Vector axis = vector(joint->axis);
-        const double needed = dot(axis, joint->prismatic ? link->force : link->moment);
-        v[TORQUE + i] = needed + rotors_on(v, i);
+        needed[i] = dot(axis, joint->prismatic ? link->force : link->moment);
         if (joint->parent >= 0) {
             Link *parent = &links[joint->parent];
             const Vector force = to_parent(joint, link, link->force);
@@ -143,6 +153,13 @@ static bool component_output(Component *component, void *workspace, Message *why
             parent->moment = sum(parent->moment, sum(to_parent(joint, link, link->moment),
                                                      cross(link->position, force)));
         }
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        double torque = FOLLOW ? 0.0 : needed[i];
+        for (int k = 0; FOLLOW && k < LINKS; k++) {
+            torque += slopes[k][i] * needed[k];
+        }
+        v[TORQUE + i] = torque + rotors_on(v, i);
     }
     return true;
 }

@@ -42,7 +42,7 @@ def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
         return []
     moves = np.any([motion.moves for motion in motions], axis=0)
     moves &= np.any([np.ptp(motion.tau, axis=0) > 0.0 for motion in motions], axis=0)
-    rows = pooled(motions, model.description.gravity)
+    rows = pooled(motions, model.gravity.tolist())
     logged = model.description.logged
     rows = replace(rows, tau=logged.torque(rows.tau)) if logged else rows
     logs = tuple(dict.fromkeys(motion.log.name for motion in motions))

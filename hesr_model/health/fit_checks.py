@@ -47,7 +47,7 @@ def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
 
 def _least_inertia(body: RigidBody, model: Robot) -> tuple[float, Array, int]:
     """Return the smallest eigenvalue of the scaled mass matrix, with position and joint."""
-    lower, upper, _ = model.limits
+    lower, upper, _ = model.reach
     q = np.random.default_rng(0).uniform(lower, upper, (_STATES, model.n))
     mass, _ = model.dynamics(body.parameters, q, np.zeros_like(q))
     mass = 0.5 * (mass + mass.transpose(0, 2, 1))

@@ -43,7 +43,7 @@ def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[F
         worst = int(np.argmax(uncertain))
         if uncertain[worst] <= _UNCERTAIN:
             continue
-        unit = "m/s" if model.tree[j].prismatic else "rad/s"
+        unit = "m/s" if model.slides[j] else "rad/s"
         yield Finding(
             check="missing-rows",
             joints=(model.description.joints[j],),

@@ -45,7 +45,7 @@ class Mistake:
 def torques_of(rows: CandidateRows, model: Robot) -> Torques:
     """Evaluate the model under the rows' gravity."""
     torques = Torques.of(model, rows.q, rows.v, rows.a)
-    declared = np.array(model.description.gravity)
+    declared = model.gravity
     if np.array_equal(declared, rows.gravity):
         return torques
     gravity = np.einsum("kij,k->ij", _by_axis(rows.q, model), rows.gravity)
@@ -154,7 +154,7 @@ def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Ite
 def _moved_zeros(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
     robot = model.description
     for j in joints:
-        if model.tree[j].prismatic:
+        if model.slides[j]:
             continue
         for quarter in (1, -1, 2):
             zero = list(robot.log.zero or (0.0,) * model.n)
@@ -190,7 +190,7 @@ def _gravity(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[M
     if not rows_of:
         return
     found = np.linalg.lstsq(np.concatenate(rows_of), np.concatenate(targets), rcond=None)[0][:3]
-    declared = np.array(model.description.gravity)
+    declared = model.gravity
     size = float(np.linalg.norm(declared)) or _EARTH
     if not np.linalg.norm(found) > 0.2 * size:
         return

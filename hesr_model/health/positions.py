@@ -130,7 +130,7 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
     beyond = np.maximum(lower - low, high - upper)
     width = upper - lower
     factor = np.pi / 180.0
-    turning = np.array([not joint.prismatic for joint in model.tree])
+    turning = ~np.array(model.slides)
     in_degrees = bool(np.any(turning & (beyond > 3.0 * width))) and bool(
         np.all(np.maximum(lower - low * factor, high * factor - upper)[turning] < _BEYOND + 0.1)
     )

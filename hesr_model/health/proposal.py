@@ -69,7 +69,7 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
         if not changes:
             break
         robot, logs, examination = looked(changed(robot, changes))
-    slides = enumerate(joint.prismatic for joint in Robot(robot).tree) if known else ()
+    slides = enumerate(Robot(robot).slides) if known else ()
     return Proposal(
         robot=robot,
         reasons=reasons,

@@ -108,7 +108,7 @@ def check_speed(motion: Motionwise, model: Robot) -> Iterator[Finding]:
     for j in np.flatnonzero(motion.moves & (limits > 0.0)):
         if peaks[j] <= _TOO_FAST * limits[j]:
             continue
-        unit = "m/s" if model.tree[j].prismatic else "rad/s"
+        unit = "m/s" if model.slides[j] else "rad/s"
         yield Finding(
             check="speed-limit",
             severity="warning",

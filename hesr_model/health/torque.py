@@ -73,7 +73,7 @@ def _sign(fit: JointTorque, j: int, model: Robot) -> Iterator[Finding]:
     follows = fit.bears_gravity and fit.gravity.t > _SURE
     what = "position and velocity count" if follows else "torque counts"
     key, changes = sign_change(robot, j, position=follows)
-    unit = unit_of_joint("N.m", slides=model.tree[j].prismatic)
+    unit = unit_of_joint("N.m", slides=model.slides[j])
     beside = "" if fit.bears_gravity else ", or its position and velocity do"
     yield Finding(
         check="torque-sign",
@@ -189,11 +189,7 @@ def _against_limits(motion: Motionwise, found: Explained, model: Robot) -> Itera
     """Check peak torques against the model's limits and each other."""
     limits = np.where(np.isfinite(model.torque_limits), model.torque_limits, 0.0)
     peaks = np.quantile(np.abs(motion.tau), 0.99, axis=0)
-    used = {
-        j: float(peaks[j] / limits[j])
-        for j in found
-        if limits[j] > 0 and not model.tree[j].prismatic
-    }
+    used = {j: float(peaks[j] / limits[j]) for j in found if limits[j] > 0 and not model.slides[j]}
     for j, share in used.items():
         name = model.description.joints[j]
         if share > _ABOVE_LIMIT:

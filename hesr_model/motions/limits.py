@@ -14,7 +14,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
 
 Positive = Annotated[float, Field(gt=0)]
-_KEPT_FREE = 0.05  # default margin at either end of a joint's range: no arm follows exactly
+KEPT_FREE = 0.05  # default margin at either end of a joint's range: no arm follows exactly
 _SECONDS_TO_FULL_SPEED = 1.0
 """Default time to reach a joint's speed [s]; model files have no acceleration."""
 
@@ -24,12 +24,12 @@ _RESTS = 4000
 
 
 class MotionLimits(Config):
-    """Limits of a motion, one entry per joint; by default those of the model.
+    """Limits of a motion, one entry per joint; needed unless the model states them.
 
     Attributes
     ----------
     position : lowest and highest [rad or m]; by default the model's range less 5 % at either end.
-    velocity : largest speed [rad/s or m/s]; by default the model's, or 2.
+    velocity : largest speed [rad/s or m/s]; by default the model's.
     acceleration : [rad/s2 or m/s2]; by default it reaches the velocity in one second.
     torque : rigid-body torque without friction [N.m or N]; by default the model's effort limit. It
         holds only as far as the model file's inertias are right.
@@ -74,7 +74,9 @@ class Limits:
                     f"'{model.description.name}' need one each."
                 )
         lowest, highest, speed = model.limits
-        free = _KEPT_FREE * (highest - lowest)
+        if given.position is None:
+            _require_stated(model, "position", highest - lowest)
+        free = KEPT_FREE * (highest - lowest)
         position = np.array(given.position or np.column_stack([lowest + free, highest - free]))
         for k, joint in enumerate(model.description.joints):
             if position[k, 0] < lowest[k] or position[k, 1] > highest[k]:
@@ -82,6 +84,8 @@ class Limits:
                     f"key 'limits.position' of joint '{joint}' is {position[k, 0]:g} to "
                     f"{position[k, 1]:g}; the model allows {lowest[k]:g} to {highest[k]:g}."
                 )
+        if given.velocity is None:
+            _require_stated(model, "velocity", speed)
         velocity = np.array(given.velocity or speed)
         effort = np.where(model.torque_limits > 0, model.torque_limits, np.inf)
         return cls(
@@ -171,6 +175,15 @@ class Limits:
                 f"gravity, but limits.torque is {self.torque[joint]:g} N.m."
             )
         return rest
+
+
+def _require_stated(model: Robot, key: str, limits: Array) -> None:
+    if not np.all(np.isfinite(limits)):
+        joint = model.joints[int(np.argmin(np.isfinite(limits)))]
+        raise RobotError(
+            f"robot '{model.name}': its model has no {key} limit of joint '{joint}'; state "
+            f"'{key}' of all joints in the table [limits] of the settings (--settings)."
+        )
 
 
 def peak_torque(model: Robot, motion: Fourier) -> Array:

@@ -45,7 +45,7 @@ def offsets_apart(model: Robot, base: tuple[int, ...]) -> Mask:
 def at_random_states(model: Robot) -> Array:
     """Return the regressor at random states, (samples * n, P)."""
     rng = np.random.default_rng(0)
-    lower, upper, speed = model.limits
+    lower, upper, speed = model.reach
     shape = (_RANDOM_STATES, model.n)
     q = rng.uniform(lower, upper, shape)
     dq = rng.uniform(-speed, speed, shape)

@@ -160,7 +160,7 @@ def _require_mass(name: str, payload: Payload) -> None:
 
 
 def _last_link(model: Robot) -> tuple[int, ...]:
-    return tuple(range(10 * (model.n - 1), 10 * model.n))
+    return tuple(range(10 * (model.links - 1), 10 * model.links))
 
 
 def _segments(motions: Sequence[Motion]) -> Integers:

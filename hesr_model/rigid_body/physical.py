@@ -138,7 +138,7 @@ class _Chart:
 
     @classmethod
     def of(cls, model: Robot) -> Self:
-        nominal, links = model.nominal_parameters, 10 * model.n
+        nominal, links = model.nominal_parameters, 10 * model.links
         factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]
         known = rotors > 0

@@ -117,7 +117,7 @@ def motion_records(motion: Motion, model: Robot, rigid_body: RigidBody) -> list[
             tau=motion.tau[:, k] - load[:, k],
             tau_load_spread=None if spread is None else spread[:, k],
             gear_ratio=ratios[k],
-            sliding=model.tree[k].prismatic,
+            sliding=model.slides[k],
             temperature=None if motion.temperature is None else motion.temperature[:, k],
             coupling=coupling,
             dq_causal=None

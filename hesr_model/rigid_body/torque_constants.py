@@ -82,7 +82,7 @@ def torque_constants(
     if payload is not None:
         kinds.append((stacked(loaded, model, every, columns), np.array(payload, dtype=float)))
     weight = np.zeros(len(every))  # weights and first moments
-    for k in range(model.n):
+    for k in range(model.links):
         weight[10 * k : 10 * k + 4] = 1.0
     spread = _spread(model, mass_error)
     found = []
@@ -138,7 +138,7 @@ class _Problem:
         weight: Array,
         spread: Array,
     ) -> "_Problem":
-        size, last = len(spread), slice(10 * (model.n - 1), 10 * model.n)
+        size, last = len(spread), slice(10 * (model.links - 1), 10 * model.links)
         nominal = model.nominal_parameters
         rows = []
         for block, carried in kinds:
@@ -229,8 +229,8 @@ def _spread(model: Robot, mass_error: float) -> Array:
     """Return the standard deviations (P,) of the model file."""
     nominal = model.nominal_parameters
     spread = np.full(len(nominal), _ROTOR)
-    heaviest = max(float(np.max(nominal[: 10 * model.n : 10])), 1e-3)
-    for k in range(model.n):
+    heaviest = max(float(np.max(nominal[: 10 * model.links : 10])), 1e-3)
+    for k in range(model.links):
         m, *rest = nominal[10 * k : 10 * k + 10]
         mass = max(m, 1e-3 * heaviest)
         arm = max(float(np.linalg.norm(rest[:3])) / mass, _LEAST_ARM)

@@ -1,79 +1,293 @@
-"""Model files of robots (URDF, MJCF), parsed by Pinocchio."""
+"""Model files of robots: URDF read by Pinocchio, MJCF compiled by MuJoCo."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
 from hesr_model.errors import RobotError
+from hesr_model.findings import Finding
+from hesr_model.robots.mjcf import compiled_robot, torques_of_urdf
+from hesr_model.robots.urdf import UNLIMITED, read_urdf
 from hesr_model.support.arrays import Array
 
-_DEGREES = 180.0 / np.pi
+_SHORT = 0.1  # range of fingers [m]
+_ALIKE = 1e-6  # allowed difference from MuJoCo over the largest torque
+
+Followers = dict[str, tuple[str, float, float]]
+"""Joints that follow a leader: q = multiplier * q_leader + offset, by name."""
 
 
-def load(path: Path, *, mimic: bool = False) -> Any:
-    """Parse a URDF, or an MJCF (``.xml``); mimic joints are driven unless `mimic`."""
-    import pinocchio  # slow to import
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotModel:
+    """A model file: Pinocchio's `model` of all its joints, and what that does not contain.
+
+    `rest` are the positions of joints that do not move; `above` are the bodies between each joint
+    and the base; `loops` are pairs of bodies that close a chain, and its joints. `gravity` is in
+    [m/s2].
+    """
+
+    path: Path
+    model: Any
+    gravity: tuple[float, ...]
+    rest: dict[str, float]
+    followers: Followers
+    above: Mapping[str, frozenset[str]]
+    loops: Mapping[str, frozenset[str]]
+    doubts: tuple[Finding, ...]
+
+    def _below(self, root: str | None) -> list[str]:
+        """Return the names of the joints, of those that a body carries if `root` names one."""
+        names = list(self.model.names)[1:]
+        found = names if root is None else [name for name in names if root in self.above[name]]
+        if not found and root is not None:
+            raise RobotError(
+                f"{self.path}: 'root' is '{root}', and no body of that name carries a joint; it is "
+                "the last body or link before the first joint of the arm."
+            )
+        return found
+
+    def reduced(self, joints: Sequence[str], locked: Mapping[str, float], root: str | None) -> Any:
+        """Return the model without the joints that neither move nor follow one that does."""
+        import pinocchio as pin  # slow to import
+
+        model, path, known = self.model, self.path, self._below(root)
+        for name in (*joints, *locked):
+            if name not in known:
+                raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(known)}.")
+            if name in self.followers:
+                raise RobotError(
+                    f"{path}: joint '{name}' follows joint '{self.followers[name][0]}', whose "
+                    "torque contains its own; leave it out of 'joints' and 'locked'."
+                )
+        if both := [name for name in joints if name in locked]:
+            raise RobotError(
+                f"{path}: joint '{both[0]}' is in both 'joints' and 'locked'; remove it from one."
+            )
+        if [name for name in known if name in joints] != list(joints):
+            raise RobotError(
+                f"{path}: the joints {', '.join(joints)} must be listed once each, "
+                f"in the order of the model, {', '.join(known)}."
+            )
+        rest, moving, neutral = {**self.rest, **locked}, set(joints), pin.neutral(model)
+        for name, (leader, slope, offset) in self.followers.items():
+            rest[name] = slope * rest.get(leader, 0.0) + offset
+            moving |= {name} if leader in joints else set()
+        for name, value in rest.items():
+            joint = model.joints[model.getJointId(name)]
+            require_one_axis(name, joint.nv, path)
+            set_joint(joint, neutral, np.array(value))
+        self._require_open(moving)
+        others = [k for k, name in enumerate(model.names) if k and name not in moving]
+        reduced = pin.buildReducedModel(model, others, neutral) if others else model
+        for joint, name in zip(list(reduced.joints)[1:], list(reduced.names)[1:], strict=True):
+            require_one_axis(name, joint.nv, path)
+        return reduced
+
+    def _require_open(self, moving: set[str]) -> None:
+        for ends, joints in self.loops.items():
+            if moved := sorted(moving & joints):
+                raise RobotError(
+                    f"{self.path}: the bodies {ends} are tied to each other, which closes a chain "
+                    f"over joint '{moved[0]}', whose torque is then undetermined; remove the "
+                    "equality."
+                )
+
+    def follow(self, names: Sequence[str], leaders: Sequence[str]) -> tuple[Array, Array]:
+        """Return G (names, leaders) and b (names,) of q = G q_leaders + b."""
+        slopes, offsets = np.zeros((len(names), len(leaders))), np.zeros(len(names))
+        for row, name in enumerate(names):
+            leader, slope, offset = self.followers.get(name, (name, 1.0, 0.0))
+            slopes[row, leaders.index(leader)], offsets[row] = slope, offset
+        return slopes, offsets
+
+
+def load(path: Path) -> RobotModel:
+    """Read a URDF, or an MJCF (``.xml``), and compare its torques with MuJoCo's."""
+    import pinocchio as pin  # slow to import
 
     if not path.is_file():
         raise RobotError(f"{path}: no such model file.")
-    is_mjcf = path.suffix.lower() == ".xml"
+    compiled = compiled_robot(path) if path.suffix.lower() == ".xml" else {}
+    urdf = read_urdf(path, compiled.get("urdf") or path.read_bytes())
     try:
-        if is_mjcf:
-            return _with_lengths(pinocchio.buildModelFromMJCF(str(path)), _mjcf(path))
-        return pinocchio.buildModelFromUrdf(str(path), mimic=mimic)
-    except RobotError:
-        raise
+        model = pin.buildModelFromXML(urdf.text)
     except Exception as error:  # many kinds
-        kind = "an MJCF" if is_mjcf else "a URDF"
         reason = " ".join(str(error).split()).rstrip(".")
-        raise RobotError(f"{path}: cannot be parsed as {kind} ({reason}).") from error
+        raise RobotError(f"{path}: cannot be parsed as a URDF ({reason}).") from error
+    for frame in model.frames:  # a body named as a joint, which Pinocchio cannot reduce
+        if frame.type == pin.FrameType.BODY and model.existJointName(frame.name):
+            frame.name = f"{frame.name} (link)"
+    names = set(model.names)
+    for name, armature in compiled.get("armature", {}).items():
+        if name in names:
+            model.armature[model.joints[model.getJointId(name)].idx_v] = armature
+    chains = {link: _chain(link, urdf.parents) for link in urdf.parents}
+    found = RobotModel(
+        path=path,
+        model=model,
+        gravity=tuple(compiled.get("gravity", (0.0, 0.0, -9.81))),
+        rest={name: x for name, x in compiled.get("rest", {}).items() if name in names and x},
+        followers=_resolved(path, urdf.followers, names),
+        above={own: frozenset(chains[link][0]) - {link} for link, (_, own) in urdf.parents.items()},
+        loops={
+            f"'{a}' and '{b}'": frozenset(set(chains[a][1]) ^ set(chains.get(b, ((), ()))[1]))
+            for a, b in compiled.get("loops", ())
+        },
+        doubts=(*urdf.doubts, *_doubts(path, model)),
+    )
+    check = compiled["check"] if compiled else torques_of_urdf(urdf.text)
+    if check is not None:
+        _require_agreement(found, check)
+    return found
 
 
-def _mjcf(path: Path) -> ElementTree.Element:
-    root = ElementTree.parse(path).getroot()
-    if (include := root.find(".//include")) is not None:
+def _chain(link: str, parents: Mapping[str, tuple[str, str]]) -> tuple[list[str], list[str]]:
+    """Return the links and the joints from a link to the base."""
+    links, joints = [link], list[str]()
+    while links[-1] in parents and len(joints) < len(parents):
+        parent, joint = parents[links[-1]]
+        links.append(parent)
+        joints.append(joint)
+    return links, joints
+
+
+def _resolved(path: Path, followers: Followers, names: set[str]) -> Followers:
+    """Return followers of joints that follow none."""
+    resolved = {}
+    for name in followers.keys() & names:
+        leader, slope, offset = followers[name]
+        seen = {name}
+        while leader in followers and leader not in seen:
+            seen.add(leader)
+            further, factor, shift = followers[leader]
+            leader, slope, offset = further, slope * factor, offset + slope * shift
+        if leader in seen or leader not in names:
+            why = "which follows it" if leader in seen else "which is no moving joint"
+            raise RobotError(
+                f"{path}: joint '{name}' follows joint '{leader}', {why}; correct its <mimic> or "
+                "equality."
+            )
+        resolved[name] = leader, slope, offset
+    return resolved
+
+
+def _require_agreement(found: RobotModel, check: Mapping[str, Any]) -> None:
+    """Raise RobotError if inverse dynamics differ from MuJoCo's."""
+    import pinocchio as pin  # slow to import
+
+    model, names = found.model.copy(), check["joints"]
+    joints = [model.joints[model.getJointId(name)] for name in names]
+    model.gravity.linear = np.array(found.gravity)
+    data, dofs = model.createData(), [joint.idx_v for joint in joints]
+    expected, torques = np.array(check["torques"]), []
+    for q, dq, ddq in zip(check["q"], check["dq"], check["ddq"], strict=True):
+        state, velocity, acceleration = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
+        for joint, position in zip(joints, q, strict=True):
+            set_joint(joint, state, position)
+        velocity[dofs], acceleration[dofs] = dq, ddq
+        torques.append(pin.rnea(model, data, state, velocity, acceleration)[dofs])
+    differences = np.abs(np.array(torques).reshape(expected.shape) - expected)
+    largest = float(np.abs(expected).max(initial=0.0))
+    if differences.max(initial=0.0) > _ALIKE * largest:
+        worst = int(np.argmax(differences.max(axis=0)))
         raise RobotError(
-            f"{path}: includes '{include.get('file')}'; write the model as one file (MuJoCo: "
-            "mj_saveLastXML)."
+            f"{found.path}: the torque of joint '{names[worst]}' differs from MuJoCo's by "
+            f"{100 * differences.max() / largest:.2g} % of the largest torque, so the file is read "
+            "in two ways; simplify the joint or the links after it, and report the file."
         )
-    return root
 
 
-def _with_lengths(model: Any, mjcf: ElementTree.Element) -> Any:
-    """Give sliding joints their range in metres; Pinocchio reads degrees."""
-    angles = [compiler.get("angle") for compiler in mjcf.iter("compiler")]
-    if "radian" not in angles:
-        for joint in list(model.joints)[1:]:
-            if _slides(joint):
-                model.lowerPositionLimit[joint.idx_q] *= _DEGREES
-                model.upperPositionLimit[joint.idx_q] *= _DEGREES
-    return model
+def _doubts(path: Path, model: Any) -> Iterator[Finding]:
+    """Yield doubtful limits, and moving links without mass."""
+    for number, joint in enumerate(list(model.joints)[1:], start=1):
+        if joint.nv != 1:
+            continue
+        found, remedy = "", "correct its limits"
+        low, high = position_limits(model, joint, valid=False)
+        if path.suffix.lower() != ".xml" and not model.inertias[number].mass > 0.0:
+            needs = "give the link an <inertial> if it is a real part"
+            yield _doubt("massless-link", path, model.names[number], "its link has no mass", needs)
+        if joint.nq != 1 or not np.isfinite(low + high):
+            continue
+        if low >= high:
+            way = "equal" if low == high else "reversed"
+            found = f"its position limits are {way}, {low:g} and {high:g}, and count as none"
+        elif 4 * np.pi < max(-low, high) <= 720.0 and not joint.shortname().startswith(
+            "JointModelP"
+        ):
+            found, remedy = (
+                f"its limits {low:g} and {high:g} rad look like degrees",
+                "write radians",
+            )
+        if found:
+            yield _doubt("odd-limits", path, model.names[number], found, remedy)
+
+
+def _doubt(check: str, path: Path, joint: str, found: str, remedy: str) -> Finding:
+    return Finding(
+        check=check,
+        severity="warning",
+        where=str(path),
+        joints=(joint,),
+        found=found,
+        remedy=remedy,
+    )
+
+
+def position_limits(model: Any, joint: Any, *, valid: bool = True) -> tuple[float, float]:
+    """Return the position limits, infinite if absent or, if `valid`, equal or reversed."""
+    low = float(model.lowerPositionLimit[joint.idx_q]) if joint.nq == 1 else -np.inf
+    high = float(model.upperPositionLimit[joint.idx_q]) if joint.nq == 1 else np.inf
+    low, high = (low if low > -UNLIMITED else -np.inf), (high if high < UNLIMITED else np.inf)
+    return (-np.inf, np.inf) if valid and not low < high else (low, high)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointFrame:
+    """Place of a joint in the kinematic tree.
+
+    The pose at zero is relative to the `parent`, -1 for the base. A joint turns about or, if
+    `prismatic`, slides along the unit vector `axis` in its frame.
+    """
+
+    name: str
+    parent: int
+    rotation: Array
+    translation: Array
+    axis: Array
+    prismatic: bool
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelJoint:
-    """A joint of a model file; mimic joints have no degree of freedom."""
+    """A joint of a model file; joints that follow others have no degree of freedom."""
 
     name: str
     freedom: int
     slides: bool
+    finger: float | None = field(default=None, repr=False)
+    """Position [m] at which to lock a short sliding joint at the tip, such as a gripper's."""
 
 
 def joints_of(path: Path) -> tuple[ModelJoint, ...]:
     """Return the moving joints from base to tip."""
-    model = load(path, mimic=True)
-    try:
-        names = list(model.names)[1:]
-    except UnicodeDecodeError as error:
-        raise RobotError(f"{path}: a joint name is not valid UTF-8.") from error
-    return tuple(
-        ModelJoint(name=name, freedom=joint.nv, slides=_slides(joint))
-        for name, joint in zip(names, list(model.joints)[1:], strict=True)
-    )
+    found = load(path)
+    model, joints = found.model, []
+    for number, (name, joint) in enumerate(zip(model.names, model.joints, strict=True)):
+        low, high = position_limits(model, joint) if number else (-np.inf, np.inf)
+        short = _slides(joint) and high - low < _SHORT and number not in list(model.parents)
+        joints.append(
+            ModelJoint(
+                name=name,
+                freedom=0 if name in found.followers else joint.nv,
+                slides=_slides(joint),
+                finger=min(max(0.0, low), high) if short else None,
+            )
+        )
+    return tuple(joints[1:])
 
 
 def _slides(joint: Any) -> bool:
@@ -82,7 +296,7 @@ def _slides(joint: Any) -> bool:
 
 
 def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
-    """Return the wanted or all usable joints, or raise RobotError."""
+    """Return the wanted joints, or all usable ones but fingers; RobotError if there are none."""
     joints = {joint.name: joint for joint in joints_of(path)}
     for name in wanted:
         if name not in joints:
@@ -95,14 +309,21 @@ def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, .
     found = tuple(j for j in joints.values() if (j.name in wanted if wanted else j.freedom == 1))
     if not found:
         raise RobotError(f"{path}: has no revolute or prismatic joint; at least one is needed.")
-    return found
+    arm = tuple(joint for joint in found if joint.finger is None)
+    return arm if arm and not wanted else found
+
+
+def fingers(path: Path, used: Collection[str]) -> dict[str, float]:
+    """Return the positions [m] at which to lock the fingers that are not `used`."""
+    joints = [joint for joint in joints_of(path) if joint.freedom == 1 and joint.name not in used]
+    return {joint.name: joint.finger for joint in joints if joint.finger is not None}
 
 
 def require_one_axis(name: str, freedom: int, path: Path) -> None:
     """Raise RobotError unless a joint has one degree of freedom."""
     if freedom != 1:
         raise RobotError(
-            f"{path}: joint '{name}' has {freedom} degrees of freedom; "
+            f"{path}: joint '{name}' has several degrees of freedom; "
             "only revolute and prismatic joints can be used."
         )
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from typing import Annotated, Any, Self
@@ -11,17 +10,21 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hesr_model.errors import RobotError
+from hesr_model.findings import Finding
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.robots.model_file import (
+    JointFrame,
     driven_joints,
+    fingers,
     load,
     motion_subspace,
-    require_one_axis,
+    position_limits,
     set_joint,
 )
 from hesr_model.robots.owner import Owner
 from hesr_model.robots.sources import Sources, sourced
 from hesr_model.robots.transmission import Coupling, Transmission
+from hesr_model.robots.urdf import UNLIMITED
 from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config, PrintableName, RelativePath
 from hesr_model.support.files import PathArg, path_of
@@ -35,8 +38,11 @@ _ROWS_AT_ONCE = 4096
 class RobotDescription(Config):
     """A robot: its model file, its joints, and the format of its logs.
 
-    Joints run from base to tip, as the columns of logs. `locked` gives positions [rad or m] of
-    fixed joints; other unlisted joints are at neutral. `gravity` [m/s2] is in the base frame.
+    Joints run from base to tip, as the columns of logs, below the body `root` if it is given.
+    `locked` gives positions [rad or m] of fixed joints; other unlisted joints rest as in the model
+    file, or follow others as mimic joints and joint equalities state. Gravity is that of the model
+    file, unless `gravity` [m/s2] states it in the base frame; `mount` (roll, pitch, yaw) [rad]
+    turns the base.
     `rotor_inertia` adds a rotor inertia per joint, reflected through its gear, to the parameters.
     `gear_ratio` (turns of the motor per turn of the joint) is needed by laws with motor ripple;
     `transmission` if motors turn several joints or were logged, it then sets the gear ratios.
@@ -47,7 +53,9 @@ class RobotDescription(Config):
     model: RelativePath
     joints: tuple[PrintableName, ...] = Field(min_length=1)
     locked: dict[str, float] = Field(default_factory=dict)
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    root: PrintableName | None = None
+    gravity: tuple[float, float, float] | None = None
+    mount: tuple[float, float, float] | None = None
     rotor_inertia: bool = True
     gear_ratio: tuple[Annotated[float, Field(gt=0)], ...] | None = None
     transmission: Transmission | None = None
@@ -123,22 +131,6 @@ class RobotDescription(Config):
                 )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class JointFrame:
-    """Place of a joint in the kinematic tree.
-
-    The pose at zero is relative to the `parent`, -1 for the base. A joint turns about or, if
-    `prismatic`, slides along the unit vector `axis` in its frame.
-    """
-
-    name: str
-    parent: int
-    rotation: Array
-    translation: Array
-    axis: Array
-    prismatic: bool
-
-
 class Robot:
     """A robot: its joints, the format of its logs, and its rigid-body dynamics (eq. 5).
 
@@ -166,43 +158,23 @@ class Robot:
         description.require_one_per_joint()
         self.description = description
         self._pin: Any = pinocchio
-        self._model: Any = self._reduced(load(description.model))
+        self._file = load(description.model)
+        self._model: Any = self._file.reduced(
+            description.joints, description.locked, description.root
+        )
         self._data: Any = self._model.createData()
-        self.rotor_nominal: Array = np.array(self._model.armature, dtype=float)
+        own = [self._model.getJointId(name) for name in description.joints]
+        self._own: list[Any] = [self._model.joints[number] for number in own]
+        armature = np.array(self._model.armature, dtype=float)
+        slopes = self.follow[0] if self.follow else np.eye(self.n)
+        self.rotor_nominal: Array = armature @ slopes**2
         """Rotor inertias (n,) [kg.m2] of the model file (`armature` of an MJCF)."""
         # In the dynamics they are columns of the regressor.
-        self._model.armature = np.zeros(self.n)
-        self._model.gravity.linear = np.array(description.gravity)
-        slides = [joint.prismatic for joint in self.tree]
-        description.log.units.require_fitting(description.joints, slides)
+        self._model.armature = np.zeros(self._model.nv)
+        self._model.gravity.linear = np.array(self.gravity)
+        description.log.units.require_fitting(description.joints, self.slides)
         if description.transmission:
-            description.transmission.require_turning(description.joints, slides)
-
-    def _reduced(self, model: Any) -> Any:
-        wanted, path = self.description.joints, self.description.model
-        known = list(model.names)[1:]
-        for name in (*wanted, *self.description.locked):
-            if name not in known:
-                raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(known)}.")
-        if both := [name for name in wanted if name in self.description.locked]:
-            raise RobotError(
-                f"{path}: joint '{both[0]}' is in both 'joints' and 'locked'; remove it from one."
-            )
-        if [name for name in known if name in wanted] != list(wanted):
-            raise RobotError(
-                f"{path}: the joints {', '.join(wanted)} must be listed once each, "
-                f"in the order of the model, {', '.join(known)}."
-            )
-        neutral = self._pin.neutral(model)
-        for name, value in self.description.locked.items():
-            joint = model.joints[model.getJointId(name)]
-            require_one_axis(name, joint.nv, path)
-            set_joint(joint, neutral, np.array(value))
-        others = [model.getJointId(name) for name in known if name not in wanted]
-        reduced = self._pin.buildReducedModel(model, others, neutral)
-        for joint, name in zip(list(reduced.joints)[1:], wanted, strict=True):
-            require_one_axis(name, joint.nv, path)
-        return reduced
+            description.transmission.require_turning(description.joints, self.slides)
 
     def __repr__(self) -> str:
         return f"Robot('{self.name}', {self.n} joints, {self.description.model.name})"
@@ -222,12 +194,42 @@ class Robot:
         """Number of joints."""
         return len(self.description.joints)
 
+    @property
+    def links(self) -> int:
+        """Number of moving links; those of joints that follow others count."""
+        return int(self._model.nv)
+
+    @property
+    def doubts(self) -> tuple[Finding, ...]:
+        """Doubtful numbers of the model file."""
+        return self._file.doubts
+
+    @cached_property
+    def gravity(self) -> Array:
+        """Gravity (3,) [m/s2] in the frame of the base."""
+        stated = self.description.gravity
+        gravity = np.array(self._file.gravity if stated is None else stated)
+        if (mount := self.description.mount) is None:
+            return gravity
+        return np.asarray(self._pin.rpy.rpyToMatrix(*mount).T @ gravity)
+
+    @cached_property
+    def follow(self) -> tuple[Array, Array] | None:
+        """G (links, n) and b (links,) of q_all = G q + b; None if no joint follows another."""
+        names = list(self._model.names)[1:]
+        return self._file.follow(names, self.joints) if len(names) > self.n else None
+
+    @cached_property
+    def slides(self) -> tuple[bool, ...]:
+        """Whether each joint is prismatic."""
+        return tuple(joint.prismatic for joint in self.tree if joint.name in self.joints)
+
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the regressor's columns: link by link, then the rotors."""
-        joints = self.description.joints
-        links = tuple(f"{joint}.{name}" for joint in joints for name in LINK_PARAMETERS)
-        rotors = tuple(f"{joint}.Ir" for joint in joints)
+        carrying = list(self._model.names)[1:]
+        links = tuple(f"{joint}.{name}" for joint in carrying for name in LINK_PARAMETERS)
+        rotors = tuple(f"{joint}.Ir" for joint in self.joints)
         return links + rotors if self.description.rotor_inertia else links
 
     @cached_property
@@ -241,29 +243,32 @@ class Robot:
     def limits(self) -> tuple[Array, Array, Array]:
         """Lowest and highest position [rad or m] and highest speed, (n,) each.
 
-        A joint without limits gets one turn (or metre) either way, and 2 rad/s (or m/s).
+        An absent limit is infinite.
         """
-        lower, upper, speed = np.full(self.n, -np.pi), np.full(self.n, np.pi), np.full(self.n, 2.0)
-        for k, joint in enumerate(list(self._model.joints)[1:]):
-            low = self._model.lowerPositionLimit[joint.idx_q]
-            high = self._model.upperPositionLimit[joint.idx_q]
-            if joint.nq == 1 and np.isfinite(low) and np.isfinite(high) and low < high:
-                lower[k], upper[k] = low, high
-            fastest = self._model.velocityLimit[joint.idx_v]
-            if np.isfinite(fastest) and fastest > 0:
-                speed[k] = fastest
-        return lower, upper, speed
+        ranges = [position_limits(self._model, joint) for joint in self._own]
+        speeds = [float(self._model.velocityLimit[joint.idx_v]) for joint in self._own]
+        lower, upper = np.array(ranges).reshape(-1, 2).T
+        absent = [not 0.0 < speed < UNLIMITED for speed in speeds]
+        return lower, upper, np.where(absent, np.inf, speeds)
+
+    @cached_property
+    def reach(self) -> tuple[Array, Array, Array]:
+        """The `limits`, for random states; one turn (or m) either way and 2 rad/s if absent."""
+        lower, upper, speed = self.limits
+        bounded = np.isfinite(upper - lower)
+        low, high = np.where(bounded, lower, -np.pi), np.where(bounded, upper, np.pi)
+        return low, high, np.where(np.isfinite(speed), speed, 2.0)
 
     @property
     def torque_limits(self) -> Array:
         """Largest torques (n,) [N.m or N] of the model file; 0 if unknown."""
-        return np.array(self._model.effortLimit, dtype=float)
+        return np.array([float(self._model.effortLimit[joint.idx_v]) for joint in self._own])
 
     @cached_property
     def tree(self) -> tuple[JointFrame, ...]:
-        """Frames of the joints, from base to tip."""
+        """Frames of the joints and of those that follow them, from base to tip."""
         frames = []
-        for k, name in enumerate(self.description.joints, start=1):
+        for k, name in enumerate(list(self._model.names)[1:], start=1):
             placement = self._model.jointPlacements[k]
             subspace = motion_subspace(self._model.joints[k], self._pin.neutral(self._model))
             prismatic = bool(np.any(subspace[:3]))
@@ -293,11 +298,14 @@ class Robot:
         """
         states = self._configurations(q)
         out = np.zeros((len(q), self.n, len(self.parameter_names)))
-        links = 10 * self.n
+        links = 10 * self.links
+        slopes = self.follow[0] if self.follow else None
+        velocity, acceleration = (dq, ddq) if slopes is None else (dq @ slopes.T, ddq @ slopes.T)
         for k, state in enumerate(states):
-            out[k, :, :links] = self._pin.computeJointTorqueRegressor(
-                self._model, self._data, state, dq[k], ddq[k]
+            rows = self._pin.computeJointTorqueRegressor(
+                self._model, self._data, state, velocity[k], acceleration[k]
             )
+            out[k, :, :links] = rows if slopes is None else slopes.T @ rows
         if self.description.rotor_inertia:
             joints = np.arange(self.n)
             motors = self.description.motors
@@ -362,11 +370,13 @@ class Robot:
         try:
             yield set_gravity
         finally:
-            set_gravity(self.description.gravity)
+            set_gravity(self.gravity.tolist())
 
     def _configurations(self, q: Array) -> Array:
         """Return Pinocchio's configurations, two coordinates for an unlimited joint."""
         states = np.zeros((len(q), self._model.nq))
+        if self.follow:
+            q = q @ self.follow[0].T + self.follow[1]
         for k, joint in enumerate(list(self._model.joints)[1:]):
             set_joint(joint, states.T, q[:, k])
         return states
@@ -386,7 +396,8 @@ def description_of(robot: RobotLike) -> RobotDescription:
     if path.suffix.lower() == ".toml":
         return RobotDescription.read(path)
     joints = tuple(joint.name for joint in driven_joints(path))
-    return RobotDescription(name=path.stem, model=path.resolve(), joints=joints)
+    locked = fingers(path, joints)
+    return RobotDescription(name=path.stem, model=path.resolve(), joints=joints, locked=locked)
 
 
 def model_of(robot: RobotLike) -> Robot:

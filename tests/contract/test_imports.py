@@ -30,7 +30,7 @@ LEVELS = 10
 
 ONLY_IN = {
     "pinocchio": ("hesr_model/robots/*",),
-    "mujoco": ("fmu_src/arm/*", "hesr/extras/view/*"),
+    "mujoco": ("hesr_model/robots/mjcf.py", "fmu_src/arm/*", "hesr/extras/view/*"),
     "pythonfmu": ("fmu_src/arm/*",),
     "matplotlib": ("fmu_src/pages/picture.py", "cosim/report/figures/*", "hesr/extras/*figures.py"),
     "bokeh": ("cosim/report/figures/zoom.py",),

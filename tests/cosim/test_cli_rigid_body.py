@@ -31,7 +31,10 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def test_excite_writes_a_motion_its_reverse_and_a_picture(hesr: Hesr, tmp_path: Path) -> None:
     settings = tmp_path / "settings.toml"
-    settings.write_text("harmonics = 4\nperiod = [10.0, 12.0]\nstarts = 1\n", encoding="utf-8")
+    limits = "[limits]\nvelocity = [2.0, 2.0, 2.0]\n"
+    settings.write_text(
+        f"harmonics = 4\nperiod = [10.0, 12.0]\nstarts = 1\n{limits}", encoding="utf-8"
+    )
     answer = hesr("excite", ROBOT, "-o", tmp_path / "motion.csv", "--settings", settings)
     assert answer.code == 0, answer.err
     condition, median = map(
@@ -46,7 +49,8 @@ def test_excite_writes_a_motion_its_reverse_and_a_picture(hesr: Hesr, tmp_path: 
 
 def test_limits_that_admit_no_motion_are_refused(hesr: Hesr, tmp_path: Path) -> None:
     settings = tmp_path / "settings.toml"
-    settings.write_text("[limits]\ntorque = [200.0, 1.0, 90.0]\n", encoding="utf-8")
+    limits = "[limits]\nvelocity = [2.0, 2.0, 2.0]\ntorque = [200.0, 1.0, 90.0]\n"
+    settings.write_text(limits, encoding="utf-8")
     answer = hesr("excite", ROBOT, "-o", tmp_path / "motion.csv", "--settings", settings)
     assert answer.code == 2
     assert answer.err.count("\n") == 1

@@ -13,6 +13,7 @@ from fmu_src.arm.plant import Plant
 from hesr_model.errors import ConfigError, FitError, RobotError
 from hesr_model.logs.tables import read_table
 from hesr_model.motions.excitation import ExcitationSettings, condition, random_motions
+from hesr_model.motions.limits import MotionLimits
 from hesr_model.motions.trajectories import random_fourier
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.identification import identify
@@ -26,6 +27,8 @@ SETTINGS = """
 velocity = [1.3, 1.2, 1.3]
 acceleration = [2.6, 2.4, 2.6]
 """
+LITTLE = "robot 'uf850': the limits allow no motion"
+SLOW = "[limits]\nvelocity = [2.0, 2.0, 2.0]\n"
 QUICK = "harmonics = 2\nstarts = 1\nperiod = [6.0, 8.0]\n"
 
 
@@ -90,7 +93,7 @@ def test_picture_is_reproducible(designed, tmp_path):
 
 def test_parquet_is_supported(tmp_path):
     settings = tmp_path / "quick.toml"
-    settings.write_text(QUICK)
+    settings.write_text(QUICK + SLOW)
     found = design(ROBOT, tmp_path / "motion.parquet", settings)
     assert found.backward == tmp_path / "motion_reversed.parquet"
     assert len(read(found.forward)[1]) == len(found.excitation.setpoints()[0])
@@ -128,8 +131,8 @@ def test_rigid_body_of_the_twin_is_identified(designed, recorded, model, method,
 
 
 def test_random_motions_respect_the_limits_of_the_twin(model):
-    plant = Plant.read(FOLDER / "plant.toml")
-    motion = random_motions(model, ExcitationSettings(), 1, seed=3)[0]
+    plant, limits = Plant.read(FOLDER / "plant.toml"), MotionLimits(velocity=(2.0, 2.0, 2.0))
+    motion = random_motions(model, ExcitationSettings(limits=limits), 1, seed=3)[0]
     with loaded_arm(plant) as arm:
         record(arm, motion, 1, name="random")
     assert condition(model, base_columns(model), motion) > 15.0
@@ -148,7 +151,11 @@ def test_other_suffixes_than_tables_are_refused(tmp_path):
     ("text", "kind", "sentence"),
     [
         ("velocity = [1.0]", RobotError, "key 'limits.velocity' has 1 entries"),
-        ("torque = [200.0, 1e-4, 1e-4]", FitError, "robot 'uf850': the limits allow no motion"),
+        (
+            "torque = [200.0, 1e-4, 1e-4]\nvelocity = [2.0, 2.0, 2.0]",
+            FitError,
+            "robot 'uf850': the limits allow no motion",
+        ),
         ("speed = [1.0]", ConfigError, "unknown key 'limits.speed'"),
     ],
 )

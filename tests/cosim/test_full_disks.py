@@ -135,6 +135,8 @@ def test_a_full_disk_is_one_sentence_for_results_of_logs(
     replace(cold, temperature=temperature).write(warm)
     fitted = hesr("fit", study_run.log("sweep"), *known, "--law", "lugre", "-o", lugre)
     assert fitted.code == 0, fitted.err
+    settings = study_run.results.parent / "settings.toml"
+    settings.write_text("[limits]\nvelocity = [2.0, 2.0, 2.0]\n", encoding="utf-8")
     for name, *arguments in (
         ("body.json", "identify", study_run.log("excitation"), *robot, "-o"),
         ("law.json", "fit", study_run.log("sweep"), *known, "--law", "stribeck", "-o"),
@@ -144,7 +146,7 @@ def test_a_full_disk_is_one_sentence_for_results_of_logs(
         ("robot.toml", "inspect", log, *robot, "--write"),
         ("results.md", "report", study_run.results, "-o"),
         ("report.html", "report", study_run.results, "-o"),
-        ("motion.csv", "excite", uf850("robot.toml"), "-o"),
+        ("motion.csv", "excite", uf850("robot.toml"), "--settings", settings, "-o"),
         ("warm.json", "fit", warm, "--law", lugre, "--add", "temperature", *known, "-o"),
         ("friction.html", "monitor", log, "--law", lugre, *known, "-o"),
     ):

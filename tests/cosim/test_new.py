@@ -15,7 +15,7 @@ from hesr_model.errors import ConfigError, RobotError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
-from hesr_model.robots.robot import Robot, RobotDescription
+from hesr_model.robots.robot import Robot, RobotDescription, description_of
 from hesr_model.support.files import sha256
 
 ROBOTS = Path(__file__).parents[2] / ".." / "shared"
@@ -165,7 +165,7 @@ BLOCK = re.compile(r"(?:^# (?:[a-z_]+ = |\[|  \[|\]).*\n)+", re.MULTILINE)
 
 
 @pytest.mark.parametrize(
-    ("file", "schema", "blocks"), [("robot.toml", RobotDescription, 8), ("study.toml", Study, 4)]
+    ("file", "schema", "blocks"), [("robot.toml", RobotDescription, 9), ("study.toml", Study, 4)]
 )
 def test_every_commented_out_option_is_valid(
     tmp_path: Path, file: str, schema: type[RobotDescription] | type[Study], blocks: int
@@ -192,7 +192,8 @@ def test_all_kinds_of_joints_are_supported(tmp_path: Path, hesr: Hesr) -> None:
     answer = hesr("new", tmp_path / "all", "--robot", model)
     assert (answer.code, answer.err) == (0, "")
     assert "a study of the joints turn, slide, left.\n" in answer.out
-    assert "Not used, without motion: right.\n" in answer.out
+    assert "Followers of other joints: right.\n" in answer.out
+    assert "without motion" not in answer.out
     description = RobotDescription.read(tmp_path / "all" / "robot.toml")
     log = Log.read(tmp_path / "all" / "logs" / "sample_training.csv", description)
     robot = Robot(description)
@@ -210,11 +211,35 @@ def test_all_kinds_of_joints_are_supported(tmp_path: Path, hesr: Hesr) -> None:
     assert np.abs(truth).max() > 20.0
 
     answer = hesr("new", tmp_path / "two", "--robot", model, "--joints", "turn, left")
-    assert "Not used, without motion: slide, right.\n" in answer.out
+    assert "Not used, without motion: slide.\nFollowers of other joints: right.\n" in answer.out
     assert RobotDescription.read(tmp_path / "two" / "robot.toml").joints == ("turn", "left")
     text = (tmp_path / "two" / "robot.toml").read_text()
     assert '# locked = { "slide" = 0.0 }' in text
     assert "--joints A,B,.." in (tmp_path / "two" / "README.txt").read_text()
+
+
+def test_fingers_are_proposed_as_locked(tmp_path: Path, hesr: Hesr) -> None:
+    text = MANY_JOINTS.replace('type="revolute"', 'type="prismatic"').replace('"0.9"', '"0.04"')
+    text = text.replace('lower="0" upper="0.04"', 'lower="0.01" upper="0.04"')
+    model = model_file(tmp_path, text)
+    answer = hesr("new", tmp_path / "all", "--robot", model)
+    assert (answer.code, answer.err) == (0, "")
+    assert "a study of the joints turn, slide.\nNot used, without motion: left.\n" in answer.out
+    fingers = "Locked as fingers of a gripper: left = 0.01 m; --joints selects other joints.\n"
+    assert fingers in answer.out
+    assert RobotDescription.read(tmp_path / "all" / "robot.toml").locked == {"left": 0.01}
+    assert description_of(model).joints == ("turn", "slide")
+    answer = hesr("new", tmp_path / "own", "--robot", model, "--joints", "turn,slide,left")
+    assert "fingers" not in answer.out
+
+
+def test_doubts_about_the_model_are_printed(tmp_path: Path, hesr: Hesr) -> None:
+    model = model_file(tmp_path, ONE_JOINT.replace('upper="1.5"', 'upper="150"'))
+    answer = hesr("new", tmp_path / "new", "--robot", model)
+    copy = tmp_path / "new" / "arm.urdf"
+    doubt = "joint 'pitch': its limits -1.5 and 150 rad look like degrees: write radians.\n"
+    assert doubt in answer.out, answer.out
+    assert not copy.with_name("MUJOCO_LOG.TXT").exists()
 
 
 def test_an_mjcf_and_an_odd_folder_name_are_accepted(tmp_path: Path) -> None:
@@ -256,7 +281,7 @@ ERRORS = [
         "ball.xml",
         BALL,
         ["ball"],
-        r"ball\.xml: joint 'ball' has 3 degrees of freedom; only revolute and prismatic joints",
+        r"ball\.xml: joint 'ball' has several degrees of freedom; only revolute and prismatic",
     ),
     (
         "ball.xml",

@@ -11,12 +11,13 @@ from fmu_src.arm.alternative_plants import GearElasticity, Truth, write_truth
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_arm.simulation import Simulation
-from fmu_src.arm.signals import compiled, signals_of
+from fmu_src.arm.signals import signals_of
 from fmu_src.arm.table import Losses, LossTable, OutputTable, SignalTable, StartTable
 from fmu_src.arm.truth import true_friction
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError
 from hesr_model.friction.predict import predict
+from hesr_model.robots.mjcf import compiled
 
 PLANT, TABLE = Plant.read(UF850 / "plant.toml"), SignalTable.read(UF850 / "arm.toml")
 QUIET = {f"{name}_noise[{i}]": 0.0 for name in ("q", "tau_meas") for i in (1, 2, 3)}

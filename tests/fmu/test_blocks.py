@@ -315,6 +315,19 @@ def test_torque_is_right_for_a_tree_with_sliding_joints(tmp_path: Path, rotors: 
     check_robot(robot, tmp_path)
 
 
+def test_torque_is_right_for_joints_that_follow_others(tmp_path: Path) -> None:
+    urdf = tmp_path / "tree.urdf"
+    follower = (
+        '<joint name="j4" type="prismatic"><mimic joint="j2" multiplier="-0.4" offset="0.1"/>'
+    )
+    text = TREE.replace('<joint name="j4" type="prismatic">', follower)
+    assert follower in text
+    urdf.write_text(text, encoding="utf-8")
+    robot = Robot(urdf)
+    assert (robot.joints, robot.links) == (("j1", "j2", "j3", "j5"), 5)
+    check_robot(robot, tmp_path)
+
+
 # --- Controller -------------------------------------------------------------------------------
 
 GAINS: dict[str, tuple[float, ...]] = {

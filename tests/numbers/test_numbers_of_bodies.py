@@ -13,6 +13,7 @@ from hesr_model.friction.predict import predict
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.motions.excitation import ExcitationSettings, design
+from hesr_model.motions.limits import MotionLimits
 from hesr_model.rigid_body.accumulation import Streamed
 from hesr_model.rigid_body.forward_reverse import matched
 from hesr_model.rigid_body.identification import Method, Weighting, identify, identify_motions
@@ -118,7 +119,9 @@ def test_torque_constants(motions: list[Motion], arm_model: Robot, unchanged: Un
 
 
 def test_an_exciting_motion(arm_model: Robot, unchanged: Unchanged) -> None:
-    settings = ExcitationSettings(starts=2, harmonics=3)
+    settings = ExcitationSettings(
+        starts=2, harmonics=3, limits=MotionLimits(velocity=(2.0, 2.0, 2.0))
+    )
     found = design(arm_model, settings)
     unchanged(
         {"condition": found.condition, "peak": found.peak_torque, "limits": found.limits},

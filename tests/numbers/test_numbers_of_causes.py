@@ -61,7 +61,7 @@ def test_mistakes(
     told: dict[str, list[str]] = {}
     numbers: dict[str, object] = {}
     for name, model in variants(arm).items():
-        rows = pooled([part], model.description.gravity)
+        rows = pooled([part], model.gravity.tolist())
         found = list(mistakes(rows, model, ALL))
         told[name] = [f"{m.check} {m.joint}: {m.remedy} | {dict(m.changes)}" for m in found]
         numbers[name] = [
@@ -85,7 +85,7 @@ def test_mistakes(
 
 
 def test_tilted_gravity(part: Motionwise, arm_model: Robot, unchanged: Unchanged) -> None:
-    rows = pooled([part], arm_model.description.gravity)
+    rows = pooled([part], arm_model.gravity.tolist())
     axes = _by_axis(rows.q, arm_model)
     own = torques_of(rows, arm_model).gravity
 

@@ -36,6 +36,8 @@ DRAWN = random_fourier(
     seed=7, harmonics=4, period=3.0, peak_velocity=np.array([1.0, 0.5]), offset=START, periods=2
 )
 
+SLOW = MotionLimits(velocity=(2.0, 2.0, 2.0))  # an MJCF has no speed limits
+
 
 def refusal(make: Callable[[], object]) -> str:
     try:
@@ -85,7 +87,8 @@ def test_refused_motions(arm_model: Robot, data_regression: DataRegressionFixtur
         )
 
     def limits(**given: object) -> Callable[[], object]:
-        return lambda: Limits.of(arm_model, MotionLimits.model_validate(given))
+        known = {"velocity": SLOW.velocity} | given
+        return lambda: Limits.of(arm_model, MotionLimits.model_validate(known))
 
     def settings(**given: object) -> Callable[[], object]:
         return lambda: ExcitationSettings.model_validate(given)
@@ -141,8 +144,8 @@ def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: Robo
     held = arm_model.torque(arm_model.nominal_parameters, rest, still, still)
     unchanged(
         {
-            "of the model": Limits.of(model, MotionLimits()),
-            "finite": np.isfinite(Limits.of(model, MotionLimits()).torque),
+            "of the model": Limits.of(model, MotionLimits(velocity=(0.5, 2.5, 2.0))),
+            "finite": np.isfinite(Limits.of(model, MotionLimits(velocity=(0.5, 2.5, 2.0))).torque),
             "given": Limits.of(arm_model, given),
             "rest": np.max(np.abs(held) / narrow.torque),
         },
@@ -153,7 +156,7 @@ def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: Robo
 def test_inputs_of_a_search(
     arm_model: Robot, unchanged: Unchanged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    limits = replace(Limits.of(arm_model, MotionLimits()), torque=np.array([3.0, 8.0, 1.0]))
+    limits = replace(Limits.of(arm_model, SLOW), torque=np.array([3.0, 8.0, 1.0]))
     search = Search(model=arm_model, limits=limits, harmonics=3, period=(3.0, 9.0))
     x = np.random.default_rng(3).normal(0.0, 0.5, 16)
     x[-1] = np.log(4.0)
@@ -167,7 +170,9 @@ def test_inputs_of_a_search(
         return SimpleNamespace(x=x0)
 
     monkeypatch.setattr(excitation, "minimize", minimize)
-    settings = ExcitationSettings(harmonics=3, period=(2.0, 6.0), periods=2, starts=3, seed=4)
+    settings = ExcitationSettings(
+        harmonics=3, period=(2.0, 6.0), periods=2, starts=3, seed=4, limits=SLOW
+    )
     found = design(arm_model, settings)
     slow = design(arm_model, settings.model_copy(update={"sample_rate": 0.7}))
     unchanged(

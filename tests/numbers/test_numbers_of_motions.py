@@ -12,7 +12,7 @@ from hesr_model.forward.windows import windows_of
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.motions.excitation import ExcitationSettings, random_motions
-from hesr_model.motions.limits import Limits, peak_torque
+from hesr_model.motions.limits import Limits, MotionLimits, peak_torque
 from hesr_model.motions.trajectories import Reversed, Sine, chirp
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
@@ -25,7 +25,9 @@ def test_trajectories(arm_model: Robot, unchanged: Unchanged) -> None:
     start, amplitude = np.array([0.1, -0.2, 0.3]), np.array([0.5, 0.4, 0.3])
     sweep = chirp(start=start, amplitude=amplitude, first=0.2, last=1.5, length=6.0)
     sine = Sine(offset=start, amplitude=amplitude, frequency=0.7, periods=3)
-    settings = ExcitationSettings(starts=2, harmonics=3)
+    settings = ExcitationSettings(
+        starts=2, harmonics=3, limits=MotionLimits(velocity=(2.0, 2.0, 2.0))
+    )
     wild = random_motions(arm_model, settings, 2, 4)
     motions = {"sweep": sweep, "sine": sine, "back": Reversed(forward=sweep), "wild": wild[1]}
     limits = Limits.of(arm_model, settings.limits)

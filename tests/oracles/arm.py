@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu_src.arm.plant import Noise, Plant
-from fmu_src.arm.signals import compiled
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.logs.noise import standard_normal
+from hesr_model.robots.mjcf import compiled
 from hesr_model.support.arrays import Array
 
 

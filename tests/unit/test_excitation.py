@@ -22,11 +22,12 @@ from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
-QUICK = ExcitationSettings(harmonics=3, period=(5.0, 12.0), starts=1)
+SLOW = MotionLimits(velocity=(2.0, 2.0, 2.0))  # an MJCF has no speed limits
+QUICK = ExcitationSettings(harmonics=3, period=(5.0, 12.0), starts=1, limits=SLOW)
 
 
 def with_limits(**limits: object) -> ExcitationSettings:
-    return QUICK.model_copy(update={"limits": MotionLimits.model_validate(limits)})
+    return QUICK.model_copy(update={"limits": MotionLimits.model_validate(dict(SLOW) | limits)})
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def uf850() -> Robot:
 
 @pytest.fixture(scope="module")
 def uf850_excitation(uf850: Robot) -> Excitation:
-    return design(uf850)
+    return design(uf850, ExcitationSettings(limits=SLOW))
 
 
 def assert_kept(found: Excitation) -> None:
@@ -57,7 +58,7 @@ def test_condition_is_a_third_of_the_median_random_motion(
 ) -> None:
     base = base_columns(uf850)
     with threadpool_limits(1):
-        random = random_motions(uf850, ExcitationSettings(), 200, seed=1)
+        random = random_motions(uf850, ExcitationSettings(limits=SLOW), 200, seed=1)
         median = np.median([condition(uf850, base, motion) for motion in random])
     found = condition(uf850, base, uf850_excitation.motion)
     assert uf850_excitation.condition == pytest.approx(found)
@@ -164,7 +165,7 @@ def test_gradient_matches_differences_of_the_value(arm_model: Robot) -> None:
 
 
 def test_coordinates_map_to_motions(arm_model: Robot) -> None:
-    limits = Limits.of(arm_model, MotionLimits())
+    limits = Limits.of(arm_model, SLOW)
     search = Search(model=arm_model, limits=limits, harmonics=3, period=(5.0, 12.0))
     motion = random_motions(arm_model, QUICK, 1, seed=0)[0]
     back = search.unpack(search.pack(motion))
@@ -210,7 +211,7 @@ def test_limits_come_from_the_model(tmp_path: Path, effort: float, expected: flo
 
 
 def test_a_motion_within_the_limits_is_left_alone(arm_model: Robot) -> None:
-    limits = Limits.of(arm_model, MotionLimits(torque=(1e3, 1e3, 1e3)))
+    limits = Limits.of(arm_model, MotionLimits(velocity=SLOW.velocity, torque=(1e3, 1e3, 1e3)))
     motion = random_motions(arm_model, QUICK, 1, seed=0)[0]
     small = replace(motion, a=0.5 * motion.a, b=0.5 * motion.b, offset=np.zeros(3))
     kept = limits.shrink(small, arm_model, limits.rest(arm_model))
@@ -219,7 +220,7 @@ def test_a_motion_within_the_limits_is_left_alone(arm_model: Robot) -> None:
 
 
 def test_rest_minimises_gravity_torque(arm_model: Robot) -> None:
-    limits = Limits.of(arm_model, MotionLimits(torque=(50.0, 12.0, 3.0)))
+    limits = Limits.of(arm_model, MotionLimits(velocity=SLOW.velocity, torque=(50.0, 12.0, 3.0)))
     rest = limits.rest(arm_model)
     still = Fourier(offset=rest, a=np.zeros((3, 2)), b=np.zeros((3, 2)), period=1.0)
     assert np.max(peak_torque(arm_model, still) / limits.torque) < 0.05
@@ -232,6 +233,20 @@ def test_limits_must_be_one_per_joint(arm_model: Robot) -> None:
     message = r"^key 'limits\.velocity' has 2 entries; the 3 joints of robot 'arm' need one each\.$"
     with pytest.raises(RobotError, match=message):
         design(arm_model, with_limits(velocity=(1.0, 1.0)))
+
+
+@pytest.mark.parametrize(("kind", "key"), [("revolute", "velocity"), ("continuous", "position")])
+def test_an_absent_limit_is_asked_for(tmp_path: Path, kind: str, key: str) -> None:
+    path = tmp_path / "one.urdf"
+    text = URDF.format(effort=40).replace('velocity="3"', 'velocity="0"')
+    path.write_text(text.replace("revolute", kind), encoding="utf-8")
+    model = Robot(RobotDescription(name="one", model=path, joints=("hinge",)))
+    with pytest.raises(RobotError) as caught:
+        design(model, QUICK.model_copy(update={"limits": MotionLimits()}))
+    assert str(caught.value) == (
+        f"robot 'one': its model has no {key} limit of joint 'hinge'; state '{key}' of all joints "
+        "in the table [limits] of the settings (--settings)."
+    )
 
 
 def test_positions_outside_the_joint_range_are_refused(arm_model: Robot) -> None:

@@ -53,7 +53,7 @@ def test_a_robot_uses_joints_with_one_degree_of_freedom(chain: Path) -> None:
     [
         ("elbow", "has no joint 'elbow'; it has turn, slide, finger, float"),
         ("finger", "joint 'finger' follows another"),
-        ("float", "joint 'float' has 6 degrees of freedom"),
+        ("float", "joint 'float' has several degrees of freedom"),
     ],
 )
 def test_joints_that_cannot_be_driven_are_refused(chain: Path, wanted: str, sentence: str) -> None:
@@ -70,5 +70,7 @@ def test_a_file_without_drivable_joints_is_refused(tmp_path: Path) -> None:
 def test_a_name_that_is_not_text_is_refused(tmp_path: Path) -> None:
     path = urdf(tmp_path, {"name": "turn", "kind": "revolute"})
     path.write_bytes(path.read_bytes().replace(b'"turn"', b'"t\xf4rn"'))
-    with pytest.raises(RobotError, match=r"chain\.urdf: a joint name is not valid UTF-8\.$"):
+    with pytest.raises(
+        RobotError, match=r"chain\.urdf: cannot be parsed as a URDF \(not well-formed"
+    ):
         joints_of(path)

@@ -131,7 +131,7 @@ def run_leaderboard(
             ScoredRobot(
                 name=name,
                 joints=ground.model.description.joints,
-                sliding=tuple(joint.prismatic for joint in ground.model.tree),
+                sliding=ground.model.slides,
                 tau_std=tuple(map(float, judges[name].tau_std)),
                 rigid_body=ground.body.robot,
             )

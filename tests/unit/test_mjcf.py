@@ -1,0 +1,191 @@
+"""MJCF as MuJoCo compiles it: torques, references, trees, equalities and refusals."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hesr_model.errors import RobotError
+from hesr_model.robots.mjcf import engine
+from hesr_model.robots.robot import Robot, RobotDescription, description_of
+
+INERTIAL = '<inertial pos="0.2 0.01 0.02" mass="{}" diaginertia="0.02 0.03 0.04"/>'
+
+
+def mjcf(folder: Path, body: str, more: str = "", options: str = "") -> Path:
+    path = folder / "arm.xml"
+    compiler = '<compiler angle="radian"/>'
+    text = f"<mujoco>{compiler}{options}<worldbody>{body}</worldbody>{more}</mujoco>"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def arm(name: str, frame: str, *joints: str) -> str:
+    """A chain of bodies with a joint each, below a body without joint."""
+    chain = ""
+    for k, joint in reversed(list(enumerate(joints, start=1))):
+        own = f'<joint name="{name}{k}" {joint}/>{INERTIAL.format(k)}'
+        chain = f'<body name="{name}_link{k}" pos="0.3 0.1 0" euler="0.2 0 0.3">{own}{chain}</body>'
+    return f'<body name="{name}" {frame}>{chain}</body>'
+
+
+def torques(robot: Robot, path: Path, *, others: dict[str, float] | None = None) -> np.ndarray:
+    """Compare with mj_inverse of the whole file; return HESR's torques."""
+    mujoco = engine()
+    model = mujoco.MjModel.from_xml_path(str(path))
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    data = mujoco.MjData(model)
+    q, dq, ddq = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 5, robot.n))
+    names = [joint.name for joint in robot.tree]
+    slopes, offsets = robot.follow or (np.eye(robot.n), np.zeros(robot.n))
+    place = [model.joint(name).qposadr[0] for name in names]
+    dofs = [model.joint(name).dofadr[0] for name in names]
+    expected = []
+    for name, position in (others or {}).items():
+        data.joint(name).qpos = position
+    for state in zip(q, dq, ddq, strict=True):
+        data.qpos[place] = slopes @ state[0] + offsets
+        data.qvel[dofs], data.qacc[dofs] = slopes @ state[1], slopes @ state[2]
+        mujoco.mj_inverse(model, data)
+        expected.append(slopes.T @ (data.qfrc_inverse + data.qfrc_passive)[dofs])
+    found = robot.torque(robot.nominal_parameters, q, dq, ddq)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    return found
+
+
+MOUNTS = ('pos="0 0 1" euler="0 1.5707963 0"', 'quat="0 1 0 0"', 'pos="1 2 3"')
+
+
+@pytest.mark.parametrize("frame", MOUNTS)
+def test_the_pose_of_a_first_body_without_joint_counts(tmp_path: Path, frame: str) -> None:
+    path = mjcf(tmp_path, arm("a", frame, 'axis="0 1 0"', 'axis="0 1 0.2" armature="0.4"'))
+    torques(Robot(path), path)
+
+
+@pytest.mark.filterwarnings("ignore:.*settotalmass:UserWarning")
+def test_references_frames_slides_and_a_shared_body(tmp_path: Path) -> None:
+    """`ref`, `<frame>`, the order of Euler angles, springs and several joints of one body."""
+    body = arm("a", 'euler="0.3 0.2 0.1"', 'axis="0 1 0" ref="0.4" stiffness="9" damping="3"')
+    body = f'<frame pos="0 0 1" euler="0.5 0 0">{body}</frame>'.replace(
+        "<inertial", '<joint name="s" type="slide" axis="1 0 1" ref="-0.2" pos="0 1 0"/><inertial'
+    )
+    path = mjcf(tmp_path, body, options='<compiler eulerseq="zyx" settotalmass="7"/>')
+    robot = Robot(path)
+    torques(robot, path)
+    assert robot.slides == (False, True)
+    assert robot.nominal_parameters[10] == pytest.approx(7.0)
+    locked = Robot(RobotDescription(name="x", model=path, joints=("a1",)))
+    torques(locked, path, others={"s": -0.2})  # its reference
+
+
+def test_gravity_and_inertias_of_shapes_are_those_of_the_file(tmp_path: Path) -> None:
+    body = arm("a", "", 'axis="0 1 0"').replace(
+        INERTIAL.format(1), '<geom type="box" size="0.1 0.2 0.3" pos="0.1 0 0"/>'
+    )
+    path = mjcf(tmp_path, body, options='<option gravity="1 2 -3"/>')
+    robot = Robot(path)
+    np.testing.assert_array_equal(robot.gravity, [1.0, 2.0, -3.0])
+    torques(robot, path)
+    path = mjcf(tmp_path, body, options='<option><flag gravity="disable"/></option>')
+    np.testing.assert_array_equal(Robot(path).gravity, np.zeros(3))
+
+
+def test_the_robot_file_turns_the_base(tmp_path: Path) -> None:
+    turned = mjcf(tmp_path, arm("a", 'euler="0.4 0 0"', 'axis="0 1 0"', 'axis="1 1 0"'))
+    expected = torques(Robot(turned), turned)
+    path = mjcf(tmp_path, arm("a", "", 'axis="0 1 0"', 'axis="1 1 0"'))
+    level = RobotDescription(name="x", model=path, joints=("a1", "a2"))
+    mounted = Robot(level.model_copy(update={"mount": (0.4, 0.0, 0.0)}))
+    q, dq, ddq = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 5, 2))
+    found = mounted.torque(mounted.nominal_parameters, q, dq, ddq)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    down = Robot(level.model_copy(update={"gravity": tuple(mounted.gravity)}))
+    np.testing.assert_array_equal(down.torque(down.nominal_parameters, q, dq, ddq), found)
+
+
+def test_a_body_selects_one_of_two_arms(tmp_path: Path) -> None:
+    two = arm("left", 'pos="0 1 0"', 'axis="0 1 0"', 'axis="0 1 0"')
+    two += arm("right", 'euler="1 0 0"', 'axis="0 1 0"', 'axis="0 1 0"')
+    path = mjcf(tmp_path, two)
+    assert description_of(path).joints == ("left1", "left2", "right1", "right2")
+    torques(Robot(path), path)
+    one = RobotDescription(name="x", model=path, joints=("right1", "right2"), root="right")
+    torques(Robot(one), path)
+    for root, message in (
+        ("left", r"arm\.xml: has no joint 'right1'; it has left1, left2\.$"),
+        (
+            "leg",
+            r"arm\.xml: 'root' is 'leg', and no body of that name carries a joint; it is the ",
+        ),
+    ):
+        with pytest.raises(RobotError, match=message):
+            Robot(one.model_copy(update={"root": root}))
+
+
+EQUALITY = """<equality><joint joint1="a3" joint2="a2" polycoef="0.1 -1.5 {more} 0 0"/>
+<joint joint1="a4" polycoef="0.3 0 0 0 0"/></equality>"""
+FOUR = ('axis="0 1 0"', 'axis="0 1 0" ref="0.3"', 'axis="0 1 0" armature="2"', 'axis="1 0 0"')
+
+
+def test_joint_equalities_are_one_linear_map(tmp_path: Path) -> None:
+    path = mjcf(tmp_path, arm("a", "", *FOUR), EQUALITY.format(more=0))
+    robot = Robot(path)
+    assert robot.joints == ("a1", "a2")
+    slopes, offsets = robot.follow or (0, 0)
+    np.testing.assert_allclose(slopes, [[1, 0], [0, 1], [0, -1.5]])
+    np.testing.assert_allclose(offsets, [0, 0, 0.1 + 1.5 * 0.3])
+    torques(robot, path, others={"a4": 0.3})
+    assert len(robot.parameter_names) == 10 * 3 + 2
+    np.testing.assert_allclose(robot.rotor_nominal, [0.0, 1.5**2 * 2.0])
+
+
+@pytest.mark.parametrize(
+    ("body", "more", "message"),
+    [
+        (arm("a", "", *FOUR), EQUALITY.format(more=2), "joint 'a3' follows 'a2' by a polynomial"),
+        (
+            arm("a", "", *FOUR),
+            '<equality><connect body1="a_link3" body2="a_link1" anchor="0 0 0"/></equality>',
+            "the bodies 'a_link3' and 'a_link1' are tied to each other, which closes a chain over "
+            "joint 'a2', whose torque is then undetermined; remove the equality.",
+        ),
+        (
+            arm("a", "", 'axis="0 1 0"').replace(
+                INERTIAL.format(1), '<geom type="mesh" mesh="link"/>'
+            ),
+            '<asset><mesh name="link" file="link.stl"/></asset>',
+            "the inertia of body 'a_link1' comes from the mesh 'link.stl', which is not in",
+        ),
+    ],
+)
+def test_files_without_determined_torques_are_refused(
+    tmp_path: Path, body: str, more: str, message: str
+) -> None:
+    with pytest.raises(RobotError, match=r"arm\.xml: ") as caught:
+        Robot(mjcf(tmp_path, body, more))
+    assert message in str(caught.value)
+
+
+def test_appearance_may_be_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Meshes, textures and what refers to them; nothing is written into the current folder."""
+    monkeypatch.chdir(tmp_path)
+    geom = '<geom type="mesh" mesh="m"/>'
+    body = arm("a", "", 'axis="0 1 0"').replace("<inertial", f"{geom}<inertial")
+    asset = '<asset><mesh name="m" file="m.stl"/><texture name="t" type="2d" file="t.png"/>'
+    asset += '<material name="c" texture="t"/></asset>'
+    path = mjcf(tmp_path, body.replace("<geom", '<site material="c"/><geom material="c"'), asset)
+    assert Robot(path).n == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["arm.xml"]
+
+
+def test_an_included_file_counts(tmp_path: Path) -> None:
+    """Also for the cache of compiled files."""
+    tip = tmp_path / "tip.xml"
+    path = mjcf(tmp_path, arm("a", "", 'axis="0 1 0"').replace(
+        "</body></body>", '<include file="tip.xml"/></body></body>'))  # fmt: skip
+    masses = []
+    for mass in (1.0, 2.0):
+        tip.write_text(f'<mujoco><body name="tip">{INERTIAL.format(mass)}</body></mujoco>')
+        masses.append(Robot(path).nominal_parameters[0])
+        torques(Robot(path), path)
+    assert masses == [2.0, 3.0]

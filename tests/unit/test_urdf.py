@@ -1,0 +1,150 @@
+"""URDF: mimic joints, names shared by joints and links, doubtful and refused numbers."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hesr_model.errors import RobotError
+from hesr_model.robots import model_file
+from hesr_model.robots.robot import Robot, RobotDescription
+
+LINK = """<link name="{name}"><inertial><origin xyz="0.1 0 0.2"/><mass value="{mass}"/>
+<inertia ixx="{xx}" iyy="0.02" izz="0.03" ixy="0" ixz="0.001" iyz="0"/></inertial></link>"""
+JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
+<origin xyz="0.2 0 0.1" rpy="0.1 0.2 0.3"/><axis xyz="{axis}"/>{more}</joint>"""
+LIMIT = '<limit lower="-1" upper="2" effort="5" velocity="3"/>'
+
+
+def chain(folder: Path, *changes: dict[str, str], link: dict[str, str] | None = None) -> Path:
+    """A chain j1, j2, .. of joints about y; the last link can be changed."""
+    parts = [LINK.format(name="base", mass=1, xx=0.02)]
+    for k, change in enumerate(changes, start=1):
+        known = {"name": f"j{k}", "kind": "revolute", "axis": "0 1 0", "more": LIMIT}
+        known |= {"parent": f"j{k - 1}" if k > 1 else "base", "child": f"j{k}"}
+        own = {"name": f"j{k}", "mass": str(k), "xx": "0.02"}
+        own |= (link or {}) if k == len(changes) else {}
+        parts += [JOINT.format(**(known | change)), LINK.format(**own)]
+    path = folder / "arm.urdf"
+    path.write_text(f'<robot name="arm">{"".join(parts)}</robot>', encoding="utf-8")
+    return path
+
+
+def describe(path: Path, *joints: str, **more: object) -> RobotDescription:
+    data = {"name": "arm", "model": path, "joints": joints} | more
+    return RobotDescription.model_validate(data)
+
+
+MIMIC = {"more": f'{LIMIT}<mimic joint="j2" multiplier="-1" offset="0.2"/>'}
+AGAIN = {"more": f'{LIMIT}<mimic joint="j3" multiplier="2"/>'}
+
+
+def test_followers_act_on_their_leader(tmp_path: Path) -> None:
+    """Virtual work: tau = G' tau_all at G q + b; links and joints have the same names."""
+    free = Robot(describe(chain(tmp_path, {}, {}, {}, {}), "j1", "j2", "j3", "j4"))
+    robot = Robot(chain(tmp_path, {}, {}, MIMIC, AGAIN))
+    q, dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 6, 2))
+    slopes = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, -1.0], [0.0, -2.0]])
+    states = q @ slopes.T + [0.0, 0.0, 0.2, 0.4], dq @ slopes.T, ddq @ slopes.T
+    expected = free.torque(free.nominal_parameters, *states) @ slopes
+    assert robot.joints == ("j1", "j2")
+    found = robot.torque(robot.nominal_parameters, q, dq, ddq)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    mass, bias = robot.dynamics(robot.nominal_parameters, q, dq)
+    rebuilt = np.einsum("kij,kj->ki", mass, ddq) + bias
+    np.testing.assert_allclose(rebuilt, expected, atol=1e-12)
+
+
+def test_followers_of_a_locked_joint_rest_with_it(tmp_path: Path) -> None:
+    free = chain(tmp_path, {}, {}, {})
+    rests = Robot(describe(free, "j1", locked={"j2": 0.5, "j3": -0.3}))
+    path = chain(tmp_path, {}, {}, MIMIC)
+    robot = Robot(describe(path, "j1", locked={"j2": 0.5}))
+    np.testing.assert_allclose(robot.nominal_parameters, rests.nominal_parameters, atol=1e-14)
+    for changes in ({"joints": ("j1", "j2", "j3")}, {"joints": ("j1",), "locked": {"j3": 0.1}}):
+        with pytest.raises(RobotError, match=r"arm\.urdf: joint 'j3' follows joint 'j2', whose "):
+            Robot(describe(path, "j1").model_copy(update=changes))
+
+
+@pytest.mark.parametrize(
+    ("joint", "link", "sentence"),
+    [
+        (
+            {},
+            {"mass": "2,5"},
+            "value = '2,5' in <mass> of link 'j2' is not a number; write decimals with a point.",
+        ),
+        (
+            {"axis": "0 1"},
+            {},
+            "xyz = '0 1' in <axis> of joint 'j2' is not 3 numbers; write decimals with a point.",
+        ),
+        (
+            {"axis": "0 0 0"},
+            {},
+            "the axis of joint 'j2' is 0 0 0, which is no direction; give its <axis> a unit "
+            "vector.",
+        ),
+        ({}, {"mass": "-1"}, "link 'j2' has a negative mass, -1 kg; correct its <mass>."),
+        (
+            {"more": LIMIT + '<mimic joint="j9"/>'},
+            {},
+            "joint 'j2' follows joint 'j9', which is no moving joint; correct its <mimic> or "
+            "equality.",
+        ),
+        (
+            {"more": LIMIT + '<mimic joint="j2"/>'},
+            {},
+            "joint 'j2' follows joint 'j2', which follows it; correct its <mimic> or equality.",
+        ),
+    ],
+)
+def test_numbers_without_meaning_are_refused(
+    tmp_path: Path, joint: dict[str, str], link: dict[str, str], sentence: str
+) -> None:
+    path = chain(tmp_path, {}, joint, link=link)
+    with pytest.raises(RobotError) as caught:
+        Robot(path)
+    assert str(caught.value) == f"{path}: {sentence}"
+
+
+@pytest.mark.parametrize(
+    ("limit", "link", "found"),
+    [
+        (LIMIT.replace('"2"', '"-3"'), {}, "its position limits are reversed, -1 and -3, and cou"),
+        (LIMIT.replace('"2"', '"-1"'), {}, "its position limits are equal, -1 and -1, and count"),
+        (LIMIT.replace('"2"', '"180"'), {}, "its limits -1 and 180 rad look like degrees: write "),
+        (LIMIT, {"mass": "0"}, "its link has no mass: give the link an <inertial> if it is a "),
+        (LIMIT, {"xx": "0.2"}, "the principal moments of inertia of link 'j2' are 0.02, 0.03, 0.2"),
+    ],
+)
+def test_doubtful_numbers_are_reported(
+    tmp_path: Path, limit: str, link: dict[str, str], found: str
+) -> None:
+    assert Robot(chain(tmp_path, {}, {})).doubts == ()
+    path = chain(tmp_path, {}, {"more": limit}, link=link)
+    (doubt,) = Robot(path).doubts
+    where = f"{path}, joint 'j2': " if doubt.joints else f"{path}: "
+    assert doubt.sentence.startswith(where + found)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_absent_limits_are_infinite(tmp_path: Path, kind: str) -> None:
+    robot = Robot(chain(tmp_path, {"kind": kind, "more": ""}, {"kind": kind}))
+    np.testing.assert_array_equal(robot.limits, [[-np.inf, -1], [np.inf, 2], [np.inf, 3]])
+    np.testing.assert_array_equal(robot.torque_limits, [0.0, 5.0])
+    assert np.all(np.isfinite(robot.reach))
+
+
+def test_torques_that_differ_from_mujoco_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, compiled = chain(tmp_path, {}, {}), model_file.torques_of_urdf
+    Robot(path)
+
+    def changed(text: str) -> object:
+        return compiled(text.replace('mass value="2"', 'mass value="2.0001"'))
+
+    monkeypatch.setattr(model_file, "torques_of_urdf", changed)
+    with pytest.raises(RobotError, match=r"arm\.urdf: the torque of joint 'j1' differs from MuJoC"):
+        Robot(path)
