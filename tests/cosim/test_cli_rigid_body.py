@@ -49,7 +49,7 @@ def test_excite_writes_a_motion_its_reverse_and_a_picture(hesr: Hesr, tmp_path: 
 
 def test_limits_that_admit_no_motion_are_refused(hesr: Hesr, tmp_path: Path) -> None:
     settings = tmp_path / "settings.toml"
-    limits = "[limits]\nvelocity = [2.0, 2.0, 2.0]\ntorque = [200.0, 1.0, 90.0]\n"
+    limits = "[limits]\nvelocity = [2.0, 2.0, 2.0]\ntorque = [200.0, 1e-4, 1e-4]\n"
     settings.write_text(limits, encoding="utf-8")
     answer = hesr("excite", ROBOT, "-o", tmp_path / "motion.csv", "--settings", settings)
     assert answer.code == 2
