@@ -47,7 +47,8 @@ static bool library_is_there(Message *why) {
     EACH_FUNCTION(LOOK_UP)
     if (!all) {
         snprintf(why->text, sizeof why->text,
-                 "mujoco.dll cannot be loaded from the folder of the FMU's binary (error %lu of Windows); "
+                 "mujoco.dll cannot be loaded from the folder of the FMU's binary (error %lu of "
+                 "Windows); "
                  "it needs Microsoft's Visual C++ redistributable.",
                  GetLastError());
     }

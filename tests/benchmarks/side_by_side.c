@@ -1,5 +1,5 @@
-/* Time that ROBOTS robots take side by side [ns for a robot and step]; the argument is the number of
- * steps. The header is law.h. */
+/* Time that ROBOTS robots take side by side [ns for a robot and step]; the argument is the number
+ * of steps. The header is law.h. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>

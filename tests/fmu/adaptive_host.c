@@ -1,4 +1,5 @@
-/* A host in plain C that measures the time of a step and the size of an instance of an adaptive FMU.
+/* A host in plain C that measures the time of a step and the size of an instance of an adaptive
+ * FMU.
  *
  *     adaptive_host LIBRARY GUID JOINTS TAU_MEAS TAU_RIGID TAU STEPS
  *
