@@ -163,8 +163,6 @@ class Robot:
             description.joints, description.locked, description.root
         )
         self._data: Any = self._model.createData()
-        own = [self._model.getJointId(name) for name in description.joints]
-        self._own: list[Any] = [self._model.joints[number] for number in own]
         armature = np.array(self._model.armature, dtype=float)
         slopes = self.follow[0] if self.follow else np.eye(self.n)
         self.rotor_nominal: Array = armature @ slopes**2
@@ -178,6 +176,11 @@ class Robot:
 
     def __repr__(self) -> str:
         return f"Robot('{self.name}', {self.n} joints, {self.description.model.name})"
+
+    @property
+    def _own(self) -> list[Any]:
+        """Models of the joints, which cannot be pickled."""
+        return [self._model.joints[self._model.getJointId(name)] for name in self.joints]
 
     @property
     def name(self) -> str:

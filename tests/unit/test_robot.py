@@ -1,5 +1,6 @@
 from pathlib import Path
 
+import cloudpickle
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.logs.log_format import LogFormat, LogUnits
 from hesr_model.robots.robot import Robot, RobotDescription
+from hesr_model.support.files import models_folder
 
 ARM_TOML = """
 name = "arm"
@@ -292,3 +294,12 @@ def test_a_joint_of_many_degrees_of_freedom_is_refused(tmp_path: Path) -> None:
     description = RobotDescription(name="ball", model=path, joints=("hinge",), locked={"free": 1})
     with pytest.raises(RobotError, match=r"joint 'free' has several degrees of freedom; only"):
         Robot(description)
+
+
+def test_a_robot_goes_to_worker_processes() -> None:
+    robot = Robot(models_folder() / "uf850" / "robot.toml")
+    copy = cloudpickle.loads(cloudpickle.dumps(robot))
+    q = np.array([[0.1, -0.5, 0.4]])
+    expected = robot.torque(robot.nominal_parameters, q, q, q)
+    np.testing.assert_array_equal(copy.torque(copy.nominal_parameters, q, q, q), expected)
+    assert [list(limit) for limit in copy.limits] == [list(limit) for limit in robot.limits]
