@@ -33,7 +33,15 @@ from hesr_model.friction.registry import registry
 ROUNDING = 1e-9  # of the work and storage exchanged
 ENERGY = 1e-6  # share of a cycle that counts as energy
 
-FITTED = ("stribeck", "parfam_v", "lugre_passive", "parfam_s", "parfam_s_load", "parfam_s_v")
+FITTED = (
+    "stribeck",
+    "parfam_v",
+    "lugre_passive",
+    "dahl_load",
+    "parfam_s",
+    "parfam_s_load",
+    "parfam_s_v",
+)
 DAMPED = law_of("lugre", **LUGRE | {"sigma_1": 10.0, "sigma_2": 8.0})
 MADE = {
     "stops": stops(),

@@ -175,7 +175,7 @@ def test_a_model_has_one_law_per_joint(joints: tuple[str, ...], laws: int, sente
 
 @pytest.mark.parametrize("sample_time", [0.0, -0.005, float("nan"), float("inf")])
 def test_a_model_needs_a_sample_time(sample_time: float) -> None:
-    with pytest.raises(ArtifactError, match=r"^friction model 'm': sample time is .* s; needed"):
+    with pytest.raises(ArtifactError, match=r"^friction model 'm': sample time is .* s; expected"):
         FrictionModel(law="m", robot="r", joints=("j",), laws=(law(),), sample_time=sample_time)
 
 
