@@ -16,7 +16,7 @@ def record(k: int, *, part: int = 0) -> FrictionRecord:
     t = np.arange(2000) * 0.01
     dq = np.sin(1.3 * t + k + part) + 0.4 * np.sin(4.1 * t + part)
     rng = np.random.default_rng(10 * k + part)
-    tau = LEVELS[k] * (6.0 * np.tanh(dq / 0.02) + 3.0 * dq) + OFFSETS[k]
+    tau = LEVELS[k] * (6.0 * np.tanh(dq / 0.002) + 3.0 * dq) + OFFSETS[k]
     tau += rng.normal(0.0, 0.2, len(t))
     return FrictionRecord(
         log=f"day{k}", joint="arm", t=t, dq=dq, q=np.cumsum(dq) * 0.01, tau_load=0 * t, tau=tau
