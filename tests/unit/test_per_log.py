@@ -63,8 +63,8 @@ def test_without_day_offsets_the_law_is_that_of_the_mean_log() -> None:
     said = models["offset", "level"].provenance["per_log"]["arm"]["day0"]
     assert said["level"] == pytest.approx(0.8, abs=0.01)
     assert "per_log" not in models[()].provenance
-    blind = models["offset", "level"].predict([replace(record(1), log="new")])[:, 0]
-    assert np.sqrt(np.mean((blind - record(1).tau) ** 2)) < 0.3
+    blind = models["offset", "level"].predict([replace(records[1], log="new")])[:, 0]
+    assert np.sqrt(np.mean((blind - records[1].tau) ** 2)) < 0.3
 
 
 def test_a_prediction_with_day_offsets_uses_the_measured_torque(
