@@ -229,7 +229,7 @@ def test_a_non_finite_part_is_named():
     law = odd(output=lambda z: F * z.state + sympy.log(C) * DQ, values=(0.1, 9.0, -2.0))
     with pytest.raises(ExportError) as refusal:
         parts_of(law)
-    assert str(refusal.value) == "its coefficients make its viscous friction no number (log(c))"
+    assert str(refusal.value) == "its coefficients make its viscous friction non-finite (log(c))"
 
 
 REGISTRY = {
