@@ -163,7 +163,7 @@ def test_a_missing_fmu_of_an_ssp_is_reported(edited: Edit, tmp_path: Path, hesr:
     answer = hesr("export", path, "-o", tmp_path / "x.ssp")
     assert (answer.code, answer.err) == (
         2,
-        f"hesr: {path}: component 'friction': there is no resources/friction.fmu in it.\n",
+        f"hesr: {path}: component 'friction': resources/friction.fmu is missing.\n",
     )
 
 
@@ -177,7 +177,7 @@ def test_an_invalid_ssp_is_refused(tmp_path: Path, hesr: Hesr) -> None:
 SSP: list[tuple[dict[str, Any], str]] = [
     ({"without": SSD}, "SystemStructure.ssd is missing."),
     ({"without": "resources/friction.ssv"},
-     "component 'friction': there is no resources/friction.ssv in it."),
+     "component 'friction': resources/friction.ssv is missing."),
     ({"changes": [("</ssd:System>", "")]},
      "SystemStructure.ssd is not valid XML (mismatched tag: line {line}, column 2)."),
     ({"changes": [("ssd:System ", "ssd:Sytem "), ("</ssd:System>", "</ssd:Sytem>")]},

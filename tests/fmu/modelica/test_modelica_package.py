@@ -169,8 +169,8 @@ def test_the_export_is_complete_and_reproducible(make_law, make_model, tmp_path)
         ("Friction", "a Modelica package ends in .mo, found ''."),
         (
             "my-law.mo",
-            "'my-law' is not a valid name in Modelica; start with a letter, then use letters, digits "
-            "and underscores",
+            "'my-law' is not a valid name in Modelica; start with a letter, then use letters, "
+            "digits and underscores",
         ),
         ("3law.mo", "'3law' is not a valid name in Modelica"),
         ("naïve.mo", "'naïve' is not a valid name in Modelica"),
