@@ -104,7 +104,9 @@ def report(
     if kind == "md" and path is not None:
         return write_digest(folders, path)
     if view or kind not in ("html", "htm", ""):
-        known = ", ".join(f".{one}" for one in ("html", "md", *writers) if one != "view")
+        known = ", ".join(
+            f".{one}" for one in ("html", "md", *writers) if one not in ("view", "paper")
+        )
         raise ArgumentError(f"{path}: reports are {known}.")
     if len(folders) > 1:
         raise ArgumentError("a page (.html) shows one result; use Markdown (.md) for several.")

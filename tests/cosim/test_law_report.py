@@ -86,7 +86,9 @@ def test_laws_are_compared_on_logs(arm: RobotDescription, file: Path) -> None:
 def test_without_logs_only_passivity_is_tested(table1: FrictionModel) -> None:
     report = hesr.test(table1)
     assert report.scores is report.positions is None
-    assert report.summary() == ("parfam_h: passivity refuted on joint1, joint2; open on joint3.")
+    assert report.summary() == (
+        "parfam_h: passivity refuted on joint1, joint2; tested on 48 sequences on joint3."
+    )
     (finding,) = report.findings
     assert (finding.check, finding.where) == ("passivity", "parfam_h")
     assert finding.joints == ("joint1", "joint2")

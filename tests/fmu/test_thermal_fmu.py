@@ -127,7 +127,7 @@ def test_unsupported_options_are_refused(more: str, tmp_path: Path) -> None:
     found = Properties(law="lugre", robot="arm", tau_load=0.0, joints=())
     options = {more: found if more == "properties" else True}
     with pytest.raises(
-        ExportError, match="a thermal FMU supports no power, band, properties or rigid"
+        ExportError, match="a thermal FMU supports no power, band, low pass, properties or rigid"
     ):
         export(MODEL, tmp_path / "F.fmu", **options)
     assert not list(tmp_path.iterdir())

@@ -50,7 +50,8 @@ def test_every_figure_is_that_of_the_run(results: Path, tmp_path: Path) -> None:
     assert read.tests[0] in head
     scores = read.comparisons[read.tests[0]]
     best = next(line for line in text.splitlines() if line.startswith(f"| {title(read.best)}"))
-    for shown, rmse in zip(cells(best)[1:], scores.laws[read.best].rmse, strict=True):
+    errors = scores.laws[read.best].rmse
+    for shown, rmse in zip(cells(best)[1 : len(errors) + 1], errors, strict=True):
         assert float(shown.replace("*", "").split()[0]) == pytest.approx(rmse, rel=0.01)
 
 

@@ -46,7 +46,7 @@ def table(folder: Path, name: str) -> Rows:
 
 
 def numbers(row: list[str]) -> list[float]:
-    return [float(cell) for cell in row]
+    return [float(cell) for cell in row[: len(JOINTS)]]
 
 
 def found(pattern: str, text: str) -> re.Match[str]:
