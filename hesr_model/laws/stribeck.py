@@ -25,7 +25,7 @@ VELOCITY_BOUNDS = (1e-3, 1.0)  # [rad/s]
 class Stribeck(OneForm):
     """tau = (F_c + (F_s - F_c) exp(-(v/v_s)^2)) sgn(v) + sigma_2 v + tau_0  (eq. 3 as a map).
 
-    F_s >= F_c >= 0 and sigma_2 >= 0.
+    F_c, F_s, sigma_2 >= 0. F_s < F_c is allowed for lubricated gears.
     """
 
     name = "stribeck"
@@ -47,11 +47,9 @@ class Stribeck(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Search v_s; solve for F_s - F_c, among others."""
-        rise = sympy.Symbol("rise", real=True)
+        """Search v_s."""
         return SearchSpace(
             bounds=(("v_s", VELOCITY_BOUNDS),),
-            linear=("F_c", "rise", "sigma_2", "tau_0"),
+            linear=("F_c", "F_s", "sigma_2", "tau_0"),
             non_negative=3,
-            values=(("F_s", F_C.symbol + rise),),
         )

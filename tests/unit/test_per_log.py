@@ -12,11 +12,11 @@ from hesr_model.rigid_body.residual import FrictionRecord
 LEVELS, OFFSETS = (0.8, 1.0, 1.2), (1.5, 0.0, -1.5)
 
 
-def record(k: int, *, part: int = 0, width: float = 0.02) -> FrictionRecord:
+def record(k: int, *, part: int = 0) -> FrictionRecord:
     t = np.arange(2000) * 0.01
     dq = np.sin(1.3 * t + k + part) + 0.4 * np.sin(4.1 * t + part)
     rng = np.random.default_rng(10 * k + part)
-    tau = LEVELS[k] * (6.0 * np.tanh(dq / width) + 3.0 * dq) + OFFSETS[k]
+    tau = LEVELS[k] * (6.0 * np.tanh(dq / 0.02) + 3.0 * dq) + OFFSETS[k]
     tau += rng.normal(0.0, 0.2, len(t))
     return FrictionRecord(
         log=f"day{k}", joint="arm", t=t, dq=dq, q=np.cumsum(dq) * 0.01, tau_load=0 * t, tau=tau
@@ -50,8 +50,7 @@ def test_a_single_log_has_no_day_offset() -> None:
     assert own_of_logs([record(0), record(1)], ()) == {"day0": OwnOfLog(), "day1": OwnOfLog()}
 
 
-def test_without_day_offsets_the_law_is_that_of_the_mean_log() -> None:
-    records = [record(k, width=0.002) for k in range(3)]
+def test_without_day_offsets_the_law_is_that_of_the_mean_log(records: list[FrictionRecord]) -> None:
     settings = {"robot": "r", "seed": 0, "workers": 1}
     models = {
         per_log: fit_models(["stribeck"], [records], per_log=per_log, **settings)["stribeck"]  # type: ignore[arg-type]
@@ -63,8 +62,8 @@ def test_without_day_offsets_the_law_is_that_of_the_mean_log() -> None:
     said = models["offset", "level"].provenance["per_log"]["arm"]["day0"]
     assert said["level"] == pytest.approx(0.8, abs=0.01)
     assert "per_log" not in models[()].provenance
-    blind = models["offset", "level"].predict([replace(records[1], log="new")])[:, 0]
-    assert np.sqrt(np.mean((blind - records[1].tau) ** 2)) < 0.3
+    blind = models["offset", "level"].predict([replace(record(1), log="new")])[:, 0]
+    assert np.sqrt(np.mean((blind - record(1).tau) ** 2)) < 0.3
 
 
 def test_a_prediction_with_day_offsets_uses_the_measured_torque(

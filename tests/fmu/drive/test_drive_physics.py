@@ -249,8 +249,7 @@ def test_discontinuous_laws_hold_a_load_without_drift(
 ) -> None:
     """With a given break-away torque; a fit to pre-sliding joints does not find one."""
     own = fitted()[law]
-    level = max(own.values["F_c"], own.values["F_s"])
-    own = replace(own, values={**own.values, "F_c": level, "F_s": level})
+    own = replace(own, values={**own.values, "F_s": own.values["F_c"]})
     share = 0.9 * holding_torque(own)
     assert share > 5.0
     path = drive({law: own}, tmp_path, [0.6])
