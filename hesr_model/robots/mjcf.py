@@ -47,17 +47,17 @@ def compiled(path: Path) -> Any:
 
 def compiled_robot(path: Path) -> Compiled:
     """Return an MJCF without its appearance; RobotError if MuJoCo cannot compile it."""
-    try:
-        _require_an_end(path)
-    except ConfigError as error:
-        raise RobotError(str(error)) from error
 
     def read() -> Any:
         spec = engine().MjSpec.from_file(str(path))
         _strip(spec, path)
         return spec
 
-    found = _kept(_content(path, path.parent, set()), read)
+    try:
+        _require_an_end(path)
+        found = _kept(_content(path, path.parent, set()), read)
+    except ConfigError as error:
+        raise RobotError(str(error)) from error
     if "refusal" in found:
         raise RobotError(f"{path}: cannot be compiled as an MJCF ({found['refusal']}).")
     return found
@@ -95,15 +95,23 @@ def _content(path: Path, base: Path, seen: set[Path]) -> Iterator[str | bytes]:
     seen.add(path)
     data = path.read_bytes()
     yield data
-    try:
-        root = ElementTree.fromstring(data)
-    except ElementTree.ParseError:  # reported by MuJoCo
+    if (root := _root(path, data)) is None:
         return
     for element, file in _files(root, base):
         if element.tag == "include" and file.is_file():
             yield from _content(file, base, seen)
         else:
             yield f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}"
+
+
+def _root(path: Path, data: bytes) -> Element | None:
+    """Return the root of an MJCF; None if malformed, which MuJoCo reports with the line."""
+    try:
+        return ElementTree.fromstring(data)
+    except ElementTree.ParseError:
+        return None
+    except (LookupError, ValueError) as error:  # an encoding, which MuJoCo ignores
+        raise ConfigError(f"{path}: cannot be parsed as an MJCF ({_reason(error)}).") from error
 
 
 def _files(root: Element, base: Path) -> Iterator[tuple[Element, Path]]:
@@ -118,9 +126,7 @@ def _files(root: Element, base: Path) -> Iterator[tuple[Element, Path]]:
 
 def _require_an_end(path: Path) -> None:
     """Reject endless copies and special files: MuJoCo cannot be interrupted."""
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError:  # reported by MuJoCo
+    if (root := _root(path, path.read_bytes())) is None:
         return
     if (parts := _parts(root)) > _MOST_PARTS:
         raise ConfigError(f"{path}: has {parts} elements; at most {_MOST_PARTS} can be compiled.")

@@ -40,7 +40,7 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
     """Read a URDF; RobotError if a number cannot be read, or an axis or a mass cannot be."""
     try:
         root = ElementTree.fromstring(text.strip())
-    except (ElementTree.ParseError, ValueError) as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:  # or an encoding
         raise RobotError(f"{path}: cannot be parsed as a URDF ({error}).") from error
     plain = Element("robot", name=root.get("name", "robot"))
     followers, parents = {}, {}

@@ -148,3 +148,12 @@ def test_torques_that_differ_from_mujoco_are_refused(
     monkeypatch.setattr(model_file, "torques_of_urdf", changed)
     with pytest.raises(RobotError, match=r"arm\.urdf: the torque of joint 'j1' differs from MuJoC"):
         Robot(path)
+
+
+@pytest.mark.parametrize("encoding", ["klingon", "utf-7", "idna"])
+def test_unknown_encodings_are_refused(encoding: str, tmp_path: Path) -> None:
+    path = chain(tmp_path, {})
+    head = f'<?xml version="1.0" encoding="{encoding}"?>'
+    path.write_text(head + path.read_text(encoding="utf-8"), encoding="utf-8")
+    with pytest.raises(RobotError, match=r"arm\.urdf: cannot be parsed as a URDF \("):
+        model_file.load(path)
