@@ -28,7 +28,7 @@ class NewProject:
     joints: tuple[str, ...]  # joints in the robot file
     unused: tuple[str, ...]  # fixed
     followers: tuple[str, ...]
-    fingers: Mapping[str, float]  # positions at which unused fingers are locked [m]
+    fingers: Mapping[str, float]  # positions of locked, unused fingers [m]
     doubts: tuple[Finding, ...]
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Inspection(Answer):
     """Result of `hesr.inspect`: proposed robot file with reasons, its logs and findings.
 
-    `limit` is what the test of the proposed study is too short to show.
+    `limit` states the weakness of a short test in the proposed study.
     """
 
     format = "hesr-inspection-1"

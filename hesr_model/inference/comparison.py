@@ -120,7 +120,7 @@ class LawErrors:
                 if law != other
             }
         errors = np.maximum(self.standard_errors(k), 1e-300)
-        factor = calibration(family or len(self.laws) - 1)
+        factor = calibration(self._comparisons(family))
         p = np.minimum(1.0, factor * two_sided(np.log(values) / errors, self.degrees))
         wide = np.exp(stdtrit(self.degrees, 0.975) * errors)
         wider = self._wide_for_others(k, wide)
@@ -173,8 +173,11 @@ class LawErrors:
         return np.asarray(np.exp(_BOTH_SETS * np.maximum(np.log(wide), between)))
 
     def _level(self, family: int | None) -> float:
-        comparisons = family or max(1, len(self.laws) - 1)
+        comparisons = self._comparisons(family)
         return SIGNIFICANCE / calibration(comparisons) / comparisons
+
+    def _comparisons(self, family: int | None) -> int:
+        return family or max(1, len(self.laws) - 1)
 
     def _deviation(self, differences: Array) -> Array:
         squares = differences**2

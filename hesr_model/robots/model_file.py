@@ -22,7 +22,7 @@ Followers = dict[str, tuple[str, float, float]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotModel:
-    """A model file: Pinocchio's `model` of all its joints, and what that does not contain.
+    """A model file: Pinocchio's `model` of all its joints, and the rest of its content.
 
     `rest` are the positions of joints that do not move; `above` are the bodies between each joint
     and the base; `loops` are pairs of bodies that close a chain, and its joints. `gravity` is in
@@ -165,7 +165,7 @@ def _resolved(path: Path, followers: Followers, names: set[str]) -> Followers:
             further, factor, shift = followers[leader]
             leader, slope, offset = further, slope * factor, offset + slope * shift
         if leader in seen or leader not in names:
-            why = "which follows it" if leader in seen else "which is no moving joint"
+            why = "which follows it" if leader in seen else "which does not move"
             raise RobotError(
                 f"{path}: joint '{name}' follows joint '{leader}', {why}; correct its <mimic> or "
                 "equality."
@@ -269,7 +269,7 @@ class ModelJoint:
     freedom: int
     slides: bool
     finger: float | None = field(default=None, repr=False)
-    """Position [m] at which to lock a short sliding joint at the tip, such as a gripper's."""
+    """Locked position [m] of a short sliding joint at the tip, such as a gripper's."""
 
 
 def joints_of(path: Path) -> tuple[ModelJoint, ...]:
@@ -296,7 +296,7 @@ def _slides(joint: Any) -> bool:
 
 
 def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
-    """Return the wanted joints, or all usable ones but fingers; RobotError if there are none."""
+    """Return the wanted joints, or all usable ones but fingers; RobotError without any."""
     joints = {joint.name: joint for joint in joints_of(path)}
     for name in wanted:
         if name not in joints:
@@ -314,7 +314,7 @@ def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, .
 
 
 def fingers(path: Path, used: Collection[str]) -> dict[str, float]:
-    """Return the positions [m] at which to lock the fingers that are not `used`."""
+    """Return the locked positions [m] of fingers that are not `used`."""
     joints = [joint for joint in joints_of(path) if joint.freedom == 1 and joint.name not in used]
     return {joint.name: joint.finger for joint in joints if joint.finger is not None}
 

@@ -1,4 +1,4 @@
-"""URDF files: checked numbers, mimic joints and inertias, without what torques do not need."""
+"""URDF files: checked numbers, mimic joints and inertias, without the appearance."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

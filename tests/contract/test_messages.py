@@ -89,7 +89,7 @@ def _strings(path: Path) -> Iterator[tuple[str, str]]:
         if child is not node and (isinstance(node, ast.JoinedStr) or child is node.value)
         if isinstance(child, ast.Constant | ast.JoinedStr)
     }
-    listed = {  # names in one string, as of columns
+    listed = {  # several names in one string, such as columns
         node.args[0]
         for node in ast.walk(tree)
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "_words"

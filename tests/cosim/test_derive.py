@@ -77,7 +77,7 @@ LONG = "x" * 53
 
 
 def made(monkeypatch: pytest.MonkeyPatch, more: str = "") -> tuple[click.Command, list[Any]]:
-    """The command, and what its function is called with."""
+    """The command, and the arguments of its function."""
     module = ModuleType("painting")
     monkeypatch.setitem(sys.modules, module.__name__, module)
     text = SOURCE.replace("{longer}", f"{LONG}y").replace("{long}", LONG)

@@ -449,7 +449,7 @@ def test_weaknesses_are_named_by_joint() -> None:
 
 
 def rows(*, fast: int = 0, resting: int = 10, load: float = 1.0) -> FrictionRecord:
-    """100 rows, of which some are faster than 1 rad/s, and some rest."""
+    """100 rows; some are faster than 1 rad/s, some rest."""
     dq = np.where(np.arange(100) % 2, 0.5, -0.5)
     dq[:resting], dq[100 - fast :] = 0.0, 1.5
     tau = np.linspace(-1.0, 1.0, 100)

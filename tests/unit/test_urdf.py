@@ -89,8 +89,7 @@ def test_followers_of_a_locked_joint_rest_with_it(tmp_path: Path) -> None:
         (
             {"more": LIMIT + '<mimic joint="j9"/>'},
             {},
-            "joint 'j2' follows joint 'j9', which is no moving joint; correct its <mimic> or "
-            "equality.",
+            "joint 'j2' follows joint 'j9', which does not move; correct its <mimic> or equality.",
         ),
         (
             {"more": LIMIT + '<mimic joint="j2"/>'},

@@ -1,4 +1,4 @@
-"""Logs, laws, torques and closed loops by which the claims are judged."""
+"""Evidence on the claims: logs, laws, torques and closed loops."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

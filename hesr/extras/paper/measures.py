@@ -209,7 +209,7 @@ def recovery(e: Evidence, case: Case, joint: int, *, noise: Sequence[float]) -> 
 
 @_of_cases
 def starts(e: Evidence, case: Case, joint: int, *, count: int, within: float) -> float:
-    """Return the share of random starts from which a local search of LuGre finds the best fit."""
+    """Return the share of random starts whose local search finds the best fit of LuGre."""
     samples = JointRows.of(case.training[joint], coefficients=COEFFICIENTS)
     problem = Separable(LuGre.core({}), LuGre().space(), samples)
     low, high = problem.bounds.T
