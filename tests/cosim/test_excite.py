@@ -27,8 +27,7 @@ NAMES = [
     "fourier_test",
     "chirp",
     "chirp_20s",
-    "fourier_80s_1",
-    "fourier_80s_2",
+    *(f"fourier_40s_{k}" for k in range(1, 5)),
 ]
 HOME = np.array([0.0, 0.3, -1.9])
 
@@ -88,8 +87,7 @@ def test_every_default_motion_gives_its_logs(everything):
         **dict.fromkeys(NAMES, 4000),
         "sweep": 8400,
         "chirp": 936,
-        "fourier_80s_1": 16_000,
-        "fourier_80s_2": 16_000,
+        **{f"fourier_40s_{k}": 8000 for k in range(1, 5)},
     }
 
 

@@ -290,7 +290,7 @@ class Log {
     const notes = [`${this.name}: ${this.result.t.length} rows, ` +
       `${shown(this.result.t.length * median(differences(this.result.t)), 3)} s.`];
     notes.push(`Velocity ${log.dq ? "as logged" : "from the position"}, low-pass filter ` +
-      `${shown(cutoff, 3)} Hz.`);
+      `${shown(cutoff, 3)} Hz without lag, as in the fit.`);
     if (dropped) notes.push(`${dropped} rows with missing numbers or repeated time stamps were left out.`);
     if (ends.length > 1) notes.push(`${ends.length} parts between gaps; the law restarts in each.`);
     const uses = (name) => this.own.joints.some((joint) => joint.uses.includes(name));
