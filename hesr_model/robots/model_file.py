@@ -261,6 +261,22 @@ class JointFrame:
     prismatic: bool
 
 
+def joint_frames(model: Any, neutral: Array) -> Iterator[JointFrame]:
+    """Yield the frames of a model's joints, from base to tip."""
+    for k, name in enumerate(list(model.names)[1:], start=1):
+        placement = model.jointPlacements[k]
+        subspace = _motion_subspace(model.joints[k], neutral)
+        prismatic = bool(np.any(subspace[:3]))
+        yield JointFrame(
+            name=name,
+            parent=int(model.parents[k]) - 1,
+            rotation=np.array(placement.rotation),
+            translation=np.array(placement.translation),
+            axis=subspace[:3] if prismatic else subspace[3:],
+            prismatic=prismatic,
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class ModelJoint:
     """A joint of a model file; joints that follow others have no degree of freedom."""
@@ -336,7 +352,7 @@ def set_joint(joint: Any, states: Array, position: Array) -> None:
         states[joint.idx_q], states[joint.idx_q + 1] = np.cos(position), np.sin(position)
 
 
-def motion_subspace(joint: Any, state: Array) -> Array:
+def _motion_subspace(joint: Any, state: Array) -> Array:
     """Return the motion subspace (6,) at a state (nq,): linear, angular."""
     data = joint.createData()
     joint.calc(data, state)

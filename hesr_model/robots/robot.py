@@ -16,8 +16,8 @@ from hesr_model.robots.model_file import (
     JointFrame,
     driven_joints,
     fingers,
+    joint_frames,
     load,
-    motion_subspace,
     position_limits,
     set_joint,
 )
@@ -270,22 +270,7 @@ class Robot:
     @cached_property
     def tree(self) -> tuple[JointFrame, ...]:
         """Frames of the joints and of those that follow them, from base to tip."""
-        frames = []
-        for k, name in enumerate(list(self._model.names)[1:], start=1):
-            placement = self._model.jointPlacements[k]
-            subspace = motion_subspace(self._model.joints[k], self._pin.neutral(self._model))
-            prismatic = bool(np.any(subspace[:3]))
-            frames.append(
-                JointFrame(
-                    name=name,
-                    parent=int(self._model.parents[k]) - 1,
-                    rotation=np.array(placement.rotation),
-                    translation=np.array(placement.translation),
-                    axis=subspace[:3] if prismatic else subspace[3:],
-                    prismatic=prismatic,
-                )
-            )
-        return tuple(frames)
+        return tuple(joint_frames(self._model, self._pin.neutral(self._model)))
 
     def regressor(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Return the regressor Y of eq. 5 at every sample.
