@@ -68,7 +68,7 @@ messages: $(VENV)/installed
 	$(BIN)/pytest tests/contract/test_messages.py
 
 soak: $(VENV)/installed
-	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 2 --dist worksteal -m soak
+	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 2 --dist worksteal -m soak --timeout 0
 
 mutate: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --editable '.[mutation]'
@@ -94,7 +94,7 @@ interop: $(VENV)/installed
 	$(BIN)/pytest tests/interop
 
 benchmark: $(VENV)/installed
-	$(BIN)/pytest tests/benchmarks --benchmark-columns=min,median,max,rounds
+	$(BIN)/pytest tests/benchmarks --timeout 0 --benchmark-columns=min,median,max,rounds
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -c "import sys; sys.exit('HESR needs Python 3.11 or newer.' if sys.version_info < (3, 11) else 0)"
