@@ -128,7 +128,7 @@ def own_log(description: RobotDescription, name: str, phase: float) -> Log:
         (size * x).sum(axis=1)[:, None]
         for x in (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
     )
-    tau = model.torque(model.nominal_parameters, q, dq, ddq) + 3.0 * np.tanh(dq / 0.01) + 0.5 * dq
+    tau = model.torque(model.nominal_parameters, q, dq, ddq) + 3.0 * np.tanh(dq / 0.001) + 0.5 * dq
     noise = np.random.default_rng(1).normal(scale=0.02, size=tau.shape)
     return Log(name=name, t=t, q=q, dq=dq, tau=tau + noise)
 

@@ -90,7 +90,7 @@ def test_a_static_curve_is_fitted_first_and_kept() -> None:
         )
     )
     speeds = np.array([-0.8, -0.3, -0.1, 0.1, 0.3, 0.8])
-    np.testing.assert_allclose(steady(textbook, speeds), steady(curve, speeds), atol=0.15)
+    np.testing.assert_allclose(steady(first, speeds), steady(curve, speeds), atol=0.02)
     assert first.values["F_s"] < first.values["F_c"]  # the mean of both branches at rest
     assert textbook.values["F_s"] >= textbook.values["F_c"]
 

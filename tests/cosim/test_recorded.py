@@ -150,7 +150,7 @@ def test_only_results_of_an_ssp_are_checked(
 ) -> None:
     answer = hesr("check", tmp_path / "a.ssp", *options)
     assert answer.code == 2
-    assert "a.ssp: an SSP only supports 'kind' references" in answer.err
+    assert "a.ssp: an SSP only supports --kind references" in answer.err
 
 
 def test_systems_of_foreign_fmus_carry_no_results(lag_fmu: Path, tmp_path: Path) -> None:

@@ -135,8 +135,11 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
         (lambda: motion(np.zeros((9, 3))), "X has 3 columns without names; expected t, and q"),
         (lambda: motion(np.ones((9, 4))), "time must increase in X, but t is 1 s in row 2, after"),
         (lambda: motion(np.ones((1, 4))), "X has 1 sample; a motion needs at least 2"),
-        (lambda: motion(np.ones((9, 2)), ("t", "q")), "X has no column 'dq', only t, q; needed"),
-        (lambda: motion(np.ones((9, 3)), ("t", "dq", "x")), "X has the unknown column 'x'; needed"),
+        (lambda: motion(np.ones((9, 2)), ("t", "q")), "X has no column 'dq', only t, q; expect"),
+        (
+            lambda: motion(np.ones((9, 3)), ("t", "dq", "x")),
+            "X has the unknown column 'x'; expect",
+        ),
         (
             lambda: motion(TALL, ("t", "dq1", "dq2", "q")),
             "X has 1 columns of q, but 2 of dq; expected",

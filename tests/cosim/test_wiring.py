@@ -106,7 +106,7 @@ def test_values_are_ordered_by_dependency():
         ({"controller.plain": "arm.dq_cmd[1]"},
          "the causality of 'arm.dq_cmd[1]' is input; it must be output."),
         ({"controller.plain": "arm.error"},
-         "the input is of type Real , the output of type Integer; both must be Real."),
+         "the input is of type Real, the output of type Integer; both must be Real."),
         ({"controller.tau": "arm.q[1]"}, "the input is in N.m, the output in rad."),
         ({"controller.angle": "arm.q[1]"}, "the input is in deg, the output in rad."),
         ({"controller.q[2]": "arm.q[2]"},
