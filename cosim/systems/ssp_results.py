@@ -16,14 +16,13 @@ from cosim.systems.system import SystemSpec
 from fmu_src.run.archive import Archive
 from fmu_src.run.fmu import is_ours
 from fmu_src.run.master import ExchangeScheme
+from fmu_src.run.reference_manifest import ExperimentFiles, manifest_files
 from fmu_src.run.reference_results import (
     ROWS,
-    ExperimentFiles,
     ReferenceExperiment,
     Verified,
     experiments,
     judged,
-    manifest_files,
     table,
 )
 from hesr_model.errors import HesrError, SimulationError

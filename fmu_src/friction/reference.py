@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from fmu_src.friction.settings import CONTINUOUS, SHOWN, ReferenceMotion, torques
-from fmu_src.run.reference_results import ORDERS, ExperimentFiles, manifest_files, options, table
+from fmu_src.run.reference_manifest import ExperimentFiles, manifest_files
+from fmu_src.run.reference_results import ORDERS, options, table
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel

@@ -7,26 +7,22 @@ order of setting inputs, stepping and reading outputs: all known orders are trie
 import csv
 import hashlib
 import posixpath
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from fmu_src.export.description import to_bytes
 from fmu_src.run.archive import MOST_TEXT, Archive
 from fmu_src.run.fmi import VERSIONS
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.instance import PLATFORM, SUFFIX
+from fmu_src.run.reference_manifest import FOLDER, MANIFEST, ExperimentFiles, manifest_files
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.text import plain
-
-FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
-MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
-EXPERIMENTS = f"{FOLDER}/experiments.xml"
 
 ROWS = 100  # steps of the stimuli
 ORDERS: Mapping[str, str] = {
@@ -56,15 +52,6 @@ co_simulation/{name}_shown.csv
     The same run for tools that read outputs once the inputs of the next step are set: row k holds
     the outputs after step k with the inputs of row k.
 """
-
-_LAYER = "http://fmi-standard.org/fmi-ls-manifest"
-_ABOUT = {
-    "fmi-ls-name": "org.fmi-standard.fmi-ls-ref",
-    "fmi-ls-version": "1.0.0-alpha.1",
-    "fmi-ls-description": (
-        "Layered Standard providing information on related files included in an FMU."
-    ),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,66 +160,6 @@ def options(t: Array, step: float, tolerance: float) -> bytes:
         values["OutputIntervalLength"] = t[1]
     lines = [f"{name}, {value:.12g}\n" for name, value in (values | {"RelTol": tolerance}).items()]
     return "".join(lines).encode()
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExperimentFiles:
-    """CSV files STEM_in, STEM_RESULTS and STEM_parameters of an experiment at times t [s]."""
-
-    name: str
-    description: str  # order of calls
-    t: Array
-    step: float  # communication step [s]; 0 if a solver chooses it
-    tolerance: float  # relative to the largest value of each output
-    stem: str
-    results: str
-    parameters: bool = False
-
-
-def manifest_files(
-    experiments: Sequence[ExperimentFiles], members: Mapping[str, bytes]
-) -> dict[str, bytes]:
-    """Return the manifest and the experiments file of the `members` of `extra/`."""
-    root = ET.Element("Experiments")
-    for own in experiments:
-        numbers = {"startTime": own.t[0], "stopTime": own.t[-1], "tolerance": own.tolerance}
-        numbers |= {"stepSize": own.step} if own.step else {}
-        about = {"name": own.name, "description": own.description}
-        about |= {name: f"{value:.12g}" for name, value in numbers.items()}
-        element = ET.SubElement(root, "Experiment", about)
-        files = {"Stimuli": "in"} | ({"Parameters": "parameters"} if own.parameters else {})
-        for kind, end in (files | {"References": own.results}).items():
-            source = posixpath.relpath(f"{own.stem}_{end}.csv", FOLDER)
-            ET.SubElement(element, kind, source=source, type="text/csv")
-    played = {f"{own.stem}_in.csv": "stimuli" for own in experiments}
-    played |= {f"{own.stem}_parameters.csv": "parameters of the experiments" for own in experiments}
-    own_files = {EXPERIMENTS: to_bytes(root)}
-    related = [("experiment/smoke-test", EXPERIMENTS, "application/xml", "how the stimuli are run")]
-    for name in members:
-        if not name.endswith(".csv"):
-            related.append(("document", name, "text/plain", "how to use these files"))
-        elif name in played:
-            related.append(("testcase", name, "text/csv", played[name]))
-        else:
-            related.append(("result", name, "text/csv", "reference results"))
-    return {MANIFEST: _manifest(related, {**members, **own_files}), **own_files}
-
-
-def _manifest(related: Iterable[tuple[str, ...]], members: Mapping[str, bytes]) -> bytes:
-    ET.register_namespace("fmi-ls", _LAYER)
-    root = ET.Element("fmiReferences", {f"{{{_LAYER}}}{k}": text for k, text in _ABOUT.items()})
-    for role, name, kind, text in related:
-        ET.SubElement(
-            root,
-            "Related",
-            type=kind,
-            source=posixpath.relpath(name, FOLDER),
-            role=role,
-            description=text,
-            checksum=hashlib.sha3_256(members[name]).hexdigest(),
-            checksumType="SHA3-256",
-        )
-    return to_bytes(root)
 
 
 @dataclass(frozen=True)

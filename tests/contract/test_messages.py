@@ -27,7 +27,7 @@ FINDINGS = re.compile(
 DESCRIPTIVE = re.compile(
     r"cosim/report/|cosim/loop/(closed_loop|robustness)|cosim/systems/ssp_results"
     r"|fmu_src/(blocks|drive|export|friction|pages)/|fmu_src/arm/(parts|truth)"
-    r"|fmu_src/run/reference_results|hesr_model/(audit|friction|laws)/|hesr/cli/(app|derive)"
+    r"|fmu_src/run/reference_|hesr_model/(audit|friction|laws)/|hesr/cli/(app|derive)"
     r"|hesr/extras/(laws|modelica|one_file)/|hesr/extras/\w+/(component|figures|monitor|page|tables)"
 )
 LOGGED = {"debug", "info", "warning", "error"}

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from fmu_src import export_fmu
-from fmu_src.run.reference_results import (
+from fmu_src.run.reference_manifest import (
     EXPERIMENTS,
     FOLDER,
     MANIFEST,
     ExperimentFiles,
     manifest_files,
-    verify,
 )
+from fmu_src.run.reference_results import verify
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD
