@@ -29,8 +29,8 @@ import sympy
 
 from hesr_model.audit.attack import Attack, attack
 from hesr_model.audit.audit import SLOWEST
-from hesr_model.equations.functions import absolute, cardinal_sine, larger, positive, sgn
-from hesr_model.equations.intervals import Enclosure, Least, enclosed, lowest
+from hesr_model.equations.functions import absolute, cardinal_sine, larger, sgn
+from hesr_model.equations.intervals import Enclosure, Least, enclosed, lowest, never_negative
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.friction.equation import text_of
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
@@ -376,18 +376,6 @@ def _least_of(expression: sympy.Expr, enough: float = inf) -> float:
         return np.broadcast_to(enclosed(expression, {DQ: _speeds(way, a, b)})[0], a.shape)
 
     return min(lowest(partial(bound, way), _EDGES, enough=enough).bound for way in _WAYS)
-
-
-def never_negative(expression: sympy.Expr) -> bool:
-    """Return True if signs alone prove an expression >= 0 for all real inputs."""
-    e = expression
-    if e.is_number:
-        return bool(e >= 0)
-    if isinstance(e, sympy.exp | absolute | positive):
-        return True
-    if isinstance(e, sympy.Pow):
-        return bool(e.exp.is_even) or never_negative(e.base)
-    return isinstance(e, sympy.Add | sympy.Mul) and all(map(never_negative, e.args))
 
 
 def _needed(groups: Sequence[tuple[float, ...]], step: float, speeds: Array) -> Array:

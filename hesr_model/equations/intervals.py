@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy
 
-from hesr_model.equations.functions import NUMPY
+from hesr_model.equations.functions import NUMPY, absolute, positive
 from hesr_model.support.arrays import Array
 
 Enclosure = tuple[Array, Array]
@@ -136,3 +136,15 @@ def _power(low: Array, high: Array, exponent: float) -> Enclosure:
     if exponent % 2.0 == 0.0:
         least = np.where((low < 0.0) & (high > 0.0), 0.0, least)
     return least, most
+
+
+def never_negative(expression: sympy.Expr) -> bool:
+    """Return True if signs alone prove an expression >= 0 for all real inputs."""
+    e = expression
+    if e.is_number:
+        return bool(e >= 0)
+    if isinstance(e, sympy.exp | absolute | positive):
+        return True
+    if isinstance(e, sympy.Pow):
+        return bool(e.exp.is_even) or never_negative(e.base)
+    return isinstance(e, sympy.Add | sympy.Mul) and all(map(never_negative, e.args))

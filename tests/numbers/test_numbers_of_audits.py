@@ -12,6 +12,7 @@ from hesr_model.audit import attack as attacks
 from hesr_model.audit import audit as audits
 from hesr_model.audit import certificate, cycles
 from hesr_model.equations.functions import absolute, positive, sgn
+from hesr_model.equations.intervals import never_negative
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
@@ -109,7 +110,7 @@ def test_examined_steps() -> None:
 
 
 def test_signs_of_expressions() -> None:
-    shown = certificate.never_negative
+    shown = never_negative
     assert shown(sympy.Integer(0))
     assert not shown(sympy.Integer(-1))
     assert shown(sympy.exp(DQ) * absolute(Q) + positive(DQ))
