@@ -1,12 +1,12 @@
 # make run        set everything up in .venv and do the main job
 # make test       set everything up and run the tests for every change, in minutes
 # make test-all   run all tests but those of `make soak`
-# make contract   run the tests of what every law and module must keep to
+# make contract   run the contract tests of all laws and modules
 # make hard       run the tests of hostile files, foreign FMUs, full disks and killed processes
 # make kernels    run the tests of fits with other kernels of OpenBLAS, which round differently
 # make interrupts run the tests of interrupts as a background job does, with SIGINT ignored
 # make durations  run all tests and record their CPU seconds in tests/durations.toml
-# make soak       run the tests that take too long for every day
+# make soak       run the tests that take too long for daily use
 # make lint       formatting, static checks, types
 # make mutate     put small faults into the sources and count those that tests notice;
 #                 MUTATE='cli --number 5 --seed 7' chooses area, number and seed

@@ -1,4 +1,4 @@
-"""FMUs from models: a model in, an FMU of FMI 2.0 out.
+"""Export of models as FMUs.
 
 Names are imported on first use.
 """
@@ -19,5 +19,5 @@ _HOMES = {
     "model_file": "fmu_src.friction.built_in",
 }
 
-if not TYPE_CHECKING:  # a checker knows the names above, and shall find others missing
+if not TYPE_CHECKING:  # type checkers know the names above and must report others
     __getattr__, __dir__ = lazy(__name__, _HOMES)

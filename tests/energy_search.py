@@ -5,7 +5,7 @@ rounds. The segments' speeds, lengths and loads are free, the path is closed in 
 candidates of a population follow each other in one instance, so that start states differ.
 
     law with a storage S   every round must take at least the change of S, from any state
-    other laws             the last round must give energy and end in the state it began with
+    other laws             the last round must generate energy and end in the state it began with
 """
 
 from collections.abc import Iterator, Mapping, Sequence

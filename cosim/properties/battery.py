@@ -51,8 +51,8 @@ _DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[PropertyResult]]] = {
     "hold": hold,
 }
 _DRIVE = "drive"  # needs more than the scale
-_NO_INERTIA = "Not run: the inertia of the joints is not known; give it by --inertia."
-_NO_MODEL = "Not run: the FMU contains no law for a JointDrive."
+_NO_INERTIA = "Not run: the inertia of the joints is unknown; give it with --inertia."
+_NO_MODEL = "Not run: the FMU contains no law, which a JointDrive needs."
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -81,7 +81,9 @@ def _broken(peaks: Array, ways: Array, level: float) -> PropertyResult:
         )
     if peaks[0] > 0.0 and fall < FALLS:
         wrong.append(
-            f"It only falls by {fall:.1%}." if fall > 1e-3 else "It does not fall with the rate."
+            f"The break-away torque falls by only {fall:.1%}."
+            if fall > 1e-3
+            else "The break-away torque does not fall with the rate."
         )
     rates = level / np.array(RAMPS)
     return judged(

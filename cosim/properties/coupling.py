@@ -69,7 +69,7 @@ def _slide(bench: FrictionBench, scale: Scale, inertia: Array, dt: float) -> Arr
             tau = bench.step(dt, v, q)
             dq[k] = v
     except SimulationError:
-        pass  # the rest stays NaN
+        pass  # later rows stay NaN
     return dq
 
 
@@ -123,7 +123,7 @@ def _judged(
             plot=drawn,
         )
     if largest is None:
-        reason = f"It chatters at {1e3 * LEAST:g} ms already, the least step tried."
+        reason = f"It chatters even at the smallest step tried, {1e3 * LEAST:g} ms."
     elif largest < STEP:
         reason = "Coupled explicitly at 1 ms it chatters."
     else:

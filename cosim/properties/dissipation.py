@@ -21,7 +21,7 @@ _SPRING = 20.0  # stretch at the friction level, in deflections
 def dissipation(
     bench: DriveBench, scale: Scale, peaks: Array, loaded: Array
 ) -> list[PropertyResult]:
-    """Drive spring-held joints to and fro and sum up the work of their friction.
+    """Drive spring-held joints back and forth and sum up the work of their friction.
 
     The load of `loaded` (n,) laws moves between 0 and `peaks` (n,) [N.m].
     """
@@ -54,7 +54,7 @@ def dissipation(
 
 
 def _given(given: float, share: float, q: Array, tau: Array) -> PropertyResult:
-    said = f"Under a torque of {share:g} levels it gives {given:.3g} J a cycle."
+    said = f"Under a torque of {share:g} levels it generates {given:.3g} J per cycle."
     return judged(
         ("most energy given in a cycle", max(0.0, given), "J"),
         ("amplitude of the torque, of the level", share, "1"),

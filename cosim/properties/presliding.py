@@ -36,7 +36,7 @@ _LITTLE = 1e-9  # [N.m] minimum height of a loop
 
 
 def presliding(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
-    """Move the joints to and fro by their deflection, fast and ten times slower."""
+    """Move the joints back and forth by their deflection, fast and ten times slower."""
     fast, slow = (_loop(bench, scale, period, scale.load) for period in (PERIOD, SLOW_PERIOD))
     return [
         _slid(fast[:, joint], slow[:, joint], float(amplitude))
@@ -144,16 +144,17 @@ def _slid(fast: Array, slow: Array, amplitude: float) -> PropertyResult:
     ratio = slow_area / area if abs(area) > _LITTLE * amplitude else 0.0
     wrong = []
     if area <= 0.0:
-        wrong.append("The loop gives energy.")
+        wrong.append("The loop generates energy.")
     if share > _AT_ONCE:
-        wrong.append("No pre-sliding: the torque turns around at once.")
+        wrong.append("No pre-sliding: the torque reverses at once.")
     elif share > SMOOTH:
         wrong.append(f"The torque jumps by {share:.0%} of the loop's height at a reversal.")
     if stiffness < 0.0:
-        wrong.append("After a reversal the torque goes the wrong way.")
+        wrong.append("After a reversal the torque changes in the wrong direction.")
     if abs(ratio - 1.0) > RATE:
         wrong.append(
-            f"At a tenth of the speed the loop takes {ratio:.2g} times the work: it depends on "
+            f"At a tenth of the speed the loop dissipates {ratio:.2g} times the work: it depends "
+            "on "
             "velocity, not on position."
         )
     x = _positions(amplitude)

@@ -39,7 +39,7 @@ class Scale:
 
     @property
     def drives(self) -> Array:
-        """Whether slow steady sliding to and fro releases energy, (n,)."""
+        """Whether slow steady sliding back and forth releases energy, (n,)."""
         return np.asarray((self.steady[_SHARES <= SLIDING * 1.001] < 0.0).any(axis=0))
 
     @property

@@ -206,7 +206,7 @@ def _worked(found: list[Cycle]) -> PropertyResult:
     share = min(found, key=lambda c: c.share)
     gives = given > PASSIVE
     swings = f" while the load swings by {worst.swing:.3g} N.m" if worst.swing else ""
-    said = f"A cycle at {worst.frequency:.2g} Hz gives {given:.3g} J{swings}."
+    said = f"A cycle at {worst.frequency:.2g} Hz generates {given:.3g} J{swings}."
     curves = []
     for frequency in sorted({c.frequency for c in found if not c.swing})[::2]:
         least: dict[float, float] = {}
@@ -218,7 +218,7 @@ def _worked(found: list[Cycle]) -> PropertyResult:
     return judged(
         ("most energy given in a cycle", given, "J"),
         ("amplitude of that cycle", worst.amplitude if gives else None, "rad/s"),
-        ("least share of the work that is taken", share.share, "1"),
+        ("smallest dissipated share of the work", share.share, "1"),
         ("at an amplitude of", share.amplitude, "rad/s"),
         ("at a frequency of", share.frequency, "Hz"),
         wrong=[said] if gives else [],

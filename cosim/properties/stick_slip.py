@@ -67,7 +67,7 @@ def _pulled(
         right = cycles == weak
         why = f"its steady curve falls by {falls:.1%} of the level"
     else:
-        right, why = True, f"its steady curve falls by {falls:.1%} only, so both are allowed"
+        right, why = True, f"its steady curve falls by only {falls:.1%}, so both are allowed"
     return PropertyResult(
         verdict="pass" if right else "fail",
         figures=figures(

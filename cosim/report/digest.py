@@ -26,7 +26,7 @@ from hesr_model.friction.registry import papers_law
 from hesr_model.support.files import written_whole
 
 _INTRODUCTION = (
-    "Written by `hesr report` from the files of the runs below; CSV files have all laws and tests. "
+    "Written by `hesr report` from the runs below; the CSV files have all laws and tests. "
     "RMSE of the exported FMUs on unseen logs; in brackets the ratio to the reference and its "
     "95 % interval. For the method see [methods.md](methods.md).\n"
 )

@@ -28,7 +28,7 @@ Kind = Literal["static", "references", "hostile", "convention"]
 class FmuReport(Answer):
     """Result of `hesr.check`: a report for each file, in the order of the arguments.
 
-    `conventions` has the cost of each way to hand over inputs by file, for the kind ``convention``.
+    `conventions` has the errors of the input conventions by file, for the kind ``convention``.
     """
 
     format = "hesr-fmu-report-1"
@@ -87,7 +87,7 @@ def check(
 ) -> FmuReport:
     """Validate FMUs (FMPy, VDMCheck2, own rules).
 
-    The static checks of an FMU always run, and run none of its code; the other kinds do. An SSP is
+    The static checks always run and execute no code of the FMU; the other kinds do. An SSP is
     checked by its reference results only.
 
     Parameters
@@ -96,8 +96,8 @@ def check(
         FMUs of any tool, of FMI 1.0, 2.0 or 3.0; SSPs.
     kind : sequence of str, optional
         Further checks, repeatable: references (against the reference results that the file
-        carries), hostile (odd steps, steps taken back, wrong calls), convention (cost of each way
-        to hand over inputs).
+        carries), hostile (odd and repeated steps, invalid calls), convention (error of each input
+        convention).
     vdmcheck : path, optional
         Folder with VDMCheck2; by default .tools/vdmcheck2, if present.
     trust : bool, optional
@@ -143,7 +143,7 @@ def check(
         raise ArgumentError(f"{systems[0]}: an SSP only supports 'kind' references.")
     for path in paths:
         if path not in systems:
-            opened(path).close()  # refuse an unreadable file before the work on others
+            opened(path).close()  # refuse an unreadable file before checking others
             if "convention" in kind:
                 judge(path)
     remember_trust(paths, trust=trust)

@@ -81,7 +81,7 @@ def export(
     fmi : {2, 3}
         Version of FMI; 3 has arrays, dq for dq[i].
     inertia : float or sequence of float, kg.m2
-        Drive: inertia of the rotors, one or one for each joint.
+        Drive: inertia of the rotors, one value or one per joint.
     stiffness : float or sequence of float, N.m/rad
         Drive: stiffness of the flexsplines; by default rigid.
     damping : float or sequence of float, N.m.s/rad
@@ -89,7 +89,7 @@ def export(
     ratio : float or sequence of float
         Drive: turns of the motor per turn of the joint; by default 1.
     project : bool
-        MJCF: approximate a law that MuJoCo has no parts for.
+        MJCF: approximate a law that MuJoCo cannot express exactly.
     properties : bool
         FMU: run the physics checks and add their table to the pages.
     power : bool
@@ -100,7 +100,7 @@ def export(
     low_pass : float, Hz
         FMU: cut-off of a causal low pass of the velocity; by default none.
     robot : robot or path
-        FMU: with --rigid-body, its page finds the friction in a dropped log.
+        FMU: with --rigid-body, its page computes the friction in a dropped log.
     rigid_body : body or path
         FMU: result of 'hesr identify', for --robot.
     signals : path
@@ -140,7 +140,7 @@ def export(
     path = path_of(output, "an output")
     given: dict[str, Any] = {k: v for k, v in options.items() if v is not None and v is not False}
     if ("robot" in given) != ("rigid_body" in given):
-        raise ArgumentError("'robot' and 'rigid_body' go together; give both.")
+        raise ArgumentError("'robot' and 'rigid_body' must be given together.")
     suffix = Path(source).suffix.lower() if isinstance(source, str | Path) else ""
     building = partial(progress, f"building {path.name}")
     if suffix == ".xml":
@@ -219,7 +219,7 @@ def _write_law(
     given: dict[str, Any],
     progress: Stages,
 ) -> None:
-    """Write a friction law, or copy the FMU that was written of the same file before."""
+    """Write a friction law, or copy the cached FMU of the same file."""
     from cosim.systems.parameter_set import export_ssv
     from cosim.workflow.arguments import model_given, page_body
     from fmu_src import model_file
@@ -291,7 +291,7 @@ def _refuse_others(given: Mapping[str, Any], allowed: Sequence[str], kind: str) 
 
 
 def _refuse_option(option: str, format: str, formats: Mapping[str, Any]) -> None:  # noqa: A002  # the option's name
-    """Refuse an option that another format takes: who gives it expects an effect."""
+    """Refuse options of other formats, which would have no effect."""
     name = {"robot": "body", "rigid_body": "body"}.get(option, option)
     taking = [
         other for other, one in formats.items() if name in inspect.signature(one.load()).parameters

@@ -59,7 +59,7 @@ def fit(
     Parameters
     ----------
     logs : log or sequence of logs
-        CSV, Parquet or MATLAB files, ROS bags, or logs that were read.
+        CSV, Parquet or MATLAB files, or ROS bags; in Python also `Log` objects.
     law : str, path or law
         Name of a law (--list shows them); with --add also a fitted law (.json).
     robot : robot or path, optional
@@ -67,15 +67,15 @@ def fit(
     rigid_body : body or path, optional
         Result of 'hesr identify'; by default identified from the logs.
     seed : int
-        Seed of the fit: same logs, same seed, same law.
+        Random seed; the same logs and seed give the same law.
     options : mapping, optional
         Options of the law, with values as in TOML; repeatable.
     add : sequence of str, optional
-        Refinements of the fitted law, as temperature; repeatable.
+        Refinements of the fitted law, such as temperature; repeatable.
     output : path, optional
         JSON file to write.
     accept : sequence of str, optional
-        Names of checks whose errors do not refuse the logs; repeatable.
+        Names of checks whose errors only warn; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 

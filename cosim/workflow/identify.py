@@ -37,7 +37,7 @@ def identify(
     Parameters
     ----------
     logs : log or sequence of logs
-        CSV, Parquet or MATLAB files, ROS bags, or logs that were read.
+        CSV, Parquet or MATLAB files, or ROS bags; in Python also `Log` objects.
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     reversed_logs : sequence of logs, optional
@@ -45,17 +45,17 @@ def identify(
     method : {"stacked", "paper"}
         stacked (least squares with friction columns) or paper (average of forward and reverse).
     physical : bool
-        Allow physically possible bodies only; pays off on short logs.
+        Require physically possible masses and inertias; useful for short logs.
     friction : law or path, optional
-        Law whose torque is subtracted first, to refine the body `rigid_body`.
+        Friction law to subtract first, to refine the body `rigid_body`.
     rigid_body : body or path, optional
         Rigid body that the law of `friction` was fitted with.
     payload : body or path, optional
-        Rigid body without payload; identify the payload that the logs carry.
+        Rigid body without payload, to identify the payload in the logs.
     output : path, optional
         JSON file to write.
     accept : sequence of str, optional
-        Names of checks whose errors do not refuse the logs; repeatable.
+        Names of checks whose errors only warn; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -96,7 +96,7 @@ def identify(
     from hesr_model.support.typed_json import to_json
 
     if (friction is None) != (rigid_body is None):
-        raise ArgumentError("'friction' and 'rigid_body' go together; give both.")
+        raise ArgumentError("'friction' and 'rigid_body' must be given together.")
     if payload is not None and (physical or friction is not None or method != "stacked"):
         raise ArgumentError(
             "'payload' excludes 'physical', 'friction' and 'method' paper; give it alone."

@@ -26,7 +26,7 @@ class PluginJob(Protocol):
 
 
 def find_job(path: Path, verb: str) -> PluginJob | None:
-    """Return the job of a TOML file, None for other files; refuse a file of another verb."""
+    """Return the job of a TOML file, None for other files; refuse a file of another command."""
     from hesr_model.support.plugins import load
     from hesr_model.support.untrusted_text import parse_toml, read_text
 

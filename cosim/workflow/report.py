@@ -44,8 +44,7 @@ def report(
         View and video: laws to show side by side, repeatable; by default the rigid body alone and
         the law that tracks best.
     scheme : str, optional
-        View and video: how commands are made, as in the tables of the run; default:
-        servo_inversion.
+        View and video: control scheme, named as in the tables of the run; default: servo_inversion.
     magnify : float
         View and video: magnification of the deviations from the commanded pose.
     speed : float

@@ -48,7 +48,7 @@ class RunResult(Answer):
         return shortened(lines)
 
     def tables(self) -> Sequence[ResultTable | str]:
-        """Return body, scores, closed loop, physics checks, findings and use of the cache."""
+        """Return body, scores, closed loop, physics checks, findings and cache use."""
         from cosim.report.tables import loop, properties
         from cosim.report.tables.laws import rigid_body
         from cosim.report.tables.scores import (
@@ -140,9 +140,9 @@ def run(
     accept: Sequence[str] = (),
     progress: Stages = silent,
 ) -> RunResult | Seeds | Answer:
-    """Do the whole job: identify, fit, build FMUs and score them.
+    """Run a whole study: identify, fit, build FMUs and score them.
 
-    The scores are those of the FMUs on motions that the laws were not fitted to. An interrupted run
+    Scores are those of the FMUs on motions that were not used for fitting. An interrupted run
     continues where it stopped.
 
     Parameters
@@ -157,18 +157,18 @@ def run(
     quick : bool
         Stribeck, LuGre and ParFam-H only, without closed loop and physics checks.
     seeds : int, optional
-        Of a twin: score the laws over this number of draws of noise, motions and true friction
-        instead, without FMUs, and write seeds.json.
+        Twin only: score the laws over N draws of noise, motions and true friction instead, without
+        FMUs; writes seeds.json.
     accept : sequence of str, optional
-        Names of checks whose errors do not refuse the logs; repeatable.
+        Names of checks whose errors only warn; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
     Returns
     -------
     RunResult
-        Verdict, scores [N.m], FMUs and findings; with `seeds` the spread over the draws; of a study
-        of claims an answer with their table.
+        Verdict, scores [N.m], FMUs and findings; with `seeds` the spread over the draws; for a
+        study of claims, an answer with their table.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def run(
 
 @contextmanager
 def _going_on(kept: Path) -> Iterator[None]:
-    """On an interrupt, count the finished parts that the next run takes over."""
+    """On an interrupt, count the finished parts that the next run reuses."""
     try:
         yield
     except KeyboardInterrupt as interrupt:

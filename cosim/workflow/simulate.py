@@ -34,7 +34,7 @@ def simulate(
     system : path
         System (.toml: FMUs, connections, steps), SSP, or sweep (.toml: what is varied).
     output : path, optional
-        CSV or Parquet file; of a sweep the folder, by default results/NAME.
+        CSV or Parquet file; for a sweep, the folder (default: results/NAME).
     only : int, optional
         Sweep: repeat this run only and write its signals.
     workers : int, optional
@@ -49,7 +49,7 @@ def simulate(
     Returns
     -------
     Signals or SweepResult
-        Observed signals over time [s]; of a sweep outputs, worst runs and sensitivities.
+        Observed signals over time [s]; for a sweep, outputs, worst runs and sensitivities.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def simulate(
         stages = partial(progress, spec.name)
         if file is None:
             return System(spec, path).run(stages)
-        # Whether the file can be written is found out before the run.
+        # Check that the file can be written before the run.
         with written_whole(file) as temporary:
             with Master(spec, path) as master:
                 result = master.run(stages)

@@ -154,8 +154,8 @@ def test(
 ) -> LawReport:
     r"""Test friction laws: prediction, passivity, physics checks.
 
-    Models and FMUs of any tool get the same tests. A foreign FMU has no proof of passivity and
-    takes only those physics checks that need no more than its connectors.
+    Models and FMUs of any tool get the same tests. A foreign FMU gets no proof of passivity, and
+    only the physics checks that its connectors allow.
 
     Parameters
     ----------
@@ -170,17 +170,17 @@ def test(
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     rigid_body : body or path, optional
-        Result of 'hesr identify', which the prediction needs.
+        Result of 'hesr identify'; required for the prediction.
     inertia : float or sequence of float, kg.m2, optional
-        Properties: inertia of the joints, one or one for each; 3,3,0.6 for the uf850.
+        Properties: inertia of the joints, one value or one per joint; 3,3,0.6 for the uf850.
     load : float, N.m
-        Properties: load torque of experiments without one of their own.
+        Properties: default load torque of the experiments.
     output : path, optional
         JSON file of the properties, or page of a leaderboard.
     trust : bool
         Run these FMUs without a sandbox, now and later: faster, but with all your rights.
     accept : sequence of str, optional
-        Names of checks whose errors do not refuse the logs; repeatable.
+        Names of checks whose errors only warn; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -206,7 +206,7 @@ def test(
     In Python:
 
     >>> import hesr
-    >>> hesr.test("uf850-table1").passed  # the paper's law gives energy on a cycle
+    >>> hesr.test("uf850-table1").passed  # the paper's law generates energy
     False
     """
     from cosim.workflow.arguments import laws_of, listed, remember_trust
@@ -318,7 +318,7 @@ def _certified(report: LawReport, *, alone: bool) -> LawReport:
                     check="passivity",
                     where=law.name,
                     joints=tuple(joints),
-                    found="the law gives energy on a cycle, so it is not passive",
+                    found="the law generates energy in a cycle, so it is not passive",
                     remedy="--verbose shows the cycle; use a law that is proven passive",
                 )
             )
@@ -343,7 +343,7 @@ def _checked(
         Subject(name=law.name, model=law.model, fmu=law.fmu, inertia=values) for law in report.laws
     ]
     with ExitStack() as cleanup:
-        # Whether the file can be written is found out before the run.
+        # Check that the file can be written before the run.
         file = cleanup.enter_context(written_whole(output)) if output else None
         found = run_battery(subjects, load=load, progress=partial(progress, "testing the laws"))
         named = {law.name: of_law for law, of_law in zip(report.laws, found, strict=True)}

@@ -1,4 +1,4 @@
-/* The seam between FMI and the equations of a component, which is independent of FMI.
+/* Interface between FMI and the equations of a component, independent of FMI.
  *
  * A component is a struct of doubles: one per scalar variable, at its index in the generated table,
  * and its own memory. It holds no pointers, so copying it saves its state. The glue (fmi2*.c) uses

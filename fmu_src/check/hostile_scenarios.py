@@ -264,7 +264,7 @@ def _events(run: _Run) -> None:
         if not run.fmu.ask("newDiscreteStates")[0]:
             break
     else:
-        raise RefusedError("fmi2NewDiscreteStates asks for another iteration without end")
+        raise RefusedError("fmi2NewDiscreteStates requests iterations endlessly")
     run.fmu.ask("enterContinuousTimeMode")
 
 

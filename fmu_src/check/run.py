@@ -135,7 +135,7 @@ class _Found:
         else:
             self._run_others(contents, version)
         if self._hostile and (version != "2.0" or damaged):
-            self.skipped.append("Hostile master: it runs FMUs of FMI 2.0 whose archive is right.")
+            self.skipped.append("Hostile master: not run; it needs FMI 2.0 and a valid archive.")
         elif self._hostile:
             self._add_run("hostile", hostile.problems(about, contents, self._folder))
 

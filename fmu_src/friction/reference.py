@@ -37,7 +37,7 @@ co_simulation/{name}_in.csv, _ref.csv, _ref.opt
     Start with the inputs of row 0 set before the end of the initialisation; row 0 of the reference
     is read after it. Then for each row k: set its inputs, step by {step} s, and compare with row
     k + 1 of the reference. Nothing is interpolated: inputs hold over the step. An importer that
-    does so agrees but for rounding (RelTol {same:g}, of the largest torque of a joint).
+    does so agrees up to rounding (RelTol {same:g}, of the largest torque of a joint).
 
 co_simulation/{name}_shown.csv
     The same run as tools show it that read outputs once the inputs of the next step are set, or

@@ -1,4 +1,4 @@
-"""Checks that the coefficients of a law give a torque, before it is exported."""
+"""Checks before an export: the coefficients of a law must give a finite torque."""
 
 import sympy
 

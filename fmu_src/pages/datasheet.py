@@ -134,11 +134,11 @@ def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
     speed = unit_of_joint("rad/s", slides=slides)
     cycle = found.generating
     if cycle is None or found.generated < _ALMOST_PASSIVE:
-        said = "None of the closed cycles that were tried gives energy."
+        said = "None of the tested closed cycles generates energy."
     else:
         said = (
             f"It is not passive: over a closed cycle of {figure(cycle.amplitude, 2)} {speed} at "
-            f"{figure(cycle.frequency, 2)} Hz it gives {figure(found.generated, 3)} J."
+            f"{figure(cycle.frequency, 2)} Hz it generates {figure(found.generated, 3)} J."
         )
     if found.driving_both_ways:
         said += (

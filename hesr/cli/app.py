@@ -24,9 +24,9 @@ _VERBS = (
 
 _EPILOG = """\b
 Exit codes:
-  0    all is well
-  1    a finding is an error, or as bad as --fail-on says
-  2    the command or one of its files is wrong; one sentence says what
+  0    success
+  1    a finding is an error, or at least as severe as --fail-on
+  2    the command or one of its files is invalid; one sentence gives the reason
   130  interrupted by Ctrl-C (143: ended by another program); no file is
        half-written, and a run says what it can go on from
 

@@ -26,7 +26,7 @@ INTERRUPTED = 130
 """Exit codes after signals: 128 and the number of the signal."""
 
 _STANDARD_OUTPUT = Path("-")
-_AGAIN = 2.0  # [s] a second Ctrl-C sooner than this does not disturb the clean-up after the first
+_AGAIN = 2.0  # [s] within this time a second Ctrl-C does not disturb the clean-up
 _LATER = 0.05  # [s] delay before an interrupt that Python dropped is raised again
 _PACKAGES = ("hesr_model", "fmu_src", "cosim", "hesr")
 _log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ def command_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Ite
     one sentence.
     """
     if quiet and verbose:
-        raise ConfigError("--quiet does not go with --verbose; give one of them.")
+        raise ConfigError("--quiet and --verbose are contradictory; give one of them.")
     with ExitStack() as cleanup:
         token = _output.set(_Output(quiet=quiet, verbose=verbose, answer=sys.stdout))
         cleanup.callback(_output.reset, token)
@@ -139,7 +139,7 @@ def ended_by_signals() -> Iterator[None]:
         again.append(threading.Timer(_LATER, _raise_in_main_thread, (number,)))
         again[-1].start()
 
-    # A script that starts a command in the background may have it ignore Ctrl-C.
+    # A script that starts a command in the background may make it ignore Ctrl-C.
     heeded = [s for s in wanted if signal.getsignal(s) is not signal.SIG_IGN]
     before = {s: signal.signal(s, end) for s in heeded}
     again: list[threading.Timer] = []
@@ -166,7 +166,7 @@ def _raise_in_main_thread(number: int) -> None:
 
 @contextmanager
 def shown_progress() -> Iterator[Stages]:
-    """Show progress, times and the work of the moment on standard error.
+    """Show progress, times and current work on standard error.
 
     It is drawn on a terminal, logged with --verbose, and omitted with --quiet.
     """

@@ -134,7 +134,7 @@ def command(
 ) -> click.Command:
     """Return the click command of a workflow function, which `invoke` calls with the parsed values.
 
-    `more` are options that the function takes in addition, as those of a format.
+    `more` are additional options, such as those of a format.
     """
     told = Docstring.of(function)
     own = [

@@ -46,8 +46,8 @@ _PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
 def errors_said() -> Iterator[None]:
     """Print every error as one sentence and exit with 2; bugs keep their traceback.
 
-    Faults of files and data are found where they are read; this covers the rest, such as a full
-    disk or insufficient memory.
+    Readers report faults of files and data; this covers the rest, such as a full disk or
+    insufficient memory.
     """
     try:
         try:
@@ -80,7 +80,7 @@ def _give_up_output() -> None:
     """Discard unwritten output, which Python would try to write again when it ends."""
     with suppress(OSError, ValueError):
         sys.stdout.flush()
-    with suppress(OSError, ValueError):  # not an output of the operating system
+    with suppress(OSError, ValueError):  # not a file descriptor
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)

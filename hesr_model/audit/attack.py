@@ -1,6 +1,6 @@
 """Search for cycles with net energy: sines, also with a load at twice their frequency.
 
-If a proof fails at two speeds, there are ways ahead at one and back at the other as well.
+If a proof fails at a pair of speeds, cycles forward at one and backward at the other are tried too.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,8 +21,8 @@ from hesr_model.support.arrays import Array
 ANGLES = (1e-5, 1e-4, 1e-3, 1e-2)  # [rad] with a moving load
 PHASES = tuple(np.arange(8) * np.pi / 4.0)  # [rad] of the load
 _CYCLES, _FREQUENCY = 40, 1.0  # [Hz]; the last two cycles must agree
-_DISTANCES = (1.0, 1e-2, 1e-4, 1e-6)  # [rad] ahead and back
-_ROWS, _TURNS = 100, 4  # rows of a way; cycles
+_DISTANCES = (1.0, 1e-2, 1e-4, 1e-6)  # [rad] between reversals
+_ROWS, _TURNS = 100, 4  # rows per direction; cycles
 _LEAST, _ALIKE = 1e-6, 0.05  # smallest share of the work; tolerance between two cycles
 
 
@@ -30,7 +30,7 @@ _LEAST, _ALIKE = 1e-6, 0.05  # smallest share of the work; tolerance between two
 class Attack:
     """A cycle dq = amplitude cos(2 pi f t) with the load mean + swing cos(4 pi f t + phase).
 
-    With a speed `back` it goes ahead at `amplitude` and returns at that speed.
+    With a speed `back`, it moves forward at `amplitude` and returns at that speed.
     """
 
     energy: float  # [J] generated
@@ -49,8 +49,8 @@ class Attack:
             load += f" + {self.swing:.3g} N.m cos(4 pi f t + {self.phase:.2f})"
         motion = f"{self.amplitude:.3g} rad/s cos(2 pi f t)"
         if self.back:
-            motion = f"{self.amplitude:.3g} rad/s ahead and {self.back:.3g} rad/s back"
-        return f"{self.energy:.3g} J a cycle: dq = {motion}, f = {self.frequency:.3g} Hz, {load}"
+            motion = f"{self.amplitude:.3g} rad/s forward and {self.back:.3g} rad/s backward"
+        return f"{self.energy:.3g} J per cycle: dq = {motion}, f = {self.frequency:.3g} Hz, {load}"
 
 
 def attack(
@@ -58,12 +58,12 @@ def attack(
 ) -> tuple[Attack | None, int]:
     """Return the cycle that generates the most energy, if any, and the number of cycles tried.
 
-    `speeds` are pairs [rad/s] for ways ahead and back, tried until one gives energy.
+    `speeds` are pairs [rad/s] for both directions, tried until one generates energy.
     """
     tried = [*_still(law, trained), *_ways(law, trained, speeds)]
     if TAU_LOAD in law.form.inputs:
         tried += _moving(law, trained)
-    best = max(tried, key=lambda a: a.energy)  # the first of equals
+    best = max(tried, key=lambda a: a.energy)  # the first of equal ones
     return (best if best.energy > 0.0 else None), len(tried)
 
 
@@ -85,7 +85,7 @@ def _ways(
     load, given = loads_of(law, trained)[0], 0.0
     for (ahead, back), distance in product(speeds, _DISTANCES):
         if given:
-            break  # slower ways would give a little more
+            break  # slower motion would generate slightly more
         dq = np.tile(np.repeat([ahead, -back], _ROWS), _TURNS)
         dt = distance / _ROWS / np.abs(dq)
         q = trained.middle + np.cumsum(dq * dt)
@@ -97,7 +97,7 @@ def _ways(
 
 
 def _settled(last: Array, before: Array) -> float:
-    """Return the energy generated in the last of two equal cycles from their work, else 0."""
+    """Return the energy generated in the last cycle if the last two agree, else 0."""
     settled = last.sum() < -_LEAST * np.abs(last).sum()
     alike = abs(last.sum() - before.sum()) < _ALIKE * abs(last.sum())
     return -float(last.sum()) if settled and alike else 0.0

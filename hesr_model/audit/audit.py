@@ -29,8 +29,8 @@ from hesr_model.support.arrays import Array
 SLOWEST = 1e-3  # slowest steady speed, relative to the largest trained one
 REACH = 1.5  # range outside the trained speeds and loads, relative to it
 EXPLODES = 2.5
-"""Of the largest trained torque: viscous friction gives up to 1.5, quadratic or load-dependent
-2.25."""
+"""Limit over the largest trained torque: viscous friction reaches 1.5, quadratic or load-dependent
+friction 2.25."""
 _STEADY = 1e6  # [s] step to steady sliding, even at the slowest speed
 _POSITIONS = 32  # positions to average over
 _NUMERICAL = 1e-9  # [N.m] round-off
@@ -104,7 +104,7 @@ def loads_of(law: FrictionLaw, trained: TrainedRange, reach: float = 1.0) -> tup
 
 
 def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: Array) -> Array:
-    """Predict without warnings; an overflow is a result here."""
+    """Predict without warnings: an overflow is a valid result."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         return predict(law, t=t, dq=dq, q=q, tau_load=load)
 
@@ -139,7 +139,7 @@ def _largest_outside(law: FrictionLaw, trained: TrainedRange) -> float:
 
 
 def _too_large(torque: float, trained: TrainedRange) -> bool:
-    # NaN is too large as well.
+    # also True for NaN
     return not torque <= EXPLODES * max(map(abs, trained.tau))
 
 

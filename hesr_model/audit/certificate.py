@@ -66,7 +66,7 @@ class Certificate:
 
 
 class _UnprovenError(Exception):
-    """A condition of the proof fails, maybe at a speed ahead and another back [rad/s]."""
+    """A condition of the proof fails, possibly at a pair of forward and backward speeds [rad/s]."""
 
     def __init__(self, why: str, *speeds: tuple[float, float]) -> None:
         super().__init__(why)
@@ -272,7 +272,7 @@ class _Proof:
                 amplitude = factor.subs(DQ, 0)
                 slow = sympy.simplify((amplitude / factor - 1) / DQ**2)
                 smoothed = amplitude.is_number and slow.is_number and slow >= 0
-                _require(smoothed, "the amplitude of a wave is not a smoothed one")
+                _require(smoothed, "the amplitude of a wave depends on more than smoothing")
                 smoothing = float(sympy.sqrt(slow)) / abs(float(n))
             key = (abs(float(n)), float(lag / n), smoothing, window)
             found.setdefault(key, []).append(float(amplitude))
@@ -320,7 +320,8 @@ class _Steady:
         drop, v, w = -ahead.value - back.value, max(ahead.at, _REST), max(back.at, _REST)
         _require(
             drop <= self.slack,
-            f"ahead at {v:.3g} rad/s friction is {drop:.3g} N.m less than back at {w:.3g} rad/s",
+            f"forward at {v:.3g} rad/s friction is {drop:.3g} N.m less than backward at {w:.3g} "
+            "rad/s",
             (v, w),
         )
         _require(ahead.bound + back.bound >= -self.slack, unbounded)
@@ -352,7 +353,7 @@ class _Steady:
         return np.where(enough & (b <= _REST), inf, f)
 
     def _least(self, of: Callable[[Array, Array, Array, Array], Array]) -> list[Least]:
-        """Return the least of a function of r - offset against the motion, p, and ends of speed."""
+        """Return minima of a function of (r - offset) sgn(v), p, and ends of a speed interval."""
 
         def bound(way: float, a: Array, b: Array) -> Array:
             low, high = enclosed(self.r, {DQ: _speeds(way, a, b)})

@@ -23,7 +23,7 @@ _ROUNDING = 1e-9  # of the work
 
 @dataclass(frozen=True, kw_only=True)
 class Cycle:
-    """A motion dq = amplitude cos(2 pi frequency t) at a load, and the law's work in it."""
+    """A motion dq = amplitude cos(2 pi frequency t) at a load, and the work of the law."""
 
     amplitude: float  # [rad/s]
     frequency: float  # [Hz]
@@ -47,7 +47,7 @@ class ClosedMotions:
 def closed_motions(trained: TrainedRange, amplitudes: Array, wanted: float) -> ClosedMotions:
     """Return motions at about `wanted` [Hz] for amplitudes (A,) [rad/s] around the middle position.
 
-    Positions occur once at dq and once at -dq, so torques of position alone do exactly no work.
+    Each position occurs once at dq and once at -dq, so torques of position alone do zero work.
     """
     half = max(4, round(0.5 / (wanted * trained.sample_time)))
     settling = half * max(1, round(2.0 * wanted * _SETTLING))

@@ -71,10 +71,10 @@ _ALL = (
     _expectation(
         ("presliding", "Pre-sliding loop", "loop"),
         ("stiffness after a reversal", "kN.m/rad", 1e-3),
-        "The joint moves to and fro by the deflection that turns its friction around, in 4 s and "
+        "The joint moves back and forth by the deflection that reverses its friction, in 4 s and "
         "in 40 s, until the loop repeats.",
-        f"A loop in position that takes energy, jumps by at most {SMOOTH:.0%} of its height at a "
-        f"reversal, and takes the same within {RATE:.0%} at a tenth of the speed.",
+        f"A loop in position that dissipates energy, jumps by at most {SMOOTH:.0%} of its height "
+        f"at a reversal, and dissipates the same within {RATE:.0%} at a tenth of the speed.",
         Source(
             "Al-Bender, Lampaert, Swevers",
             2005,
@@ -85,8 +85,8 @@ _ALL = (
     _expectation(
         ("memory", "Reversal points and non-local memory", "memory"),
         ("miss of the closed inner loop", "%", 100.0),
-        "On the rising branch of the slow loop the joint turns back by half the amplitude, returns "
-        "to the reversal and continues.",
+        "On the rising branch of the slow loop the joint moves back by half the amplitude, returns "
+        "to the reversal point and continues.",
         f"The inner loop closes and the outer curve continues, both within {CLOSED:.0%} of its "
         "height. A single first-order state cannot remember the reversal.",
         _HYSTERESIS,
@@ -100,8 +100,8 @@ _ALL = (
     _expectation(
         ("nested", "Non-local memory under load", "nested"),
         ("miss of the closed inner loops", "%", 100.0),
-        "As before, with a loop inside the inner one, at half the largest trained load; between "
-        "two turns the load rises to the whole and returns.",
+        "As above, with a second loop inside the inner one, at half the largest trained load; "
+        "between two reversals the load rises to the full value and returns.",
         "A load that rises and returns erases no reversal: both loops close, and the outer curve "
         f"continues, within {CLOSED:.0%} of its height.",
         Source(
@@ -117,8 +117,8 @@ _ALL = (
         "From rest the torque on a JointDrive reaches the friction level in 10, 3, 1 and 0.3 s; "
         "break-away is the largest friction until the joint slides at a twentieth of the trained "
         "speed.",
-        "The joint holds before, and the break-away torque falls with the rate, by at least "
-        f"{FALLS:.0%} from the slowest to the fastest.",
+        "The joint holds until break-away, and the break-away torque falls with the rate, by at "
+        f"least {FALLS:.0%} from the slowest to the fastest.",
         Source(
             "Johannes, Green, Brockley",
             1973,
@@ -131,10 +131,10 @@ _ALL = (
     _expectation(
         ("start", "Start in motion", "start"),
         ("largest difference of the first torque", "%", 100.0),
-        "The joint slides when its FMU is initialised, both ways at 5 to 100 % of the trained "
-        "speed; the first torque is compared with that of continued sliding.",
-        f"The first torque is the steady one, within {BEGINS:.0%} of the friction: simulations "
-        "may begin in sliding.",
+        "The joint slides when its FMU is initialised, in both directions at 5 to 100 % of the "
+        "trained speed; the first torque is compared with that of continued sliding.",
+        f"The first torque is the steady one, within {BEGINS:.0%} of the friction: simulations may "
+        "start while sliding.",
         _LUGRE,
         Source(
             "Otter, Elmqvist, Mattsson",
@@ -145,8 +145,8 @@ _ALL = (
     _expectation(
         ("lag", "Frictional lag", "lag"),
         ("distance of the branches, + if acceleration is above", "N.m", 1.0),
-        "The joint slides one way at 1 to 11 % of the trained speed, which varies once a second "
-        "and once in fifty.",
+        "The joint slides in one direction at 1 to 11 % of the trained speed, varied with periods "
+        "of 1 and 50 s.",
         f"Torque lags velocity: the branches are {WIDTH:.0%} of the friction level apart, the "
         "accelerating one above a falling and below a rising steady curve, and further apart the "
         "faster the speed changes.",
@@ -160,7 +160,7 @@ _ALL = (
     _expectation(
         ("stick_slip", "Stick-slip under a moving spring", "stick"),
         ("amplitude of the limit cycle", "mrad", 1e3),
-        "A soft spring pulls a JointDrive at the speed of the steepest fall of the steady curve, "
+        "A soft spring pulls a JointDrive at the speed where the steady curve falls most steeply, "
         "or at 1 % of the trained speed if it does not fall.",
         "A limit cycle of stick and slip if the law's own steady curve falls with speed by at "
         f"least {WEAKENING:.0%} of the level, and steady sliding otherwise.",
@@ -176,7 +176,7 @@ _ALL = (
         ("dither", "Drift under a load with dither", "dither"),
         ("drift in a minute", "mrad", 1e3),
         "A JointDrive carries half its friction in the slowest sliding, at most half its level, "
-        "and a fifth of it to and fro at 5 Hz, for 60 s.",
+        "and a dither of a fifth of it at 5 Hz, for 60 s.",
         f"Below break-away it drifts by less than {1e6 * HELD:.0f} urad. Laws that are plastic "
         "from the first deflection, such as LuGre and Dahl, drift.",
         _ELASTOPLASTIC,
@@ -216,7 +216,7 @@ _ALL = (
     _expectation(
         ("drive", "Dissipation in a drive", "drive"),
         ("most energy given in a cycle", "J", 1.0),
-        "A JointDrive on a spring is pushed to and fro once a second, by 2 %, 50 % and 200 % of "
+        "A JointDrive on a spring is pushed back and forth at 1 Hz, by 2 %, 50 % and 200 % of "
         "the friction level, in inner steps of 4 ms; the load moves at twice the rate between 0 "
         "and the largest trained one. The work of friction is summed over the last four of ten "
         "cycles.",

@@ -32,7 +32,7 @@ def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         if log.dq is not None:
             row = _stands_still(log, log.q[:, j], np.abs(log.dq[:, j]) > _MOVES)
             if row is not None:
-                yield _stuck(log, joint, "position", row, "its velocity says that it moves")
+                yield _stuck(log, joint, "position", row, "its velocity is not zero")
         # Constant and saturated torques have checks of their own.
         tau = log.tau[:, j]
         row = _stands_still(log, tau, moves[:, j]) if fine[j] else None
@@ -96,7 +96,7 @@ def _stuck(log: Log, joint: str, what: str, row: int, while_: str) -> Finding:
     return Finding(
         check="stuck",
         joints=(joint,),
-        found=f"its {what} stands still from t = {log.t[row]:.4g} s on, while {while_}",
+        found=f"its {what} is constant from t = {log.t[row]:.4g} s, while {while_}",
         remedy="the sensor or its connection failed there; cut these rows out",
     )
 

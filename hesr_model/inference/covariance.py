@@ -1,13 +1,14 @@
 """Covariance of least-squares estimates from logs, for rigid bodies and friction.
 
-An estimate errs by the sum of the influences of its rows, psi_t = H^-1 g_t, with the gradient g_t
+The error of an estimate is the sum of the influences of its rows, psi_t = H^-1 g_t, with the
+gradient g_t
 of row t and the Hessian H of half the sum of squares. Neighbouring rows are correlated, and logs
 differ by more than their rows show:
 
     cov = factor^2 sum over logs S_log + carried,    S = long-run covariance of the influences.
 
 S is prewhitened by a first-order autoregression and weighted by Bartlett's kernel (Andrews and
-Monahan 1992). The factor measures how estimates with each log left out differ beyond that. With
+Monahan 1992). The factor is the additional spread of estimates with each log left out. With
 `ENOUGH` logs the influences of whole logs are summed instead (cluster-robust, Liang and Zeger
 1986). `carried` is the covariance of earlier estimates.
 """

@@ -1,7 +1,7 @@
 """Outliers and trends over days.
 
 Scores are z = (x - median) / s, with s the scaled MAD; of logarithms for positive values. The MAD
-estimates s as well as the standard deviation of 0.37 times as many values (Rousseeuw and Croux
+of n values is as precise as the standard deviation of 0.37 n values (Rousseeuw and Croux
 1993), so z has Student's t distribution with 0.37 (n - 1) degrees of freedom: conservative in
 simulations with at least 5 values.
 """

@@ -29,7 +29,7 @@ _PULL = 0.2
 Chosen on measured identification logs, each left out in turn: 0.1 to 0.3 is equally good.
 """
 
-_LEAST_PULL = 1e-4  # pull of unknown rotors, just to make them unique
+_LEAST_PULL = 1e-4  # pull of unknown rotors, which makes them unique
 _REWEIGHTINGS = 2
 _SMALLEST_RADIUS = 5e-3  # radius of gyration [m] at the start
 _UNKNOWN_LINK = np.array([1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])

@@ -24,7 +24,7 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
     """Return the result of `make`, computed once for all processes of a user.
 
     `inputs`, in a fixed order, determine the result. Concurrent calls wait for the first one; a
-    damaged entry is made again.
+    damaged entry is rebuilt.
     """
     key = hashlib.sha256()
     for part in inputs:

@@ -108,7 +108,7 @@ def ur10e() -> ErrorsOnTests:
     study = Study.read(UR10E)
     files = [UR10E.parent / file for file in study.logs.identification]
     if not files[0].is_file():
-        pytest.skip(f"the measured UR10e logs are not beside the repository, in {files[0].parent}")
+        pytest.skip(f"the measured UR10e logs are not next to the repository, in {files[0].parent}")
     description = RobotDescription.read(study.robot)
     robot, logs = Robot(description), [Log.read(file, description) for file in files]
     tests = [Log.read(files[0].with_name(f"{name}.csv"), description) for name in FOURIER]

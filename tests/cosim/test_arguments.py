@@ -40,7 +40,7 @@ def test_one_item_is_a_list_of_one() -> None:
 # --- logs and robots --------------------------------------------------------------------------
 
 
-def test_paths_are_read_with_the_robot_of_the_logs_beside_them(
+def test_paths_are_read_with_the_robot_of_the_logs_next_to_them(
     arm: RobotDescription, arm_log: Log, file: Path
 ) -> None:
     read = Log.read(file, arm)
@@ -121,7 +121,7 @@ def test_laws_are_named_by_law_built_in_name_or_file(
     assert (alone.name, alone.fmu) == ("parfam_h", None)
 
 
-def test_laws_of_one_name_are_told_apart_by_their_files(
+def test_laws_of_one_name_are_distinguished_by_their_files(
     table1: FrictionModel, tmp_path: Path
 ) -> None:
     paths = [tmp_path / name for name in ("cold.json", "warm.json", "run/cold.json")]

@@ -196,7 +196,7 @@ LOG_FAULTS: dict[str, tuple[Callable[[Rows], object], str]] = {
     "infinity": (cell(2, "q1", "inf"), "column 'q1', row 2: infinity where a finite number is"),
     "minus infinity": (cell(40, "tau1", "-inf"), "column 'tau1', row 40: infinity where a finite"),
     "text": (cell(99, "tau2", "high"), "column 'tau2', row 99: 'high' where a number is needed."),
-    "time that stands still": (
+    "constant time": (
         lambda rows: cell(52, "t", rows[50][0])(rows),
         "column 't', row 52: time must increase, but",
     ),
@@ -555,7 +555,7 @@ STUDY_FAULTS = {
         "table 'options.parfam_h': ParFam option 'cells' is 0; expected at least 1.",
     ),
     "a negative seed": ("seed = 3", "seed = -3", "key 'seed' is -3: "),
-    "a name that is no name": ('"small"', '"../small"', "key 'name' is '../small': "),
+    "an invalid name": ('"small"', '"../small"', "key 'name' is '../small': "),
     "a test set that is trained on": (
         '["trial"]',
         '["sweep"]',

@@ -23,8 +23,8 @@ def test_table_i_is_refuted_by_its_cycles(hesr: Hesr) -> None:
     )
     assert hesr("test", "uf850-table1", "--fail-on", "never", "--quiet").code == 0
     said = " ".join(answer.out.split())
-    assert "joint1: not passive, refuted by a cycle: 12.4 J a cycle" in said
-    assert "joint2: not passive, refuted by a cycle: 20.6 J a cycle" in said
+    assert "joint1: not passive, refuted by a cycle: 12.4 J per cycle" in said
+    assert "joint2: not passive, refuted by a cycle: 20.6 J per cycle" in said
     assert "joint3: tested on 48 sequences without energy gain; no proof: " in said
 
 

@@ -115,7 +115,7 @@ def test_quiet_still_prints_errors(hesr: Hesr, tmp_path: Path) -> None:
 def test_quiet_and_verbose_exclude_each_other(hesr: Hesr) -> None:
     answer = hesr("fit", "--list", "--quiet", "--verbose")
     assert (answer.code, answer.out) == (2, "")
-    assert answer.err == "hesr: --quiet does not go with --verbose; give one of them.\n"
+    assert answer.err == "hesr: --quiet and --verbose are contradictory; give one of them.\n"
 
 
 def test_verbose_logs_steps_with_times(ran: Run) -> None:

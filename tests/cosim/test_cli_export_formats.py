@@ -131,7 +131,7 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         ),
         (
             ["--robot", "robot.toml", "-o", "F.fmu"],
-            "--robot and --rigid-body go together; give both.",
+            "--robot and --rigid-body must be given together.",
         ),
         (
             ["--robot", "robot.toml", "--rigid-body", "body.json", "-o", "F.fmu"],

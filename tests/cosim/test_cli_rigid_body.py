@@ -104,8 +104,8 @@ def test_a_log_without_payload_gives_a_zero_payload(
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (("--friction", "law.json"), "--friction and --rigid-body go together"),
-        (("--rigid-body", "b.json"), "--friction and --rigid-body go together"),
+        (("--friction", "law.json"), "--friction and --rigid-body must be given together"),
+        (("--rigid-body", "b.json"), "--friction and --rigid-body must be given together"),
         (("--payload", "b.json", "--physical"), "--payload excludes --physical"),
         (("--payload", "b.json", "--method", "paper"), "--payload excludes"),
         (

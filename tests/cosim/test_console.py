@@ -53,7 +53,7 @@ def test_verbosity_decides_what_is_printed_and_logged(
 
 def test_quiet_and_verbose_exclude_each_other() -> None:
     with (
-        pytest.raises(ConfigError, match="--quiet does not go with --verbose"),
+        pytest.raises(ConfigError, match="--quiet and --verbose are contradictory"),
         command_output(quiet=True, verbose=True, json_file=None),
     ):
         pytest.fail("the block runs")

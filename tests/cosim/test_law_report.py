@@ -117,7 +117,7 @@ def test_physics_checks_of_one_law(tmp_path: Path) -> None:
     assert list(report.result()["properties"]) == ["own"]
 
 
-def test_what_a_test_needs_is_reported(table1: FrictionModel, tmp_path: Path) -> None:
+def test_missing_arguments_of_a_test_are_reported(table1: FrictionModel, tmp_path: Path) -> None:
     for arguments, error, sentence in (
         ({"load": float("nan")}, ArgumentError, "'load' is nan; expected a number."),
         ({"on": ["a.csv"]}, ArgumentError, "'kind' prediction needs 'rigid_body', the result of"),

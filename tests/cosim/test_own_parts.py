@@ -107,7 +107,7 @@ def test_errors_in_a_file_of_the_format_are_one_sentence(
 ) -> None:
     six = recording(tmp_path / "six.rec", arm_log, joints=6)
     said = hesr("inspect", six, "--robot", arm.model)
-    assert (said.code, said.err) == (2, f"hesr: {six}: is no recording of 3 joints.\n")
+    assert (said.code, said.err) == (2, f"hesr: {six}: is not a recording of 3 joints.\n")
     holed = arm_log.q.copy()
     holed[7, 1] = np.nan
     path = recording(tmp_path / "holed.rec", Log(**(vars(arm_log) | {"q": holed})))

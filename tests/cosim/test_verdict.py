@@ -273,7 +273,7 @@ def test_the_simpler_of_two_equal_laws_is_recommended() -> None:
     assert "(J1, J2: of 2)" in why
 
 
-def test_of_equally_simple_laws_the_one_with_less_error_is_recommended() -> None:
+def test_the_more_accurate_of_equally_simple_laws_is_recommended() -> None:
     rmse = {"lugre_passive": [1.02], "lugre": [1.01], "lugre_load": [1.0]}
     scores = case(rmse, [("lugre_load", "lugre", "lugre_passive")])
     laws, why = recommend(scores, {law: model_of(law, 1) for law in rmse})
@@ -299,7 +299,7 @@ def test_a_law_better_on_two_of_six_joints_is_recommended_for_them(trained, test
     assert list(found.unexplained.values()) == pytest.approx(shares)
 
 
-def test_joints_that_one_fmu_cannot_serve_are_named() -> None:
+def test_joints_that_do_not_fit_into_one_fmu_are_named() -> None:
     """Euler and exact integration do not fit into one FMU."""
     rmse = {"lugre": [1.0, 1.0, 1.3], "lugre_load": [1.3, 1.3, 1.0]}
     scores = case(rmse, [("lugre",), ("lugre",), ("lugre_load",)])
@@ -366,7 +366,7 @@ def test_a_joint_without_enough_rows_has_the_law_of_the_others() -> None:
     assert limit == "'t' is too short to compare laws on J2; record at least 120 s."
 
 
-def test_a_joint_that_needs_no_load_has_a_law_without() -> None:
+def test_a_joint_without_load_dependence_has_a_law_without_load() -> None:
     """The law with load is good on both joints, the simpler one on the second only."""
     rmse = {"lugre": [1.4, 1.01], "lugre_load": [1.0, 1.0]}
     scores = case(rmse, [("lugre_load",), ("lugre_load", "lugre")])

@@ -265,7 +265,7 @@ def check_robot(robot: Robot, folder: Path) -> None:
 def test_torque_is_right_for_the_ur10e(tmp_path: Path) -> None:
     description = RobotDescription.read(UR10E)
     if not description.model.is_file():
-        pytest.skip(f"the UR10e's URDF is not beside the repository, at {description.model}")
+        pytest.skip(f"the UR10e's URDF is not next to the repository, at {description.model}")
     check_robot(Robot(description), tmp_path)
 
 

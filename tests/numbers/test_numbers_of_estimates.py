@@ -69,7 +69,7 @@ def test_the_leverage_of_a_row_is_limited() -> None:
     np.testing.assert_allclose(found, [10.0, *[4.0 / 3.0] * 4], rtol=1e-9)
 
 
-def test_chance_differences_between_logs_give_no_factor() -> None:
+def test_random_differences_between_logs_give_no_factor() -> None:
     """With 4 degrees of freedom, chi squared exceeds 9.488 by chance in one of twenty cases."""
 
     def of(between: float, degrees: float = 4.0) -> Covariance:

@@ -161,7 +161,7 @@ def test_least_squares_with_signs(samples: JointRows, unchanged: Unchanged) -> N
     )  # fmt: skip
 
 
-def test_a_gain_pays_from_one_standard_error() -> None:
+def test_a_gain_must_exceed_one_standard_error() -> None:
     blocks = np.repeat(np.arange(4), 2)
     before = np.ones(8)
     gains = np.array([3.0, -1.0, 3.0, -1.0])  # mean 1, standard error of their sum 2 s

@@ -21,7 +21,7 @@ TEST = (
 @pytest.fixture(scope="session")
 def ur10e_data() -> Path:
     if not DATA.is_dir():
-        pytest.skip(f"the measured UR10e logs are not beside the repository, in {DATA}")
+        pytest.skip(f"the measured UR10e logs are not next to the repository, in {DATA}")
     return DATA
 
 

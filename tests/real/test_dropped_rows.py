@@ -52,7 +52,7 @@ def test_losing_half_of_five_seconds_is_refused(seed: int) -> None:
     """Otherwise joint 3 would be 6 % off with seed 0, and joint 5 21 % with seed 1."""
     log = DATA / "tx40" / "tx40_first.csv"
     if not log.is_file():
-        pytest.skip("the measured TX40 log is not beside the repository")
+        pytest.skip("the measured TX40 log is not next to the repository")
     robot = RobotDescription.read(Path(__file__).with_name("tx40.toml"))
     whole = Log.read(log, robot)
     with pytest.raises(HealthError, match=r"its sliding torque at .* is uncertain by \d") as no:

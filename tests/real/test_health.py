@@ -17,7 +17,7 @@ SHARED = Path(__file__).parents[2].parent / "shared" / "data"
 def findings(robot: str, logs: list[Path]) -> list[tuple[str, tuple[str, ...]]]:
     """Checks with findings, and their joints."""
     if not all(log.is_file() for log in logs) or not logs:
-        pytest.skip(f"measured logs are not beside the repository, in {SHARED}")
+        pytest.skip(f"measured logs are not next to the repository, in {SHARED}")
     description = RobotDescription.read(Path(__file__).with_name(robot))
     read = [Log.read(log, description) for log in logs]
     examination = examine(read, description, Robot(description))

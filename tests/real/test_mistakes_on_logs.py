@@ -33,7 +33,7 @@ def model_of(robot: Path) -> Robot:
 def measured(robot: str, log: str) -> Spoilt:
     path = DATA / log
     if not path.is_file():
-        pytest.skip(f"the measured log is not beside the repository, at {path}")
+        pytest.skip(f"the measured log is not next to the repository, at {path}")
     model = model_of(HERE / robot)
     return Log.read(path, model.description), model
 

@@ -35,7 +35,7 @@ def test_stops_are_not_worse_than_lugre(
     path = HERE / f"{robot}_study.toml"
     study = Study.read(path).model_copy(update={"laws": ("lugre", *LAWS)})
     if not all((HERE / part.log).is_file() for part in study.logs.parts.values()):
-        pytest.skip(f"the measured log of the {robot} is not beside the repository")
+        pytest.skip(f"the measured log of the {robot} is not next to the repository")
     with parallel.one_pool():
         run = score_study(Job(study=study, path=path, progress=silent), tmp_path)
     found = against(run, "rest", LAWS)

@@ -27,7 +27,7 @@ def coupled() -> RobotDescription:
 @pytest.fixture(scope="module")
 def log(coupled: RobotDescription) -> Log:
     if not LOG.is_file():
-        pytest.skip(f"the measured TX40 log is not beside the repository, at {LOG}")
+        pytest.skip(f"the measured TX40 log is not next to the repository, at {LOG}")
     return Log.read(LOG, coupled)
 
 

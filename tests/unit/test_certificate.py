@@ -231,7 +231,7 @@ def test_ripple_limits_the_viscous_factor_to_where_the_proof_holds() -> None:
 
 
 def generated(law: FrictionLaw, factors: dict[str, float], seed: int) -> float:
-    """Most energy [J] of random closed ways, in their third round."""
+    """Largest energy [J] of random closed paths, in their third cycle."""
     whole = replace(law, form=scaled(law.form), values={**law.values, **factors})
     rng = np.random.default_rng(seed)
     most = -inf
@@ -248,7 +248,7 @@ def generated(law: FrictionLaw, factors: dict[str, float], seed: int) -> float:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_factors_within_their_limits_give_no_energy(seed: int) -> None:
+def test_factors_within_their_limits_generate_no_energy(seed: int) -> None:
     law = rippled()
     limits = dict(zip(("coulomb_scale", "viscous_scale"), scale_limits(law), strict=True))
     low = {name: least for name, (least, _) in limits.items()}
@@ -298,7 +298,7 @@ def test_ripple_amplitude_may_fall_with_speed_like_a_filter() -> None:
         for amplitude in (1 + 4 * DQ**2, 1 + DQ)
     )
     assert filtered.verdict == "proven"
-    assert "not a smoothed one" in other.rests_on[0]
+    assert "more than smoothing" in other.rests_on[0]
 
 
 @pytest.mark.parametrize("dt", [1e-4, 0.004, 0.05, 2.0])
@@ -338,7 +338,7 @@ def test_load_is_refuted_as_a_factor_but_not_as_a_bound() -> None:
     assert found.cycle is not None
     assert found.cycle.swing > 0.0
     assert found.cycle.energy > 1e-7
-    assert f"{found.cycle.energy:.3g} J a cycle" in found.cycle.text
+    assert f"{found.cycle.energy:.3g} J per cycle" in found.cycle.text
     bound = replace(x, bound=2.0 + absolute(TAU_LOAD))
     # 6 frequencies, 8 amplitudes, 3 loads, and 4 x 8 x 2 small motions with a moving load.
     assert attack(own(x.state + DQ, bound), TRAINED) == (None, 6 * 8 * 3 + 4 * 8 * 2)
@@ -365,7 +365,7 @@ def test_speeds_at_which_a_proof_fails_refute_it(law: FrictionLaw, energy: float
     assert found.verdict == "refuted"
     assert found.cycle is not None
     assert found.cycle.energy == pytest.approx(energy, rel=1e-2)
-    assert f"{found.cycle.amplitude:.3g} rad/s ahead and" in found.cycle.text
+    assert f"{found.cycle.amplitude:.3g} rad/s forward and" in found.cycle.text
 
 
 def test_an_offset_does_not_count_as_driving() -> None:

@@ -175,5 +175,5 @@ def test_the_interval_for_other_logs_contains_the_ratio_of_the_next_logs() -> No
     assert narrower < 0.9 * draws
 
 
-def test_a_single_log_tells_nothing_of_others() -> None:
+def test_a_single_log_gives_no_interval_for_others() -> None:
     assert compared(errors(0, 2, 1, 60.0)).ratios("law_1")["law_0"].others is None

@@ -85,7 +85,7 @@ def test_the_number_of_orders_is_limited() -> None:
 # --- the law ----------------------------------------------------------------------------------
 
 
-def test_a_fit_finds_the_amplitudes_and_pays_on_unseen_motions() -> None:
+def test_a_fit_finds_the_amplitudes_and_improves_unseen_motions() -> None:
     truth = rippling(2, 8)
     records = training(truth, noise=NOISE, gear_ratio=GEAR_RATIO)
     fitted = LuGreLoadRipple().fit(records, np.random.default_rng(0))

@@ -26,7 +26,7 @@ _ROUNDING = 1e-6  # energy of round-off [J]
 
 
 def passive(found: Audit) -> bool:
-    """Whether no tested closed cycle gives energy."""
+    """Whether no tested closed cycle generates energy."""
     return found.generated < _ROUNDING
 
 

@@ -40,11 +40,11 @@ def monitor(
     rigid_body : body or path, optional
         Result of 'hesr identify'; by default identified from the logs.
     output : path, optional
-        Page to write; for a fleet the folder, by default results/NAME.
+        Page to write; for a fleet, the folder (default: results/NAME).
     workers : int, optional
         Processes of a fleet; by default one per core.
     accept : sequence of str, optional
-        Names of checks whose errors do not refuse the logs; repeatable.
+        Names of checks whose errors only warn; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 

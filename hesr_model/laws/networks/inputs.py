@@ -44,7 +44,7 @@ class Inputs:
 
 
 Costs = Callable[[Inputs, int], Array]
-"""Errors on left-out rows of a network's further choices, for inputs and a size."""
+"""Errors on left-out rows by further hyper-parameters, for given inputs and size."""
 
 
 class NetworkEstimator(Estimator):

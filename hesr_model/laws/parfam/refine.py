@@ -129,7 +129,7 @@ def _without(candidate: Candidate, coefficient: int) -> Candidate:
 
 
 def _still_as_good(features: HysteresisFeatures, candidate: Candidate) -> float:
-    """Return the largest mean square of a fit with one coefficient less that is not worse."""
+    """Return the mean square below which a fit with one coefficient fewer is not worse."""
     tau = features.samples.tau
     residual = candidate.torque(features.columns(candidate.alpha, candidate.beta)) - tau
     rise = SIGNIFICANCE**2 * correlation_length(residual) / len(tau)

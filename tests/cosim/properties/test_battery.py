@@ -81,7 +81,7 @@ def test_a_static_map_has_no_loop_memory_or_lag(maps: Properties) -> None:
     for joint in (1, 2):
         assert finding(maps, "presliding", joint).verdict == "fail"
         assert finding(maps, "presliding", joint).reason.startswith(
-            "No pre-sliding: the torque turns around at once."
+            "No pre-sliding: the torque reverses at once."
         )
         assert finding(maps, "memory", joint).verdict == "fail"
         assert finding(maps, "memory", joint).figures[0].value is None
@@ -150,7 +150,7 @@ def test_a_discontinuous_torque_chatters_at_every_step(maps: Properties) -> None
     found = finding(maps, "coupling", 1)
     assert found.verdict == "fail"
     assert found.figures[0].value is None
-    assert found.reason == "It chatters at 0.05 ms already, the least step tried."
+    assert found.reason == "It chatters even at the smallest step tried, 0.05 ms."
     assert finding(maps, "chatter", 1).verdict == "fail"
 
 
@@ -182,7 +182,9 @@ def test_only_break_away_of_bristles_falls_with_the_rate(
     slow, fast = (value(bristles, "breakaway", 2, figure=k) for k in (1, 2))
     assert 8.0 < fast < slow < 12.0
     assert value(maps, "breakaway", 1, figure=1) == pytest.approx(12.0, rel=1e-3)
-    assert finding(maps, "breakaway", 1).reason == "It does not fall with the rate."
+    assert (
+        finding(maps, "breakaway", 1).reason == "The break-away torque does not fall with the rate."
+    )
     assert finding(maps, "breakaway", 2).reason.startswith("No break-away: ")
 
 
@@ -235,7 +237,7 @@ def test_driven_checks_need_an_inertia() -> None:
     for key in ("breakaway", "stick_slip", "dither", "hold", "drive", "coupling"):
         assert finding(found, key).verdict == "not run"
         assert finding(found, key).reason == (
-            "Not run: the inertia of the joints is not known; give it by --inertia."
+            "Not run: the inertia of the joints is unknown; give it with --inertia."
         )
     assert found.joints[0].inertia is None
     uf850 = measure(Subject(name="uf850", model=model(*[bristle()] * 3, robot="uf850")))
@@ -247,7 +249,9 @@ def test_checks_that_need_a_law_are_reported_as_skipped(slip_fmu: Path) -> None:
     assert (found.law, found.robot) == ("slip", "")
     for key in ("breakaway", "stick_slip", "dither", "hold", "drive"):
         assert finding(found, key).verdict == "not run"
-        assert finding(found, key).reason == ("Not run: the FMU contains no law for a JointDrive.")
+        assert finding(found, key).reason == (
+            "Not run: the FMU contains no law, which a JointDrive needs."
+        )
     assert finding(found, "work").verdict == "pass"
     assert finding(found, "coupling").verdict in ("pass", "fail")
 
@@ -279,7 +283,9 @@ def test_a_load_factor_supplies_energy_while_it_varies() -> None:
     assert "while the load swings by 10 N.m." in work.reason
     drive = finding(found, "drive")
     assert (drive.verdict, drive.figures[0].unit) == ("fail", "J")
-    assert re.fullmatch(r"Under a torque of 0\.\d+ levels it gives \S+ J a cycle\.", drive.reason)
+    assert re.fullmatch(
+        r"Under a torque of 0\.\d+ levels it generates \S+ J per cycle\.", drive.reason
+    )
     assert value(found, "drive") > 1e-6
 
 

@@ -70,4 +70,4 @@ def test_skipped_checks_have_no_plot_and_names_are_escaped(tmp_path: Path) -> No
     found = measure(Subject(name="hostile", model=named))
     sheet = page(export_fmu(named, tmp_path / "hostile.fmu", properties=found))
     assert not any(tag == "b" for tag, _ in sheet.tags)
-    assert "the inertia of the joints is not known" in sheet.text
+    assert "the inertia of the joints is unknown" in sheet.text

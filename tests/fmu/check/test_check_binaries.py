@@ -98,7 +98,7 @@ def test_a_wrong_machine_type_is_reported(target, folder, text, library, of):
 def test_other_files_than_libraries_are_reported(data, of):
     (text,) = of(data)
     assert text == (
-        f"{BINARY}: it is no readable library; needed in this folder is ELF for X86_64."
+        f"{BINARY}: it is not a readable library; needed in this folder is ELF for X86_64."
     )
 
 

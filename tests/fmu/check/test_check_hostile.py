@@ -135,7 +135,7 @@ def test_endless_events_are_reported(reworked):
         "lugre", "{.nextEventTimeDefined = fmi2False}", "{.newDiscreteStatesNeeded = fmi2True}"
     )
     assert found(fmu) == [
-        f"{way}: fmi2NewDiscreteStates asks for another iteration without end."
+        f"{way}: fmi2NewDiscreteStates requests iterations endlessly."
         for way in (
             "model exchange with inputs held over each step of the solver",
             "model exchange with inputs set after events only",

@@ -131,7 +131,7 @@ def test_sources_and_binaries_of_fmi_3_are_checked(tmp_path):
         "sources/all.c: includes 'mine.h', which is not in the archive.",
     ]
     assert texts(found, "binaries") == [
-        "binaries/x86_64-linux/Line.so: it is no readable library; needed in this folder is ELF "
+        "binaries/x86_64-linux/Line.so: it is not a readable library; needed in this folder is ELF "
         "for X86_64."
     ]
     assert "binaries/linux64: not checked; the platform is unknown." in (found.skipped)

@@ -173,11 +173,11 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "a stuck encoder": (
         lambda log: replace(log, q=stuck(log.q, 1)), "stuck", ("j2",),
-        r"its position stands still from t = 3 s on, while its velocity says that it moves",
+        r"its position is constant from t = 3 s, while its velocity is not zero",
     ),
     "a stuck torque sensor": (
         lambda log: replace(log, tau=stuck(log.tau, 2)), "stuck", ("j3",),
-        r"its torque stands still from t = 3 s on, while it moves",
+        r"its torque is constant from t = 3 s, while it moves",
     ),
     "torques at another rate": (
         lambda log: held(log, 5), "held-samples", (), r"80 % of the rows in motion repeat",
