@@ -150,7 +150,7 @@ class _Lookup:
 
     def _require_one(self, size: int, found: str) -> None:
         if size != 1:
-            raise self._error(f"{found}; expected one with one.")
+            raise self._error(f"{found}; expected exactly one.")
 
     def _position(self, name: str) -> int:
         joint = self._find("joint", name)

@@ -154,5 +154,5 @@ def write_properties(path: Path, found: Mapping[str, Properties]) -> None:
 
 def read_properties(path: Path) -> dict[str, Properties]:
     """Read a file of `write_properties`."""
-    found = from_json(_File, read_json(path, FORMAT), path, "findings of the property battery")
+    found = from_json(_File, read_json(path, FORMAT), path, "findings of the physics checks")
     return dict(found.laws)

@@ -82,7 +82,7 @@ def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
     b, c = both[:, 0], both[:, 1:]
     root = np.linalg.cholesky(g[:signed, :signed] - g[:signed, signed:] @ c)
     target = np.linalg.solve(root, m[:signed] - g[:signed, signed:] @ b)
-    # SciPy's nnls aborts the process without unknowns.
+    # With no unknowns SciPy's nnls aborts the process.
     x = nnls(root.T, target, maxiter=100 * len(scale))[0] if signed else np.zeros(0)
     return np.asarray(np.concatenate([x, b - c @ x]) * scale)
 

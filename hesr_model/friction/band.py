@@ -76,7 +76,7 @@ class Band:
             value = getattr(self, field.name)
             if not (isfinite(value) and value >= 0.0) or (field.name == "slow_speed" and not value):
                 raise ArtifactError(
-                    f"'{field.name}' of a band is {value}; expected a finite number, 0 or more "
+                    f"'{field.name}' of a band is {value}; expected a finite number of at least 0, "
                     "and a positive speed."
                 )
 

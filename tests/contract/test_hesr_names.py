@@ -61,7 +61,7 @@ def test_command_line_options_match_the_functions() -> None:
 
 
 def test_flags_are_off_unless_given() -> None:
-    """Flags of the command line cannot switch off."""
+    """A flag on the command line can only switch on."""
     for verb in app.list_commands(click.Context(app)):
         for one in inspect.signature(workflow(verb)).parameters.values():
             if one.annotation == "bool":

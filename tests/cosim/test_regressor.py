@@ -167,7 +167,7 @@ TALL = np.column_stack([T[:9], T[:9], T[:9], T[:9]])
 REGRESSOR = hesr.FrictionRegressor("stribeck")
 
 
-def test_other_tables_than_the_fitted_one_are_refused(fitted: hesr.FrictionRegressor) -> None:
+def test_tables_other_than_the_fitted_one_are_refused(fitted: hesr.FrictionRegressor) -> None:
     sparse = pytest.importorskip("scipy.sparse")
     for table, sentence in [
         ({"t": T, "dq": DQ}, "FrictionRegressor is expecting 4 features as input"),

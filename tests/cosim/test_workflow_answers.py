@@ -33,7 +33,7 @@ def model() -> FrictionModel:
     )  # fmt: skip
 
 
-def test_a_fitted_law_is_told_by_joint(model: FrictionModel, tmp_path: Path) -> None:
+def test_a_fitted_law_is_listed_by_joint(model: FrictionModel, tmp_path: Path) -> None:
     health = {"health": [to_json(WARNING)], "temperature": ["It falls with heat."]}
     written = fit.answer(
         replace(model, trained=(RANGE, RANGE), provenance=health), tmp_path / "law.json"
@@ -61,7 +61,9 @@ def test_a_fitted_law_is_told_by_joint(model: FrictionModel, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("centres", "whole"), [(1, True), (40, False)])
-def test_long_laws_are_told_by_their_size(model: FrictionModel, centres: int, whole: bool) -> None:
+def test_long_laws_are_summarised_by_their_size(
+    model: FrictionModel, centres: int, whole: bool
+) -> None:
     structure = {"centres": centres}
     form = estimator("rbfnn_h").form(structure)
     values = {one.name: 0.5 for one in form.coefficients}
@@ -89,7 +91,7 @@ def body(**provenance: object) -> RigidBody:
     )  # fmt: skip
 
 
-def test_a_rigid_body_is_told_with_its_units() -> None:
+def test_a_rigid_body_is_reported_with_units() -> None:
     plain, sliding = (
         identify.answer(body(), None),
         identify.answer(body(sliding=[False, False, True]), None),
@@ -102,7 +104,7 @@ def test_a_rigid_body_is_told_with_its_units() -> None:
     assert plain.format == "hesr-rigid-body-1"
 
 
-def test_a_payload_is_told_in_the_frame_of_the_last_joint() -> None:
+def test_a_payload_is_reported_in_the_frame_of_the_last_joint() -> None:
     payload = {
         "parameters": {"m": 2.0, "mx": 0.1, "my": -0.2, "mz": 0.5, "Ixx": 9.0},
         "standard_errors": [0.0123, 1.0],
@@ -121,7 +123,7 @@ def test_a_payload_is_told_in_the_frame_of_the_last_joint() -> None:
         (".bin", "File for other tools"),
     ],
 )
-def test_an_export_is_told_by_its_use_and_size(tmp_path: Path, suffix: str, use: str) -> None:
+def test_an_export_is_reported_with_use_and_size(tmp_path: Path, suffix: str, use: str) -> None:
     path = tmp_path / f"a{suffix}"
     path.write_bytes(b"x" * 2560)
     told = export.answer(path, path)
@@ -132,14 +134,14 @@ def test_an_export_is_told_by_its_use_and_size(tmp_path: Path, suffix: str, use:
     assert told.data == str(path)
 
 
-def test_a_simulation_is_told_by_its_end() -> None:
+def test_a_simulation_is_reported_with_its_end() -> None:
     signals = Signals(t=np.array([0.0, 0.5, 1.5]), signals={"a.y": np.zeros(3)}, failure=None)
     told = simulate.answer(signals, None)
     assert told.summary() == "3 samples of 1 signals to t = 1.5 s."
     assert told.data == {"samples": 3, "end": 1.5, "signals": ["a.y"]}
 
 
-def test_a_report_is_told_by_its_file(tmp_path: Path) -> None:
+def test_a_report_is_reported_by_its_file(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     assert report.answer(page, None).summary() == f"Written: {page}"
     assert report.answer(tmp_path, None).summary() == f"Shown: {tmp_path}"

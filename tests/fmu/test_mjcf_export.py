@@ -221,7 +221,7 @@ def test_fatal_errors_of_mujoco_are_reported(
 TABLE_ERRORS = [
     ('["left", "right"]', '["left", "up"]', "the model has no actuator 'up'"),
     ("angle = -0.5", "tilt = -0.5", "the model has no sensor 'tilt'"),
-    ("{ angle = 1 }", "{ acc = 1 }", "sensor 'acc' has 3 numbers; expected one with one"),
+    ("{ angle = 1 }", "{ acc = 1 }", "sensor 'acc' has 3 numbers; expected exactly one"),
     ('payload = "pole"', 'payload = "box"', "the model has no body 'box'"),
     ('["hinge", "slider"]', '["elbow"]', "the model has no joint 'elbow'"),
     ("step = 0.01", 'friction = ["left"]', "actuator 'left' is not a dcmotor"),

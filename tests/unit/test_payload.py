@@ -114,7 +114,7 @@ def test_correlated_residuals_widen_the_errors(
     assert np.median(coloured.standard_errors / white.standard_errors) > 3.0
 
 
-def test_from_logs_only_the_filter_costs_accuracy(
+def test_from_logs_only_the_filter_reduces_accuracy(
     arm_model: Robot, unloaded: RigidBody, carried: Motion
 ) -> None:
     log = Log(name="run", t=carried.t, q=carried.q, dq=carried.dq, tau=carried.tau)

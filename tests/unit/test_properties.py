@@ -111,14 +111,14 @@ def _with(key: str, value: object) -> Change:
     [
         (
             _without("hold"),
-            "not findings of the property battery (key 'laws.a.joints.0.findings': "
+            "not findings of the physics checks (key 'laws.a.joints.0.findings': "
             "'hold' is missing).",
         ),
         (
             _with("verdict", "maybe"),
-            "not findings of the property battery (key 'laws.a.joints.0.findings.hold.verdict': ",
+            "not findings of the physics checks (key 'laws.a.joints.0.findings.hold.verdict': ",
         ),
-        (_with("figures", [1]), "not findings of the property battery ("),
+        (_with("figures", [1]), "not findings of the physics checks ("),
         (
             lambda data: data.update(format="other"),
             f"'format' is 'other', expected '{FORMAT}'.",

@@ -73,7 +73,7 @@ def test_the_stacked_fit_also_finds_friction(arm_model: Robot, make_motion: Make
     assert np.all(rigid_body.parameters[dependent] == 0.0)
 
 
-def test_from_a_log_only_the_filter_costs_accuracy(
+def test_from_a_log_only_the_filter_reduces_accuracy(
     arm_log: Log, arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     rigid_body = identify([arm_log], arm_model)
