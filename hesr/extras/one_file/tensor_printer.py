@@ -57,8 +57,6 @@ class _Printer(LanguagePrinter):
             return f"xp.sqrt({self._print(expr.base)})"
         if expr.exp.could_extract_minus_sign():
             return f"1.0/{self.parenthesize(expr.base**-expr.exp, PRECEDENCE['Mul'])}"
-        if expr.exp == 2:
-            return f"_square({self._print(expr.base)})"
         base = self.parenthesize(expr.base, PRECEDENCE["Pow"])
         return f"{base}**{self.parenthesize(expr.exp, PRECEDENCE['Pow'])}"
 
