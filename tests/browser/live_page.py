@@ -20,7 +20,7 @@ Columns = dict[str, np.ndarray]
 
 
 def alive(page: "Page") -> "Page":
-    for curve in page.locator("path.live-now").all():
+    for curve in page.locator("path.plot-now").all():
         curve.and_(page.locator("[d^=M]")).wait_for(state="attached")
     return page
 

@@ -338,8 +338,8 @@ def test_a_file_can_be_chosen_and_binary_files_are_refused(
     assert wrong(page) == ""
     for view in ("position", "time", "residual", "velocity"):
         page.get_by_role("radio", name=view).last.check(force=True)
-        assert len(page.locator("path.log-law").get_attribute("d") or "") > 100
-        measured = page.locator("path.log-measured").get_attribute("d") or ""
+        assert len(page.locator("path.plot-law").get_attribute("d") or "") > 100
+        measured = page.locator("path.plot-measured").get_attribute("d") or ""
         assert (measured == "") == (view == "residual")
 
 

@@ -41,13 +41,13 @@ def page(open_page: OpenPage, unzipped: Path) -> "Page":
 
 def drawn(page: "Page", name: str) -> np.ndarray:
     settle(page)
-    text = page.locator(f".live-plot .live-{name}").get_attribute("d") or ""
+    text = page.locator(f".live .plot .plot-{name}").get_attribute("d") or ""
     return np.array([p.split() for p in text.strip("M").split("L")], dtype=float)
 
 
 def scale(page: "Page", anchor: str, place: str) -> np.ndarray:
     """Slope and offset from values to pixels, from the labels of an axis."""
-    labels = page.locator(f".live-plot text[text-anchor={anchor}]:not(.live-axis)")
+    labels = page.locator(f".live .plot text[text-anchor={anchor}]:not(.plot-axis)")
     found = labels.evaluate_all(f"all => all.map(e => [e.textContent, e.getAttribute('{place}')])")
     values, pixels = zip(*((float(v.replace("−", "-")), float(p)) for v, p in found), strict=True)
     return np.polyfit(values, pixels, 1)
@@ -156,8 +156,8 @@ def test_views_can_be_switched(page: "Page", view: str, column: str, rows: int) 
     x = np.polyval(scale(page, "middle", "x"), columns[column][-rows:])
     curve = drawn(page, "fitted")
     assert (curve[:, 0].min(), curve[:, 0].max()) == pytest.approx((x.min(), x.max()), abs=0.35)
-    assert view in page.locator(".live-axis").first.text_content()
-    assert f"over {view} of joint1" in page.locator(".live-plot title").text_content()
+    assert view in page.locator(".plot-axis").first.text_content()
+    assert f"over {view} of joint1" in page.locator(".live .plot title").text_content()
 
 
 def refused(page: "Page") -> list[str]:
@@ -270,7 +270,7 @@ COLOURS = """element => {
   const of = (e, pseudo) => getComputedStyle(e, pseudo);
   const page = [of(document.body).backgroundColor, 1];
   const found = { page: { what: pixel(page), on: pixel(page) } };
-  const plot = element.querySelector(".live-plot"), card = [of(plot).backgroundColor, 1];
+  const plot = element.querySelector(".plot"), card = [of(plot).backgroundColor, 1];
   for (const path of plot.querySelectorAll("path")) {
     const { stroke, strokeOpacity } = of(path);
     const what = pixel(card, [stroke, strokeOpacity]);
@@ -281,7 +281,7 @@ COLOURS = """element => {
     const what = pixel(page, [borderTopColor, opacity]);
     found[`key ${key.classList}`] = { what, on: pixel(page) };
   }
-  const controls = "select, button, input[type=number], .live-views input:not(:checked) + span";
+  const controls = "select, button, input[type=number], .views input:not(:checked) + span";
   [...element.querySelectorAll(controls)].filter((e) => e.checkVisibility()).forEach((e, k) => {
     const { borderTopColor, borderTopWidth, backgroundColor } = of(e);
     if (parseFloat(borderTopWidth) < 1) throw new Error(`no border: ${e.outerHTML}`);
@@ -356,7 +356,7 @@ def test_the_page_fits_a_phone(open_page: OpenPage, unzipped: Path) -> None:
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     last = page.locator(".live-knob").last
     last.evaluate("e => e.scrollIntoView({block: 'center'})")
-    plot, knob = page.locator(".live-plot").bounding_box(), last.bounding_box()
+    plot, knob = page.locator(".live .plot").bounding_box(), last.bounding_box()
     assert plot["y"] >= 0
     assert plot["y"] + plot["height"] < knob["y"] < 844
 
@@ -364,10 +364,10 @@ def test_the_page_fits_a_phone(open_page: OpenPage, unzipped: Path) -> None:
 def test_dark_mode_and_print_are_readable(open_page: OpenPage, unzipped: Path) -> None:
     page = alive(open_page(unzipped, color_scheme="dark"))
     colour = "e => getComputedStyle(e).stroke"
-    assert page.locator("path.live-now").evaluate(colour) == "rgb(125, 184, 238)"
+    assert page.locator("path.plot-now").evaluate(colour) == "rgb(125, 184, 238)"
     page.emulate_media(media="print")
-    assert page.locator("path.live-now").evaluate(colour) == "rgb(0, 0, 0)"
-    assert page.locator(".live-plot").is_visible()
+    assert page.locator("path.plot-now").evaluate(colour) == "rgb(0, 0, 0)"
+    assert page.locator(".live .plot").is_visible()
     assert not page.locator(".live-knobs").is_visible()
 
 
@@ -420,5 +420,5 @@ def test_several_sections_with_escaped_names_work(
     second.get_by_role("radio", name="time").check(force=True)
     settle(page)
     assert second.get_by_role("combobox", name="Joint").inner_text().startswith(f"1: {hostile}")
-    assert second.locator(".live-axis").first.text_content() == "time [s]"
-    assert page.locator("#one-section .live-axis").first.text_content().startswith("velocity")
+    assert second.locator(".plot-axis").first.text_content() == "time [s]"
+    assert page.locator("#one-section .plot-axis").first.text_content().startswith("velocity")

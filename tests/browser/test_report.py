@@ -322,10 +322,10 @@ def test_a_selected_law_is_interactive(live: "Page") -> None:
     law = live.locator('.live-law[data-law="parfam_h"]')
     law.locator(".live-app").wait_for()
     assert live.locator(".live-law:visible").count() == 1
-    before = law.locator("path.live-now").get_attribute("d")
+    before = law.locator("path.plot-now").get_attribute("d")
     law.locator(".live-coefficients input[type=range]").first.fill("0.9")
     live.wait_for_function(
-        "before => document.querySelector('.live-law[data-law=parfam_h] path.live-now')"
+        "before => document.querySelector('.live-law[data-law=parfam_h] path.plot-now')"
         ".getAttribute('d') !== before",
         arg=before,
     )

@@ -25,7 +25,7 @@ class Fmu {
   }
 
   /* As in a replayed log: set row k of the inputs [reference, values], step to it, read it. Returns
-   * whether FMU or reader refuses. */
+   * why FMU or reader refuses. */
   through(t, inputs, read, prepare) {
     const { fmu } = this;
     const put = (k) => inputs.some(([reference, values]) => fmu.live_set(reference, values[k]));
@@ -33,16 +33,16 @@ class Fmu {
     for (let k = 0; !failed && k < t.length; k++) {
       failed = k && (put(k) || fmu.live_step(t[k - 1] - t[0], t[k] - t[k - 1])) || read(k);
     }
-    return failed;
+    return failed ? this.heard() || "An output is not finite." : "";
   }
 
   /* Torque of a joint up to a refusal of the FMU, with its message. */
   run({ references, coefficients }, values, motion) {
     const torque = [], inputs = ["dq", "q", "tau_load"].map((u) => [references[u], motion[u]]);
-    const failed = this.through(motion.t, inputs,
+    const refused = this.through(motion.t, inputs,
       () => { torque.push(this.fmu.live_get(references.tau)); },
       () => coefficients.some((c) => this.fmu.live_set(c.reference, values[keyOf(c)])));
-    return { torque, refused: failed ? this.heard() : "" };
+    return { torque, refused };
   }
 
   /* An output [joint][row] over a log of `inputs` [joint][row]. */
@@ -50,9 +50,9 @@ class Fmu {
     const found = joints.map(() => new Float64Array(t.length));
     const connected = joints.flatMap(({ references }, j) =>
       Object.entries(inputs).map(([name, values]) => [references[name], values[j]]));
-    const failed = this.through(t, connected, (k) => joints.some(({ references }, j) =>
+    const refused = this.through(t, connected, (k) => joints.some(({ references }, j) =>
       !Number.isFinite(found[j][k] = this.fmu.live_get(references[output]))));
-    return { found, refused: failed ? this.heard() || `Its ${output} is not finite.` : "" };
+    return { found, refused };
   }
 }
 
@@ -109,20 +109,14 @@ function allowed({ least, most, scale, unit }) {
   return words.filter(Boolean).join(" ");
 }
 
-class Section {
+class Section extends Panel {
   constructor(element, data, fmu) {
-    Object.assign(this, { element, data, fmu });
-    this.find = (name) => element.querySelector(`.live-${name}`);
-    this.plot = new Plot(this.find("plot"), "live", ["fitted", "early", "now"]);
+    super(element, "live", ["fitted", "early", "now"]);
+    Object.assign(this, { data, fmu });
     this.values = data.joints.map((joint) => this.fitted(joint));
     this.find("app").hidden = false;
-    const joint = this.find("joint");
-    joint?.addEventListener("change", () => this.show(Number(joint.value)));
-    this.find("views").addEventListener("change", () => this.schedule());
     this.find("reset").addEventListener("click", () => this.reset());
-    this.find("save").addEventListener("click", () => this.save());
-    new ResizeObserver(() => this.schedule()).observe(this.find("plot"));
-    this.show(joint ? Number(joint.value) : 0);
+    this.show();
   }
 
   knobs(joint) {
@@ -133,17 +127,16 @@ class Section {
     return Object.fromEntries(this.knobs(joint).map((knob) => [keyOf(knob), knob.value]));
   }
 
-  show(number) {
+  show() {
     this.objection = "";
-    this.number = number;
-    this.joint = this.data.joints[number];
+    this.joint = this.data.joints[this.number];
     this.rows = new Map();
     for (const group of ["motion", "coefficients"]) {
       const rows = this.joint[group].map((knob) => this.row(knob));
       this.find(group).replaceChildren(this.find(group).firstElementChild, ...rows);
       this.find(group).hidden = !rows.length;
     }
-    this.schedule();
+    this.redraw();
   }
 
   row(knob) {
@@ -192,14 +185,14 @@ class Section {
   /* Report an invalid number until another one is set. */
   object(text) {
     this.objection = text;
-    this.schedule();
+    this.redraw();
   }
 
   set(knob, value, typing) {
     this.objection = "";
     this.values[this.number][keyOf(knob)] = knob.scale === "whole" ? Math.round(value) : value;
     this.write(knob, typing);
-    this.schedule();
+    this.redraw();
   }
 
   /* Show a knob's value, except in the field being edited. */
@@ -220,11 +213,11 @@ class Section {
     this.objection = "";
     this.values[this.number] = this.fitted(this.joint);
     for (const knob of this.knobs(this.joint)) this.write(knob);
-    this.schedule();
+    this.redraw();
   }
 
   /* Once per frame. */
-  schedule() {
+  redraw() {
     this.frame ??= requestAnimationFrame(() => {
       this.frame = undefined;
       this.draw();
@@ -237,8 +230,8 @@ class Section {
     const now = this.fmu.run(joint, values, motion);
     const fitted = this.fmu.run(joint, this.fitted(joint), motion);
     this.result = { motion, now: now.torque, fitted: fitted.torque };
-    const view = this.element.querySelector(".live-views :checked").value;
-    const x = motion[AXES[view].column], early = motion.t.length - 1 - motion.cycle;
+    const { view } = this, x = motion[AXES[view].column];
+    const early = motion.t.length - 1 - motion.cycle;
     const from = view === "time" ? 0 : early;
     const part = (torque, a, b) => ({ x: x.slice(a, b), y: torque.slice(a, b) });
     const curves = { fitted: part(fitted.torque, from), now: part(now.torque, early) };
@@ -252,25 +245,20 @@ class Section {
 
   tell(motion, view, trouble) {
     const { now, fitted } = this.result;
-    const say = (name, text) => {
-      const place = this.find(name);
-      if (place.textContent !== text) place.textContent = text;
-      place.hidden = !text;
-    };
     const columns = [figures(motion, fitted), figures(motion, now)];
     this.find("figures").querySelectorAll("td").forEach((cell, i) => {
       cell.textContent = shown(columns[i % 2][i >> 1]);
     });
     const { speeds } = this.joint, { amplitude } = this.values[this.number];
     const inside = !speeds || (-amplitude >= speeds[0] && amplitude <= speeds[1]);
-    say("beyond", inside ? "" : "Faster than the training data: extrapolated.");
-    say("refused", this.objection || trouble);
+    this.say("beyond", inside ? "" : "Faster than the training data: extrapolated.");
+    this.say("refused", this.objection || trouble);
     const unit = this.joint.units.torque;
-    say("torque-unit", unit);
+    this.say("torque-unit", unit);
     const value = (knob) => this.values[this.number][keyOf(knob)];
     const changes = this.joint.coefficients.filter((c) => value(c) !== c.value).map((c) =>
       `${c.name} ${shown(value(c), 6)} instead of ${shown(c.value, 6)} ${c.unit}`.trim());
-    say("changed", changes.length ? `Changed: ${changes.join("; ")}.` : "All as fitted.");
+    this.say("changed", changes.length ? `Changed: ${changes.join("; ")}.` : "All as fitted.");
     this.plot.svg.firstElementChild.textContent =
       `Friction torque over ${view} of ${this.joint.name}, maximum ${shown(columns[1][0])} ${unit}; ` +
       `as fitted ${shown(columns[0][0])} ${unit}.`;
@@ -278,20 +266,10 @@ class Section {
 
   /* Full precision; rows refused by the FMU are empty. */
   save() {
-    const { motion, now, fitted } = this.result;
-    const rows = motion.t.map((t, k) =>
-      [t, motion.dq[k], motion.q[k], motion.tau_load[k], now[k] ?? "", fitted[k] ?? ""].join(","));
-    const text = `t,dq,q,tau_load,tau,tau_fitted\n${rows.join("\n")}\n`;
-    saveText(text, `friction_${this.joint.name.replace(/\W+/g, "_")}.csv`);
+    const { motion: { t, dq, q, tau_load }, now, fitted } = this.result;
+    const columns = { t, dq, q, tau_load, tau: now, tau_fitted: fitted };
+    saveTable(columns, `friction_${this.joint.name.replace(/\W+/g, "_")}.csv`);
   }
-}
-
-function saveText(text, name) {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href));
 }
 
 for (const element of document.querySelectorAll(".live")) {

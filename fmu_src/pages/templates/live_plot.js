@@ -32,12 +32,12 @@ function range(...columns) {
 }
 
 class Plot {
-  /* Named curves, the last one in front; class names share a prefix. */
-  constructor(svg, prefix, names) {
-    Object.assign(this, { svg, prefix });
+  /* Named curves, the last one in front. */
+  constructor(svg, names) {
+    this.svg = svg;
     this.grid = this.add("g");
     this.curves = Object.fromEntries(
-      names.map((name) => [name, this.add("path", { class: `${prefix}-${name}` })]),
+      names.map((name) => [name, this.add("path", { class: `plot-${name}` })]),
     );
   }
 
@@ -63,9 +63,9 @@ class Plot {
     const y = (value) => height - MARGIN.bottom - (value - bottom) * up;
     this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
     const line = (x1, y1, x2, y2, value) =>
-      this.add("line", { x1, y1, x2, y2, ...(value === 0 && { class: `${this.prefix}-zero` }) }, "", this.grid);
+      this.add("line", { x1, y1, x2, y2, ...(value === 0 && { class: "plot-zero" }) }, "", this.grid);
     const label = (at, words) => this.add("text", at, words, this.grid);
-    const axis = { class: `${this.prefix}-axis` };
+    const axis = { class: "plot-axis" };
     for (const { value, text: words } of ticks(left, right, width / 90)) {
       line(x(value), MARGIN.top, x(value), height - MARGIN.bottom, value);
       label({ x: x(value), y: height - MARGIN.bottom + 16, "text-anchor": "middle" }, words);
@@ -95,4 +95,42 @@ class Plot {
     }
     return parts.length ? `M${parts.join("L")}` : "";
   }
+}
+
+/* A section of the page with a plot for a choice of joints and views. */
+class Panel {
+  constructor(element, prefix, curves) {
+    this.element = element;
+    this.find = (name) => element.querySelector(`.${prefix}-${name}`);
+    this.plot = new Plot(element.querySelector(".plot"), curves);
+    this.find("save").addEventListener("click", () => this.save());
+    new ResizeObserver(() => this.redraw()).observe(this.plot.svg);
+    element.querySelector(".views").addEventListener("change", () => this.redraw());
+    element.querySelector(".joint")?.addEventListener("change", () => this.show());
+  }
+
+  get number() {
+    return Number(this.element.querySelector(".joint")?.value ?? 0);
+  }
+
+  get view() {
+    return this.element.querySelector(".views :checked").value;
+  }
+
+  say(name, text) {
+    const place = this.find(name);
+    if (place.textContent !== text) place.textContent = text;
+    place.hidden = !text;
+  }
+}
+
+function saveTable(columns, name) {
+  const all = Object.values(columns);
+  const rows = Array.from(all[0], (_, k) => all.map((values) => values[k] ?? "").join(","));
+  const text = `${Object.keys(columns).join(",")}\n${rows.join("\n")}\n`;
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href));
 }

@@ -1,22 +1,15 @@
 /* Replays a dropped log through the FMU and compares the torques. */
 
-const VIEWS = {
-  velocity: { x: "dq", text: "velocity q̇", y: "tau", title: "Friction torque over velocity" },
-  position: { x: "q", text: "position q", y: "tau", title: "Friction torque over position" },
-  time: { x: "t", text: "time", y: "tau", title: "Friction torque over time" },
-  residual: { x: "t", text: "time", y: "residual", title: "Residual over time" },
-};
 const QUANTITIES = ["q", "dq", "tau_load", "tau"];
 
 function kindOf(quantity) {
   return quantity.startsWith("tau") ? "tau" : quantity;
 }
 
-class Log {
+class Log extends Panel {
   constructor(element, joints, own, fmu, body) {
-    Object.assign(this, { element, joints, own, fmu, body });
-    this.find = (name) => element.querySelector(`.log-${name}`);
-    this.plot = new Plot(this.find("plot"), "log", ["measured", "law"]);
+    super(element, "log", ["measured", "law"]);
+    Object.assign(this, { joints, own, fmu, body });
     const input = this.find("file");
     input.addEventListener("change", () => input.files.length && this.take(input.files[0]));
     /* Allow a changed file to be chosen again. */
@@ -34,11 +27,6 @@ class Log {
       this.follow(event.target);
       this.compute();
     });
-    for (const name of ["joint", "views"]) {
-      this.find(name)?.addEventListener("change", () => this.draw());
-    }
-    this.find("save").addEventListener("click", () => this.save());
-    new ResizeObserver(() => this.result && this.draw()).observe(this.find("plot"));
     this.find("start").hidden = false;
   }
 
@@ -70,12 +58,6 @@ class Log {
   refuse(error, name = this.name) {
     if (!(error instanceof LogError)) throw error;
     this.say("wrong", `${name}: ${error.message}`);
-  }
-
-  say(name, text) {
-    const place = this.find(name);
-    if (place.textContent !== text) place.textContent = text;
-    place.hidden = !text;
   }
 
   selects(quantity) {
@@ -234,7 +216,7 @@ class Log {
     }
     this.find("app").hidden = false;
     this.tell();
-    this.draw();
+    this.redraw();
   }
 
   /* As HESR replays logs, the law restarts after each gap. */
@@ -242,11 +224,8 @@ class Log {
     const kept = log.parts.map(([first, last]) => (values) => values.subarray(first, last));
     const wanted = this.find("cutoff").valueAsNumber || this.own.cutoff;
     if (!(wanted > 0)) throw new LogError("the cut-off of the low-pass filter must be positive [Hz].");
-    const joined = (columns) => columns[0].map((_, k) => {
-      const whole = new Float64Array(columns.reduce((sum, part) => sum + part[k].length, 0));
-      columns.reduce((at, part) => (whole.set(part[k], at), at + part[k].length), 0);
-      return whole;
-    });
+    const joined = (columns) =>
+      columns[0].map((_, k) => Float64Array.from(columns.flatMap((part) => [...part[k]])));
     const each = kept.map((cut) => {
       const t = cut(log.t), period = median(differences(t));
       const cutoff = this.find("cutoff").value ? wanted : cutoffFor(period, wanted);
@@ -343,42 +322,42 @@ class Log {
       return row;
     }));
     fitTables();
-    const residual = this.element.querySelector(".log-views [value=residual]");
+    const residual = this.element.querySelector(".views [value=residual]");
     residual.disabled = !scores;
-    if (!scores && residual.checked) this.element.querySelector(".log-views input").checked = true;
+    if (!scores && residual.checked) this.element.querySelector(".views input").checked = true;
   }
 
-  draw() {
-    const { result } = this, k = Number(this.find("joint")?.value ?? 0);
-    const view = VIEWS[this.element.querySelector(".log-views :checked").value];
-    const joint = this.joints[k], unit = joint.units.torque;
-    const x = view.x === "t" ? result.t : result[view.x][k];
-    const curves = {};
-    if (view.y === "residual") curves.law = { x, y: result.scores[k].residual };
-    else {
-      if (result.tau) curves.measured = { x, y: result.tau[k] };
-      curves.law = { x, y: result.law[k] };
-    }
-    const units = { dq: joint.units.velocity, q: joint.units.position, t: joint.units.time };
-    this.plot.draw(curves, `${view.text} [${units[view.x]}]`,
-      `${view.y === "tau" ? "friction torque τ" : "measured minus law"} [${unit}]`);
-    this.plot.svg.firstElementChild.textContent = `${view.title} of ${joint.name}: ` +
+  show() {
+    this.redraw();
+  }
+
+  redraw() {
+    const { result, number: k, view } = this, joint = this.joints[k];
+    if (!result) return;
+    const residual = view === "residual", over = residual ? "time" : view;
+    const { column, text } = AXES[over], { units } = joint;
+    const x = column === "t" ? result.t : result[column][k];
+    const curves = {
+      ...(!residual && result.tau && { measured: { x, y: result.tau[k] } }),
+      law: { x, y: residual ? result.scores[k].residual : result.law[k] },
+    };
+    const torque = residual ? "measured minus law" : "friction torque τ";
+    this.plot.draw(curves, `${text} [${units[over]}]`, `${torque} [${units.torque}]`);
+    this.plot.svg.firstElementChild.textContent =
+      `${residual ? "Residual" : "Friction torque"} over ${over} of ${joint.name}: ` +
       `${Object.keys(curves).join(" and ")}.`;
-    this.find("key-measured").hidden = !curves.measured;
-    this.find("key-law").textContent = view.y === "residual" ? "measured minus law" : "this law";
+    this.element.querySelector(".live-key.plot-measured").hidden = !curves.measured;
+    this.element.querySelector(".live-key.plot-law").textContent =
+      residual ? "measured minus law" : "this law";
   }
 
   save() {
-    const { result } = this, head = ["t"], columns = [result.t];
-    const add = (name, values) => values?.forEach((column, k) => {
-      head.push(`${name}${k + 1}`);
-      columns.push(column);
-    });
-    add("q", result.q), add("dq", result.dq), add("tau_load", result.load);
-    add("tau_friction", result.tau), add("tau_law", result.law);
-    const rows = Array.from(result.t, (_, k) => columns.map((column) => column[k]).join(","));
-    saveText(`${head.join(",")}\n${rows.join("\n")}\n`,
-      `${this.name.replace(/\.[^.]*$/, "")}_against_law.csv`);
+    const { t, q, dq, load, tau, law } = this.result, columns = { t };
+    const named = { q, dq, tau_load: load, tau_friction: tau, tau_law: law };
+    for (const [name, values] of Object.entries(named)) {
+      values?.forEach((column, k) => { columns[`${name}${k + 1}`] = column; });
+    }
+    saveTable(columns, `${this.name.replace(/\.[^.]*$/, "")}_against_law.csv`);
   }
 }
 

@@ -38,24 +38,14 @@ function basis(knots, k, span, x, out) {
   }
 }
 
-function weightsOf(knots, k, points) {
+/* Call `use` with the first coefficient and the weights of each point, which rise. */
+function eachRow(knots, k, points, use) {
   const last = knots.length - k - 2, row = new Float64Array(k + 1);
-  const first = new Int32Array(points.length), weights = new Float64Array(points.length * (k + 1));
   let span = k;
   points.forEach((x, i) => {
     while (span < last && x >= knots[span + 1]) span++;
     basis(knots, k, span, x, row);
-    first[i] = span - k;
-    weights.set(row, i * (k + 1));
-  });
-  return { k, first, weights };
-}
-
-function valuesAt({ k, first, weights }, coefficients) {
-  return Float64Array.from(first, (at, i) => {
-    let sum = 0;
-    for (let r = 0; r <= k; r++) sum += weights[i * (k + 1) + r] * coefficients[at + r];
-    return sum;
+    use(i, span - k, row);
   });
 }
 
@@ -67,11 +57,8 @@ class Spline {
     this.k = k;
     this.knots = Float64Array.from(
       [...ends(x[0]), ...x.subarray(half, n - half), ...ends(x[n - 1])]);
-    const { first, weights } = weightsOf(this.knots, k, x), width = 2 * k + 1;
-    const band = new Float64Array(n * width); /* row i, columns i - k to i + k */
-    for (let i = 0; i < n; i++) {
-      for (let r = 0; r <= k; r++) band[i * width + first[i] + r - i + k] = weights[i * (k + 1) + r];
-    }
+    const width = 2 * k + 1, band = new Float64Array(n * width); /* row i, columns i - k to i + k */
+    eachRow(this.knots, k, x, (i, first, row) => band.set(row, i * width + first - i + k));
     for (let i = 0; i < n; i++) {
       for (let j = i + 1; j <= Math.min(i + k, n - 1); j++) {
         const at = j * width + i - j + k, factor = band[at] / band[i * width + k];
@@ -93,7 +80,6 @@ class Spline {
     }
     return c;
   }
-
 }
 
 /* Values of a derivative of a spline, one of lower degree on the inner knots. */
@@ -102,7 +88,11 @@ function derived({ knots, k }, c, order, points) {
     c = c.slice(1).map((value, i) => k * (value - c[i]) / (knots[i + k + 1] - knots[i + 1]));
     knots = knots.subarray(1, knots.length - 1);
   }
-  return valuesAt(weightsOf(knots, k, points), c);
+  const found = new Float64Array(points.length);
+  eachRow(knots, k, points, (i, first, row) => {
+    for (let r = 0; r <= k; r++) found[i] += row[r] * c[first + r];
+  });
+  return found;
 }
 
 /* Second-order Butterworth low-pass filter, forwards and backwards, with mirrored ends. */

@@ -13,18 +13,10 @@ class LogError extends Error {}
 
 function cellsOf(line, delimiter) {
   if (!line.includes('"')) return line.split(delimiter).map((cell) => cell.trim());
-  const found = [];
-  let cell = "", quoted = false;
-  for (let k = 0; k < line.length; k++) {
-    if (line[k] === '"') {
-      if (quoted && line[k + 1] === '"') cell += line[k++];
-      else quoted = !quoted;
-    } else if (line[k] === delimiter && !quoted) {
-      found.push(cell.trim());
-      cell = "";
-    } else cell += line[k];
-  }
-  return [...found, cell.trim()];
+  /* Zero bytes, which no text has, stand for delimiters in quotes. */
+  const bare = line.replace(/"[^"]*"/g, (quoted) => quoted.replaceAll(delimiter, "\0"));
+  return bare.split(delimiter).map((cell) => cell.replaceAll("\0", delimiter)
+    .replace(/^\s*"(.*)"\s*$/, "$1").replaceAll('""', '"').trim());
 }
 
 function isData(line, delimiter) {
