@@ -45,11 +45,13 @@ class Pictures:
     zooms: dict[str, str] = field(default_factory=dict)
 
     def figure(
-        self, key: str, picture: "Figure", *, file: "Figure | None" = None, **texts: Any
+        self, key: str, picture: "Figure | None", *, file: "Figure | None" = None, **texts: Any
     ) -> Markup:
-        """Write a figure, or `file` instead, and return its HTML; see `drawing`."""
+        """Write a figure, if any, or `file` instead, and return its HTML; see `drawing`."""
         from cosim.report.figures.style import write
 
+        if picture is None:
+            return Markup()
         write(file or picture, self.folder / key)
         return self.shown(key, picture, **texts)
 
@@ -59,10 +61,12 @@ class Pictures:
 
         return self.drawing(key, Markup(svg(picture, key)), caption, **texts)
 
-    def chart(self, key: str, chart: "Chart", **texts: Any) -> Markup:
-        """Write a chart and return its HTML with a zooming view; see `drawing`."""
+    def chart(self, key: str, chart: "Chart | None", **texts: Any) -> Markup:
+        """Write a chart, if any, and return its HTML with a zooming view; see `drawing`."""
         from cosim.report.figures.chart import drawn
 
+        if chart is None:
+            return Markup()
         self.zooms[key] = zoom_data(chart)
         return self.figure(key, drawn(chart), **texts)
 
