@@ -4,7 +4,7 @@ import json
 import re
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jinja2
@@ -13,9 +13,10 @@ from cosim.study.sample_logs import RATE, mark_samples, sample_logs
 from cosim.study.study import Study
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.findings import Finding
-from hesr_model.robots.model_file import driven_joints, fingers, joints_of
+from hesr_model.robots.model_file import arm, driven_joints, joints_of, locked
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import folder_written_whole, is_empty, models_folder
+from hesr_model.support.text import few
 
 _FILES = ("robot.toml", "study.toml", "README.txt")
 
@@ -26,9 +27,8 @@ class NewProject:
 
     folder: Path
     joints: tuple[str, ...]  # joints in the robot file
-    unused: tuple[str, ...]  # fixed
     followers: tuple[str, ...]
-    fingers: Mapping[str, float]  # positions of locked, unused fingers [m]
+    locked: Mapping[str, float]  # positions of other joints [rad or m]
     doubts: tuple[Finding, ...]
 
 
@@ -46,9 +46,9 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
             f"{model}: is a xacro file; expand it first: "
             f"xacro {model.name} > {model.with_suffix('').with_suffix('.urdf').name}."
         )
-    used = driven_joints(model, joints)
+    used = driven_joints(model, joints) if joints else arm(model)
     others = [joint for joint in joints_of(model) if joint not in used]
-    locked = fingers(model, [joint.name for joint in used])
+    rest = locked(model, [joint.name for joint in used])
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", folder.resolve().name).lstrip("_-") or "study"
     with folder_written_whole(folder) as temporary:
         shutil.copyfile(model, temporary / model.name)
@@ -60,9 +60,8 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
                 folder=folder.as_posix(),
                 model=model.name,
                 joints=used,
-                resting={j.name: locked.get(j.name, 0.0) for j in others if j.freedom == 1},
-                fingers=bool(locked),
-                unused=", ".join(joint.name for joint in others),
+                resting=rest,
+                unused=few([joint.name for joint in others]),
                 names=", ".join(json.dumps(joint.name, ensure_ascii=False) for joint in used),
                 ratios=", ".join(["100.0"] * len(used)),
                 matrix=[
@@ -84,10 +83,9 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
     return NewProject(
         folder=folder,
         joints=tuple(joint.name for joint in used),
-        unused=tuple(joint.name for joint in others if joint.freedom),
         followers=tuple(joint.name for joint in others if not joint.freedom),
-        fingers=locked,
-        doubts=robot.doubts,
+        locked=rest,
+        doubts=tuple(replace(doubt, where=str(folder / model.name)) for doubt in robot.doubts),
     )
 
 

@@ -200,6 +200,11 @@ def listed(given: Any) -> list[Any]:
     return list(given) if several else [given]
 
 
+def joint_names(joints: Sequence[str]) -> list[str]:
+    """Return names of joints, each of which may be several with commas."""
+    return [name.strip() for joint in joints for name in joint.split(",") if name.strip()]
+
+
 def paths_of(files: PathArg | Sequence[PathArg], what: str) -> list[Path]:
     """Return one or several paths as a list; the error calls one of them `what`."""
     return [path_of(file, what) for file in listed(files)]

@@ -94,6 +94,7 @@ def inspect(
     logs: Logs,
     *,
     robot: RobotArg | None = None,
+    joints: Sequence[str] = (),
     write: PathArg | None = None,
     study: PathArg | None = None,
     output: PathArg | None = None,
@@ -111,6 +112,8 @@ def inspect(
         CSV, Parquet or MATLAB files, or ROS bags.
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; without it logs are checked against themselves.
+    joints : sequence of str, optional
+        Joints that move in the logs, repeatable or with commas; default: those of the columns.
     write : path, optional
         Robot file to write as proposed.
     study : path, optional
@@ -154,7 +157,8 @@ def inspect(
     True
     """
     from cosim.study.proposal import split
-    from cosim.workflow.arguments import listed
+    from cosim.workflow.arguments import joint_names, listed
+    from hesr_model.health.joints import with_joints
     from hesr_model.health.proposal import inspected, with_constants
     from hesr_model.logs.robot_log import Log
     from hesr_model.support.files import path_of
@@ -171,10 +175,14 @@ def inspect(
     if None in files or not files:
         raise ArgumentError("logs are inspected as files; give their paths.")
     progress("inspecting logs", 0, 1)
-    proposal = inspected([file for file in files if file], robot)
+    names = joint_names(joints)
+    if names and robot is None:
+        raise ArgumentError("'joints' needs 'robot': joints are those of a robot's model.")
+    proposal = inspected([file for file in files if file], robot, names)
     constants: Sequence[Constant] = ()
     if torque_constants:
-        constants = _torque_constants(logs, robot, mass_error, loaded, payload, progress)
+        known = with_joints(robot, names) if robot and names else robot
+        constants = _torque_constants(logs, known, mass_error, loaded, payload, progress)
         proposal = with_constants(proposal, constants)
     written = _write(proposal, output, write, study)
     return Inspection(

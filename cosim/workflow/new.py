@@ -27,7 +27,8 @@ def new(
     robot : path
         URDF or MJCF (.xml) of the robot.
     joints : sequence of str, optional
-        Joints that move in the logs, repeatable or with commas; default: all but fingers.
+        Joints that move in the logs, repeatable or with commas; default: the longest chain, without
+        fingers.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -54,27 +55,28 @@ def new(
     ('j1', 'j2', 'j3')
     """
     from cosim.study.starter import start
+    from cosim.workflow.arguments import joint_names
     from hesr_model.support.files import path_of
 
     progress("making sample logs", 0, 1)
-    names = [name.strip() for joint in joints for name in joint.split(",") if name.strip()]
-    return start(path_of(folder, "a folder"), path_of(robot, "a robot's model"), names)
+    model = path_of(robot, "a robot's model")
+    return start(path_of(folder, "a folder"), model, joint_names(joints))
 
 
 def answer(made: NewProject, _: PathArg | None) -> Answer:
     """Return the answer of a new project: its joints and the next command."""
+    from hesr_model.support.text import few
+
     lines = [f"{made.folder}: a study of the joints {', '.join(made.joints)}."]
-    if made.unused:
-        lines.append(f"Not used, without motion: {', '.join(made.unused)}.")
     if made.followers:
-        lines.append(f"Followers of other joints: {', '.join(made.followers)}.")
-    if made.fingers:
-        places = ", ".join(f"{name} = {x:g} m" for name, x in made.fingers.items())
-        lines.append(f"Locked as fingers of a gripper: {places}; --joints selects other joints.")
+        lines.append(f"Followers of other joints: {few(made.followers)}.")
+    if made.locked:
+        places = few([f"{name} = {x:.4g}" for name, x in made.locked.items()])
+        lines.append(f"Locked [rad or m]: {places}; --joints selects other joints.")
     lines += [doubt.sentence for doubt in made.doubts]
     lines += [
         f"Its logs are sample data; replace them with yours: see {made.folder / 'README.txt'}.",
         f"Next: hesr run {made.folder / 'study.toml'}",
     ]
-    data = {"joints": list(made.joints), "unused": list(made.unused)}
+    data = {"joints": list(made.joints), "locked": dict(made.locked)}
     return Written(format="hesr-project-1", lines=lines, data=data)

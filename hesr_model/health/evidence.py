@@ -14,7 +14,7 @@ from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array, Mask, some_rows
 
-_LEAST_TRAVEL = 5e-3  # minimum travel of a moving joint [rad or m]
+LEAST_TRAVEL = 5e-3  # minimum travel of a moving joint [rad or m]
 _ROWS = 4000  # per log
 _KNEE = 0.1  # smoothing speed of a sign [rad/s, m/s], at most a quarter of the peak
 
@@ -35,7 +35,7 @@ class Motionwise:
     def moves(self) -> Mask:
         """Joints (n,) that move."""
         speed = np.max(np.abs(self.v), axis=0)
-        return np.asarray((np.ptp(self.q, axis=0) > _LEAST_TRAVEL) & (speed > LEAST_PEAK))
+        return np.asarray((np.ptp(self.q, axis=0) > LEAST_TRAVEL) & (speed > LEAST_PEAK))
 
     @property
     def period(self) -> float:

@@ -12,6 +12,14 @@ import numpy as np
 from hesr_model.errors import LogError
 from hesr_model.findings import Finding
 from hesr_model.health.examine import Examination, examine
+from hesr_model.health.joints import (
+    changed,
+    is_model,
+    resting,
+    with_columns_of,
+    with_joints,
+    without,
+)
 from hesr_model.health.velocity import match
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import column_names
@@ -21,7 +29,7 @@ from hesr_model.logs.readers.matlab import read_matlab
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import LogTable, read_table
 from hesr_model.rigid_body.torque_constants import Constant
-from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, description_of
+from hesr_model.robots.robot import Robot, RobotDescription, RobotLike
 
 _ROUNDS = 4
 _CUTOFF_SHARE = 0.3  # low pass over the sample rate
@@ -39,11 +47,18 @@ class Proposal:
     sliding: frozenset[int] = frozenset()
 
 
-def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal:
-    """Inspect logs of a known robot, or by their columns alone."""
-    if robot is not None:
-        return propose(paths, description_of(robot), known=True)
+def inspected(
+    paths: Sequence[Path], robot: RobotLike | None = None, joints: Sequence[str] = ()
+) -> Proposal:
+    """Inspect logs of a known robot and its chosen joints, or by their columns alone."""
     table = open_table(paths[0], "t")
+    if robot is not None:
+        found, reason = with_joints(robot, joints, table), ""
+        if table and not joints and is_model(robot):
+            found, reason = with_columns_of(found, table)
+        proposal = propose(paths, found, known=True)
+        known = {"joints": f"likely: {reason}"} if reason else {}
+        return replace(proposal, reasons={**known, **proposal.reasons})
     count = len(guess(table).columns["q"]) if table else 1
     names = tuple(f"joint{k}" for k in range(1, count + 1))
     stranger = RobotDescription(name="robot", model=Path("unknown"), joints=names)
@@ -69,6 +84,10 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
         if not changes:
             break
         robot, logs, examination = looked(changed(robot, changes))
+    if known and (rest := resting(robot, examination.parts)):
+        reasons["locked"] = f"likely: {', '.join(rest)} rest{'s' * (len(rest) == 1)} in all logs"
+        heat = any(log.temperature is not None for log in logs)
+        robot, logs, examination = looked(without(robot, rest, temperatures=heat))
     slides = enumerate(Robot(robot).slides) if known else ()
     return Proposal(
         robot=robot,
@@ -198,6 +217,7 @@ def _constants(
 def with_constants(proposal: Proposal, constants: Sequence[Constant]) -> Proposal:
     """Return the proposal with the torque constants that were determined."""
     robot = proposal.robot
+    constants = [one for one in constants if one.joint in robot.joints]
     gains = robot.log.torque_per_ampere
     if gains is None or not any(one.determined for one in constants):
         return proposal
@@ -217,18 +237,6 @@ def _value(robot: RobotDescription, key: str) -> Any:
     for part in key.split("."):
         value = getattr(value, part)
     return value
-
-
-def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescription:
-    """Return a description with new values for keys as ``log.units.q``."""
-    data = robot.model_dump()
-    for key, value in changes.items():
-        place = data
-        *path, last = key.split(".")
-        for part in path:
-            place = place[part]
-        place[last] = value
-    return RobotDescription.model_validate(data)
 
 
 def robot_file(proposal: Proposal, path: Path) -> str:

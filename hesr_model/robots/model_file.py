@@ -1,5 +1,7 @@
 """Model files of robots: URDF read by Pinocchio, MJCF compiled by MuJoCo."""
 
+import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +16,7 @@ from hesr_model.robots.urdf import UNLIMITED, read_urdf
 from hesr_model.support.arrays import Array
 
 _SHORT = 0.1  # range of fingers [m]
+_FINGER = re.compile(r"finger|gripper|thumb|knuckle|jaw|(^|_)hand(_|$)", re.IGNORECASE)
 _ALIKE = 1e-6  # allowed difference from MuJoCo over the largest torque
 
 Followers = dict[str, tuple[str, float, float]]
@@ -279,13 +282,17 @@ def joint_frames(model: Any, neutral: Array) -> Iterator[JointFrame]:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelJoint:
-    """A joint of a model file; joints that follow others have no degree of freedom."""
+    """A joint of a model file; joints that follow others have no degree of freedom.
+
+    `rest` is the position of the joint while it is locked; `parent` is the joint before it.
+    """
 
     name: str
     freedom: int
     slides: bool
-    finger: float | None = field(default=None, repr=False)
-    """Locked position [m] of a short sliding joint at the tip, such as a gripper's."""
+    finger: bool = field(default=False, repr=False)
+    rest: float = field(default=0.0, repr=False)
+    parent: str = field(default="", repr=False)
 
 
 def joints_of(path: Path) -> tuple[ModelJoint, ...]:
@@ -300,7 +307,9 @@ def joints_of(path: Path) -> tuple[ModelJoint, ...]:
                 name=name,
                 freedom=0 if name in found.followers else joint.nv,
                 slides=_slides(joint),
-                finger=min(max(0.0, low), high) if short else None,
+                finger=short or bool(_FINGER.search(name)),
+                rest=min(max(found.rest.get(name, 0.0), low), high),
+                parent=model.names[model.parents[number]],
             )
         )
     return tuple(joints[1:])
@@ -325,14 +334,27 @@ def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, .
     found = tuple(j for j in joints.values() if (j.name in wanted if wanted else j.freedom == 1))
     if not found:
         raise RobotError(f"{path}: has no revolute or prismatic joint; at least one is needed.")
-    arm = tuple(joint for joint in found if joint.finger is None)
+    arm = tuple(joint for joint in found if not joint.finger)
     return arm if arm and not wanted else found
 
 
-def fingers(path: Path, used: Collection[str]) -> dict[str, float]:
-    """Return the locked positions [m] of fingers that are not `used`."""
-    joints = [joint for joint in joints_of(path) if joint.freedom == 1 and joint.name not in used]
-    return {joint.name: joint.finger for joint in joints if joint.finger is not None}
+def arm(path: Path) -> tuple[ModelJoint, ...]:
+    """Return the driven joints from the base to the end of the longest chain without branches."""
+    driven = {joint.name: joint for joint in driven_joints(path)}
+    chains: dict[str, list[str]] = {}
+    for joint in joints_of(path):
+        above = chains.get(joint.parent, [])
+        chains[joint.name] = [*above, joint.name] if joint.name in driven else above
+    before = {name: chains[name][-2] if len(chains[name]) > 1 else "" for name in driven}
+    branches, lengths = Counter(before.values()), {"": 0}
+    for name, parent in before.items():
+        lengths[name] = lengths[parent] + 1 if branches[parent] == 1 else 1
+    return tuple(driven[name] for name in chains[max(driven, key=lambda name: lengths[name])])
+
+
+def locked(path: Path, used: Collection[str]) -> dict[str, float]:
+    """Return the positions [rad or m] at which joints that are not `used` rest."""
+    return {j.name: j.rest for j in joints_of(path) if j.freedom == 1 and j.name not in used}
 
 
 def require_one_axis(name: str, freedom: int, path: Path) -> None:

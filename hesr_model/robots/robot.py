@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from os import PathLike
+from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -15,9 +16,9 @@ from hesr_model.logs.log_format import LogFormat
 from hesr_model.robots.model_file import (
     JointFrame,
     driven_joints,
-    fingers,
     joint_frames,
     load,
+    locked,
     position_limits,
     set_joint,
 )
@@ -113,7 +114,17 @@ class RobotDescription(Config):
 
     def require_one_per_joint(self) -> None:
         """Raise RobotError if a list has not one entry per joint."""
-        lists = {
+        for key, entries in self.lists.items():
+            if isinstance(entries, tuple) and len(entries) != len(self.joints):
+                raise RobotError(
+                    f"key '{key}' of robot '{self.name}' has {len(entries)} entries; "
+                    f"its {len(self.joints)} joints need one each."
+                )
+
+    @property
+    def lists(self) -> dict[str, Any]:
+        """Return values by key, which may be lists with an entry per joint."""
+        return {
             "transmission.matrix": self.transmission and self.transmission.matrix,
             "gear_ratio": self.gear_ratio,
             "log.torque_per_ampere": self.log.torque_per_ampere,
@@ -123,12 +134,6 @@ class RobotDescription(Config):
             **{f"log.columns.{key}": entries for key, entries in self.log.columns},
             **{f"log.units.{key}": entries for key, entries in self.log.units},
         }
-        for key, entries in lists.items():
-            if isinstance(entries, tuple) and len(entries) != len(self.joints):
-                raise RobotError(
-                    f"key '{key}' of robot '{self.name}' has {len(entries)} entries; "
-                    f"its {len(self.joints)} joints need one each."
-                )
 
 
 class Robot:
@@ -383,9 +388,14 @@ def description_of(robot: RobotLike) -> RobotDescription:
     path = path_of(robot, "a robot")
     if path.suffix.lower() == ".toml":
         return RobotDescription.read(path)
-    joints = tuple(joint.name for joint in driven_joints(path))
-    locked = fingers(path, joints)
-    return RobotDescription(name=path.stem, model=path.resolve(), joints=joints, locked=locked)
+    return description_of_model(path)
+
+
+def description_of_model(path: Path, joints: Sequence[str] = ()) -> RobotDescription:
+    """Return the description of a URDF or MJCF whose other joints, by default fingers, rest."""
+    used = tuple(joint.name for joint in driven_joints(path, joints))
+    rest = locked(path, used)
+    return RobotDescription(name=path.stem, model=path.resolve(), joints=used, locked=rest)
 
 
 def model_of(robot: RobotLike) -> Robot:

@@ -24,6 +24,11 @@ def quoted(name: str) -> str:
 
 def listed(names: Iterable[str], most: int = 5) -> str:
     """Return quoted names, and the number of further ones."""
-    names = list(names)
-    text = ", ".join(map(quoted, names[:most]))
-    return f"{text} and {len(names) - most} more" if len(names) > most else text
+    return few(map(quoted, names), most)
+
+
+def few(words: Iterable[str], most: int = 5) -> str:
+    """Return words, and the number of further ones."""
+    words = list(words)
+    more = f" and {len(words) - most} more" if len(words) > most else ""
+    return f"{', '.join(words[:most])}{more}"

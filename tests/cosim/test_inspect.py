@@ -1,6 +1,7 @@
 """hesr inspect: a foreign log gives a robot file without manual edits."""
 
 import json
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -14,17 +15,19 @@ from cosim.study.results import read_findings
 from cosim.study.run import score_study
 from cosim.study.steps import Job
 from cosim.study.study import Study
-from hesr_model.errors import ArtifactError, LogError
+from hesr_model.errors import ArtifactError, LogError, RobotError
 from hesr_model.friction.records import predict_record
 from hesr_model.health.examine import examine
-from hesr_model.health.proposal import Proposal, propose, robot_file
+from hesr_model.health.joints import changed, without
+from hesr_model.health.proposal import Proposal, inspected, propose, robot_file
 from hesr_model.inference.comparison import LawErrors, law_errors
 from hesr_model.logs.guess import guess
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.logs.tables import table_of
+from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotDescription
+from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel
 from hesr_model.support.progress import silent
 
@@ -225,6 +228,94 @@ def test_a_clean_log_has_no_findings(
     assert (envelope["passed"], envelope["findings"]) == (True, [])
     empty = {"given": [], "proposed": [], "reasons": {}, "limit": "", "torque_constants": []}
     assert envelope["result"] == empty
+
+
+@pytest.fixture
+def partly_at_rest(
+    tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription
+) -> Path:
+    """A log with temperatures of an arm whose second joint rests at .3 rad."""
+    motion, robot = make_motion(name="rest", friction=0.8), Robot(arm)
+    q, dq, ddq = motion.q.copy(), motion.dq.copy(), motion.ddq.copy()
+    q[:, 1], dq[:, 1], ddq[:, 1] = 0.3, 0.0, 0.0
+    tau = robot.torque(robot.nominal_parameters, q, dq, ddq) + 0.8 * np.tanh(dq / 0.01)
+    tau += np.random.default_rng(1).normal(0.0, 0.05, tau.shape)
+    heat = np.tile([30.0, 40.0, 50.0], (len(q), 1))
+    path = tmp_path / "rest.csv"
+    Log(name="rest", t=motion.t, q=q, dq=dq, tau=tau, temperature=heat).write(path)
+    return path
+
+
+def test_resting_joints_are_proposed_as_locked(
+    partly_at_rest: Path, arm: RobotDescription, hesr: Hesr
+) -> None:
+    written, study = (partly_at_rest.with_name(name) for name in ("robot.toml", "study.toml"))
+    arguments = ("--robot", arm.model, "--write", written, "--study", study)
+    said = hesr("inspect", partly_at_rest, *arguments)
+    assert said.code == 0, said.err
+    assert "proposed: locked: likely: j2 rests in all logs\n" in said.out
+    found = RobotDescription.read(written)
+    assert (found.joints, found.locked) == (("j1", "j3"), {"j2": 0.3})
+    log = Log.read(partly_at_rest, found)
+    assert log.temperature is not None
+    np.testing.assert_array_equal(log.temperature[0], [30.0, 50.0])
+    robot = Robot(found)
+    assert identify([log], robot).rmse[1] < 0.2
+    still = np.zeros((len(log.q), 2))
+    gravity = robot.torque(robot.nominal_parameters, log.q, still, still)
+    whole = Robot(arm)
+    q = np.insert(log.q, 1, 0.3, axis=1)
+    expected = whole.torque(whole.nominal_parameters, q, 0.0 * q, 0.0 * q)[:, [0, 2]]
+    np.testing.assert_allclose(gravity, expected, atol=1e-9)
+
+
+def test_joints_are_selected_and_keep_their_columns(
+    partly_at_rest: Path, arm: RobotDescription, hesr: Hesr
+) -> None:
+    written = partly_at_rest.with_name("robot.toml")
+    arguments = ("inspect", partly_at_rest, "--joints", "j1, j2")
+    said = hesr(*arguments, "--joints", "j3", "--robot", arm.model, "--write", written)
+    assert said.code == 0, said.err
+    found = RobotDescription.read(written)
+    assert (found.joints, found.log.columns.q) == (("j1", "j3"), ("q1", "q3"))
+    said = hesr("inspect", partly_at_rest, "--joints", "j3", "--robot", written)
+    assert said.code == 0, said.err
+    said = hesr(*arguments, "--robot", written)
+    assert (said.code, said.err) == (2, "hesr: robot 'arm' has no joint 'j2'; it has j1, j3.\n")
+    said = hesr(*arguments)
+    assert said.err == "hesr: --joints needs --robot: joints are those of a robot's model.\n"
+
+
+def test_joints_with_a_transmission_are_not_locked(arm: RobotDescription) -> None:
+    coupled = changed(arm, {"transmission": {"matrix": np.eye(3).tolist()}})
+    with pytest.raises(RobotError, match=r"has a \[transmission\], whose motors turn joints that"):
+        without(coupled, {"j2": 0.0})
+
+
+def test_joints_are_recognised_by_name_and_number(
+    tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription
+) -> None:
+    """A log of an arm on a base with wheels."""
+    wheels = "".join(
+        f'<body name="w{k}"><joint name="wheel{k}"/><geom size=".1" mass="1"/></body>'
+        for k in range(2)
+    )
+    text = arm.model.read_text(encoding="utf-8").replace("</worldbody>", f"{wheels}</worldbody>")
+    model = tmp_path / "mobile.xml"
+    model.write_text(text, encoding="utf-8")
+    motion = make_motion(name="log", friction=0.8)
+    log = Log(name="log", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
+    path = tmp_path / "log.csv"
+    for columns, reason in (("q1", "the log has 3 positions"), ("j1_q", "named in the columns")):
+        log.write(path)
+        lines = path.read_text(encoding="utf-8").splitlines()
+        if columns == "j1_q":
+            lines[0] = re.sub(r"\b(q|dq|tau)(\d)", r"j\2_\1", lines[0])
+        path.write_text("\n".join(lines), encoding="utf-8")
+        proposal = inspected([path], model)
+        assert proposal.robot.joints == ("j1", "j2", "j3")
+        assert proposal.reasons["joints"] == f"likely: {reason}"
+        assert proposal.robot.locked == {"wheel0": 0.0, "wheel1": 0.0}
 
 
 def test_logs_are_inspected_without_a_robot(messy: Path, hesr: Hesr) -> None:

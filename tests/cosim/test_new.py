@@ -62,6 +62,9 @@ MANY_JOINTS = f"""
 </robot>
 """
 
+JOINT = f"""<link name="{{name}}_link">{LINK}</link><joint name="{{name}}" type="continuous">
+<parent link="{{parent}}"/><child link="{{name}}_link"/><axis xyz="0 1 0"/></joint>"""
+
 BALL = """
 <mujoco><worldbody><body name="ball"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
 <joint name="ball" type="ball"/></body></worldbody></mujoco>
@@ -165,7 +168,7 @@ BLOCK = re.compile(r"(?:^# (?:[a-z_]+ = |\[|  \[|\]).*\n)+", re.MULTILINE)
 
 
 @pytest.mark.parametrize(
-    ("file", "schema", "blocks"), [("robot.toml", RobotDescription, 9), ("study.toml", Study, 4)]
+    ("file", "schema", "blocks"), [("robot.toml", RobotDescription, 8), ("study.toml", Study, 4)]
 )
 def test_every_commented_out_option_is_valid(
     tmp_path: Path, file: str, schema: type[RobotDescription] | type[Study], blocks: int
@@ -193,7 +196,7 @@ def test_all_kinds_of_joints_are_supported(tmp_path: Path, hesr: Hesr) -> None:
     assert (answer.code, answer.err) == (0, "")
     assert "a study of the joints turn, slide, left.\n" in answer.out
     assert "Followers of other joints: right.\n" in answer.out
-    assert "without motion" not in answer.out
+    assert "Locked" not in answer.out
     description = RobotDescription.read(tmp_path / "all" / "robot.toml")
     log = Log.read(tmp_path / "all" / "logs" / "sample_training.csv", description)
     robot = Robot(description)
@@ -211,10 +214,10 @@ def test_all_kinds_of_joints_are_supported(tmp_path: Path, hesr: Hesr) -> None:
     assert np.abs(truth).max() > 20.0
 
     answer = hesr("new", tmp_path / "two", "--robot", model, "--joints", "turn, left")
-    assert "Not used, without motion: slide.\nFollowers of other joints: right.\n" in answer.out
+    locked = "Locked [rad or m]: slide = 0; --joints selects other joints.\n"
+    assert f"Followers of other joints: right.\n{locked}" in answer.out
     assert RobotDescription.read(tmp_path / "two" / "robot.toml").joints == ("turn", "left")
-    text = (tmp_path / "two" / "robot.toml").read_text()
-    assert '# locked = { "slide" = 0.0 }' in text
+    assert '[locked]\n"slide" = 0.0\n\n[log]' in (tmp_path / "two" / "robot.toml").read_text()
     assert "--joints A,B,.." in (tmp_path / "two" / "README.txt").read_text()
 
 
@@ -224,20 +227,49 @@ def test_fingers_are_proposed_as_locked(tmp_path: Path, hesr: Hesr) -> None:
     model = model_file(tmp_path, text)
     answer = hesr("new", tmp_path / "all", "--robot", model)
     assert (answer.code, answer.err) == (0, "")
-    assert "a study of the joints turn, slide.\nNot used, without motion: left.\n" in answer.out
-    fingers = "Locked as fingers of a gripper: left = 0.01 m; --joints selects other joints.\n"
-    assert fingers in answer.out
+    assert "a study of the joints turn, slide.\n" in answer.out
+    assert "Locked [rad or m]: left = 0.01; --joints selects other joints.\n" in answer.out
     assert RobotDescription.read(tmp_path / "all" / "robot.toml").locked == {"left": 0.01}
     assert description_of(model).joints == ("turn", "slide")
     answer = hesr("new", tmp_path / "own", "--robot", model, "--joints", "turn,slide,left")
-    assert "fingers" not in answer.out
+    assert "Locked" not in answer.out
+
+
+def branch(side: str, joints: int, parent: str) -> str:
+    """A chain of joints that ends in a gripper with one jaw, which cannot close to 0."""
+    text = ""
+    for k in range(1, joints + 1):
+        name = f"{side}{k}" if k < joints else f"{side}_gripper"
+        text += f"""<link name="{name}_link">{LINK}</link><joint name="{name}" type="revolute">
+            <parent link="{parent}"/><child link="{name}_link"/><axis xyz="0 1 0"/>
+            <limit lower="0.1" upper="0.9" effort="1" velocity="1"/></joint>"""
+        parent = f"{name}_link"
+    return text
+
+
+def test_one_arm_is_proposed(tmp_path: Path, hesr: Hesr) -> None:
+    """Wheels, the second arm and grippers rest within their limits; the torso moves."""
+    wheel = JOINT.format(name="wheel", parent="base")
+    torso = JOINT.format(name="torso", parent="base")
+    arms = branch("left", 4, "torso_link") + branch("right", 4, "torso_link")
+    robot = f'<robot name="two"><link name="base"/>{wheel}{torso}{arms}</robot>'
+    model = model_file(tmp_path, robot)
+    answer = hesr("new", tmp_path / "new", "--robot", model)
+    assert (answer.code, answer.err) == (0, "")
+    assert "a study of the joints torso, left1, left2, left3.\n" in answer.out
+    places = "left_gripper = 0.1, right1 = 0.1, right2 = 0.1, right3 = 0.1, right_gripper = 0.1"
+    assert f"Locked [rad or m]: {places} and 1 more; --joints selects" in answer.out
+    found = RobotDescription.read(tmp_path / "new" / "robot.toml")
+    assert (len(found.locked), found.locked["wheel"]) == (6, 0.0)
 
 
 def test_doubts_about_the_model_are_printed(tmp_path: Path, hesr: Hesr) -> None:
     model = model_file(tmp_path, ONE_JOINT.replace('upper="1.5"', 'upper="150"'))
     answer = hesr("new", tmp_path / "new", "--robot", model)
     copy = tmp_path / "new" / "arm.urdf"
-    doubt = "joint 'pitch': its limits -1.5 and 150 rad look like degrees: write radians.\n"
+    doubt = (
+        f"{copy}, joint 'pitch': its limits -1.5 and 150 rad look like degrees: write radians.\n"
+    )
     assert doubt in answer.out, answer.out
     assert not copy.with_name("MUJOCO_LOG.TXT").exists()
 

@@ -1,0 +1,114 @@
+"""Joints of a robot that logs contain, and joints that rest in them."""
+
+import re
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hesr_model.errors import LogError, RobotError
+from hesr_model.health.evidence import LEAST_TRAVEL, Motionwise
+from hesr_model.logs.guess import guess
+from hesr_model.logs.log_format import column_names
+from hesr_model.logs.tables import LogTable
+from hesr_model.robots.model_file import arm, locked
+from hesr_model.robots.robot import (
+    RobotDescription,
+    RobotLike,
+    description_of,
+    description_of_model,
+)
+
+
+def is_model(robot: RobotLike) -> bool:
+    """Return whether a robot is the path of a model file."""
+    return isinstance(robot, str | PathLike) and Path(robot).suffix.lower() != ".toml"
+
+
+def with_joints(
+    robot: RobotLike, joints: Sequence[str], table: LogTable | None = None
+) -> RobotDescription:
+    """Return a robot with these joints, by default its own; a table may have columns of others."""
+    known = description_of(robot)
+    if joints and is_model(robot) and not (table and _positions(table) == len(known.joints)):
+        return description_of_model(known.model, joints)
+    for name in joints:
+        if name not in known.joints:
+            raise RobotError(
+                f"robot '{known.name}' has no joint '{name}'; it has {', '.join(known.joints)}."
+            )
+    others = set(known.joints) - set(joints or known.joints)
+    rest = locked(known.model, joints) if others else {}
+    return without(known, {name: rest[name] for name in others}) if others else known
+
+
+def with_columns_of(robot: RobotDescription, table: LogTable) -> tuple[RobotDescription, str]:
+    """Return a robot with the joints that a table has, and how they were recognised."""
+    edges = r"(?<![A-Za-z0-9]){}(?![A-Za-z0-9])"
+    text = "\n".join(table.names)
+    named = [name for name in robot.joints if re.search(edges.format(re.escape(name)), text)]
+    if named and len(named) < len(robot.joints):
+        return description_of_model(robot.model, named), "named in the columns"
+    own = [joint.name for joint in arm(robot.model)]
+    if len(own) == _positions(table) < len(robot.joints):
+        return description_of_model(robot.model, own), f"the log has {len(own)} positions"
+    return robot, ""
+
+
+def _positions(table: LogTable) -> int:
+    """Return the number of joints whose positions a table seems to contain."""
+    try:
+        return len(guess(table).columns["q"])
+    except LogError:
+        return 0
+
+
+def resting(robot: RobotDescription, parts: Sequence[Motionwise]) -> dict[str, float]:
+    """Return the positions [rad or m] of joints that stay at one place in all parts."""
+    if not parts or robot.transmission:
+        return {}
+    q = np.concatenate([part.q for part in parts])
+    rests = np.ptp(q, axis=0) <= LEAST_TRAVEL
+    places = np.median(q, axis=0)
+    found = {robot.joints[j]: float(f"{places[j]:.4g}") for j in np.flatnonzero(rests)}
+    return found if len(found) < len(robot.joints) else {}
+
+
+def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescription:
+    """Return a description with new values for keys as ``log.units.q``."""
+    data = robot.model_dump()
+    for key, value in changes.items():
+        place = data
+        *path, last = key.split(".")
+        for part in path:
+            place = place[part]
+        place[last] = value
+    return RobotDescription.model_validate(data)
+
+
+def without(
+    robot: RobotDescription, rest: Mapping[str, float], *, temperatures: bool = False
+) -> RobotDescription:
+    """Return a description without the joints that `rest` locks at positions [rad or m].
+
+    Their columns are skipped, those of `temperatures` if logs contain them.
+    """
+    if robot.transmission:
+        raise RobotError(
+            f"robot '{robot.name}' has a [transmission], whose motors turn joints that would be "
+            "locked; remove these joints from its 'joints' and from the matrix."
+        )
+    kept = [k for k, joint in enumerate(robot.joints) if joint not in rest]
+    lists = {**robot.lists, "joints": robot.joints}
+    for key in ["q", "dq", "tau", "current", *(["temperature"] if temperatures else [])]:
+        pattern = getattr(robot.log.columns, key)
+        if pattern and "{name}" not in pattern:
+            lists[f"log.columns.{key}"] = tuple(column_names(pattern, robot.joints))
+    changes = {
+        key: tuple(entries[k] for k in kept)
+        for key, entries in lists.items()
+        if isinstance(entries, tuple)
+    }
+    return changed(robot, {**changes, "locked": {**robot.locked, **rest}})
