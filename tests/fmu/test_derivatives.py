@@ -48,10 +48,16 @@ def states_of(fmu):
 
 
 def place(fmu, joint):
-    """Point of evaluation of a joint: motion so slow that the start matters, away from kinks."""
+    """Point of evaluation of a joint: motion so slow that the start matters, away from kinks.
+
+    A scale whose start is its limit lies within it.
+    """
     rng = np.random.default_rng(joint)
     knowns, _ = names(fmu, joint)
     start = {v.name: float(v.start) for v in fmu.about.modelVariables if v.name in knowns}
+    for v in fmu.about.modelVariables:
+        if v.name in knowns and v.min is not None and float(v.min) == start[v.name] > 0.0:
+            start[v.name] *= 1.01
     for state in (u.variable.derivative for u in fmu.about.derivatives):
         if (name := states_of(fmu)[state.name]) in knowns:
             start[name] += rng.uniform(0.1, 0.3) * float(state.nominal or 1.0)
