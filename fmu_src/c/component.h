@@ -22,6 +22,13 @@
 #define SELDOM
 #endif
 
+/* Attribute of functions that would be copied into several callers. */
+#ifdef __GNUC__
+#define NOINLINE __attribute__((noinline))
+#else
+#define NOINLINE
+#endif
+
 typedef struct {
     double v[VARIABLES];           /* including integers and enumerations */
     double own[OWN > 0 ? OWN : 1]; /* initially zero; the glue only copies it */

@@ -24,8 +24,8 @@ static const Variable *variable_of(fmi2ValueReference vr) {
     return &variables[first_of(vr)];
 }
 
-static bool known(const Instance *instance, const char *function, Type type,
-                  const fmi2ValueReference vr[], size_t n, const void *value) {
+NOINLINE static bool known(const Instance *instance, const char *function, Type type,
+                           const fmi2ValueReference vr[], size_t n, const void *value) {
     if (n > 0 && (!vr || !value)) {
         complain(instance, "%s: an argument is NULL.", function);
         return false;
