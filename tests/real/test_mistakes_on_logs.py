@@ -205,7 +205,7 @@ def test_mistakes_are_detected_in_a_log_of_the_twin(what: str, twin: Path) -> No
 def test_logs_of_the_twin_are_sound(twin: Path) -> None:
     model = model_of(uf850("robot.toml"))
     logs = [Log.read(log, model.description) for log in sorted(twin.glob("*.csv"))]
-    assert len(logs) == 11
+    assert len(logs) == 13
     for log in logs:
         assert examine([log], model.description, model).findings == ()
         bare = examine([replace(log, dq=None)], model.description, model)
