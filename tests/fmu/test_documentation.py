@@ -114,6 +114,7 @@ def without_scope(cells: list[tuple[str, str, str]]) -> list[tuple[str, str, str
     return [c for c in cells if not re.search(r'scope="(col|row)"', c[1]) or c[2]]
 
 
+@pytest.mark.ci
 def test_pages_of_registered_laws_are_complete(fitted: dict[str, FrictionModel]) -> None:
     assert set(fitted) == set(everyday())
     for name, model in fitted.items():

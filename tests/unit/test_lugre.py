@@ -127,7 +127,6 @@ def test_a_joint_that_never_reverses_is_refused() -> None:
 
 
 CLASSES = (
-    "stribeck",
     "lugre",
     "lugre_load",
     "lugre_load_ripple",
@@ -155,7 +154,7 @@ def test_static_friction_is_not_below_coulomb_friction(name: str, rising: Fricti
     assert values["F_s"] >= values["F_c"] * (1.0 - 1e-9)
 
 
-@pytest.mark.parametrize("name", CLASSES[1:4])
+@pytest.mark.parametrize("name", CLASSES[:3])
 def test_a_relaxed_search_goes_below(name: str, rising: FrictionRecord) -> None:
     values = fit_joint(name, [rising], seed=0, options={"relaxed": True}).values
     assert values["F_s"] < 0.9 * values["F_c"]
