@@ -26,7 +26,7 @@ _EPILOG = """\b
 Exit codes:
   0    success
   1    a finding is an error, or at least as severe as --fail-on
-  2    the command or one of its files is invalid; one sentence gives the reason
+  2    the command or one of its files is invalid; one sentence says why
   130  interrupted by Ctrl-C (143: ended by another program); no file is
        half-written, and a run says what it can go on from
 
