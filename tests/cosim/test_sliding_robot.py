@@ -57,6 +57,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
     return hesr_here(capsys, monkeypatch)
 
 
+@pytest.mark.ci
 def test_a_log_leads_to_an_arm_with_its_friction(tmp_path: Path, hesr: Hesr) -> None:
     mjcf, law, body = (tmp_path / name for name in ("lift.xml", "law.json", "body.json"))
     mjcf.write_text(LIFT, encoding="utf-8")
