@@ -137,7 +137,7 @@ def _of_library(
     machines = [part["machine"] for part in parts]
     right = [part for part in parts if part["machine"] in expected.machines]
     if found["format"] != expected.format or not right:
-        is_a = f"{found['format']} for {', '.join(machines)}" if parts else "no readable library"
+        is_a = f"{found['format']} for {', '.join(machines)}" if parts else "not a readable library"
         needed = " or ".join(expected.machines)
         yield f"it is {is_a}; needed in this folder is {expected.format} for {needed}."
         return

@@ -137,7 +137,7 @@ finally:
 
 
 def test_other_packages_are_quiet_without_a_home(tmp_path: Path) -> None:
-    env = {key: value for key, value in os.environ.items() if not key.startswith("XDG_")}
+    env = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "MPLCONFIGDIR"))}
     result = subprocess.run(
         [sys.executable, "-c", DRAWING, "fit", "--list", "--quiet"],
         capture_output=True,

@@ -115,6 +115,7 @@ def name(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("law", LAWS)
 def test_the_laws_are_passive(law: str) -> None:
     found = audit(fitted()[law], TrainedRange.of(records()))

@@ -104,7 +104,8 @@ def test_origin_and_findings_are_documented(table1):
     )
     assert "tau = 16.24*h - 0.163*h&#39; + 37.72*tanh(" in joint
     assert (
-        "It is not passive: over a closed cycle of 0.4 rad/s at 0.05 Hz it gives 12.4 J." in joint
+        "It is not passive: over a closed cycle of 0.4 rad/s at 0.05 Hz it generates 12.4 J."
+        in joint
     )
     assert "Table I of the paper" in whole
     assert "explicit Euler steps of 0.005 s" in whole
