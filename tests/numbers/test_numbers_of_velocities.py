@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from limits_found import TWO, as_part, edge, said, two_joints
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
@@ -59,6 +60,7 @@ def sized(noise: float, scale: float) -> np.ndarray:
     return np.asarray(scale * dq / dq.std(axis=0) * V.std(axis=0))
 
 
+@pytest.mark.ci
 def test_velocities_of_a_wrong_scale(
     unchanged: Unchanged, data_regression: DataRegressionFixture
 ) -> None:
