@@ -154,8 +154,7 @@ def _slid(fast: Array, slow: Array, amplitude: float) -> PropertyResult:
     if abs(ratio - 1.0) > RATE:
         wrong.append(
             f"At a tenth of the speed the loop dissipates {ratio:.2g} times the work: it depends "
-            "on "
-            "velocity, not on position."
+            "on velocity, not on position."
         )
     x = _positions(amplitude)
     return judged(

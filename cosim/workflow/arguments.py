@@ -201,7 +201,7 @@ def listed(given: Any) -> list[Any]:
 
 
 def joint_names(joints: Sequence[str]) -> list[str]:
-    """Return names of joints, each of which may be several with commas."""
+    """Return joint names, splitting texts with several names at commas."""
     return [name.strip() for joint in joints for name in joint.split(",") if name.strip()]
 
 

@@ -1,9 +1,8 @@
 """Covariance of least-squares estimates from logs, for rigid bodies and friction.
 
 The error of an estimate is the sum of the influences of its rows, psi_t = H^-1 g_t, with the
-gradient g_t
-of row t and the Hessian H of half the sum of squares. Neighbouring rows are correlated, and logs
-differ by more than their rows show:
+gradient g_t of row t and the Hessian H of half the sum of squares. Neighbouring rows are
+correlated, and logs differ by more than their rows show:
 
     cov = factor^2 sum over logs S_log + carried,    S = long-run covariance of the influences.
 

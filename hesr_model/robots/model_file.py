@@ -322,7 +322,13 @@ def _slides(joint: Any) -> bool:
 
 def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
     """Return the wanted joints, or all usable ones but fingers; RobotError without any."""
-    joints = {joint.name: joint for joint in joints_of(path)}
+    return _driven(path, joints_of(path), wanted)
+
+
+def _driven(
+    path: Path, known: Sequence[ModelJoint], wanted: Sequence[str] = ()
+) -> tuple[ModelJoint, ...]:
+    joints = {joint.name: joint for joint in known}
     for name in wanted:
         if name not in joints:
             raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(joints)}.")
@@ -334,15 +340,16 @@ def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, .
     found = tuple(j for j in joints.values() if (j.name in wanted if wanted else j.freedom == 1))
     if not found:
         raise RobotError(f"{path}: has no revolute or prismatic joint; at least one is needed.")
-    arm = tuple(joint for joint in found if not joint.finger)
-    return arm if arm and not wanted else found
+    others = tuple(joint for joint in found if not joint.finger)
+    return others if others and not wanted else found
 
 
 def arm(path: Path) -> tuple[ModelJoint, ...]:
     """Return the driven joints from the base to the end of the longest chain without branches."""
-    driven = {joint.name: joint for joint in driven_joints(path)}
+    joints = joints_of(path)
+    driven = {joint.name: joint for joint in _driven(path, joints)}
     chains: dict[str, list[str]] = {}
-    for joint in joints_of(path):
+    for joint in joints:
         above = chains.get(joint.parent, [])
         chains[joint.name] = [*above, joint.name] if joint.name in driven else above
     before = {name: chains[name][-2] if len(chains[name]) > 1 else "" for name in driven}
@@ -353,7 +360,7 @@ def arm(path: Path) -> tuple[ModelJoint, ...]:
 
 
 def locked(path: Path, used: Collection[str]) -> dict[str, float]:
-    """Return the positions [rad or m] at which joints that are not `used` rest."""
+    """Return the rest positions [rad or m] of joints that are not `used`."""
     return {j.name: j.rest for j in joints_of(path) if j.freedom == 1 and j.name not in used}
 
 

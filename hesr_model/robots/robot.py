@@ -386,9 +386,8 @@ def description_of(robot: RobotLike) -> RobotDescription:
     if isinstance(robot, RobotDescription):
         return robot
     path = path_of(robot, "a robot")
-    if path.suffix.lower() == ".toml":
-        return RobotDescription.read(path)
-    return description_of_model(path)
+    is_robot_file = path.suffix.lower() == ".toml"
+    return RobotDescription.read(path) if is_robot_file else description_of_model(path)
 
 
 def description_of_model(path: Path, joints: Sequence[str] = ()) -> RobotDescription:

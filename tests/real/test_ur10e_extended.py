@@ -62,7 +62,7 @@ Each with the initial state estimated from measured torque if the law supports i
 ABLATION = ("hx_bare", "hx_memory", "hx_load", "hx_bump", "hx_ripple", "parfam_hx")
 """Each has one extension more than the previous one."""
 RELAXED = {"lugre_relaxed", "lugre_load_ripple_relaxed"}
-"""Variants of the study with F_s < F_c allowed, for which bounds of LuGre laws were found."""
+"""Variants of the study with F_s < F_c allowed; bounds of LuGre laws are theirs."""
 RELAX = {"relaxed": True}
 
 EXACT_ENOUGH = 1e-12

@@ -40,7 +40,7 @@ def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Score
 
 @pytest.fixture(scope="module")
 def without_lag(outcome: Scored) -> Comparison:
-    """Scores with the velocity of the fits, for which the bounds were found."""
+    """Scores with the velocity of the fits; the bounds are for it."""
     records = records_of(outcome.study.logs.test["test"], outcome.records)
     return compare(records, predict_models(outcome.models, records), {})
 
