@@ -83,9 +83,14 @@ def recorded(arm: TwinArm, motion: MotionSpec, seed: int) -> Iterator[Recording]
 
 
 def record(
-    arm: TwinArm, trajectory: Trajectory, seed: int, *, name: str, unlogged: float = 0.0
+    arm: TwinArm,
+    trajectory: Trajectory,
+    seed: int,
+    *,
+    name: str,
+    unlogged: tuple[float, float] = (0.0, 0.0),
 ) -> Recording:
-    """Run the arm along a motion from rest and log it after `unlogged` [s].
+    """Run the arm along a motion from rest and log it, but for times at its start and end [s].
 
     The command is the mean desired velocity over each sample period, whose integral is the desired
     position without drift. The noise of a log depends on `seed` and `name` only.
@@ -96,11 +101,11 @@ def record(
             f"motion '{name}': lasts {trajectory.duration:g} s, which at {rate:g} Hz are "
             f"{trajectory.duration * rate:.3g} samples; at most {_MOST_SAMPLES:g} can be logged."
         )
-    first, count = round(unlogged * rate), round(trajectory.duration * rate)
+    first, count = (round(t * rate) for t in (unlogged[0], trajectory.duration - unlogged[1]))
     if count - first < 2:
         raise ConfigError(
-            f"motion '{name}': {unlogged:g} of {trajectory.duration:g} s are not logged; at least "
-            f"two samples at {rate:g} Hz must remain."
+            f"motion '{name}': {sum(unlogged):g} of {trajectory.duration:g} s are not logged; at "
+            f"least two samples at {rate:g} Hz must remain."
         )
     desired = trajectory.sample(np.arange(count + 1) / rate)[0]
     joints = arm.plant.joints

@@ -18,14 +18,17 @@ class _Motion(Config):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
     also_reversed: bool = False  # second log ``<name>_reversed``
 
+    unlogged_ends: float = Field(default=0.0, ge=0)  # at rest, before and after the log [s]
+
     @property
-    def unlogged(self) -> float:
-        """Time before the log begins [s]."""
-        return 0.0
+    def unlogged(self) -> tuple[float, float]:
+        """Times before and after the log [s]."""
+        return self.unlogged_ends, self.unlogged_ends
 
     def trajectory(self) -> Trajectory:
         """Return the motion in closed form, made of all other fields."""
-        values = self.model_dump(exclude={"name", "also_reversed", "kind", "unlogged_periods"})
+        other = {"name", "also_reversed", "kind", "unlogged_periods", "unlogged_ends"}
+        values = self.model_dump(exclude=other)
         return self.make(**{k: np.array(v) if type(v) is tuple else v for k, v in values.items()})
 
 
@@ -43,9 +46,9 @@ class FourierMotion(_Motion):
     unlogged_periods: int = Field(default=0, ge=0)  # without log
 
     @property
-    def unlogged(self) -> float:
-        """Time before the log begins [s]."""
-        return self.unlogged_periods * self.period
+    def unlogged(self) -> tuple[float, float]:
+        """Times before and after the log [s]."""
+        return self.unlogged_ends + self.unlogged_periods * self.period, self.unlogged_ends
 
 
 class SineMotion(_Motion):

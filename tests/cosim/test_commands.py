@@ -22,6 +22,7 @@ def file(arm: RobotDescription, arm_log: Log) -> Path:
     return path
 
 
+@pytest.mark.ci
 def test_four_calls_lead_from_a_log_to_scores(arm: RobotDescription, file: Path) -> None:
     log = hesr.Log.read(str(file), robot=str(arm.model))
     body = hesr.identify(log)

@@ -75,8 +75,8 @@ def case() -> Case:
         for name, trajectory in zip(names_of(motion), both, strict=False):
             if name not in NAMES:
                 continue
-            t = np.arange(0.0, trajectory.duration - motion.unlogged, 1.0 / plant.sample_rate)
-            q, dq, ddq = trajectory.sample(motion.unlogged + t)
+            t = np.arange(0.0, trajectory.duration - sum(motion.unlogged), 1.0 / plant.sample_rate)
+            q, dq, ddq = trajectory.sample(motion.unlogged[0] + t)
             friction = [predict(law, t=t, dq=dq[:, k], q=q[:, k]) for k, law in enumerate(laws)]
             tau = model.torque(model.nominal_parameters, q, dq, ddq) + np.column_stack(friction)
             logs.append(Log(name=name, t=t, q=q, dq=dq, tau=tau))

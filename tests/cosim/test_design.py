@@ -52,7 +52,7 @@ def recorded(designed):
     motion = replace(designed.excitation.motion, periods=2)
     with loaded_arm(plant) as arm:
         return [
-            record(arm, trajectory, 1, name=name, unlogged=motion.period)
+            record(arm, trajectory, 1, name=name, unlogged=(motion.period, 0.0))
             for name, trajectory in (("forward", motion), ("backward", motion.time_reversed()))
         ]
 

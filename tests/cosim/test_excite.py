@@ -158,7 +158,7 @@ def test_logged_excitation_is_periodic(arm):
     trajectory = random_fourier(
         seed=3, harmonics=3, period=4.0, peak_velocity=np.ones(3), offset=HOME, periods=3
     )
-    truth = record(arm, trajectory, 1, name="x", unlogged=4.0).truth
+    truth = record(arm, trajectory, 1, name="x", unlogged=(4.0, 0.0)).truth
     np.testing.assert_allclose(truth.tau_f_true[800:], truth.tau_f_true[:800], atol=0.05)
     np.testing.assert_allclose(truth.q[800:], truth.q[:800], atol=1e-5)
 
@@ -274,4 +274,4 @@ def test_motion_for_another_number_of_joints_is_refused(arm):
 
 def test_motion_that_ends_before_the_log_starts_is_refused(arm):
     with pytest.raises(ConfigError, match="motion 'short': 1 of 1 s are not logged"):
-        record(arm, sine(), 1, name="short", unlogged=1.0)
+        record(arm, sine(), 1, name="short", unlogged=(0.5, 0.5))

@@ -62,7 +62,7 @@ def logs(folders):
         with loaded_arm(plant) as arm:
             both.append(
                 [
-                    record(arm, run, 1, name=f"{folder.parent.name}_{k}", unlogged=20)
+                    record(arm, run, 1, name=f"{folder.parent.name}_{k}", unlogged=(20.0, 0.0))
                     for k, run in enumerate((motion, motion.time_reversed()))
                 ]
             )
