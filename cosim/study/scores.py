@@ -242,7 +242,7 @@ def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, Ratio]
 def _against_best(
     table: LawErrors, ranked: Sequence[str]
 ) -> tuple[tuple[str, ...], dict[str, float], float]:
-    """Return leading laws, detectable ratios, and the duration of a test [s].
+    """Return leading laws, detectable ratios, and the duration [s] of a test that separates them.
 
     One family per joint; one over all would have little power.
     """
@@ -252,9 +252,9 @@ def _against_best(
         return (best, *others), {}, LEAST_SECONDS
     found = table.ratios(best, len(others))
     adjusted = holm({law: p for law in others if (p := found[law].p) is not None})
-    tied = (law for law in others if adjusted[law] >= SIGNIFICANCE)
+    tied = [law for law in others if adjusted[law] >= SIGNIFICANCE]
     detectable = {law: x for law in others if (x := found[law].detectable) is not None}
-    durations = [table.seconds_for(law, best, RECORDED, len(others)) for law in others]
+    durations = [table.seconds_for(law, best, RECORDED, len(others)) for law in tied or others]
     seconds = float(np.median(durations))
     return (best, *tied), detectable, seconds
 

@@ -211,19 +211,20 @@ def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
         where = f" on {', '.join(short)}" if len(short) < len(joints) else ""
         seconds = max(named[name].seconds for name in short)
         yield f"{test} is too short to compare laws{where}; record at least {seconds:.0f} s."
-    parts = []
+    parts, wide = [], []
     for name, one in named.items():
         laws = {one.best, *one.tied}
         if one.detectable is not None and one.law in laws and len(laws) > 1:
             count = f"{len(laws) - 1} law{'s' if len(laws) > 2 else ''}"
             parts.append(f"{count} on {name} ({percent_above(*one.detectable)})")
+            wide += [one.seconds] if one.detectable[1] > RECORDED else []
     if parts:
-        longest = max(one.seconds for one in joints)
         yield (
             f"{test} does not separate it from {', '.join(parts)}; in brackets the smallest "
             "differences that would show."
         )
-        yield f"To find {100 * (RECORDED - 1):.0f} %, record tests of about {longest:.0f} s."
+    if wide:
+        yield f"To find {100 * (RECORDED - 1):.0f} %, record tests of about {max(wide):.0f} s."
 
 
 def _weak(
