@@ -12,7 +12,7 @@ from hesr_model.errors import LogError, RobotError
 from hesr_model.health.evidence import LEAST_TRAVEL, Motionwise
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import column_names
-from hesr_model.logs.tables import LogTable
+from hesr_model.logs.log_table import LogTable
 from hesr_model.robots.model_file import arm, locked
 from hesr_model.robots.robot import (
     RobotDescription,

@@ -22,14 +22,13 @@ from hesr_model.health.joints import (
 )
 from hesr_model.health.velocity import match
 from hesr_model.logs.guess import guess
-from hesr_model.logs.log_format import column_names
+from hesr_model.logs.log_format import LogFormat, column_names
+from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.phases import moving, reversals
-from hesr_model.logs.readers.formats import COLUMNS, format_of
-from hesr_model.logs.readers.matlab import read_matlab
+from hesr_model.logs.readers.formats import format_of
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.tables import LogTable, read_table
 from hesr_model.rigid_body.torque_constants import Constant
-from hesr_model.robots.robot import Robot, RobotDescription, RobotLike
+from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, description_of
 
 _ROUNDS = 4
 _CUTOFF_SHARE = 0.3  # low pass over the sample rate
@@ -51,7 +50,8 @@ def inspected(
     paths: Sequence[Path], robot: RobotLike | None = None, joints: Sequence[str] = ()
 ) -> Proposal:
     """Inspect logs of a known robot and its chosen joints, or by their columns alone."""
-    table = open_table(paths[0], "t")
+    stated = None if robot is None or is_model(robot) else description_of(robot)
+    table = open_table(paths[0], stated.log if stated else LogFormat())
     if robot is not None:
         found, reason = with_joints(robot, joints, table), ""
         if table and not joints and is_model(robot):
@@ -99,18 +99,17 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
     )
 
 
-def open_table(path: Path, time: str) -> LogTable | None:
+def open_table(path: Path, log: LogFormat) -> LogTable | None:
     """Open a log as a table, if its columns have names."""
-    if format_of(path) is not COLUMNS or not path.is_file():
-        return None
-    return read_matlab(path, time=time) if path.suffix.lower() == ".mat" else read_table(path)
+    table = format_of(path).table
+    return table(path, log) if table and path.is_file() else None
 
 
 def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) -> RobotDescription:
-    table = open_table(path, robot.log.columns.t)
+    table = open_table(path, robot.log)
     if table is None or _has_columns(table, robot):
         return robot
-    found = guess(table, robot.joints)
+    found = guess(table, robot.joints, timed=robot.log.rate is None)
     changes: dict[str, Any] = {f"log.columns.{k}": v for k, v in found.columns.items()}
     if "dq" not in found.columns:
         changes["log.columns.dq"] = ""
@@ -130,7 +129,7 @@ def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) 
 
 def _has_columns(table: LogTable, robot: RobotDescription) -> bool:
     columns, log = robot.log.columns, robot.log
-    wanted = [columns.t, *column_names(columns.q, robot.joints)]
+    wanted = [*([] if log.rate else [columns.t]), *column_names(columns.q, robot.joints)]
     effort = columns.tau if log.torque_per_ampere is None else columns.current
     wanted += column_names(effort, robot.joints)
     wanted += column_names(columns.dq, robot.joints) if columns.dq else []
@@ -150,6 +149,9 @@ def _read(
         elif robot.log.missing == "refuse":
             reasons["log.missing"] = f"sure: {_tail(str(error))}"
             robot = changed(robot, {"log.missing": "drop"})
+        elif "log.sort" not in reasons and "sort = true" in str(error):
+            reasons["log.sort"] = f"sure: {_tail(str(error))}"
+            robot = changed(robot, {"log.sort": True})
         else:
             raise
         return _read(paths, robot, reasons)

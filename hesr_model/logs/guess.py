@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.tables import LogTable
+from hesr_model.logs.log_table import LogTable
 from hesr_model.units import OTHERS
 
 
@@ -18,11 +18,12 @@ def _words(text: str) -> frozenset[str]:
 _WORDS: Mapping[str, frozenset[str]] = {
     "temperature": _words("temperature temperatures temp temps"),
     "dq": _words("dq qd qdot dqdt vel velocity velocities speed speeds omega qp"),
-    "q": _words("q pos position positions angle angles theta qm encoder enc"),
-    "tau": _words("tau torque torques trq effort efforts moment moments tq nm"),
+    "q": _words("q pos position positions angle angles theta qm encoder enc displacement"),
+    "tau": _words("tau torque torques trq effort efforts moment moments tq nm force forces"),
     "current": _words("i im cur curr current currents amp amps ampere iq"),
 }
 """Words in column names; the first match wins."""
+_FORCES = _words("force forces")  # torques of sliding joints, unless a torque is logged
 _PLACES = _words("joint axis")  # positions, unless another quantity matches
 _OTHERS = _words(
     "target desired des ref reference cmd command setpoint goal acc acceleration ddq qdd error err "
@@ -66,27 +67,38 @@ def vocabulary() -> dict[str, object]:
     }
 
 
-def guess(table: LogTable, joints: Sequence[str] = ()) -> Guess:
-    """Guess columns, maybe with names of `joints`; raises LogError."""
+def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) -> Guess:
+    """Guess columns, maybe with names of `joints`, and time if `timed`; raises LogError."""
     groups = list(_groups(table.names, joints))
     count = len(joints) or max((len(g) for _, g in groups if _quantity(g[0]) == "q"), default=0)
+    alone = [name for name in table.names if _quantity(name) == "q"]
+    if count < 2 and not any(_quantity(g[0]) == "q" for _, g in groups) and len(alone) == 1:
+        groups, count = [("", (name,)) for name in table.names], 1
     columns: dict[str, str | tuple[str, ...]] = {}
     units, reasons = {}, {}
     for quantity in _WORDS:
         fitting = [g for _, g in groups if _quantity(g[0]) == quantity and len(g) >= count > 0]
         if fitting:
             best = min(
-                fitting, key=lambda g: (_MEASURED.isdisjoint(_tokens(g[0])), len(g), len(g[0]))
+                fitting,
+                key=lambda g: (
+                    not _FORCES.isdisjoint(_tokens(g[0])),
+                    _MEASURED.isdisjoint(_tokens(g[0])),
+                    len(g),
+                    len(g[0]),
+                ),
             )
             columns[quantity] = tuple(best[:count])
             reasons[quantity] = f"named so: {best[0]}"
             if unit := _unit(quantity, best[0]):
                 units[quantity] = unit
-    columns["t"] = _time(table)
-    units["t"], reasons["t"] = _time_unit(table, str(columns["t"]))
+    if timed or any(_rises(table, name) for name in _named_as_time(table)):
+        columns["t"] = _time(table)
+        units["t"], reasons["t"] = _time_unit(table, str(columns["t"]))
     if "q" not in columns:
+        wanted = "one joint" if count == 1 else f"{count or 'several'} joints"
         raise LogError(
-            f"{table.path}: no columns look like positions of {count or 'several'} joints; it has "
+            f"{table.path}: no columns look like positions of {wanted}; it has "
             f"{table.listing}; name them under 'log.columns' of a robot file."
         )
     return Guess(columns=columns, units=units, reasons=reasons)
@@ -128,14 +140,17 @@ def _unit(quantity: str, name: str) -> str:
 
 
 def _time(table: LogTable) -> str:
-    named = [name for name in table.names if _TIME & set(_tokens(name))]
-    rising = [name for name in named if _rises(table, name)]
+    rising = [name for name in _named_as_time(table) if _rises(table, name)]
     if not rising:
         raise LogError(
             f"{table.path}: no column looks like time; it has {table.listing}; name it under "
-            "'log.columns.t' of a robot file."
+            "'log.columns.t' of a robot file, or state 'log.rate' [Hz]."
         )
     return min(rising, key=len)
+
+
+def _named_as_time(table: LogTable) -> list[str]:
+    return [name for name in table.names if _TIME & set(_tokens(name))]
 
 
 def _rises(table: LogTable, name: str) -> bool:

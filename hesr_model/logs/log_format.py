@@ -1,10 +1,10 @@
 """The log format of a robot file."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from hesr_model.errors import RobotError
 from hesr_model.support.arrays import Array
@@ -66,14 +66,30 @@ TEMPERATURES = "temperature{}"
 
 
 class LogColumns(Config):
-    """Column names; `dq = ""` derives velocity, default temperatures are optional."""
+    """Column names; `dq = ""` derives velocity, default temperatures are optional.
 
+    A list instead of the table, or `names`, names all columns of files without a header, in order.
+    """
+
+    names: tuple[str, ...] = ()
     t: str = "t"
     q: Columns = "q{}"
     dq: Annotated[str | tuple[str, ...], AfterValidator(_or_empty)] = "dq{}"
     tau: Columns = "tau{}"
     current: Columns = "i{}"
     temperature: Columns = TEMPERATURES
+
+    @model_validator(mode="before")
+    @classmethod
+    def _list_of_names(cls, value: Any) -> Any:
+        return {"names": value} if isinstance(value, list | tuple) else value
+
+    @field_validator("names")
+    @classmethod
+    def _different(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(names)) < len(names):
+            raise ValueError("the names of columns must differ")
+        return names
 
 
 class LogUnits(Config):
@@ -123,13 +139,18 @@ class LogBag(Config):
 class LogFormat(Config):
     """Format of a robot's logs.
 
-    `sample_rate` [Hz] is checked. Rows are `missing` with an empty cell, NaN or a repeated stamp.
+    `sample_rate` [Hz] is checked; `rate` [Hz] replaces a missing time column. Rows are `missing`
+    with an empty cell, NaN or a repeated stamp; of `duplicates`, rows that repeat a stamp, the
+    first is kept; `sort` orders rows by time.
     `filter_cutoff` [Hz] applies to q and dq; `zero` [rad; m] is the joint position at a logged 0;
     `torque_per_ampere` [N.m/A] turns currents into torques.
     """
 
     sample_rate: float | None = Field(default=None, gt=0)
+    rate: float | None = Field(default=None, gt=0)
     missing: Literal["refuse", "drop"] = "refuse"
+    duplicates: Literal["refuse", "first"] = "refuse"
+    sort: bool = False
     filter_cutoff: float = Field(default=15.0, gt=0)
     columns: LogColumns = LogColumns()
     units: LogUnits = LogUnits()

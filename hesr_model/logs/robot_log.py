@@ -140,9 +140,9 @@ class Log:
     def read(cls, path: PathArg, robot: RobotLike) -> "Log":
         """Read and check a log as the robot file describes it.
 
-        The suffix gives the format: CSV (with a header), Parquet (``.parquet``, ``.pq``), MATLAB
-        (``.mat``) or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``). Messages count rows from
-        1, with the header of a CSV.
+        The suffix gives the format: CSV, maybe packed (``.gz``, ``.bz2``, ``.xz``), Parquet,
+        Feather, Excel, HDF5, NumPy, MATLAB or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``).
+        Messages count rows from 1, with the header of a CSV.
 
         Parameters
         ----------
@@ -161,7 +161,11 @@ class Log:
         path, robot = path_of(path, "a log"), description_of(robot)
         robot.require_one_per_joint()
         logged = format_of(path).read(path, robot)
-        samples = logged.complete() if robot.log.missing == "drop" else logged
+        samples = logged.arranged(
+            drop=robot.log.missing == "drop",
+            sort=robot.log.sort,
+            first=robot.log.duplicates == "first",
+        )
         units, n = robot.log.units, len(robot.joints)
         _require_reasonable(path, samples, robot.joints)
         dq = None if samples.dq is None else samples.dq * units.factors("dq", n)
@@ -306,17 +310,17 @@ def _require_steady_time(log: Log, samples: LogSamples, robot: RobotDescription)
         k = int(np.argmax(steps <= 0)) + 1
         back = log.t[k - 1] - log.t[k]
         why = (
-            "; [log] missing = 'drop' leaves out rows that repeat a time stamp"
+            "; [log] duplicates = 'first' leaves out rows that repeat a time stamp"
             if back == 0.0
             else "; the file contains two logs, split it"
             if back > 0.5 * (log.t[k - 1] - log.t[0])
-            else ""
+            else "; [log] sort = true sorts rows by time"
         )
         raise LogError(
             f"{log.where}: {samples.time}, {samples.place(k)}: time must increase, but "
             f"{log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s{why}."
         )
-    nominal = robot.log.sample_rate
+    nominal = robot.log.sample_rate or robot.log.rate
     # The mean is robust against jitter, the median against missing rows.
     found = [nominal * period for period in (log.period, 1.0 / log.rate) if nominal]
     if nominal and not any(1 / _RATE_MARGIN <= ratio <= _RATE_MARGIN for ratio in found):

@@ -131,7 +131,9 @@ class RobotDescription(Config):
             "log.zero": self.log.zero,
             "sources.torque_per_ampere": self.sources.torque_per_ampere,
             "log.bag.joints": self.log.bag.joints,
-            **{f"log.columns.{key}": entries for key, entries in self.log.columns},
+            **{
+                f"log.columns.{key}": entries for key, entries in self.log.columns if key != "names"
+            },
             **{f"log.units.{key}": entries for key, entries in self.log.units},
         }
 

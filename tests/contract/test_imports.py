@@ -44,14 +44,15 @@ ONLY_IN = {
     "lxml": ("fmu_src/check/*",),
     "ziglang": ("hesr_model/support/compiler.py",),
     "pyarrow": (
-        "hesr_model/logs/tables.py",
+        "hesr_model/logs/*.py",
         "cosim/loop/traces.py",
         "hesr/extras/sweep/*",
         "hesr/extras/fleet/*",
     ),
     "distributed": ("hesr/extras/sweep/cluster.py",),
     # Optional: each reads one log format.
-    "h5py": ("hesr_model/logs/readers/matlab.py",),
+    "h5py": ("hesr_model/logs/readers/hdf5.py",),
+    "openpyxl": ("hesr_model/logs/readers/excel.py",),
     "rosbags": ("hesr_model/logs/readers/bag.py",),
     "sklearn": ("cosim/regressor.py",),
     "click": ("hesr/cli/*",),

@@ -22,9 +22,9 @@ from hesr_model.health.joints import changed, without
 from hesr_model.health.proposal import Proposal, inspected, propose, robot_file
 from hesr_model.inference.comparison import LawErrors, law_errors
 from hesr_model.logs.guess import guess
+from hesr_model.logs.log_table import table_of
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
-from hesr_model.logs.tables import table_of
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription

@@ -11,6 +11,7 @@ from unchanged import Unchanged
 
 from hesr_model.errors import HesrError, LogError
 from hesr_model.logs.guess import guess
+from hesr_model.logs.log_table import listed, most_bytes
 from hesr_model.logs.phases import moving, near_reversals, reversals
 from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.logs.robot_log import (
@@ -22,7 +23,7 @@ from hesr_model.logs.robot_log import (
 )
 from hesr_model.logs.sample import Sample, _uniform
 from hesr_model.logs.signals import Motion, _before, smooth
-from hesr_model.logs.tables import listed, most_bytes, read_table
+from hesr_model.logs.tables import read_table
 from hesr_model.robots.robot import RobotDescription
 
 

@@ -230,7 +230,7 @@ PROBLEMS = [
     (
         replaced(4, stamp=START + 3 * STEP),
         r"topic '/joint_states', message 5: time must increase, but 0\.03 s follows 0\.03 s; "
-        r"\[log\] missing = 'drop'",
+        r"\[log\] duplicates = 'first'",
     ),
     (messages()[:1], r"run: has 1 rows of data; at least 2 are needed\.$"),
 ]

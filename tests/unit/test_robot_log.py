@@ -174,8 +174,8 @@ MESSAGES = [
     ),
     (
         lambda t: [*t[:4], row(2), *t[5:]],
-        r"column 't', row 5: time must increase, but 0\.02 s follows 0\.02 s; \[log\] missing = "
-        r"'drop' leaves out rows that repeat a time stamp\.$",
+        r"column 't', row 5: time must increase, but 0\.02 s follows 0\.02 s; \[log\] "
+        r"duplicates = 'first' leaves out rows that repeat a time stamp\.$",
     ),
 ]
 

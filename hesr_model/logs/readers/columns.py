@@ -1,23 +1,24 @@
-"""Tables with named columns: CSV, Parquet, MATLAB."""
+"""Samples from tables with named columns."""
 
-from pathlib import Path
+import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import TEMPERATURES, Columns, column_names
-from hesr_model.logs.readers.matlab import read_matlab
+from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.readers.samples import LogSamples
-from hesr_model.logs.tables import LogTable, read_table
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
 
 
-def read_columns(path: Path, robot: RobotDescription) -> LogSamples:
+def samples_of(table: LogTable, robot: RobotDescription) -> LogSamples:
     """Read the columns of the robot file; errors as `Log.read`."""
-    columns = robot.log.columns
-    is_matlab = path.suffix.lower() == ".mat"
-    table = read_matlab(path, time=columns.t) if is_matlab else read_table(path)
-    drop = robot.log.missing == "drop"
-    t = table.times(columns.t, float(robot.log.units.factors("t", 1)[0]), missing=drop)
+    log, columns = robot.log, robot.log.columns
+    drop = log.missing == "drop"
+    if log.rate and columns.t not in table.names:
+        t, time = np.arange(table.rows) / log.rate, f"rate {log.rate:g} Hz"
+    else:
+        t = table.times(columns.t, float(log.units.factors("t", 1)[0]), missing=drop)
+        time = f"column '{columns.t}'"
     q = _joints(table, columns.q, robot)
     dq = _joints(table, columns.dq, robot) if columns.dq else None
     effort, is_current = _effort(table, robot)
@@ -27,7 +28,7 @@ def read_columns(path: Path, robot: RobotDescription) -> LogSamples:
         dq=dq,
         effort=effort,
         is_current=is_current,
-        time=f"column '{columns.t}'",
+        time=time,
         place=lambda k: f"row {table.row(k)}",
         temperature=_temperature(table, robot),
     )

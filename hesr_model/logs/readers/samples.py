@@ -21,11 +21,16 @@ class LogSamples:
     place: Callable[[int], str]
     temperature: Array | None = None
 
-    def complete(self) -> "LogSamples":
-        """Drop rows that lack a number or repeat a stamp."""
+    def arranged(self, *, drop: bool, sort: bool, first: bool) -> "LogSamples":
+        """Sort rows by time, and drop rows that lack a number or repeat a stamp."""
         columns = ("t", "q", "dq", "effort", "temperature")
         parts = [part for name in columns if (part := getattr(self, name)) is not None]
-        rows = np.flatnonzero(np.all(np.isfinite(np.column_stack(parts)), axis=1))
-        rows = rows[np.diff(self.t[rows], prepend=-np.inf) != 0.0]
-        complete = some_rows(self, columns, rows)
-        return replace(complete, place=lambda k: self.place(int(rows[k])))
+        rows = np.arange(len(self.t))
+        if drop:
+            rows = np.flatnonzero(np.all(np.isfinite(np.column_stack(parts)), axis=1))
+        if sort:
+            rows = rows[np.argsort(self.t[rows], kind="stable")]
+        if drop or first:
+            rows = rows[np.diff(self.t[rows], prepend=-np.inf) != 0.0]
+        arranged = some_rows(self, columns, rows)
+        return replace(arranged, place=lambda k: self.place(int(rows[k])))

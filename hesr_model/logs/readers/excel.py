@@ -1,0 +1,51 @@
+"""Excel workbooks; needs openpyxl."""
+
+import csv
+import io
+import zipfile
+from pathlib import Path
+from typing import Any
+
+from hesr_model.errors import LogError
+from hesr_model.logs.csv_text import read_text
+from hesr_model.logs.log_format import LogFormat
+from hesr_model.logs.log_table import LogTable, most_bytes
+from hesr_model.logs.readers.formats import table_format
+from hesr_model.logs.tables import require_content
+
+
+def _read(path: Path, log: LogFormat) -> LogTable:
+    """Read the longest sheet as text, whose lines are the rows of the sheet."""
+    require_content(path)
+    try:
+        import openpyxl
+    except ModuleNotFoundError as error:
+        raise LogError(
+            f"{path}: Excel workbooks need openpyxl: pip install 'hesr[formats]'."
+        ) from error
+    try:
+        with zipfile.ZipFile(path) as packed:
+            if sum(part.file_size for part in packed.infolist()) > most_bytes(path):
+                raise LogError(f"{path}: claims more data than fits into the file.")
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        sheets = [list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets]
+        book.close()
+    except LogError:
+        raise
+    except Exception as error:  # many kinds
+        raise LogError(f"{path}: cannot be read as an Excel workbook.") from error
+    return read_text(path, log.columns.names, _text(max(sheets, key=len, default=[])))
+
+
+def _text(rows: list[tuple[Any, ...]]) -> bytes:
+    width = max(map(len, rows), default=0)
+    used = [k for k in range(width) if any(k < len(row) and row[k] is not None for row in rows)]
+    file = io.StringIO()
+    writer = csv.writer(file, delimiter="\t", lineterminator="\n")
+    for row in rows:
+        cells = [row[k] if k < len(row) else None for k in used]
+        writer.writerow(cells if any(cell is not None for cell in cells) else [])
+    return file.getvalue().encode()
+
+
+FORMAT = table_format("Excel workbook", {".xlsx", ".xlsm"}, _read)

@@ -1,0 +1,56 @@
+"""HDF5 files, also those of MATLAB 7.3; needs h5py."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hesr_model.errors import LogError
+from hesr_model.logs.log_format import LogFormat
+from hesr_model.logs.log_table import LogTable, most_bytes
+from hesr_model.logs.readers.arrays import numeric, table_of_arrays
+from hesr_model.logs.readers.formats import table_format
+from hesr_model.logs.tables import require_content
+from hesr_model.support.arrays import Array
+
+
+def arrays_of_hdf5(path: Path, kind: str, *, transposed: bool = False) -> dict[str, Array]:
+    """Return the arrays of numbers by path with dots; raises LogError that names the `kind`."""
+    try:
+        import h5py
+    except ModuleNotFoundError as error:
+        raise LogError(f"{path}: {kind}s need h5py: pip install 'hesr[formats]'.") from error
+
+    found: dict[str, Array] = {}
+    left = most_bytes(path)
+
+    def visit(name: str, item: Any) -> None:
+        # Characters are numbers; '#refs#' holds targets of references in struct arrays.
+        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
+            return
+        is_number = item.attrs.get("MATLAB_class", b"") not in (b"char", b"cell")
+        if is_number and item.dtype.kind in "fiuV" and "MATLAB_empty" not in item.attrs:
+            nonlocal left
+            left -= max(8, item.dtype.itemsize) * item.size
+            if left < 0:
+                raise LogError(f"{path}: claims more data than fits into the file.")
+            array = np.asarray(item)
+            named = numeric(array.T if transposed else array, name.replace("/", "."))
+            found.update(named)
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(visit)
+    except LogError:
+        raise
+    except Exception as error:  # many kinds
+        raise LogError(f"{path}: cannot be read as a {kind}.") from error
+    return found
+
+
+def _read(path: Path, log: LogFormat) -> LogTable:
+    require_content(path)
+    return table_of_arrays(path, arrays_of_hdf5(path, "HDF5 file"), log.columns.t)
+
+
+FORMAT = table_format("HDF5 file", {".h5", ".hdf5", ".hdf"}, _read)
