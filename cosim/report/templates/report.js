@@ -10,40 +10,22 @@
   }
 
   // Tables as CSV: numbers with all their digits.
-  function cellText(cell) {
-    return cell.dataset.value ?? cell.textContent.trim().replace(/\s+/g, " ");
-  }
-
   function csv(table) {
-    const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+    const text = (cell) => cell.dataset.value ?? cell.textContent.trim().replace(/\s+/g, " ");
+    const quoted = (value) => (/[",\n]/.test(value) ? `"${value.replaceAll('"', '""')}"` : value);
     return [...table.rows]
-      .map((row) => [...row.cells].map((cell) => quoted(cellText(cell))).join(","))
+      .map((row) => [...row.cells].map((cell) => quoted(text(cell))).join(","))
       .join("\n") + "\n";
-  }
-
-  async function copy(text) {
-    try {
-      await navigator.clipboard.writeText(text);
-      return true;
-    } catch {
-      // Browsers that keep the clipboard from pages in files still copy the selection.
-      const area = document.createElement("textarea");
-      area.value = text;
-      area.setAttribute("aria-hidden", "true");
-      area.style.position = "fixed";
-      document.body.append(area);
-      area.select();
-      const done = document.execCommand("copy");
-      area.remove();
-      return done;
-    }
   }
 
   for (const button of document.querySelectorAll("button.copy")) {
     button.addEventListener("click", async () => {
-      const done = await copy(csv(button.closest(".table").querySelector("table")));
-      button.focus();
-      say(done ? "Copied as CSV." : "This browser does not let the page copy.");
+      try {
+        await navigator.clipboard.writeText(csv(button.closest(".table").querySelector("table")));
+        say("Copied as CSV.");
+      } catch {
+        say("This browser does not let the page copy.");
+      }
     });
   }
 
@@ -62,10 +44,7 @@
     const atEnd = innerHeight + scrollY >= document.documentElement.scrollHeight - 2 && scrollY > 0;
     const passed = sections.filter((section) => section.getBoundingClientRect().top < 0.3 * innerHeight);
     const current = atEnd ? sections.length - 1 : Math.max(passed.length - 1, 0);
-    links.forEach((link, k) => {
-      if (k === current) link.setAttribute("aria-current", "true");
-      else link.removeAttribute("aria-current");
-    });
+    links.forEach((link, k) => { link.ariaCurrent = k === current ? "true" : null; });
   }
 
   // A link into a folded section unfolds it.
@@ -114,14 +93,9 @@
       text = text.replaceAll(colour, style.getPropertyValue(variable).trim());
     }
     const data = JSON.parse(text);
-    const help = document.createElement("p");
-    help.className = "zoom-help";
-    help.textContent = "Drag over a part to zoom into it; the buttons above move the view, zoom by " +
-      "the wheel, go back and save a picture. A click on a name hides its line.";
-    const place = document.createElement("div");
     hide(box);
-    box.replaceChildren(legend(data.names, box), place, help);
-    const views = await Bokeh.embed.embed_item(data.item, place);
+    box.querySelector(".names").replaceChildren(...legend(data.names, box));
+    const views = await Bokeh.embed.embed_item(data.item, box.querySelector(".place"));
     opened.set(box, [...views][0].model.document);
   }
 
@@ -130,30 +104,25 @@
   function hide(box) {
     opened.get(box)?.clear();
     opened.delete(box);
-    box.replaceChildren();
+    box.querySelector(".place").replaceChildren();
   }
 
   function legend(names, box) {
-    const list = document.createElement("div");
-    list.className = "names";
-    for (const [name, { colour, dash }] of Object.entries(names)) {
+    return Object.entries(names).map(([name, { colour, dash }]) => {
       const button = document.createElement("button");
       button.type = "button";
       button.setAttribute("aria-pressed", "true");
       button.innerHTML = '<svg viewBox="0 0 32 8" aria-hidden="true"><path d="M0 4H32"/></svg>';
-      const path = button.querySelector("path");
-      path.style.stroke = colour;
-      path.style.strokeWidth = 2.5;
-      path.style.strokeDasharray = dash.map((length) => 1.6 * length).join(" ");
+      const dashes = dash.map((length) => 1.6 * length).join(" ");
+      button.querySelector("path").style = `stroke: ${colour}; stroke-width: 2.5; stroke-dasharray: ${dashes}`;
       button.append(name);
       button.addEventListener("click", () => {
         const shown = button.getAttribute("aria-pressed") !== "true";
         button.setAttribute("aria-pressed", String(shown));
         for (const model of opened.get(box).all_models) if (model.name === name) model.visible = shown;
       });
-      list.append(button);
-    }
-    return list;
+      return button;
+    });
   }
 
   for (const button of document.querySelectorAll("button.to-zoom")) {
@@ -167,19 +136,15 @@
     }
 
     async function turn(open) {
-      if (open) {
-        box.hidden = false;
-        try {
-          await show(button.dataset.zoom, box);
-        } catch (error) {
-          say(`This browser cannot zoom: ${error.message}`);
-          want(false);
-          open = false;
-        }
-      }
-      if (!open) hide(box);
       box.hidden = !open;
-      drawing.hidden = open;
+      try {
+        await (open ? show(button.dataset.zoom, box) : hide(box));
+        drawing.hidden = open;
+      } catch (error) {
+        say(`This browser cannot zoom: ${error.message}`);
+        want(false);
+        turn(false);
+      }
     }
 
     // A click while a view is still being unpacked counts once it is there.
@@ -192,14 +157,6 @@
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     for (const button of document.querySelectorAll('button.to-zoom[aria-expanded="true"]')) {
       show(button.dataset.zoom, button.closest("figure").querySelector(".zoom"));
-    }
-  });
-  addEventListener("beforeprint", () => {
-    for (const drawing of document.querySelectorAll(".drawing")) drawing.hidden = false;
-  });
-  addEventListener("afterprint", () => {
-    for (const button of document.querySelectorAll('button.to-zoom[aria-expanded="true"]')) {
-      button.closest("figure").querySelector(".drawing").hidden = true;
     }
   });
 
