@@ -435,7 +435,7 @@ def toml_fault(
             '[log.units]\nt = "min"\n[log]',
             "key 'log.units.t' is 'min': known units are 's', 'ms', 'us', 'ns'.",
         ),
-        ("[log]", "[log]\nrate = 1.0", "unknown key 'log.rate'; allowed here: bag, columns, "),
+        ("[log]", "[log]\nrates = 1.0", "unknown key 'log.rates'; allowed here: bag, columns, "),
         ("gravity", "gravitation", "unknown key 'gravitation'; allowed here: "),
         ("sample_rate = 200.0", "sample_rate = -1.0", "key 'log.sample_rate' is -1.0: "),
         ("sample_rate = 200.0", "sample_rate = nan", "key 'log.sample_rate' is nan: "),
