@@ -11,6 +11,8 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers
 
 _SKIPPED = 0.05  # allowed share of steps longer than 1.8 periods
+_OFF_GRID = 0.2  # periods
+_IRREGULAR = 0.2  # share of steps off the grid, above which stamps are irregular
 _UNCERTAIN = 0.03  # allowed relative uncertainty, two standard deviations
 _SPEEDS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0])  # shares of the peak speed
 _JUDGED = (0.1, 0.7)  # shares where the joint slides
@@ -25,8 +27,11 @@ def share_of_long_steps(log: Log) -> float:
 
 
 def loses_rows(log: Log) -> bool:
-    """Return whether rows are missing throughout a log."""
-    return share_of_long_steps(log) > _SKIPPED
+    """Return whether rows are missing throughout a log, whose stamps else keep to a grid."""
+    steps = np.diff(log.t)
+    period = np.median(steps[steps <= 1.5 * np.quantile(steps, 0.1)])
+    off_grid = np.abs(steps / period - np.rint(steps / period)) > _OFF_GRID
+    return share_of_long_steps(log) > _SKIPPED and bool(np.mean(off_grid) < _IRREGULAR)
 
 
 def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[Finding]:

@@ -4,9 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from hesr_model.health.examine import checked
 from hesr_model.health.findings import HealthError
+from hesr_model.health.loss import share_of_long_steps
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import Robot
@@ -34,6 +36,19 @@ def test_harmless_missing_rows_are_reported(
 ) -> None:
     (told,) = checked([lossy(noisy(0.2), 0.5)], arm_model)
     assert (told.check, told.severity) == ("missing-rows", "warning")
+
+
+def test_irregular_stamps_are_not_missing_rows(
+    noisy: Callable[[float], Log], arm_model: Robot
+) -> None:
+    """Steps of 6 to 16 ms: 9 % of them are longer than 1.8 times the median."""
+    log, rng = noisy(0.2), np.random.default_rng(1)
+    steps = rng.choice([0.006, 0.008, 0.01, 0.016], p=[0.3, 0.41, 0.2, 0.09], size=len(log.t))
+    stamps = np.cumsum(steps[np.cumsum(steps) < log.t[-1]])
+    rows = {name: CubicSpline(log.t, getattr(log, name))(stamps) for name in ("q", "dq", "tau")}
+    irregular = Log(name="run", t=stamps, **rows)
+    assert share_of_long_steps(irregular) > 0.07
+    assert checked([irregular], arm_model) == []
 
 
 def test_missing_rows_that_make_friction_uncertain_are_refused(
