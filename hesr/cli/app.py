@@ -65,13 +65,12 @@ def workflow(verb: str) -> Function:
 
 
 def _more(function: Function) -> Sequence[inspect.Parameter]:
-    """Return the options that a function takes as further keywords, if its module lists them."""
+    """Return the further keyword options of a function, if its module lists them."""
     more = _module(function).get("further_options")
     return more() if more else ()
 
 
 def _invoke(function: Function, given: dict[str, Any]) -> None:
-    """Call a workflow function, show its result and exit with the code of its findings."""
     json_file = given.pop("json_file", None)
     fail_on, quiet, verbose = (given.pop(name) for name in ("fail_on", "quiet", "verbose"))
     file = None if json_file is None else Path(json_file)
@@ -99,7 +98,6 @@ def _module(function: Function) -> dict[str, Any]:
 
 
 def _answer(function: Function, given: dict[str, Any]) -> "Answer":
-    """Call a workflow function with parsed values and return its answer."""
     from cosim.workflow.answer import Answer
 
     with shown_progress() as progress:

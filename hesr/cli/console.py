@@ -51,11 +51,7 @@ class _Ended(KeyboardInterrupt):
 
 @contextmanager
 def command_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Iterator[None]:
-    """Run a block at the requested verbosity: errors only, or everything on standard error.
-
-    With `json_file` ``-``, standard output has the JSON only. An interrupt raises SystemExit after
-    one sentence.
-    """
+    """Run a block at the requested verbosity: errors only, or everything on standard error."""
     if quiet and verbose:
         raise ConfigError("--quiet and --verbose are contradictory; give one of them.")
     with ExitStack() as cleanup:
@@ -92,7 +88,6 @@ class _LogHandler(logging.StreamHandler[TextIO]):
 
 @contextmanager
 def _logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
-    """Log to standard error: warnings, everything, or errors."""
     handler = _LogHandler()
     before = {name: logging.getLogger(name).level for name in _PACKAGES}
     if verbose:
@@ -166,10 +161,7 @@ def _raise_in_main_thread(number: int) -> None:
 
 @contextmanager
 def shown_progress() -> Iterator[Stages]:
-    """Show progress, times and current work on standard error.
-
-    It is drawn on a terminal, logged with --verbose, and omitted with --quiet.
-    """
+    """Show progress, times and current work on standard error."""
     from rich.console import Console, RenderableType
     from rich.progress import (
         BarColumn,
@@ -220,11 +212,7 @@ def shown_progress() -> Iterator[Stages]:
 
 @contextmanager
 def answer_file(json_file: Path | None) -> Iterator[Path | None]:
-    """Yield the file for the JSON answer, if one is requested.
-
-    Whether it can be written is checked before the block runs; ``-`` is written to standard output
-    after the block has succeeded.
-    """
+    """Yield the file for the JSON answer, if one is requested."""
     if json_file is None:
         yield None
     elif json_file == _STANDARD_OUTPUT:

@@ -2,7 +2,6 @@
 
 A positional parameter becomes an argument, a keyword-only one an option; `bool` a flag, `Literal` a
 choice, `Sequence` a repeatable option, `Mapping` KEY=VALUE, `PerJoint` numbers with commas.
-Annotations are read as text, which keeps the help fast.
 """
 
 import inspect
@@ -67,8 +66,6 @@ _FORMS = {
 
 
 class _Numbers(Kind):
-    """Numbers separated by commas."""
-
     name = "X[,X...]"
 
     def convert(self, value: Any, param: click.Parameter | None, _: Any) -> tuple[float, ...]:
@@ -81,8 +78,6 @@ class _Numbers(Kind):
 
 
 class _Pair(Kind):
-    """KEY=VALUE with a value as in TOML."""
-
     name = "KEY=VALUE"
 
     def convert(self, value: Any, param: click.Parameter | None, _: Any) -> dict[str, Any]:
@@ -132,10 +127,7 @@ def _plain(text: str) -> str:
 def command(
     name: str, function: Function, invoke: Invoke, more: Sequence[inspect.Parameter] = ()
 ) -> click.Command:
-    """Return the click command of a workflow function, which `invoke` calls with the parsed values.
-
-    `more` are additional options, such as those of a format.
-    """
+    """Return the click command of a workflow function, called by `invoke` with parsed values."""
     told = Docstring.of(function)
     own = [
         one
@@ -169,7 +161,6 @@ class _Command(click.Command):
 
 
 def _given(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the parsed values, pairs joined; others have the function's default."""
     given = {name: value for name, value in values.items() if value not in (None, ())}
     return {
         name: {k: v for pair in value for k, v in pair.items()}
@@ -248,7 +239,6 @@ def _completion(source: str) -> Callable[[Any, Any, str], list[str]]:
 
 
 def _common() -> Iterator[click.Option]:
-    """Yield the options of every verb."""
     yield click.Option(
         ["--json", "json_file"],
         metavar="FILE",
@@ -267,7 +257,6 @@ def _common() -> Iterator[click.Option]:
 
 
 def _lines(examples: Sequence[str]) -> str:
-    """Return examples on lines of their own, in a form that a shell takes."""
     lines = ["\b", f"Example{'s' * (len(examples) > 1)}:"]
     for example in examples:
         line = " "

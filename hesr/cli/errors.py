@@ -46,8 +46,7 @@ _PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
 def errors_said() -> Iterator[None]:
     """Print every error as one sentence and exit with 2; bugs keep their traceback.
 
-    Readers report faults of files and data; this covers the rest, such as a full disk or
-    insufficient memory.
+    This covers what readers do not report, such as a full disk.
     """
     try:
         try:

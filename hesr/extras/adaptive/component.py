@@ -6,15 +6,12 @@
     P+     = P - g g' (w - dt / (T_f s))    forgotten only along g, the observed direction
 
 theta holds level, viscous factor and offset. R, the density of noise with the correlation time T_c,
-makes the filter independent of the step; T_f is its memory. tau is known before the torque is
-measured, so no loop closes through an adaptive FMU. Forgetting along one direction: R. Kulhavy,
-Restricted exponential forgetting in real-time identification, Automatica 23 (1987).
+makes the filter independent of the step; T_f is its memory. Forgetting along one direction: R.
+Kulhavy, Restricted exponential forgetting in real-time identification, Automatica 23 (1987).
 
 CUSUM on the innovations over their density detects changes of friction and of the offset,
 
     c+ = max(0, c + d p e w - d^2/2 p^2 w),    alarm at c > h
-
-with a mean time between false alarms of 2 (exp(h) - h - 1) / d^2 in units of R / p^2 [s].
 """
 
 from dataclasses import replace
@@ -194,7 +191,6 @@ def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equ
 
 
 def _cusum(name: str, d: sympy.Expr, regressor: sympy.Expr, alarm: float) -> Equation:
-    """Return the clipped log-likelihood ratio of a shift d of a factor."""
     weight, error = _named("weight"), _named("innovation")
     change = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
     limited = _at_most(positive(previous(name) + change), 1.5 * alarm)
@@ -271,7 +267,6 @@ def _covariance(deviations: tuple[sympy.Expr, ...]) -> list[Equation]:
 
 
 def _number(x: sympy.Expr) -> sympy.Expr:
-    """Return x, or 0 for NaN."""
     return positive(x) - positive(-x)
 
 

@@ -1,8 +1,4 @@
-"""Friction over days of logs: factors, alarms and their likely causes.
-
-Temperature and lubrication change all joints slowly, wear a single joint; a payload, a gravity
-error or a sensor moves offsets.
-"""
+"""Friction over days of logs: factors, alarms and their likely causes."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -71,7 +71,6 @@ def read_result(folder: Path) -> RobotResult:
 
 
 def _key(member: Member, study: FleetStudy) -> str:
-    """Return a hash of everything that affects the results, except paths."""
     kind = member.kind
     files = [kind.robot, *(path for _, path in member.logs)]
     if kind.robot.is_file():
@@ -178,7 +177,7 @@ class _Robot:
                     self._check(log)
                 parts = [smooth(part, cutoff) for part in log.parts()]
             except LogError as error:
-                if not check:  # it could be used before
+                if not check:
                     raise
                 self._refused[name] = str(error)
                 continue
@@ -193,7 +192,7 @@ class _Robot:
         self._findings = merged([*self._findings, *found])
 
     def _joints(self, models: Mapping[str, FrictionModel], body: RigidBody) -> list[JointResult]:
-        plain = replace(body, covariance=None)  # unused here
+        plain = replace(body, covariance=None)
         found: dict[tuple[str, int], dict[str, _Day]] = {}
         for parts in self._motions():
             logs = [at_friction(motion_records(part, self._model, plain)) for part in parts]

@@ -25,11 +25,7 @@ _DAY = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
 
 
 class RobotType(Config):
-    """A type of robots.
-
-    `logs` matches folders relative to the fleet file. A folder, with subfolders, is a robot of its
-    name; ``robot=R7`` (partitioned data) is ``R7``. Folders of one name are one robot.
-    """
+    """A type of robots; `logs` matches folders relative to the fleet file (see `docs/fleet.md`)."""
 
     robot: RelativePath
     logs: str = Field(min_length=1)
@@ -39,8 +35,8 @@ class RobotType(Config):
 class FleetStudy(Config):
     """Content of a fleet file.
 
-    Logs are sampled to `rows` per robot. `level` is the adjusted significance, `least_change` a
-    share of friction; `fmu` exports FMUs per type and parameter sets per robot.
+    `level` is the adjusted significance, `least_change` a share of friction; `fmu` exports FMUs per
+    type.
     """
 
     name: Name = "fleet"

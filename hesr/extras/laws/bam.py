@@ -13,7 +13,7 @@ With e = exp(-|v/v_s|^alpha), alpha 1, 2 or 3, and the load L, the torque is sgn
 plus viscous friction and an offset. BAM weighs the motor torque, K_m, against the load, K_e. The
 motor torque is load plus friction tau, so tau = F_c + |(K_m + K_e) L + K_m tau|, solved for tau, is
 a level per load of (K_m + K_e)/(1 -+ K_m), for the driving and the driven motor. These two are
-fitted. The single weight of M3 and M4 equals that to first order, in both directions.
+fitted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -70,7 +70,6 @@ class _Bam(OneForm):
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions; {"alpha": 1} selects another exponent than 2."""
         alpha = structure.get("alpha", 2)
         falls = cls._falls()
         if structure.keys() - ({"alpha"} if falls else set()) or alpha not in ALPHAS:
@@ -84,7 +83,6 @@ class _Bam(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Search v_s, if present; all others are linear."""
         names = (*(c.name for c, _ in self.terms), SIGMA_2.name)
         return SearchSpace(
             bounds=((V_S.name, VELOCITY_BOUNDS),) if self._falls() else (),

@@ -9,9 +9,8 @@ There an element sticks, F_i' = k_i v, up to alpha_i s(v), and slides until v re
     F_i' = sgn(v) C (alpha_i - F_i / s(v))
 
 With F_i = sgn(v) alpha_i b this is b' = C (1 - b / s(v)), the same relaxation for all elements, and
-a sliding element is at the bound b. Here x_i = clip(x_i + v dt / w_i, -b, b) at all times: elements
-start to slide at the lagging b instead of s(v) and stick as stops. This avoids the switch, which
-generates energy in motions so small that s(v) rises while an element slides.
+a sliding element is at the bound b. Here x_i = clip(x_i + v dt / w_i, -b, b) at all times, because
+the switch generates energy in motions so small that s(v) rises while an element slides.
 """
 
 from collections.abc import Mapping

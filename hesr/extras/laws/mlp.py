@@ -17,8 +17,7 @@ from hesr_model.support.arrays import Array, Mask
 MAX_HIDDEN = 16
 """Largest hidden layer."""
 DECAYS = (3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
-"""Weight decays on standardised data. Each network starts from that of the previous decay, which
-makes the result depend less on the random start."""
+"""Weight decays on standardised data; each network starts from that of the previous decay."""
 SEARCHED_ROWS = 1600
 """Rows for the comparison of choices; the chosen network is trained on all rows."""
 _TINY = 1e-12
@@ -28,9 +27,8 @@ _TINY = 1e-12
 class MlpH(NetworkEstimator):
     """tau = c_0 + sum_k c_k tanh(theta_k . (1, dq, h, h')).
 
-    Levenberg-Marquardt with weight decay trains networks for each (alpha, beta) of stage 1 and each
-    size. (alpha, beta), size and decay predict left-out logs best on average over the random
-    starts; the best-fitting start is used.
+    Levenberg-Marquardt with weight decay trains networks. (alpha, beta), size and decay predict
+    left-out logs best on average over the random starts; the best-fitting start is used.
     """
 
     name = "mlp_h"

@@ -51,7 +51,6 @@ class LuGreStaticFirst(LuGre):
         (f_c, *others), _ = curve.solve(static)
 
         def solved(place: float) -> tuple[float, Array, Array]:
-            """Return the sum of squares, the point and the unknowns with the best sigma_1 >= 0."""
             point = np.array([place, *static[1:]])
             columns, unknowns = problem.columns(point), np.array([f_c, 0.0, *others])
             left = samples.tau - columns @ unknowns

@@ -157,7 +157,6 @@ def run_leaderboard(
 
 
 def _group(rules: BoardFile, one: Tried) -> str:
-    """Return the smallest class that allows the inputs of an entry."""
     holding = [n for n, may in rules.classes.items() if set(one.inputs) <= {*may, "dq"}]
     if not holding:
         raise ConfigError(

@@ -72,10 +72,7 @@ class Projection:
 def export_mjcf_law(
     model: FrictionModel, path: Path, *, project: bool = False, progress: Progress = silent
 ) -> Projection:
-    """Write a friction model as passive dcmotor actuators on joints of the same names in an MJCF.
-
-    `project` approximates a law without a counterpart, instead of ExportError.
-    """
+    """Write a friction model as passive dcmotors on the joints of the same names in an MJCF."""
     if path.suffix.lower() != ".xml":
         raise ExportError(f"{path}: the name of an MJCF ends in .xml.")
     require_exportable(model, "an MJCF of one actuator per joint", coupled=False)
@@ -148,7 +145,6 @@ def _document(
 
 
 def _actuators(parts: JointFriction) -> Iterator[str]:
-    """Yield all attributes of each actuator: defaults of the robot may differ."""
     pairs = list(zip_longest(parts.bristles, parts.waves)) or [(None, None)]
     for k, (bristle, wave) in enumerate(pairs):
         numbers = {

@@ -143,7 +143,6 @@ _PEAK = sympy.Symbol("_peak", positive=True)
 
 
 def _stribeck_velocity(peak: sympy.Expr, values: Values, own: str) -> float | None:
-    """Return v_s of exp(-(v / v_s)^2), None for another exponential."""
     square = sympy.cancel(-(DQ**2) / peak.args[0])
     what = f"the Stribeck velocity of {own}"
     if _uses_inputs(square) or _number(square, values, what) <= 0.0:
@@ -236,7 +235,6 @@ def _bristle(
             f"{own} slides at {coulomb:g} to {static:g} {{unit}}, a bristle at more than 0",
             "N.m",
         )
-    # Without a peak both levels are equal at any Stribeck velocity.
     stribeck = 1.0 if motion.stribeck is None else motion.stribeck
     return Bristle(
         stiffness=found, damping=micro, coulomb=coulomb, static=static, stribeck=stribeck

@@ -72,7 +72,6 @@ def records(
     law: FrictionLaw, trained: TrainedRange | None, sample_time: float
 ) -> tuple[FrictionRecord, FrictionRecord]:
     """Return records for the fit and the test of a projection."""
-    # Wide and narrow loops up to the speed.
     peak, middle = np.array([trained_speed(trained)]), np.zeros(1)
     slow, fast = (
         random_fourier(seed=seed, harmonics=10, period=period, peak_velocity=peak, offset=middle)
@@ -95,7 +94,6 @@ def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
 def _record(
     law: FrictionLaw, trajectory: Trajectory, trained: TrainedRange | None, sample_time: float
 ) -> FrictionRecord:
-    """Return the law along a motion in the training range."""
     rows = np.arange(round(trajectory.duration / sample_time), dtype=np.float64)
     t = sample_time * rows
     q, dq, _ = (column[:, 0] for column in trajectory.sample(t))

@@ -52,7 +52,6 @@ def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
         "modelica_joint.html.j2",
         joint=model.joints[index],
         title=title(law, ""),
-        # Equations of networks with numbers are unreadable.
         numbers=equations_with_numbers(law) if exposed(law) else [],
         intervals=coefficient_lines(law) if law.standard_errors else [],
         start_samples=law.start_samples,

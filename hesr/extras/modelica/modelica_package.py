@@ -47,8 +47,8 @@ _STEADY = "steadyStart"
 def export_modelica(model: FrictionModel, path: Path) -> Path:
     """Write a friction model as a Modelica package NAME.mo.
 
-    It has the equations of each form, a block and a bearing per joint, and examples, and needs the
-    Modelica Standard Library 4.0. States start as in the FMUs.
+    It has a block and a bearing per joint and examples, and needs the Modelica Standard Library
+    4.0.
     """
     _check_name(path)
     text = package(model, path.stem)
@@ -107,7 +107,6 @@ def _oddity(name: str, taken: frozenset[str]) -> str:
 
 
 def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
-    """Return the first law of each form by a name such as `ParfamH`."""
     first: dict[LawForm, FrictionLaw] = {}
     for law in laws:
         first.setdefault(law.form, law)

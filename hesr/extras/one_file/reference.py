@@ -43,7 +43,6 @@ def reference_rows(model: FrictionModel) -> str:
 
 
 def _motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
-    """Return inputs and torque, with a shorter step where Euler is unstable."""
     for halved in range(_HALVINGS):
         step = model.sample_time / 2**halved
         motion = reference_motion(

@@ -81,7 +81,7 @@ class _Printer(LanguagePrinter):
 
     def _print__turned(self, expr: sympy.Function) -> str:
         factor, position = expr.args
-        # The whole turns are left out, so more digits than those of a double are needed.
+        # Use more digits than those of a double, because whole turns are dropped.
         turns = (sympy.Rational(float(factor)) / (2 * sympy.pi)).evalf(_DIGITS)
         mantissa, exponent = frexp(float(turns))
         high = ldexp(round(ldexp(mantissa, _HIGH_BITS)), exponent - _HIGH_BITS)
@@ -135,8 +135,6 @@ def _function(
 
 
 def _wrapped(expression: sympy.Expr) -> sympy.Expr:
-    """Reduce the arguments of sines to one turn of the position."""
-
     def wave(node: sympy.Expr) -> sympy.Expr:
         angle = sympy.expand(node.args[0])
         factor = angle.coeff(Q, 1)

@@ -113,7 +113,6 @@ def gather(study: PaperStudy, path: Path, folder: Path, progress: Stages) -> Evi
 
 
 def _under(truth: FrictionModel, records: LogRecords, made: Mapping[str, Recording]) -> LogRecords:
-    """Return records with a law as the true friction; noise and errors of the body stay."""
     found = {}
     for name, [of_joints] in records.items():
         was = made[name].truth
@@ -127,7 +126,6 @@ def _under(truth: FrictionModel, records: LogRecords, made: Mapping[str, Recordi
 def _cases(
     job: Job, study: PaperStudy, records: LogRecords, laws: Sequence[str]
 ) -> Iterator[tuple[str, Case]]:
-    """Yield the laws fitted to both training motions."""
     variants = {name: one for name, one in study.variants.items() if name in laws}
     tests = {test: records_of(names, records) for test, names in study.logs.test.items()}
     sines = [[records[name][0][k]] for k, name in enumerate(study.sine)]
@@ -158,7 +156,6 @@ def _tracked(
     folder: Path,
     progress: Stages,
 ) -> dict[str, dict[str, Tracked]]:
-    """Run the paper's scheme with every controller, and the velocity command alone."""
     fmus = {law: folder / f"{law}.fmu" for law in models}
     for law, fmu in fmus.items():
         export_bare(models[law], fmu)

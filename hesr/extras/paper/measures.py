@@ -35,8 +35,6 @@ def _number(value: float | Number) -> Number:
 
 
 def _of_joints(of: Callable[..., float | Number]) -> Callable[..., Values]:
-    """Turn a measure of a joint into one of all."""
-
     @wraps(of)
     def measure(*about: Any, **options: Any) -> Values:
         found = enumerate(joints(about[0].robot.n))
@@ -46,8 +44,6 @@ def _of_joints(of: Callable[..., float | Number]) -> Callable[..., Values]:
 
 
 def _of_cases(of: Callable[..., float | Number]) -> Callable[..., Values]:
-    """Turn a measure of a joint in a case into one of both training motions."""
-
     @wraps(of)
     def measure(e: Evidence, *, truth: str = TWIN, **options: Any) -> Values:
         found = {one: _of_joints(of)(e, case, **options) for one, case in e.cases[truth].items()}

@@ -1,7 +1,6 @@
 """The runs of a sweep on the workers of a dask.distributed scheduler.
 
-FMUs are identified by hash and cached on each machine. dask reassigns the chunks of dead workers;
-an FMU whose last copy is lost is sent again.
+FMUs are identified by hash and cached on each machine. Chunks of dead workers are reassigned.
 """
 
 from collections.abc import Iterator, Mapping
@@ -56,7 +55,6 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
     for _ in range(_ROUNDS):
         if not left:
             return
-        # A copy on every worker: a dead worker loses nothing.
         contents = client.scatter(
             {digest: fmu.read_bytes() for fmu, digest in plan.digests.items()}, broadcast=True
         )

@@ -72,7 +72,6 @@ def _values(one: SweepInput, unit: Array) -> Array:
 
 
 def _correlated(group: Correlated, unit: Array) -> Array:
-    """Draw with the symmetric root of the covariance, which may be singular."""
     sizes, axes = np.linalg.eigh(np.array(group.covariance))
     root = (axes * np.sqrt(np.maximum(sizes, 0.0))) @ axes.T
     drawn: Array = np.array(group.mean) + _normal(unit) @ root

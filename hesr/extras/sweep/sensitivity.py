@@ -57,7 +57,7 @@ def sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity]:
 
 
 def _shares(blocks: Array) -> Array:
-    """Return (2, d) indices by the estimators of Saltelli et al. (2010)."""
+    """Return (2, d) indices by Saltelli et al. (2010)."""
     a, b, mixed = blocks[0], blocks[1], blocks[2:]
     first = np.mean(b * (mixed - a), axis=1)
     total = 0.5 * np.mean((a - mixed) ** 2, axis=1)

@@ -106,10 +106,7 @@ Design = Literal["grid", "latin_hypercube", "monte_carlo", "sobol"]
 
 
 class SweepStudy(Config):
-    """A study of many runs; `chunk` runs share one file and one worker.
-
-    "sobol" takes `runs` x (inputs + 2) runs (Saltelli's design), `runs` being a power of 2.
-    """
+    """A study of many runs; `chunk` runs share one file and one worker."""
 
     name: str = Field(default="sweep", min_length=1)
     system: RelativePath

@@ -1,8 +1,6 @@
 """Temperature dependence of friction, from measured temperatures or the heat of long logs.
 
-Without measured temperatures the thermal time constant is also searched, a log starts at the
-ambient, and R is 1 because temperatures are known up to a factor only. With them, R, T_th and the
-ambient are those whose frictional heat explains them best.
+Without measured temperatures R is 1, because temperatures are known up to a factor only.
 """
 
 from collections.abc import Callable, Sequence
@@ -179,7 +177,7 @@ class _Problem:
 
         low, high, scale = np.array(list(_UNKNOWNS.values())[: 6 if searched else 5]).T
         first = np.zeros(len(scale))
-        if searched:  # without heat dependence the time constant has no slope
+        if searched:
             first[2:] = 1e-3, 1e-3, 0.0, np.log(start.time_constant)
         found = least_squares(
             lambda x: left(thermal_of(x), x[4]), first, bounds=(low, high), x_scale=scale

@@ -20,8 +20,8 @@ def show_arm(
 ) -> Written:
     """Show the arm of a closed loop next to its commanded pose.
 
-    `output` is a video (.mp4), an animation (.webp), or None for a window. By default the rigid
-    body alone and the best law are shown. `magnify` scales deviations.
+    `output` is a .mp4, a .webp, or None for a window; by default it shows the rigid body alone and
+    the best law. `magnify` scales deviations.
     """
     from hesr.extras.view.runs import ViewOptions, choose
 

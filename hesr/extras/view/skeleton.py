@@ -30,7 +30,7 @@ class Paint:
 def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
     """Return an arm as an MjSpec with only bodies, joints and shapes.
 
-    Shapes from files are missing; without others, capsules between the joints are drawn.
+    Without own shapes, capsules between the joints are drawn.
     """
     try:
         spec = mujoco.MjSpec.from_string(mjcf)
@@ -67,14 +67,13 @@ def _strip(spec: Any) -> None:
     for group in elements:
         for element in list(group):
             spec.delete(element)
-    # Nothing is simulated; other options than the scene's would conflict.
+    # Nothing is simulated; all options must be those of the scene.
     usual = mujoco.MjSpec().option
     for name in (name for name in dir(usual) if not name.startswith("_")):
         setattr(spec.option, name, getattr(usual, name))
 
 
 def _draw(spec: Any, length: float, paint: Paint) -> None:
-    """Add capsules for links, cylinders for revolute joints, a ball at the end."""
     radius = _LINK * length * paint.thick
     for body in _below(spec.worldbody):
         for child in body.bodies:

@@ -182,7 +182,6 @@ def _room() -> Any:
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.35] * 3
     spec.visual.headlight.specular = [0.1] * 3
     spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 2048, 2
-    # Shadows are sharp within that distance, independent of the size of the floor.
     spec.stat.extent, spec.stat.center = 3.0, [0.0, 0.0, 0.5]
     spec.visual.map.znear = 0.01
     spec.add_texture(
@@ -229,13 +228,12 @@ def _line(scene: mujoco.MjvScene, start: Array, end: Array, pixels: float, colou
 
 def _text(scene: mujoco.MjvScene, place: Array, text: str) -> None:
     if geom := _added(scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, place, _TEXT):
-        geom.label = text[:99]  # MuJoCo has room for 100 characters
+        geom.label = text[:99]  # MuJoCo's limit is 100 characters
 
 
 def _added(
     scene: mujoco.MjvScene, kind: mujoco.mjtGeom, size: float, place: Array, colour: Colour
 ) -> Any:
-    """Return a new geom; None in a full scene."""
     if scene.ngeom == scene.maxgeom:
         return None
     geom = scene.geoms[scene.ngeom]

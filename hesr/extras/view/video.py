@@ -137,7 +137,7 @@ def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image]
     with tempfile.TemporaryFile() as said:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said)
         pipe = process.stdin
-        assert pipe is not None  # a pipe was requested
+        assert pipe is not None
         try:
             yield lambda image: _send(pipe, image)
             pipe.close()

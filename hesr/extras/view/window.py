@@ -32,7 +32,7 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
             f"the viewer cannot open ({str(error).rstrip('.')}); write a video (-o FILE.mp4)."
         ) from error
     with ExitStack() as cleanup:
-        # Its thread draws until it notices the end; Python must not end before it.
+        # Python must not end before its drawing thread has noticed the end.
         for thread in set(threading.enumerate()) - before:
             cleanup.callback(thread.join, _PATIENCE)
         cleanup.enter_context(window)
