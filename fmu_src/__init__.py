@@ -1,7 +1,4 @@
-"""Export of models as FMUs.
-
-Names are imported on first use.
-"""
+"""Export of models as FMUs."""
 
 from typing import TYPE_CHECKING
 

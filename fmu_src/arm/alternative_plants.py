@@ -1,7 +1,7 @@
 """Alternative plants: the arm of a digital twin with other friction than that of its MJCF.
 
-The bristles of an MJCF favour bristle laws. Dry friction of variable level and, optionally, an
-elastic transmission replace its passive dcmotor elements:
+Dry friction of variable level and, optionally, an elastic transmission replace the passive
+dcmotors, which favour bristle laws:
 
     rotor  --elastic with dead band, in parallel with yielding elements-->  link
     I r'' = servo - level(load) sgn(r') - damping r' - torsion              (dry friction sticks)
@@ -104,7 +104,6 @@ def write_truth(
 
 
 def _without_elements(root: Element, model: Any) -> set[str]:
-    """Remove the passive dcmotors and their sensors; return the names of the sensors."""
     elements = {model.actuator(i).name for i in passive_motors(model)}
     gone = set()
     for section in (*root.iterfind("actuator"), *root.iterfind("sensor")):

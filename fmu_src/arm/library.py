@@ -77,7 +77,6 @@ def _package() -> Path:
 
 
 def _own_platform() -> str:
-    """Return the folder of this machine's binaries; empty if FMI defines none."""
     return _PLATFORMS.get(f"{sys.platform} {machine()}", "")
 
 

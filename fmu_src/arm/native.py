@@ -38,11 +38,7 @@ def export_mjcf(
     platforms: Sequence[str] = ("linux64",),
     progress: Progress = silent,
 ) -> Path:
-    """Write an MJCF as an FMI 2.0 FMU for co-simulation, simulated by MuJoCo.
-
-    By default its signals are all controls and sensors. MuJoCo for other platforms comes from the
-    package registry.
-    """
+    """Write an MJCF as an FMI 2.0 FMU for co-simulation, simulated by MuJoCo."""
     wanted = check_request(path, platforms)
     signals = table if isinstance(table, ArmSignals) else signals_of(model, table)
     content = arm(

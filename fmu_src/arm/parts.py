@@ -70,9 +70,8 @@ class Loss:
 class Delay:
     """Delay [s] common to all delayed actuators, from a command until it acts.
 
-    Without interpolation a command acts at the first step after the delay. The delay in the model
-    is then half a step less than whole steps, because round-off of summed steps could add or remove
-    one. `longest` is the length of the buffers.
+    Without interpolation the delay in the model is half a step less than whole steps, because
+    round-off of summed steps could add or remove one. `longest` is the length of the buffers.
     """
 
     usual: float

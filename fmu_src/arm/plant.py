@@ -83,9 +83,8 @@ def servo_signals(
 ) -> ArmSignals:
     """Return the signals of an arm without a signal table.
 
-    Friction is that of the passive dcmotors and the damping of the joints; the measured torque is
-    everything else that drives a joint, gravity compensation included. The factors, scalar or (n,),
-    apply to the dcmotors.
+    Friction is that of the passive dcmotors and the damping of the joints; the measured torque
+    includes gravity compensation. The factors, scalar or (n,), apply to the dcmotors.
     """
     joint_limits(plant)  # rejects files that MuJoCo's specification reader accepts
     spec = mujoco.MjSpec.from_file(str(plant.model))
@@ -111,7 +110,6 @@ def servo_signals(
 
 
 def _table(model: Any, plant: Plant, elements: Sequence[Sequence[int]]) -> SignalTable:
-    """Name the signals; `elements` are the friction actuators of each joint."""
     friction = [[model.actuator(i).name for i in own] for own in elements]
     damping = [
         float(model.joint(joint).damping[0] + model.actuator_damping[own].sum())

@@ -205,7 +205,6 @@ class _Names:
         self._used: set[str] = {"latency"}
 
     def of(self, name: str, otherwise: str) -> str:
-        """Replace characters that FMI forbids, and number duplicates."""
         plain = "".join(c if c.isalnum() and c.isascii() else "_" for c in name) or otherwise
         plain = f"_{plain}" if plain[0].isdigit() else plain
         numbered = chain([plain], (f"{plain}_{k}" for k in count(2)))

@@ -79,8 +79,8 @@ class Losses(Config):
         level = constant + load |torque| + direct ln(1 + |v| / speed) + evolution ln(1 + s / age)
         s' = 1 - (|v| / slip + 1 / longest) s
 
-    The last two terms are rate-and-state friction with the ageing law of Dieterich and Ruina. Units
-    are N.m, rad, rad/s and s; `load` is a share of the transmitted torque. Lists have one entry per
+    The last two terms are rate-and-state friction (ageing law of Dieterich and Ruina). Units are
+    N.m, rad, rad/s and s; `load` is a share of the transmitted torque. Lists have one entry per
     joint; omitted terms are zero.
     """
 
@@ -125,9 +125,8 @@ class LossTable(Losses):
 class SignalTable(Config):
     """Signals of an MJCF; inputs, outputs and start values by the name of the vector.
 
-    The dcmotors in `friction` and the losses follow the friction scale. The payload is a point mass
-    at the centre of mass of a body. `step` [s] is by default that of the simulation; `seed` is the
-    noise's.
+    The dcmotors in `friction` and the losses follow the friction scale. The payload is a point
+    mass. `step` [s] is by default that of the simulation; `seed` is the noise's.
     """
 
     inputs: dict[Element, InputTable] = Field(default_factory=dict)

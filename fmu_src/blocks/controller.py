@@ -86,7 +86,7 @@ def controller_equations(step: float) -> Component:
                      expression=COMPENSATION.case({"torque_error": torque_error,
                                                    "servo_inversion": servo_inversion})),
             Equation(name="e", unit="N.m", expression=tau_d - tau_meas, start=e),
-            # At rest the servo's own integral already holds the torque.
+            # At rest the servo's integral holds the torque.
             Equation(name="integral", unit="rad",
                      expression=previous("integral") + sample * previous("dq_comp"),
                      start=sympy.Piecewise(((tau_d - tau_g) / ki, ki > 0), (0, True))),

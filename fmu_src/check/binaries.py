@@ -83,7 +83,7 @@ def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iter
     """Yield the problems of the binaries; `folder` is for temporary files."""
     for platform, names in _by_platform(contents).items():
         expected = PLATFORMS[about.fmi].get(platform)
-        # Subfolders may contain static libraries only.
+        # Subfolders may contain only static libraries.
         if expected is None or not any("/" not in name for name in names):
             continue
         for identifier in dict.fromkeys(kind.identifier for kind in about.kinds):

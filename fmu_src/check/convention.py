@@ -1,7 +1,4 @@
-"""Errors of an FMU for one motion under different input conventions.
-
-See `fmu_src.friction.settings`; the conventions matter around reversals.
-"""
+"""Errors of an FMU for one motion under different input conventions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

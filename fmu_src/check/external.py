@@ -45,7 +45,6 @@ def fmpy(copy: Path, folder: Path) -> tuple[list[str], list[str]]:
 
 
 def _with_difference(text: str) -> str:
-    """Return a sentence of FMPy with the difference of the two sets that it compares."""
     sentence, sets = _sentence(text), _SETS.search(text)
     if not sets:
         return sentence
@@ -82,7 +81,6 @@ def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[str], 
 
 
 def _rule(name: str, text: str) -> str:
-    """Return the message of a rule as a sentence that starts with the line of the XML."""
     line = _LINE.search(text)
     where = f"modelDescription.xml, line {line[1]}: " if line else ""
     text = text[: line.start()] if line else text

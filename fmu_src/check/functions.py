@@ -8,7 +8,6 @@ import fmpy
 
 
 def _declared(version: int) -> list[list[str]]:
-    """Return the functions in each section of the official header."""
     header = Path(fmpy.__file__).parent / "c-code" / f"fmi{version}Functions.h"
     sections = re.split(r"^(?:Common )?Functions", header.read_text("utf-8"), flags=re.MULTILINE)
     found = [re.findall(rf"FMI{version}_Export\s+\w+\s+(\w+);", section) for section in sections]

@@ -2,8 +2,7 @@
 
 The reference is the same FMU at an eighth of its preferred step, and at half of it with inputs held
 for twice that step. An output jumps if it leaves the range of the reference around its time by
-several step errors. The step error is its distance from this range at the preferred step, including
-outputs that follow new inputs before the step.
+several step errors. The step error is its distance from this range at the preferred step.
 """
 
 import math
@@ -153,7 +152,6 @@ class _Master:
             yield from self._jumps(runs)
 
     def _runs(self, scenarios: Sequence[str]) -> dict[str, _Run]:
-        """Run scenarios in a sandbox; after one that ends it, the others run in a new one."""
         found, sandbox = dict[str, _Run](), None
         try:
             for name in scenarios:
@@ -188,7 +186,7 @@ class _Master:
             if name == "refreshed"
         ]
         for own_run in (nominal, *fresh, *small[:-1]):
-            # Small steps differ from each other if outputs are fast, such as ripple over the angle.
+            # Small steps differ from each other if outputs are fast.
             others = [one for one in reference if one is not own_run]
             around = _around(own_run, others or reference, self._step)
             own = np.maximum(own, _excess(own_run, around).max(axis=0))
@@ -240,7 +238,6 @@ def _excitation(variable: ParsedVariable) -> dict[str, Any]:
 
 
 def _run(outcome: Any, outputs: int) -> _Run:
-    """Return an outcome; raise ValueError, TypeError or AttributeError."""
     times = np.array(outcome.get("times", []), dtype=float)
     fresh, refused = outcome.get("fresh", []), outcome.get("refused", "")
     if not isinstance(refused, str):

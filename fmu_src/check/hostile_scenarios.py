@@ -125,10 +125,10 @@ def _stepped(run: _Run, scenario: str) -> None:
 
 
 def _steps(scenario: str, step: float, count: int) -> Iterator[float]:
-    """Yield the steps [s] of a scenario; all scenarios end at about the same time."""
+    """Yield the steps [s] of a scenario."""
     if scenario in ("nominal", "dense", "fifth", "double"):
         share = {"nominal": 1.0, "dense": 0.125, "fifth": 0.2, "double": 2.0}[scenario]
-        # References run longer, because the last inputs of others count at their end.
+        # References run longer: the last inputs of others count at their end.
         end = count + 2 if scenario in ("nominal", "dense") else count
         yield from [share * step] * round(end / share)
     elif scenario == "irrational":
@@ -144,7 +144,6 @@ def _steps(scenario: str, step: float, count: int) -> Iterator[float]:
 
 
 def _held(run: _Run, _scenario: str) -> None:
-    """Hold inputs for twice the preferred step."""
     for _ in range(run.plan["steps"] // 2 + 2):
         run.set_inputs(run.time)
         for _ in range(4):
@@ -153,7 +152,6 @@ def _held(run: _Run, _scenario: str) -> None:
 
 
 def _refreshed(run: _Run, _scenario: str) -> None:
-    """Read outputs twice once inputs are set, as for direct feedthrough."""
     run.found["fresh"] = []
     for _ in range(run.plan["steps"]):
         run.set_inputs(run.time)
@@ -180,11 +178,10 @@ def _repeated(run: _Run, _scenario: str) -> None:
 
 
 _SIMULATIONS = {"refreshed": _refreshed, "repeated": _repeated, "held": _held}
-"""Scenarios that do more than step."""
 
 
 class _Stale:
-    """Inputs that a solver and its root search never set."""
+    """Inputs that are never set."""
 
     def apply(self, time: float) -> None:
         """Leave the inputs unchanged."""
@@ -247,8 +244,7 @@ def _solved(run: _Run, solver: Any, time: float, end: float) -> tuple[bool, Any,
         run.fmu.ask("getContinuousStates", before, size)
     with suppress(Exception):  # FMPy raises bare exceptions
         return cast("tuple[bool, Any, float]", solver.step(time, end))
-    # Held inputs jump, so CVODE may give up. Masters restart it then; a second failure is the
-    # FMU's.
+    # Held inputs jump, so CVODE may give up; only a second failure is the FMU's.
     run.fmu.ask("setTime", time)
     if size:
         run.fmu.ask("setContinuousStates", before, size)
@@ -269,14 +265,13 @@ def _events(run: _Run) -> None:
 
 
 def _sizes(run: _Run, _scenario: str) -> None:
-    """Pass one state too many, as solvers that need at least one state do."""
     _events(run)
     size = run.plan["states"] + 1
     try:
         run.fmu.ask("setContinuousStates", (ctypes.c_double * size)(), size)
         run.found["taken"] = True
     except RefusedError:
-        run.found["taken"] = False  # the error has ended the run
+        run.found["taken"] = False
 
 
 _EXCHANGES = {"exchange": _solve, "late": _solve, "sizes": _sizes}

@@ -46,7 +46,7 @@ class _Guard:
         self.encoding = encoding
 
     def _doctype(self, *_: object) -> None:
-        # Entities can be declared only here; refusing them prevents entity expansion attacks.
+        # Only a DOCTYPE can declare entities, which expansion attacks need.
         raise _RefusedError("it has a DOCTYPE, which FMI does not use; it is not read any further.")
 
     def _element(self, _name: str, attributes: dict[str, str]) -> None:

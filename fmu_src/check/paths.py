@@ -12,16 +12,15 @@ from hesr_model.support.text import plain, quoted
 
 MOST_PATHS = 100  # per file; the first one and the number are reported
 _NAME = rb"[A-Za-z0-9_.+@-]{1,100}"
-# Folders of users or temporary files.
 _OF_USERS = re.compile(
     rb"/(?:home|Users|tmp|builds|var/tmp|var/folders)/%(n)s/%(n)s" % {b"n": _NAME}
 )
-# A dot is required in the rest, because "root" is a common name of XML elements.
+# "root" is a common name of XML elements, so a dot is required in the rest.
 _OF_ROOT = re.compile(rb"/root/[A-Za-z0-9_.+@/-]{0,100}\.[A-Za-z0-9_+-]{1,50}")
 _PART = rb"[^\x00-\x1f\\/:*?\"<>|]{1,100}"
 _OF_WINDOWS = re.compile(
     rb"[A-Za-z]:(\\{1,2}|/)(?:Users|Documents and Settings|a|Temp|builds)\1%(p)s\1%(p)s"
-    # Linkers write the full name of the file with debugging symbols.
+    # The full name of the file with debugging symbols.
     rb"|[A-Za-z]:(?:\\%(p)s){2,30}\.pdb" % {b"p": _PART}
 )
 
@@ -68,7 +67,6 @@ def problems(contents: Contents) -> Iterator[str]:
 
 
 def _built_elsewhere(name: str, file: Path) -> str | None:
-    """Return why a file is not searched: another author has built it."""
     if _CARRIED.fullmatch(name):
         return "a library that the FMU carries, built elsewhere."
     if name.endswith(_LIBRARIES):
@@ -91,7 +89,7 @@ def _of_fmpy() -> dict[int, list[Path]]:
 
 
 def _paths(file: Path) -> Iterator[str]:
-    # Read the file instead of mapping it: Python's search in a map reads one byte past the end.
+    # Do not map the file: Python's search in a map reads one byte past the end.
     data = file.read_bytes()
     for literal, before, pattern in _PLACES:
         place = data.find(literal)

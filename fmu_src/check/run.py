@@ -171,13 +171,12 @@ class _Found:
 
 
 def _model(contents: Contents) -> tuple[etree._Element | None, list[str]]:
-    """Return the root of the model description, or None, and its errors."""
     if _MODEL not in contents.names:
         elsewhere = next((n for n in contents.names if n.endswith(f"/{_MODEL}")), None)
         hint = f"; {quoted(elsewhere)} is in the wrong folder" if elsewhere else ""
         return None, [f"{_MODEL} is missing{hint}."]
     if _MODEL not in contents.files:
-        return None, []  # the archive's problems explain it
+        return None, []
     root, texts = markup.parse(_MODEL, contents.files[_MODEL])
     if root is None:
         return None, texts

@@ -23,8 +23,8 @@ wchar wctype direct dlfcn io malloc process pthread unistd windows
 _SYSTEM = frozenset(_SYSTEM_NAMES.split())  # system headers that may be included in quotes
 _SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".inc")
 
-# Strings may contain comment markers. Unclosed comments end with the file: searching for an end
-# from each beginning would be quadratic.
+# Strings may contain comment markers. Unclosed comments end with the file: a search for their end
+# would be quadratic.
 _COMMENT = re.compile(rb'/\*.*?(?:\*/|\Z)|//[^\n]*|"(?:\\.|[^"\\\n])*"?', re.DOTALL)
 _INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]{1,500})"', re.MULTILINE)
 _FOLDER = "sources/"
@@ -47,7 +47,6 @@ def problems(about: ParsedDescription, contents: Contents) -> Iterator[str]:
 
 
 def _includes(about: ParsedDescription, contents: Contents) -> Iterator[str]:
-    """Follow includes from the files to be compiled, by default from all files."""
     code = {
         name
         for name in contents.files

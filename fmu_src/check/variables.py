@@ -15,8 +15,6 @@ _STRUCTURED = re.compile(rf"{_IDENTIFIER}|der\({_IDENTIFIER}(?:,[0-9]+)?\)")
 def _of_each(
     rule: Callable[[ParsedDescription, ParsedVariable], Iterator[str]],
 ) -> Callable[[ParsedDescription], Iterator[str]]:
-    """Extend a rule on one variable to all variables; its sentences follow the name."""
-
     def of_all(about: ParsedDescription) -> Iterator[str]:
         for v in about.variables:
             for text in rule(about, v):

@@ -146,13 +146,12 @@ def _interface(model: FrictionModel, laws: Sequence[Joint], own: Motors) -> Inte
         model_exchange=False,
         directional_derivatives=False,
         inner_steps=True,
-        # FMPy requires inputs of one shape. Flange inputs are scalars, so no input is an array.
+        # FMPy requires inputs of one shape; flange inputs are scalars, so all inputs are.
         connected=frozenset({*(name for name, _, _ in _INPUTS), "tau_link"}),
     )
 
 
 def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
-    """Return a variable with the units of a prismatic joint, irrelevant in C."""
     joint = re.search(r"\[(\d+)\]", variable.name)
     if joint is None or not slides[int(joint[1]) - 1]:
         return variable
@@ -167,14 +166,12 @@ _WORDS = {"torque": "force", "angle": "position", "inertia": "mass", "flexspline
 
 
 def _of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:
-    """Return a variable whose inputs act only at the start and by steps."""
     at_once = tuple(name for name in variable.dependencies if name in inputs)
     others = tuple(name for name in variable.dependencies if name not in inputs)
     return replace(variable, dependencies=others, initial_dependencies=at_once)
 
 
 def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]]:
-    """Return the variables that determine the inputs of laws before the first step."""
     return {
         "dq": (f"dq_start[{joint}]", f"ratio[{joint}]"),
         "q": (f"q_start[{joint}]", f"ratio[{joint}]"),
@@ -183,7 +180,6 @@ def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]
 
 
 def _coupled(coupling: Coupling | None, outputs: Sequence[Variable]) -> Iterator[Variable]:
-    """Yield one output of all joints, with the dependencies of a coupling for those at links."""
     for link, variable in enumerate(outputs, start=1):
         if coupling is None or not variable.name.startswith("tau_link["):
             yield variable
@@ -235,9 +231,8 @@ def export_drive(
 ) -> Path:
     """Write a friction model with the motors of its joints as an FMU for co-simulation.
 
-    The model is in joint coordinates. Units of the flexspline and motors are kg.m2, N.m/rad,
-    N.m.s/rad and motor turns per joint turn; for prismatic joints kg, N/m and so on. By default
-    gears are rigid, with ratio 1. Bytes and dates are determined as by `friction_fmu.export_fmu`.
+    Units are those of `Motors`, for prismatic joints kg, N/m and so on. By default gears are rigid,
+    with ratio 1.
     """
     check_request(path, platforms)
     require_exportable(model, "a drive")
@@ -278,7 +273,6 @@ def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content
 
 
 def _stimuli(model: FrictionModel, own: Motors) -> Stimuli:
-    """Return motor torques that exceed the friction, and the middle of the trained loads."""
     trained = model.trained or (None,) * len(model.joints)
     sizes, loads = {}, {}
     for i, (seen, ratio) in enumerate(zip(trained, own.ratio, strict=True), start=1):

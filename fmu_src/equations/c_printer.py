@@ -101,7 +101,6 @@ def printed(
         f"const double {names.get(symbol, str(symbol))} = {_c(printer, e)};"
         for symbol, e in lines.items()
     ]
-    # Constant symbols have no name: their change is zero.
     writes = [
         f"{place} = {_c(printer, s) if s in lines or s in known else '0.0'};"
         for place, s in targets.items()

@@ -117,7 +117,6 @@ def equations_header(
 def _written(
     components: Iterable[Functions], wanted: Sequence[str]
 ) -> tuple[list[str], dict[str, list[str]]]:
-    """Return the distinct functions of all components, and the names for each component."""
     texts: dict[str, str] = {}
     by_body: dict[str, str] = {}
     names: dict[str, list[str]] = {}
@@ -134,7 +133,6 @@ def _written(
 
 
 def _texts(own: Functions, needed: Sequence[str]) -> dict[str, str]:
-    """Return the functions of a component, cached because writing them is slow."""
     wanted = [name for name in needed if _wanted(name, own)]
     about = (own.name, f"{own.tunable} {own.gathered}", repr(own.component))
     made = kept(
@@ -173,7 +171,6 @@ def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
 
 @cache
 def _invariants(component: Component, gathered: bool) -> int:
-    """Return the number of invariants of a component, cached because computing it is slow."""
     count = kept(
         "functions",
         (software(), "invariants", str(gathered), repr(component)),
@@ -183,7 +180,6 @@ def _invariants(component: Component, gathered: bool) -> int:
 
 
 def _gathered(joint: Joint) -> int:
-    """Return the number of inputs that the equations of a joint read."""
     own = joint.component
     return len(own.inputs) + len(own.shared) + (len(own.parameters) if joint.gathered else 0)
 
@@ -209,7 +205,6 @@ def _row(
 
 
 def _wanted(function: str, own: Functions) -> bool:
-    """Whether the function exists; C tests for optional ones."""
     if function in ("rates", "follow", "tangent"):
         return not own.component.sampled_memory
     if function == "start":
@@ -232,7 +227,6 @@ def _array(kind: str, name: str, values: Iterable[object]) -> str:
 
 
 def _signs(own: Functions) -> str:
-    """Return the names of the held signs for messages; C has no empty arrays."""
     names = ", ".join(f'"{e}"' for e in own.jumps.expressions)
     return f"static const char *const {own.name}_names[] = {{{names or 'NULL'}}};\n"
 

@@ -43,7 +43,7 @@ def exported(
         text = read_text(model)
     except (OSError, ValueError):  # reported by `write`
         text = None
-    # A law of another package can change without a new version of the package.
+    # A law of another package can change without a new version.
     if text is None or not all(law.own for law in plugins.load("hesr.laws").values()):
         write()
         return

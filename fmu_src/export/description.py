@@ -112,10 +112,7 @@ def shown_as(unit: str) -> dict[str, str]:
 
 
 def si_exponents(unit: str) -> dict[str, int]:
-    """Return the exponents of kg, m, s, A, K and rad of a unit such as "N.m.s/rad".
-
-    Everything after the slash divides.
-    """
+    """Return the exponents of kg, m, s, A, K and rad of a unit; all after its slash divides."""
     exponents: dict[str, int] = {}
     for i, group in enumerate(unit.split("/")):
         for factor in group.removeprefix("(").removesuffix(")").split("."):
@@ -133,8 +130,7 @@ def si_exponents(unit: str) -> dict[str, int]:
 def to_xml(table: Interface, about: Description, guid: str) -> bytes:
     """Return modelDescription.xml.
 
-    Dependencies are declared, because importers interpret a missing list as a dependency on
-    everything and then find false algebraic loops.
+    Dependencies are declared, because importers find false algebraic loops without them.
     """
     root = root_element(about, "2.0", {"guid": guid}, numberOfEventIndicators=str(table.indicators))
     common = {
@@ -233,7 +229,7 @@ def common_attributes(variable: Variable, name: str, place: int, text: str) -> d
     """
     causality, variability, initial = variable.attributes
     if variable.enumeration:
-        # Tools display the choices here, and `fmu_src.run.variables` reads their names here.
+        # Tools display the choices here, and `fmu_src.run.variables` reads them.
         names = (f"{i} = {name}" for i, (name, _) in enumerate(variable.enumeration.items, 1))
         text = f"{text}: {', '.join(names)}"
     found = {"name": name, "valueReference": str(place), "description": text}

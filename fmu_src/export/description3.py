@@ -76,7 +76,7 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
     early = str(table.inner_steps).lower()
     ET.SubElement(root, "CoSimulation", common, mightReturnEarlyFromDoStep=early)
     add_units(root, table)
-    # Units and nominal values belong to types, because fmi-sim does not read them from variables.
+    # fmi-sim reads units and nominal values from types only.
     types = ET.SubElement(root, "TypeDefinitions")
     for of, nominal in dict.fromkeys((v.unit, v.nominal) for v in table.variables if v.unit):
         element = ET.SubElement(types, "Float64Type", name=_type_of(of, nominal), unit=of)
@@ -123,7 +123,6 @@ def _variable(array: ArrayVariable, arrays: Arrays) -> ET.Element:
 
 
 def _description(array: ArrayVariable) -> str:
-    """Return the joint text of all elements with common parts once: 'velocity of a, b'."""
     texts = [v.description for v in array.elements]
     if len(texts) == 1:
         return texts[0]

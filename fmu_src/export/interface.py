@@ -1,7 +1,7 @@
 """Interface of an FMU: one table of variables for both the XML and the C.
 
 The position of a variable in the table is its index in the C struct. Value references have a
-separate table, so that one reference of FMI 3.0 can denote an array.
+separate table, because those of FMI 3.0 can denote arrays.
 """
 
 import re
@@ -45,10 +45,9 @@ class Enumeration:
 class Variable:
     """One variable of an FMU, with a structured name such as `dq[1]` or `joint[1].alpha`.
 
-    The unit, in FMI's spelling, is None only for an enumeration. The start value of a computed
-    variable or a state is not written. Solvers scale the tolerance of a state by its nominal value.
-    `least` and `greatest` are recommended limits, values outside which are refused if `limited`.
-    Hosts must not interpolate a `switch`.
+    The unit, in FMI's spelling, is None only for an enumeration. Solvers scale the tolerance of a
+    state by its nominal value. `least` and `greatest` are recommended limits, values outside which
+    are refused if `limited`. Hosts must not interpolate a `switch`.
 
     Initial dependencies count in addition until initialisation ends; for a state they are those of
     its initial value.
@@ -87,8 +86,8 @@ class Interface:
     """All scalar variables of an FMU in index order.
 
     `own` is the number of doubles in the component's own memory. A component with `inner_steps`
-    follows input slopes itself. Arrays in `connected` remain scalars in FMI 3.0, because a member
-    of a terminal is a whole variable. Raises ExportError if a name is duplicate or invalid in FMI.
+    follows input slopes itself. Arrays in `connected` remain scalars in FMI 3.0, as members of
+    terminals. Raises ExportError if a name is duplicate or invalid in FMI.
     """
 
     variables: tuple[Variable, ...]
@@ -179,7 +178,6 @@ def scalars(place: int, elements: Sequence[Variable]) -> list[ArrayVariable]:
 
 
 def _split(name: str) -> tuple[str, tuple[int, ...]]:
-    """Return the name of an array and the indices of an element; an empty name for a scalar."""
     array, _, indices = name.removesuffix("]").rpartition("[")
     if not name.endswith("]"):
         return "", ()
@@ -244,7 +242,6 @@ def _bounds(variable: Variable) -> str:
 
 
 def _list(items: Sequence[object]) -> str:
-    """Return the initialiser of an array; C has no empty arrays."""
     return f"[] = {{{', '.join(map(str, items or [0]))}}}"
 
 

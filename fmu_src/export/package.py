@@ -201,7 +201,7 @@ def _sources(own: Mapping[str, str], fmi: Version) -> dict[str, str]:
 
 
 def _guid(table: Interface, about: Description, sources: Mapping[str, str]) -> str:
-    """Return a GUID of all content that does not contain the GUID."""
+    """Return a GUID of the content, without the GUID itself."""
     content = hashlib.sha256(to_xml(table, about, ""))
     content.update(to_c(table, "", about.step).encode())
     for name, text in sorted(sources.items()):
@@ -222,7 +222,7 @@ def zip_members(path: Path, members: Mapping[str, bytes], created: str) -> None:
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.create_system = 3  # Unix on every host
             entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
-            # Higher levels save 0.4 % of a physics engine in three times the time.
+            # Higher levels take three times as long for 0.4 %.
             archive.writestr(entry, content, compresslevel=9 if len(content) < _LARGE else 6)
 
 
@@ -232,7 +232,6 @@ _PLAIN_NAME = re.compile(rf"{_IDENTIFIER}(\.{_IDENTIFIER})*|der\({_IDENTIFIER}(\
 
 
 def _validated(temporary: Path, path: Path) -> bytes:
-    """Reject descriptions and file names that FMPy reports."""
     from fmpy import read_model_description  # slow to import
     from fmpy.model_description import ValidationError
     from fmpy.validation import validate_fmu

@@ -33,14 +33,13 @@ class Target:
 
 
 # glibc 2.17 is the oldest one that tools still support. FMI 2.0 has no folder for 64-bit ARM Linux;
-# this one is that of FMI 3.0, as FMI 2.0.5 recommends. Nothing unwinds through C, and unwind tables
-# are a tenth of a binary. Every loader supports GNU hash tables; the old ones are 1 %. The
-# compiler's runtime library takes seconds to build, and plain C does not need it.
+# this one is that of FMI 3.0, as FMI 2.0.5 recommends. Unwind tables, a tenth of a binary, old hash
+# tables and the slow build of the compiler's runtime library are not needed by plain C.
 _ELF = (
     *("-fPIC", "-Wl,--build-id=none", "-Wl,--hash-style=gnu", "-nostdlib", "-lc", "-lm"),
     *("-fno-unwind-tables", "-fno-asynchronous-unwind-tables"),
 )
-# The compiler's own C library for Windows takes 100 s to build, for start-up code that plain C does
+# Building the compiler's own C library for Windows takes 100 s, for start-up code that plain C does
 # not need. Its headers and the system's import libraries remain available.
 _PRINTF = ("snprintf", "vsnprintf", "__local_stdio_printf_options")
 _PE = (
@@ -94,8 +93,8 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
     return parts[0] if len(parts) == 1 else universal(parts)
 
 
-# A small module without imports, because it is embedded in a page. Building the compiler's own C
-# library takes 15 s; only its headers and the parts of pow() are used. `wasm.c` provides the rest.
+# A small module without imports, embedded in a page. Building the compiler's own C library takes 15
+# s; only its headers and parts of pow() are used, the rest is in `wasm.c`.
 _WASM = ("-target", "wasm32-wasi", "-nostdlib", "-Wl,--no-entry", *CFLAGS, "-Oz", "-g0", "-s")
 _MUSL = "{compiler}/lib/libc/musl"
 _ERRORS = (f"__math_{name}" for name in ("invalid", "oflow", "uflow", "xflow"))
@@ -119,7 +118,7 @@ def build_wasm(source: Path, *, powers: bool) -> bytes:
 
 
 def get_ready() -> None:
-    """Build in advance the compiler parts that the first page needs, which takes seconds."""
+    """Build in advance the compiler parts that the first page needs."""
     with scratch_folder() as folder:
         source = folder / "nothing.c"
         source.write_text("extern int nothing;\n", encoding="utf-8")

@@ -51,7 +51,7 @@ def _joint(model: FrictionModel, i: int, own: Component, switches: Sequence[Quan
     at = place(model.laws[i - 1], i)
     slow = tuple(m.name for m in own.memory if isinstance(m, Slow))
     names = {q.name: f"{q.name}[{i}]" for q in (*own.inputs, *own.shared, *own.outputs)}
-    # Without starts in the equations, joints that differ only in starts share C code.
+    # Joints that differ only in starts share C code.
     parameters = (replace(p, description="", unit="1") for p in own.parameters)
     bare = tuple(replace(p, start=0.0) if isinstance(p, Parameter) else p for p in parameters)
     return Joint(

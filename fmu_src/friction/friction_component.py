@@ -255,7 +255,7 @@ def joints_of(
 ) -> tuple[Joint, ...]:
     """Return each joint with the names of its variables; `names` has stems that differ."""
     found = []
-    # C has no units, the only difference between the forms of revolute and prismatic joints.
+    # C has no units, the only difference between revolute and prismatic forms.
     laws = [replace(law, form=law.form.sliding) for law in model.laws]
     for joint, law in enumerate(laws, start=1):
         own, at = component(law, more, band=band), place(law, joint)
@@ -353,7 +353,6 @@ def nominal(law: FrictionLaw, element: Element) -> float:
 
 
 def _usual(size: float) -> float:
-    """Return a size with two digits; 1 if it is unusable."""
     return float(f"{size:.2g}") if 0.0 < size < inf else 1.0
 
 

@@ -62,15 +62,13 @@ def export_fmu(
 ) -> Path:
     """Write a friction model as an FMU of FMI 2.0 or 3.0 for co-simulation and model exchange.
 
-    FMUs of thermal models are for co-simulation only, without pages. Physics checks (`properties`)
-    and the audit, by default computed, are for documentation. `power` and `band` add outputs:
-    dissipated power, `tau_lower[i]` and `tau_upper[i]`; `low_pass` is the cut-off [Hz] of a causal
-    low pass of dq in the FMU. With `body`, the FMU's page accepts logs of
-    measured torques.
+    FMUs of thermal models are for co-simulation only. `properties` and the audit (by default
+    computed) are for documentation. `power` and `band` add outputs: dissipated power,
+    `tau_lower[i]` and `tau_upper[i]`; `low_pass` is the cut-off [Hz] of a causal low pass of dq in
+    the FMU. With `body`, the FMU's page accepts logs of measured torques.
 
-    The same model gives the same bytes. The date is SOURCE_DATE_EPOCH, otherwise that of the
-    model's provenance ("created"), otherwise a fixed one. Raises ExportError if C or FMI cannot
-    express the model or a thermal model gets options; SimulationError if it has no band.
+    The same model gives the same bytes. For the date see `date_of`. Raises ExportError if C or FMI
+    cannot express the model or a thermal model gets options; SimulationError if it has no band.
     """
     check_request(path, platforms)
     if model.thermal:
@@ -115,7 +113,7 @@ def content(
     bare = _component(model, (POWER,) if power else (), band=band, low_pass=low_pass)
     model = _as_run(model, low_pass)
     with ThreadPoolExecutor(max_workers=1) as pool:
-        # The picture is drawn while the compiler runs in its own process.
+        # Draw the picture while the compiler runs.
         module = pool.submit(wasm, translation_unit(bare)[1])
         picture = model_png(model)
         live = live_section(live_data(model, bare.table, module.result()))

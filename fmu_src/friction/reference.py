@@ -1,7 +1,7 @@
 """Reference motion for importers, and the reference results in an FMU.
 
-The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt, listed in a
-manifest of FMI-LS-REF. They test the FMU, because the laws in Python compute them.
+The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt; a manifest of
+FMI-LS-REF lists them. They are computed by the laws in Python.
 """
 
 from collections.abc import Mapping, Sequence
@@ -95,7 +95,7 @@ def _of_joint(
     q = cumulative_simpson(dq, x=t, initial=0.0)
     q += (trained.middle if trained else 0.0) - 0.5 * (q.min() + q.max())
     low, high = trained.tau_load if trained else (0.0, 0.0)
-    # Slightly within the range, so that round-off does not leave it.
+    # Slightly within the range, because of round-off.
     load = 0.5 * (low + high) + 0.49 * (high - low) * np.cos(rate * t + angle)
     return dq, q, load
 
@@ -109,17 +109,13 @@ def trained_speed(trained: TrainedRange | None) -> float:
 
 
 def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
-    """Return the members of an FMU's folder `extra/`, by their paths in the archive.
-
-    They are instructions and, if the torque is finite, inputs, reference torques and options for
-    co-simulation and model exchange.
-    """
+    """Return the members of an FMU's folder `extra/`, by their paths in the archive."""
     found = _co_simulation(model)
     if found is None:
         return {"extra/README.txt": _NONE.encode()}
     step, motion, torque = found
     shown = torques(model, motion, SHOWN)
-    # In motion from the start, so that no row coincides with a reversal, where laws may jump.
+    # In motion from the start: no row coincides with a reversal, where laws may jump.
     smooth = _motion(model, step)
     fine = torques(model, smooth, CONTINUOUS, substeps=_SUBSTEPS)
     text = _README.format(
@@ -146,7 +142,6 @@ def _files(
     digits: int,
     runs: Sequence[tuple[str, str, str, Array]],
 ) -> tuple[dict[str, bytes], list[ExperimentFiles]]:
-    """Return files and experiments of runs on a motion: name, text, suffix of the file, torque."""
     stem = f"extra/{name}"
     inputs = {symbol.name: getattr(motion, symbol.name) for symbol in INPUTS}
     members = {

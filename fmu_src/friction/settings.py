@@ -1,11 +1,8 @@
 """Conventions for setting inputs in co-simulation, and their errors.
 
-The step from row k to row k + 1 uses
-    hold    the constant inputs of row k, as most masters do;
-    linear  the inputs of row k and their slopes (fmi2SetRealInputDerivatives) to row k + 1;
-    direct  the inputs of row k + 1, as in the replay of a log.
-The torque is read after the step. These results are those of the law; `fmu_src.check.convention`
-runs the FMU.
+The step from row k to row k + 1 uses the constant inputs of row k (hold, as most masters do), also
+their slopes (linear), or the inputs of row k + 1 (direct, as in the replay of a log). The torque is
+read after the step. `fmu_src.check.convention` runs the FMU.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -114,7 +111,6 @@ def _torque(
 
 
 def _read_at_rows(law: FrictionLaw, t: Array, inputs: Sequence[Array], substeps: int) -> Array:
-    """Step between rows with inputs held at their values in mid-substep, and read at the rows."""
     ends = np.arange(1, substeps + 1) / substeps
 
     def between(row: Array, share: Array) -> Array:

@@ -12,8 +12,7 @@ _LONGEST = 60
 def require_numbers(model: FrictionModel) -> None:
     """Reject a model with a law that has no value for any input.
 
-    Only causes in the coefficients are found, such as a division by one that is 0; a torque may
-    still be NaN at some speeds.
+    Only causes in the coefficients are found, such as a division by one that is 0.
     """
     for law, joint in zip(model.laws, model.joints, strict=True):
         part = _undefined(law)
@@ -32,8 +31,7 @@ def require_numbers(model: FrictionModel) -> None:
 def require_exportable(model: FrictionModel, form: str, *, coupled: bool = True) -> None:
     """Reject a model that `form`, another format than an FMU, cannot express.
 
-    No such format supports temperature; `coupled` ones support motors that turn with several
-    joints.
+    No such format supports temperature; `coupled` ones support coupled motors.
     """
     if model.coupling and not coupled:
         raise ExportError(
@@ -66,10 +64,9 @@ def shown(expression: sympy.Expr) -> str:
 
 
 def _undefined(law: FrictionLaw) -> sympy.Expr | None:
-    """Return the smallest part of a law that its coefficients make undefined, or None."""
     values = {c.symbol: sympy.Float(law.values[c.name]) for c in law.form.coefficients}
     known: dict[sympy.Basic, sympy.Basic] = {}
-    # Functions of undefined values get an arbitrary value, the same for equal ones.
+    # Functions of undefined values get one arbitrary value each.
     opaque: dict[tuple[sympy.Basic, ...], sympy.Basic] = {}
     form = law.form
     for whole in (*(part for m in form.memory for part in m.parts), form.output):

@@ -153,8 +153,8 @@ def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
 def costs(model: FrictionModel, motion: ReferenceMotion) -> dict[str, dict[str, tuple[Error, ...]]]:
     """Return the errors of each input convention by truth, convention and joint.
 
-    The truths are the law in a log replay, the direct convention, and in continuous time with
-    linear inputs between rows. Raises SimulationError if a torque is unstable or not finite.
+    The truths are the law in the direct convention, and in continuous time with linear inputs
+    between rows. Raises SimulationError if a torque is unstable or not finite.
     """
     found = {way: torques(model, motion, way) for way in SETTINGS}
     fine = torques(model, motion, CONTINUOUS)

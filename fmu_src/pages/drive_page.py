@@ -54,8 +54,8 @@ def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
 def holding_torque(law: FrictionLaw) -> float:
     """Return the largest torque [N.m] that a law holds at rest, without load.
 
-    It is half the change of torque between steady crawling in both directions: a jump at zero speed
-    or a memory of position. It is 0 for a law that forgets at rest, whose joint creeps.
+    It is half the change of torque between steady crawling in both directions, and 0 for a law that
+    forgets at rest.
     """
     return float(_sliding(law, np.array([_CRAWL]))[0])
 

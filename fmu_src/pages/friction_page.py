@@ -43,8 +43,7 @@ def to_html(
 ) -> str:
     """Return the page, with the HTML of an interactive section and of the properties, if any.
 
-    It needs only `model.png` next to its folder: no font, network, or other script. The audit is
-    computed by default.
+    It needs only `model.png` next to its folder. The audit is computed by default.
     """
     units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
     used = {symbol for law in model.laws for symbol in law.form.inputs}
@@ -84,7 +83,7 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
         "law": title(law),
         "equations": equations(law),
         "text": form_lines(law.form),
-        # Numbers of networks are not readable in equations.
+        # Equations of networks with numbers are not readable.
         "numbers": equations_with_numbers(law) if exposed(law) else [],
         "rows": _rows(law, joint),
         "exposed": exposed(law),
@@ -152,7 +151,6 @@ def _training_rmse(errors: Sequence[float], unit: str) -> dict[str, list[str]]:
 
 
 def _measured(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:
-    """Return the measured properties of the laws, or the reason why one is missing."""
     found: dict[str, Any] = dict.fromkeys(("rates", "certified", "verdicts", "costs"), ())
     found |= {"audit": {}, "refused": "", "costs_refused": ""}
     motion, slides, known = reference_motion(model), model.slides, bool(model.trained)

@@ -89,13 +89,12 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         return self._text(self._readable(expression))
 
     def _readable(self, expression: sympy.Expr) -> sympy.Expr:
-        # Functions of this class are not moved below the fraction line.
         shown = expression.xreplace(self._values).xreplace(self._replaced)
         return shown.replace(sympy.exp, _EXP)
 
     def _text(self, expression: sympy.Expr) -> str:
         written: str = self._print(expression).toxml()
-        # The printer keeps symbols as placeholders that need no XML escaping.
+        # The printer keeps symbols as placeholders without XML escapes.
         for stand_in, text in self._written.items():
             written = written.replace(f"<mi>{stand_in.name}</mi>", text)
         for found, better in _BETTER.items():
@@ -107,7 +106,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         return self._element("mi", sym.name)
 
     def _print_Float(self, expr: sympy.Float) -> Any:
-        # Products computed by SymPy have more digits than their factors.
+        # SymPy's products have more digits than their factors.
         text = f"{float(expr):.{_DIGITS if self._values else 12}g}"
         if "e" not in text:
             return self._element("mn", text)

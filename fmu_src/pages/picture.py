@@ -52,7 +52,7 @@ def model_png(model: FrictionModel) -> bytes:
     figure.supxlabel(f"dq [{unit_of_joints('rad/s', model.sliding)}]", fontsize=9, color=_GREY)
     figure.supylabel(f"tau [{unit_of_joints('N.m', model.sliding)}]", fontsize=9, color=_GREY)
     figure.canvas.draw()
-    # Fewer shades at line edges halve the size without a visible difference.
+    # Fewer shades halve the size without a visible difference.
     drawn = canvas.buffer_rgba()  # type: ignore[no-untyped-call] # Matplotlib has not typed it
     pixels = np.asarray(drawn)[:, :, :3] // _SHADE * _SHADE + (_SHADE - 1)
     picture = io.BytesIO()
@@ -78,7 +78,7 @@ def _loops(model: FrictionModel) -> list[list[Loop]]:
     )
     found = []
     for law, (dq, q, load) in zip(model.laws, motion.by_joint(), strict=True):
-        # This discretisation is stable at any step, unlike that of the law.
+        # The exact discretisation is stable at any step.
         exact = replace(law, discretisation="exact")
         middle = 0.5 * (q.min() + q.max())
         of_joint = []

@@ -137,7 +137,6 @@ def _text(x: float, y: float, anchor: str, text: str) -> str:
 
 
 def _range(values: list[float]) -> tuple[float, float]:
-    """Return the range of an axis, with a non-zero width for constant values."""
     low, high = min(values), max(values)
     if high > low:
         return low, high

@@ -125,7 +125,6 @@ class FmuInstance:
         self._cleanup.__exit__(*ended)
 
     def _unpack(self, folder: Path) -> bool:
-        """Unpack the files of this platform; return whether the FMU is trusted."""
         own = (*(fmi.folder for fmi in VERSIONS.values()), "resources/")
         try:
             with Archive(self.fmu) as archive:

@@ -84,7 +84,7 @@ class Instance:
         self.held = {array: list(starts) for array, starts in self._starts.items()}
         self._experiment: tuple[float, float | None] = (0.0, None)
         try:
-            # FMPy changes the working directory and, if loading fails, does not restore it.
+            # FMPy changes the working directory and may not restore it.
             with chdir(fmu.folder):
                 self.slave = (self.fmi.models if fmu.exchange else self.fmi.slaves)(
                     guid=fmu.guid,

@@ -25,10 +25,10 @@ Element = tuple[str, str]  # component and variable
 class ExchangeScheme:
     """When the FMUs of a system exchange values.
 
-    Components step in turn, each with the newest outputs of the others ("gauss_seidel"), or all
-    with the outputs at the start of their steps ("jacobi"). The first inputs are "zero" or outputs
-    "propagated" in the initialisation. Outputs with direct feedthrough may follow the new inputs
-    of an instant: "none", those that are "shown", or "all", including those that are passed on.
+    Components step in turn with the newest outputs ("gauss_seidel"), or all with those at the start
+    of their steps ("jacobi"). The first inputs are "zero" or outputs "propagated" in the
+    initialisation. Outputs with direct feedthrough may follow the new inputs of an instant: "none",
+    those that are "shown", or "all", including those that are passed on.
     """
 
     order: Order = "gauss_seidel"
@@ -49,7 +49,7 @@ class Station:
     def set_inputs(self, values: Array) -> None:
         """Set the connected inputs from the values of the system."""
         if self.sources.size:
-            # All places are valid. Without "clip" NumPy would copy.
+            # All places are valid; without "clip" NumPy would copy.
             values.take(self.sources, out=self.inputs.values, mode="clip")
             self.inputs.write()
 
@@ -180,7 +180,6 @@ class PythonStepper:
         return shown
 
     def _gauss_seidel(self, k: int) -> None:
-        """Step each component whose own step ends with step k, with the newest outputs."""
         values, step = self._layout.values, self._layout.step
         for station in self._layout.stations:
             if (k + 1) % station.every == 0:
@@ -189,7 +188,6 @@ class PythonStepper:
                 station.read_outputs()
 
     def _jacobi(self, k: int) -> None:
-        """Step each such component with the outputs at the start of its step."""
         values, step = self._layout.values, self._layout.step
         for station in self._layout.stations:
             if k % station.every == 0:

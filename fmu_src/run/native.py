@@ -145,7 +145,6 @@ class NativeStepper:
 
 
 def _connect(at: _Station, into: LocalBuffer, out: LocalBuffer) -> tuple[LocalBuffer, LocalBuffer]:
-    """Fill in functions and buffers of a component; return objects that must stay alive."""
     slave = into.instance.slave
     at.component = slave.component
     at.set, at.get, at.step = (

@@ -1,7 +1,7 @@
 """Reference results in the folder `extra/` of an FMU or SSP, written and verified.
 
-The files follow the FMI cross-check, the manifest FMI-LS-REF 1.0.0-alpha.1, which does not fix the
-order of setting inputs, stepping and reading outputs: all known orders are tried.
+The files follow the FMI cross-check, the manifest FMI-LS-REF 1.0.0-alpha.1. It leaves the order of
+calls open, so all known orders are tried.
 """
 
 import csv
@@ -145,7 +145,7 @@ def _files(
 
 
 def table(columns: Mapping[str, Array], digits: int) -> bytes:
-    """Return a CSV file with a quoted header and values of `digits` significant digits."""
+    """Return a CSV file with `digits` significant digits."""
     header = ",".join(f'"{name}"' for name in columns)
     rows = zip(*(c.tolist() for c in columns.values()), strict=True)
     # Adding zero turns -0 into 0.

@@ -27,10 +27,9 @@ def replay(
 ) -> Array:
     """Return the friction torque (N, n) [N.m] of an FMU, or another `output`, over a log.
 
-    Sample 0 is set before the initialisation and read after it. Then each sample is set, the FMU
-    steps from the previous time [s] to its own, and the output is read. `q` [rad] and `tau_load`
-    [N.m] are zero by default; without `temperature` [degC], friction heats a thermal FMU. Raises
-    SimulationError if the log does not fit or the FMU fails.
+    Each sample is set, the FMU steps from the previous time [s] to its own, and the output is read.
+    `q` [rad] and `tau_load` [N.m] are zero by default; without `temperature` [degC], friction heats
+    a thermal FMU. Raises SimulationError if the log does not fit or the FMU fails.
     """
     if isinstance(fmu, Path):
         with FmuInstance(fmu) as component:

@@ -1,7 +1,4 @@
-"""A process with limits on time, memory and files, for untrusted FMUs and files.
-
-The message of a step has pending writes; its answer has the buffers read after the previous step.
-"""
+"""A process with limits on time, memory and files, for untrusted FMUs and files."""
 
 import json
 import socket
@@ -233,7 +230,6 @@ class SandboxedInstance:
         self._sandbox.kill()
 
     def _do(self, method: str, *arguments: Any) -> None:
-        """Call a method of the instance after the pending writes."""
         if self._written:
             self._exchange()
         kind = self._fmi.kind(arguments[0], None)[0] if method == "set" else ""
@@ -247,7 +243,6 @@ class SandboxedInstance:
     set_slopes = partialmethod(_do, "set_slopes")
 
     def _call(self, function: str, method: str, *arguments: Any) -> None:
-        """Call a method of the instance; errors name the function."""
         self._known.clear()
         request = WORDS + json.dumps([method, arguments]).encode()
         try:
@@ -272,7 +267,7 @@ class SandboxedInstance:
         needed: Sequence[int] = (),
         prefetch: Sequence[int] = (),
     ) -> None:
-        """Do pending writes, a step [s] if it has a size, and read buffers."""
+        """Do pending writes, a step [s] unless its size is 0, and read buffers."""
         written, self._written = self._written, []
         self._known.clear()
         exchange = Exchange(

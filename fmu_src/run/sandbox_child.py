@@ -133,7 +133,6 @@ class _Host:
         self._instance.close(stepping=stepping)
 
     def _exchanged(self, request: bytes) -> bytes:
-        """Do an exchange and return its answer: the values, then the messages."""
         begin, size, writes, needs, prefetches = _REQUEST.unpack_from(request)
         count = writes + needs + prefetches
         numbers = struct.unpack_from(f"<{count}I", request, _REQUEST.size)
@@ -206,7 +205,6 @@ def _limit() -> None:
 
 
 def _end_with_parent() -> None:
-    """End the process group once the parent closes standard input."""
     with suppress(OSError):
         while os.read(0, 1):
             pass

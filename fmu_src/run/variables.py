@@ -72,7 +72,6 @@ def description_of(folder: Path, fmu: Path) -> tuple[ModelDescription, list[Decl
     except Exception as error:  # FMPy raises bare exceptions
         raise SimulationError(f"{fmu}: not a readable FMU ({plain(str(error))}).") from error
     for kind in (about.coSimulation, about.modelExchange):
-        # It becomes a file name and part of function names.
         if kind is not None and not _IDENTIFIER.fullmatch(kind.modelIdentifier or ""):
             raise SimulationError(
                 f"{fmu}: its modelIdentifier is {quoted(str(kind.modelIdentifier))}; expected an "
@@ -87,7 +86,6 @@ def element_of(reference: int) -> tuple[int, int]:
 
 
 def _with_scalars(about: Any) -> tuple[Any, list[Declared]]:
-    """Replace each FMI 3.0 array by its elements, also in dependencies; raise ValueError."""
     _require_sizes(about.modelVariables)
     elements = {id(v): _elements(v) for v in about.modelVariables}
     declared = [(v.valueReference, v.name, v.type, _starts(v)) for v in about.modelVariables]
@@ -170,7 +168,6 @@ def _number(text: str) -> float:
 def suggestion(name: str, known: Iterable[str], most: int) -> str:
     """Return "did you mean a, b or c?" with the closest names first, or ""."""
     shares = {other: SequenceMatcher(None, other, name).ratio() for other in known}
-    # A stable sort keeps the order of equally close names.
     near = sorted((o for o, s in shares.items() if s >= _CLOSE), key=lambda o: -shares[o])[:most]
     if not near:
         return ""

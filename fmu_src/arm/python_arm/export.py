@@ -77,7 +77,7 @@ def _built(folder: Path, parts: list[Path]) -> Path:
     places = list(sys.path)
     try:
         FmuBuilder.build_FMU(script, dest=folder / "built.fmu", project_files=parts)
-    finally:  # undo the builder's changes to the module path and the loaded modules
+    finally:  # undo the builder's changes
         sys.path[:] = places
         sys.modules.pop(_MODULE, None)
     return folder / "built.fmu"

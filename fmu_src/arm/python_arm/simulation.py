@@ -163,7 +163,6 @@ class Simulation:
         return found
 
     def _noise(self, sample: int) -> Array:
-        """Return the normal numbers of a sample, drawn in blocks for speed."""
         row = sample - self._drawn_from
         if not 0 <= row < len(self._drawn):
             self._drawn_from = sample

@@ -1,7 +1,4 @@
-"""A simulated model as a PythonFMU slave.
-
-The FMU contains a copy of this file, which imports everything else from HESR.
-"""
+"""A simulated model as a PythonFMU slave."""
 
 import ctypes
 import json
@@ -76,10 +73,7 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
         self._steps = 0
 
     def do_step(self, time: float, step: float) -> bool:
-        """Simulate to the last multiple of the simulation's own step; log the reason of a failure.
-
-        Inputs are sampled and outputs held at these multiples, so any step is allowed.
-        """
+        """Simulate to the last multiple of the simulation's own step; log a failure's reason."""
         own = self._simulation.timestep
         due = math.floor((time + step - self._start) / own + _ROUNDING) - self._steps
         if due < 1:

@@ -50,7 +50,7 @@ def _data(model: FrictionModel, body: PageBody | None) -> dict[str, Any]:
 
 
 def _units(model: FrictionModel) -> dict[str, dict[str, float]]:
-    """Return units by quantity, SI first; only SI if some joints turn and others slide."""
+    """Return units by quantity, SI first; only SI if joints of both kinds exist."""
     kinds = [SLIDING if slides else TURNING for slides in set(model.slides)]
     if len(kinds) == 1:
         return {quantity: dict(units) for quantity, units in kinds[0].items()}

@@ -22,12 +22,10 @@ def live_assets(*, log: bool = False) -> str:
     if log:
         scripts += ["fit.js", "log_table.js", "log_motion.js", "log_score.js", "log.js"]
     style = "".join(_text(name) for name in ("live.css", *(["log.css"] if log else [])))
-    # A block scope hides the script from others.
     whole = '(() => {\n"use strict";\n' + "\n".join(map(_text, scripts)) + "})();"
     return f"<style>\n{style}</style>\n<script>\n{whole}\n</script>\n"
 
 
 def _text(name: str) -> str:
-    """Return a style or script without comments and indentation, because every FMU contains it."""
     bare = re.sub(r"/\*.*?\*/\n?", "", (TEMPLATES / name).read_text("utf-8"), flags=re.DOTALL)
     return re.sub(r"^\s+", "", bare, flags=re.MULTILINE)

@@ -33,9 +33,8 @@ _MOST_CYCLES = 100.0
 class Knob:
     """A number with a slider and a number field; `name` is its key on the page.
 
-    The symbol, MathML, and the SI unit may be empty. `low` and `high` limit the slider, whose scale
-    is "linear", "log" (both limits of one sign) or "whole" numbers; `least` and `most` limit the
-    field.
+    `low` and `high` limit the slider, whose scale is "linear", "log" (both limits of one sign) or
+    "whole" numbers; `least` and `most` limit the field.
     """
 
     name: str
@@ -75,7 +74,6 @@ def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str
 
 
 def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterator[Knob]:
-    """Yield the knobs of a motion dq = A sin(2 pi f t) under a constant load."""
     speed = trained_speed(seen)
     digits = 2 - floor(log10(speed))
     within = floor(speed * 10.0**digits) / 10.0**digits  # short, and within the trained range
@@ -128,8 +126,7 @@ def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Kn
 def ends(value: float, *, factor: bool) -> tuple[float, float, str]:
     """Return the limits and the scale of a coefficient's slider, with its value in the middle.
 
-    A factor of a term ranges from zero to twice its value; widths, rates and exponents have a
-    logarithmic scale. A zero coefficient gets unit range.
+    A factor of a term ranges from zero to twice its value; others have a logarithmic scale.
     """
     if value == 0.0:
         return -1.0, 1.0, "linear"
@@ -141,9 +138,8 @@ def ends(value: float, *, factor: bool) -> tuple[float, float, str]:
 
 
 def _is_factor(form: LawForm, c: sympy.Symbol) -> bool:
-    """Whether a coefficient only scales terms of the torque."""
     inner = {s for m in form.memory for part in m.parts for s in part.free_symbols}
-    # A state's derivative contains the coefficients of its element and is not searched.
+    # A state's derivative contains the coefficients of its element.
     terms = (term for term in sympy.Add.make_args(form.output) if term.has(c))
     return c not in inner and all(
         c in (parts := sympy.Mul.make_args(term)) and not any(p.has(c) for p in parts if p != c)

@@ -13,7 +13,7 @@ from hesr_model.support.files import scratch_folder
 def wasm(sources: Mapping[str, str]) -> bytes:
     """Compile the C files of `package.translation_unit` to a WebAssembly module without imports.
 
-    It exports the functions of `c/live.c` around those of FMI. The same files give the same bytes.
+    It exports the functions of `c/live.c` around those of FMI.
     """
     with scratch_folder() as folder:
         for name, text in (*sources.items(), ("live.c", own_source("live.c"))):
