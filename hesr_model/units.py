@@ -54,7 +54,6 @@ def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
 
 
 def _slid(product: str) -> str:
-    """Return a product with m for rad, N for N.m and kg for kg.m2."""
     factors: list[str] = []
     for factor in product.split("."):
         prefix, angle, power = factor.partition("rad")

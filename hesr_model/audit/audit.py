@@ -126,7 +126,6 @@ def responses(
 
 
 def _largest(found: Sequence[Response]) -> float:
-    """Return the largest settled |tau|; NaN if any torque is NaN."""
     return float(np.max([np.max(np.abs(tau[:, -motions.rows :])) for motions, _, tau in found]))
 
 
@@ -146,12 +145,11 @@ def _too_large(torque: float, trained: TrainedRange) -> bool:
 def _steady(
     law: FrictionLaw, trained: TrainedRange, loads: Sequence[float]
 ) -> tuple[tuple[Range, ...], tuple[Range, ...]]:
-    """Return the velocity and speed ranges of driving torque in steady sliding."""
     linear, slow = np.linspace(0.0, 1.0, 121)[1:], np.geomspace(SLOWEST, 1.0, 61)
     speeds = trained.speed * np.union1d(linear, slow)
     velocities = np.concatenate([-speeds[::-1], speeds])
     known = _POSITIONS if Q in law.form.inputs else 1
-    # Multiples of the golden ratio do not alias with ripple.
+    # Multiples of the golden ratio avoid aliasing with ripple.
     places = trained.q[0] + np.ptp(trained.q) * ((0.5 + np.arange(known) * 0.6180339887) % 1.0)
     v, load, q = (
         part.ravel() for part in np.meshgrid(velocities, np.array(loads), places, indexing="ij")
@@ -168,7 +166,6 @@ def _steady(
 
 
 def _negative(v: Array, power: Array) -> tuple[Range, ...]:
-    """Return the ranges of v with negative power, which crosses zero linearly or at rest."""
     inside = np.concatenate([[False], power < 0.0, [False]])
     edges = []
     for k in np.flatnonzero(inside[1:] != inside[:-1]):

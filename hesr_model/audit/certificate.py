@@ -165,7 +165,6 @@ class _Proof:
 
     @cached_property
     def _curved(self) -> set[sympy.Symbol]:
-        """Symbols in the arguments of functions."""
         return set().union(*(f.free_symbols for f in self.output.atoms(sympy.Function)))
 
     def _element(self, element: Element) -> float:
@@ -300,10 +299,7 @@ class _Proof:
 
 
 class _Steady:
-    """Torque of steady motion, r(v) + v p(v), whose viscous friction is f = (r - offset) / v + p.
-
-    A constant offset between forward and backward torques does no work over a closed path.
-    """
+    """Steady torque r(v) + v p(v), whose viscous friction is f = (r - offset) / v + p."""
 
     def __init__(self, torque: sympy.Expr) -> None:
         terms = sympy.Add.make_args(sympy.expand_mul(torque))
@@ -347,14 +343,11 @@ class _Steady:
         return min(one.bound for one in self._least(share))
 
     def _viscous(self, r: Array, p: Array, a: Array, b: Array, need: Array | float) -> Array:
-        """Return f, or infinity near rest where the torque satisfies `need` up to round-off."""
         enough = r + np.minimum(p - need, 0.0) * b >= -self.slack
         f = p + np.where(r >= 0.0, r / b, r / a)
         return np.where(enough & (b <= _REST), inf, f)
 
     def _least(self, of: Callable[[Array, Array, Array, Array], Array]) -> list[Least]:
-        """Return minima of a function of (r - offset) sgn(v), p, and ends of a speed interval."""
-
         def bound(way: float, a: Array, b: Array) -> Array:
             low, high = enclosed(self.r, {DQ: _speeds(way, a, b)})
             p = enclosed(self.p, {DQ: _speeds(way, a, b)})[0]
@@ -371,8 +364,6 @@ def _speeds(way: float, a: Array, b: Array) -> Enclosure:
 
 
 def _least_of(expression: sympy.Expr, enough: float = inf) -> float:
-    """Return a lower bound over all speeds in both directions."""
-
     def bound(way: float, a: Array, b: Array) -> Array:
         return np.broadcast_to(enclosed(expression, {DQ: _speeds(way, a, b)})[0], a.shape)
 

@@ -63,7 +63,6 @@ def _expectation(
     expected: str,
     *sources: Source,
 ) -> Expectation:
-    """Return an expectation from key, title, heading, and from figure, unit, factor."""
     return Expectation(*names, *figure, measured, expected, sources)
 
 

@@ -98,10 +98,7 @@ class decay(_Real):
 
 
 class share(_Real):
-    """(1 - exp(-z)) / z, continued by 1 at 0; arguments are z, `decay` and 1 for Euler.
-
-    The derivative is the total one by z.
-    """
+    """(1 - exp(-z)) / z, continued by 1 at 0; arguments are z, `decay` and 1 for Euler."""
 
     nargs = 3
     latex_form = r"\varphi\left({}\right)"

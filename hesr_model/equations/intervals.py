@@ -115,7 +115,6 @@ _RISING: Mapping[str, Callable[..., Array]] = {
 
 
 def _product(a: Array, b: Array) -> Array:
-    """Return a b, where 0 times infinity is 0."""
     return np.where((a == 0.0) | (b == 0.0), 0.0, a * b)
 
 

@@ -121,6 +121,5 @@ class KernelRun(ProgramRun):
 
 
 def _in_doubles(values: Array) -> Array:
-    """Return doubles without copying the columns of a table."""
     found = np.asarray(values, dtype=np.float64)
     return found if found.strides[0] % 8 == 0 else np.ascontiguousarray(found)

@@ -1,7 +1,7 @@
 """Memory of a component: relaxations and stops, each as expressions in three forms.
 
-The sampled form moves a state by a step with held inputs, the continuous form is for model
-exchange, and the settled form is the limit for inputs held forever.
+The sampled form moves a state with held inputs, the continuous one is for model exchange, the
+settled one is the limit for inputs held forever.
 """
 
 from collections.abc import Mapping

@@ -80,13 +80,12 @@ class Graph:
                 self._move_together(group[k : k + STOPS], i + k)
 
     def _move_together(self, group: Sequence[Element], first: int) -> None:
-        """Move one element, or independent stops."""
         (element, *_), states = group, [m.state for m in group]
         sees_itself = element.state in sympy.Tuple(*element.parts).free_symbols
         if sees_itself:
             self._of[element.state] = self._node("CARRIED", (), first, Dependence.ROWS)
         parts = [tuple(map(self.of, m.parts)) for m in group]
-        if sees_itself:  # drop nodes of the state before the step
+        if sees_itself:
             self._of = {e: k for e, k in self._of.items() if element.state not in e.free_symbols}
         kind = "RELAX" if isinstance(element, Relaxation) else "STOP"
         leader = self._of[states[0]] = self._node(kind, parts[0], first, Dependence.ROWS)
@@ -145,7 +144,7 @@ class Graph:
             else:
                 above.append(self.of(factor))
         one = self._literal(1.0)
-        # Divide once by values equal for all rows: products are five times as fast.
+        # Divide once by uniform values: products are five times as fast.
         same = [node for node in below if self.nodes[node].dependence <= Dependence.NUMBERS]
         differs = [node for node in below if node not in same]
         if same:
@@ -226,7 +225,6 @@ class Program:
 
 
 def _groups(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
-    """Yield start and end of elements that move together: one relaxation, or independent stops."""
     i = 0
     while i < len(memory):
         end, states = i + 1, {memory[i].state}
@@ -296,7 +294,6 @@ def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) 
 
 
 def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) -> list[int]:
-    """Return the nodes needed for results, each after its operands; states move in order."""
     done: dict[int, None] = {}
 
     def visit(k: int) -> None:
@@ -316,7 +313,7 @@ def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) ->
             waiting += () if k in known else nodes[k].operands
     moves = sorted(k for k in needed if nodes[k].operation in _MOVES)
     for k in moves:
-        # Stops of one group move together, after the operands of all of them.
+        # Stops of one group move together, after all operands.
         for other in moves:
             if nodes[other].operation == "STOP_BESIDE" and nodes[other].operands[2] == k:
                 for operand in nodes[other].operands[:2]:
@@ -333,7 +330,7 @@ def _allocate(
     last = {operand: i for i, k in enumerate(rest) for operand in nodes[k].operands}
     own, free, count = set(rest), list[int](), first
     for i, k in enumerate(rest):
-        # Before operands are freed: a result must not overwrite them.
+        # A result must not overwrite operands.
         if free:
             places[k] = free.pop()
         else:

@@ -34,7 +34,7 @@ _FLAGS = (
 _LIBRARIES: Mapping[str, tuple[str, ...]] = {
     ".so": ("-lm",),
     ".dylib": ("-lc",),
-    # Building the C library of Windows takes minutes; headers and system library suffice.
+    # Headers and system library suffice; building the C library of Windows takes minutes.
     ".dll": (
         "-Wl,--no-entry",
         "-D_UCRT=",
@@ -142,7 +142,7 @@ class ProgramRun:
             "places": own.registers,
             "columns": count + 4,
         }
-        # One allocation: each look-up of an address is slow.
+        # One allocation, because each look-up of an address is slow.
         starts = list(accumulate(sizes.values(), initial=0))
         room = np.zeros(starts[-1])
         part = {

@@ -1,7 +1,4 @@
-"""Components with previous values, run step by step in Python in the order of `c/equations.c`.
-
-A step moves the memory, then evaluates the equations, the previous values of the next step.
-"""
+"""Components with previous values, run step by step in Python in the order of `c/equations.c`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -141,7 +141,6 @@ def _rests(record: FrictionRecord) -> int:
 
 
 def _tail(standard: Array, at_level: float) -> float:
-    """Return the exponent that fits the quantiles of standardised errors relative to 95 %."""
     sizes = np.quantile(standard, _LEVELS)
     if not (at_level > 0.0 and sizes[0] > 0.0):
         return 0.65

@@ -1,9 +1,6 @@
 """Day offsets: an offset of the torque and a level of friction of each log, as nuisances.
 
-    tau = level_k f(...) + offset_k    in log k,    mean of the levels 1, of the offsets 0
-
-The nuisances are estimated with Coulomb and viscous friction by alternating least squares and
-removed before a law is fitted. Blind predictions do not use them.
+tau = level_k f(...) + offset_k    in log k,    mean of the levels 1, of the offsets 0
 """
 
 from collections.abc import Mapping, Sequence
@@ -101,7 +98,6 @@ def own_of_log(predicted: Array, torque: Array, wanted: Sequence[Nuisance]) -> O
 def _normalised(
     own: Sequence[OwnOfLog], rows: Integers, wanted: Sequence[Nuisance]
 ) -> list[OwnOfLog]:
-    """Normalise to the mean log: level 1 and offset 0."""
     weights = rows / rows.sum()
     level = float(weights @ [o.level for o in own]) if "level" in wanted else 1.0
     offset = float(weights @ [o.offset for o in own]) if "offset" in wanted else 0.0

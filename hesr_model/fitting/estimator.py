@@ -47,7 +47,6 @@ class Estimator(ABC):
     adds: ClassVar[tuple[str, str] | None] = None
 
     def __init_subclass__(cls) -> None:
-        """Reset the facts that a subclass does not inherit."""
         super().__init_subclass__()
         for fact in ("order", "quick", "proposed", "paper", "adds"):
             if fact not in vars(cls):

@@ -102,10 +102,10 @@ def fit_models(
 ) -> dict[str, FrictionModel]:
     """Fit several laws to every joint; return models by name of the law or variant.
 
-    `records` are those of each joint, one per training log; `variants` are the names in the
-    registry of laws with other options. Without `left_out` the first law that the records do not
-    determine raises its error. `kept` is a folder of checkpoints for killed runs. Nuisances
-    `per_log` are removed first (`day_offsets`) and become part of the provenance.
+    `records` are those of each joint, one per training log; `variants` maps names to laws of the
+    registry. Without `left_out` the first law that the records do not determine raises its error.
+    `kept` is a folder of checkpoints for killed runs. Nuisances `per_log` are removed first
+    (`day_offsets`).
     """
     coupling = records[0][0].coupling
     records = all_at_friction(records)
@@ -174,7 +174,6 @@ def _run(
     progress: Progress,
     left_out: Callable[[str, FitError], None] | None,
 ) -> dict[str, list[FrictionLaw]]:
-    """Run jobs by law; return the laws of all joints that the records determine."""
     every = [job for of_law in jobs.values() for job in of_law]
     done: dict[str, list[FrictionLaw]] = {law: [] for law in jobs}
     failed: dict[str, FitError] = {}
@@ -205,7 +204,6 @@ def _fitted(
     seed: int,
     options: Mapping[str, Any] | None,
 ) -> FrictionLaw | FitError:
-    """Fit one law to one joint, or return the error so that other fits continue."""
     name = f"{law}.{records[0].joint}.{key_of(law, records, seed, options)}.json"
     path = kept / "".join(c if c.isalnum() or c in "._-" else "_" for c in name) if kept else None
     report = into_file(progress)

@@ -60,7 +60,7 @@ class Products:
     def __init__(self, tau: Array, folds: Sequence[Mask], weights: Array) -> None:
         self.tau: Array = (weights * tau)[:, None]
         self.folds = [in_one_piece(fold) for fold in folds]
-        # Keys are identities of arrays; keeping the arrays keeps these unique.
+        # Keys are identities of arrays, which are kept so that they stay unique.
         self._known: dict[tuple[int, int], tuple[Array, Array, Array]] = {}
 
     def of(self, a: Array, b: Array) -> Array:
@@ -77,7 +77,6 @@ def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     g, m = gram * scale * scale[:, None] + _RIDGE * np.eye(len(scale)), moment * scale
     signed = len(m) - free
-    # Free coefficients as a function of the others: b - c x.
     both = np.linalg.solve(g[signed:, signed:], np.c_[m[signed:], g[signed:, :signed]])
     b, c = both[:, 0], both[:, 1:]
     root = np.linalg.cholesky(g[:signed, :signed] - g[:signed, signed:] @ c)

@@ -199,12 +199,11 @@ def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:
 
 @lru_cache(maxsize=64)
 def _kernel(form: LawForm, space: SearchSpace) -> Kernel:
-    """Return the columns of a form: derivatives of its torque by the linear unknowns."""
     replaced = {sympy.Symbol(name, real=True): e for name, e in space.values}
     searched = tuple(sympy.Symbol(name, real=True) for name in space.names)
     linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
-    # Expand products so that factors cancel. Other simplifications may turn exp(-x) into 1/exp(x),
-    # which overflows.
+    # Expand products so that factors cancel. Other simplifications may cause an overflow by
+    # 1/exp(x).
     memory = tuple(m.subs(replaced) for m in form.memory)
     output = sympy.expand_mul(form.output.xreplace(replaced))
     columns = tuple(sympy.diff(output, symbol) for symbol in linear)

@@ -1,7 +1,7 @@
 """Choices among candidates that round-off must not decide.
 
-The last digits of a cost differ between processors. Candidates within a tolerance are tied, and the
-first one, which callers make the simplest, wins.
+Round-off differs between processors. Among candidates within a tolerance the first one, which
+callers make the simplest, wins.
 """
 
 from collections.abc import Sequence

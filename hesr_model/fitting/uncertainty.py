@@ -1,7 +1,6 @@
 """Uncertainty of the coefficients of a law: covariance from the Jacobian of its prediction.
 
-Coefficients at a bound, or in a structure chosen by the data, have a covariance but no interval. If
-the torque is curved over a coefficient, its interval is that of the wider side.
+Coefficients at a bound, or in a structure chosen by the data, have a covariance but no interval.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -92,7 +91,7 @@ def _derivatives(
     """Return central differences of two functions, (N, P) and (M, P)."""
     size = np.abs(point)
     steps = _STEP * np.maximum(size, 1e-3)
-    # Laws divide by some coefficients, so none may become zero.
+    # Laws divide by some coefficients; none may become zero.
     steps = np.where(size > 0.0, np.minimum(steps, 0.5 * size), steps)
     columns = []
     for step in np.diag(steps):
@@ -153,7 +152,6 @@ def wider_side(
     interval is wider by that ratio: the end of the profile t of Bates and Watts (1988, ch. 6).
     """
     error = float(np.sqrt(slope @ covariance @ slope))
-    # Orthogonal to all directions that keep the coefficient.
     normal = np.linalg.lstsq(r.T, slope, rcond=None)[0]
     size = float(np.linalg.norm(normal))
     if not error or not size:
@@ -182,7 +180,6 @@ def _every(law: FrictionLaw) -> Coordinates:
 
 
 def _searched(law: FrictionLaw, space: SearchSpace) -> Coordinates:
-    """Return the searched and solved numbers within their bounds."""
     numbers = _unknowns(law.values, space)
     at = {name for name, (low, high) in space.bounds if _at_end(numbers[name], low, high)}
     at |= {name for name in space.linear[: space.non_negative] if numbers[name] <= LEAST}
@@ -222,7 +219,6 @@ def _unknowns(values: Mapping[str, float], space: SearchSpace) -> dict[str, floa
 
 @lru_cache(maxsize=64)
 def _solved(expression: sympy.Expr, name: str, unknown: sympy.Symbol) -> sympy.Expr:
-    """Return the unknown of an expression as a function of the expression's value."""
     (found, *_) = sympy.solve(expression - sympy.Symbol(name, real=True), unknown)
     return found
 

@@ -3,7 +3,7 @@
 The cost is the position error over short windows; the torque error determines the other directions
 (DIDIM: Gautier, Janot and Vandanjon 2013, "A new closed-loop output error method for parameter
 identification of robot dynamics", IEEE Trans. Control Syst. Technol. 21(2); here with friction that
-has a state). Each parameter is varied in its own copy of all windows.
+has a state).
 """
 
 from collections.abc import Sequence
@@ -55,13 +55,13 @@ def refine(
 ) -> Refined:
     """Refine body and friction jointly by output error.
 
-    The best of several starts, random variations of the friction, continues for `rounds` damped
-    Gauss-Newton steps. Raises SimulationError if a log is too short.
+    The best of several random starts continues for `rounds` damped Gauss-Newton steps. Raises
+    SimulationError if a log is too short.
     """
     problem = _Problem(robot, body, friction, motions)
     rng = np.random.default_rng(seed)
     moved = rng.normal(scale=_SPREAD, size=(starts - 1, problem.size))
-    # Only friction varies: least squares determine the body much better than to 15 %.
+    # Only friction varies: least squares determine the body much better.
     moved[:, : len(problem.columns)] = 0.0
     theta = np.vstack([np.zeros((1, problem.size)), moved])
     found = problem.costs(theta)
@@ -83,8 +83,6 @@ def refine(
 
 
 class _Problem:
-    """Residuals of position and torque as functions of relative changes of all parameters."""
-
     def __init__(
         self,
         robot: Robot,
@@ -184,7 +182,7 @@ class _Problem:
     def _moved(self, theta: Array) -> FrictionModel:
         values = [list(law.values.values()) for law in self._friction.laws]
         for (joint, number), change in zip(self._names, theta[len(self.columns) :], strict=True):
-            values[joint][number] *= np.exp(change)  # keeps the sign of each coefficient
+            values[joint][number] *= np.exp(change)  # keeps the sign
         laws = [
             replace(
                 law,

@@ -48,7 +48,7 @@ class _Moving:
 class Simulator:
     """Body with (P,) standard parameters, or (W, P) for each window, and its friction.
 
-    `as_plant` steps explicitly and without inner steps, as MuJoCo does, for logs of the twin.
+    `as_plant` steps explicitly as MuJoCo does, for logs of the twin.
     """
 
     robot: Robot
@@ -69,7 +69,7 @@ class Simulator:
         initial states, by default run in along the logs. Raises SimulationError if the mass matrix
         is not positive definite.
         """
-        # MuJoCo uses the rates before a step, so its states lag a law's by one row.
+        # MuJoCo uses the rates before a step: its states lag by one row.
         run_in = (
             windows.states(self.friction, delay=int(self.as_plant)) if states is None else states
         )
@@ -137,7 +137,6 @@ class Simulator:
         now.q = now.q + h[:, None] * now.v
 
     def _explicit(self, now: _Moving, h: Array, tau: Array, inverse: Array, load: Array) -> None:
-        """Do one Euler step as MuJoCo does, with the forces and rates before it."""
         x, (forward, loads) = now.x, self._at_friction(load)
         p, u = now.q @ forward.T, now.v @ forward.T
         force, still = np.empty_like(u), np.zeros_like(h)

@@ -4,9 +4,9 @@
     s^2 = floor^2 + slow^2 / (1 + (v/v_slow)^2) + rest^2 r + (fast v)^2 + (share load)^2
     r   = (1 - min((v/v_rest)^2, 1))^2, 1 at rest and 0 in motion
 
-In motion tau - w and tau + w bound friction. At rest friction is any torque that holds the joint,
-so the band spans the torques of the law creeping at `MOVING` both ways, and the floor, unless the
-calibration logs contain rests. The tail is Weibull's.
+In motion tau - w and tau + w bound friction. At rest the band spans the torques of the law creeping
+at `MOVING` both ways, and the floor, unless the calibration logs contain rests. The tail is
+Weibull's.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -137,7 +137,6 @@ def band_equations(memory: Sequence[Element], output: sympy.Expr) -> tuple[Equat
 def _creeping(
     memory: Sequence[Element], output: sympy.Expr, name: str, speed: float
 ) -> Iterator[Equation]:
-    """Yield the steady torque of a law at a creep speed, after its intermediate values."""
     at = {DQ: sympy.Float(speed)}
     memory = [m.subs(at) for m in memory]
     lines = initial_state(memory, sympy.S.One)

@@ -6,9 +6,8 @@
     warmth     c(T) on l and n(T) on n, with a thermal model
     torque     tau = hysteresis(x) + n v f(v) + ripple + tau_0 + o
 
-A factor on a held torque would add energy; a moving bound only dissipates. The derivative of the
-torque by the level is F_i xi_i, where xi_i = dx_i/dl is +-s_i if the stop is clipped and keeps its
-value otherwise.
+The derivative of the torque by the level is F_i xi_i, where xi_i = dx_i/dl is +-s_i if the stop is
+clipped and keeps its value otherwise.
 """
 
 from dataclasses import dataclass

@@ -111,7 +111,6 @@ def rmse_ratio_interval(
     for error, other in zip(errors, reference, strict=True):
         rows, length = len(error), min(block, len(error))
         draws = rng.integers(rows, size=(resamples, -(-rows // length)))
-        # The blocks have a few rows more than the log.
         share = rows / (draws.shape[1] * length)
         above += share * _block_sums(error, length)[draws].sum(axis=1)
         below += share * _block_sums(other, length)[draws].sum(axis=1)

@@ -1,7 +1,4 @@
-"""JSON form of a friction model: names, structures, numbers and units, never code.
-
-The registry rebuilds a law's expressions.
-"""
+"""JSON form of a friction model: names, structures, numbers and units, never code."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,6 @@
 """Predictions of laws over logs.
 
-As in the FMU, the inputs of sample k are held while the states move from t[k-1] to t[k]; then the
-torque of sample k is read. The first states are steady in motion, and the law's start at rest.
+As in the FMU, the inputs of sample k are held from t[k-1] to t[k], then the torque is read.
 """
 
 from collections.abc import Sequence
@@ -33,10 +32,7 @@ def _moving(form: LawForm, *, states: bool = False) -> Kernel:
 
 @lru_cache(maxsize=64)
 def _reading(form: LawForm) -> Kernel:
-    """Return the torque and each element's guarded parts, for inputs and states of each row.
-
-    The parts are drive and rate, or rate and bound.
-    """
+    """Return the torque and each element's guarded parts, for inputs and states of each row."""
     states = tuple(m.state for m in form.memory)
     torque = form.output.xreplace({m.derivative: m.continuous() for m in form.memory})
     parts = [part for m in form.memory for part in (m.parts[0], positive(m.parts[1]))]

@@ -30,7 +30,7 @@ def predict_record(
     """
     start = record_start(law, record) if measured_start and law.start_samples else None
     if thermal:
-        # It imports SciPy's optimisers.
+        # it imports SciPy's optimisers
         from hesr_model.friction.thermal_law import predict_thermal
 
         return predict_thermal(law, thermal, record, start)

@@ -76,7 +76,6 @@ def _states(form: LawForm) -> set[sympy.Symbol]:
 
 
 def _terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
-    """Return the common factor of all terms, and the terms."""
     factors = sympy.Mul.make_args(output)
     sums = [f for f in factors if f.is_Add]
     if len(sums) != 1:
@@ -87,7 +86,6 @@ def _terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
 def _part(
     term: sympy.Expr, states: Collection[sympy.Symbol], carried: Collection[sympy.Symbol]
 ) -> str:
-    """Return the part of a term; "carried" is Coulomb friction of states with a bound."""
     above, _ = sympy.fraction(term)
     bases = {f.as_base_exp()[0] for f in sympy.Mul.make_args(above)}
     if DQ in bases and not above.free_symbols & {*states}:

@@ -3,7 +3,7 @@
     Coulomb     c(T) = c_0 (1 - b_c (T - T_0))       viscous    n(T) = n_0 exp(-b_v (T - T_0))
     heat        x' = (R |tau dq| - x) / T_th         T = T_a + x
 
-T is measured, or computed for one lumped mass. The exponential is Reynolds' law of viscosity.
+The exponential is Reynolds' law of viscosity.
 """
 
 from dataclasses import dataclass

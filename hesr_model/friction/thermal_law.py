@@ -4,7 +4,7 @@
     torque           tau = hysteresis + n(T) v f(v) + ripple + tau_0
     heat             x' = (R |tau dq| - x) / T_th, of the torque at the last sample
 
-The factors `SCALES` of every law multiply those of temperature.
+`SCALES` multiply these factors.
 """
 
 from collections.abc import Mapping

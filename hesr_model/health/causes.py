@@ -1,7 +1,7 @@
 """Mistakes in a robot file that explain the torques better than the file as it is.
 
-The model file's rigid body and friction are fitted with non-negative weights to the corrected logs,
-so wrong signs and swapped columns fit badly.
+Weights of the model file's rigid body and friction are non-negative, so wrong signs and swapped
+columns fit badly.
 """
 
 from collections.abc import Sequence
@@ -72,7 +72,6 @@ def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
 def _best(
     rows: CandidateRows, now: Array, model: Robot, moves: Mask
 ) -> tuple[Mistake | None, Array]:
-    """Return the mistake that explains most, if any, and the remaining deviation."""
     best, left, most = None, now, 0.0
     for mistake in mistakes(rows, model, moves):
         then = _unexplained(mistake.mended, model, moves)
@@ -88,7 +87,6 @@ def _best(
 
 
 def _either(best: Mistake) -> str:
-    """Return a remedy with both possible signs."""
     if best.check != "torque-sign":
         return best.remedy
     return best.remedy.replace(
@@ -111,7 +109,7 @@ def _unexplained(rows: CandidateRows, model: Robot, moves: Mask) -> Array:
 
 def _left(tau: Array, torques: Torques, v: Array, j: int) -> float:
     known = np.column_stack([torques.gravity[:, j], torques.inertial[:, j]])
-    # A torque that is only round-off must not be scaled up until it explains noise.
+    # A torque of round-off must not be scaled up to explain noise.
     known[:, np.abs(known).max(axis=0) <= ROUND_OFF * np.abs(tau).max()] = 0.0
     columns = np.column_stack([known, rubbing(v[:, j]), np.ones(len(tau))])
     _, squares = non_negative_least_squares(columns, tau, non_negative=3)

@@ -98,7 +98,6 @@ _SYMPTOMS = (
 
 
 def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Finding]:
-    """Replace symptoms by causes, in the words of the symptoms; torque signs explain one joint."""
     local = {name for cause in causes if cause.check == "torque-sign" for name in cause.joints}
     everywhere = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
     kept = [
@@ -115,7 +114,6 @@ def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Find
 
 
 def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
-    """Drop findings that a clearer one implies."""
     clear = {f.joints for f in findings if f.check in ("velocity-columns", "same-column")}
     coarse = any(f.check == "coarse" for f in findings)
     mended = any(key.startswith("log.units") for f in findings for key in f.changes)

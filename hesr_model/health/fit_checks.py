@@ -46,7 +46,6 @@ def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
 
 
 def _least_inertia(body: RigidBody, model: Robot) -> tuple[float, Array, int]:
-    """Return the smallest eigenvalue of the scaled mass matrix, with position and joint."""
     lower, upper, _ = model.reach
     q = np.random.default_rng(0).uniform(lower, upper, (_STATES, model.n))
     mass, _ = model.dynamics(body.parameters, q, np.zeros_like(q))

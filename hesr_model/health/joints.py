@@ -58,7 +58,6 @@ def with_columns_of(robot: RobotDescription, table: LogTable) -> tuple[RobotDesc
 
 
 def _positions(table: LogTable) -> int:
-    """Return the number of joints whose positions a table seems to contain."""
     try:
         return len(guess(table).columns["q"])
     except LogError:

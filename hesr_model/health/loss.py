@@ -38,7 +38,7 @@ def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[F
     """Check that the remaining rows determine each joint's sliding torque.
 
     Estimates with random halves of the rows differ by four times the variance of that with all
-    rows, and lost rows cause their share of it.
+    rows.
     """
     if not loses_rows(motion.log):
         return

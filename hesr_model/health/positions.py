@@ -109,7 +109,7 @@ def check_steps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         if len(values) < _FEW or np.ptp(values) < _FEW * _COARSE:
             continue
         step = float(np.median(np.diff(values)))
-        # Distances between values are random with a fine encoder, and equal with a coarse one.
+        # Distances of values are random with a fine encoder, equal with a coarse one.
         alike = np.mean(np.abs(np.diff(values) / step - 1.0) < 0.01)
         if step > _COARSE and alike > 0.5:
             yield Finding(
@@ -193,7 +193,6 @@ def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Findi
 
 
 def _saturated(tau: Array) -> float:
-    """Return the share of rows at the largest magnitude, if consecutive."""
     top = np.abs(tau) >= np.max(np.abs(tau))
     run = np.convolve(top, np.ones(_LONG_RUN), mode="same")
     fine = len(np.unique(tau)) > _LEVELS

@@ -139,7 +139,6 @@ def _has_columns(table: LogTable, robot: RobotDescription) -> bool:
 def _read(
     paths: Sequence[Path], robot: RobotDescription, reasons: dict[str, str]
 ) -> tuple[RobotDescription, list[Log]]:
-    """Read logs; leave out faulty rows if needed."""
     try:
         return robot, [Log.read(path, robot) for path in paths]
     except LogError as error:
@@ -175,7 +174,6 @@ def _with_cutoff(
 def _changes(
     robot: RobotDescription, findings: Sequence[Finding], reasons: dict[str, str]
 ) -> dict[str, Any]:
-    """Return the changes of findings, combined entry by entry."""
     wanted: dict[str, Any] = {}
     for finding in findings:
         if finding.check == "velocity-lag" or not finding.changes:
@@ -196,7 +194,6 @@ def _combined(declared: Any, before: Any, value: Any) -> Any:
 def _constants(
     robot: RobotDescription, examination: Examination, reasons: dict[str, str]
 ) -> dict[str, Any]:
-    """Estimate torque constants from gravity, else their median."""
     slopes: dict[int, list[float]] = {}
     for fits in examination.explained:
         for j, fit in fits.items():

@@ -33,7 +33,6 @@ def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:
             row = _stands_still(log, log.q[:, j], np.abs(log.dq[:, j]) > _MOVES)
             if row is not None:
                 yield _stuck(log, joint, "position", row, "its velocity is not zero")
-        # Constant and saturated torques have checks of their own.
         tau = log.tau[:, j]
         row = _stands_still(log, tau, moves[:, j]) if fine[j] else None
         if row is not None and abs(tau[row]) < np.max(np.abs(tau)):
@@ -79,7 +78,6 @@ def _repeated(log: Log, moves: Mask, fine: Mask) -> Iterator[Finding]:
 
 
 def _stands_still(log: Log, values: Array, moves: Mask) -> int | None:
-    """Return the start of the longest constant run if it is long and in motion."""
     edges = np.flatnonzero(np.diff(np.r_[False, np.diff(values) == 0.0, False].astype(int)))
     starts, lengths = edges[::2], edges[1::2] - edges[::2]
     if not len(starts):

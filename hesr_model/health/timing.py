@@ -95,7 +95,7 @@ def check_clocks(
     most = float(np.median(list(lags.values()))) if len(lags) > 1 else 0.0
     for j, lag in lags.items():
         together = (most >= _LATE <= lag) or (most <= -_EARLY >= lag)
-        # A single joint at the end of the range does not match the motion.
+        # A lag at the end of the range does not match the motion.
         if not together and not _ALONE <= lag < _LATEST - 0.5 * _STEP:
             continue
         yield Finding(
@@ -129,7 +129,7 @@ def delay(rows: LagRows, j: int, t: Array, tau: Array) -> tuple[float, float]:
 
     inner = (rows.t >= t[0] + _LATEST) & (rows.t <= t[-1] - _LATEST)
     shifts = np.arange(-_LATEST, _LATEST + 0.5 * _STEP, _STEP)
-    # Averaging before interpolation makes the noise of all shifts equal.
+    # Average first: then the noise of all shifts is equal.
     even = uniform_filter1d(tau, max(1, round(_SMOOTH / float(np.median(np.diff(t))))))
     moved = np.stack([np.interp(rows.t[inner] + shift, t, even) for shift in shifts], axis=1)
     left = _project_out(
@@ -144,8 +144,8 @@ def delay(rows: LagRows, j: int, t: Array, tau: Array) -> tuple[float, float]:
 def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> tuple[float, float]:
     """Return the ratio of a motion's duration to that of its stamps, and its certainty.
 
-    If stamps are r times too short, inertial torques are 1 / r^2 times as large. The result is (1,
-    0) if the best scale is at an end of the search range.
+    With stamps r times too short, inertial torques are 1 / r^2 times as large. The result is (1, 0)
+    at an end of the search range.
     """
     parts = []
     count = rows.still.shape[2]
@@ -155,7 +155,7 @@ def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> t
         body = left[:, 1 : 1 + count] + left[:, 1 + count :]
         parts.append(left / max(float(np.std(_project_out(body, left[:, :1]))), 1e-12))
     table = np.concatenate(parts)
-    # Least squares needs only the triangular factor.
+    # The triangular factor suffices.
     corner = np.asarray(np.linalg.qr(table, mode="r"))
     left = np.stack([table[:, 0] - _bodies(table, s) @ _fitted(corner, s) for s in _SCALES], axis=1)
     best = int(np.argmin(np.sum(left**2, axis=0)))

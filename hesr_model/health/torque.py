@@ -1,7 +1,4 @@
-"""Torque checks against motion and model: signs, scales, signal.
-
-The torque of a joint is regressed on gravity and inertia of the model file and on friction.
-"""
+"""Torque checks against motion and model: signs, scales, signal."""
 
 from collections.abc import Collection, Iterator, Mapping
 
@@ -66,7 +63,6 @@ def check_torque(
 
 
 def _sign(fit: JointTorque, j: int, model: Robot) -> Iterator[Finding]:
-    """Check that the torque takes energy out of the motion."""
     if fit.friction.t > -_SURE or fit.friction_size < 0.3 * fit.residual:
         return
     robot = model.description
@@ -112,7 +108,6 @@ def sign_change(
 
 
 def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator[Finding]:
-    """Check the torque against the model's gravity, else inertia."""
     if fit.r2 < _EXPLAINED:
         return
     weightless = fit.bears_gravity and fit.gravity.value + _SURE * fit.gravity.error < 1.0 / _SCALE
@@ -168,7 +163,6 @@ def _why_scaled(robot: RobotDescription, scale: float, *, everywhere: bool) -> s
 
 
 def _no_friction(found: Explained, model: Robot) -> Iterator[Finding]:
-    """Check that torques were not computed."""
     clear = {j: fit for j, fit in found.items() if fit.r2 > _EXPLAINED}
     if not clear or any(
         abs(fit.friction.t) > _SURE or fit.residual > _EXACT * fit.deviation
@@ -186,7 +180,6 @@ def _no_friction(found: Explained, model: Robot) -> Iterator[Finding]:
 
 
 def _against_limits(motion: Motionwise, found: Explained, model: Robot) -> Iterator[Finding]:
-    """Check peak torques against the model's limits and each other."""
     limits = np.where(np.isfinite(model.torque_limits), model.torque_limits, 0.0)
     peaks = np.quantile(np.abs(motion.tau), 0.99, axis=0)
     used = {j: float(peaks[j] / limits[j]) for j in found if limits[j] > 0 and not model.slides[j]}

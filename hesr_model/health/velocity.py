@@ -87,7 +87,6 @@ def check_velocity(
 
 
 def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
-    """Return the joint whose dq belongs to each position."""
     from scipy.optimize import linear_sum_assignment
 
     assert motion.dq is not None
@@ -216,7 +215,6 @@ def _cause(
 
 
 def _alternatives(units: LogUnits, quantity: str, j: int, n: int, wanted: float) -> Iterator[str]:
-    """Yield units that are `wanted` times the declared one."""
     declared = float(units.factors(quantity, n)[j])
     for unit, factor in TURNING[quantity].items():
         if abs(np.log(abs(factor / declared) / wanted)) < _SAME:

@@ -1,8 +1,8 @@
 """Comparison of laws on the same test logs: significance and smallest detectable differences.
 
-Errors of neighbouring rows are correlated and peak at reversals. The variance of the log ratio of
-two RMSEs is therefore estimated from low-frequency cosines of the squared errors (equally weighted
-cosines: Müller 2007; Lazarus, Lewis and Stock 2021) and from the differences between logs.
+Since errors are correlated and peak at reversals, the variance of the log ratio of two RMSEs is
+estimated from low-frequency cosines of the squared errors (equally weighted cosines: Müller 2007;
+Lazarus, Lewis and Stock 2021) and from the differences between logs.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -100,10 +100,7 @@ class LawErrors:
         return int(np.argmin(self.log_rmse))
 
     def standard_errors(self, other: int) -> Array:
-        """Return the standard errors (L,) of the log ratios to another law.
-
-        The variance is the largest of three estimates.
-        """
+        """Return the standard errors (L,) of the log ratios to another law."""
         return self._deviation(self.rows - self.rows[:, [other]])
 
     def ratios(self, other: str, family: int | None = None) -> dict[str, ErrorRatio]:
@@ -237,7 +234,6 @@ def _binned(values: Array, period: float) -> Array:
 
 
 def _degrees(psi: Array, seconds: float) -> int:
-    """Return the number of cosines for a log."""
     if psi.shape[1] < 4:
         return 0
     times = [correlation_length(row) for row in psi - psi.mean(axis=0)]

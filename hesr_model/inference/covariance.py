@@ -1,8 +1,7 @@
 """Covariance of least-squares estimates from logs, for rigid bodies and friction.
 
 The error of an estimate is the sum of the influences of its rows, psi_t = H^-1 g_t, with the
-gradient g_t of row t and the Hessian H of half the sum of squares. Neighbouring rows are
-correlated, and logs differ by more than their rows show:
+gradient g_t of row t and the Hessian H of half the sum of squares:
 
     cov = factor^2 sum over logs S_log + carried,    S = long-run covariance of the influences.
 
@@ -199,7 +198,6 @@ def _between(
 
 
 def _inverse(hessian: Array, whole: Array) -> Array:
-    """Return the pseudo-inverse on the scale of `whole`."""
     size = np.sqrt(np.where(np.diag(whole) > 0.0, np.diag(whole), 1.0))
     scaled = np.linalg.pinv(hessian / np.outer(size, size), hermitian=True, rcond=_RANK)
     return np.asarray(scaled / np.outer(size, size))

@@ -27,7 +27,7 @@ STATIC_RATIO_BOUNDS = (0.2, 5.0)  # relaxed: below 1 as in lubricated gears
 def bristle() -> Relaxation:
     """Return the bristle state z' = v - sigma_0 |v| z / g(v) (eq. 2)."""
     f_c, f_s, v_s = F_C.symbol, F_S.symbol, V_S.symbol
-    # Relative to F_c, so that a common factor of sigma_0, F_c and F_s cancels.
+    # Relative to F_c: a common factor of sigma_0, F_c and F_s cancels.
     level = 1 + (f_s / f_c - 1) * sympy.exp(-((DQ / v_s) ** 2))
     rate = SIGMA_0.symbol / f_c * absolute(DQ) / level
     return Relaxation(name="z", unit="rad", drive=DQ, rate=rate)

@@ -3,8 +3,8 @@
     sum_k (a_k cos(k N (q - lag dq)) + b_k sin(k N (q - lag dq))) / (1 + (k N smoothing dq)^2)
 
 N is the gear ratio, k the order per turn of the motor. The logged torque lags the logged position
-(3 ms on a UR10e change the phase by a quarter turn at 0.5 rad/s). The smoothing attenuates fast
-ripple, as a servo's bandwidth does.
+(3 ms on a UR10e change the phase by a quarter turn at 0.5 rad/s). The smoothing is that of a
+servo's bandwidth.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -95,7 +95,6 @@ class Ripple:
 
 
 def _powers(angle: Array, orders: Collection[int]) -> Iterator[tuple[int, NDArray[Any]]]:
-    """Yield orders k and exp(i k angle); powers avoid further sines."""
     turn = np.exp(1j * angle)
     rotated = np.ones_like(turn)
     for k in range(1, max(orders, default=0) + 1):
@@ -109,8 +108,8 @@ def select(
 ) -> tuple[Ripple, Times] | None:
     """Return the ripple with lag and smoothing that predicts left-out logs best, or None.
 
-    `base` (N, L) are the columns of the law without ripple. Orders are added one by one, the one
-    that explains most of the residual first, while the error on left-out logs falls.
+    `base` (N, L) are the columns of the law without ripple. Orders are added one by one while the
+    error on left-out logs falls.
     """
     tau = samples.tau
     gain = max(GAIN, CHANCE / len(tau))
@@ -122,7 +121,6 @@ def select(
 
     while len(chosen.orders) < MOST:
         residual = tau - columns @ least_squares(columns, tau)
-        # All orders share the times of the first one.
         near = [t for t in _TIMES if abs(t[0] - times[0]) < _NEAR] if chosen.orders else _TIMES
         ranked = _ranking(samples, residual, chosen, [times] if chosen.orders else _TIMES)
         for order, at in ranked[:_ATTEMPTS]:
@@ -141,7 +139,6 @@ def select(
 def _ranking(
     samples: JointRows, residual: Array, chosen: Ripple, candidates: Sequence[Times]
 ) -> list[tuple[int, Times]]:
-    """Return orders and times, sorted by the explained part of the residual."""
     explained = []
     orders = [order for order in ORDERS if order not in chosen.orders]
     weights = {order: _weights(samples, chosen.gear_ratio, order, candidates) for order in orders}
@@ -166,7 +163,6 @@ def _ranking(
 def _weights(
     samples: JointRows, gear_ratio: float, order: int, candidates: Sequence[Times]
 ) -> tuple[list[float], Array, Array]:
-    """Return smoothings, their attenuation of an order's waves, and its square."""
     smoothings = list(dict.fromkeys(smoothing for _, smoothing in candidates))
     fast = order * gear_ratio * np.outer(smoothings, samples.dq)
     plain = 1.0 / (1.0 + fast**2)

@@ -105,7 +105,6 @@ def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) ->
 
 
 def _groups(names: Sequence[str], joints: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield columns that differ only in a number or joint name."""
     numbered: dict[str, dict[int, str]] = {}
     named: dict[str, dict[int, str]] = {}
     for name in names:

@@ -285,7 +285,6 @@ def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
 
 
 def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
-    """Check that products of a few numbers stay finite."""
     for what in ("q", "dq", "effort", "temperature"):
         values = getattr(samples, what)
         if values is not None and not np.all(usable := np.abs(values) <= _LARGEST):

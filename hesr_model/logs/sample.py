@@ -76,10 +76,8 @@ class Sample:
         return [_joined([window.motion for window in group]) for group in groups]
 
     def _cut(self, motion: Motion) -> Iterator[tuple[Motion, dict[Stratum, int]]]:
-        """Yield windows with their number of rows by stratum."""
         t, n = motion.t, motion.q.shape[1]
         places = np.floor((t - t[0]) / WINDOW).astype(int)
-        # The remainder belongs to the last window.
         places = np.minimum(places, max(int((t[-1] - t[0]) / WINDOW) - 1, 0))
         near = np.column_stack([near_reversals(t, dq) for dq in motion.dq.T])
         speed = np.floor(np.log2(np.maximum(np.abs(motion.dq), 1e-12) / MOVING))

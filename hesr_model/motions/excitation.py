@@ -88,9 +88,8 @@ def design(
 ) -> Excitation:
     """Design the motion with the smallest `condition` within limits.
 
-    L-BFGS-B descends a smooth bound of the condition number, with penalties for exceeded limits,
-    from random motions; the best one is refined. Raises RobotError if the limits do not fit the
-    robot, FitError if they admit no motion.
+    L-BFGS-B descends a smooth bound of the condition number from random motions; the best one is
+    refined. Raises RobotError if the limits do not fit the robot, FitError if they admit no motion.
     """
     settings = settings or ExcitationSettings()
     rate = settings.sample_rate or model.description.log.sample_rate or _USUAL_RATE

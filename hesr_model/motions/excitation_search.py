@@ -154,7 +154,6 @@ def _null_space(row: Array) -> Array:
 
 
 def _excess(values: Array, limit: Array) -> tuple[float, Array]:
-    """Return the mean squared relative excess, summed over joints, and derivatives."""
     over = np.maximum(np.abs(values) / limit - 1.0, 0.0)
     slope = 2.0 * over * np.sign(values) / limit / len(values)
     return float(np.sum(over**2)) / len(values), slope

@@ -99,8 +99,7 @@ class Limits:
     def shrink(self, motion: Fourier, model: Robot, rest: Array) -> Fourier:
         """Shrink a motion until it keeps all limits.
 
-        Each joint's path is shrunk to its limits and moved into its range; then, for torque, all
-        paths are shrunk towards the position `rest` (n,) [rad].
+        For torque, all paths are shrunk towards the position `rest` (n,) [rad].
         """
         inner = 1.0 - _MARGIN
         q, dq, ddq = one_period(motion)

@@ -17,7 +17,7 @@ def base_columns(model: Robot) -> tuple[int, ...]:
     """
     columns = at_random_states(model)
     lengths = np.linalg.norm(columns, axis=0)
-    # A column of round-off must not be scaled up to a full one.
+    # Round-off must not be scaled up to a full column.
     columns[:, lengths < _RANK_TOLERANCE * np.max(lengths)] = 0.0
     lengths[lengths == 0.0] = 1.0
     _, r, order = qr(columns / lengths, mode="economic", pivoting=True)

@@ -47,7 +47,6 @@ def _covered(times: Array, t: Array) -> Mask:
 
 
 def _at(motion: Motion, times: Array) -> Motion:
-    """Interpolate a motion, raw signals linearly."""
     orders = {"q": 3, "dq": 3, "ddq": 3, "tau": 1, "q_raw": 1}
     read: dict[str, Any] = {
         name: make_interp_spline(motion.t, getattr(motion, name), k=order)(times)

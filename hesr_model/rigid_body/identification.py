@@ -316,7 +316,6 @@ def body_of(
     weighting: Weighting,
 ) -> RigidBody:
     """Return the rigid body of a solution."""
-    # Drop the friction columns.
     covariance = covariance.mapped(
         [model.parameter_names[k] for k in base], np.eye(len(base), len(solution.x))
     )

@@ -75,7 +75,7 @@ def solve_factors(factors: Sequence[Factor], *, scale: Array, weighted: bool) ->
     weights = np.ones(len(factors))
     solution = _solve(factors, weights, scale)
     for _ in range(_REWEIGHTINGS if weighted else 0):
-        # A block with an exact fit must not get an infinite weight.
+        # An exact fit must not get an infinite weight.
         floor = 1e-6 * float(np.max(solution.rmse)) or 1.0
         weights = 1.0 / np.maximum(solution.rmse, floor)
         solution = _solve(factors, weights, scale)
@@ -111,7 +111,6 @@ def _solve(factors: Sequence[Factor], weights: Array, scale: Array) -> Solution:
     rows = np.concatenate([w * factor for w, factor in zip(weights, triangles, strict=True)])
     matrix, target = rows[:, :-1], rows[:, -1]
     u, s, vt = np.linalg.svd(matrix / scale, full_matrices=False)
-    # Beyond 1/eps a condition number only shows that the matrix is singular.
     condition = float(s[0] / max(s[-1], np.finfo(float).eps * s[0]))
     ridge = _RIDGE if condition > _HUGE_CONDITION else 0.0
     pull = ridge * s[0]

@@ -189,7 +189,6 @@ def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[
 def _inherited(
     blocks: Sequence[Block], solution: Solution, carried: Sequence[Array], errors: Array
 ) -> Array:
-    """Return the covariance due to `errors` of the unloaded body's columns."""
     products = [
         block.matrix.T @ columns / size**2
         for block, columns, size in zip(blocks, carried, solution.rmse, strict=True)

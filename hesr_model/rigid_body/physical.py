@@ -105,7 +105,6 @@ def fit(
     slopes[:size, : len(x)] = chart.slopes(x)
     slopes[size:, len(x) :] = np.eye(others)
     moved = [
-        # Linearise at the solution.
         Block(matrix=b.matrix @ slopes, target=b.target - b.matrix @ every, samples=b.samples)
         for b in blocks
     ]
@@ -142,7 +141,6 @@ class _Chart:
         factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]
         known = rotors > 0
-        # Twice the relative change of a square root equals that of the logarithm.
         roots = np.sqrt(np.where(known, rotors, 1.0))
         return cls(
             factors=np.array(factors),
@@ -195,7 +193,6 @@ class _Problem:
 
 
 def _triangle(x: Array) -> Array:
-    """Return U from ten coordinates: logarithms of the diagonal, upper triangle."""
     u = np.diag(np.exp(x[:4]))
     for place, value in zip(_UPPER, x[4:], strict=True):
         u[place] = value
@@ -203,12 +200,10 @@ def _triangle(x: Array) -> Array:
 
 
 def _upper_factor(matrix: Array) -> Array:
-    """Return the upper triangular B with B B' = matrix."""
     return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])
 
 
 def _start(link: Array) -> Array:
-    """Return a link's pseudo-inertia, made positive definite."""
     pseudo = pseudo_inertia(link if link[0] > 0 else _UNKNOWN_LINK)
     m, centre = pseudo[3, 3], pseudo[:3, 3] / pseudo[3, 3]
     about_centre = pseudo[:3, :3] - m * np.outer(centre, centre)
@@ -219,7 +214,6 @@ def _start(link: Array) -> Array:
 
 
 def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
-    """Return one over each block's residual, finite."""
     if not weighted:
         counts = np.array([len(block.target) for block in blocks])
         rmse = np.full(len(blocks), np.sqrt(np.sum(counts * rmse**2) / np.sum(counts)))
@@ -229,7 +223,6 @@ def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
 
 
 def _eliminated(blocks: Sequence[Block], weights: Array, size: int) -> tuple[Array, Array]:
-    """Return the factor of [friction, rigid, target], and rows without friction."""
     rows = np.concatenate(
         [
             weight * np.column_stack([b.matrix[:, size:], b.matrix[:, :size], b.target])

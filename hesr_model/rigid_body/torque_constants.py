@@ -6,8 +6,8 @@ Gauss-Newton:
     i_j = kappa_j Y_j(q, dq, ddq) (pi + carried) + F_j f_j,      kappa_j = 1 / k_j
     pi ~ N(model file, declared error)
 
-Only weights are trusted, or a payload of known mass in some logs. The standard errors include the
-declared error, the autocorrelation of the residuals, and the bias of a wrong friction law.
+The standard errors include the declared error, the autocorrelation of the residuals, and the bias
+of a wrong friction law.
 """
 
 from collections.abc import Sequence
@@ -168,7 +168,6 @@ class _Problem:
         x = self._start()
         for _ in range(_ROUNDS):
             lefts = [self._left(x, k) for k in range(len(self.kinds))]
-            # Neighbouring rows are correlated and count less.
             scales = [
                 float(np.sqrt(rows.count / max(float(left @ left), 1e-12) / rows.length))
                 for rows, left in zip(self.kinds, lefts, strict=True)

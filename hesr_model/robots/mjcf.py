@@ -89,7 +89,6 @@ def _reason(error: Exception) -> str:
 
 
 def _content(path: Path, base: Path, seen: set[Path]) -> Iterator[str | bytes]:
-    """Yield the file, the files that it includes, and size and time of other files it names."""
     if path in seen:
         return
     seen.add(path)
@@ -105,7 +104,6 @@ def _content(path: Path, base: Path, seen: set[Path]) -> Iterator[str | bytes]:
 
 
 def _root(path: Path, data: bytes) -> Element | None:
-    """Return the root of an MJCF; None if malformed, which MuJoCo reports with the line."""
     try:
         return ElementTree.fromstring(data)
     except ElementTree.ParseError:
@@ -115,7 +113,6 @@ def _root(path: Path, data: bytes) -> Element | None:
 
 
 def _files(root: Element, base: Path) -> Iterator[tuple[Element, Path]]:
-    """Yield existing files that an MJCF names."""
     places = ("assetdir", "meshdir", "texturedir")
     folders = {e.get(kind, "") for e in root.iter("compiler") for kind in places}
     for element in root.iter():
@@ -137,7 +134,6 @@ def _require_an_end(path: Path) -> None:
 
 
 def _parts(element: Element) -> int:
-    """Return the number of elements after replication."""
     count = element.get("count", "") if element.tag == "replicate" else ""
     copies = int(count) if re.fullmatch(r"\d{1,18}", count) else 1
     return 1 + copies * sum(map(_parts, element))
@@ -169,12 +165,11 @@ def _strip(spec: Any, path: Path) -> None:
 
 
 def _shaped(spec: Any) -> set[str]:
-    """Return the moving bodies whose inertia comes from geoms."""
     by_geoms, total = spec.compiler.inertiafromgeom, spec.compiler.settotalmass > 0.0
     kinds = engine().mjtInertiaFromGeom
     moving: set[str] = set()
     for number, body in enumerate(spec.bodies[1:], start=1):
-        body.name = body.name or f"body{number}"  # bodies have no other identity yet
+        body.name = body.name or f"body{number}"
         if body.parent.name in moving or list(body.joints) or total:
             moving.add(body.name)
     if by_geoms == kinds.mjINERTIAFROMGEOM_FALSE:

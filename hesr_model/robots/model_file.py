@@ -42,7 +42,6 @@ class RobotModel:
     doubts: tuple[Finding, ...]
 
     def _below(self, root: str | None) -> list[str]:
-        """Return the names of the joints, of those that a body carries if `root` names one."""
         names = list(self.model.names)[1:]
         found = names if root is None else [name for name in names if root in self.above[name]]
         if not found and root is not None:
@@ -148,7 +147,6 @@ def load(path: Path) -> RobotModel:
 
 
 def _chain(link: str, parents: Mapping[str, tuple[str, str]]) -> tuple[list[str], list[str]]:
-    """Return the links and the joints from a link to the base."""
     links, joints = [link], list[str]()
     while links[-1] in parents and len(joints) < len(parents):
         parent, joint = parents[links[-1]]
@@ -158,7 +156,6 @@ def _chain(link: str, parents: Mapping[str, tuple[str, str]]) -> tuple[list[str]
 
 
 def _resolved(path: Path, followers: Followers, names: set[str]) -> Followers:
-    """Return followers of joints that follow none."""
     resolved = {}
     for name in followers.keys() & names:
         leader, slope, offset = followers[name]
@@ -178,7 +175,6 @@ def _resolved(path: Path, followers: Followers, names: set[str]) -> Followers:
 
 
 def _require_agreement(found: RobotModel, check: Mapping[str, Any]) -> None:
-    """Raise RobotError if inverse dynamics differ from MuJoCo's."""
     import pinocchio as pin  # slow to import
 
     model, names = found.model.copy(), check["joints"]
@@ -204,7 +200,6 @@ def _require_agreement(found: RobotModel, check: Mapping[str, Any]) -> None:
 
 
 def _doubts(path: Path, model: Any) -> Iterator[Finding]:
-    """Yield doubtful limits, and moving links without mass."""
     for number, joint in enumerate(list(model.joints)[1:], start=1):
         if joint.nv != 1:
             continue

@@ -39,15 +39,13 @@ _ROWS_AT_ONCE = 4096
 class RobotDescription(Config):
     """A robot: its model file, its joints, and the format of its logs.
 
-    Joints run from base to tip, as the columns of logs, below the body `root` if it is given.
-    `locked` gives positions [rad or m] of fixed joints; other unlisted joints rest as in the model
-    file, or follow others as mimic joints and joint equalities state. Gravity is that of the model
-    file, unless `gravity` [m/s2] states it in the base frame; `mount` (roll, pitch, yaw) [rad]
-    turns the base.
-    `rotor_inertia` adds a rotor inertia per joint, reflected through its gear, to the parameters.
-    `gear_ratio` (turns of the motor per turn of the joint) is needed by laws with motor ripple;
-    `transmission` if motors turn several joints or were logged, it then sets the gear ratios.
-    `sources` states how constants are known.
+    Joints run from base to tip, below the body `root` if it is given. `locked` gives positions [rad
+    or m] of fixed joints; other unlisted joints rest as in the model file, or follow others.
+    `gravity` [m/s2] is in the base frame, by default that of the model file; `mount` (roll, pitch,
+    yaw) [rad] turns the base. `rotor_inertia` adds a rotor inertia per joint, reflected through its
+    gear, to the parameters. `gear_ratio` (turns of the motor per turn of the joint) is needed by
+    laws with motor ripple; `transmission` if motors turn several joints or were logged, it then
+    sets the gear ratios. `sources` states how constants are known.
     """
 
     name: PrintableName

@@ -83,7 +83,6 @@ def _require_numbers(path: Path, owner: Element, parent: Element) -> None:
 
 
 def _complete(path: Path, joint: Element) -> None:
-    """Require an axis, and fill in limits that the parser requires."""
     kind, axis = joint.get("type"), joint.find("axis")
     if kind in _MOVING and axis is not None and not any(map(float, axis.get("xyz", "1").split())):
         raise RobotError(

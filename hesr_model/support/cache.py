@@ -23,8 +23,8 @@ _DIGEST = hashlib.sha256().digest_size
 def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
     """Return the result of `make`, computed once for all processes of a user.
 
-    `inputs`, in a fixed order, determine the result. Concurrent calls wait for the first one; a
-    damaged entry is rebuilt.
+    `inputs` have a fixed order. Concurrent calls wait for the first one; a damaged entry is
+    rebuilt.
     """
     key = hashlib.sha256()
     for part in inputs:
@@ -82,7 +82,6 @@ def folder() -> Path:
 
 
 def _temporary() -> Path:
-    """Return a folder that no other user can have created."""
     user = os.getuid() if hasattr(os, "getuid") else 0
     path = Path(tempfile.gettempdir(), f"hesr-cache-{user}")
     with suppress(OSError):

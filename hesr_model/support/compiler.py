@@ -35,7 +35,6 @@ _INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*[\"<]([^\">]+)", re.MULTILIN
 
 
 def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
-    """Yield a hash of each file of a compilation but the compiler's own."""
     home = source.parent
     folders = [home / found[1] for flag in flags if (found := re.match("-(?:I|isystem)(.+)", flag))]
     todo = [source, *(home / flag for flag in flags if (home / flag).is_file())]
@@ -55,20 +54,20 @@ def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
 
 
 def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
-    # A linker interprets percent signs in the path of its output, so write to a relative path.
+    # A linker interprets percent signs in its output path, so the path is relative.
     with scratch_folder() as cache, scratch_folder(source.parent) as folder:
         written = folder / output.name
         relative = f"{written.parent.name}/{output.name}"
         compiler = str(files("ziglang"))
         command = [str(files("ziglang") / "zig"), "cc", *flags, "-o", relative, source.name]
-        # The compiler's object cache breaks under concurrent compilations, so each has its own.
-        # The C library is slow to build; its cache is shared.
+        # The compiler's object cache breaks under concurrency, so each compilation has its own;
+        # that of the slow C library is shared.
         caches = {
             "ZIG_LOCAL_CACHE_DIR": str(cache),
             "ZIG_GLOBAL_CACHE_DIR": str(cache_folder() / "zig"),
         }
         try:
-            # Run in the source's folder: no path of this machine gets into the binary.
+            # Run in the source's folder to keep paths of this machine out of the binary.
             result = subprocess.run(
                 [*command, *(flag.replace("{compiler}", compiler) for flag in last)],
                 cwd=source.parent,

@@ -56,7 +56,6 @@ PrintableName = Annotated[str, AfterValidator(require_printable)]
 
 
 def _sentence(path: Path, schema: type[BaseModel], error: ValidationError) -> str:
-    """Describe the first problem; unknown keys may cause the others."""
     problems = error.errors()
     first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
     key = ".".join(str(part) for part in first["loc"])
@@ -67,7 +66,7 @@ def _sentence(path: Path, schema: type[BaseModel], error: ValidationError) -> st
     if first["type"] == "missing":
         return f"{path}: key '{key}' is missing."
     reason = first["msg"].removeprefix("Value error, ")
-    if isinstance(first["input"], dict):  # a rule of a whole table, too long to show
+    if isinstance(first["input"], dict):
         where = f"table '{key}': " if key else ""
         return f"{path}: {where}{reason}."
     return f"{path}: key '{key}' is {_shown(first['input'])}: {reason}."
@@ -79,7 +78,6 @@ def _shown(value: object) -> str:
 
 
 def _holder(schema: type[BaseModel], location: tuple[Any, ...]) -> type[BaseModel] | None:
-    """Return the schema of the last part's table."""
     holders = [schema]
     for part in location[:-1]:
         fields = [h.model_fields[part] for h in holders if part in h.model_fields]

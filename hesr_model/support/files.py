@@ -57,8 +57,8 @@ def sha256(path: Path) -> str:
 def folder_written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files move into `path` when the block succeeds.
 
-    Other files in `path` are kept. On any exception nothing at `path` changes. Raises ArtifactError
-    before the block if another run is writing into the folder or it cannot be written.
+    On any exception nothing at `path` changes. Raises ArtifactError before the block if another run
+    is writing into the folder or it cannot be written.
     """
     with _room_for(path), ExitStack() as cleanup:
         try:
@@ -74,7 +74,6 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _room_for(path: Path) -> Iterator[None]:
-    """Report a full disk for `path`, not for its temporary files."""
     try:
         yield
     except (OSError, ArtifactError) as error:
@@ -103,7 +102,6 @@ def folder_made(path: Path) -> Iterator[None]:
 
 
 def _take(path: Path, cleanup: ExitStack) -> None:
-    """Lock a folder, and remove leftovers of dead runs."""
     lock = FileLock(path / _LOCK, timeout=0)
     try:
         lock.acquire()

@@ -18,8 +18,8 @@ def deferred() -> Iterator[None]:
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
-        # Child processes inherit the mask. It cannot replace the handlers: another thread may take
-        # the signal, which is still handled in this one.
+        # Child processes inherit the mask. It cannot replace the handlers, because another thread
+        # may take the signal.
         with _held_back_here():
             yield
     finally:

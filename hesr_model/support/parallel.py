@@ -53,9 +53,8 @@ def results_of(
     """Run jobs in processes; yield the iterator of their results, in the order of the jobs.
 
     Jobs with large `costs` start first; `names` are shown while jobs run. Processes are new, one
-    per core by default, or those of `one_pool`. One worker is this process. If the block fails,
-    also by Ctrl-C, processes are killed at once. The iterator raises WorkerError if a process
-    ended before its job was done.
+    per core by default, or those of `one_pool`. One worker is this process. The iterator raises
+    WorkerError if a process ended before its job was done.
     """
     count = min(workers or os.cpu_count() or 1, len(jobs))
     if count <= 1:
@@ -75,9 +74,8 @@ def results_of(
 def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Iterator[None]:
     """Share processes among all blocks of `results_of` within that do not give `workers`.
 
-    They import `modules` while this process prepares its first jobs, then do the jobs `first`,
-    whose results and errors are dropped. After a block has failed the next one starts new
-    processes.
+    They first import `modules`, then do the jobs `first`, whose results and errors are dropped.
+    After a block has failed the next one starts new processes.
     """
     global _sharing
     if _sharing is not None:
@@ -97,13 +95,10 @@ def shared() -> bool:
     return _sharing is not None
 
 
-# Batch, job in it, its answer, and the display of its name.
 _Task = tuple[int, int, Future[JobAnswer], AbstractContextManager[None]]
 
 
 class _Pool:
-    """Processes, started with the first jobs, and their folder."""
-
     def __init__(self, count: int) -> None:
         self._count, self._batches = count, 0
         self._tasks: SimpleQueue[_Task | None] = SimpleQueue()
@@ -119,7 +114,6 @@ class _Pool:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """End the processes, on an error at once and with all descendants."""
         with self._cleanup:
             if kind is not None:
                 self._kill()
@@ -195,8 +189,6 @@ class _Pool:
 
 
 class _SharedPool:
-    """A pool for many blocks, made on demand."""
-
     def __init__(self) -> None:
         self._pool: _Pool | None = None
 

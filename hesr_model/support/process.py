@@ -30,8 +30,7 @@ class Ended:
 class ChildProcess:
     """A program that runs in its own session; raises FailedError if it cannot be started.
 
-    The environment variable `mark` identifies all descendants, even those that have left the
-    session. `more` are arguments of `subprocess.Popen`.
+    The environment variable `mark` identifies all descendants, also outside the session.
     """
 
     def __init__(
@@ -58,7 +57,7 @@ class ChildProcess:
 
     def end(self) -> None:
         """Kill the program, its session and descendants."""
-        # After a wait, the process ID may belong to another program.
+        # After a wait, another program may have the process ID.
         if self.process.poll() is None:
             if hasattr(os, "killpg"):
                 with contextlib.suppress(ProcessLookupError, PermissionError):

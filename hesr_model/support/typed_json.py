@@ -1,7 +1,4 @@
-"""Data classes as JSON: fields are the keys, annotations validate the values.
-
-A class whose JSON form differs has pydantic validators and serialisers.
-"""
+"""Data classes as JSON: fields are the keys, annotations validate the values."""
 
 import json
 from collections.abc import Mapping

@@ -35,10 +35,10 @@ def work(folder: Path, parent: int) -> None:
     """Answer requests until stdin closes."""
     import psutil
 
-    # The parent alone answers signals to the process group, and kills its workers.
+    # Only the parent answers signals to the process group.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    if hasattr(signal, "pthread_sigmask"):  # `interrupts.deferred` had blocked it
+    if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
     collect_seldom()
@@ -92,7 +92,6 @@ def read_answer(answers: IO[bytes]) -> JobAnswer:
 
 
 def _end_with(parent: int, folder: Path) -> None:
-    """End this process, and remove the folder, after its parent."""
     while os.getppid() == parent:
         time.sleep(_ORPHANED)
     shutil.rmtree(folder, ignore_errors=True)

@@ -117,10 +117,10 @@ def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator)
 
 def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return at most (count, 3) centres of z (N, 3), and their mean distance to the nearest."""
-    # Equal rows, such as those at rest, break k-means.
+    # Equal rows break k-means.
     points = np.unique(z[:: max(1, len(z) // CLUSTERED_ROWS)], axis=0)
     with warnings.catch_warnings():
-        # A centre without rows stays in place, which is harmless.
+        # a centre without rows stays in place
         warnings.simplefilter("ignore", UserWarning)
         centres, _ = kmeans2(points, min(count, len(points)), minit="++", rng=rng)
     distance = cdist(centres, centres)

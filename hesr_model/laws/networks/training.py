@@ -92,7 +92,6 @@ class _Problem:
         return float(residual @ residual / len(residual) + shrinkage @ point**2)
 
     def _normal_equations(self, point: Array, shrinkage: Array) -> tuple[Array, Array]:
-        """Return the Gauss-Newton matrix and half the gradient of the cost."""
         bias, gains, theta = self.split(point)
         rows, hidden = len(self.y), self.hidden
         jacobian = np.empty((rows, len(point)), order="F")

@@ -36,7 +36,7 @@ def profile(features: HysteresisFeatures) -> list[Cell]:
     tau = features.samples.tau
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
     cells = []
-    # Exclude the upper end of alpha: h has no memory there.
+    # Without the upper end of alpha, where h has no memory.
     for alpha in np.geomspace(alpha_low, alpha_high, GRID[0] + 1)[:-1]:
         for beta in np.geomspace(beta_low, beta_high, GRID[1]):
             columns = _cubic(features.columns(alpha, beta))
@@ -80,7 +80,7 @@ def geometric(features: HysteresisFeatures) -> tuple[float, float]:
 def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
     """Return the torque after each reversal, positive in the direction of motion, and its slope.
 
-    The slope is that at the sign change. A course ends at the next reversal or after `COURSE` rows.
+    A course ends at the next reversal or after `COURSE` rows.
     """
     s = features.samples
     tau = s.tau - float(np.median(s.tau))
@@ -107,7 +107,6 @@ def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
     for course in courses:
         total[: len(course)] += course
         count[: len(course)] += 1.0
-    # Use rows that at least half of the reversals have.
     seen = count >= max(1.0, 0.5 * count[0])
     mean = total[seen] / count[seen]
     if len(mean) < 10:

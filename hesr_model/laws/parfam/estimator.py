@@ -26,11 +26,7 @@ COEFFICIENTS = 11  # alpha, beta, 4 linear, gain, 4 of the argument
 @register
 @dataclass(kw_only=True, eq=False)
 class ParFamH(Estimator):
-    """tau = Q(v, h, h', g(Q(v, h, h'))) with polynomials of degree one (eq. 11).
-
-    Stage 1 profiles (alpha, beta); stage 2 searches the unit's argument at the best of them; stage
-    3 runs Levenberg-Marquardt over all coefficients, prunes, and selects the best on left-out logs.
-    """
+    """tau = Q(v, h, h', g(Q(v, h, h'))) with polynomials of degree one (eq. 11)."""
 
     name = "parfam_h"
     title = "ParFam-H"
@@ -95,8 +91,7 @@ class ParFamH(Estimator):
         trained: TrainedRange,
         rng: np.random.Generator,
     ) -> FrictionLaw:
-        """Add a second unit and a denominator, if enabled and if left-out logs gain."""
-        # A law without a state after pruning has no (alpha, beta).
+        # A law without a state has no (alpha, beta).
         if (self.units < 2 and not self.denominator) or "alpha" not in law.values:
             return law
         problem = pose(law.structure, features.samples, self.discretisation)

@@ -113,9 +113,9 @@ def form(structure: Mapping[str, Any]) -> LawForm:
 def hysteresis_state(kind: str) -> tuple[Relaxation, tuple[Coefficient, ...]]:
     """Return the hysteresis state and its coefficients.
 
-    The generalised state adds position memory (kappa, as in Dahl's model) to the relaxation of the
-    paper, and a gate that stops the relaxation at rest. The bristle has position memory alone, and
-    the Stribeck curve inside the state (eq. 2-3, with h = 1 at Coulomb friction).
+    The generalised state adds position memory (kappa, as in Dahl's model), and a gate that stops
+    the relaxation at rest. The bristle has position memory alone, and the Stribeck curve inside the
+    state (eq. 2-3, with h = 1 at Coulomb friction).
     """
     target = sympy.tanh(_BETA * DQ)
     if kind == "paper":

@@ -28,10 +28,7 @@ class HysteresisFeatures:
         return self._columns(alpha, target, self._decay(alpha))
 
     def with_derivatives(self, alpha: float, beta: float) -> tuple[Array, Array, Array]:
-        """Return (N, 4) features and (N, 2) derivatives of h and dh by (alpha, beta), SI units.
-
-        They follow the recurrence of h, driven by its partial derivatives.
-        """
+        """Return (N, 4) features and (N, 2) derivatives of h and dh by (alpha, beta), SI units."""
         s = self.samples
         target = np.tanh(beta * s.dq)
         a = self._decay(alpha)

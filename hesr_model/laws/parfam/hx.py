@@ -79,7 +79,7 @@ class ParFamHX(Described):
         return self.finish(best.structure, best.problem, best.problem.polish(best.point))
 
     def _bare(self, state: str, samples: JointRows, rng: np.random.Generator) -> Trial:
-        # A bristle contains the Stribeck curve, so it needs no such term.
+        # A bristle contains the Stribeck curve.
         linear = [x for x in self.linear if state != "bristle" or x != "h_bump"]
         structure = {"linear": linear, "units": [], "state": state}
         problem = pose(structure, samples)
@@ -87,14 +87,12 @@ class ParFamHX(Described):
         return self._thinned(Trial(structure=structure, problem=problem, point=found))
 
     def _thinned(self, trial: Trial) -> Trial:
-        """Drop linear terms one by one if the error on left-out logs does not rise."""
         samples = trial.problem.samples
         columns = trial.problem.columns(trial.point)
         linear = trial.structure["linear"]
         kept = list(range(columns.shape[1]))
         cost = left_out_cost(columns, samples.tau, samples.folds)
         for i in reversed(range(columns.shape[1])):
-            # The unit needs velocity and state.
             if linear[i] in ("dq", "h", "dh"):
                 continue
             fewer = [k for k in kept if k != i]

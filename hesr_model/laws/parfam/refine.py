@@ -47,7 +47,6 @@ def select(
     for i, (evaluations, keep) in enumerate(ROUNDS):
         refined: list[Candidate] = []
         for k in looked:
-            # The first half of the progress was stage 2.
             share = (i + len(refined) / len(looked)) / len(ROUNDS)
             step(round(1000 * (1.0 + share)), 2000)
             refined.append(Refinement(features, k).run(evaluations)[0])
@@ -116,7 +115,6 @@ def settled(
 
 
 def _without(candidate: Candidate, coefficient: int) -> Candidate:
-    """Return the candidate without one coefficient, indexed as in `Refinement`."""
     kept = np.arange(11) != coefficient
     c_active, theta_active = candidate.c_active & kept[2:6], candidate.theta_active & kept[7:]
     return replace(
@@ -129,7 +127,6 @@ def _without(candidate: Candidate, coefficient: int) -> Candidate:
 
 
 def _still_as_good(features: HysteresisFeatures, candidate: Candidate) -> float:
-    """Return the mean square below which a fit with one coefficient fewer is not worse."""
     tau = features.samples.tau
     residual = candidate.torque(features.columns(candidate.alpha, candidate.beta)) - tau
     rise = SIGNIFICANCE**2 * correlation_length(residual) / len(tau)

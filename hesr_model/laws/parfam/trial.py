@@ -130,7 +130,7 @@ def search_space(structure: Mapping[str, Any], samples: JointRows) -> SearchSpac
             limit = evolve.ARGUMENT_LIMIT / scales[x]
             bounds.append((family.argument_name(k, x), (-limit, limit)))
     for x in structure.get("denominator", ()):
-        # The sum of all terms stays below DIVISOR_LIMIT, so the denominator is never zero.
+        # The sum of all terms stays below DIVISOR_LIMIT.
         largest = float(np.abs(samples.dq).max()) if x == "dq" else 1.0
         limit = DIVISOR_LIMIT / len(structure["denominator"]) / largest
         bounds.append((family.denominator_name(x), (-limit, limit)))

@@ -4,8 +4,7 @@
     p'   = (psi(v) - p) / T                     psi = exp(-(v/v_s)^2)
     tau  = sum_i F_i x_i + v f(v) + ripple + tau_0
 
-Stribeck effect, frictional lag and load act on bounds, never as factors of the output: a moving
-bound only dissipates.
+Stribeck effect, lag and load act on bounds: a moving bound only dissipates.
 """
 
 from collections.abc import Mapping
@@ -139,7 +138,7 @@ class Structure:
             stops.append(x)
             terms.append((_torque(name, "torque of a stop at bound 1"), x.state))
         terms += [(c, DQ * factor) for c, factor in (_VISCOUS[kind] for kind in self.viscous)]
-        # The mean of a wave over the part of a step beyond `window` certifies any step.
+        # The mean over the part of a step beyond `window` certifies any step.
         beyond = positive(DT - sympy.Float(self.window))
         angle = Q - (LAG.symbol + beyond / 2) * DQ
         waves = product(self.ripple, (sympy.cos, sympy.sin))

@@ -1,9 +1,7 @@
 """Numeric condition of the certificate: lagging ripple against viscous friction v f(v).
 
-Ripple U'(q) is lossless. With a lag, and read at the end of a step, it is U' at another angle and
-generates at most sum_k A_k min(n_k c |v|, 2) |dq|, where c is the mean time between these angles.
-Viscous friction dissipates v f(v) |dq| / |v|, so f(v) >= sum_k A_k min(n_k c, 2 / |v|) is
-sufficient.
+It is f(v) >= sum_k A_k min(n_k c, 2 / |v|), where c is the mean time between the angle of the
+ripple and that at the end of a step (derivation: `docs/methods.md`, *Ripple*).
 """
 
 from collections.abc import Sequence
@@ -61,7 +59,7 @@ def constrained(
     if margin(x).min() >= 0.0:
         return x
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
-    # Start at half the allowed ripple, where the root is differentiable.
+    # Start at half the allowed ripple: the root is differentiable there.
     start = x.copy()
     start[a] *= 0.5 * share(x)
 
@@ -89,6 +87,5 @@ def constrained(
     )
     y = np.asarray(scale * best.x)
     y[:first] = np.maximum(y[:first], 0.0)
-    # Reduce the ripple by any violation from round-off.
     y[a] *= min(1.0, share(y)) * (1.0 - 1e-9)
     return y

@@ -166,10 +166,6 @@ def search(baseline: Terms, *, load: bool) -> Terms:
 
 
 def _thinned(terms: Terms) -> Terms:
-    """Remove bounds but the first, the last one first, that do not lower the left-out error.
-
-    The first one stays for short fast motions.
-    """
     for kind in reversed(terms.bounds[1:]):
         fewer = replace(terms, bounds=tuple(k for k in terms.bounds if k != kind))
         if no_worse(fewer.cost, terms.cost):

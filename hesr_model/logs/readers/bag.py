@@ -1,7 +1,4 @@
-"""ROS bags of sensor_msgs/msg/JointState, read without ROS.
-
-ROS 2 bags are folders or files of SQLite or MCAP, ROS 1 bags are ``.bag`` files.
-"""
+"""ROS bags of sensor_msgs/msg/JointState, read without ROS."""
 
 import logging
 from collections.abc import Iterator, Sequence
@@ -28,10 +25,7 @@ def is_bag(path: Path) -> bool:
 
 
 def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
-    """Read the joint states from one topic of a bag; raises LogError.
-
-    Messages without all joints of the robot are skipped.
-    """
+    """Read the joint states from one topic of a bag; raises LogError."""
     bag = robot.log.bag
     joints = bag.joints or robot.joints
     messages = list(_messages(path, bag.topic))
@@ -95,7 +89,7 @@ def _messages(path: Path, topic: str) -> Iterator[_Message]:
             f"{path}: reading a ROS bag needs the package rosbags: pip install 'hesr[ros]'."
         ) from error
     try:
-        # Bags older than ROS 2 Iron lack message definitions.
+        # bags older than ROS 2 Iron lack definitions
         reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
         with reader:
             connections = _connections(path, reader, topic)

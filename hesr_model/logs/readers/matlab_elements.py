@@ -70,7 +70,6 @@ def _unpacked(packed: memoryview, most: int) -> bytes:
 
 
 def _require_element(content: memoryview, place: int, order: Order, depth: int) -> int:
-    """Check an element; return the start of the next one."""
     if place + 8 > len(content):
         raise ValueError("an element is truncated")
     kind, length = struct.unpack_from(f"{order}II", content, place)
