@@ -271,7 +271,6 @@ class FrictionRegressor:
         return moved
 
     def _logs(self, X: Any) -> list[Log] | None:
-        """Return X as logs, None for a table."""
         several = list(X) if isinstance(X, list | tuple) else [X]
         if not several or not all(isinstance(x, Log | str | PathLike) for x in several):
             return None

@@ -55,7 +55,6 @@ def run_sweeps(
 def run_overcompensation(loop: StudyLoop) -> list[Overcompensation]:
     """Find the lowest factor on friction compensation that makes each loop cycle."""
     sources: tuple[VelocitySource, ...] = ("desired", "measured", "filtered")
-    # The torque error would move a resting arm by its noise alone.
     cases = [
         (law, Scheme(compensation="servo_inversion", source=source))
         for law in loop.tracking.sources

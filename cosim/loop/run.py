@@ -110,7 +110,6 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
 
 
 def _difference(run: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> float:
-    """Return the largest difference, relative to the largest value of each signal."""
     return max(
         float(np.abs(values - other[name]).max(initial=0.0) / np.abs(other[name]).max(initial=1e-3))
         if len(values) == len(other[name])

@@ -121,7 +121,6 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
 
 
 def _of(table: "pyarrow.Table", vector: str) -> list[str]:
-    """Return the columns of a vector; raise KeyError if it has none."""
     names = [f"{vector}{k + 1}" for k in range(len(table.column_names))]
     found = [name for name in names if name in table.column_names]
     if not found:

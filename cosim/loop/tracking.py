@@ -49,8 +49,6 @@ class LoopRow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Kept:
-    """A stored row; the JSON of `Tracked` excludes `trace`."""
-
     tracked: Tracked
     trace: Trace | None
 
@@ -124,7 +122,6 @@ def _tracked(
 
 
 def _keys(rows: Sequence[LoopRow], about: Sequence[Any]) -> list[str]:
-    """Return a name for each row's result: a hash of everything it depends on."""
     hashes: dict[Path, str] = {}  # by FMU; rows share them
     keys = []
     for row in rows:

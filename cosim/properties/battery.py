@@ -198,7 +198,6 @@ def _peaks(seen: list[TrainedRange], scale: Scale) -> Array:
 
 
 def _tried(experiment: Callable[[], list[PropertyResult]], joints: int) -> list[PropertyResult]:
-    """Run an experiment; all joints fail if the FMU gives up."""
     try:
         return experiment()
     except SimulationError as error:
@@ -218,7 +217,6 @@ def _finite(found: PropertyResult) -> PropertyResult:
 
 
 def _ranges(model: FrictionModel | None, joints: int) -> list[TrainedRange]:
-    """Return the trained range of each joint, all at the model's sample time."""
     sample = model.sample_time if model else _SAMPLE_TIME
     if model and model.trained:
         return [replace(seen, sample_time=sample) for seen in model.trained]

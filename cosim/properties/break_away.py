@@ -45,7 +45,7 @@ def _ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, Array
     rows: list[Array] = []
     moving = np.zeros(bench.joints, dtype=bool)
     for k in range(1, int(_HIGHEST * _RAMP_STEPS) + 1):
-        # Release sliding joints, which would run away while others are still at rest.
+        # Release sliding joints before they run away.
         bench.torque[:] = scale.offset + np.where(moving, 0.0, k / _RAMP_STEPS * scale.level)
         now = bench.step(dt).copy()
         now[:, moving] = np.nan
@@ -114,7 +114,7 @@ def dither(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     dt = np.full(rows, 1.0 / (FREQUENCY * _PER_PERIOD))
     wave = np.sin(2.0 * np.pi / _PER_PERIOD * (np.arange(rows) + 0.5))
     q = bench.run(dt, torque=scale.offset + load + DITHER * wave[:, None] * scale.bears)[0]
-    # The mean of each period shows drift without oscillation.
+    # The mean of each period hides the oscillation.
     middle = q.reshape(-1, _PER_PERIOD, bench.joints).mean(axis=1)
     middle = middle[round(_SETTLING * FREQUENCY) :]
     return _drifting(np.arange(len(middle)) / FREQUENCY, middle)

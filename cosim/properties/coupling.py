@@ -60,7 +60,7 @@ def _slide(bench: FrictionBench, scale: Scale, inertia: Array, dt: float) -> Arr
     dq = np.full((steps + 1, bench.joints), np.nan)
     dq[0] = v = first
     q = bench.places.copy()
-    # Start with the states of rest: steady sliding does not excite the slope at rest.
+    # Start with the states of rest, which excite the slope at rest.
     tau = bench.start(load=scale.load, dq=v, unmoved=True)
     try:
         for k in range(1, steps + 1):
@@ -89,7 +89,6 @@ def _refined(
     tried: list[float],
     first: float | None,
 ) -> float | None:
-    """Return the largest quiet step of a joint by bisection, or None."""
     if first is None:
         return MOST
     if first == tried[0]:

@@ -113,7 +113,6 @@ def _branch(
 
 
 def _loop(bench: FrictionBench, scale: Scale, period: float, load: float | Array) -> Array:
-    """Return the torque over a settled loop: the falling branch, then the rising one."""
     bench.start(load=load)
     _branch(bench, scale, period, 1.0, np.array([0.5]))
     for _ in range(_CYCLES):
@@ -207,7 +206,7 @@ def _remembered(
     if wrong and states == 0:
         wrong.append("A law without a state has no memory.")
     into = 2.0 * _TURN - 1.0 - way
-    # A loop as high as the outer one closes without memory.
+    # A loop as high as the outer one has no memory.
     closes = None if depth > INNER else miss
     return judged(
         ("miss of the closed inner loop, of the height", closes, "1"),

@@ -65,7 +65,7 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
     creep = CREEP * speed
     bench.start(load=load)
     before = bench.move(np.array([bench.forever]), creep[None])[0]
-    # All joints reach the same share of their path at the same time.
+    # All joints reach the same share of their path at once.
     back = _BACK / np.max(creep)
     tau = bench.move(np.diff(back, prepend=0.0), np.broadcast_to(-creep, (len(back), len(creep))))
     return Scale(
@@ -101,7 +101,7 @@ def standing_inertia(
     middle = np.array([seen.middle for seen in model.trained]) if model.trained else np.zeros(n)
     q: Array = np.tile(middle, (n + 1, 1))
     still = np.zeros_like(q)
-    # One joint accelerates per row; the last row is gravity alone.
+    # One joint accelerates per row; the last row is gravity.
     torque = robot.torque(body.parameters, q, still, np.eye(n + 1, n))
     found = np.diag(torque[:n] - torque[n])
     return tuple(map(float, found)) if np.all(found > 0.0) else None

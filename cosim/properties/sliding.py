@@ -49,7 +49,7 @@ def start(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
 
 def _started(speeds: Array, first: Array, steady: Array) -> PropertyResult:
     """Judge (S, 2) first and steady torques at speeds (S,), forward and backward."""
-    # Half the difference of both directions, which an offset cannot hide or inflate.
+    # Half the difference of both directions, free of the offset.
     friction = np.maximum(0.5 * np.abs(steady[:, 0] - steady[:, 1]), _NO_FRICTION)
     off = (first - steady) / friction[:, None]
     row, way = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
@@ -106,7 +106,7 @@ def _lagging(dq: Array, fast: Array, slow: Array, level: float) -> PropertyResul
     else:
         if abs(width) < WIDTH * level:
             wrong.append(f"The branches are only {abs(width) / level:.2%} of the level apart.")
-        # Parts of the torque may rise at once, so one fall anywhere suffices.
+        # Parts of the torque may rise at once: one fall suffices.
         if (width > 0.0 and slope.min() >= 0.0) or (width < 0.0 and slope[row] <= 0.0):
             wrong.append("The torque leads the velocity instead of lagging behind it.")
         if abs(width) <= abs(slow_width):

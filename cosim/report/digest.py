@@ -1,4 +1,4 @@
-"""Results of runs as one page of Markdown, one table per question, with all tables as CSV."""
+"""Results of runs as one page of Markdown, with all tables as CSV."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -33,10 +33,7 @@ _INTRODUCTION = (
 
 
 def write_digest(folders: Sequence[Path], output: Path) -> Path:
-    """Write the main tables of runs to a page, all tables to CSV files in a folder of its name.
-
-    Raises ArtifactError or LogError if a folder has no results, or the page cannot be written.
-    """
+    """Write the main tables of runs to a page, all tables to CSV files in a folder of its name."""
     runs = [Results.read(folder) for folder in folders]
     data = output.with_name(f"{output.stem}_tables")  # not the name of a folder of results
     parts = ["# Results\n", _INTRODUCTION]
@@ -53,7 +50,6 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
 
 
 def _data(results: Results) -> dict[str, ResultTable]:
-    """Return all tables of a run by the name of their file."""
     found = {}
     for test, scores in results.comparisons.items():
         name = file_name(test)
@@ -80,7 +76,6 @@ def file_name(test: str) -> str:
 
 
 def _run(results: Results) -> Iterator[str]:
-    """Yield the parts of a run's chapter."""
     yield f"## {results.run.study}: {results.run.robot}\n"
     yield f"`{results.run.command}`\n"
     if results.verdict:
@@ -125,7 +120,6 @@ def short(results: Results) -> ResultTable:
 
 
 def _rows(table: ResultTable, laws: Sequence[str]) -> ResultTable:
-    """Return the rows of some laws, in the given order, below the quiet ones."""
     rows = {str(row.head): row for row in table.rows}
     wanted = dict.fromkeys(map(title, laws))
     shown: list[TableRow] = [row for row in table.rows if row.quiet]

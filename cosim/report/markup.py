@@ -47,7 +47,7 @@ class Pictures:
     def figure(
         self, key: str, picture: "Figure | None", *, file: "Figure | None" = None, **texts: Any
     ) -> Markup:
-        """Write a figure, if any, or `file` instead, and return its HTML; see `drawing`."""
+        """Write a figure, or `file` instead, and return its HTML; see `drawing`."""
         from cosim.report.figures.style import write
 
         if picture is None:
@@ -62,7 +62,7 @@ class Pictures:
         return self.drawing(key, Markup(svg(picture, key)), caption, **texts)
 
     def chart(self, key: str, chart: "Chart | None", **texts: Any) -> Markup:
-        """Write a chart, if any, and return its HTML with a zooming view; see `drawing`."""
+        """Write a chart and return its HTML with a zooming view; see `drawing`."""
         from cosim.report.figures.chart import drawn
 
         if chart is None:

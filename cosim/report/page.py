@@ -89,7 +89,7 @@ def write_report(
     home = _link_from(path.parent.resolve(), folder.resolve())
     jobs = [partial(_made, part, results, folder, home) for part in parts]
     made: list[Made] = []
-    # Starting processes costs more than they save.
+    # starting processes costs more
     workers, names = None if parallel.shared() else 1, [part.title or part.key for part in parts]
     with parallel.results_of(jobs, workers, names=names) as found:
         made += filter(None, [_made(_SUMMARY, results, folder, home)])
@@ -114,7 +114,6 @@ def write_report(
 
 
 def _link_from(place: Path, folder: Path) -> str:
-    """Return the prefix of links from a page in `place` to files of `folder`."""
     try:
         way = quote(Path(os.path.relpath(folder, place)).as_posix())
     except ValueError:  # two drives of Windows

@@ -89,10 +89,6 @@ def _warn(reason: SimulationError) -> None:
 def _errors(
     model: FrictionModel, cut: Sequence[Windows], robot: Robot, body: RigidBody
 ) -> list[_Errors] | SimulationError:
-    """Return the errors over each set of windows, or the error.
-
-    Sets with the same number of steps run together, which is faster.
-    """
     simulator = Simulator(robot=robot, parameters=body.parameters, friction=model)
     found: dict[int, _Errors] = {}
     groups: dict[tuple[int, int], list[int]] = {}

@@ -92,7 +92,6 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
 
 
 def _share(log: Log) -> float:
-    """Return the share of a log to train on, at least until every joint has reversed."""
     dq = np.gradient(log.q, log.t, axis=0) if log.dq is None else log.dq
     found = [reversals(np.asarray(v)) for v in dq.T]
     whole, first = log.t[-1] - log.t[0], [rows[0] for rows in found if len(rows)]
@@ -103,7 +102,6 @@ def _share(log: Log) -> float:
 
 
 def _name(path: Path) -> str:
-    """Return the name of the study, that of the folder if its file is named 'study'."""
     stem = path.resolve().parent.name if path.stem == "study" else path.stem
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in stem)
     return kept.lstrip("_-") or "study"

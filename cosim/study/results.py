@@ -142,7 +142,6 @@ def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
 
 
 def _file(name: str, file: Path) -> str:
-    """Return a log's file as the study names it, without folders of the machine."""
     inside = PurePath(name)
     known = file.match(name) and not inside.is_absolute() and ".." not in inside.parts
     return inside.as_posix() if known else file.name

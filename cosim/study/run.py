@@ -73,9 +73,8 @@ def run_study(
 ) -> Outcome:
     """Run a study and write all results into a folder, or nothing on an error.
 
-    An interrupted run continues from checkpoints next to the folder. `quick` runs the `quick` laws
-    only, without variants, refinement, closed loop and physics checks; log checks in `accepted`
-    only warn.
+    An interrupted run continues from checkpoints next to the folder. For `quick` and `accepted` see
+    `hesr.run`.
     """
     study = Study.read(path)
     if quick:
@@ -105,7 +104,7 @@ def run_study(
                 write_json(folder / TRUTHS, truths)
             loop = job.closed_loop(run, folder)
             found = {} if quick else job.properties(run, folder)
-            # Last, because the documentation of the FMUs contains the physics checks.
+            # Last: the FMUs document the physics checks.
             body = PageBody.of(run.robot, run.rigid_body)
             audits = _of_each(
                 models,
@@ -275,7 +274,6 @@ def unfinished(output: Path) -> Path:
 
 
 def _command(study: Path, platforms: Sequence[str], *, quick: bool) -> str:
-    """Return the command that repeats the run, without folders of the machine."""
     default = models_folder() / "studies" / "default.toml"
     words = ["hesr run"]
     if study.resolve() != default.resolve():

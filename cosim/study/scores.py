@@ -172,7 +172,7 @@ def compare(
     """Score predictions [law][joint][log], (N,) [N.m] each, on records [joint][log].
 
     The `inputs` of each law decide the references. Bands of `models` are also scored, and
-    predictions of a `zero_phase` velocity. Rows are moving or reversing by the records' own dq.
+    predictions of a `zero_phase` velocity.
     """
     scores = {
         law: [score(r, p) for r, p in zip(records, predicted, strict=True)]
@@ -226,7 +226,6 @@ def _table(
 
 
 def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, Ratio]:
-    """Return the ratio of each law to its reference on a joint, as one family."""
     others = [law for law in table.laws if references[law] != law]
     against = {reference: table.ratios(reference) for reference in set(references.values())}
     found = {law: against[references[law]][law] for law in others}
@@ -242,10 +241,7 @@ def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, Ratio]
 def _against_best(
     table: LawErrors, ranked: Sequence[str]
 ) -> tuple[tuple[str, ...], dict[str, float], float]:
-    """Return leading laws, detectable ratios, and the duration [s] of a test that separates them.
-
-    One family per joint; one over all would have little power.
-    """
+    """Return leading laws, detectable ratios, and the duration [s] of a separating test."""
     best = min(ranked, key=lambda law: table.log_rmse[table.laws.index(law)])
     others = [law for law in ranked if law != best]
     if not others or table.too_short:

@@ -1,7 +1,4 @@
-"""Prediction part of a twin's study over random draws.
-
-Each draw has its own noise, motions, and friction level and viscosity of each joint.
-"""
+"""Prediction part of a twin's study over random draws."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

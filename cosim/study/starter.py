@@ -99,9 +99,7 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.FileSystemLoader(models_folder() / "new"),
         undefined=jinja2.StrictUndefined,
         keep_trailing_newline=True,
-        # The templates are TOML and plain text, not HTML.
         autoescape=False,
     )
-    # TOML strings have the escapes of JSON.
     environment.filters["toml"] = lambda text: json.dumps(text, ensure_ascii=False)
     return environment

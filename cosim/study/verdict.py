@@ -94,10 +94,7 @@ def verdict(
     *,
     gear_ratio: bool,
 ) -> Verdict:
-    """Judge a run by its first test set; records are [joint][log].
-
-    See `recommend`. For a short test, the errors on left-out training logs decide.
-    """
+    """Judge a run by its first test set; records are [joint][log]."""
     test, scores = next(iter(comparisons.items()))
     laws, why = recommend(scores, models)
     law = laws[0] if len(set(laws)) == 1 else MIXED
@@ -139,9 +136,9 @@ def recommend(
 ) -> tuple[tuple[str, ...], str]:
     """Return the recommended law of each joint and the rule that decided.
 
-    It is the simplest law with an error within `CLOSE` of the lowest and none significantly better;
-    of equally simple ones that of most joints, then that nearest to the lowest errors. Joints with
-    a short test, and those whose laws one FMU cannot combine, have the law of most joints.
+    It is the simplest law with an error within `CLOSE` of the lowest and none significantly better.
+    Joints with a short test, and those whose laws one FMU cannot combine, have the law of most
+    joints.
     """
     names = [law for law in scores.laws if law in models]
     count = len(scores.joints)
@@ -179,7 +176,6 @@ def recommend(
 def _by_training(
     names: Sequence[str], scores: Comparison, models: Mapping[str, FrictionModel]
 ) -> tuple[str, str]:
-    """Return the best law on left-out training logs, or on the test if that is unknown."""
     known = [law for law in names if models[law].left_out_rmse]
     if not known:
         return min(names, key=scores.size), f"{_SHORT}; it has the lowest error."

@@ -1,9 +1,8 @@
 """Systems of FMUs inside one FMU of FMI 2.0, run by FMPy's container runtime.
 
-The runtime steps all components at the system's step, then passes values along the connections in
-the order of known values. Outputs with direct feedthrough use the newest inputs; states use those
-at the beginning of the step. It accepts only multiples of its step; our library in front of it
-accepts any step.
+The runtime steps all components, then passes values along the connections. Outputs with direct
+feedthrough use the newest inputs; states use those at the beginning of the step. Our library in
+front of it accepts any step, not only multiples.
 
 FMPy's builder cannot be used: for FMI 2.0 it writes connections of type Real, which the runtime
 refuses, and value reference 0, the time, and its archives are not reproducible.
@@ -41,8 +40,8 @@ _TYPES = {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int32"}
 def write_container(contents: SystemContents, path: Path) -> Path:
     """Write a system as one FMU and return the path; the bytes are reproducible.
 
-    If all FMUs are trusted, it contains reference results. Raises ConfigError if a component has
-    its own step or no platform has binaries of all components.
+    Raises ConfigError if a component has its own step or no platform has binaries of all
+    components.
     """
     if path.suffix != ".fmu":
         raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
@@ -60,7 +59,6 @@ def write_container(contents: SystemContents, path: Path) -> Path:
         "resources/container.json": _configuration(contents, exposed, guid),
         **members,
     }
-    # Apart from the runtime all code is that of the components.
     ours = [is_ours(component.fmu) for component in contents.spec.components]
     if all(ours):
         members |= result_files(members, Stimuli(step=contents.spec.step))
@@ -180,7 +178,6 @@ def _variable(
 
 
 def _connections(contents: SystemContents, place: Mapping[str, int]) -> Iterator[dict[str, Any]]:
-    """Yield the connections between pairs of components, in the order of known values."""
     sources, variables = contents.wiring.sources, contents.variables
     waiting = [element for element in contents.wiring.order if element in sources]
 

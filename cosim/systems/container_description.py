@@ -44,7 +44,7 @@ def exposed_variables(contents: SystemContents) -> Iterator[Exposed]:
             elif seen != "parameter" and (fed or seen != "input"):
                 if seen == "independent" or not (shown or given is not None):
                     continue
-                # FMI: an output is continuous or discrete; it cannot change with parameters alone.
+                # FMI: an output cannot change with parameters alone.
                 follows = variable.variability in ("fixed", "tunable")
                 seen = "output" if shown and not follows else "local"
             start = _own_start(variable) if given is None else given
@@ -127,10 +127,6 @@ def _scalar(
 
 
 def _text(variable: Any) -> str | None:
-    """Return the description of a variable, with names of choices.
-
-    Choices are integers, because some engines cannot load Enumerations.
-    """
     described: str | None = variable.description
     if variable.type != "Enumeration":
         return described
@@ -179,13 +175,11 @@ def _at_start(contents: SystemContents, component: str) -> dict[str, list[str]]:
 def _known(
     contents: SystemContents, output: Element, needs: Mapping[str, Mapping[str, list[str]]]
 ) -> set[Element]:
-    """Return the unconnected variables that a signal depends on."""
     sources = contents.wiring.sources
     # An observed connected input is its source.
     seen, left = set[Element](), [sources.get(output, output)]
     while left:
         component, name = left.pop()
-        # Without declared dependencies it may depend on every input.
         for needed in needs[component].get(name, contents.variables[component].inputs):
             element = (component, needed)
             if element in seen:

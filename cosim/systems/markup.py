@@ -111,7 +111,7 @@ def in_unit_of(variables: Variables, name: str, given: ValueWithUnit, where: str
         )
     about = variables[name]
     kind = about.declaredType
-    # FMI: the offset does not apply to differences, for instance of two temperatures.
+    # FMI: the offset does not apply to differences.
     relative = kind.relativeQuantity if about.relativeQuantity is None and kind else None
     apart = 0.0 if about.relativeQuantity or relative else given.base[-1] - base[-1]
     return (given.value * factor + apart) / into

@@ -31,7 +31,7 @@ class Master:
     """A loaded and checked system; a context manager that frees all FMUs.
 
     It steps in C if all FMUs are in this process and `native` is true; the results are equal.
-    Entering raises ConfigError if the system does not fit its FMUs (see `Wiring`).
+    Entering raises ConfigError (see `Wiring`).
     """
 
     def __init__(
@@ -64,7 +64,6 @@ class Master:
         self._cleanup.__exit__(*ended)
 
     def _build(self) -> None:
-        """Assign a place to every needed output, contiguous for each component."""
         wiring = self._wiring
         wanted = [*wiring.sources.values(), *wiring.observed, *(e for e, _ in wiring.limited)]
         order = list(self._slaves)
@@ -104,7 +103,6 @@ class Master:
         self._stepper: PythonStepper | NativeStepper = stepper or PythonStepper(self._layout)
 
     def _links(self, place: Mapping[Element, int]) -> Iterator[Link]:
-        """Yield connected inputs and their sources in the order of known values."""
         sources = self._wiring.sources
         feeding = set(sources.values())
         for element in self._wiring.order:
@@ -138,7 +136,7 @@ class Master:
         except SimulationError as error:
             failure = error
         done = stepper.done
-        # A NaN of one component may make another one fail.
+        # a NaN may make another component fail
         failure = self._not_finite(done * step) or failure
         progress(steps, steps)
         signals = {".".join(e): kept[:done, i] for i, e in enumerate(self._wiring.observed)}
@@ -184,10 +182,6 @@ class Master:
             self._layout.values.fill(0.0)
 
     def _propagate(self) -> None:
-        """Pass the initial values on until they settle.
-
-        Outputs may depend on more inputs at the start than later.
-        """
         before = None
         for _ in self._wiring.order:
             self._layout.propagate(0.0)

@@ -34,7 +34,7 @@ _TOLERANCE = "0.0001"  # required by OMSimulator; FMUs with a fixed step ignore 
 def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:
     """Write a system with its FMUs as an SSP and return the path; the bytes are reproducible.
 
-    If all FMUs are trusted, it contains reference results. libcosim and ecos read version 1.0 only.
+    libcosim and ecos read version 1.0 only.
     """
     if path.suffix != ".ssp":
         raise ConfigError(f"{path}: the name of a packaged system ends in .ssp.")

@@ -111,7 +111,7 @@ class _Reader:
         where = f"component '{name}'"
         if node.tag != f"{{{_PREFIXES['ssd']}}}Component":
             raise self.error(f"element '{name}' is not an FMU; nested systems are not supported.")
-        # One folder each: names may collide on other file systems.
+        # Names may collide on other file systems.
         file = f"{re.sub(r'[^0-9A-Za-z_]', '_', names[name])[:_LONGEST]}.fmu"
         fmu = self.folder / str(list(names).index(name)) / file
         fmu.parent.mkdir(exist_ok=True)
@@ -127,7 +127,6 @@ class _Reader:
         return data if hint is None else data | {"step": hint.get("value")}
 
     def converted(self, start: Mapping[str, Any], fmu: Path, where: str) -> Mapping[str, Any]:
-        """Return start values in the units of an FMU, which is read only if a value has a unit."""
         if not any(isinstance(value, ValueWithUnit) for value in start.values()):
             return start
         variables = Variables(fmu, description_of(fmu, f"{self.path}: {where}"))

@@ -1,6 +1,6 @@
 """Reference results of a system in an SSP, one experiment for each exchange scheme of engines.
 
-An SSP does not define when values are exchanged, so an engine is compared with its own scheme.
+An SSP does not define when values are exchanged.
 """
 
 from collections.abc import Mapping

@@ -120,7 +120,6 @@ def _pairs(table: Any) -> Iterator[str]:
 
 
 def _value(value: Any) -> str:
-    """Return a value as TOML, with all digits."""
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, float):

@@ -66,7 +66,6 @@ class Wiring:
             raise self._error(f"start values of '{name}': {error}") from error
 
     def _bounds(self, signal: str, bounds: Any, where: str) -> Iterator[tuple[Element, Bounds]]:
-        """Yield the bounds of each element, from one pair for all or one pair each."""
         elements = self.elements(signal, where, "Real")
         pairs = bounds if isinstance(bounds[0], tuple) else (bounds,) * len(elements)
         if len(pairs) != len(elements):
@@ -104,7 +103,7 @@ class Wiring:
                 "must be Real."
             )
         taken, given = (self._slaves[name].unit(variable) for name, variable in (into, out))
-        # Compare SI base units, because tools spell units differently.
+        # Tools spell units differently: compare SI base units.
         alike = taken[0] == given[0] or (taken[1] is not None and taken[1] == given[1])
         if taken[0] and given[0] and not alike:
             raise self._error(f"{where}: the input is in {taken[0]}, the output in {given[0]}.")

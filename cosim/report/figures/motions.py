@@ -39,7 +39,7 @@ def joints(views: Sequence[JointView]) -> Figure:
     height = _ROW * len(views) + 0.75
     with styled():
         figure = Figure(figsize=(9.0, height))
-        # Fixed places, because laying out many axes takes longer than drawing them.
+        # Fixed places: laying out many axes is slower than drawing them.
         axes = figure.subplots(
             len(views),
             4,
@@ -90,7 +90,7 @@ def _note(axis: Axes, why: str) -> None:
 
 
 def excitation(path: Path, motion: Excitation, joints: Sequence[str]) -> None:
-    """Write a picture of position and velocity of a designed motion, with their limits."""
+    """Write a picture of a designed motion with its limits."""
     t, q, dq, _ = motion.setpoints()
     limits = motion.limits
     figure = Figure(figsize=(_WIDTH, _DESIGN_ROW * len(joints)), layout="constrained")
@@ -104,7 +104,7 @@ def excitation(path: Path, motion: Excitation, joints: Sequence[str]) -> None:
     for axis in axes[-1]:
         axis.set_xlabel("t [s]")
     with written_whole(path) as temporary:
-        # The version of the drawing library would change the bytes.
+        # The version of the library would change the bytes.
         figure.savefig(temporary, dpi=_DPI, metadata={"Software": None})
 
 

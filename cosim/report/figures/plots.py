@@ -77,7 +77,6 @@ def loops(
     with styled():
         height = 1.75 * rows + 0.55
         figure = Figure(figsize=(9.0, height))
-        # Fixed places, because laying out many axes takes longer than drawing them.
         axes = figure.subplots(
             rows,
             columns,
@@ -95,7 +94,6 @@ def loops(
         ).ravel()
         fastest = float(np.max(np.abs(measured[0])))
         slow = np.abs(measured[0]) <= _REACH * fastest
-        # A joint that is never slow is drawn over its whole range.
         reach, near = (_REACH * fastest, slow) if slow.any() else (fastest, ~slow)
         count = int(np.count_nonzero(near))
         seen, every = (max(1, count // most) for most in (points or _SEEN, points or count + 1))
@@ -123,7 +121,6 @@ def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str
         for k, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
             found = [row[k] for row in laws.values()]
             values = np.array([f.value for f in found])
-            # A missing interval has length zero.
             low, high = np.array(
                 [[f.value if end is None else end for end in (f.low, f.high)] for f in found]
             ).T
@@ -164,7 +161,6 @@ def _ratio_axis(axis: Axes) -> None:
 
 
 def _parts(near: NDArray[np.bool_], x: Array, y: Array, every: int = 1) -> tuple[Array, Array]:
-    """Return the near rows, with gaps between their sections."""
     shown = near.copy()
     shown[:-1] |= near[1:]
     shown[1:] |= near[:-1]

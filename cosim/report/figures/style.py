@@ -149,12 +149,10 @@ def write(figure: Figure, stem: Path) -> None:
 
 
 def _short(body: str) -> str:
-    """Shorten the paths of an SVG."""
     return _PATH.sub(lambda m: _relative(m[0]), body)
 
 
 def _relative(path: str) -> str:
-    """Return a path with one decimal, its lines as steps from point to point."""
     parts: list[str] = []
     last, before = [0, 0], ""
     for command, numbers in _COMMAND.findall(path):

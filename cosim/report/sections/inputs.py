@@ -26,7 +26,6 @@ _METHODS = {
 def data(results: Results) -> dict[str, Any]:
     """Return robot, logs and findings."""
     run = results.run
-    # Findings about logs come first.
     findings = sorted(read_findings(results.folder), key=lambda finding: not finding.logs)
     rows = [
         row_of(

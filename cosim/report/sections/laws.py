@@ -167,7 +167,6 @@ def _steps() -> Iterator[tuple[str, str, str]]:
 
 def _changes(before: Sequence[float], after: Sequence[float]) -> list[str]:
     changes = [100.0 * (b / a - 1.0) for a, b in zip(before, after, strict=True)]
-    # Zero has no sign.
     return [f"{c:+.0f} %".replace("-", "−") if round(c) else "0 %" for c in changes]
 
 

@@ -87,7 +87,6 @@ def errors(results: Results, laws: Sequence[str]) -> ResultTable:
 def _reference(
     scores: Comparison, laws: Sequence[str]
 ) -> tuple[Sequence[str], Sequence[Ratio], str] | None:
-    """Return the law to compare with on each joint, the ratios to it and its role."""
     found, joints = scores.ratios, list(enumerate(laws))
     if any(law in found.laws for law in laws):
         itself = Ratio(value=1.0, low=1.0, high=1.0, p=1.0)

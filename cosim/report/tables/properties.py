@@ -77,7 +77,6 @@ def _figure(found: PropertyResult, expectation: Expectation) -> str:
 
 
 def _short(value: float) -> str:
-    """Return a number with at most three digits, if possible in `_DIGITS` characters."""
     for digits in (3, 2, 1):
         text = np.format_float_positional(float(f"{value:.{digits}g}"), trim="-")
         if len(text.removeprefix("-")) <= _DIGITS:
