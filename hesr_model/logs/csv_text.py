@@ -39,15 +39,20 @@ def read_text(path: Path, names: Sequence[str] = (), content: bytes | None = Non
 
     The `content` replaces that of the file.
     """
+    _require_length(path, path.stat().st_size)
     content = _content(path) if content is None else content
     length = path.stat().st_size if content is None else len(content)
+    _require_length(path, length)
+    text = _dialect(path, content, names)
+    return LogTable.of(path, _arrow(text, length), partial(_row, text), text.decimal)
+
+
+def _require_length(path: Path, length: int) -> None:
     if length > _MOST_CSV:
         raise LogError(
             f"{path}: is {length / 1e9:.1f} GB long; a CSV of up to {_MOST_CSV / 1e9:.1f} GB can "
             "be read; use Parquet, or split it."
         )
-    text = _dialect(path, content, names)
-    return LogTable.of(path, _arrow(text, length), partial(_row, text), text.decimal)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,8 +91,8 @@ def _content(path: Path) -> bytes | None:
             raise LogError(f"{path}: unpacks to more than {most_bytes(path) / 1e6:.0f} MB.")
         start = content[:8]
     marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    encoding = "utf-16" if marked else {b"\0\0": "utf-16-le"}.get(start[1:4:2], "")
-    encoding = encoding or {b"\0\0": "utf-16-be"}.get(start[0:3:2], "")
+    without_mark = {b"\1\0\1\0": "utf-16-le", b"\0\1\0\1": "utf-16-be"}
+    encoding = "utf-16" if marked else without_mark.get(bytes(map(bool, start[:4])))
     if not encoding:
         return content
     try:
