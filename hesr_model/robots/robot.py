@@ -122,6 +122,7 @@ class RobotDescription(Config):
     @property
     def lists(self) -> dict[str, Any]:
         """Return values by key, which may be lists with an entry per joint."""
+        columns = {f"log.columns.{k}": v for k, v in self.log.columns if k != "names"}
         return {
             "transmission.matrix": self.transmission and self.transmission.matrix,
             "gear_ratio": self.gear_ratio,
@@ -129,9 +130,7 @@ class RobotDescription(Config):
             "log.zero": self.log.zero,
             "sources.torque_per_ampere": self.sources.torque_per_ampere,
             "log.bag.joints": self.log.bag.joints,
-            **{
-                f"log.columns.{key}": entries for key, entries in self.log.columns if key != "names"
-            },
+            **columns,
             **{f"log.units.{key}": entries for key, entries in self.log.units},
         }
 
