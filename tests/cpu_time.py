@@ -1,5 +1,6 @@
 """CPU time of every test with its processes: recorded by `make durations`, limited in CI."""
 
+import json
 import os
 import statistics
 from collections import defaultdict
@@ -131,6 +132,7 @@ def as_toml(seconds: dict[str, dict[str, float]]) -> str:
         lines += [f"[{kind}]", f"total = {round(sum(tests.values()))}", ""]
         for name, table in (("files", files), ("tests", slow)):
             lines += [f"[{kind}.{name}]"]
-            lines += [f"'{key}' = {value:.1f}" for key, value in sorted(table.items())]
+            # Strings of JSON are strings of TOML.
+            lines += [f"{json.dumps(key)} = {value:.1f}" for key, value in sorted(table.items())]
             lines += [""]
     return "\n".join(lines)

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import cpu_time
@@ -60,3 +61,9 @@ def test_a_slow_machine_does_not_fail(tmp_path: Path) -> None:
     """Compared with a reference machine that is ten times as fast."""
     said, code = failures(tmp_path, PROBE / 10)
     assert (code, "3 passed" in said) == (0, True), said
+
+
+def test_the_record_can_be_read_with_any_name_of_a_test() -> None:
+    name = "test_it.py::test_refused[unknown key 'log.rates' in \"robot.toml\" \\n]"
+    record = tomllib.loads(cpu_time.as_toml({"default": {name: 2.5}}))
+    assert record["default"]["tests"] == {name: 2.5}
