@@ -30,6 +30,7 @@ class NewProject:
     followers: tuple[str, ...]
     locked: Mapping[str, float]  # positions of other joints [rad or m]
     doubts: tuple[Finding, ...]
+    bench: str = ""  # kind of a bench, whose folder has no logs and no study
 
 
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
@@ -37,10 +38,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
 
     The model (URDF, or MJCF with suffix ``.xml``) is copied without its meshes.
     """
-    if folder.is_file():
-        raise ConfigError(f"{folder}: is a file; give a new or an empty folder.")
-    if folder.is_dir() and not is_empty(folder):
-        raise ConfigError(f"{folder}: is not empty; give a new or an empty folder.")
+    require_new(folder)
     if model.suffix.lower() == ".xacro":
         raise RobotError(
             f"{model}: is a xacro file; expand it first: "
@@ -49,10 +47,10 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
     used = driven_joints(model, joints) if joints else arm(model)
     others = [joint for joint in joints_of(model) if joint not in used]
     rest = {joint.name: joint.rest for joint in others if joint.freedom == 1}
-    name = re.sub(r"[^A-Za-z0-9_-]+", "_", folder.resolve().name).lstrip("_-") or "study"
+    name = project_name(folder)
     with folder_written_whole(folder) as temporary:
         shutil.copyfile(model, temporary / model.name)
-        texts = _environment()
+        texts = environment()
         for file in _FILES:
             text = texts.get_template(f"{file}.j2").render(
                 name=name,
@@ -89,12 +87,26 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
     )
 
 
+def require_new(folder: Path) -> None:
+    """Raise ConfigError unless a folder is new or empty."""
+    if folder.is_file():
+        raise ConfigError(f"{folder}: is a file; give a new or an empty folder.")
+    if folder.is_dir() and not is_empty(folder):
+        raise ConfigError(f"{folder}: is not empty; give a new or an empty folder.")
+
+
+def project_name(folder: Path) -> str:
+    """Return the name of a project, from that of its folder."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", folder.resolve().name).lstrip("_-") or "study"
+
+
 def _columns(joints: int) -> str:
     last = f"..{{}}{joints}" if joints > 1 else ""
     return ", ".join(["t", *(f"{c}1{last.format(c)}" for c in ("q", "dq", "tau"))])
 
 
-def _environment() -> jinja2.Environment:
+def environment() -> jinja2.Environment:
+    """Return the templates of new projects."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(models_folder() / "new"),
         undefined=jinja2.StrictUndefined,

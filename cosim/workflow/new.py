@@ -2,33 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.workflow.answer import Answer, Written
+from hesr_model.errors import ArgumentError
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
     from cosim.study.starter import NewProject
+    from cosim.workflow.arguments import PerJoint
     from hesr_model.support.files import PathArg
 
 
+BenchKind = Literal["rotary", "sliding"]
+
+
 def new(
-    folder: PathArg, robot: PathArg, *, joints: Sequence[str] = (), progress: Stages = silent
+    folder: PathArg,
+    robot: PathArg | None = None,
+    *,
+    joints: Sequence[str] = (),
+    bench: BenchKind | None = None,
+    inertia: PerJoint | None = None,
+    gravity: bool = False,
+    moment: PerJoint | None = None,
+    phase: PerJoint | None = None,
+    gear_ratio: PerJoint | None = None,
+    log: Mapping[str, Any] | None = None,
+    progress: Stages = silent,
 ) -> NewProject:
     """Create a project folder: study, robot file, sample logs.
 
-    'hesr run' runs it at once; comments in the study say what can be changed.
+    'hesr run' runs it at once; comments in the study say what can be changed. The folder of a bench
+    has a robot file and a model of independent bodies, whose study 'hesr inspect' writes.
 
     Parameters
     ----------
     folder : path
         New or empty folder.
-    robot : path
+    robot : path, optional
         URDF or MJCF (.xml) of the robot.
     joints : sequence of str, optional
         Joints that move in the logs, repeatable or with commas; default: the longest chain, without
-        fingers.
+        fingers; 'motor' or 'axis' of a bench.
+    bench : {"rotary", "sliding"}, optional
+        Kind of a bench: motors or sliding axes without a model file.
+    inertia : float or sequence of float, kg m2 or kg, optional
+        Bench: inertia, or mass of a sliding axis, one for all or one per joint; default:
+        identified.
+    gravity : bool
+        Bench: sliding axes are vertical, or rotary bodies have a gravity moment.
+    moment : float or sequence of float, N m, optional
+        Bench: amplitude of the gravity moment; default with 'gravity': identified.
+    phase : float or sequence of float, rad, optional
+        Bench: position at which the body hangs; goes with 'moment'.
+    gear_ratio : float or sequence of float, optional
+        Bench: turns of the motor per turn of the joint, for laws with motor ripple.
+    log : mapping, optional
+        Bench: keys of [log] in the robot file, as torque_per_ampere=[0.2]; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -47,6 +79,8 @@ def new(
     On the command line::
 
         $ hesr new my_arm --robot my_arm.urdf
+        $ hesr new my_motor --bench rotary --log torque_per_ampere=[0.2]
+        $ hesr new my_lift --bench sliding --gravity --inertia 80
 
     In Python:
 
@@ -54,19 +88,39 @@ def new(
     >>> hesr.new("my_arm", "arm.xml").joints
     ('j1', 'j2', 'j3')
     """
+    from cosim.study.bench import Bench, start_bench
     from cosim.study.starter import start
-    from cosim.workflow.arguments import joint_names
+    from cosim.workflow.arguments import joint_names, per_joint
     from hesr_model.support.files import path_of
 
-    progress("making sample logs", 0, 1)
-    model = path_of(robot, "a robot's model")
-    return start(path_of(folder, "a folder"), model, joint_names(joints))
+    place, names = path_of(folder, "a folder"), tuple(joint_names(joints))
+    numbers = {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
+    if bench is None:
+        options = {**numbers, "log": log, "gravity": gravity or None}
+        for name in (name for name, value in options.items() if value is not None):
+            raise ArgumentError(f"'{name}' needs 'bench': other robots have a model file.")
+        if robot is None:
+            raise ArgumentError("give 'robot', a URDF or MJCF, or 'bench' without a model file.")
+        progress("making sample logs", 0, 1)
+        return start(place, path_of(robot, "a robot's model"), names)
+    if robot is not None:
+        raise ArgumentError("'robot' and 'bench' exclude each other; a bench has no model file.")
+    used = names or ("motor" if bench == "rotary" else "axis",)
+    each = {name: per_joint(name, value, len(used)) for name, value in numbers.items()}
+    return start_bench(place, Bench(kind=bench, joints=used, gravity=gravity, **each), log or {})
 
 
 def answer(made: NewProject, _: PathArg | None) -> Answer:
     """Return the answer of a new project: its joints and the next command."""
     from hesr_model.support.text import few
 
+    if made.bench:
+        file, study = made.folder / "robot.toml", made.folder / "study.toml"
+        lines = [
+            f"{file}: a {made.bench} bench with the joints {', '.join(made.joints)}.",
+            f"Next: hesr inspect LOG --robot {file} --write {file} --study {study}",
+        ]
+        return Written(format="hesr-project-1", lines=lines, data={"joints": list(made.joints)})
     lines = [f"{made.folder}: a study of the joints {', '.join(made.joints)}."]
     if made.followers:
         lines.append(f"Followers of other joints: {few(made.followers)}.")

@@ -240,14 +240,22 @@ def _value(robot: RobotDescription, key: str) -> Any:
 
 def robot_file(proposal: Proposal, path: Path) -> str:
     """Return the text of a robot file, with reasons."""
-    robot = proposal.robot
+    head = "Proposed by 'hesr inspect'. Comments give certainty and reason."
+    return robot_text(proposal.robot, path, head, proposal.reasons)
+
+
+def robot_text(
+    robot: RobotDescription, path: Path, head: str, reasons: Mapping[str, str] | None = None
+) -> str:
+    """Return the text of a robot file at `path`, with a comment as its head and reasons by key."""
+    reasons = reasons or {}
     plain = RobotDescription(name=robot.name, model=robot.model, joints=robot.joints)
-    lines = ["# Proposed by 'hesr inspect'. Comments give certainty and reason.", ""]
+    lines = [f"# {head}", ""]
     data = robot.model_dump(exclude={"log"})
     data["model"] = Path(relpath(robot.model, path.resolve().parent)).as_posix()
     usual = plain.model_dump()
     lines += [
-        _line(key, value, proposal.reasons.get(key, ""))
+        _line(key, value, reasons.get(key, ""))
         for key, value in data.items()
         if value is not None
         and (key in ("name", "model", "joints", "gravity") or value != usual[key])
@@ -258,7 +266,7 @@ def robot_file(proposal: Proposal, path: Path) -> str:
     for table, values in tables.items():
         own = usual_log if table == "log" else usual_log[table.removeprefix("log.")]
         told = [
-            _line(key, value, proposal.reasons.get(f"{table}.{key}", ""))
+            _line(key, value, reasons.get(f"{table}.{key}", ""))
             for key, value in values.items()
             if value is not None and value != own[key]
         ]

@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.rigid_body.base_parameters import unknown_columns
 from hesr_model.rigid_body.identification import (
     AT_ONCE,
     RigidBody,
@@ -28,6 +28,7 @@ from hesr_model.rigid_body.observations import (
     peak_speeds,
     slow_speeds,
     stacked,
+    without_known,
 )
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
@@ -40,7 +41,7 @@ class Streamed:
     """
 
     def __init__(self, model: Robot, slow: Array | None = None) -> None:
-        self._model, self._base = model, base_columns(model)
+        self._model, self._base = model, unknown_columns(model)
         self._friction = friction_columns(model, self._base)
         self._used = np.full(model.n, SLOW) if slow is None else slow
         self._peaks = np.zeros(model.n)
@@ -93,4 +94,5 @@ class Streamed:
         )
 
     def _blocks(self, motions: Sequence[Motion]) -> list[Block]:
-        return stacked(motions, self._model, self._base, self._friction, self._used)
+        left = without_known(motions, self._model)
+        return stacked(left, self._model, self._base, self._friction, self._used)

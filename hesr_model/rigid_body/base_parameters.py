@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.linalg import qr
 
+from hesr_model.errors import RobotError
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask
 
@@ -24,6 +25,24 @@ def base_columns(model: Robot) -> tuple[int, ...]:
     sizes = np.abs(np.diag(r))
     rank = int(np.sum(sizes > _RANK_TOLERANCE * sizes[0]))
     return tuple(sorted(int(k) for k in order[:rank]))
+
+
+def known_columns(model: Robot) -> list[int]:
+    """Return the indices of the parameters that the robot file lists as known."""
+    names = model.parameter_names
+    for name in model.description.known or ():
+        if name not in names:
+            raise RobotError(
+                f"key 'known' of robot '{model.name}' contains '{name}'; the parameters are "
+                f"{', '.join(names)}."
+            )
+    return [names.index(name) for name in model.description.known or ()]
+
+
+def unknown_columns(model: Robot) -> tuple[int, ...]:
+    """Return the base columns that are not known."""
+    known = known_columns(model)
+    return tuple(k for k in base_columns(model) if k not in known)
 
 
 def dependence(model: Robot, base: tuple[int, ...]) -> Array:

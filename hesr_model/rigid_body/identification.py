@@ -20,7 +20,7 @@ from hesr_model.inference.covariance import Covariance
 from hesr_model.logs.robot_log import Log, require_moving
 from hesr_model.logs.signals import Motion, smoothed
 from hesr_model.rigid_body import physical as consistent
-from hesr_model.rigid_body.base_parameters import at_random_states, base_columns
+from hesr_model.rigid_body.base_parameters import at_random_states, known_columns, unknown_columns
 from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of, solve
 from hesr_model.rigid_body.observations import (
     averaged,
@@ -29,6 +29,7 @@ from hesr_model.rigid_body.observations import (
     peak_speeds,
     per_joint,
     stacked,
+    without_known,
 )
 from hesr_model.robots.robot import Robot
 from hesr_model.support import html
@@ -56,7 +57,7 @@ class RigidBody:
     ----------
     robot, joints : names.
     names, parameters : standard parameters and rotor inertias (P,), zero outside `base` except in
-        physically consistent bodies and bodies with a payload.
+        physically consistent bodies, bodies with a payload, and known parameters.
     base : indices of the base parameters, to which all others reduce linearly (eq. 6).
     standard_errors : of the base parameters (len(base),), the contribution of the others included.
     condition : condition number of the weighted observation matrix, columns divided by their size
@@ -153,7 +154,7 @@ class RigidBody:
         They are for one standard deviation of each of the r independent parameter errors that
         matter.
         """
-        if self.covariance is None:
+        if self.covariance is None or not self.base:
             return None
         values, vectors = np.linalg.eigh(self.covariance.matrix)
         spread = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -238,8 +239,13 @@ def identify_motions(
     With `physical` (`rigid_body.physical`), all standard parameters are weakly pulled towards the
     model file's.
     """
+    if physical and model.description.known is not None:
+        raise FitError(
+            f"robot '{model.name}': 'physical' excludes 'known' of the robot file; remove one."
+        )
+    motions, reversed_motions = (without_known(m, model) for m in (motions, reversed_motions))
     everything = [*motions, *reversed_motions]
-    base = base_columns(model)
+    base = unknown_columns(model)
     friction = friction_columns(model, base) & (method == "stacked")
     where = "log " + ", ".join(motion.name for motion in everything)
     rows = sum(len(motion.t) for motion in everything)
@@ -321,6 +327,7 @@ def body_of(
     )
     parameters = np.zeros(len(model.parameter_names))
     parameters[list(base)] = solution.x[: len(base)]
+    parameters[known_columns(model)] = model.nominal_parameters[known_columns(model)]
     return RigidBody(
         robot=model.description.name,
         joints=model.description.joints,

@@ -1,12 +1,13 @@
 """Rows of the least-squares problem of identification, joint by joint."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body.base_parameters import offsets_apart
+from hesr_model.rigid_body.base_parameters import known_columns, offsets_apart
 from hesr_model.rigid_body.forward_reverse import matched
 from hesr_model.rigid_body.least_squares import Block
 from hesr_model.robots.robot import Robot
@@ -30,6 +31,15 @@ def peak_speeds(motions: Sequence[Motion], model: Robot) -> Array:
 def slow_speeds(peaks: Array) -> Array:
     """Return the speeds (n,) below which rows are dropped."""
     return np.minimum(SLOW, SLOW_SHARE * peaks)
+
+
+def without_known(motions: Sequence[Motion], model: Robot) -> list[Motion]:
+    """Return motions without the torque of known parameters."""
+    if not (known := known_columns(model)):
+        return list(motions)
+    own = np.zeros_like(model.nominal_parameters)
+    own[known] = model.nominal_parameters[known]
+    return [replace(m, tau=m.tau - model.torque(own, m.q, m.dq, m.ddq)) for m in motions]
 
 
 def friction_columns(model: Robot, base: tuple[int, ...]) -> Mask:
