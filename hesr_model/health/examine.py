@@ -1,8 +1,10 @@
 """All checks of logs against their robot."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
+from hesr_model.errors import FitError
 from hesr_model.findings import Finding
 from hesr_model.health.causes import check_causes
 from hesr_model.health.evidence import Motionwise, Torques, as_logged, motionwise
@@ -20,7 +22,8 @@ from hesr_model.health.timing import check_clocks
 from hesr_model.health.torque import NO_SIGNAL, Explained, check_torque, explained
 from hesr_model.health.velocity import check_velocity
 from hesr_model.logs.robot_log import Log
-from hesr_model.rigid_body.base_parameters import unknown_columns
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body.identification import identify_motions
 from hesr_model.robots.robot import Robot, RobotDescription
 
 CHECKS = (
@@ -31,9 +34,6 @@ CHECKS = (
     *("torque-scale", "torque-signal", "torque-lag", "torque-limit", "torque-small"),
     *("torque-columns", "position-sign", "joint-order", "zero", "gravity", "gravity-sign"),
 )
-
-_BODILESS = ("torque-sign", "torque-lag", "time-scale")
-"""Checks of torques that do not compare masses with the model's, which may be placeholders."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +58,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
         for check in (check_jumps, check_steps, check_held):
             findings += of_log(log, check(log, robot))
         parts += motionwise(log, robot.log.filter_cutoff)
+    model = _informed(model, parts) if model and robot.known is not None else model
     torques = [Torques.of(model, part.q, part.v, part.a) for part in parts] if model else []
     logged = [as_logged(*both, robot.logged) for both in zip(parts, torques, strict=False)]
     fits = [explained(part, torque) for part, torque in logged]
@@ -69,19 +70,31 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
             findings += of_log(part.log, check_speed(part, model))
         findings += of_log(part.log, check_columns(part, robot))
     if model and not _hopeless(findings):
-        vague = model.description.known is not None and unknown_columns(model)
         for part, (own, torque), fit in zip(parts, logged, fits, strict=True):
             clocks = list(check_clocks(part, own, [j for j in fit if fit[j].r2 > NO_SIGNAL], model))
             late = {j for j in fit for f in clocks if robot.joints[j] in f.joints}
             found = (*clocks, *check_torque(own, fit, model, late), *check_loss(own, torque, model))
-            findings += of_log(part.log, [f for f in found if not vague or f.check in _BODILESS])
-        findings = findings if vague else _caused(findings, check_causes(parts, model))
+            findings += of_log(part.log, found)
+        findings = _caused(findings, check_causes(parts, model))
     return Examination(
         findings=tuple(merged(_without_followers(findings))),
         parts=tuple(parts),
         torques=tuple(torques),
         explained=tuple(fits),
     )
+
+
+def _informed(model: Robot, parts: Sequence[Motionwise]) -> Robot | None:
+    """Return a robot whose unknown parameters are identified, or None if that fails."""
+    informed = copy(model)
+    motions = [
+        Motion(name=p.log.name, t=p.t, q=p.q, q_raw=p.q, dq=p.v, ddq=p.a, tau=p.tau) for p in parts
+    ]
+    try:
+        informed.nominal_parameters = identify_motions(motions, model).parameters
+    except FitError:
+        return None
+    return informed
 
 
 def _hopeless(findings: Sequence[Finding]) -> bool:
