@@ -37,8 +37,12 @@ class Bench:
     def __post_init__(self) -> None:
         if self.kind not in _AXES:
             raise ArgumentError(f"'bench' is '{self.kind}'; it must be {' or '.join(_AXES)}.")
-        if self.kind == "sliding" and self.moment:
-            raise ArgumentError("'moment' is for a rotary bench; 'gravity' makes axes vertical.")
+        for name in (name for name in self.joints if self.joints.count(name) > 1):
+            raise ArgumentError(f"'joints' has '{name}' twice; every joint needs its own name.")
+        if self.kind == "sliding" and (self.moment or self.phase):
+            raise ArgumentError(
+                "'moment' and 'phase' are for a rotary bench; 'gravity' makes sliding axes vertical."
+            )
         if (self.moment is None) != (self.phase is None):
             raise ArgumentError("'moment' and 'phase' belong together; give both or neither.")
         for name in ("inertia", "moment", "phase"):
