@@ -40,9 +40,7 @@ class Bench:
         for name in (name for name in self.joints if self.joints.count(name) > 1):
             raise ArgumentError(f"'joints' has '{name}' twice; every joint needs its own name.")
         if self.kind == "sliding" and (self.moment or self.phase):
-            raise ArgumentError(
-                "'moment' and 'phase' are for a rotary bench; 'gravity' makes sliding axes vertical."
-            )
+            raise ArgumentError("'moment' and 'phase' are for a rotary bench; use 'gravity'.")
         if (self.moment is None) != (self.phase is None):
             raise ArgumentError("'moment' and 'phase' belong together; give both or neither.")
         for name in ("inertia", "moment", "phase"):

@@ -154,7 +154,7 @@ class RigidBody:
         They are for one standard deviation of each of the r independent parameter errors that
         matter.
         """
-        if self.covariance is None or not self.base:
+        if self.covariance is None:
             return None
         values, vectors = np.linalg.eigh(self.covariance.matrix)
         spread = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -343,7 +343,7 @@ def body_of(
         logs=logs,
         method=method,
         weighting=weighting,
-        covariance=covariance,
+        covariance=covariance if base else None,
     )
 
 

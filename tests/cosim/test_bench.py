@@ -1,28 +1,25 @@
 """Benches without a model: from a motor's or axis's log to its FMU in three commands."""
 
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from documents import ROOT
-from small_study import Hesr, hesr_here
+from small_study import Hesr, contents, hesr_here
 
 import hesr as api
-from cosim.study.bench import Bench, start_bench
 from fmu_src.run.replay import replay
-from hesr_model.errors import ArgumentError, FitError, RobotError
+from hesr_model.errors import ArgumentError, FitError
+from hesr_model.health.joints import changed
 from hesr_model.health.proposal import inspected
 from hesr_model.logs.robot_log import Log
+from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.accumulation import Streamed
 from hesr_model.rigid_body.identification import identify
-from hesr_model.rigid_body.observations import slow_speeds
-from hesr_model.logs.signals import smooth
-from hesr_model.robots.robot import Robot
+from hesr_model.robots.robot import Robot, RobotDescription
 
 Columns = Mapping[str, np.ndarray]
 
@@ -109,7 +106,12 @@ def spin(folder: Path) -> Path:
 
 def one_motor(folder: Path) -> Path:
     c = SPIN.columns(SPUN)
-    own = {"time": c["t"], "motor_pos": c["q"], "motor_vel": c["dq"], "motor_current": c["tau"] / 0.2}
+    own = {
+        "time": c["t"],
+        "motor_pos": c["q"],
+        "motor_vel": c["dq"],
+        "motor_current": c["tau"] / 0.2,
+    }
     return write(folder / "one_motor.csv", own)
 
 
@@ -165,9 +167,9 @@ class Case:
     log: Callable[[Path], Path]
     truth: Truth
     new: Sequence[object] = ()  # none with the URDF of the motor
-    api: Mapping[str, Any] = field(default_factory=dict)
 
 
+MX, MZ = 1.5 / 9.81 * np.sin(0.4), -1.5 / 9.81 * np.cos(0.4)  # first moments [kg.m]
 AMPERES = ("--log", "torque_per_ampere=[0.2]")
 SCALED = (
     *("--log", 'columns=["t","q","dq","i"]', "--log", "torque_per_ampere=[40.0]"),
@@ -229,3 +231,181 @@ def test_three_commands_lead_to_an_fmu(tmp_path: Path, hesr: Hesr, name: str) ->
     assert advised, answer.out
     t = np.arange(100) * 0.005
     assert CASES[name].truth.worst(lambda dq: replay(Path(advised[1]), t, dq)) < 0.03
+
+
+def test_the_command_line_and_python_create_the_same_bench(tmp_path: Path, hesr: Hesr) -> None:
+    numbers = ("--inertia", "2,1", "--moment", "1", "--phase", "0,0.5", "--gear-ratio", "100")
+    log = (
+        "--log",
+        "torque_per_ampere=[3.0,2.0]",
+        "--log",
+        'units.q="deg"',
+        "--log",
+        "units.t='ms'",
+    )
+    hesr("new", tmp_path / "a" / "b", "--bench", "rotary", "--joints", "x,y", *numbers, *log)
+    made = api.new(
+        tmp_path / "c" / "b",
+        bench="rotary",
+        joints=["x", "y"],
+        inertia=(2.0, 1.0),
+        moment=1.0,
+        phase=[0.0, 0.5],
+        gear_ratio=100,
+        log={"torque_per_ampere": [3.0, 2.0], "units": {"q": "deg", "t": "ms"}},
+    )
+    assert made.joints == ("x", "y")
+    assert contents(tmp_path / "a") == contents(tmp_path / "c")
+    assert set(contents(tmp_path / "c")) == {"b/bench.urdf", "b/robot.toml"}
+
+
+def test_known_numbers_of_a_pendulum_are_those_of_its_model(tmp_path: Path) -> None:
+    """tau = inertia ddq + moment sin(q - phase), also of several joints and vertical axes."""
+    q, dq, ddq = np.random.default_rng(0).normal(size=(3, 20, 2))
+    inertia, moment, phase = np.array([[0.05, 2.0], [1.5, 0.1], [0.4, -3.0]])
+    known: dict[str, Any] = {
+        "inertia": inertia.tolist(),
+        "moment": moment.tolist(),
+        "phase": phase.tolist(),
+    }
+    api.new(tmp_path / "a", bench="rotary", joints=["x,y"], **known)
+    robot = Robot(tmp_path / "a" / "robot.toml")
+    tau = robot.torque(robot.nominal_parameters, q, dq, ddq)
+    np.testing.assert_allclose(tau, inertia * ddq + moment * np.sin(q - phase), atol=1e-9)
+    api.new(tmp_path / "b", bench="sliding", joints=["x,y"], inertia=[80.0, 3.0], gravity=True)
+    robot = Robot(tmp_path / "b" / "robot.toml")
+    tau = robot.torque(robot.nominal_parameters, q, dq, ddq)
+    np.testing.assert_allclose(tau, np.array([80.0, 3.0]) * (ddq + 9.81), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("given", "known", "unknown"),
+    [
+        ({"gravity": True}, {}, {"Iyy": 0.05, "mx": MX, "mz": MZ}),
+        ({"inertia": 0.05, "gravity": True}, {"Iyy": 0.05}, {"mx": MX, "mz": MZ}),
+        ({"moment": 1.5, "phase": 0.4}, {"mx": MX, "mz": MZ}, {"Iyy": 0.05}),
+        ({"moment": 1.5, "phase": 0.4, "inertia": 0.05}, {"Iyy": 0.05, "mx": MX, "mz": MZ}, {}),
+    ],
+)
+def test_numbers_are_known_or_identified(
+    tmp_path: Path, given: Mapping[str, Any], known: Columns, unknown: Columns
+) -> None:
+    log = api.new(tmp_path / "bench", bench="rotary", **given) and pendulum(tmp_path)
+    proposal = inspected([log], tmp_path / "bench" / "robot.toml")
+    robot = Robot(proposal.robot)
+    body = identify(proposal.logs, robot)
+    found = dict(zip(body.names, body.parameters, strict=True))
+    assert [body.names[k] for k in body.base] == [f"motor.{name}" for name in sorted(unknown)]
+    for name, value in known.items():
+        assert found[f"motor.{name}"] == pytest.approx(value, rel=1e-12)
+    for name, value in unknown.items():
+        assert found[f"motor.{name}"] == pytest.approx(value, rel=0.01)
+    coulomb, viscous, offset = body.friction[0]
+    assert coulomb + 2.0 * viscous == pytest.approx(PENDULUM.friction(np.array(2.0)), rel=0.01)
+    assert offset == pytest.approx(0.0, abs=0.005)
+    # A fleet adds the same rows one log at a time.
+    motion = smooth(proposal.logs[0], proposal.robot.log.filter_cutoff)
+    stream = Streamed(robot)
+    stream.add(motion)
+    assert stream.fits
+    streamed = stream.body([motion], "the log").parameters
+    np.testing.assert_allclose(streamed, body.parameters, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["one motor", "encoder", "pendulum", "known pendulum", "archive"])
+def test_a_torque_that_counts_backwards_is_found(tmp_path: Path, hesr: Hesr, name: str) -> None:
+    """Also where the body is identified from that torque."""
+    log, _ = inspect(name, tmp_path, hesr)
+    robot = RobotDescription.read(tmp_path / "bench" / "robot.toml")
+    key, sign = "units.tau", {"archive": "-N"}.get(name, "-N.m")
+    if gains := robot.log.torque_per_ampere:
+        key, sign = "torque_per_ampere", tuple(-gain for gain in gains)
+    proposal = inspected([log], changed(robot, {f"log.{key}": sign}))
+    (found,) = proposal.first
+    assert (found.check, found.severity) == ("torque-sign", "error")
+    assert proposal.examination.findings == ()
+
+
+def test_a_joint_that_rests_is_locked(tmp_path: Path) -> None:
+    api.new(tmp_path / "bench", bench="rotary", joints=["a,b"], inertia=[0.01, 2.0])
+    c = SPIN.columns(SPUN)
+    still = dict.fromkeys(("q2", "dq2", "tau2"), np.zeros_like(SPUN))
+    log = write(
+        tmp_path / "log.csv", {"t": c["t"], "q1": c["q"], "dq1": c["dq"], "tau1": c["tau"], **still}
+    )
+    proposal = inspected([log], tmp_path / "bench" / "robot.toml")
+    assert (proposal.robot.known, proposal.robot.locked) == (("a.Izz",), {"b": 0.0})
+    assert (proposal.first, proposal.examination.findings) == ((), ())
+    assert identify(proposal.logs, Robot(proposal.robot)).parameters.max() == 0.01
+
+
+def test_a_bench_that_rests_has_no_body_to_check(tmp_path: Path) -> None:
+    api.new(tmp_path / "bench", bench="rotary")
+    slow = replace(SPIN, speeds=[1e-4], rates=[0.1], drift=0.0).columns(SPUN)
+    log = write(
+        tmp_path / "log.csv",
+        {"t": slow["t"], "q1": slow["q"], "dq1": slow["dq"], "tau1": slow["tau"]},
+    )
+    assert not inspected([log], tmp_path / "bench" / "robot.toml").examination.torques
+
+
+def test_physical_masses_exclude_known_ones(tmp_path: Path) -> None:
+    api.new(tmp_path / "bench", bench="rotary", inertia=0.01)
+    c = SPIN.columns(SPUN)
+    log = Log(name="run", t=c["t"], q=c["q"][:, None], dq=c["dq"][:, None], tau=c["tau"][:, None])
+    with pytest.raises(FitError, match="'bench': 'physical' excludes 'known' of the robot file"):
+        identify([log], Robot(tmp_path / "bench" / "robot.toml"), physical=True)
+
+
+def test_unknown_parameters_cannot_be_known(tmp_path: Path, hesr: Hesr) -> None:
+    log, _ = inspect("one motor", tmp_path, hesr)
+    robot = tmp_path / "bench" / "robot.toml"
+    robot.write_text(robot.read_text().replace("known = []", 'known = ["motor.I"]'))
+    answer = hesr("fit", log, "--robot", robot, "--law", "stribeck", "-o", tmp_path / "law.json")
+    assert answer.code == 2
+    assert (
+        "key 'known' of robot 'bench' contains 'motor.I'; the parameters are motor.m, "
+        in answer.err
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ([], "give --robot, a URDF or MJCF, or --bench without a model file."),
+        (["--bench", "rotary", "--robot", "a.urdf"], "--robot and --bench exclude each other; a "),
+        (["--robot", "a.urdf", "--gravity"], "--gravity needs --bench: other robots have a model "),
+        (["--robot", "a.urdf", "--gear-ratio", "9"], "--gear-ratio needs --bench: other robots "),
+        (["--robot", "a.urdf", "--log", "rate=9"], "--log needs --bench: other robots have a "),
+        (["--bench", "rotary", "--inertia", "0"], "--inertia is 0; it must be positive."),
+        (["--bench", "rotary", "--inertia", "inf"], "--inertia is inf; it must be positive."),
+        (["--bench", "rotary", "--moment", "-1", "--phase", "0"], "--moment is -1; it must be po"),
+        (["--bench", "rotary", "--moment", "1", "--phase", "nan"], "--phase is nan; it must be fi"),
+        (["--bench", "rotary", "--moment", "1"], "--moment and --phase belong together; give "),
+        (["--bench", "rotary", "--phase", "1"], "--moment and --phase belong together; give both"),
+        (["--bench", "sliding", "--phase", "1"], "--moment and --phase are for a rotary bench; "),
+        (["--bench", "rotary", "--joints", "a,b,a"], "--joints has 'a' twice; every joint needs "),
+        (["--bench", "rotary", "--inertia", "1,2"], "--inertia: found 2 values, but the model has"),
+        (["--bench", "rotary", "--log", "rat=1"], "bench/robot.toml: unknown key 'log.rat'; allo"),
+        (["--bench", "rotary", "--gear-ratio", "0"], "bench/robot.toml: key 'gear_ratio.0' is 0.0"),
+        (["--bench", "rotary", "--log", "zero=[1,2]"], "key 'log.zero' of robot 'bench' has 2 ent"),
+    ],
+)
+def test_wrong_options_are_refused(
+    tmp_path: Path,
+    hesr: Hesr,
+    monkeypatch: pytest.MonkeyPatch,
+    options: Sequence[str],
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answer = hesr("new", "bench", *options)
+    assert answer.code == 2
+    assert answer.err.startswith(f"hesr: {said}")
+    assert len(answer.err.splitlines()) == 1
+    assert contents(tmp_path) == {}
+
+
+def test_other_kinds_of_benches_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="'bench' is 'linear'; it must be rotary or sliding"):
+        api.new(tmp_path / "bench", bench="linear")  # type: ignore[arg-type]  # is the point

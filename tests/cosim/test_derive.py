@@ -127,6 +127,8 @@ def test_values_not_given_are_left_to_the_function(paint: Callable[..., dict[str
         (["--inertia", "3,3,0.6"], "inertia", (3.0, 3.0, 0.6)),
         (["--inertia", "2"], "inertia", (2.0,)),
         (["--option", "a=1", "--option", 'b="x"'], "options", {"a": 1, "b": "x"}),
+        (["--option", "a.b=1", "--option", "a.c=2"], "options", {"a": {"b": 1, "c": 2}}),
+        (["--option", "a={b=1}", "--option", "a=3"], "options", {"a": 3}),
         (["--accept", "x", "--accept", "y"], "accept", ("x", "y")),
         (["--weights", "1", "--weights", "2.5"], "weights", (1.0, 2.5)),
         (["--dry-run"], "dry_run", True),
