@@ -9,7 +9,6 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import reduce
 from typing import Any, Literal, get_args, get_origin
 
 import click
@@ -164,18 +163,20 @@ class _Command(click.Command):
 def _given(values: dict[str, Any]) -> dict[str, Any]:
     given = {name: value for name, value in values.items() if value not in (None, ())}
     return {
-        name: reduce(_merged, value, {})
+        name: _merged(value)
         if isinstance(value, tuple) and all(isinstance(part, dict) for part in value)
         else value
         for name, value in given.items()
     }
 
 
-def _merged(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
-    """Return both with their tables merged; of other values the later one counts."""
-    pairs = {k: (first.get(k), v) for k, v in second.items()}
-    tables = {k for k, both in pairs.items() if all(isinstance(part, dict) for part in both)}
-    return {**first, **second, **{k: _merged(*pairs[k]) for k in tables}}
+def _merged(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return one table of several; the last of several plain values counts."""
+    merged: dict[str, Any] = {}
+    for key, value in (pair for table in tables for pair in table.items()):
+        both = [merged.get(key), value]
+        merged[key] = _merged(both) if all(isinstance(part, dict) for part in both) else value
+    return merged
 
 
 def _parameter(verb: str, one: inspect.Parameter, text: str, function: Function) -> click.Parameter:

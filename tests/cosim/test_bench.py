@@ -290,12 +290,12 @@ def test_known_numbers_of_a_pendulum_are_those_of_its_model(tmp_path: Path) -> N
 def test_numbers_are_known_or_identified(
     tmp_path: Path, given: Mapping[str, Any], known: Columns, unknown: Columns
 ) -> None:
-    log = api.new(tmp_path / "bench", bench="rotary", **given) and pendulum(tmp_path)
-    proposal = inspected([log], tmp_path / "bench" / "robot.toml")
+    api.new(tmp_path / "bench", bench="rotary", **given)
+    proposal = inspected([pendulum(tmp_path)], tmp_path / "bench" / "robot.toml")
     robot = Robot(proposal.robot)
     body = identify(proposal.logs, robot)
     found = dict(zip(body.names, body.parameters, strict=True))
-    assert [body.names[k] for k in body.base] == [f"motor.{name}" for name in sorted(unknown)]
+    assert {body.names[k] for k in body.base} == {f"motor.{name}" for name in unknown}
     for name, value in known.items():
         assert found[f"motor.{name}"] == pytest.approx(value, rel=1e-12)
     for name, value in unknown.items():
@@ -317,10 +317,11 @@ def test_a_torque_that_counts_backwards_is_found(tmp_path: Path, hesr: Hesr, nam
     """Also where the body is identified from that torque."""
     log, _ = inspect(name, tmp_path, hesr)
     robot = RobotDescription.read(tmp_path / "bench" / "robot.toml")
-    key, sign = "units.tau", {"archive": "-N"}.get(name, "-N.m")
-    if gains := robot.log.torque_per_ampere:
-        key, sign = "torque_per_ampere", tuple(-gain for gain in gains)
-    proposal = inspected([log], changed(robot, {f"log.{key}": sign}))
+    gains = robot.log.torque_per_ampere
+    changes: dict[str, Any] = {"log.units.tau": "-N" if name == "archive" else "-N.m"}
+    if gains:
+        changes = {"log.torque_per_ampere": tuple(-gain for gain in gains)}
+    proposal = inspected([log], changed(robot, changes))
     (found,) = proposal.first
     assert (found.check, found.severity) == ("torque-sign", "error")
     assert proposal.examination.findings == ()
