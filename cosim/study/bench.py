@@ -36,7 +36,7 @@ class Bench:
 
     def __post_init__(self) -> None:
         if self.kind not in _AXES:
-            raise ArgumentError(f"'bench' is '{self.kind}'; it must be {' or '.join(_AXES)}.")
+            raise ArgumentError(f"'bench' is '{self.kind}'; it must be rotary or sliding.")
         for name in (name for name in self.joints if self.joints.count(name) > 1):
             raise ArgumentError(f"'joints' has '{name}' twice; every joint needs its own name.")
         if self.kind == "sliding" and (self.moment or self.phase):
