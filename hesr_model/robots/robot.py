@@ -43,10 +43,10 @@ class RobotDescription(Config):
     or m] of fixed joints; other unlisted joints rest as in the model file, or follow others.
     `gravity` [m/s2] is in the base frame, by default that of the model file; `mount` (roll, pitch,
     yaw) [rad] turns the base. `known` lists parameters that are exact, such as ``j1.Izz``, the
-    others being placeholders; by default all are approximate. `rotor_inertia` adds a rotor inertia per joint, reflected through its
-    gear, to the parameters. `gear_ratio` (turns of the motor per turn of the joint) is needed by
-    laws with motor ripple; `transmission` if motors turn several joints or were logged, it then
-    sets the gear ratios. `sources` states how constants are known.
+    others being placeholders; by default all are approximate. `rotor_inertia` adds a rotor inertia
+    per joint, reflected through its gear, to the parameters. `gear_ratio` (turns of the motor per
+    turn of the joint) is needed by laws with motor ripple; `transmission` if motors turn several
+    joints or were logged, it then sets the gear ratios. `sources` states how constants are known.
     """
 
     name: PrintableName
