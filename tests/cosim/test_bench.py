@@ -1,6 +1,7 @@
 """Benches without a model: from a motor's or axis's log to its FMU in three commands."""
 
 import re
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from documents import ROOT
 from small_study import Hesr, contents, hesr_here
 
 import hesr as api
@@ -410,3 +412,21 @@ def test_wrong_options_are_refused(
 def test_other_kinds_of_benches_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match="'bench' is 'linear'; it must be rotary or sliding"):
         api.new(tmp_path / "bench", bench="linear")  # type: ignore[arg-type]  # is the point
+
+
+@pytest.mark.ci
+def test_the_commands_of_the_documentation_lead_to_an_fmu(
+    tmp_path: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    one_motor(tmp_path).rename("motor.csv")
+    page = (ROOT / "docs" / "file-formats.md").read_text(encoding="utf-8")
+    section = page.partition("\n## Benches\n")[2].partition("\n## ")[0]
+    commands = re.findall(r"(?m)^ {4}hesr (.*)", section)
+    assert len(commands) == 3
+    answers = [hesr(*shlex.split(command)) for command in commands]
+    assert [(answer.code, answer.err) for answer in answers] == [(0, "")] * 3
+    advised = re.search(r"Recommended: (\S+\.fmu)", answers[-1].out)
+    assert advised, answers[-1].out
+    t = np.arange(100) * 0.005
+    assert SPIN.worst(lambda dq: replay(Path(advised[1]), t, dq)) < 0.03

@@ -6,6 +6,7 @@ import shlex
 import shutil
 import textwrap
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -28,6 +29,8 @@ def folder(tmp_path: Path, arm_log: Log, monkeypatch: pytest.MonkeyPatch) -> Pat
     )
     for name in ("excitation", "sweep", "test"):
         arm_log.write(tmp_path / f"{name}.csv")
+    one = {name: getattr(arm_log, name)[:, :1] for name in ("q", "dq", "tau")}
+    replace(arm_log, **one).write(tmp_path / "motor.csv")
     shutil.copy(friction_fmu(tmp_path), tmp_path / "Friction.fmu")
     monkeypatch.chdir(tmp_path)
     return tmp_path
