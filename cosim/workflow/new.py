@@ -56,7 +56,7 @@ def new(
     moment : float or sequence of float, N m, optional
         Bench: amplitude of the gravity moment; default with 'gravity': identified.
     phase : float or sequence of float, rad, optional
-        Bench: position at which the body hangs; goes with 'moment'.
+        Bench: position of the hanging body; required with 'moment'.
     gear_ratio : float or sequence of float, optional
         Bench: turns of the motor per turn of the joint, for laws with motor ripple.
     log : mapping, optional
