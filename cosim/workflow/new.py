@@ -56,11 +56,11 @@ def new(
     moment : float or sequence of float, N m, optional
         Bench: amplitude of the gravity moment; default with 'gravity': identified.
     phase : float or sequence of float, rad, optional
-        Bench: position of the hanging body; required with 'moment'.
+        Bench: rest position of the hanging body; required with 'moment'.
     gear_ratio : float or sequence of float, optional
         Bench: turns of the motor per turn of the joint, for laws with motor ripple.
     log : mapping, optional
-        Bench: keys of [log] in the robot file, as torque_per_ampere=[0.2]; repeatable.
+        Bench: keys of [log] in the robot file, such as torque_per_ampere=[0.2]; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 

@@ -42,11 +42,11 @@ class RobotDescription(Config):
     Joints run from base to tip, below the body `root` if it is given. `locked` gives positions [rad
     or m] of fixed joints; other unlisted joints rest as in the model file, or follow others.
     `gravity` [m/s2] is in the base frame, by default that of the model file; `mount` (roll, pitch,
-    yaw) [rad] turns the base. `known` lists parameters that are exact, such as ``j1.Izz``, the
-    others being placeholders; by default all are approximate. `rotor_inertia` adds a rotor inertia
-    per joint, reflected through its gear, to the parameters. `gear_ratio` (turns of the motor per
-    turn of the joint) is needed by laws with motor ripple; `transmission` if motors turn several
-    joints or were logged, it then sets the gear ratios. `sources` states how constants are known.
+    yaw) [rad] turns the base. `known` lists exact parameters, such as ``j1.Izz``, and makes others
+    placeholders; by default all are approximate. `rotor_inertia` adds a rotor inertia per joint,
+    reflected through its gear. `gear_ratio` (turns of the motor per turn of the joint) is needed by
+    laws with motor ripple; `transmission` if motors turn several joints or were logged, it then
+    sets the gear ratios. `sources` states how constants are known.
     """
 
     name: PrintableName
@@ -140,9 +140,8 @@ class RobotDescription(Config):
 class Robot:
     """A robot: its joints, the format of its logs, and its rigid-body dynamics (eq. 5).
 
-    tau = Y(q, dq, ddq) pi, with ten parameters per link (`LINK_PARAMETERS`) and, if described, one
-    rotor inertia per joint, whose column is ddq of the joint or of a motor that turns several
-    joints.
+    tau = Y(q, dq, ddq) pi, with ten parameters per link (`LINK_PARAMETERS`) and, if described, a
+    rotor inertia per joint, whose column is ddq of the joint or of its coupled motor.
 
     Parameters
     ----------
@@ -153,8 +152,7 @@ class Robot:
     ConfigError
         If a robot file cannot be used, or `source` is neither a robot nor a path.
     RobotError
-        If the model file cannot be used, a joint is missing, out of order or has several degrees of
-        freedom, or log units are of the wrong kind.
+        If the model file, one of its joints, or the kind of a log unit cannot be used.
     """
 
     def __init__(self, source: "RobotLike") -> None:
@@ -165,9 +163,8 @@ class Robot:
         self.description = description
         self._pin: Any = pinocchio
         self._file = load(description.model)
-        self._model: Any = self._file.reduced(
-            description.joints, description.locked, description.root
-        )
+        fixed = description.locked, description.root
+        self._model: Any = self._file.reduced(description.joints, *fixed)
         self._data: Any = self._model.createData()
         armature = np.array(self._model.armature, dtype=float)
         slopes = self.follow[0] if self.follow else np.eye(self.n)
