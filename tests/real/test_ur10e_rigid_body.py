@@ -9,7 +9,8 @@ import pytest
 
 from hesr_model.friction.metrics import rmse
 from hesr_model.logs.robot_log import Log
-from hesr_model.rigid_body.identification import RigidBody, base_columns, identify
+from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records, require_reversals
 from hesr_model.robots.robot import Robot, RobotDescription
 

@@ -9,7 +9,8 @@ import pytest
 from hesr_model.errors import FitError, LogError, RobotError
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body.identification import RigidBody, base_columns, identify, identify_motions
+from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.rigid_body.identification import RigidBody, identify, identify_motions
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.typed_json import from_json, to_json
 
