@@ -30,7 +30,7 @@ STOPPED = "hesr: interrupted; no file is half-written"
 ENDED = "hesr: ended by another program; no file is half-written"
 LOOP = """
 [tracking]
-seeds = [11]
+seeds = [11, 12, 13]
 duration = 1.0
 harmonics = 3
 peak_velocity = [0.3, 0.3, 0.3]
