@@ -13,7 +13,7 @@ from cosim.study.sample_logs import RATE, mark_samples, sample_logs
 from cosim.study.study import Study
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.findings import Finding
-from hesr_model.robots.model_file import arm, driven_joints, joints_of
+from hesr_model.robots.model_file import arm, driven_joints, joints_of, locked
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import folder_written_whole, is_empty, models_folder
 from hesr_model.support.text import few
@@ -46,7 +46,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
         )
     used = driven_joints(model, joints) if joints else arm(model)
     others = [joint for joint in joints_of(model) if joint not in used]
-    rest = {joint.name: joint.rest for joint in others if joint.freedom == 1}
+    rest = locked(others)
     name = project_name(folder)
     with folder_written_whole(folder) as temporary:
         shutil.copyfile(model, temporary / model.name)

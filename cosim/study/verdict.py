@@ -213,7 +213,8 @@ def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
         if one.detectable is not None and one.law in laws and len(laws) > 1:
             count = f"{len(laws) - 1} law{'s' if len(laws) > 2 else ''}"
             parts.append(f"{count} on {name} ({percent_above(*one.detectable)})")
-            wide += [one.seconds] if one.detectable[1] > RECORDED else []
+            if one.detectable[1] > RECORDED:
+                wide.append(one.seconds)
     if parts:
         yield (
             f"{test} does not separate it from {', '.join(parts)}; in brackets the smallest "

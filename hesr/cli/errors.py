@@ -46,7 +46,7 @@ _PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
 def errors_said() -> Iterator[None]:
     """Print every error as one sentence and exit with 2; bugs keep their traceback.
 
-    This covers what readers do not report, such as a full disk.
+    These include errors that readers do not report, such as a full disk.
     """
     try:
         try:

@@ -13,7 +13,7 @@ from hesr_model.health.evidence import LEAST_TRAVEL, Motionwise
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import column_names
 from hesr_model.logs.log_table import LogTable
-from hesr_model.robots.model_file import arm, locked
+from hesr_model.robots.model_file import arm, joints_of, locked
 from hesr_model.robots.robot import (
     RobotDescription,
     RobotLike,
@@ -40,7 +40,7 @@ def with_joints(
                 f"robot '{known.name}' has no joint '{name}'; it has {', '.join(known.joints)}."
             )
     others = set(known.joints) - set(joints or known.joints)
-    rest = locked(known.model, joints) if others else {}
+    rest = locked(joints_of(known.model), joints) if others else {}
     return without(known, {name: rest[name] for name in others}) if others else known
 
 

@@ -327,7 +327,8 @@ def body_of(
     )
     parameters = np.zeros(len(model.parameter_names))
     parameters[list(base)] = solution.x[: len(base)]
-    parameters[known_columns(model)] = model.nominal_parameters[known_columns(model)]
+    known = known_columns(model)
+    parameters[known] = model.nominal_parameters[known]
     return RigidBody(
         robot=model.description.name,
         joints=model.description.joints,

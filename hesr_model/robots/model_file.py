@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -354,9 +354,9 @@ def arm(path: Path) -> tuple[ModelJoint, ...]:
     return tuple(driven[name] for name in chains[max(driven, key=lambda name: lengths[name])])
 
 
-def locked(path: Path, used: Collection[str]) -> dict[str, float]:
+def locked(joints: Iterable[ModelJoint], used: Collection[str] = ()) -> dict[str, float]:
     """Return the rest positions [rad or m] of joints that are not `used`."""
-    return {j.name: j.rest for j in joints_of(path) if j.freedom == 1 and j.name not in used}
+    return {j.name: j.rest for j in joints if j.freedom == 1 and j.name not in used}
 
 
 def require_one_axis(name: str, freedom: int, path: Path) -> None:

@@ -17,6 +17,7 @@ from hesr_model.robots.model_file import (
     JointFrame,
     driven_joints,
     joint_frames,
+    joints_of,
     load,
     locked,
     position_limits,
@@ -163,12 +164,12 @@ class Robot:
         self.description = description
         self._pin: Any = pinocchio
         self._file = load(description.model)
-        fixed = description.locked, description.root
-        self._model: Any = self._file.reduced(description.joints, *fixed)
+        self._model: Any = self._file.reduced(
+            description.joints, description.locked, description.root
+        )
         self._data: Any = self._model.createData()
-        armature = np.array(self._model.armature, dtype=float)
         slopes = self.follow[0] if self.follow else np.eye(self.n)
-        self.rotor_nominal: Array = armature @ slopes**2
+        self.rotor_nominal: Array = np.array(self._model.armature) @ slopes**2
         """Rotor inertias (n,) [kg.m2] of the model file (`armature` of an MJCF)."""
         # In the dynamics they are columns of the regressor.
         self._model.armature = np.zeros(self._model.nv)
@@ -391,7 +392,7 @@ def description_of(robot: RobotLike) -> RobotDescription:
 def description_of_model(path: Path, joints: Sequence[str] = ()) -> RobotDescription:
     """Return the description of a URDF or MJCF whose other joints, by default fingers, rest."""
     used = tuple(joint.name for joint in driven_joints(path, joints))
-    rest = locked(path, used)
+    rest = locked(joints_of(path), used)
     return RobotDescription(name=path.stem, model=path.resolve(), joints=used, locked=rest)
 
 

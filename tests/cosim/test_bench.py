@@ -411,7 +411,7 @@ def test_wrong_options_are_refused(
 
 def test_other_kinds_of_benches_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match="'bench' is 'linear'; it must be rotary or sliding"):
-        api.new(tmp_path / "bench", bench="linear")  # type: ignore[arg-type]  # is the point
+        api.new(tmp_path / "bench", bench="linear")  # type: ignore[arg-type]  # a refused kind
 
 
 @pytest.mark.ci
