@@ -162,8 +162,8 @@ def recommend(
             laws[j] = min(fitting, key=lambda n: (simplicity(models[n], j), *spread[n]))
             least = simplicity(models[laws[j]], j)
             equal = sum(simplicity(models[n], j) == least for n in fitting)
-            many = f"of {len(fitting)}" + f", {equal} equally simple" * (equal > 1)
-            reasons.setdefault(many if len(fitting) > 1 else "alone", []).append(short)
+            many = f"one of {len(fitting)}" + f", {equal} equally simple" * (equal > 1)
+            reasons.setdefault(many if len(fitting) > 1 else "the only one", []).append(short)
         elif j in good:
             reasons.setdefault("no such law fits into this FMU", []).append(short)
     said = "; ".join(f"{', '.join(where)}: {reason}" for reason, where in reasons.items())

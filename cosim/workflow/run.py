@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from cosim.workflow.answer import Answer, Written, shortened
 from hesr_model.support.interrupts import Interrupted
@@ -102,6 +102,15 @@ class RunResult(Answer):
                 for kind, (reused, asked) in outcome.cached.items()
             },
         }
+
+
+@overload
+def run(  # type: ignore[overload-overlap]  # a name of the shipped study, not any text
+    study: Literal["paper"],
+    *,
+    output: PathArg | None = None,
+    progress: Stages = silent,
+) -> Answer: ...
 
 
 @overload

@@ -52,6 +52,7 @@ def verbs() -> None:
     print(run.t if isinstance(run, hesr.Signals) else run.summary())
     print(hesr.run("study.toml", quick=True).outcome.fmus["lugre"].name)
     print(hesr.run(seeds=3))
+    print(hesr.run("paper").summary())
     print(hesr.report("results", output="page.html").name)
     print(hesr.monitor(["a.csv"], law=model, rigid_body=body).summary())
     print(hesr.laws()["lugre"].title)

@@ -259,8 +259,8 @@ def judge(scores: Comparison, laws: tuple[str, ...], why: str) -> None:
         assert law in such
         assert not any(simple(one) < simple(law) for one in such)
         equal = sum(simple(one) == simple(law) for one in such)
-        many = f"of {len(such)}" + (f", {equal} equally simple" if equal > 1 else "")
-        assert reasons[j] == ("alone" if len(such) == 1 else many)
+        many = f"one of {len(such)}" + (f", {equal} equally simple" if equal > 1 else "")
+        assert reasons[j] == ("the only one" if len(such) == 1 else many)
 
 
 def test_the_simpler_of_two_equal_laws_is_recommended() -> None:
@@ -270,7 +270,7 @@ def test_the_simpler_of_two_equal_laws_is_recommended() -> None:
     laws, why = recommend(scores, {law: model_of(law, 2) for law in rmse})
     assert laws == ("lugre", "lugre")
     judge(scores, laws, why)
-    assert "(J1, J2: of 2)" in why
+    assert "(J1, J2: one of 2)" in why
 
 
 def test_the_more_accurate_of_equally_simple_laws_is_recommended() -> None:
@@ -279,7 +279,7 @@ def test_the_more_accurate_of_equally_simple_laws_is_recommended() -> None:
     laws, why = recommend(scores, {law: model_of(law, 1) for law in rmse})
     assert laws == ("lugre",)
     judge(scores, laws, why)
-    assert "(J1: of 3, 2 equally simple)" in why
+    assert "(J1: one of 3, 2 equally simple)" in why
 
 
 def test_a_law_better_on_two_of_six_joints_is_recommended_for_them(trained, tested) -> None:
@@ -309,7 +309,7 @@ def test_joints_that_do_not_fit_into_one_fmu_are_named() -> None:
     laws, why = recommend(scores, models)
     assert laws == ("lugre",) * 3
     judge(scores, laws, why)
-    assert "(J1, J2: alone; J3: no such law fits into this FMU)" in why
+    assert "(J1, J2: the only one; J3: no such law fits into this FMU)" in why
 
 
 def test_every_reason_is_true() -> None:
@@ -326,7 +326,7 @@ def test_every_reason_is_true() -> None:
         scores = case(rmse, leading)
         laws, why = recommend(scores, {law: model_of(law, count) for law in names})
         judge(scores, laws, why)
-        kinds.add((len(set(laws)) > 1, "alone" in why, "equally simple" in why))
+        kinds.add((len(set(laws)) > 1, "the only one" in why, "equally simple" in why))
     assert len(kinds) == 8
 
 
@@ -399,7 +399,7 @@ def test_twice_the_error_is_found_by_a_test_of_100_s() -> None:
     assert scores.leading == (("lugre",), ("lugre",))
     assert laws == ("lugre", "lugre")
     judge(scores, laws, why)
-    assert "(J1, J2: alone)" in why
+    assert "(J1, J2: the only one)" in why
 
 
 def test_a_failed_check_of_all_laws_is_stated(scores, models, trained, tested) -> None:
@@ -436,7 +436,7 @@ def test_the_reason_agrees_with_the_scores(scores, models, trained, tested) -> N
     assert all(found.law in of_joint for of_joint in scores["unseen"].leading)
     others = set(models) - {found.law}
     assert not any(law in of_joint for law in others for of_joint in scores["unseen"].leading)
-    assert "(J1, J2: alone)" in found.why
+    assert "(J1, J2: the only one)" in found.why
     assert found.limits == ()
     for one, of_joint in zip(found.joints, scores["unseen"].leading, strict=True):
         assert (one.best, *one.tied) == of_joint
