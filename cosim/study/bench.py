@@ -89,8 +89,13 @@ class Bench:
         }
 
 
-def start_bench(folder: Path, bench: Bench, log: Mapping[str, Any]) -> NewProject:
-    """Create a folder with the model of a bench and its robot file, which has `log` as [log]."""
+def start_bench(
+    folder: Path, bench: Bench, log: Mapping[str, Any], source: str | None = None
+) -> NewProject:
+    """Create a folder with the model of a bench and its robot file, which has `log` as [log].
+
+    `source` is that of the torque constants in `log`.
+    """
     require_new(folder)
     with folder_written_whole(folder) as temporary:
         model, file = (temporary.resolve() / name for name in ("bench.urdf", "robot.toml"))
@@ -105,6 +110,7 @@ def start_bench(folder: Path, bench: Bench, log: Mapping[str, Any]) -> NewProjec
                 "rotor_inertia": False,
                 "gear_ratio": bench.gear_ratio,
                 "log": log,
+                "sources": {"torque_per_ampere": source} if source else {},
             },
         )
         Robot(description)

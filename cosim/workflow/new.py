@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 
 BenchKind = Literal["rotary", "sliding"]
+StatedSource = Literal["measured", "datasheet", "identified", "guessed"]
 
 
 def new(
@@ -30,6 +31,7 @@ def new(
     phase: PerJoint | None = None,
     gear_ratio: PerJoint | None = None,
     log: Mapping[str, Any] | None = None,
+    source: StatedSource | None = None,
     progress: Stages = silent,
 ) -> NewProject:
     """Create a project folder: study, robot file, sample logs.
@@ -60,7 +62,9 @@ def new(
     gear_ratio : float or sequence of float, optional
         Bench: turns of the motor per turn of the joint, for laws with motor ripple.
     log : mapping, optional
-        Bench: keys of [log] in the robot file, such as torque_per_ampere=[0.2]; repeatable.
+        Bench: keys of [log] in the robot file, such as torque_per_ampere=0.2; repeatable.
+    source : {"measured", "datasheet", "identified", "guessed"}, optional
+        Bench: how the torque constants of 'log' are known.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -79,7 +83,7 @@ def new(
     On the command line::
 
         $ hesr new my_arm --robot my_arm.urdf
-        $ hesr new my_motor --bench rotary --log torque_per_ampere=[0.2]
+        $ hesr new my_motor --bench rotary --log torque_per_ampere=0.2 --source datasheet
         $ hesr new my_lift --bench sliding --gravity --inertia 80
 
     In Python:
@@ -96,7 +100,7 @@ def new(
     place, names = path_of(folder, "a folder"), tuple(joint_names(joints))
     numbers = {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
     if bench is None:
-        options = {**numbers, "log": log, "gravity": gravity or None}
+        options = {**numbers, "log": log, "source": source, "gravity": gravity or None}
         for name in (name for name, value in options.items() if value is not None):
             raise ArgumentError(f"'{name}' needs 'bench': other robots have a model file.")
         if robot is None:
@@ -105,9 +109,13 @@ def new(
         return start(place, path_of(robot, "a robot's model"), names)
     if robot is not None:
         raise ArgumentError("'robot' and 'bench' exclude each other; a bench has no model file.")
+    if source is not None and "torque_per_ampere" not in (log or {}):
+        raise ArgumentError("'source' needs 'torque_per_ampere' in 'log', whose source it states.")
     used = names or ("motor" if bench == "rotary" else "axis",)
     each = {name: per_joint(name, value, len(used)) for name, value in numbers.items()}
-    return start_bench(place, Bench(kind=bench, joints=used, gravity=gravity, **each), log or {})
+    return start_bench(
+        place, Bench(kind=bench, joints=used, gravity=gravity, **each), log or {}, source
+    )
 
 
 def answer(made: NewProject, _: PathArg | None) -> Answer:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hesr_model.errors import FitError
+from hesr_model.errors import ArtifactError, FitError
 from hesr_model.fitting.calibration import calibrated
 from hesr_model.fitting.checkpoint import key_of, read_checkpoint, write_checkpoint
 from hesr_model.fitting.day_offsets import Nuisance, own_of_logs, without_own
@@ -27,6 +27,8 @@ from hesr_model.support import parallel
 from hesr_model.support.progress import Progress, into_file, silent, steps_told, watched
 from hesr_model.support.provenance import provenance as source_of
 
+_LEAST_TORQUE = 1e-100  # [N.m]; squares of smaller ones vanish, of its inverse overflow
+
 
 def fit_joint(
     law: str,
@@ -37,7 +39,8 @@ def fit_joint(
 ) -> FrictionLaw:
     """Fit one law to the records of one joint, with one BLAS thread for bit reproducibility.
 
-    Raises ArtifactError if the law is unknown, FitError if the records or `options` do not suit it.
+    Raises ArtifactError if the law is unknown, FitError if the records or `options` do not suit it
+    or a coefficient is not finite.
     """
     chosen = estimator(law)
     try:
@@ -50,8 +53,20 @@ def fit_joint(
                 f"joint '{records[0].joint}': law '{law}' needs the key '{need}'; add it to the "
                 "robot file."
             )
+    largest = max(float(np.max(np.abs(record.tau))) for record in records)
+    if not _LEAST_TORQUE < largest < 1.0 / _LEAST_TORQUE:
+        raise FitError(
+            f"joint '{records[0].joint}': its friction torque reaches {largest:g}; law '{law}' "
+            "cannot be fitted to it; see 'hesr inspect'."
+        )
     with threadpool_limits(1):
-        fitted = configured.fit(records, np.random.default_rng(seed))
+        try:
+            fitted = configured.fit(records, np.random.default_rng(seed))
+        except ArtifactError as error:
+            said = str(error).rstrip(".")
+            raise FitError(
+                f"joint '{records[0].joint}': {said}; its torque does not determine the law."
+            ) from error
         space = configured.space_of(fitted) if isinstance(configured, OneForm) else None
         return with_standard_errors(fitted, records, space)
 

@@ -1,6 +1,6 @@
 """Robots: a TOML description and the rigid-body model (URDF or MJCF)."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from os import PathLike
@@ -64,6 +64,18 @@ class RobotDescription(Config):
     log: LogFormat = LogFormat()
     sources: Sources = Sources()
     owner: Owner = Owner()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_for_all(cls, data: Any) -> Any:
+        """Repeat a single torque constant for every joint."""
+        log = data.get("log") if isinstance(data, Mapping) else None
+        gain = log.get("torque_per_ampere") if isinstance(log, Mapping) else None
+        if isinstance(gain, bool) or not isinstance(gain, int | float):
+            return data
+        joints = data.get("joints")
+        count = len(joints) if isinstance(joints, list | tuple) else 1
+        return {**data, "log": {**log, "torque_per_ampere": (gain,) * count}}
 
     @model_validator(mode="after")
     def _one_gear_per_joint(self) -> Self:

@@ -172,7 +172,7 @@ class Case:
 
 
 MX, MZ = 1.5 / 9.81 * np.sin(0.4), -1.5 / 9.81 * np.cos(0.4)  # first moments [kg.m]
-AMPERES = ("--log", "torque_per_ampere=[0.2]")
+AMPERES = ("--log", "torque_per_ampere=0.2")
 SCALED = (
     *("--log", 'columns=["t","q","dq","i"]', "--log", "torque_per_ampere=[40.0]"),
     *("--log", 'units={t="ms",q="mm"}', "--log", 'units.dq="mm/s"'),
@@ -259,6 +259,19 @@ def test_the_command_line_and_python_create_the_same_bench(tmp_path: Path, hesr:
     assert made.joints == ("x", "y")
     assert contents(tmp_path / "a") == contents(tmp_path / "c")
     assert set(contents(tmp_path / "c")) == {"b/bench.urdf", "b/robot.toml"}
+
+
+def test_one_torque_constant_and_its_source_are_those_of_all_motors(
+    tmp_path: Path, hesr: Hesr
+) -> None:
+    given = ("new", tmp_path / "b", "--bench", "rotary", "--joints", "x,y")
+    assert hesr(*given, *AMPERES, "--source", "datasheet").code == 0
+    robot = RobotDescription.read(tmp_path / "b" / "robot.toml")
+    assert robot.log.torque_per_ampere == (0.2, 0.2)
+    assert robot.sources.each("torque_per_ampere", 2) == ("datasheet", "datasheet")
+    said = hesr(*given, "--source", "measured")
+    assert said.code == 2
+    assert said.err.startswith("hesr: --source needs 'torque_per_ampere' in --log, whose source")
 
 
 def test_known_numbers_of_a_pendulum_are_those_of_its_model(tmp_path: Path) -> None:

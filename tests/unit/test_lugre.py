@@ -1,9 +1,11 @@
 """LuGre: recovery of the coefficients behind noise-free data."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hesr_model.errors import ArtifactError, HesrError
+from hesr_model.errors import ArtifactError, FitError, HesrError
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
@@ -124,6 +126,21 @@ def test_a_joint_that_never_reverses_is_refused() -> None:
     one_way = FrictionRecord(**(vars(data) | {"dq": np.abs(data.dq)}))
     with pytest.raises(HesrError, match="'j1' never reverses"):
         fitted(one_way)
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+@pytest.mark.parametrize(
+    ("scale", "said"),
+    [
+        (0.0, r"^joint 'j1': its friction torque reaches 0; law 'lugre' cannot be fitted to it"),
+        (np.nan, r"^joint 'j1': its friction torque reaches nan; law 'lugre' cannot be fitted"),
+        (1e98, r"^joint 'j1': law 'lugre': coefficient '.*' is .*; its torque does not determine"),
+    ],
+)
+def test_a_coefficient_that_is_not_finite_is_an_error_of_the_fit(scale: float, said: str) -> None:
+    data = record(CASES[0])
+    with pytest.raises(FitError, match=said):
+        fit_joint("lugre", [replace(data, tau=scale * data.tau)], seed=0)
 
 
 CLASSES = (

@@ -169,6 +169,11 @@ def test_a_description_is_read_and_finds_its_model(tmp_path: Path, arm: RobotDes
     assert Robot(description).n == 3
 
 
+def test_one_torque_constant_is_that_of_all_joints(tmp_path: Path) -> None:
+    path = describe(tmp_path, ARM_TOML, "[log]\ntorque_per_ampere = 0.2\n")
+    assert RobotDescription.read(path).log.torque_per_ampere == (0.2, 0.2, 0.2)
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [
