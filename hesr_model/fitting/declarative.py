@@ -54,11 +54,12 @@ class Described(Estimator):
         if chosen:
             waves, times = chosen
             complete["ripple"] = to_json(waves)
-            numbers = problem.named(point)
-            numbers |= zip((ripple.LAG.name, ripple.SMOOTHING.name), times, strict=True)
-            space = waves.extend_space(problem.space)
+            numbers, space = problem.named(point), waves.extend_space(problem.space)
             problem = Separable(waves.extend(problem.form), space, samples)
-            point = problem.polish(problem.point(numbers))
+            point = min(
+                (problem.polish(problem.point(numbers | at)) for at in ripple.starts(times)),
+                key=lambda trial: problem.solve(trial)[1],
+            )
         law = problem.law(point, self.name, complete)
         return replace(law, start_samples=self.start_samples)
 

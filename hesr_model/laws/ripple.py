@@ -160,6 +160,16 @@ def _ranking(
     return [(order, at) for _, order, at in explained]
 
 
+def starts(times: Times) -> Iterator[dict[str, float]]:
+    """Yield lag and smoothing for local searches: as selected, and off the limit of smoothing.
+
+    A search from the limit ends there or not, depending on round-off.
+    """
+    lag, smoothing = times
+    for start in dict.fromkeys((smoothing, max(smoothing, _SMOOTHINGS[1]))):
+        yield {LAG.name: lag, SMOOTHING.name: start}
+
+
 def _weights(
     samples: JointRows, gear_ratio: float, order: int, candidates: Sequence[Times]
 ) -> tuple[list[float], Array, Array]:

@@ -218,6 +218,19 @@ def test_stops_are_never_significantly_worse_than_lugre(
     assert all(mean_ratio(scores, law, other) < 1.0 for law in laws)
 
 
+def test_most_laws_are_separated_from_the_best(
+    outcome: Scored, records: list[list[FrictionRecord]]
+) -> None:
+    """Of nine laws with memory, on each joint; J4 turns too little."""
+    laws = ("lugre", "lugre_textbook", "lugre_load_ripple", "dahl", "dahl_load", "strain_wave",
+            "parfam_hx", "parfam_s", "parfam_s_v")  # fmt: skip
+    predicted = {law: outcome.predictions["test"][law] for law in laws}
+    found = compare(by_joint(records), predicted, {})
+    separated = [len(laws) - len(leading) for leading in found.leading]
+    assert np.all(np.array(separated) >= [4, 7, 6, 0, 7, 1]), separated
+    assert [leading[0] for leading in found.leading] == ["parfam_s"] * 6
+
+
 def test_every_studied_law_and_every_extension_is_a_row(outcome: Scored) -> None:
     rows = {*FAST, *ABLATION, *RELAXED, "lugre_load_relaxed"}
     assert set(outcome.models) == rows
