@@ -264,7 +264,15 @@ def test_the_hysteresis_of_the_papers_law(
     results: Results, table1: FrictionModel, recorded: Recorded
 ) -> None:
     run = replace(results.run, joints=table1.joints)
-    recorded(hysteresis=laws.hysteresis(replace(results, run=run, models={"parfam_h": table1})))
+    one, *_ = results.models["lugre"].trained
+    seen = tuple(replace(one, dq=(-v, v)) for v in (0.3, 0.6, 0.9))
+    models = {"hysteresis": table1, "trained": replace(table1, trained=seen)}
+    recorded(
+        **{
+            name: laws.hysteresis(replace(results, run=run, models={"parfam_h": model}))
+            for name, model in models.items()
+        }
+    )
 
 
 def test_data_and_rigid_body(results: Results, recorded: Recorded) -> None:
