@@ -10,6 +10,7 @@ from fmu_src.export.interface import Interface, Variable, literal
 from fmu_src.export.package import Content, own_source
 from hesr_model.robots.robot import LINK_PARAMETERS, Robot
 
+_SPRINGS = {True: "stiffness of the spring", False: "amplitude of the spring's torque"}
 _UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
 
 
@@ -19,7 +20,7 @@ def inverse_dynamics(
     """Return the InverseDynamics FMU; parameters (P,) are ordered as `robot.parameter_names`."""
     n = robot.n
     links = 10 * robot.links
-    rotors = parameters[links:] if len(parameters) > links else np.zeros(n)
+    rotors = parameters[links : robot.inertial] if robot.inertial > links else np.zeros(n)
     zeros = np.zeros(n)
     needed = [f"{name}[{i}]" for name in ("q", "dq", "ddq") for i in range(1, n + 1)]
     own = []
@@ -31,6 +32,10 @@ def inverse_dynamics(
     for i, value in enumerate(rotors, start=1):
         text = f"rotor inertia of joint {i}"
         own.append(Variable(f"link[{i}].Ir", "tunable", text, unit="kg.m2", start=value))
+    for term, value in zip(robot.springs, parameters[robot.inertial :], strict=True):
+        name = f"spring[{term.joint + 1}].{term.name}"
+        text = f"{_SPRINGS[term.linear]} of joint {term.joint + 1}"
+        own.append(Variable(name, "tunable", text, unit=term.unit, start=value))
     made_of = [*needed, *(v.name for v in own)]
     table = Interface(
         variables=(
@@ -65,8 +70,13 @@ def _tree(robot: Robot) -> str:
     for joint in robot.tree:
         numbers = map(_numbers, (joint.rotation.ravel(), joint.translation, joint.axis))
         rows.append(f"    {{{joint.parent}, {int(joint.prismatic)}, {', '.join(numbers)}}},")
+    terms = [
+        f"    {{{t.joint}, {int(t.linear)}, {int(t.sine)}, {t.harmonic}}}," for t in robot.springs
+    ]
     slopes, offsets = robot.follow or (np.eye(robot.n), np.zeros(robot.n))
     return _TREE.format(
+        sprung=len(terms),
+        terms="\n".join(terms or ["    {0, 0, 0, 0},"]),
         follows=int(robot.follow is not None),
         slopes="\n".join(f"    {_numbers(row)}," for row in slopes),
         offsets=_numbers(offsets),
@@ -119,6 +129,19 @@ static const double offsets[LINKS] = {offsets};
 enum {{ COUPLED = {coupled} }};
 static const double motors[JOINTS][JOINTS] = {{
 {motors}
+}};
+
+/* Springs and balancers; their parameters follow those of the rotors. */
+typedef struct {{
+    int joint;
+    int linear;   /* torque over the position */
+    int sine;     /* else cosine */
+    int harmonic; /* of the angle */
+}} Spring;
+
+enum {{ TERMS = {sprung} }};
+static const Spring springs[] = {{
+{terms}
 }};
 
 #endif

@@ -128,6 +128,20 @@ static double rotors_on(const double *v, int i) {
     return torque;
 }
 
+/* Torque of the springs and balancers of joint i. */
+static double springs_on(const double *v, int i) {
+    double torque = 0.0;
+    for (int k = 0; k < TERMS; k++) {
+        const Spring *spring = &springs[k];
+        const double q = v[POSITION + i], angle = spring->harmonic * q;
+        if (spring->joint == i) {
+            const double wave = spring->sine ? sin(angle) : cos(angle);
+            torque += v[ROTORS + JOINTS + k] * (spring->linear ? q : wave);
+        }
+    }
+    return torque;
+}
+
 static bool component_initialise(Component *component, void *workspace, Message *why) {
     (void)component, (void)workspace, (void)why;
     return true;
@@ -159,7 +173,7 @@ static bool component_output(Component *component, void *workspace, Message *why
         for (int k = 0; FOLLOW && k < LINKS; k++) {
             torque += slopes[k][i] * needed[k];
         }
-        v[TORQUE + i] = torque + rotors_on(v, i);
+        v[TORQUE + i] = torque + rotors_on(v, i) + springs_on(v, i);
     }
     return true;
 }

@@ -58,7 +58,8 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
         for check in (check_jumps, check_steps, check_held):
             findings += of_log(log, check(log, robot))
         parts += motionwise(log, robot.log.filter_cutoff)
-    model = _informed(model, parts) if model and robot.known is not None else model
+    if model and (robot.known is not None or model.springs):
+        model = _informed(model, parts)
     torques = [Torques.of(model, part.q, part.v, part.a) for part in parts] if model else []
     logged = [as_logged(*both, robot.logged) for both in zip(parts, torques, strict=False)]
     fits = [explained(part, torque) for part, torque in logged]
@@ -85,8 +86,14 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
 
 
 def _informed(model: Robot, parts: Sequence[Motionwise]) -> Robot | None:
-    """Return a robot whose unknown parameters are identified, or None if that fails."""
+    """Return a robot whose unknown parameters are identified, or None if that fails.
+
+    Only its springs are unknown if it has some and lists no known parameters.
+    """
     informed = copy(model)
+    if model.description.known is None:
+        own = {"known": model.parameter_names[: model.inertial]}
+        model = Robot(model.description.model_copy(update=own))
     motions = [
         Motion(name=p.log.name, t=p.t, q=p.q, q_raw=p.q, dq=p.v, ddq=p.a, tau=p.tau) for p in parts
     ]

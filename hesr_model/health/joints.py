@@ -102,6 +102,10 @@ def without(
     kept = [k for k, joint in enumerate(robot.joints) if joint not in rest]
     lists = {**robot.lists, "joints": robot.joints}
     known = robot.known and tuple(k for k in robot.known if k.rpartition(".")[0] not in rest)
+    springs = {
+        key: tuple(joint for joint in getattr(robot, key) if joint not in rest)
+        for key in ("springs", "balancers")
+    }
     for key in ["q", "dq", "tau", "current", *(["temperature"] if temperatures else [])]:
         pattern = getattr(robot.log.columns, key)
         if pattern and "{name}" not in pattern:
@@ -111,4 +115,5 @@ def without(
         for key, entries in lists.items()
         if isinstance(entries, tuple)
     }
+    changes |= springs
     return changed(robot, {**changes, "known": known, "locked": {**robot.locked, **rest}})

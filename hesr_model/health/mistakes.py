@@ -48,18 +48,19 @@ def torques_of(rows: CandidateRows, model: Robot) -> Torques:
     declared = model.gravity
     if np.array_equal(declared, rows.gravity):
         return torques
-    gravity = np.einsum("kij,k->ij", _by_axis(rows.q, model), rows.gravity)
-    return replace(torques, gravity=gravity - gravity.mean(axis=0))
+    change = np.einsum("kij,k->ij", _by_axis(rows.q, model), rows.gravity - declared)
+    return replace(torques, gravity=torques.gravity + change - change.mean(axis=0))
 
 
 def _by_axis(q: Array, model: Robot) -> Array:
     """Return torques (3, N, n) of unit gravity along each axis."""
-    nothing = np.zeros_like(q)
+    nothing, masses = np.zeros_like(q), model.nominal_parameters.copy()
+    masses[model.inertial :] = 0.0
     with model.under_gravity() as set_gravity:
         parts = []
         for axis in _AXES.values():
             set_gravity(axis)
-            parts.append(model.torque(model.nominal_parameters, q, nothing, nothing))
+            parts.append(model.torque(masses, q, nothing, nothing))
     return np.array(parts)
 
 

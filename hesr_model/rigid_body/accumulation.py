@@ -15,6 +15,7 @@ from hesr_model.rigid_body.identification import (
     AT_ONCE,
     RigidBody,
     body_of,
+    loose_of,
     require_samples,
     require_speed,
     scale_of,
@@ -78,7 +79,8 @@ class Streamed:
         require_speed(where, self._peaks, model)
         scale = scale_of(model, base, friction)
         with threadpool_limits(1):
-            solution = solve_factors(self._factors, scale=scale, weighted=True)
+            loose = loose_of(model, base, friction)
+            solution = solve_factors(self._factors, scale=scale, weighted=True, loose=loose)
             tell_ridge(where, solution)
             covariance = covariance_of(self._blocks(sample), solution, logs_of(sample))
         return body_of(

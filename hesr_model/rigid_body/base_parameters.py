@@ -1,5 +1,7 @@
 """Base parameters: independent columns of the regressor."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.linalg import qr
 
@@ -9,6 +11,7 @@ from hesr_model.support.arrays import Array, Mask
 
 _RANK_TOLERANCE = 1e-8
 _RANDOM_STATES = 300
+_LATER = 1e3  # springs replace no mass: their columns are chosen after those of masses
 
 
 def base_columns(model: Robot) -> tuple[int, ...]:
@@ -16,11 +19,17 @@ def base_columns(model: Robot) -> tuple[int, ...]:
 
     The pivoted QR at random states depends on neither logs nor units.
     """
+    return _independent(model, ())
+
+
+def _independent(model: Robot, known: Sequence[int]) -> tuple[int, ...]:
     columns = at_random_states(model)
+    columns[:, list(known)] = 0.0
     lengths = np.linalg.norm(columns, axis=0)
     # Round-off must not be scaled up to a full column.
     columns[:, lengths < _RANK_TOLERANCE * np.max(lengths)] = 0.0
     lengths[lengths == 0.0] = 1.0
+    lengths[model.inertial :] *= _LATER
     _, r, order = qr(columns / lengths, mode="economic", pivoting=True)
     sizes = np.abs(np.diag(r))
     rank = int(np.sum(sizes > _RANK_TOLERANCE * sizes[0]))
@@ -29,7 +38,7 @@ def base_columns(model: Robot) -> tuple[int, ...]:
 
 def known_columns(model: Robot) -> list[int]:
     """Return the indices of the parameters that the robot file lists as known."""
-    names = model.parameter_names
+    names = model.parameter_names[: model.inertial]
     for name in model.description.known or ():
         if name not in names:
             raise RobotError(
@@ -40,9 +49,8 @@ def known_columns(model: Robot) -> list[int]:
 
 
 def unknown_columns(model: Robot) -> tuple[int, ...]:
-    """Return the base columns that are not known."""
-    known = known_columns(model)
-    return tuple(k for k in base_columns(model) if k not in known)
+    """Return a largest set of independent columns among those that are not known."""
+    return _independent(model, known_columns(model))
 
 
 def dependence(model: Robot, base: tuple[int, ...]) -> Array:

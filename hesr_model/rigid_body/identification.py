@@ -260,7 +260,8 @@ def identify_motions(
     blocks = blocks_of(base)
     weighting = weighting or ("ols" if method == "paper" else "wls")
     scale = scale_of(model, base, friction)
-    solution = solve(blocks, scale=scale, weighted=weighting == "wls")
+    loose = loose_of(model, base, friction)
+    solution = solve(blocks, scale=scale, weighted=weighting == "wls", loose=loose)
     if not physical:
         tell_ridge(where, solution)
     labels = logs_of(motions if method == "paper" else everything)
@@ -307,6 +308,12 @@ def scale_of(model: Robot, base: tuple[int, ...], friction: Mask) -> Array:
     """Return the size of each column [N.m]; that of friction columns is 1."""
     rigid = np.sqrt(np.mean(at_random_states(model)[:, list(base)] ** 2, axis=0))
     return np.concatenate([rigid, np.ones(int(np.sum(friction)))])
+
+
+def loose_of(model: Robot, base: tuple[int, ...], friction: Mask) -> Mask:
+    """Return whether each column is that of a spring."""
+    columns = np.array([*base, *[-1] * int(np.sum(friction))], dtype=int)
+    return columns >= model.inertial
 
 
 def body_of(

@@ -7,10 +7,11 @@ import numpy as np
 from scipy.linalg import qr
 
 from hesr_model.inference.covariance import Covariance, blocks_of_time, covariance, left_out
-from hesr_model.support.arrays import Array, Integers
+from hesr_model.support.arrays import Array, Integers, Mask
 
 _REWEIGHTINGS = 2
 _HUGE_CONDITION = 1e3  # identification motions have some hundreds
+_LOOSE = 1e-4  # likewise, of loose columns alone
 _RIDGE = 3e-3  # over the largest singular value; best on poor logs
 
 
@@ -61,24 +62,31 @@ class Solution:
     rmse: Array
 
 
-def solve(blocks: Sequence[Block], *, scale: Array, weighted: bool) -> Solution:
+def solve(
+    blocks: Sequence[Block], *, scale: Array, weighted: bool, loose: Mask | None = None
+) -> Solution:
     """Solve least squares over all blocks, each divided by its residual's size if `weighted`.
 
     A ridge is added only if the condition number exceeds 1e3. The usual size `scale` (P,) of each
-    column must not come from the data, which may hardly excite it.
+    column must not come from the data, which may hardly excite it. If the ridge were due to columns
+    that are `loose` (P,), such as harmonics over a small angle, only these have a weaker one.
     """
-    return solve_factors([Factor.of(block) for block in blocks], scale=scale, weighted=weighted)
+    factors = [Factor.of(block) for block in blocks]
+    return solve_factors(factors, scale=scale, weighted=weighted, loose=loose)
 
 
-def solve_factors(factors: Sequence[Factor], *, scale: Array, weighted: bool) -> Solution:
+def solve_factors(
+    factors: Sequence[Factor], *, scale: Array, weighted: bool, loose: Mask | None = None
+) -> Solution:
     """Solve as `solve` does, from factors."""
     weights = np.ones(len(factors))
-    solution = _solve(factors, weights, scale)
+    loose = np.zeros(len(scale), dtype=bool) if loose is None else loose
+    solution = _solve(factors, weights, scale, loose)
     for _ in range(_REWEIGHTINGS if weighted else 0):
         # An exact fit must not get an infinite weight.
         floor = 1e-6 * float(np.max(solution.rmse)) or 1.0
         weights = 1.0 / np.maximum(solution.rmse, floor)
-        solution = _solve(factors, weights, scale)
+        solution = _solve(factors, weights, scale, loose)
     return solution
 
 
@@ -106,12 +114,18 @@ def covariance_of(
     return covariance(("",) * size, gradients, hessians, labels, known=known)
 
 
-def _solve(factors: Sequence[Factor], weights: Array, scale: Array) -> Solution:
+def _solve(factors: Sequence[Factor], weights: Array, scale: Array, loose: Mask) -> Solution:
     triangles = [factor.triangle for factor in factors]
     rows = np.concatenate([w * factor for w, factor in zip(weights, triangles, strict=True)])
-    matrix, target = rows[:, :-1], rows[:, -1]
-    u, s, vt = np.linalg.svd(matrix / scale, full_matrices=False)
-    condition = float(s[0] / max(s[-1], np.finfo(float).eps * s[0]))
+    matrix, target = rows[:, :-1] / scale, rows[:, -1]
+    u, s, vt = np.linalg.svd(matrix, full_matrices=False)
+    own, judged = np.zeros(len(scale)), s
+    if loose.any() and s[0] > _HUGE_CONDITION * s[-1]:
+        own[loose] = _LOOSE * s[0]
+        judged = np.linalg.svd(np.vstack([matrix, np.diag(own / _LOOSE * _RIDGE)]))[1]
+        u, s, vt = np.linalg.svd(np.vstack([matrix, np.diag(own)]), full_matrices=False)
+        target = np.concatenate([target, np.zeros(len(own))])
+    condition = float(judged[0] / max(judged[-1], np.finfo(float).eps * judged[0]))
     ridge = _RIDGE if condition > _HUGE_CONDITION else 0.0
     pull = ridge * s[0]
     x = vt.T @ (s / (s**2 + pull**2) * (u.T @ target)) / scale
@@ -120,7 +134,7 @@ def _solve(factors: Sequence[Factor], weights: Array, scale: Array) -> Solution:
         x=x,
         condition=condition,
         ridge=ridge,
-        pull=pull * scale,
+        pull=np.hypot(pull, own) * scale,
         weights=np.asarray(weights),
         rmse=np.sqrt(squares / np.array([factor.rows for factor in factors])),
     )

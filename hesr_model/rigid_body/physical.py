@@ -7,6 +7,7 @@ A link is such a body if and only if its pseudo-inertia is positive definite (We
 
 The search uses P = B U U' B' (log-Cholesky, Rucker and Wensing 2022): B B' is the pseudo-inertia of
 the model file, with a weak pull towards it, and U is upper triangular. Rotor inertias are squares.
+Springs are free, as friction is.
 """
 
 from collections.abc import Sequence
@@ -86,20 +87,20 @@ def fit(
     weights.
     """
     chart = _Chart.of(model)
-    count, size = sum(len(block.target) for block in blocks), len(model.parameter_names)
+    count, size = sum(len(block.target) for block in blocks), model.inertial
     x = chart.start
     for _ in range(_REWEIGHTINGS):
         weights = _weights(blocks, rmse, weighted)
         factor, free = _eliminated(blocks, weights, size)
         problem = _Problem(chart=chart, rows=free, pull=chart.pull * np.sqrt(count))
         x = least_squares(problem.residuals, x, jac=problem.slopes, method="lm").x
-        parameters = chart.parameters(x)
+        inertial = chart.parameters(x)
         others = factor.shape[1] - size - 1
-        friction = solve_triangular(
+        freely = solve_triangular(
             factor[:others, :others],
-            factor[:others, -1] - factor[:others, others:-1] @ parameters,
+            factor[:others, -1] - factor[:others, others:-1] @ inertial,
         )
-        every = np.concatenate([parameters, friction])
+        every = np.concatenate([inertial, freely])
         rmse = np.array([np.sqrt(np.mean((b.target - b.matrix @ every) ** 2)) for b in blocks])
     slopes = np.eye(len(every), len(x) + others)
     slopes[:size, : len(x)] = chart.slopes(x)
@@ -116,11 +117,12 @@ def fit(
         weights=weights,
         rmse=rmse,
     )
-    to_base = np.hstack([dependence(model, base) @ chart.slopes(x), np.zeros((len(base), others))])
+    standard = len(model.parameter_names)
+    to_base = dependence(model, base) @ slopes[:standard]
     covariance = covariance_of(moved, at, labels)
     return PhysicalFit(
-        parameters=parameters,
-        friction=friction,
+        parameters=every[:standard],
+        friction=every[standard:],
         covariance=covariance.mapped([model.parameter_names[k] for k in base], to_base),
         rmse=rmse,
     )
@@ -137,7 +139,7 @@ class _Chart:
 
     @classmethod
     def of(cls, model: Robot) -> Self:
-        nominal, links = model.nominal_parameters, 10 * model.links
+        nominal, links = model.nominal_parameters[: model.inertial], 10 * model.links
         factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]
         known = rotors > 0

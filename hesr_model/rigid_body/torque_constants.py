@@ -32,6 +32,7 @@ _CHANGED = 0.02  # the same for a payload
 _LEAST_ARM = 0.05  # smallest distance of a centre of mass [m]
 _OPEN = 3.0  # standard deviation of inertia tensors over their size
 _ROTOR = 3.0  # standard deviation of rotor inertias [kg.m2]
+_SPRING = 1e4  # standard deviation of springs [N.m, N.m/rad]: they are unknown
 _ROUNDS = 3
 
 
@@ -228,6 +229,7 @@ def _spread(model: Robot, mass_error: float) -> Array:
     """Return the standard deviations (P,) of the model file."""
     nominal = model.nominal_parameters
     spread = np.full(len(nominal), _ROTOR)
+    spread[model.inertial :] = _SPRING
     heaviest = max(float(np.max(nominal[: 10 * model.links : 10])), 1e-3)
     for k in range(model.links):
         m, *rest = nominal[10 * k : 10 * k + 10]

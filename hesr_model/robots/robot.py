@@ -25,6 +25,7 @@ from hesr_model.robots.model_file import (
 )
 from hesr_model.robots.owner import Owner
 from hesr_model.robots.sources import Sources, sourced
+from hesr_model.robots.springs import spring_terms
 from hesr_model.robots.transmission import Coupling, Transmission
 from hesr_model.robots.urdf import UNLIMITED
 from hesr_model.support.arrays import Array
@@ -45,9 +46,10 @@ class RobotDescription(Config):
     `gravity` [m/s2] is in the base frame, by default that of the model file; `mount` (roll, pitch,
     yaw) [rad] turns the base. `known` lists exact parameters, such as ``j1.Izz``, and makes others
     placeholders; by default all are approximate. `rotor_inertia` adds a rotor inertia per joint,
-    reflected through its gear. `gear_ratio` (turns of the motor per turn of the joint) is needed by
-    laws with motor ripple; `transmission` if motors turn several joints or were logged, it then
-    sets the gear ratios. `sources` states how constants are known.
+    reflected through its gear. `springs` (linear) and `balancers` (constant and two harmonics of
+    the angle) list joints with further torques. `gear_ratio` (turns of the motor per turn of the
+    joint) is needed by laws with motor ripple; `transmission` if motors turn several joints or were
+    logged, it then sets the gear ratios. `sources` states how constants are known.
     """
 
     name: PrintableName
@@ -59,6 +61,8 @@ class RobotDescription(Config):
     mount: tuple[float, float, float] | None = None
     known: tuple[str, ...] | None = None
     rotor_inertia: bool = True
+    springs: tuple[PrintableName, ...] = ()
+    balancers: tuple[PrintableName, ...] = ()
     gear_ratio: tuple[Annotated[float, Field(gt=0)], ...] | None = None
     transmission: Transmission | None = None
     log: LogFormat = LogFormat()
@@ -154,7 +158,7 @@ class Robot:
     """A robot: its joints, the format of its logs, and its rigid-body dynamics (eq. 5).
 
     tau = Y(q, dq, ddq) pi, with ten parameters per link (`LINK_PARAMETERS`) and, if described, a
-    rotor inertia per joint, whose column is ddq of the joint or of its coupled motor.
+    rotor inertia per joint, whose column is ddq of the joint or of its coupled motor, and springs.
 
     Parameters
     ----------
@@ -186,6 +190,9 @@ class Robot:
         # In the dynamics they are columns of the regressor.
         self._model.armature = np.zeros(self._model.nv)
         self._model.gravity.linear = np.array(self.gravity)
+        sprung = self.slides, description.springs, description.balancers
+        self.springs = tuple(spring_terms(self.name, self.joints, *sprung))
+        """Terms of springs and balancers."""
         description.log.units.require_fitting(description.joints, self.slides)
         if description.transmission:
             description.transmission.require_turning(description.joints, self.slides)
@@ -245,18 +252,23 @@ class Robot:
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the regressor's columns: link by link, then the rotors."""
+        """Names of the regressor's columns: link by link, then the rotors, then the springs."""
         carrying = list(self._model.names)[1:]
         links = tuple(f"{joint}.{name}" for joint in carrying for name in LINK_PARAMETERS)
-        rotors = tuple(f"{joint}.Ir" for joint in self.joints)
-        return links + rotors if self.description.rotor_inertia else links
+        rotors = tuple(f"{joint}.Ir" for joint in self.joints) * self.description.rotor_inertia
+        return links + rotors + tuple(f"{self.joints[t.joint]}.{t.name}" for t in self.springs)
+
+    @property
+    def inertial(self) -> int:
+        """Number of parameters before those of springs."""
+        return len(self.parameter_names) - len(self.springs)
 
     @cached_property
     def nominal_parameters(self) -> Array:
-        """Parameters (10n [+n],) of the model file."""
+        """Parameters (P,) of the model file, 0 for springs."""
         links = [np.asarray(body.toDynamicParameters()) for body in list(self._model.inertias)[1:]]
         rotors = [self.rotor_nominal] if self.description.rotor_inertia else []
-        return np.concatenate([*links, *rotors])
+        return np.concatenate([*links, *rotors, np.zeros(len(self.springs))])
 
     @cached_property
     def limits(self) -> tuple[Array, Array, Array]:
@@ -311,12 +323,11 @@ class Robot:
             )
             out[k, :, :links] = rows if slopes is None else slopes.T @ rows
         if self.description.rotor_inertia:
-            joints = np.arange(self.n)
             motors = self.description.motors
-            if motors is None:
-                out[:, joints, links + joints] = ddq
-            else:
-                out[:, :, links:] = motors.motion(ddq)[:, None, :] * motors.forward.T
+            own = np.eye(self.n) if motors is None else motors.forward
+            out[:, :, links : self.inertial] = (ddq @ own.T)[:, None, :] * own.T
+        for column, term in enumerate(self.springs, start=self.inertial):
+            out[:, term.joint, column] = term.over(q[:, term.joint])
         return out
 
     def torque(self, parameters: Array, q: Array, dq: Array, ddq: Array) -> Array:

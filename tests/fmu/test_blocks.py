@@ -315,6 +315,26 @@ def test_torque_is_right_for_a_tree_with_sliding_joints(tmp_path: Path, rotors: 
     check_robot(robot, tmp_path)
 
 
+def test_torque_is_right_for_springs_and_balancers(tmp_path: Path) -> None:
+    urdf = tmp_path / "tree.urdf"
+    urdf.write_text(TREE, encoding="utf-8")
+    own = RobotDescription(
+        name="tree", model=urdf, joints=("j1", "j2", "j3", "j4", "j5"), springs=("j1", "j3"),
+        balancers=("j3", "j5"),
+    )  # fmt: skip
+    for rotors in (True, False):
+        robot = Robot(own.model_copy(update={"rotor_inertia": rotors}))
+        parameters = robot.nominal_parameters.copy()
+        parameters[robot.inertial :] = np.random.default_rng(3).uniform(-90.0, 90.0, 13)
+        fmu = write_fmu(inverse_dynamics(robot, parameters), tmp_path / "Body.fmu")
+        assert off_by(fmu, robot, parameters, {}) <= 1e-12
+    more = {"spring[1].k": 5.0, "spring[3].sin2": -7.0}
+    for name, value in more.items():
+        i, _, kind = name.removeprefix("spring[").partition("].")
+        parameters[robot.parameter_names.index(f"j{i}.{kind}")] = value
+    assert off_by(fmu, robot, parameters, more) <= 1e-12
+
+
 def test_torque_is_right_for_joints_that_follow_others(tmp_path: Path) -> None:
     urdf = tmp_path / "tree.urdf"
     follower = (

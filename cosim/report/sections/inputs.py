@@ -87,9 +87,11 @@ def _torques(results: Results, log: SavedLog) -> Chart:
 
 
 def _parameters(body: RigidBody) -> ResultTable:
+    sprung = any(name.endswith(".const") for name in body.names)
+    springs = "; springs: k [N.m/rad], others [N.m]" if sprung else ""
     return ResultTable(
-        caption="Base parameters: m [kg], mx.. [kg.m], Ixx.. and rotor Ir [kg.m²]; each includes "
-        "the parameters that depend on it",
+        caption="Base parameters: m [kg], mx.. [kg.m], Ixx.. and rotor Ir [kg.m²]"
+        f"{springs}; each includes the parameters that depend on it",
         head=("parameter", "value", "± 95 %"),
         rows=[
             row_of(body.names[k], number(body.parameters[k], 4), number(_INTERVAL * error, 2))
