@@ -10,11 +10,13 @@ from cosim.report.figures.chart import Line
 from cosim.report.figures.motions import JointView, joints
 from cosim.report.figures.style import MEASURED, SERIES, Stroke, write_svg
 from cosim.report.markup import Pictures, Section, render, table, write_sections
+from cosim.report.robot import picture, robot_tables
 from cosim.report.tables.table import ResultTable, row_of
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.examine import Examination
 from hesr_model.health.excitation_gaps import unseen
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 _POINTS = 700  # maximum number of points of a line
@@ -22,21 +24,30 @@ _POINTS = 700  # maximum number of points of a line
 
 def write_inspection(path: Path, proposal: Proposal) -> None:
     """Write the page, or only its figure if the suffix is ``.svg``."""
+    robot = Robot(proposal.robot) if proposal.robot.model.is_file() else None
     if path.suffix.lower() == ".svg":
-        write_svg(joints(_views(proposal)), path)
+        alone = robot and not proposal.logs
+        write_svg(picture(robot) if robot and alone else joints(_views(proposal)), path)
         return
     values = _values(proposal, path)
-    titles = {
+    if robot:
+        values |= {"tables": robot_tables(robot), "arm": picture(robot)}
+    subject = "logs of" if proposal.logs else "robot"
+    of_logs = {
         "joints": "Joints",
         "pictures": "Motion and torque",
         "unseen": "What this log cannot show",
+    }
+    titles = {
+        **({"arm": "Robot"} if robot else {}),
+        **(of_logs if proposal.logs else {}),
         "robot": "Proposed robot file",
     }
     parts = {part: render("sections/inspection.html.j2", part=part, **values) for part in titles}
     write_sections(
         path,
-        title=f"HESR: logs of {proposal.robot.name}",
-        heading=f"Logs of {proposal.robot.name}",
+        title=f"HESR: {subject} {proposal.robot.name}",
+        heading=f"{subject.capitalize()} {proposal.robot.name}",
         summary=render("sections/inspection.html.j2", part="summary", **values),
         sections=[Section(key=key, title=titles[key], html=html) for key, html in parts.items()],
     )

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from cosim.study.sample_logs import RATE, mark_samples, sample_logs
 from cosim.study.study import Study
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.findings import Finding
+from hesr_model.robots.mjcf import with_includes
 from hesr_model.robots.model_file import arm, driven_joints, joints_of, locked
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import folder_written_whole, is_empty, models_folder
@@ -36,7 +36,8 @@ class NewProject:
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
     """Create a project folder for `hesr run`; see `hesr.new`.
 
-    The model (URDF, or MJCF with suffix ``.xml``) is copied without its meshes.
+    The model (URDF, or MJCF with suffix ``.xml``) is copied without its meshes, but with the
+    files that it includes.
     """
     require_new(folder)
     if model.suffix.lower() == ".xacro":
@@ -49,7 +50,9 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
     rest = locked(others)
     name = project_name(folder)
     with folder_written_whole(folder) as temporary:
-        shutil.copyfile(model, temporary / model.name)
+        mjcf = model.suffix.lower() == ".xml"
+        content = with_includes(model) if mjcf else model.read_bytes()
+        (temporary / model.name).write_bytes(content)
         texts = environment()
         for file in _FILES:
             text = texts.get_template(f"{file}.j2").render(

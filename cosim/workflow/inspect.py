@@ -45,6 +45,11 @@ class Inspection(Answer):
         left = {(f.check, f.joints) for f in self.findings}
         return [f for f in self.proposal.first if (f.check, f.joints) not in left]
 
+    @property
+    def shows_tables(self) -> bool:  # type: ignore[override]  # derived from the proposal
+        """Whether only a robot was inspected."""
+        return not self.proposal.logs
+
     def summary(self) -> str:
         """Return what is fixed, still open and guessed, then files and the next command."""
         lines = [f"Fixed by the proposed robot file: {f.sentence}" for f in self.fixed]
@@ -63,6 +68,11 @@ class Inspection(Answer):
         from hesr_model.health.proposal import HEAD, summary_rows
 
         shown: list[ResultTable | str] = []
+        if not self.proposal.logs:
+            from cosim.report.robot import robot_tables
+            from hesr_model.robots.robot import Robot
+
+            shown += robot_tables(Robot(self.proposal.robot))
         for log in self.proposal.logs:
             count = len(log.gaps)
             gaps = f", {count} gap{'s' * (count > 1)}" if count else ""
@@ -91,7 +101,7 @@ class Inspection(Answer):
 
 
 def inspect(
-    logs: Logs,
+    logs: Logs = (),
     *,
     robot: RobotArg | None = None,
     joints: Sequence[str] = (),
@@ -104,12 +114,12 @@ def inspect(
     payload: PerJoint | None = None,
     progress: Stages = silent,
 ) -> Inspection:
-    """Find errors in logs and propose a robot file.
+    """Find errors in logs and in a robot's model, and propose a robot file.
 
     Parameters
     ----------
     logs : path or sequence of paths
-        CSV, Parquet or MATLAB files, or ROS bags.
+        CSV, Parquet or MATLAB files, or ROS bags; without any only the robot is inspected.
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; without it logs are checked against themselves.
     joints : sequence of str, optional
@@ -172,7 +182,9 @@ def inspect(
     if not torque_constants and (loaded or payload is not None or mass_error != 0.2):
         raise ArgumentError("'mass_error', 'loaded' and 'payload' need 'torque_constants'.")
     files = [g.path if isinstance(g, Log) else path_of(g, "a log") for g in listed(logs)]
-    if None in files or not files:
+    if not files and (robot is None or study or torque_constants):
+        raise ArgumentError("'study' and 'torque_constants' need logs; without logs give 'robot'.")
+    if None in files:
         raise ArgumentError("logs are inspected as files; give their paths.")
     progress("inspecting logs", 0, 1)
     names = joint_names(joints)

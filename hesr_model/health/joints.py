@@ -64,6 +64,15 @@ def _positions(table: LogTable) -> int:
         return 0
 
 
+def chosen(robot: RobotLike, joints: Sequence[str]) -> tuple[RobotDescription, str]:
+    """Return a robot to inspect without logs, and why joints of a model file are locked."""
+    if joints or not is_model(robot):
+        return with_joints(robot, joints), ""
+    path = description_of(robot).model
+    found = description_of_model(path, [joint.name for joint in arm(path)])
+    return found, "fingers and joints outside the longest chain are locked" * bool(found.locked)
+
+
 def resting(robot: RobotDescription, parts: Sequence[Motionwise]) -> dict[str, float]:
     """Return the positions [rad or m] of joints that stay at one place in all parts."""
     if not parts or robot.transmission:

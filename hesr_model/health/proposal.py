@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.findings import Finding
+from hesr_model.findings import Finding, errors_first
 from hesr_model.health.examine import Examination, examine
 from hesr_model.health.joints import (
     changed,
+    chosen,
     is_model,
     resting,
     with_columns_of,
@@ -50,6 +51,12 @@ def inspected(
     paths: Sequence[Path], robot: RobotLike | None = None, joints: Sequence[str] = ()
 ) -> Proposal:
     """Inspect logs of a known robot and its chosen joints, or by their columns alone."""
+    if robot is not None and not paths:
+        found, reason = chosen(robot, joints)
+        nothing = Examination(findings=(), parts=(), torques=(), explained=())
+        reasons = {"joints": f"likely: {reason}"} if reason else {}
+        alone = Proposal(robot=found, reasons=reasons, logs=(), examination=nothing, first=())
+        return _with_doubts(alone)
     stated = None if robot is None or is_model(robot) else description_of(robot)
     table = open_table(paths[0], stated.log if stated else LogFormat())
     if robot is not None:
@@ -58,11 +65,19 @@ def inspected(
             found, reason = with_columns_of(found, table)
         proposal = propose(paths, found, known=True)
         known = {"joints": f"likely: {reason}"} if reason else {}
-        return replace(proposal, reasons={**known, **proposal.reasons})
+        return _with_doubts(replace(proposal, reasons={**known, **proposal.reasons}))
     count = len(guess(table).columns["q"]) if table else 1
     names = tuple(f"joint{k}" for k in range(1, count + 1))
     stranger = RobotDescription(name="robot", model=Path("unknown"), joints=names)
     return propose(paths, stranger, known=False)
+
+
+def _with_doubts(proposal: Proposal) -> Proposal:
+    """Return a proposal whose findings begin with the doubts about the model file."""
+    doubts, own = Robot(proposal.robot).doubts, proposal.examination
+    findings = tuple(errors_first([*doubts, *own.findings]))
+    first = errors_first([*doubts, *proposal.first])
+    return replace(proposal, first=first, examination=replace(own, findings=findings))
 
 
 def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> Proposal:

@@ -112,6 +112,26 @@ def _root(path: Path, data: bytes) -> Element | None:
         raise ConfigError(f"{path}: cannot be parsed as an MJCF ({_reason(error)}).") from error
 
 
+def with_includes(path: Path) -> bytes:
+    """Return an MJCF with the content of the files that it includes."""
+    root = _root(path, data := path.read_bytes())
+    if root is None or root.find(".//include") is None:
+        return data
+    _include(root, path.parent, frozenset({path}))
+    return ElementTree.tostring(root)
+
+
+def _include(element: Element, base: Path, above: frozenset[Path]) -> None:
+    for k, child in reversed(list(enumerate(element))):
+        file, inner = base / child.get("file", ""), child
+        if child.tag == "include" and file.is_file() and file not in above:
+            found = _root(file, file.read_bytes())
+            inner = child if found is None else found
+        _include(inner, base, above | {file})
+        if inner is not child:
+            element[k : k + 1] = list(inner)
+
+
 def _files(root: Element, base: Path) -> Iterator[tuple[Element, Path]]:
     places = ("assetdir", "meshdir", "texturedir")
     folders = {e.get(kind, "") for e in root.iter("compiler") for kind in places}

@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -209,6 +209,10 @@ def _doubts(path: Path, model: Any) -> Iterator[Finding]:
             needs = "give the link an <inertial> if it is a real part"
             yield _doubt("massless-link", path, model.names[number], "its link has no mass", needs)
         if joint.nq != 1 or not np.isfinite(low + high):
+            if joint.nq == 1 and path.suffix.lower() != ".xml":
+                needs = "state them in its <limit>; hesr excite needs them"
+                absent = _doubt("no-limits", path, model.names[number], "has no limits", needs)
+                yield replace(absent, severity="advice")
             continue
         if low >= high:
             way = "equal" if low == high else "reversed"

@@ -225,10 +225,38 @@ class Robot:
         """Number of moving links; those of joints that follow others count."""
         return int(self._model.nv)
 
-    @property
+    @cached_property
     def doubts(self) -> tuple[Finding, ...]:
-        """Doubtful numbers of the model file."""
-        return self._file.doubts
+        """Doubtful numbers of the model file, without placeholders; errors first."""
+        if self.description.known is not None:
+            return tuple(doubt for doubt in self._file.doubts if doubt.check == "odd-limits")
+        return (*self._own_doubts(), *self._file.doubts)
+
+    def _own_doubts(self) -> Iterator[Finding]:
+        low, high, _ = self.reach
+        bare = self._narrowed[0] >= self._narrowed[1]
+        q = np.random.default_rng(0).uniform(low, high, (8, self.n))
+        masses, _ = self.dynamics(self.nominal_parameters, q, np.zeros_like(q))
+        least = np.diagonal(masses, axis1=1, axis2=2).min(axis=0)
+        for j in np.flatnonzero(least <= 1e-12 * np.abs(masses).max()):
+            yield self._doubt(
+                int(j),
+                check="no-inertia",
+                found=f"moves an inertia of {least[j]:.3g} kg.m2 (kg if it slides), which makes "
+                "its torques meaningless",
+                remedy="correct the <inertial> of the links after it",
+            )
+        for j in np.flatnonzero(bare):
+            yield self._doubt(
+                int(j),
+                check="odd-limits",
+                severity="warning",
+                found="joints that follow it leave it no range, and their limits count as none",
+                remedy="correct their limits or their <mimic> or equality",
+            )
+
+    def _doubt(self, j: int, **content: Any) -> Finding:
+        return Finding(where=str(self._file.path), joints=(self.joints[j],), **content)
 
     @cached_property
     def gravity(self) -> Array:
@@ -274,13 +302,27 @@ class Robot:
     def limits(self) -> tuple[Array, Array, Array]:
         """Lowest and highest position [rad or m] and highest speed, (n,) each.
 
-        An absent limit is infinite.
+        An absent limit is infinite; joints that follow a leader also limit it, unless they leave
+        it no range.
         """
-        ranges = [position_limits(self._model, joint) for joint in self._own]
-        speeds = [float(self._model.velocityLimit[joint.idx_v]) for joint in self._own]
-        lower, upper = np.array(ranges).reshape(-1, 2).T
-        absent = [not 0.0 < speed < UNLIMITED for speed in speeds]
-        return lower, upper, np.where(absent, np.inf, speeds)
+        lower, upper, speed = self._narrowed
+        own = np.array([position_limits(self._model, joint) for joint in self._own])
+        bare = lower >= upper
+        return np.where(bare, own[:, 0], lower), np.where(bare, own[:, 1], upper), speed
+
+    @cached_property
+    def _narrowed(self) -> tuple[Array, Array, Array]:
+        joints = list(self._model.joints)[1:]
+        ranges = np.array([position_limits(self._model, joint) for joint in joints])
+        speeds = np.array([float(self._model.velocityLimit[joint.idx_v]) for joint in joints])
+        speeds = np.where((speeds > 0.0) & (speeds < UNLIMITED), speeds, np.inf)
+        slopes, offsets = self.follow or (np.eye(self.n), np.zeros(self.n))
+        own = slopes != 0.0
+        scale = np.where(own, slopes, 1.0)
+        ends = np.sort((ranges.T - offsets)[:, :, None] / scale, axis=0)
+        lower = np.where(own, ends[0], -np.inf).max(axis=0)
+        upper = np.where(own, ends[1], np.inf).min(axis=0)
+        return lower, upper, np.where(own, speeds[:, None] / np.abs(scale), np.inf).min(axis=0)
 
     @cached_property
     def reach(self) -> tuple[Array, Array, Array]:
@@ -299,6 +341,16 @@ class Robot:
     def tree(self) -> tuple[JointFrame, ...]:
         """Frames of the joints and of those that follow them, from base to tip."""
         return tuple(joint_frames(self._model, self._pin.neutral(self._model)))
+
+    @property
+    def bodies(self) -> list[tuple[float, Array, Array]]:
+        """Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) [kg.m2] of each link."""
+        return [(one.mass, one.lever, one.inertia) for one in list(self._model.inertias)[1:]]
+
+    def places(self, q: Array) -> list[tuple[Array, Array]]:
+        """Return rotation (3, 3) and origin (3,) [m] of each joint's frame at a position (n,)."""
+        self._pin.forwardKinematics(self._model, self._data, self._configurations(q[None])[0])
+        return [(one.rotation.copy(), one.translation.copy()) for one in list(self._data.oMi)[1:]]
 
     def regressor(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Return the regressor Y of eq. 5 at every sample.

@@ -376,3 +376,27 @@ def test_only_unchanged_sample_logs_count_as_samples(tmp_path: Path, count: int)
     assert [is_sample(file) for file in (*files, own)] == [True] * count + [False]
     files[0].write_text("replaced", encoding="utf-8")
     assert not is_sample(files[0])
+
+
+def test_files_that_an_mjcf_includes_come_with_it(tmp_path: Path) -> None:
+    inertial = '<inertial pos="0 0 0.1" mass="{}" diaginertia="0.1 0.1 0.1"/>'
+    hinge = '<joint name="{}" axis="0 1 0" range="-1 1"/>'
+    parts = tmp_path / "given" / "parts"
+    parts.mkdir(parents=True)
+    tip = f'<body name="tip">{hinge.format("b")}{inertial.format(3)}</body>'
+    (parts / "tip.xml").write_text(f"<mujoco>{tip}</mujoco>", encoding="utf-8")
+    defaults = '<default><joint armature="0.2"/></default><include file="parts/step.xml"/>'
+    (parts / "defaults.xml").write_text(f"<mujoco>{defaults}</mujoco>", encoding="utf-8")
+    (parts / "step.xml").write_text('<mujoco><option timestep="0.001"/></mujoco>', encoding="utf-8")
+    body = f'<body>{hinge.format("a")}{inertial.format(2)}<include file="parts/tip.xml"/></body>'
+    model = model_file(
+        parts.parent,
+        '<mujoco><compiler angle="radian"/><include file="parts/defaults.xml"/>'
+        f"<worldbody>{body}</worldbody></mujoco>",
+        "arm.xml",
+    )
+    start(tmp_path / "new", model)
+    expected, found = Robot(model), Robot(tmp_path / "new" / "robot.toml")
+    assert found.joints == expected.joints == ("a", "b")
+    np.testing.assert_array_equal(found.nominal_parameters, expected.nominal_parameters)
+    np.testing.assert_array_equal(found.rotor_nominal, [0.2, 0.2])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import RobotError
+from hesr_model.motions.limits import Limits, MotionLimits
 from hesr_model.robots.mjcf import engine
 from hesr_model.robots.robot import Robot, RobotDescription, description_of
 
@@ -137,6 +138,19 @@ def test_joint_equalities_are_one_linear_map(tmp_path: Path) -> None:
     torques(robot, path, others={"a4": 0.3})
     assert len(robot.parameter_names) == 10 * 3 + 2
     np.testing.assert_allclose(robot.rotor_nominal, [0.0, 1.5**2 * 2.0])
+
+
+def test_followers_by_an_equality_limit_their_leader(tmp_path: Path) -> None:
+    """a3 = 0.55 - 1.5 a2 lies between -1 and 0.7; a4 does not move."""
+    ranged = (FOUR[0], f'{FOUR[1]} range="-3 0.9"', f'{FOUR[2]} range="-1 0.7"', FOUR[3])
+    robot = Robot(mjcf(tmp_path, arm("a", "", *ranged), EQUALITY.format(more=0)))
+    low, high, _ = robot.limits
+    np.testing.assert_allclose(low, [-np.inf, -0.1])
+    np.testing.assert_allclose(high, [np.inf, 0.9])
+    limited = Limits.of(robot, MotionLimits(position=((-1, 1), (-0.1, 0.9)), velocity=(1, 1)))
+    np.testing.assert_allclose(limited.upper, [1.0, 0.9])
+    with pytest.raises(RobotError, match=r"'a2' is -0\.5 to 0\.9; the model allows -0\.1 to 0\.9"):
+        Limits.of(robot, MotionLimits(position=((-1, 1), (-0.5, 0.9)), velocity=(1, 1)))
 
 
 @pytest.mark.parametrize(

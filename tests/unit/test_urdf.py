@@ -114,6 +114,7 @@ def test_numbers_without_meaning_are_refused(
         (LIMIT.replace('"2"', '"-1"'), {}, "its position limits are equal, -1 and -1, and count"),
         (LIMIT.replace('"2"', '"180"'), {}, "its limits -1 and 180 rad look like degrees: write "),
         (LIMIT, {"mass": "0"}, "its link has no mass: give the link an <inertial> if it is a "),
+        ("", {}, "has no limits: state them in its <limit>; hesr excite needs them."),
         (LIMIT, {"xx": "0.2"}, "the principal moments of inertia of link 'j2' are 0.02, 0.03, 0.2"),
     ],
 )
@@ -125,6 +126,40 @@ def test_doubtful_numbers_are_reported(
     (doubt,) = Robot(path).doubts
     where = f"{path}, joint 'j2': " if doubt.joints else f"{path}: "
     assert doubt.sentence.startswith(where + found)
+
+
+def test_a_joint_that_moves_no_inertia_is_an_error(tmp_path: Path) -> None:
+    """The last link turns about y without any inertia about it."""
+    path = chain(tmp_path, {}, {})
+    text = path.read_text(encoding="utf-8").replace('xyz="0.1 0 0.2"', 'xyz="0 0 0"')
+    path.write_text(text.replace('iyy="0.02"', 'iyy="0"'), encoding="utf-8")
+    first, *others = Robot(path).doubts
+    assert (first.check, first.severity, first.joints) == ("no-inertia", "error", ("j2",))
+    assert "moves an inertia of 0 kg.m2 (kg if it slides), which makes its torques mean" in (
+        first.sentence
+    )
+    assert {doubt.check for doubt in others} == {"impossible-inertia"}
+    known = Robot(describe(path, "j1", "j2", known=()))  # placeholders
+    assert known.doubts == ()
+
+
+@pytest.mark.parametrize(
+    ("mimic", "lower", "upper", "speed"),
+    [
+        ('multiplier="-2" offset="0.2"', -0.9, 0.6, 1.5),  # -1 <= 0.2 - 2 q <= 2, speed 3
+        ('multiplier="0.5"', -1.0, 2.0, 3.0),
+        ('multiplier="1" offset="9"', -1.0, 2.0, 3.0),  # conflicts with its own range
+    ],
+)
+def test_followers_limit_their_leader(
+    tmp_path: Path, mimic: str, lower: float, upper: float, speed: float
+) -> None:
+    robot = Robot(chain(tmp_path, {}, {}, {"more": f'{LIMIT}<mimic joint="j2" {mimic}/>'}))
+    np.testing.assert_allclose(np.array(robot.limits)[:, 1], [lower, upper, speed])
+    np.testing.assert_array_equal(np.array(robot.limits)[:, 0], [-1.0, 2.0, 3.0])
+    found = [doubt.found for doubt in robot.doubts]
+    conflict = "joints that follow it leave it no range, and their limits count as none"
+    assert found == ([conflict] if "9" in mimic else [])
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
