@@ -57,7 +57,7 @@ class Described(Estimator):
             numbers, space = problem.named(point), waves.extend_space(problem.space)
             problem = Separable(waves.extend(problem.form), space, samples)
             point = min(
-                (problem.polish(problem.point(numbers | at)) for at in ripple.starts(times)),
+                (problem.settled(problem.point(numbers | at)) for at in ripple.starts(times)),
                 key=lambda trial: problem.solve(trial)[1],
             )
         law = problem.law(point, self.name, complete)
@@ -81,7 +81,7 @@ class OneForm(Described):
         form = self.core({})
         samples = JointRows.of(records, coefficients=len(form.coefficients))
         problem = Separable(form, self.space(), samples)
-        point = problem.polish(problem.search(rng))
+        point = problem.settled(problem.search(rng))
         return self.finish({}, problem, point)
 
 

@@ -45,6 +45,7 @@ class SearchSpace:
 
 
 LEAST = 1e-9  # [its unit] of a non-negative coefficient that scales others
+_NO_EFFECT = 1e-9  # relative change of the cost
 
 
 class Separable:
@@ -163,6 +164,25 @@ class Separable:
             diff_step=1e-6,
         )
         return np.asarray(found.x)
+
+    def settled(self, point: Array) -> Array:
+        """Return the point after a local search, also from both ends of what has no effect there.
+
+        Where F_s = F_c, v_s has none, and its value decides whether a higher F_s is found.
+        """
+        point = self.polish(point, evaluations=40)
+        cost = self.solve(point)[1]
+        ends = [
+            np.where(np.arange(len(point)) == k, end, point)
+            for k, limits in enumerate(self.bounds)
+            for end in limits
+        ]
+        found = [
+            self.polish(e, evaluations=40)
+            for e in ends
+            if self.solve(e)[1] <= cost * (1.0 + _NO_EFFECT)
+        ]
+        return min([point, *found], key=lambda trial: self.solve(trial)[1])
 
     def values(self, point: Array, unknowns: Array) -> dict[str, float]:
         """Return all coefficients of the form by name, from a point and the unknowns of `solve`."""
