@@ -8,6 +8,7 @@ candidates of a population follow each other in one instance, so that start stat
     other laws             the last round must generate energy and end in the state it began with
 """
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -185,12 +186,18 @@ def search(
     *,
     starts: int = STARTS,
     generations: int = 5,
+    cases: int = 0,
     enough: float = np.inf,
 ) -> Found:
-    """Run differential evolution from many starts; stop when a share exceeds `enough`."""
+    """Run differential evolution from many starts, more if they converge before `cases`.
+
+    It ends when a share exceeds `enough`.
+    """
     used: Mapping[str, float] = {}
     bounds = genes_of()
-    for seed in range(starts):
+    for seed in itertools.count():
+        if seed >= starts and target.cases >= cases:
+            break
         rng = np.random.default_rng(seed)
         before = target.best[0]
         chosen = scales[seed % len(scales)]
