@@ -74,7 +74,9 @@ class RobotDescription(Config):
     def _one_for_all(cls, data: Any) -> Any:
         """Repeat a single torque constant for every joint."""
         log = data.get("log") if isinstance(data, Mapping) else None
-        gain = log.get("torque_per_ampere") if isinstance(log, Mapping) else None
+        if not isinstance(log, Mapping):
+            return data
+        gain = log.get("torque_per_ampere")
         if isinstance(gain, bool) or not isinstance(gain, int | float):
             return data
         joints = data.get("joints")
