@@ -63,7 +63,7 @@ class Inspection(Answer):
         return "\n".join(filter(None, [text, self.limit, next_]))
 
     def tables(self) -> Sequence[ResultTable | str]:
-        """Return one line and one table per log, and all findings."""
+        """Return one line and one table per log and all findings, or the tables of a robot."""
         from cosim.report.tables.table import ResultTable, TableRow, row_of
         from hesr_model.health.proposal import HEAD, summary_rows
 
@@ -85,7 +85,7 @@ class Inspection(Answer):
         for name, joint, *cells in summary_rows(self.proposal):
             by_log.setdefault(name, []).append(row_of(joint, *cells))
         shown += [ResultTable(caption=n, head=HEAD[1:], rows=rows) for n, rows in by_log.items()]
-        return [*shown, *finding_lines(self.proposal.first)]
+        return [*shown, *(finding_lines(self.proposal.first) if self.proposal.logs else ())]
 
     def result(self) -> Any:
         """Return findings before and after the proposal, its reasons and torque constants."""
