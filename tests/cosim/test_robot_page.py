@@ -8,7 +8,8 @@ import pytest
 from small_study import Hesr, hesr_here
 
 import hesr as api
-from cosim.report.robot import picture, robot_tables
+from cosim.report.figures.robot import picture
+from cosim.report.tables.robot import robot_tables
 from hesr_model.errors import ArgumentError
 from hesr_model.robots.robot import Robot
 
