@@ -81,6 +81,7 @@ def test_a_messy_log_gets_a_robot_file_that_reads_it(
     assert robot.log.torque_per_ampere == pytest.approx(GAINS, rel=0.5)
     html = page.read_text("utf-8")
     assert "torque_per_ampere: guess" in html
+    assert 0 < html.index('id="figure-arm"') < html.index('id="figure-joints"')
     assert "<svg" in html
     assert "http://" not in html.replace("http://www.w3.org", "")
 
