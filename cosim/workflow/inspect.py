@@ -114,7 +114,7 @@ def inspect(
     payload: PerJoint | None = None,
     progress: Stages = silent,
 ) -> Inspection:
-    """Find errors in logs and in a robot's model, and propose a robot file.
+    """Find errors in logs and robots; propose a robot file.
 
     Parameters
     ----------
