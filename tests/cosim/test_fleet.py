@@ -24,9 +24,8 @@ from hesr.cli import main
 from hesr.extras.fleet.comparison import changed, compared
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.robot import look_at, read_result
-from hesr.extras.fleet.run import run_fleet
+from hesr.extras.fleet.run import run_fleet, write_types
 from hesr.extras.fleet.study import FleetStudy, members
-from hesr.extras.fleet.types import write_types
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hesr.extras.adaptive.follow import Followed, Follower
-from hesr.extras.adaptive.tuning import TUNING, Tuning
+from hesr.extras.adaptive.tuning import TUNING
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -80,11 +80,9 @@ class FollowedLogs:
     alarms: tuple[Alarm, ...]
 
 
-def watch(
-    model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]], tuning: Tuning = TUNING
-) -> FollowedLogs:
+def watch(model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]) -> FollowedLogs:
     """Follow friction over logs [log][joint] in order of time."""
-    follower = Follower(model, tuning)
+    follower = Follower(model, TUNING)
     followed = tuple(tuple(follower.follow(records)) for records in logs)
     return FollowedLogs(
         model=model,

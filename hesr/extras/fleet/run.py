@@ -1,15 +1,26 @@
 """Run of a fleet; an interrupted run continues."""
 
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
+from markupsafe import Markup
+
+from cosim.report.markup import Section, joined, paragraph, table, write_sections
+from fmu_src import export_fmu
+from fmu_src.friction.friction_component import exposed
+from hesr.extras.fleet import tables
 from hesr.extras.fleet.comparison import changed, compared
 from hesr.extras.fleet.parquet import write_table
-from hesr.extras.fleet.result import Fleet
+from hesr.extras.fleet.result import Fleet, RobotResult
 from hesr.extras.fleet.robot import look_at, read_result
 from hesr.extras.fleet.study import FleetStudy, members
-from hesr.extras.fleet.types import ROBOTS, write_types
 from hesr.extras.sweep.store import taken
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
 from hesr_model.health.examine import CHECKS
 from hesr_model.health.findings import require_known
@@ -18,6 +29,8 @@ from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, counted, silent
 
 ABOUT, TABLE, PAGE = "fleet.json", "fleet.parquet", "fleet.html"
+ROBOTS, TYPES = "robots", "types"
+"""Folders of the robots, one each, and of the FMUs."""
 
 
 def run_fleet(
@@ -51,7 +64,74 @@ def run_fleet(
             reused=reused,
         )
         write_table(output / TABLE, found)
-        from hesr.extras.fleet.page import write_page  # slow import
-
-        write_page(found, output / PAGE)
+        _write_page(found, output / PAGE)
     return found
+
+
+def _write_page(fleet: Fleet, path: Path) -> None:
+    rows = sum(robot.rows for robot in fleet.robots)
+    logs = sum(robot.logs for robot in fleet.robots)
+    text = (
+        f"{len(fleet.robots)} robots, {logs} logs, {rows} rows. fleet.parquet has a row for each "
+        "robot, law and joint; robots/ has the rigid body, laws and parameter sets of each robot, "
+        "types/ the FMUs."
+    )
+    write_sections(
+        path,
+        title=f"HESR fleet: {fleet.name}",
+        heading=f"Fleet ‘{fleet.name}’",
+        summary=paragraph(text),
+        sections=[
+            Section(
+                key=f"table-{k}",
+                title=one.caption,
+                html=joined(table(one), paragraph(one.note, note=True) if one.note else Markup()),
+            )
+            for k, one in enumerate(tables.all_tables(fleet))
+        ],
+    )
+
+
+class _Kind(NamedTuple):
+    type: str
+    law: str
+    structure: str
+
+
+def write_types(
+    study: FleetStudy, robots: Sequence[RobotResult], output: Path, progress: Stages
+) -> dict[tuple[str, str, str], Path]:
+    """Write FMUs with the median coefficients of a type, by (type, law, structure).
+
+    Rarer structures of a type are numbered.
+    """
+    groups: dict[_Kind, list[RobotResult]] = {}
+    for robot in robots:
+        for law in robot.laws:
+            groups.setdefault(_Kind(robot.type, law, robot.structure(law)), []).append(robot)
+    numbers: Counter[tuple[str, str]] = Counter()
+    fmus: dict[tuple[str, str, str], Path] = {}
+    for done, kind in enumerate(sorted(groups, key=lambda k: (-len(groups[k]), k))):
+        progress("FMUs of the types", done, len(groups))
+        of = groups[kind]
+        typical = _typical(kind, of, output)
+        if not all(map(exposed, typical.laws)):
+            continue
+        numbers[kind.type, kind.law] += 1
+        count = numbers[kind.type, kind.law]
+        name = kind.law if count == 1 else f"{kind.law}-{count}"
+        fmus[kind] = export_fmu(
+            typical, output / TYPES / kind.type / f"{name}.fmu", platforms=study.platforms
+        )
+    return fmus
+
+
+def _typical(kind: _Kind, robots: Sequence[RobotResult], output: Path) -> FrictionModel:
+    first = FrictionModel.read(output / ROBOTS / robots[0].robot / f"{kind.law}.json")
+    laws = []
+    for joint, law in enumerate(first.laws):
+        of = [robot.of_law(kind.law)[joint].values for robot in robots]
+        values = {name: float(np.median([one[name] for one in of])) for name in law.values}
+        laws.append(replace(law, values=values, standard_errors={}, covariance=None))
+    provenance = {"type": kind.type, "robots": len(robots)}
+    return replace(first, robot=kind.type, laws=tuple(laws), provenance=provenance)
