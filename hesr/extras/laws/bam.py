@@ -68,6 +68,10 @@ class _Bam(OneForm):
     everyday = False
     classic = True
 
+    def __init_subclass__(cls, *, model: int) -> None:
+        super().__init_subclass__()
+        cls.name, cls.title, cls.order = f"bam_m{model}", f"BAM M{model}", 190 + 10 * model
+
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
         alpha = structure.get("alpha", 2)
@@ -109,60 +113,42 @@ class _Bam(OneForm):
 
 
 @register
-class BamM1(_Bam):
+class BamM1(_Bam, model=1):
     """tau = F_c sgn(v) + sigma_2 v + tau_0: Coulomb and viscous friction."""
 
-    name = "bam_m1"
-    title = "BAM M1"
-    order = 200
     terms = (_LEVEL,)
 
 
 @register
-class BamM2(_Bam):
+class BamM2(_Bam, model=2):
     """tau = (F_c + F_e e) sgn(v) + ...: M1 with Stribeck's rise e = exp(-|v/v_s|^alpha)."""
 
-    name = "bam_m2"
-    title = "BAM M2"
-    order = 210
     terms = (_LEVEL, _RISE)
 
 
 @register
-class BamM3(_Bam):
+class BamM3(_Bam, model=3):
     """tau = (F_c + mu |L|) sgn(v) + ...: M1 with the load."""
 
-    name = "bam_m3"
-    title = "BAM M3"
-    order = 220
     terms = (_LEVEL, _LOAD)
 
 
 @register
-class BamM4(_Bam):
+class BamM4(_Bam, model=4):
     """tau = (F_c + mu |L| + e (F_e + mu_e |L|)) sgn(v) + ...: M2 with the load."""
 
-    name = "bam_m4"
-    title = "BAM M4"
-    order = 230
     terms = (_LEVEL, _RISE, _LOAD, _LOAD_RISE)
 
 
 @register
-class BamM5(_Bam):
+class BamM5(_Bam, model=5):
     """M4 with separate friction per load for the driving and the driven motor."""
 
-    name = "bam_m5"
-    title = "BAM M5"
-    order = 240
     terms = (_LEVEL, _RISE, *_DRIVING)
 
 
 @register
-class BamM6(_Bam):
+class BamM6(_Bam, model=6):
     """M5 with the square of the load in the rise at rest."""
 
-    name = "bam_m6"
-    title = "BAM M6"
-    order = 250
     terms = (_LEVEL, _RISE, *_DRIVING, *_SQUARES)
