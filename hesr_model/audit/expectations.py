@@ -17,15 +17,6 @@ STEP = 1e-3  # [s] smallest useful explicit step: the period of a servo
 
 
 @dataclass(frozen=True)
-class Source:
-    """Literature."""
-
-    who: str
-    year: int
-    title: str
-
-
-@dataclass(frozen=True)
 class Expectation:
     """A property of friction: experiment and expectation."""
 
@@ -37,22 +28,20 @@ class Expectation:
     factor: float  # from SI to this unit
     measured: str  # the experiment
     expected: str  # condition for a pass
-    sources: tuple[Source, ...]
+    sources: tuple[str, ...]  # authors (year): title
 
 
-_ELASTOPLASTIC = Source(
-    "Dupont, Hayward, Armstrong, Altpeter", 2002, "Single state elastoplastic friction models"
+_ELASTOPLASTIC = (
+    "Dupont, Hayward, Armstrong, Altpeter (2002): Single state elastoplastic friction models"
 )
-_HYSTERESIS = Source("Mayergoyz", 1986, "Mathematical models of hysteresis")
-_LUGRE = Source(
-    "Canudas de Wit, Olsson, Åström, Lischinsky",
-    1995,
-    "A new model for control of systems with friction",
+_HYSTERESIS = "Mayergoyz (1986): Mathematical models of hysteresis"
+_LUGRE = (
+    "Canudas de Wit, Olsson, Åström, Lischinsky (1995): A new model for control of systems with "
+    "friction"
 )
-_PASSIVE_LUGRE = Source(
-    "Barabanov, Ortega",
-    2000,
-    "Necessary and sufficient conditions for passivity of the LuGre friction model",
+_PASSIVE_LUGRE = (
+    "Barabanov, Ortega (2000): Necessary and sufficient conditions for passivity of the LuGre "
+    "friction model"
 )
 
 
@@ -61,7 +50,7 @@ def _expectation(
     figure: tuple[str, str, float],
     measured: str,
     expected: str,
-    *sources: Source,
+    *sources: str,
 ) -> Expectation:
     return Expectation(*names, *figure, measured, expected, sources)
 
@@ -74,12 +63,8 @@ _ALL = (
         "in 40 s, until the loop repeats.",
         f"A loop in position that dissipates energy, jumps by at most {SMOOTH:.0%} of its height "
         f"at a reversal, and dissipates the same within {RATE:.0%} at a tenth of the speed.",
-        Source(
-            "Al-Bender, Lampaert, Swevers",
-            2005,
-            "The generalized Maxwell-slip model: a novel model for friction simulation and "
-            "compensation",
-        ),
+        "Al-Bender, Lampaert, Swevers (2005): The generalized Maxwell-slip model: a novel model "
+        "for friction simulation and compensation",
     ),
     _expectation(
         ("memory", "Reversal points and non-local memory", "memory"),
@@ -89,12 +74,8 @@ _ALL = (
         f"The inner loop closes and the outer curve continues, both within {CLOSED:.0%} of its "
         "height. A single first-order state cannot remember the reversal.",
         _HYSTERESIS,
-        Source(
-            "Swevers, Al-Bender, Ganseman, Prajogo",
-            2000,
-            "An integrated friction model structure with improved presliding behavior for "
-            "accurate friction compensation",
-        ),
+        "Swevers, Al-Bender, Ganseman, Prajogo (2000): An integrated friction model structure "
+        "with improved presliding behavior for accurate friction compensation",
     ),
     _expectation(
         ("nested", "Non-local memory under load", "nested"),
@@ -103,11 +84,7 @@ _ALL = (
         "between two reversals the load rises to the full value and returns.",
         "A load that rises and returns erases no reversal: both loops close, and the outer curve "
         f"continues, within {CLOSED:.0%} of its height.",
-        Source(
-            "Mindlin, Deresiewicz",
-            1953,
-            "Elastic spheres in contact under varying oblique forces",
-        ),
+        "Mindlin, Deresiewicz (1953): Elastic spheres in contact under varying oblique forces",
         _HYSTERESIS,
     ),
     _expectation(
@@ -118,13 +95,9 @@ _ALL = (
         "speed.",
         "The joint holds until break-away, and the break-away torque falls with the rate, by at "
         f"least {FALLS:.0%} from the slowest to the fastest.",
-        Source(
-            "Johannes, Green, Brockley",
-            1973,
-            "The role of the rate of application of the tangential force in determining the "
-            "static friction coefficient",
-        ),
-        Source("Richardson, Nolle", 1976, "Surface friction under time-dependent loads"),
+        "Johannes, Green, Brockley (1973): The role of the rate of application of the tangential "
+        "force in determining the static friction coefficient",
+        "Richardson, Nolle (1976): Surface friction under time-dependent loads",
         _LUGRE,
     ),
     _expectation(
@@ -135,11 +108,8 @@ _ALL = (
         f"The first torque is the steady one, within {BEGINS:.0%} of the friction: simulations may "
         "start while sliding.",
         _LUGRE,
-        Source(
-            "Otter, Elmqvist, Mattsson",
-            1999,
-            "Hybrid modeling in Modelica based on the synchronous data flow principle",
-        ),
+        "Otter, Elmqvist, Mattsson (1999): Hybrid modeling in Modelica based on the synchronous "
+        "data flow principle",
     ),
     _expectation(
         ("lag", "Frictional lag", "lag"),
@@ -149,11 +119,8 @@ _ALL = (
         f"Torque lags velocity: the branches are {WIDTH:.0%} of the friction level apart, the "
         "accelerating one above a falling and below a rising steady curve, and further apart the "
         "faster the speed changes.",
-        Source(
-            "Hess, Soom",
-            1990,
-            "Friction at a lubricated line contact operating at oscillating sliding velocities",
-        ),
+        "Hess, Soom (1990): Friction at a lubricated line contact operating at oscillating "
+        "sliding velocities",
         _LUGRE,
     ),
     _expectation(
@@ -163,13 +130,9 @@ _ALL = (
         "or at 1 % of the trained speed if it does not fall.",
         "A limit cycle of stick and slip if the law's own steady curve falls with speed by at "
         f"least {WEAKENING:.0%} of the level, and steady sliding otherwise.",
-        Source("Rabinowicz", 1958, "The intrinsic variables affecting the stick-slip process"),
-        Source(
-            "Armstrong-Hélouvry, Dupont, Canudas de Wit",
-            1994,
-            "A survey of models, analysis tools and compensation methods for the control of "
-            "machines with friction",
-        ),
+        "Rabinowicz (1958): The intrinsic variables affecting the stick-slip process",
+        "Armstrong-Hélouvry, Dupont, Canudas de Wit (1994): A survey of models, analysis tools "
+        "and compensation methods for the control of machines with friction",
     ),
     _expectation(
         ("dither", "Drift under a load with dither", "dither"),
@@ -185,11 +148,8 @@ _ALL = (
         ("drift in a minute", "mrad", 1e3),
         "A JointDrive carries half its friction level for 60 s; it is also the load of the law.",
         f"It drifts by less than {1e6 * HELD:.0f} urad after the first second.",
-        Source(
-            "Courtney-Pratt, Eisner",
-            1957,
-            "The effect of a tangential force on the contact of metallic bodies",
-        ),
+        "Courtney-Pratt, Eisner (1957): The effect of a tangential force on the contact of "
+        "metallic bodies",
         _ELASTOPLASTIC,
     ),
     _expectation(
@@ -198,11 +158,8 @@ _ALL = (
         "The joint rests; its velocity is the difference of encoder readings with 20 urad of "
         "noise, at the law's own sample time.",
         f"Less than {QUIET:.0%} of the friction level.",
-        Source(
-            "Olsson, Åström, Canudas de Wit, Gäfvert, Lischinsky",
-            1998,
-            "Friction models and friction compensation",
-        ),
+        "Olsson, Åström, Canudas de Wit, Gäfvert, Lischinsky (1998): Friction models and friction "
+        "compensation",
     ),
     _expectation(
         ("work", "Work over closed cycles", "work"),
@@ -220,7 +177,7 @@ _ALL = (
         "and the largest trained one. The work of friction is summed over the last four of ten "
         "cycles.",
         "Friction generates no energy: a sampled drive of passive parts is passive.",
-        Source("Willems", 1972, "Dissipative dynamical systems, part I: general theory"),
+        "Willems (1972): Dissipative dynamical systems, part I: general theory",
         _PASSIVE_LUGRE,
     ),
     _expectation(
@@ -230,12 +187,8 @@ _ALL = (
         "from a tenth of the trained speed.",
         f"{1e3 * STEP:.0f} ms or more, a robot servo's period. Below, use a JointDrive, which "
         "solves for the speed.",
-        Source(
-            "Marques, Flores, Pimenta Claro, Lankarani",
-            2016,
-            "A survey and comparison of several friction force models for dynamic analysis of "
-            "multibody mechanical systems",
-        ),
+        "Marques, Flores, Pimenta Claro, Lankarani (2016): A survey and comparison of several "
+        "friction force models for dynamic analysis of multibody mechanical systems",
     ),
 )
 

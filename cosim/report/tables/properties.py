@@ -1,5 +1,6 @@
 """Tables of the physics checks."""
 
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -35,7 +36,7 @@ def legend(sliding: Sequence[bool] = ()) -> ResultTable:
     """Return the meaning of the columns of `properties`."""
     rows = []
     for e in EXPECTATIONS.values():
-        who = "; ".join(f"{s.who} {s.year}" for s in e.sources)
+        who = "; ".join(re.sub(r" \((\d+)\):.*", r" \1", s) for s in e.sources)
         said = f"{e.shows} [{unit_of_joints(e.unit, sliding)}]. {e.expected} ({who})"
         rows.append(row_of(e.short, said))
     return ResultTable(caption="", head=("column", "shows"), rows=rows, numeric=False)
