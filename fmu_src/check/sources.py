@@ -66,7 +66,8 @@ def _includes(about: ParsedDescription, contents: Contents) -> Iterator[str]:
                 for folder in (posixpath.dirname(name), _FOLDER)
             ]
             found = next((p for p in places if p in names), None)
-            if found is None and not _supplied(included):
+            supplied = included in _OFFICIAL or included.lower().removesuffix(".h") in _SYSTEM
+            if found is None and not supplied:
                 yield (f"{plain(name)}: includes {quoted(included)}, which is not in the archive.")
             elif found in code and found not in seen:
                 seen.add(found)
@@ -76,7 +77,3 @@ def _includes(about: ParsedDescription, contents: Contents) -> Iterator[str]:
 def _included(text: bytes) -> list[str]:
     code = _COMMENT.sub(lambda match: match[0] if match[0].startswith(b'"') else b" ", text)
     return [name.decode("utf-8", "replace") for name in _INCLUDE.findall(code)]
-
-
-def _supplied(name: str) -> bool:
-    return name in _OFFICIAL or name.lower().removesuffix(".h") in _SYSTEM

@@ -13,9 +13,8 @@ def equations(law: FrictionLaw) -> list[str]:
 
     A relaxation's derivative is written x', a stop after a step x+.
     """
-    return form_lines(
-        law.form, {c.symbol: _rounded(law.values[c.name]) for c in law.form.coefficients}
-    )
+    rounded = {name: sympy.Float(f"{x:.{_DIGITS}g}", _DIGITS) for name, x in law.values.items()}
+    return form_lines(law.form, {c.symbol: rounded[c.name] for c in law.form.coefficients})
 
 
 def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = None) -> list[str]:
@@ -50,7 +49,3 @@ def coefficient_lines(law: FrictionLaw) -> list[str]:
         unit = "" if c.unit == "1" else f" {c.unit}"
         lines.append(f"{c.name} = {law.values[c.name]:.5g}{interval}{unit}")
     return lines
-
-
-def _rounded(value: float) -> sympy.Float:
-    return sympy.Float(f"{value:.{_DIGITS}g}", _DIGITS)

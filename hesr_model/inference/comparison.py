@@ -209,9 +209,9 @@ def law_errors(
         rows.append(cosines @ psi.T)
         slow.append(m <= (degrees + 1) // 2)
     sizes = np.sqrt([psi.shape[1] for psi in binned])
-    apart = _orthogonal(sizes) @ (
-        sizes[:, None] * np.stack([psi.mean(axis=1) - 0.5 for psi in binned])
-    )
+    _, _, directions = np.linalg.svd(sizes[None, :])  # the first is that of the sizes
+    means = np.stack([psi.mean(axis=1) - 0.5 for psi in binned])
+    apart = directions[1:] @ (sizes[:, None] * means)
     within, between = sum(map(len, rows)), len(apart)
     return LawErrors(
         laws=laws,
@@ -239,11 +239,6 @@ def _degrees(psi: Array, seconds: float) -> int:
     times = [correlation_length(row) for row in psi - psi.mean(axis=0)]
     time = float(np.median(times)) * seconds / psi.shape[1]
     return int(seconds / max(SECONDS_PER_DEGREE, _TIMES_PER_DEGREE * time) + 1e-9)
-
-
-def _orthogonal(vector: Array) -> Array:
-    """Return an orthonormal basis (K-1, K) of the vectors orthogonal to one."""
-    return np.linalg.svd(vector[None, :])[2][1:]
 
 
 def calibration(comparisons: int) -> float:
