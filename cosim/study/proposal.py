@@ -8,11 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from hesr_model.friction.registry import laws_with
+from cosim.study.steps import Job
+from cosim.study.study import Study
+from hesr_model.fitting.fit import fit_joint
+from hesr_model.friction.registry import laws_with, registry
+from hesr_model.health.evidence import LEAST_TRAVEL
+from hesr_model.health.examine import checked
+from hesr_model.health.excitation_gaps import bears_load
 from hesr_model.health.proposal import Proposal
 from hesr_model.inference.comparison import LEAST_SECONDS
 from hesr_model.logs.phases import reversals
-from hesr_model.logs.robot_log import Log
+from hesr_model.logs.robot_log import Log, parts_of
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.residual import friction_records
+from hesr_model.robots.robot import Robot
+from hesr_model.support.progress import silent
 
 _TRAINED, _MOST_TRAINED = 0.6, 0.8
 """Share of a single log for training, and its maximum if a joint reverses late."""
@@ -22,10 +32,10 @@ _BEYOND = 0.02  # share trained beyond a joint's first reversal
 
 @dataclass(frozen=True, kw_only=True)
 class Split:
-    """The last `tested` logs, or the rows of a single log from `cut` [s], are the test."""
+    """The last `tested` logs, or the rows of each log from its cut [s], are the test."""
 
     tested: int
-    cut: float | None
+    cuts: tuple[float, ...] = ()
     seconds: float  # [s] of the test
 
     @property
@@ -40,17 +50,22 @@ class Split:
 
 
 def split(logs: Sequence[Log]) -> Split:
-    """Choose a test of at least `LEAST_SECONDS`, if that leaves enough for training."""
+    """Choose a test of at least `LEAST_SECONDS`, if that leaves enough for training.
+
+    Each log is cut where the training would else lack a joint that moves, as with a single log.
+    """
     durations = [float(log.t[-1] - log.t[0]) for log in logs]
     whole = sum(durations)
-    if len(logs) == 1:
-        cut = float(f"{_share(logs[0]) * whole:.4g}")
-        return Split(tested=1, cut=cut, seconds=whole - cut)
+    moved = np.array([np.ptp(log.q, axis=0) > LEAST_TRAVEL for log in logs])
     sums = {k: sum(durations[-k:]) for k in range(1, len(logs))}
     long = (k for k, tested in sums.items() if tested >= LEAST_SECONDS)
     tested = next(long, 1)
-    tested = tested if whole - sums[tested] >= _LEAST_TRAINED * whole else 1
-    return Split(tested=tested, cut=None, seconds=sums[tested])
+    tested = tested if whole - sums.get(tested, 0.0) >= _LEAST_TRAINED * whole else 1
+    if len(logs) > 1 and np.array_equal(moved[:-tested].any(axis=0), moved.any(axis=0)):
+        return Split(tested=tested, seconds=sums[tested])
+    shares = [_share(log, whole) for log in logs]
+    cuts = tuple(float(f"{s * d:.4g}") for s, d in zip(shares, durations, strict=True))
+    return Split(tested=len(logs), cuts=cuts, seconds=whole - sum(cuts))
 
 
 def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
@@ -64,14 +79,17 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
         f"name = {json.dumps(_name(path))}  # results go to results/{_name(path)}",
         f"robot = {json.dumps(Path(relpath(robot.resolve(), folder)).as_posix())}",
         "seed = 0",
-        f"laws = {json.dumps(laws_with('proposed'))}  # 'hesr fit --list' lists all",
+        f"laws = {json.dumps(laws_of(proposal))}  # 'hesr fit --list' lists all",
         "# physical = true  # physically possible masses, if the logs determine too little",
         "",
         "[logs]",
     ]
     plan = split(proposal.logs)
     at = len(files) - plan.tested
-    trained, tested = (files[:at], files[at:]) if plan.cut is None else (["first"], ["rest"])
+    trained, tested = files[:at], files[at:]
+    if plan.cuts:
+        numbers = [str(k) for k in range(1, len(files) + 1)] if len(files) > 1 else [""]
+        trained, tested = ([f"{part}{k}" for k in numbers] for part in ("first", "rest"))
     lines += [
         f"identification = {json.dumps(trained, ensure_ascii=False)}",
         "",
@@ -79,24 +97,49 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
         "[logs.test]",
         f"test = {json.dumps(tested, ensure_ascii=False)}",
     ]
-    if plan.cut is not None:
-        of_log = f"log = {json.dumps(files[0])}"
+    if plan.cuts:
+        lines += ["", "# Times in s, from the log's first row.", "[logs.parts]"]
+    for file, cut, first, rest in zip(files, plan.cuts, trained, tested, strict=False):
+        of_log = f"log = {json.dumps(file)}"
         lines += [
-            "",
-            "# Times in s, from the log's first row.",
-            "[logs.parts]",
-            f"first = {{ {of_log}, stop = {plan.cut:g} }}",
-            f"rest = {{ {of_log}, start = {plan.cut:g} }}",
+            f"{first} = {{ {of_log}, stop = {cut:g} }}",
+            f"{rest} = {{ {of_log}, start = {cut:g} }}",
         ]
     return "\n".join(lines) + "\n"
 
 
-def _share(log: Log) -> float:
+def laws_of(proposal: Proposal) -> list[str]:
+    """Return the proposed laws whose inputs the logs show: load needs a change of load."""
+    loaded = any(map(bears_load, proposal.examination.explained))
+    found = {name: registry()[name] for name in laws_with("proposed")}
+    return [
+        name
+        for name, law in found.items()
+        if all(getattr(proposal.robot, need) is not None for need in law.needs)
+        and (loaded or all(s.name != "tau_load" for s in law.form(law.typical).inputs))
+    ]
+
+
+def dry_run(path: Path) -> None:
+    """Read, split and check the logs of a study, and fit a small law; raises HesrError."""
+    job = Job(study=Study.read(path), path=path, progress=silent)
+    logs = {name: job.read(name, file) for name, file in job.log_files(path.parent).items()}
+    robot = Robot(job.robot)
+    checked(list(logs.values()), robot)
+    trained = [logs[name] for name in job.trained_on]
+    body = identify(trained, robot)
+    records = [friction_records(part, robot, body) for part in parts_of(trained)]
+    for of_joint in zip(*records, strict=True):
+        fit_joint(laws_with("quick")[0], of_joint, seed=0)
+
+
+def _share(log: Log, seconds: float) -> float:
+    """Return the share of a log for training, of logs that last `seconds` together."""
     dq = np.gradient(log.q, log.t, axis=0) if log.dq is None else log.dq
     found = [reversals(np.asarray(v)) for v in dq.T]
     whole, first = log.t[-1] - log.t[0], [rows[0] for rows in found if len(rows)]
     late = float(np.max(log.t[first] - log.t[0], initial=0.0) / whole)
-    left = 1.0 - LEAST_SECONDS / whole
+    left = 1.0 - LEAST_SECONDS / seconds
     trained = left if _LEAST_TRAINED <= left < _TRAINED else _TRAINED
     return min(max(trained, late + _BEYOND), _MOST_TRAINED)
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Inspection(Answer):
     """Result of `hesr.inspect`: proposed robot file with reasons, its logs and findings.
 
-    `limit` states the weakness of a short test in the proposed study.
+    `limit` states the weakness of a short test in the proposed study, `failure` why none can run.
     """
 
     format = "hesr-inspection-1"
@@ -32,12 +32,17 @@ class Inspection(Answer):
     constants: Sequence[Constant] = ()
     next_command: str = ""
     limit: str = ""
+    failure: str = ""
     files: Sequence[Path] = field(default_factory=tuple)
 
     @property
     def findings(self) -> Sequence[Finding]:  # type: ignore[override]  # derived from the proposal
-        """Findings that the proposed robot file leaves."""
-        return self.proposal.examination.findings
+        """Findings that the proposed robot file leaves, and why a study is not proposed."""
+        from hesr_model.findings import Finding
+
+        found = f"the study is not written, as it would fail: {self.failure}"
+        failed = [Finding(check="study", found=found)] if self.failure else []
+        return [*failed, *self.proposal.examination.findings]
 
     @property
     def fixed(self) -> Sequence[Finding]:
@@ -196,26 +201,37 @@ def inspect(
         known = with_joints(robot, names) if robot and names else robot
         constants = _torque_constants(logs, known, mass_error, loaded, payload, progress)
         proposal = with_constants(proposal, constants)
-    written = _write(proposal, output, write, study)
+    errors = any(f.severity == "error" for f in proposal.examination.findings)
+    written, failure = _write(proposal, output, write, None if errors else study)
+    next_ = f"hesr run {study}" if study else ""
+    if errors or failure:
+        file = f"--robot {write or 'FILE'}"
+        next_ = f"correct the robot file or the logs as told, then hesr inspect again with {file}"
     return Inspection(
         proposal=proposal,
         constants=constants,
-        next_command=f"hesr run {study}" if study else "",
-        limit=split(proposal.logs).limit if study else "",
+        next_command=next_,
+        limit=split(proposal.logs).limit if study and not (errors or failure) else "",
+        failure=failure,
         files=written,
     )
 
 
 def _write(
     proposal: Proposal, output: PathArg | None, write: PathArg | None, study: PathArg | None
-) -> list[Path]:
-    """Write page, robot file and study, as far as requested; return their paths."""
+) -> tuple[list[Path], str]:
+    """Write page, robot file and study, as far as requested; return their paths.
+
+    A study that fails in a dry run is not written; the text says why.
+    """
+    from hesr_model.errors import HesrError
     from hesr_model.health.proposal import robot_file
     from hesr_model.support.files import path_of, written_whole
 
     page, robot, plan = (
         None if file is None else path_of(file, "an output") for file in (output, write, study)
     )
+    failure = ""
     if page:
         from cosim.report.inspection import write_inspection
 
@@ -224,11 +240,15 @@ def _write(
         with written_whole(robot) as temporary:
             temporary.write_text(robot_file(proposal, robot), encoding="utf-8")
     if robot and plan:
-        from cosim.study.proposal import study_file
+        from cosim.study.proposal import dry_run, study_file
 
-        with written_whole(plan) as temporary:
-            temporary.write_text(study_file(proposal, robot, plan), encoding="utf-8")
-    return [file for file in (page, robot, plan) if file]
+        try:
+            with written_whole(plan) as temporary:
+                temporary.write_text(study_file(proposal, robot, plan), encoding="utf-8")
+                dry_run(temporary)
+        except HesrError as error:
+            plan, failure = None, str(error)
+    return [file for file in (page, robot, plan) if file], failure
 
 
 def _torque_constants(

@@ -70,7 +70,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
             findings += of_log(part.log, check_limits(part, model))
             findings += of_log(part.log, check_speed(part, model))
         findings += of_log(part.log, check_columns(part, robot))
-    if model and not _hopeless(findings):
+    if model and not hopeless(findings):
         for part, (own, torque), fit in zip(parts, logged, fits, strict=True):
             clocks = list(check_clocks(part, own, [j for j in fit if fit[j].r2 > NO_SIGNAL], model))
             late = {j for j in fit for f in clocks if robot.joints[j] in f.joints}
@@ -104,7 +104,8 @@ def _informed(model: Robot, parts: Sequence[Motionwise]) -> Robot | None:
     return informed
 
 
-def _hopeless(findings: Sequence[Finding]) -> bool:
+def hopeless(findings: Sequence[Finding]) -> bool:
+    """Return whether errors of units or positions hide what the model would show."""
     return any(
         f.severity == "error"
         and (

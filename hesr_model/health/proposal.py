@@ -1,7 +1,7 @@
 """Proposal of a robot file: guessed from column names, corrected until the checks pass."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os.path import relpath
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.findings import Finding, errors_first
-from hesr_model.health.examine import Examination, examine
+from hesr_model.health.examine import Examination, examine, hopeless
 from hesr_model.health.joints import (
     changed,
     chosen,
@@ -33,6 +33,15 @@ from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, descript
 
 _ROUNDS = 4
 _CUTOFF_SHARE = 0.3  # low pass over the sample rate
+_REMEDIES = (
+    ("sample_rate", "log.sample_rate", None),
+    ("sort = true", "log.sort", True),
+    ("duplicates = 'first'", "log.duplicates", "first"),
+    ("finite number is needed", "log.missing", "drop"),
+    ("is nan;", "log.missing", "drop"),
+)
+"""Words of a refusal, and the key and value of the robot file that remove it."""
+_NO_REMEDY = "no change that was tried removes it; check the column, its unit and the model"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,17 +102,31 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
     robot, logs, examination = looked(_with_columns(paths[0], robot, reasons))
     first = examination.findings
     for _ in range(_ROUNDS):
-        changes = _changes(robot, examination.findings, reasons)
-        if not (changes or stated) and "log.torque_per_ampere" in reasons and known:
-            changes = _constants(robot, examination, reasons)
-        if not changes:
+        found = examination.findings
+        for some in (found, *((one,) for one in found)):
+            changes, told = _changes(robot, some)
+            tried = looked(changed(robot, changes)) if changes else None
+            if tried and _mends(found, some, tried[2].findings):
+                break
+        else:
+            changes, told, tried = {}, {}, None
+            if not stated and "log.torque_per_ampere" in reasons and known:
+                changes = _constants(robot, examination, reasons)
+                tried = looked(changed(robot, changes)) if changes else None
+        if tried is None:
             break
-        robot, logs, examination = looked(changed(robot, changes))
+        robot, logs, examination = tried
+        reasons |= told
     if known and (rest := resting(robot, examination.parts)):
         reasons["locked"] = f"likely: {', '.join(rest)} rest{'s' * (len(rest) == 1)} in all logs"
         heat = any(log.temperature is not None for log in logs)
         robot, logs, examination = looked(without(robot, rest, temperatures=heat))
     slides = enumerate(Robot(robot).slides) if known else ()
+    left = tuple(
+        replace(f, remedy=_NO_REMEDY, changes={}) if _changes(robot, [f])[0] else f
+        for f in examination.findings
+    )
+    examination = replace(examination, findings=left)
     return Proposal(
         robot=robot,
         reasons=reasons,
@@ -128,7 +151,7 @@ def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) 
     changes: dict[str, Any] = {f"log.columns.{k}": v for k, v in found.columns.items()}
     if "dq" not in found.columns:
         changes["log.columns.dq"] = ""
-        reasons["log.columns.dq"] = "sure: no column looks like a velocity"
+        reasons["log.columns.dq"] = "likely: no column looks like a velocity"
     if unit := found.units:
         changes |= {f"log.units.{k}": v for k, v in unit.items()}
         reasons |= {f"log.units.{k}": f"likely: {found.reasons[k]}" for k in unit}
@@ -157,18 +180,12 @@ def _read(
     try:
         return robot, [Log.read(path, robot) for path in paths]
     except LogError as error:
-        if "sample_rate" in str(error):
-            robot = changed(robot, {"log.sample_rate": None})
-            reasons["log.sample_rate"] = "sure: measured in each log"
-        elif robot.log.missing == "refuse":
-            reasons["log.missing"] = f"sure: {_tail(str(error))}"
-            robot = changed(robot, {"log.missing": "drop"})
-        elif "log.sort" not in reasons and "sort = true" in str(error):
-            reasons["log.sort"] = f"sure: {_tail(str(error))}"
-            robot = changed(robot, {"log.sort": True})
-        else:
-            raise
-        return _read(paths, robot, reasons)
+        said = str(error)
+        for words, key, value in _REMEDIES:
+            if words in said and key not in reasons:
+                reasons[key] = f"sure: {_tail(said)}"
+                return _read(paths, changed(robot, {key: value}), reasons)
+        raise
 
 
 def _tail(sentence: str) -> str:
@@ -187,16 +204,32 @@ def _with_cutoff(
 
 
 def _changes(
-    robot: RobotDescription, findings: Sequence[Finding], reasons: dict[str, str]
-) -> dict[str, Any]:
+    robot: RobotDescription, findings: Sequence[Finding]
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return changes of the robot file with a reason each; two witnesses make one sure."""
     wanted: dict[str, Any] = {}
+    told: dict[str, dict[str, str]] = {}  # by key and check
     for finding in findings:
         if finding.check == "velocity-lag" or not finding.changes:
             continue
         for key, value in finding.changes.items():
             wanted[key] = _combined(_value(robot, key), wanted.get(key), value)
-            reasons[key] = f"{'sure' if finding.severity == 'error' else 'likely'}: {finding.found}"
-    return {key: value for key, value in wanted.items() if value != _value(robot, key)}
+            told.setdefault(key, {}).setdefault(finding.check, finding.found)
+    changes = {key: value for key, value in wanted.items() if value != _value(robot, key)}
+    marks = {key: "sure" if len(told[key]) > 1 else "likely" for key in changes}
+    return changes, {key: f"{mark}: {'; '.join(told[key].values())}" for key, mark in marks.items()}
+
+
+def _mends(before: Sequence[Finding], mended: Sequence[Finding], after: Sequence[Finding]) -> bool:
+    """Return whether findings with changes are gone, and no error is new unless it was hidden."""
+    left, known = _places(after), _places(before)
+    gone = _places(f for f in mended if f.changes and f.check != "velocity-lag")
+    new = _places(f for f in after if f.severity == "error") - known
+    return not left & gone and (hopeless(before) or not new)
+
+
+def _places(findings: Iterable[Finding]) -> set[tuple[str, str]]:
+    return {(f.check, joint) for f in findings for joint in f.joints or ("",)}
 
 
 def _combined(declared: Any, before: Any, value: Any) -> Any:

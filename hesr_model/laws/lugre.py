@@ -105,6 +105,7 @@ class LuGreLoad(LuGre):
     name = "lugre_load"
     title = "LuGre+load"
     order = 40
+    proposed = True
     adds = ("lugre", "load")
 
     @classmethod
@@ -128,6 +129,7 @@ class LuGreLoadRipple(LuGreLoad):
     name = "lugre_load_ripple"
     title = "LuGre+load+ripple"
     order = 50
+    proposed = True
     adds = ("lugre_load", "motor ripple")
     needs = ("gear_ratio",)
     ripple = True

@@ -78,6 +78,9 @@ def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) ->
     units, reasons = {}, {}
     for quantity in _WORDS:
         fitting = [g for _, g in groups if _quantity(g[0]) == quantity and len(g) >= count > 0]
+        if not fitting and joints:
+            alike = tuple(name for name in table.names if _quantity(name) == quantity)
+            fitting = [alike] * (len(alike) == count)  # mixed names, as q_lift, q_1, q_2
         if fitting:
             best = min(
                 fitting,

@@ -173,7 +173,7 @@ def test_a_test_of_40_s_is_proposed_where_the_log_is_long_enough(
 ) -> None:
     log = made_log(seconds)
     found = split([log])
-    assert (found.tested, found.cut, found.seconds) == (1, cut, pytest.approx(tested))
+    assert (found.tested, found.cuts, found.seconds) == (1, (cut,), pytest.approx(tested))
     short = errors_of(log, cut).too_short
     assert short == (tested < 40)
     assert found.limit.startswith("The proposed test lasts 24 s, too short to compare") == short
@@ -191,7 +191,7 @@ def test_several_short_logs_together_are_the_test(
     durations: tuple[int, ...], tested: int, *, short: bool
 ) -> None:
     found = split([made_log(seconds) for seconds in durations])
-    assert (found.tested, found.cut) == (tested, None)
+    assert (found.tested, found.cuts) == (tested, ())
     assert found.seconds == pytest.approx(sum(durations[-tested:]))
     assert bool(found.limit) == short
 
@@ -212,6 +212,119 @@ def test_what_a_short_test_cannot_show_is_said(
     assert f"\n# {limit}\n[logs.test]\n" in study.read_text(encoding="utf-8")
     assert json.loads(answer.read_text(encoding="utf-8"))["result"]["limit"] == limit
     assert "too short" not in hesr(*arguments).out
+
+
+def test_each_log_is_cut_where_each_moves_one_joint(
+    tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription, hesr: Hesr
+) -> None:
+    files, robot = [], Robot(arm)
+    for j in range(3):
+        motion = make_motion(name=f"joint{j}", friction=0.8)
+        own = np.arange(3) == j
+        q = np.where(own, motion.q, 0.1)
+        dq, ddq = (np.where(own, values, 0.0) for values in (motion.dq, motion.ddq))
+        tau = robot.torque(robot.nominal_parameters, q, dq, ddq) + 0.8 * np.tanh(dq / 0.01)
+        tau += np.random.default_rng(j).normal(0.0, 0.05, tau.shape)
+        files.append(tmp_path / f"joint{j}.csv")
+        Log(name=f"joint{j}", t=motion.t, q=q, dq=dq, tau=tau).write(files[-1])
+    robot_file, study = tmp_path / "robot.toml", tmp_path / "study.toml"
+    said = hesr("inspect", *files, "--robot", arm.model, "--write", robot_file, "--study", study)
+    assert said.code == 0, said.out
+    read = Study.read(study)
+    assert read.logs.identification == ("first1", "first2", "first3")
+    assert read.logs.test == {"test": ("rest1", "rest2", "rest3")}
+    # Ripple needs a gear ratio.
+    of_load = ("lugre_load", "parfam_hx", "parfam_s")
+    assert read.laws == ("stribeck", "lugre", *of_load, "parfam_s_v")
+
+
+def test_a_study_that_cannot_run_is_not_written(
+    tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription, hesr: Hesr
+) -> None:
+    """Joint 3 moves only at the end, in the rows of the test."""
+    motion, robot = make_motion(name="late", friction=0.8), Robot(arm)
+    rests = (motion.t < 0.9 * motion.t[-1])[:, None] & (np.arange(3) == 2)
+    start = motion.q[motion.t >= 0.9 * motion.t[-1]][0]
+    q = np.where(rests, start, motion.q)
+    dq, ddq = (np.where(rests, 0.0, values) for values in (motion.dq, motion.ddq))
+    tau = robot.torque(robot.nominal_parameters, q, dq, ddq) + 0.8 * np.tanh(dq / 0.01)
+    tau += np.random.default_rng(1).normal(0.0, 0.05, tau.shape)
+    log, study = tmp_path / "late.csv", tmp_path / "study.toml"
+    Log(name="late", t=motion.t, q=q, dq=dq, tau=tau).write(log)
+    given = ("--robot", arm.model, "--write", tmp_path / "robot.toml", "--study", study)
+    said = hesr("inspect", log, *given)
+    assert said.code == 1
+    assert "error: the study is not written, as it would fail: " in said.out
+    assert "position of joint 'j3' is constant" in said.out
+    assert not study.exists()
+    assert "Next: correct the robot file or the logs as told, then hesr inspect" in said.out
+
+
+def test_only_the_remedy_of_a_refusal_is_kept(
+    tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription
+) -> None:
+    """Swapped rows are sorted; rows are not dropped as well."""
+    motion = make_motion(name="log", friction=0.8)
+    tau = motion.tau + np.random.default_rng(1).normal(0.0, 0.05, motion.tau.shape)
+    path = tmp_path / "log.csv"
+    Log(name="log", t=motion.t, q=motion.q, dq=motion.dq, tau=tau).write(path)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines[50], lines[51] = lines[51], lines[50]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    found = propose([path], arm, known=True)
+    assert (found.robot.log.sort, found.robot.log.missing) == (True, "refuse")
+    assert set(found.reasons) == {"log.sort"}
+    lines[60] = lines[60].replace(lines[60].split(",")[1], "", 1)
+    lines.insert(71, lines[70])
+    path.write_text("\n".join(lines), encoding="utf-8")
+    found = propose([path], arm, known=True)
+    assert set(found.reasons) == {"log.sort", "log.missing"}
+    assert len(found.logs[0].t) == len(motion.t) - 1
+
+
+def test_a_unit_is_sure_only_with_two_witnesses(
+    tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription
+) -> None:
+    """Limits of the model, and dq against the derivative of q."""
+    motion = make_motion(name="log", friction=0.8)
+    tau = motion.tau + np.random.default_rng(1).normal(0.0, 0.05, motion.tau.shape)
+    for dq, mark in ((motion.dq, "sure"), (np.degrees(motion.dq), "likely")):
+        path = tmp_path / "log.csv"
+        Log(name="log", t=motion.t, q=np.degrees(motion.q), dq=dq, tau=tau).write(path)
+        found = propose([path], arm, known=True)
+        assert found.robot.log.units.q == "deg"
+        assert found.reasons["log.units.q"].startswith(f"{mark}: ")
+        assert found.examination.findings == ()
+
+
+def test_errors_that_no_change_removes_end_with_code_1(
+    tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription, hesr: Hesr
+) -> None:
+    motion = make_motion(name="log", friction=0.8)
+    tau = motion.tau + np.random.default_rng(1).normal(0.0, 0.05, motion.tau.shape)
+    tau[:, 1] *= 0.01
+    path, study = tmp_path / "log.csv", tmp_path / "study.toml"
+    Log(name="log", t=motion.t, q=motion.q, dq=motion.dq, tau=tau).write(path)
+    written = tmp_path / "robot.toml"
+    given = ("--robot", arm.model, "--write", written, "--study", study)
+    said = hesr("inspect", path, *given)
+    assert said.code == 1
+    assert "[torque-scale]" in said.out
+    assert written.exists()
+    assert not study.exists()
+    assert said.out.endswith(f"hesr inspect again with --robot {written}\n")
+
+
+def test_mixed_names_are_recognised(
+    tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription
+) -> None:
+    motion = make_motion(name="log", friction=0.8)
+    path = tmp_path / "log.csv"
+    Log(name="log", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau).write(path)
+    head, *rows = path.read_text(encoding="utf-8").splitlines()
+    head = re.sub(r"(q|dq|tau)1", r"\1_base", re.sub(r"(q|dq|tau)([23])", r"\1_\2", head))
+    path.write_text("\n".join([head, *rows]), encoding="utf-8")
+    assert propose([path], arm, known=True).robot.log.columns.tau == ("tau_base", "tau_2", "tau_3")
 
 
 def test_a_clean_log_has_no_findings(

@@ -35,6 +35,7 @@ class ParFamHX(Described):
     name = "parfam_hx"
     title = "ParFam-HX"
     order = 160
+    proposed = True
     adds = ("parfam_h", "memory in position, load and ripple")
     typical: ClassVar[Mapping[str, Any]] = {
         "linear": ["1", "dq", "h", "dh", "h_load", "h_bump"],

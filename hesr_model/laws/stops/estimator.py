@@ -96,6 +96,7 @@ class ParFamS(_Stops):
     name = "parfam_s"
     title = "ParFam-S"
     order = 170
+    proposed = True
     load = True
     ripple = True
     start_samples = 5

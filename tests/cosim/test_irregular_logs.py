@@ -1,0 +1,103 @@
+"""Logs of the twin with irregular stamps, pauses and resting joints: no refusal, no finding."""
+
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_twin import MOTIONS
+
+from cosim.loop.excite import recordings
+from cosim.loop.motions import Motions
+from fmu_src.arm.plant import Plant
+from hesr_model.health.examine import examine
+from hesr_model.health.proposal import inspected
+from hesr_model.logs.robot_log import Log
+from hesr_model.robots.robot import Robot, RobotDescription
+from hesr_model.support.files import models_folder
+
+SEEDS = range(20)
+_STEPS = (6, 17)  # rows of 5 ms between samples: 12 to 33 Hz
+
+LONGER = (("period = 6.0", "period = 24.0"), ("length = 8.0", "length = 24.0"))
+
+
+@pytest.fixture(scope="module")
+def arm() -> Robot:
+    return Robot(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
+
+
+@pytest.fixture(scope="module")
+def recorded() -> list[Log]:
+    """Motions of the small twin at 200 Hz, and one whose last joint rests."""
+    text = MOTIONS.replace("also_reversed = true\n", "")
+    for old, new in LONGER:
+        text = text.replace(old, new)
+    resting = text.split("[[motions]]")[1].replace("excitation", "resting")
+    text += "\n[[motions]]" + resting.replace("[1.0, 0.9, 1.0]", "[1.0, 0.9, 0.0]")
+    motions = Motions.model_validate(tomllib.loads(text))
+    plant = Plant.read(models_folder() / "uf850" / "plant.toml")
+    return [recording.log for recording in recordings(motions, plant)]
+
+
+def irregular(log: Log, seed: int) -> Log:
+    """Some rows of a log, with a pause in two of three logs."""
+    rng = np.random.default_rng(seed)
+    rows = np.cumsum(rng.integers(*_STEPS, len(log.t) // _STEPS[0]))
+    rows = rows[rows < len(log.t)]
+    if seed % 3:
+        start = rng.uniform(0.3, 0.6) * log.t[-1]
+        rows = rows[(log.t[rows] < start) | (log.t[rows] > start + rng.uniform(0.2, 2.0))]
+    return log.rows(rows)
+
+
+def kinds(logs: list[Log]) -> Iterator[tuple[Log, int]]:
+    for seed in SEEDS:
+        yield irregular(logs[seed % len(logs)], seed), seed
+
+
+@pytest.mark.ci
+def test_twenty_irregular_logs_of_the_twin_are_sound(
+    recorded: list[Log], arm: Robot, tmp_path: Path
+) -> None:
+    for log, seed in kinds(recorded):
+        path = tmp_path / f"{log.name}{seed}.csv"
+        log.write(path)
+        found = inspected([path], models_folder() / "uf850" / "robot.toml")
+        said = [f.sentence for f in found.examination.findings if f.check != "gaps"]
+        assert said == [], (log.name, seed)
+        steps = np.diff(log.t)
+        assert len(found.logs[0].gaps) == np.sum(steps > 10.0 * np.median(steps))
+        assert set(found.reasons) <= {"log.filter_cutoff", "log.sample_rate", "locked"}, (
+            found.reasons
+        )
+
+
+def test_an_irregular_log_of_the_twin_is_sound(recorded: list[Log], arm: Robot) -> None:
+    description = arm.description.model_copy(
+        update={"log": arm.description.log.model_copy(update={"filter_cutoff": 5.0})}
+    )
+    log = irregular(recorded[0], 0)
+    assert examine([log], description, Robot(description)).findings == ()
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("late", [0.0, 0.15])
+def test_the_stated_interval_of_a_lag_contains_it(
+    recorded: list[Log], arm: Robot, late: float
+) -> None:
+    """Friction with and without memory bound the lag; none is reported where there is none."""
+    reported = 0
+    for log in recorded[:2]:
+        tau = np.column_stack([np.interp(log.t - late, log.t, column) for column in log.tau.T])
+        spoilt = replace(log, tau=tau)
+        told = examine([spoilt], arm.description, arm).findings
+        lags = [finding.found for finding in told if finding.check == "torque-lag"]
+        for said in lags:
+            low, high = re.findall(r"(\d+) to (\d+) ms late", said)[0]
+            assert int(low) <= 1e3 * late <= int(high), said
+        reported += len(lags)
+    assert bool(reported) == bool(late)
