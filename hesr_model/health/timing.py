@@ -91,24 +91,21 @@ def check_clocks(
         return
     rows = LagRows.of(part, model, base_columns(model))
     found = {j: delay(rows, j, part.t, logged.tau[:, j]) for j in joints}
-    lags = {j: lag for j, lag in found.items() if lag.sure > _SURE}
-    most = float(np.median([lag.value for lag in lags.values()])) if len(lags) > 1 else 0.0
-    for j, found_lag in lags.items():
-        lag = found_lag.value
+    lags = {j: lag for j, (lag, sure) in found.items() if sure > _SURE}
+    most = float(np.median(list(lags.values()))) if len(lags) > 1 else 0.0
+    for j, lag in lags.items():
         together = (most >= _LATE <= lag) or (most <= -_EARLY >= lag)
         # A lag at the end of the range does not match the motion.
         if not together and not _ALONE <= lag < _LATEST - 0.5 * _STEP:
             continue
-        low, high = found_lag.until(delay(rows, j, part.t, logged.tau[:, j], memory=False))
-        if low <= 0.0 <= high:
+        # The memory of friction absorbs a lag or looks like one: fits with and without must agree.
+        if lag * delay(rows, j, part.t, logged.tau[:, j], memory=False)[0] <= 0.0:
             continue
-        near, far = sorted((abs(low) / _STEP, abs(high) / _STEP))
-        near, far = 1e3 * _STEP * np.floor(near), 1e3 * _STEP * np.ceil(far)
         yield Finding(
             check="torque-lag",
             severity="warning",
             joints=(model.description.joints[j],),
-            found=f"its torque is {near:.0f} to {far:.0f} ms {'late' if lag > 0 else 'early'} "
+            found=f"its torque is about {abs(lag) * 1e3:.0f} ms {'late' if lag > 0 else 'early'} "
             "relative to the motion",
             remedy="torques were filtered or come from another clock; shift their columns in time",
         )
@@ -129,32 +126,19 @@ def _wrong_rate(rate: float, robot: RobotDescription) -> Finding:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Lag:
-    """Lag of a torque and its standard error [s], and twice its log-likelihood ratio."""
+def delay(
+    rows: LagRows, j: int, t: Array, tau: Array, *, memory: bool = True
+) -> tuple[float, float]:
+    """Return the lag of a torque [s], and twice its log-likelihood ratio.
 
-    value: float
-    error: float
-    sure: float
-
-    def until(self, other: "Lag") -> tuple[float, float]:
-        """Return the interval of both lags with two standard errors."""
-        ends = [one.value + side * one.error for one in (self, other) for side in (-2.0, 2.0)]
-        return min(ends), max(ends)
-
-
-def delay(rows: LagRows, j: int, t: Array, tau: Array, *, memory: bool = True) -> Lag:
-    """Return the lag of a torque, at the vertex of a parabola through the least squares.
-
-    Friction with `memory` absorbs part of a lag; without, its own memory looks like one.
+    Without `memory`, friction depends on the velocity only.
     """
     from scipy.ndimage import uniform_filter1d
 
     inner = (rows.t >= t[0] + _LATEST) & (rows.t <= t[-1] - _LATEST)
     shifts = np.arange(-_LATEST, _LATEST + 0.5 * _STEP, _STEP)
-    # Average first: then the noise of all shifts is equal. An even window would shift the torque.
-    window = 2 * round(0.5 * _SMOOTH / float(np.median(np.diff(t)))) + 1
-    even = uniform_filter1d(tau, window)
+    # Average first: then the noise of all shifts is equal.
+    even = uniform_filter1d(tau, max(1, round(_SMOOTH / float(np.median(np.diff(t))))))
     moved = np.stack([np.interp(rows.t[inner] + shift, t, even) for shift in shifts], axis=1)
     rubs = rows.rubs[j][inner, 0 if memory else len(_WIDTHS) :]
     basis = _basis(np.hstack([rows.still[inner, j] + rows.moving[inner, j], rubs]))
@@ -163,14 +147,7 @@ def delay(rows: LagRows, j: int, t: Array, tau: Array, *, memory: bool = True) -
     k, now = int(np.argmin(squares)), int(np.argmin(np.abs(shifts)))
     free = max(len(left) - basis.shape[1], 0)
     independent = free / correlation_length(left[:, k])
-    before, least, after = squares[min(max(k, 1), len(shifts) - 2) + np.array([-1, 0, 1])]
-    bend = max(before - 2.0 * least + after, 1e-300)
-    beside = float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5))
-    return Lag(
-        value=float(shifts[k]) + _STEP * beside,
-        error=_STEP * float(np.sqrt(2.0 * least / max(independent, 1e-9) / bend)),
-        sure=float(independent * np.log(squares[now] / squares[k])),
-    )
+    return float(shifts[k]), float(independent * np.log(squares[now] / squares[k]))
 
 
 def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> tuple[float, float]:

@@ -351,7 +351,8 @@ def test_a_joint_that_rests_is_locked(tmp_path: Path) -> None:
     )
     proposal = inspected([log], tmp_path / "bench" / "robot.toml")
     assert (proposal.robot.known, proposal.robot.locked) == (("a.Izz",), {"b": 0.0})
-    assert (proposal.first, proposal.examination.findings) == ((), ())
+    assert not proposal.first
+    assert not proposal.examination.findings
     assert identify(proposal.logs, Robot(proposal.robot)).parameters.max() == 0.01
 
 

@@ -1,6 +1,5 @@
 """Logs of the twin with irregular stamps, pauses and resting joints: no refusal, no finding."""
 
-import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -86,18 +85,8 @@ def test_an_irregular_log_of_the_twin_is_sound(recorded: list[Log], arm: Robot) 
 
 @pytest.mark.ci
 @pytest.mark.parametrize("late", [0.0, 0.15])
-def test_the_stated_interval_of_a_lag_contains_it(
-    recorded: list[Log], arm: Robot, late: float
-) -> None:
-    """Friction with and without memory bound the lag; none is reported where there is none."""
-    reported = 0
+def test_a_lag_is_reported_where_there_is_one(recorded: list[Log], arm: Robot, late: float) -> None:
     for log in recorded[:2]:
         tau = np.column_stack([np.interp(log.t - late, log.t, column) for column in log.tau.T])
-        spoilt = replace(log, tau=tau)
-        told = examine([spoilt], arm.description, arm).findings
-        lags = [finding.found for finding in told if finding.check == "torque-lag"]
-        for said in lags:
-            low, high = re.findall(r"(\d+) to (\d+) ms late", said)[0]
-            assert int(low) <= 1e3 * late <= int(high), said
-        reported += len(lags)
-    assert bool(reported) == bool(late)
+        told = examine([replace(log, tau=tau)], arm.description, arm).findings
+        assert bool([f for f in told if f.check == "torque-lag"]) == bool(late)
