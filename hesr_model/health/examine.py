@@ -72,8 +72,8 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
         findings += of_log(part.log, check_columns(part, robot))
     if model and not hopeless(findings):
         for part, (own, torque), fit in zip(parts, logged, fits, strict=True):
-            clocks = list(check_clocks(part, own, [j for j in fit if fit[j].r2 > NO_SIGNAL], model))
-            late = {j for j in fit for f in clocks if robot.joints[j] in f.joints}
+            seen = [j for j in fit if fit[j].r2 > NO_SIGNAL]
+            clocks, late = check_clocks(part, own, seen, model)
             found = (*clocks, *check_torque(own, fit, model, late), *check_loss(own, torque, model))
             findings += of_log(part.log, found)
         findings = _caused(findings, check_causes(parts, model))

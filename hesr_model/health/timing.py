@@ -4,7 +4,7 @@ Friction after a reversal looks like a lag, and unknown rotor inertias look like
 both tests fit a body with free parameters in addition to friction with memory.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -85,23 +85,24 @@ def _stops() -> Kernel:
 
 def check_clocks(
     part: Motionwise, logged: Motionwise, joints: Sequence[int], model: Robot
-) -> Iterator[Finding]:
-    """Check the rate of the stamps, and the lag of torques of `joints`."""
+) -> tuple[list[Finding], set[int]]:
+    """Check the rate of the stamps and the lag of torques of `joints`.
+
+    Returns findings, and joints whose torque may lag.
+    """
     if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
-        return
+        return [], set()
     rows = LagRows.of(part, model, base_columns(model))
     found = {j: delay(rows, j, part.t, logged.tau[:, j]) for j in joints}
     lags = {j: lag for j, (lag, sure) in found.items() if sure > _SURE}
     most = float(np.median(list(lags.values()))) if len(lags) > 1 else 0.0
+    late: dict[int, Finding] = {}
     for j, lag in lags.items():
         together = (most >= _LATE <= lag) or (most <= -_EARLY >= lag)
         # A lag at the end of the range does not match the motion.
         if not together and not _ALONE <= lag < _LATEST - 0.5 * _STEP:
             continue
-        # The memory of friction absorbs a lag or looks like one: fits with and without must agree.
-        if lag * delay(rows, j, part.t, logged.tau[:, j], memory=False)[0] <= 0.0:
-            continue
-        yield Finding(
+        late[j] = Finding(
             check="torque-lag",
             severity="warning",
             joints=(model.description.joints[j],),
@@ -109,9 +110,13 @@ def check_clocks(
             "relative to the motion",
             remedy="torques were filtered or come from another clock; shift their columns in time",
         )
+    # The memory of friction absorbs a lag or looks like one: fits with and without must agree.
+    plain = {j: delay(rows, j, part.t, logged.tau[:, j], memory=False)[0] for j in late}
+    findings = [finding for j, finding in late.items() if lags[j] * plain[j] > 0.0]
     rate, sure = stamps_rate(rows, joints, part.t, logged.tau)
     if sure > _SURE and max(rate, 1.0 / rate) > _OFF:
-        yield _wrong_rate(rate, model.description)
+        findings.append(_wrong_rate(rate, model.description))
+    return findings, set(late)
 
 
 def _wrong_rate(rate: float, robot: RobotDescription) -> Finding:

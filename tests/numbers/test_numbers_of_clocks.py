@@ -58,7 +58,7 @@ def test_clocks(
         return replace(part, tau=tau)
 
     def told(own: Motionwise, joints: list[int] = every) -> list[str]:
-        return said(of_log(own.log, check_clocks(own, own, joints, arm_model)))
+        return said(of_log(own.log, check_clocks(own, own, joints, arm_model)[0]))
 
     def slowed(rate: float) -> Motionwise:
         own = replace(log, t=rate * log.t, dq=None)
