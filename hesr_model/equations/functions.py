@@ -39,91 +39,35 @@ class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
         return text if "{power}" in self.latex_form else text + power
 
 
-class sgn(_Real):
-    """Sign, 0 at 0."""
-
-    nargs = 1
-    latex_form = r"\operatorname{{sgn}}{power}\left({}\right)"
-    exact = sympy.sign
+def _function(name: str, nargs: int, latex: str, exact: Any = None) -> Any:
+    own = {"nargs": nargs, "latex_form": latex, "exact": exact, "__module__": __name__}
+    return type(_Real)(name, (_Real,), own)
 
 
-class absolute(_Real):
-    """Absolute value."""
-
-    nargs = 1
-    latex_form = r"\left|{}\right|"
-    exact = sympy.Abs
-
-
-class positive(_Real):
-    """max(x, 0), 0 for NaN: guard of rates and bounds."""
-
-    nargs = 1
-    latex_form = r"\max\left({}, 0\right)"
-
-
-class larger(_Real):
-    """Maximum of two numbers."""
-
-    nargs = 2
-    latex_form = r"\max\left({}, {}\right)"
-
-
-class clip(_Real):
-    """x clipped to -b and b, for b >= 0."""
-
-    nargs = 2
-    latex_form = r"\operatorname{{clip}}\left({}, \pm {}\right)"
-
-
-class exceeds(_Real):
-    """1 if a > b, else 0."""
-
-    nargs = 2
-    latex_form = r"\left[{} > {}\right]"
-
-
-class over(_Real):
-    """a / b for b > 0, else the third argument."""
-
-    nargs = 3
-    latex_form = r"\left({0}\right) / \left({1}\right)"
-
-
-class decay(_Real):
-    """Relative change of a state over a step, exp(-z) - 1 for z = rate * dt; -z by Euler."""
-
-    nargs = 2  # z, 1 for Euler
-    latex_form = r"\left(e^{{-{0}}} - 1\right)"
-
-
-class share(_Real):
-    """(1 - exp(-z)) / z, continued by 1 at 0; arguments are z, `decay` and 1 for Euler."""
-
-    nargs = 3
-    latex_form = r"\varphi\left({}\right)"
-
-
-class share_slope(_Real):
-    """Derivative of `share` by z."""
-
-    nargs = 3
-    latex_form = r"\varphi'\left({}\right)"
-
-
-class cardinal_sine(_Real):
-    """sin(x) / x, continued by 1 at 0: mean of a wave over a step relative to its middle value."""
-
-    nargs = 1
-    latex_form = r"\operatorname{{sinc}}{power}\left({}\right)"
-
-
-class cardinal_slope(_Real):
-    """Derivative of `cardinal_sine`."""
-
-    nargs = 1
-    latex_form = r"\operatorname{{sinc}}'\left({}\right)"
-
+sgn = _function("sgn", 1, r"\operatorname{{sgn}}{power}\left({}\right)", sympy.sign)
+"""Sign, 0 at 0."""
+absolute = _function("absolute", 1, r"\left|{}\right|", sympy.Abs)
+"""Absolute value."""
+positive = _function("positive", 1, r"\max\left({}, 0\right)")
+"""max(x, 0), 0 for NaN: guard of rates and bounds."""
+larger = _function("larger", 2, r"\max\left({}, {}\right)")
+"""Maximum of two numbers."""
+clip = _function("clip", 2, r"\operatorname{{clip}}\left({}, \pm {}\right)")
+"""x clipped to -b and b, for b >= 0."""
+exceeds = _function("exceeds", 2, r"\left[{} > {}\right]")
+"""1 if a > b, else 0."""
+over = _function("over", 3, r"\left({0}\right) / \left({1}\right)")
+"""a / b for b > 0, else the third argument."""
+decay = _function("decay", 2, r"\left(e^{{-{0}}} - 1\right)")
+"""Relative change exp(-z) - 1 of a state over a step, -z by Euler; z = rate * dt, 1 for Euler."""
+share = _function("share", 3, r"\varphi\left({}\right)")
+"""(1 - exp(-z)) / z, continued by 1 at 0; arguments are z, `decay` and 1 for Euler."""
+share_slope = _function("share_slope", 3, r"\varphi'\left({}\right)")
+"""Derivative of `share` by z."""
+cardinal_sine = _function("cardinal_sine", 1, r"\operatorname{{sinc}}{power}\left({}\right)")
+"""sin(x) / x, continued by 1 at 0: mean of a wave over a step relative to its middle value."""
+cardinal_slope = _function("cardinal_slope", 1, r"\operatorname{{sinc}}'\left({}\right)")
+"""Derivative of `cardinal_sine`."""
 
 _ZERO = sympy.S.Zero
 _SLOPES: Mapping[str, Callable[..., tuple[Any, ...]]] = {
