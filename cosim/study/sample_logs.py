@@ -66,9 +66,7 @@ def sample_settings(model: Robot, period: float = _PERIOD) -> ExcitationSettings
         period=(period, period),
         sample_rate=RATE,
         limits=MotionLimits(
-            position=tuple(ranges),
-            velocity=tuple(speed.tolist()),
-            torque=(_NO_LIMIT,) * model.n,
+            position=tuple(ranges), velocity=tuple(speed.tolist()), torque=(_NO_LIMIT,) * model.n
         ),
     )
 

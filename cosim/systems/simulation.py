@@ -12,14 +12,7 @@ from cosim.systems.system import SystemSpec, Value
 from cosim.systems.wiring import Wiring
 from fmu_src.arm.clock import untimed
 from fmu_src.run.fmu import FmuInstance, FmuPool
-from fmu_src.run.master import (
-    Element,
-    ExchangeScheme,
-    Layout,
-    Link,
-    PythonStepper,
-    Station,
-)
+from fmu_src.run.master import Element, ExchangeScheme, Layout, Link, PythonStepper, Station
 from fmu_src.run.native import NativeStepper, native_stepper
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.progress import Progress, silent

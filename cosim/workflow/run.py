@@ -20,11 +20,7 @@ if TYPE_CHECKING:
     from hesr_model.findings import Finding
     from hesr_model.support.files import PathArg
 
-_CACHED = {
-    "binaries": "compiled libraries",
-    "functions": "C functions",
-    "valid": "checks of FMUs",
-}
+_CACHED = {"binaries": "compiled libraries", "functions": "C functions", "valid": "checks of FMUs"}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -51,13 +47,7 @@ class RunResult(Answer):
         """Return body, scores, closed loop, physics checks, findings and cache use."""
         from cosim.report.tables import loop, properties
         from cosim.report.tables.laws import rigid_body
-        from cosim.report.tables.scores import (
-            MEASURES,
-            errors,
-            left_out,
-            other_truths,
-            separations,
-        )
+        from cosim.report.tables.scores import MEASURES, errors, left_out, other_truths, separations
         from cosim.study.scores import input_classes
 
         outcome = self.outcome
@@ -106,10 +96,7 @@ class RunResult(Answer):
 
 @overload
 def run(  # type: ignore[overload-overlap]  # a name of the shipped study, not any text
-    study: Literal["paper"],
-    *,
-    output: PathArg | None = None,
-    progress: Stages = silent,
+    study: Literal["paper"], *, output: PathArg | None = None, progress: Stages = silent
 ) -> Answer: ...
 
 
@@ -245,8 +232,7 @@ def _going_on(kept: Path) -> Iterator[None]:
         if not finished:
             raise
         raise Interrupted(
-            f"{', '.join(finished)} are kept in {kept}: repeat the command to continue",
-            interrupt,
+            f"{', '.join(finished)} are kept in {kept}: repeat the command to continue", interrupt
         ) from interrupt
 
 

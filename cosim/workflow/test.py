@@ -326,11 +326,7 @@ def _certified(report: LawReport, *, alone: bool) -> LawReport:
 
 
 def _checked(
-    report: LawReport,
-    inertia: PerJoint | None,
-    load: float,
-    output: Path | None,
-    progress: Stages,
+    report: LawReport, inertia: PerJoint | None, load: float, output: Path | None, progress: Stages
 ) -> LawReport:
     """Add the physics checks, each law in a process of its own."""
     from cosim.properties.battery import Subject, run_battery
@@ -360,10 +356,7 @@ def _scores_lines(scores: Comparison) -> list[str]:
     pairs = zip(scores.joints, scores.unexplained(scores.laws[best].rmse), strict=True)
     shares = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in pairs)
     joints = [replace(one, law=best) for one in separation(scores)]
-    return [
-        f"Best: {best}. Unexplained friction: {shares}.",
-        *limits("The test", joints),
-    ]
+    return [f"Best: {best}. Unexplained friction: {shares}.", *limits("The test", joints)]
 
 
 def _failed(found: Properties) -> str:

@@ -24,11 +24,7 @@ KIND = Enumeration(
         ("sweep", _SWEEP),
     ),
 )
-_MOTION = {
-    "q": ("rad", "position"),
-    "dq": ("rad/s", "velocity"),
-    "ddq": ("rad/s2", "acceleration"),
-}
+_MOTION = {"q": ("rad", "position"), "dq": ("rad/s", "velocity"), "ddq": ("rad/s2", "acceleration")}
 _PARAMETERS = (
     ("offset", "rad", "mean position, or position at the start of a sweep"),
     ("amplitude", "rad/s", "peak velocity of a sine or sweep"),

@@ -15,13 +15,7 @@ from hesr_model.audit.certificate import scale_limits
 from hesr_model.equations.component import Component, Equation, Quantity
 from hesr_model.equations.memory import Element, Relaxation
 from hesr_model.equations.program import initial_state, initial_symbol, sources
-from hesr_model.friction.band import (
-    COVERAGE,
-    GREATEST,
-    LEAST,
-    NUMBERS,
-    band_equations,
-)
+from hesr_model.friction.band import COVERAGE, GREATEST, LEAST, NUMBERS, band_equations
 from hesr_model.friction.inputs import DQ, INPUTS, MOVING, QUANTITIES, TAU_LOAD, TORQUE
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel

@@ -36,10 +36,7 @@ def zoom_data(chart: "Chart") -> str:
     for plot in plots[-1]:
         plot.xaxis.axis_label = chart.x
     grid = gridplot(
-        plots,
-        toolbar_location="above",
-        sizing_mode="stretch_width",
-        toolbar_options={"logo": None},
+        plots, toolbar_location="above", sizing_mode="stretch_width", toolbar_options={"logo": None}
     )
     data = {"item": json_item(grid), "names": names}
     return packed(_renumbered(json.dumps(data, separators=(",", ":"))))

@@ -5,15 +5,7 @@ from collections.abc import Mapping, Sequence
 from operator import truediv
 from statistics import geometric_mean
 
-from cosim.report.tables.table import (
-    ResultTable,
-    TableCell,
-    decimals,
-    fixed,
-    joints,
-    row_of,
-    title,
-)
+from cosim.report.tables.table import ResultTable, TableCell, decimals, fixed, joints, row_of, title
 from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratio
 from cosim.study.verdict import percent_above, separation

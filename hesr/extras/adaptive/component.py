@@ -153,10 +153,7 @@ def _hidden(name: str, expression: sympy.Expr, start: sympy.Expr | None = None) 
 
 
 def _factors(
-    tuning: Tuning,
-    sigma: sympy.Expr,
-    own: tuple[Parameter, ...],
-    limits: _Limits,
+    tuning: Tuning, sigma: sympy.Expr, own: tuple[Parameter, ...], limits: _Limits
 ) -> list[Equation]:
 
     def limited(name: str, x: sympy.Expr) -> sympy.Expr:

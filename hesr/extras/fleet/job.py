@@ -58,7 +58,7 @@ class FleetResult(Answer, Fleet):
         worse = [one for one in self.changes if one.worse]
         lines = [
             f"{len(self.robots)} robots: {len(deviating)} deviate from their type, "
-            f"{len({one.robot for one in worse})} got worse.",
+            f"{len({one.robot for one in worse})} got worse."
         ]
         if self.reused:
             lines.append(f"Complete before: {self.reused} robots.")

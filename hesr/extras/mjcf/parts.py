@@ -232,8 +232,7 @@ def _bristle(
     )
     if not (coulomb > 0.0 and static > 0.0):
         raise NoCounterpartError(
-            f"{own} slides at {coulomb:g} to {static:g} {{unit}}, a bristle at more than 0",
-            "N.m",
+            f"{own} slides at {coulomb:g} to {static:g} {{unit}}, a bristle at more than 0", "N.m"
         )
     stribeck = 1.0 if motion.stribeck is None else motion.stribeck
     return Bristle(

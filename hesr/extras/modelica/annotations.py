@@ -24,10 +24,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def package_html(
-    model: FrictionModel,
-    joints: Sequence[Mapping[str, Any]],
-    audits: Sequence[Audit],
-    refused: str,
+    model: FrictionModel, joints: Sequence[Mapping[str, Any]], audits: Sequence[Audit], refused: str
 ) -> str:
     """Return the documentation of the package; without audits, `refused` is the reason."""
     return _page(

@@ -162,11 +162,7 @@ def _space(shown: Shown) -> tuple[Array, Array]:
 def _camera(low: Array, high: Array, spots: Array) -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
     words = 3 * _LINE
-    camera.lookat = [
-        0.5 * (low[0] + high[0]),
-        0.5 * (low[1] + high[1]),
-        0.5 * (high[2] + words),
-    ]
+    camera.lookat = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (high[2] + words)]
     camera.azimuth, camera.elevation = 170.0, -10.0
     width = float(spots[-1] - spots[0] + high[1] - low[1])
     height = high[2] + words
