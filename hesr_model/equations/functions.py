@@ -41,7 +41,8 @@ class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
 
 def _function(name: str, nargs: int, latex: str, exact: Any = None) -> Any:
     own = {"nargs": nargs, "latex_form": latex, "exact": exact, "__module__": __name__}
-    return type(_Real)(name, (_Real,), own)
+    kind: Any = type(_Real)
+    return kind(name, (_Real,), own)
 
 
 sgn = _function("sgn", 1, r"\operatorname{{sgn}}{power}\left({}\right)", sympy.sign)

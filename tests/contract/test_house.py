@@ -7,14 +7,15 @@ from collections.abc import Iterator
 
 from sources import LAYERS, MODULES, ROOT, layer, tree
 
-# Maximum lines of Python, C and headers: 59,000, and 1,800 for evidence, robots and logs.
+# Maximum lines of Python, C and headers: 59,000, and 2,050 for evidence, robots and logs, of which
+# 250 exceed their allowance.
 BUDGET = {
     "hesr_model": 22_000,
     "fmu_src": 17_300,
-    "cosim": 13_700,
+    "cosim": 13_850,
     "hesr": 1_000,
     "hesr.extras": 7_700,
-    "all": 60_800,
+    "all": 61_050,
 }
 
 FMT_SKIPS = 20  # lines that `ruff format` must skip
