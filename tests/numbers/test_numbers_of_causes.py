@@ -12,7 +12,7 @@ from unchanged import Unchanged
 from hesr_model.findings import Finding
 from hesr_model.health.causes import _best, _unexplained, check_causes, pooled
 from hesr_model.health.evidence import Motionwise, motionwise
-from hesr_model.health.examine import _caused, _hopeless, _without_followers
+from hesr_model.health.examine import _caused, _without_followers, hopeless
 from hesr_model.health.findings import HealthError, merged, require_sound
 from hesr_model.health.mistakes import _by_axis, _gravity, mistakes, torques_of
 from hesr_model.health.proposal import _changes, _combined, changed
@@ -206,7 +206,7 @@ def test_findings_become_sentences(data_regression: DataRegressionFixture) -> No
                                   [finding("coarse", "c")], [finding("time-scale"), lag]])
     }  # fmt: skip
     told["hopeless"] = [
-        str(_hopeless([f]))
+        str(hopeless([f]))
         for severity in ("error", "warning")
         for f in (
             finding("limits", "a", severity), finding("wrap", "a", severity),
