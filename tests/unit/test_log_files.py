@@ -195,7 +195,8 @@ def test_inspect_proposes_to_sort(tmp_path: Path) -> None:
          r" name its 3 columns under 'log\.columns'"),
         ("a.txt", b"0 1.5 2\n1 2.5 3\n", ("t", "q1"), r"a\.txt: its rows have 3 cells, such as 0, "
          r"1\.5, 2, but 'log\.columns' of the robot file names 2 columns; name them all\.$"),
-        ("a.gz", gzip.compress(b"t,q1\n" * 99)[:-9], (), r"a\.gz: cannot be unpacked; it is trunc"),
+        ("a.gz", gzip.compress(b"t,q1\n" * 99, mtime=0)[:-9], (),
+         r"a\.gz: cannot be unpacked; it is trunc"),
         ("a.csv", b"\xff\xfet\x00\x00\xd8", (), r"a\.csv: cannot be read as CSV text\.$"),
         ("a.npz", b"PK\x03\x04nothing", (), r"a\.npz: cannot be read as NumPy arrays without obj"),
         ("a.npz", b"", (), r"a\.npz: is empty; a log needs a header and rows of data\.$"),
