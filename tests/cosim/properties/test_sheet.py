@@ -48,7 +48,7 @@ def test_table_and_plots_are_in_the_documentation(bristles: Properties, tmp_path
     assert len(plots) == drawn == 2 * len(EXPECTATIONS)
     for e in EXPECTATIONS.values():
         assert e.title in found.text
-        assert e.sources[0].who in found.text
+        assert e.sources[0] in found.text
     assert "One first-order state cannot have non-local memory." in found.text
     for tag, attributes in found.tags:
         if tag == "polyline":
