@@ -205,8 +205,8 @@ def inspect(
     written, failure = _write(proposal, output, write, None if errors else study)
     next_ = f"hesr run {study}" if study else ""
     if errors or failure:
-        file = f"--robot {write or 'FILE'}"
-        next_ = f"correct the robot file or the logs as told, then hesr inspect again with {file}"
+        fix = "correct these errors in the robot file or the logs"
+        next_ = f"{fix}, then repeat hesr inspect with --robot {write or 'FILE'}"
     return Inspection(
         proposal=proposal,
         constants=constants,

@@ -257,7 +257,10 @@ def test_a_study_that_cannot_run_is_not_written(
     assert "error: the study is not written, as it would fail: " in said.out
     assert "position of joint 'j3' is constant" in said.out
     assert not study.exists()
-    assert "Next: correct the robot file or the logs as told, then hesr inspect" in said.out
+    assert (
+        "Next: correct these errors in the robot file or the logs, then repeat hesr inspect"
+        in said.out
+    )
 
 
 def test_only_the_remedy_of_a_refusal_is_kept(

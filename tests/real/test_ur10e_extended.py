@@ -221,7 +221,7 @@ def test_stops_are_never_significantly_worse_than_lugre(
 def test_most_laws_are_separated_from_the_best(
     outcome: Scored, records: list[list[FrictionRecord]]
 ) -> None:
-    """Of nine laws with memory, on each joint; J4 turns too little."""
+    """Nine laws with memory, on each joint; J4 turns too little."""
     laws = ("lugre", "lugre_textbook", "lugre_load_ripple", "dahl", "dahl_load", "strain_wave",
             "parfam_hx", "parfam_s", "parfam_s_v")  # fmt: skip
     predicted = {law: outcome.predictions["test"][law] for law in laws}
