@@ -315,7 +315,7 @@ def test_errors_that_no_change_removes_end_with_code_1(
     assert "[torque-scale]" in said.out
     assert written.exists()
     assert not study.exists()
-    assert said.out.endswith(f"hesr inspect again with --robot {written}\n")
+    assert said.out.endswith(f"repeat hesr inspect with --robot {written}\n")
 
 
 def test_mixed_names_are_recognised(
