@@ -222,14 +222,14 @@ def test_findings_become_sentences(data_regression: DataRegressionFixture) -> No
 def test_changes_of_several_findings(
     arm: RobotDescription, data_regression: DataRegressionFixture
 ) -> None:
-    reasons: dict[str, str] = {}
     back = finding("velocity-sign", "j1", "error", log_units_dq=("-rad/s", "rad/s", "rad/s"))
     also = finding("velocity-scale", "j2", log_units_dq=("rad/s", "rpm", "rad/s"))
     lag = finding("velocity-lag", "j2", log_columns_dq="")
     same = finding("zero", "j2", log_units_q="rad")
+    changes, reasons = _changes(arm, [back, also, lag, same])
     data_regression.check(
         {
-            "both": str(_changes(arm, [back, also, lag, same], reasons)),
+            "both": str(changes),
             "reasons": reasons,
             "one for all": _combined("rad", ("a", "rad"), "deg"),
             "the first": str(_combined("rad", None, ("a", "b"))),

@@ -79,8 +79,9 @@ def test_coordinates_of_bodies(arm_model: Robot, unchanged: Unchanged) -> None:
         difference = (chart.parameters(x + step) - chart.parameters(x - step)) / 2e-6
         np.testing.assert_allclose(slopes[:, k], difference, atol=1e-7)
     unknown = SimpleNamespace(
-        nominal_parameters=np.array([*LINKS["plain"], 0.0]), links=1, parameter_names=("",) * 11
-    )
+        nominal_parameters=np.array([*LINKS["plain"], 0.0]), links=1, inertial=11,
+        parameter_names=("",) * 11,
+    )  # fmt: skip
     of = physical._Chart.of(unknown)
     assert of.start.tolist() == [0.0] * 10 + [1.0]
     assert of.pull.tolist() == [0.2] * 10 + [1e-4]
@@ -103,7 +104,8 @@ def test_uncertainty_of_a_model_file() -> None:
         [2.0, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],  # at the least lever arm of 0.05 m
         [0.001, 0.0, 0.0, 4e-4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],  # a thousandth of the heaviest
     ]
-    model = SimpleNamespace(nominal_parameters=np.array([*np.ravel(links), 0.1, 0.2, 0.3]), links=3)
+    nominal = np.array([*np.ravel(links), 0.1, 0.2, 0.3])
+    model = SimpleNamespace(nominal_parameters=nominal, links=3, inertial=33)
     found = torque_constants._spread(model, 0.1)
     expected = [
         [0.4, *[0.08] * 3, *[2.1] * 6],
@@ -112,7 +114,7 @@ def test_uncertainty_of_a_model_file() -> None:
     ]
     np.testing.assert_allclose(found[:30].reshape(3, 10), expected, rtol=1e-12)
     assert found[30:].tolist() == [3.0] * 3
-    empty = SimpleNamespace(nominal_parameters=np.zeros(11), links=1)
+    empty = SimpleNamespace(nominal_parameters=np.zeros(11), links=1, inertial=11)
     light = torque_constants._spread(empty, 0.1)
     np.testing.assert_allclose(light[[0, 1, 4]], [1e-7, 5e-9, 7.5e-9], rtol=1e-12)
 
