@@ -27,8 +27,8 @@ def write_inspection(path: Path, proposal: Proposal) -> None:
     """Write the page, or only its figure if the suffix is ``.svg``."""
     robot = Robot(proposal.robot) if proposal.robot.model.is_file() else None
     if path.suffix.lower() == ".svg":
-        alone = robot and not proposal.logs
-        write_svg(picture(robot) if robot and alone else joints(_views(proposal)), path)
+        alone = robot if not proposal.logs else None
+        write_svg(picture(alone) if alone else joints(_views(proposal)), path)
         return
     values = _values(proposal, path)
     if robot:

@@ -104,19 +104,19 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
     for _ in range(_ROUNDS):
         found = examination.findings
         for some in (found, *((one,) for one in found)):
-            changes, told = _changes(robot, some)
+            changes, why = _changes(robot, some)
             tried = looked(changed(robot, changes)) if changes else None
             if tried and _mends(found, some, tried[2].findings):
                 break
         else:
-            changes, told, tried = {}, {}, None
+            why, tried = {}, None
             if not stated and "log.torque_per_ampere" in reasons and known:
                 changes = _constants(robot, examination, reasons)
                 tried = looked(changed(robot, changes)) if changes else None
         if tried is None:
             break
         robot, logs, examination = tried
-        reasons |= told
+        reasons |= why
     if known and (rest := resting(robot, examination.parts)):
         reasons["locked"] = f"likely: {', '.join(rest)} rest{'s' * (len(rest) == 1)} in all logs"
         heat = any(log.temperature is not None for log in logs)
@@ -208,16 +208,17 @@ def _changes(
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """Return changes of the robot file with a reason each; two witnesses make one sure."""
     wanted: dict[str, Any] = {}
-    told: dict[str, dict[str, str]] = {}  # by key and check
+    reasons: dict[str, dict[str, str]] = {}  # by key and check
     for finding in findings:
         if finding.check == "velocity-lag" or not finding.changes:
             continue
         for key, value in finding.changes.items():
             wanted[key] = _combined(_value(robot, key), wanted.get(key), value)
-            told.setdefault(key, {}).setdefault(finding.check, finding.found)
+            reasons.setdefault(key, {}).setdefault(finding.check, finding.found)
     changes = {key: value for key, value in wanted.items() if value != _value(robot, key)}
-    marks = {key: "sure" if len(told[key]) > 1 else "likely" for key in changes}
-    return changes, {key: f"{mark}: {'; '.join(told[key].values())}" for key, mark in marks.items()}
+    marks = {key: "sure" if len(reasons[key]) > 1 else "likely" for key in changes}
+    why = {key: f"{mark}: {'; '.join(reasons[key].values())}" for key, mark in marks.items()}
+    return changes, why
 
 
 def _mends(before: Sequence[Finding], mended: Sequence[Finding], after: Sequence[Finding]) -> bool:

@@ -291,7 +291,7 @@ class Robot:
     @property
     def inertial(self) -> int:
         """Number of parameters before those of springs."""
-        return len(self.parameter_names) - len(self.springs)
+        return 10 * self.links + self.n * self.description.rotor_inertia
 
     @cached_property
     def nominal_parameters(self) -> Array:
