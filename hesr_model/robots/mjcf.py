@@ -20,8 +20,7 @@ from hesr_model.support.cache import kept
 _MOST_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
 _STATES = 8  # random states of the check
 
-Compiled = dict[str, Any]
-"""A compiled file as JSON; see `_described`."""
+Compiled = dict[str, Any]  # a compiled file as JSON; see `_described`
 
 
 def engine() -> Any:

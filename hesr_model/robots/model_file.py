@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,10 @@ import numpy as np
 
 from hesr_model.errors import RobotError
 from hesr_model.findings import Finding
+from hesr_model.robots.doubts import doubts_of_model
+from hesr_model.robots.limits import position_limits
 from hesr_model.robots.mjcf import compiled_robot, torques_of_urdf
-from hesr_model.robots.urdf import UNLIMITED, read_urdf
+from hesr_model.robots.urdf import read_urdf
 from hesr_model.support.arrays import Array
 
 _SHORT = 0.1  # range of fingers [m]
@@ -138,7 +140,7 @@ def load(path: Path) -> RobotModel:
             f"'{a}' and '{b}'": frozenset(set(chains[a][1]) ^ set(chains.get(b, ((), ()))[1]))
             for a, b in compiled.get("loops", ())
         },
-        doubts=(*urdf.doubts, *_doubts(path, model)),
+        doubts=(*urdf.doubts, *doubts_of_model(path, model)),
     )
     check = compiled["check"] if compiled else torques_of_urdf(urdf.text)
     if check is not None:
@@ -197,54 +199,6 @@ def _require_agreement(found: RobotModel, check: Mapping[str, Any]) -> None:
             f"{100 * differences.max() / largest:.2g} % of the largest torque, so the file is read "
             "in two ways; simplify the joint or the links after it, and report the file."
         )
-
-
-def _doubts(path: Path, model: Any) -> Iterator[Finding]:
-    for number, joint in enumerate(list(model.joints)[1:], start=1):
-        if joint.nv != 1:
-            continue
-        found, remedy = "", "correct its limits"
-        low, high = position_limits(model, joint, valid=False)
-        if path.suffix.lower() != ".xml" and not model.inertias[number].mass > 0.0:
-            needs = "give the link an <inertial> if it is a real part"
-            yield _doubt("massless-link", path, model.names[number], "its link has no mass", needs)
-        if joint.nq != 1 or not np.isfinite(low + high):
-            if joint.nq == 1 and path.suffix.lower() != ".xml":
-                needs = "state them in its <limit>; hesr excite needs them"
-                absent = _doubt("no-limits", path, model.names[number], "has no limits", needs)
-                yield replace(absent, severity="advice")
-            continue
-        if low >= high:
-            way = "equal" if low == high else "reversed"
-            found = f"its position limits are {way}, {low:g} and {high:g}, and count as none"
-        elif 4 * np.pi < max(-low, high) <= 720.0 and not joint.shortname().startswith(
-            "JointModelP"
-        ):
-            found, remedy = (
-                f"its limits {low:g} and {high:g} rad look like degrees",
-                "write radians",
-            )
-        if found:
-            yield _doubt("odd-limits", path, model.names[number], found, remedy)
-
-
-def _doubt(check: str, path: Path, joint: str, found: str, remedy: str) -> Finding:
-    return Finding(
-        check=check,
-        severity="warning",
-        where=str(path),
-        joints=(joint,),
-        found=found,
-        remedy=remedy,
-    )
-
-
-def position_limits(model: Any, joint: Any, *, valid: bool = True) -> tuple[float, float]:
-    """Return the position limits, infinite if absent or, if `valid`, equal or reversed."""
-    low = float(model.lowerPositionLimit[joint.idx_q]) if joint.nq == 1 else -np.inf
-    high = float(model.upperPositionLimit[joint.idx_q]) if joint.nq == 1 else np.inf
-    low, high = (low if low > -UNLIMITED else -np.inf), (high if high < UNLIMITED else np.inf)
-    return (-np.inf, np.inf) if valid and not low < high else (low, high)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,159 +1,27 @@
 """Robots: a TOML description and the rigid-body model (URDF or MJCF)."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
 
-from hesr_model.errors import RobotError
 from hesr_model.findings import Finding
-from hesr_model.logs.log_format import LogFormat
-from hesr_model.robots.model_file import (
-    JointFrame,
-    driven_joints,
-    joint_frames,
-    joints_of,
-    load,
-    locked,
-    position_limits,
-    set_joint,
-)
-from hesr_model.robots.owner import Owner
-from hesr_model.robots.sources import Sources, sourced
+from hesr_model.robots import model_file
+from hesr_model.robots.description import RobotDescription as RobotDescription
+from hesr_model.robots.doubts import doubts_of_chain
+from hesr_model.robots.limits import chain_limits
 from hesr_model.robots.springs import spring_terms
-from hesr_model.robots.transmission import Coupling, Transmission
-from hesr_model.robots.urdf import UNLIMITED
-from hesr_model.support.arrays import Array
-from hesr_model.support.config import Config, PrintableName, RelativePath
-from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.arrays import Array, Mask
+from hesr_model.support.files import path_of
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Mass, first moments, and inertia about the origin of the link's joint frame."""
 
 _ROWS_AT_ONCE = 4096
-
-
-class RobotDescription(Config):
-    """A robot: its model file, its joints, and the format of its logs.
-
-    Joints run from base to tip, below the body `root` if it is given. `locked` gives positions [rad
-    or m] of fixed joints; other unlisted joints rest as in the model file, or follow others.
-    `gravity` [m/s2] is in the base frame, by default that of the model file; `mount` (roll, pitch,
-    yaw) [rad] turns the base. `known` lists exact parameters, such as ``j1.Izz``, and makes others
-    placeholders; by default all are approximate. `rotor_inertia` adds a rotor inertia per joint,
-    reflected through its gear. `springs` (linear) and `balancers` (constant and two harmonics of
-    the angle) list joints with further torques. `gear_ratio` (turns of the motor per turn of the
-    joint) is needed by laws with motor ripple; `transmission` if motors turn several joints or were
-    logged, it then sets the gear ratios. `sources` states how constants are known.
-    """
-
-    name: PrintableName
-    model: RelativePath
-    joints: tuple[PrintableName, ...] = Field(min_length=1)
-    locked: dict[str, float] = Field(default_factory=dict)
-    root: PrintableName | None = None
-    gravity: tuple[float, float, float] | None = None
-    mount: tuple[float, float, float] | None = None
-    known: tuple[str, ...] | None = None
-    rotor_inertia: bool = True
-    springs: tuple[PrintableName, ...] = ()
-    balancers: tuple[PrintableName, ...] = ()
-    gear_ratio: tuple[Annotated[float, Field(gt=0)], ...] | None = None
-    transmission: Transmission | None = None
-    log: LogFormat = LogFormat()
-    sources: Sources = Sources()
-    owner: Owner = Owner()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _one_for_all(cls, data: Any) -> Any:
-        """Repeat a single torque constant for every joint."""
-        log = data.get("log") if isinstance(data, Mapping) else None
-        if not isinstance(log, Mapping):
-            return data
-        gain = log.get("torque_per_ampere")
-        if isinstance(gain, bool) or not isinstance(gain, int | float):
-            return data
-        joints = data.get("joints")
-        count = len(joints) if isinstance(joints, list | tuple) else 1
-        return {**data, "log": {**log, "torque_per_ampere": (gain,) * count}}
-
-    @model_validator(mode="after")
-    def _one_gear_per_joint(self) -> Self:
-        if self.transmission is None:
-            return self
-        ratios = tuple(float(ratio) for ratio in np.abs(self.transmission.ratios))
-        if self.gear_ratio not in (None, ratios):
-            raise ValueError(
-                "'gear_ratio' contradicts the diagonal of 'transmission.matrix'; leave it out"
-            )
-        object.__setattr__(self, "gear_ratio", ratios)
-        return self
-
-    @property
-    def coupling(self) -> Coupling | None:
-        """Friction coordinates over joints, if coupled."""
-        return Coupling.of(self.transmission.coordinates) if self.transmission else None
-
-    @property
-    def motors(self) -> Coupling | None:
-        """Motors over joints, divided by their gear ratios; None if nothing is coupled."""
-        return Coupling.of(self.transmission.motors) if self.transmission else None
-
-    @property
-    def logged(self) -> Coupling | None:
-        """Logged coordinates over joints, if motors were logged."""
-        of_motors = self.transmission and self.transmission.logs == "motor"
-        return self.motors if of_motors else None
-
-    @property
-    def constants(self) -> dict[str, Any]:
-        """Entry of a provenance for the constants that turn logs into torques."""
-        gains, sources = self.log.torque_per_ampere, self.sources
-        if gains is None:
-            return {}
-        known = sources.each("torque_per_ampere", len(gains))
-        return sourced("torque constant", "N.m/A", self.joints, gains, known)
-
-    @classmethod
-    def read(cls, path: PathArg) -> Self:
-        """Read a robot file; raises ConfigError, or RobotError for a list of wrong length."""
-        path = path_of(path, "a robot")
-        description = super().read(path)
-        try:
-            description.require_one_per_joint()
-        except RobotError as error:
-            raise RobotError(f"{path}: {error}") from error
-        return description
-
-    def require_one_per_joint(self) -> None:
-        """Raise RobotError if a list has not one entry per joint."""
-        for key, entries in self.lists.items():
-            if isinstance(entries, tuple) and len(entries) != len(self.joints):
-                raise RobotError(
-                    f"key '{key}' of robot '{self.name}' has {len(entries)} entries; "
-                    f"its {len(self.joints)} joints need one each."
-                )
-
-    @property
-    def lists(self) -> dict[str, Any]:
-        """Return values by key, which may be lists with an entry per joint."""
-        columns = {f"log.columns.{k}": v for k, v in self.log.columns if k != "names"}
-        return {
-            "transmission.matrix": self.transmission and self.transmission.matrix,
-            "gear_ratio": self.gear_ratio,
-            "log.torque_per_ampere": self.log.torque_per_ampere,
-            "log.zero": self.log.zero,
-            "sources.torque_per_ampere": self.sources.torque_per_ampere,
-            "log.bag.joints": self.log.bag.joints,
-            **columns,
-            **{f"log.units.{key}": entries for key, entries in self.log.units},
-        }
 
 
 class Robot:
@@ -181,7 +49,7 @@ class Robot:
         description.require_one_per_joint()
         self.description = description
         self._pin: Any = pinocchio
-        self._file = load(description.model)
+        self._file = model_file.load(description.model)
         self._model: Any = self._file.reduced(
             description.joints, description.locked, description.root
         )
@@ -203,9 +71,9 @@ class Robot:
         return f"Robot('{self.name}', {self.n} joints, {self.description.model.name})"
 
     @property
-    def _own(self) -> list[Any]:
-        """Models of the joints, which cannot be pickled."""
-        return [self._model.joints[self._model.getJointId(name)] for name in self.joints]
+    def _own(self) -> list[int]:
+        """Numbers of the joints in the model."""
+        return [self._model.getJointId(name) for name in self.joints]
 
     @property
     def name(self) -> str:
@@ -232,33 +100,11 @@ class Robot:
         """Doubtful numbers of the model file, without placeholders; errors first."""
         if self.description.known is not None:
             return tuple(doubt for doubt in self._file.doubts if doubt.check == "odd-limits")
-        return (*self._own_doubts(), *self._file.doubts)
-
-    def _own_doubts(self) -> Iterator[Finding]:
         low, high, _ = self.reach
-        bare = self._narrowed[0] >= self._narrowed[1]
         q = np.random.default_rng(0).uniform(low, high, (8, self.n))
         masses, _ = self.dynamics(self.nominal_parameters, q, np.zeros_like(q))
-        least = np.diagonal(masses, axis1=1, axis2=2).min(axis=0)
-        for j in np.flatnonzero(least <= 1e-12 * np.abs(masses).max()):
-            yield self._doubt(
-                int(j),
-                check="no-inertia",
-                found=f"moves an inertia of {least[j]:.3g} kg.m2 (kg if it slides), which makes "
-                "its torques meaningless",
-                remedy="correct the <inertial> of the links after it",
-            )
-        for j in np.flatnonzero(bare):
-            yield self._doubt(
-                int(j),
-                check="odd-limits",
-                severity="warning",
-                found="joints that follow it leave it no range, and their limits count as none",
-                remedy="correct their limits or their <mimic> or equality",
-            )
-
-    def _doubt(self, j: int, **content: Any) -> Finding:
-        return Finding(where=str(self._file.path), joints=(self.joints[j],), **content)
+        own = doubts_of_chain(self._file.path, self.joints, masses, self._limits[3])
+        return (*own, *self._file.doubts)
 
     @cached_property
     def gravity(self) -> Array:
@@ -301,30 +147,17 @@ class Robot:
         return np.concatenate([*links, *rotors, np.zeros(len(self.springs))])
 
     @cached_property
+    def _limits(self) -> tuple[Array, Array, Array, Mask]:
+        return chain_limits(self._model, self._own, self.follow)
+
+    @cached_property
     def limits(self) -> tuple[Array, Array, Array]:
         """Lowest and highest position [rad or m] and highest speed, (n,) each.
 
         An absent limit is infinite; joints that follow a leader also limit it, unless they leave
         it no range.
         """
-        lower, upper, speed = self._narrowed
-        own = np.array([position_limits(self._model, joint) for joint in self._own])
-        bare = lower >= upper
-        return np.where(bare, own[:, 0], lower), np.where(bare, own[:, 1], upper), speed
-
-    @cached_property
-    def _narrowed(self) -> tuple[Array, Array, Array]:
-        joints = list(self._model.joints)[1:]
-        ranges = np.array([position_limits(self._model, joint) for joint in joints])
-        speeds = np.array([float(self._model.velocityLimit[joint.idx_v]) for joint in joints])
-        speeds = np.where((speeds > 0.0) & (speeds < UNLIMITED), speeds, np.inf)
-        slopes, offsets = self.follow or (np.eye(self.n), np.zeros(self.n))
-        own = slopes != 0.0
-        scale = np.where(own, slopes, 1.0)
-        ends = np.sort((ranges.T - offsets)[:, :, None] / scale, axis=0)
-        lower = np.where(own, ends[0], -np.inf).max(axis=0)
-        upper = np.where(own, ends[1], np.inf).min(axis=0)
-        return lower, upper, np.where(own, speeds[:, None] / np.abs(scale), np.inf).min(axis=0)
+        return self._limits[:3]
 
     @cached_property
     def reach(self) -> tuple[Array, Array, Array]:
@@ -337,12 +170,13 @@ class Robot:
     @property
     def torque_limits(self) -> Array:
         """Largest torques (n,) [N.m or N] of the model file; 0 if unknown."""
-        return np.array([float(self._model.effortLimit[joint.idx_v]) for joint in self._own])
+        dofs = [self._model.joints[number].idx_v for number in self._own]
+        return np.array(self._model.effortLimit)[dofs]
 
     @cached_property
-    def tree(self) -> tuple[JointFrame, ...]:
+    def tree(self) -> tuple[model_file.JointFrame, ...]:
         """Frames of the joints and of those that follow them, from base to tip."""
-        return tuple(joint_frames(self._model, self._pin.neutral(self._model)))
+        return tuple(model_file.joint_frames(self._model, self._pin.neutral(self._model)))
 
     @property
     def bodies(self) -> list[tuple[float, Array, Array]]:
@@ -447,7 +281,7 @@ class Robot:
         if self.follow:
             q = q @ self.follow[0].T + self.follow[1]
         for k, joint in enumerate(list(self._model.joints)[1:]):
-            set_joint(joint, states.T, q[:, k])
+            model_file.set_joint(joint, states.T, q[:, k])
         return states
 
 
@@ -468,8 +302,8 @@ def description_of(robot: RobotLike) -> RobotDescription:
 
 def description_of_model(path: Path, joints: Sequence[str] = ()) -> RobotDescription:
     """Return the description of a URDF or MJCF whose other joints, by default fingers, rest."""
-    used = tuple(joint.name for joint in driven_joints(path, joints))
-    rest = locked(joints_of(path), used)
+    used = tuple(joint.name for joint in model_file.driven_joints(path, joints))
+    rest = model_file.locked(model_file.joints_of(path), used)
     return RobotDescription(name=path.stem, model=path.resolve(), joints=used, locked=rest)
 
 

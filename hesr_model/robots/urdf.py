@@ -11,9 +11,7 @@ import numpy as np
 from hesr_model.errors import RobotError
 from hesr_model.findings import Finding
 
-UNLIMITED = 1e9
-"""Position limit of a joint without one, which Pinocchio's URDF parser would refuse."""
-
+UNLIMITED = 1e9  # position limit of a joint without one, which Pinocchio's URDF parser would refuse
 _NUMBERS = {
     "mass": {"value": 1},
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),

@@ -1,0 +1,133 @@
+"""Descriptions of robots: a TOML with joints, constants, and the format of logs."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from hesr_model.errors import RobotError
+from hesr_model.logs.log_format import LogFormat
+from hesr_model.robots.owner import Owner
+from hesr_model.robots.sources import Sources, sourced
+from hesr_model.robots.transmission import Coupling, Transmission
+from hesr_model.support.config import Config, PrintableName, RelativePath
+from hesr_model.support.files import PathArg, path_of
+
+
+class RobotDescription(Config):
+    """A robot: its model file, its joints, and the format of its logs.
+
+    Joints run from base to tip, below the body `root` if it is given. `locked` gives positions [rad
+    or m] of fixed joints; other unlisted joints rest as in the model file, or follow others.
+    `gravity` [m/s2] is in the base frame, by default that of the model file; `mount` (roll, pitch,
+    yaw) [rad] turns the base. `known` lists exact parameters, such as ``j1.Izz``, and makes others
+    placeholders; by default all are approximate. `rotor_inertia` adds a rotor inertia per joint,
+    reflected through its gear. `springs` (linear) and `balancers` (constant and two harmonics of
+    the angle) list joints with further torques. `gear_ratio` (turns of the motor per turn of the
+    joint) is needed by laws with motor ripple; `transmission` if motors turn several joints or were
+    logged, it then sets the gear ratios. `sources` states how constants are known.
+    """
+
+    name: PrintableName
+    model: RelativePath
+    joints: tuple[PrintableName, ...] = Field(min_length=1)
+    locked: dict[str, float] = Field(default_factory=dict)
+    root: PrintableName | None = None
+    gravity: tuple[float, float, float] | None = None
+    mount: tuple[float, float, float] | None = None
+    known: tuple[str, ...] | None = None
+    rotor_inertia: bool = True
+    springs: tuple[PrintableName, ...] = ()
+    balancers: tuple[PrintableName, ...] = ()
+    gear_ratio: tuple[Annotated[float, Field(gt=0)], ...] | None = None
+    transmission: Transmission | None = None
+    log: LogFormat = LogFormat()
+    sources: Sources = Sources()
+    owner: Owner = Owner()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_for_all(cls, data: Any) -> Any:
+        """Repeat a single torque constant for every joint."""
+        log = data.get("log") if isinstance(data, Mapping) else None
+        if not isinstance(log, Mapping):
+            return data
+        gain = log.get("torque_per_ampere")
+        if isinstance(gain, bool) or not isinstance(gain, int | float):
+            return data
+        joints = data.get("joints")
+        count = len(joints) if isinstance(joints, list | tuple) else 1
+        return {**data, "log": {**log, "torque_per_ampere": (gain,) * count}}
+
+    @model_validator(mode="after")
+    def _one_gear_per_joint(self) -> Self:
+        if self.transmission is None:
+            return self
+        ratios = tuple(float(ratio) for ratio in np.abs(self.transmission.ratios))
+        if self.gear_ratio not in (None, ratios):
+            raise ValueError(
+                "'gear_ratio' contradicts the diagonal of 'transmission.matrix'; leave it out"
+            )
+        object.__setattr__(self, "gear_ratio", ratios)
+        return self
+
+    @property
+    def coupling(self) -> Coupling | None:
+        """Friction coordinates over joints, if coupled."""
+        return Coupling.of(self.transmission.coordinates) if self.transmission else None
+
+    @property
+    def motors(self) -> Coupling | None:
+        """Motors over joints, divided by their gear ratios; None if nothing is coupled."""
+        return Coupling.of(self.transmission.motors) if self.transmission else None
+
+    @property
+    def logged(self) -> Coupling | None:
+        """Logged coordinates over joints, if motors were logged."""
+        of_motors = self.transmission and self.transmission.logs == "motor"
+        return self.motors if of_motors else None
+
+    @property
+    def constants(self) -> dict[str, Any]:
+        """Entry of a provenance for the constants that turn logs into torques."""
+        gains, sources = self.log.torque_per_ampere, self.sources
+        if gains is None:
+            return {}
+        known = sources.each("torque_per_ampere", len(gains))
+        return sourced("torque constant", "N.m/A", self.joints, gains, known)
+
+    @classmethod
+    def read(cls, path: PathArg) -> Self:
+        """Read a robot file; raises ConfigError, or RobotError for a list of wrong length."""
+        path = path_of(path, "a robot")
+        description = super().read(path)
+        try:
+            description.require_one_per_joint()
+        except RobotError as error:
+            raise RobotError(f"{path}: {error}") from error
+        return description
+
+    def require_one_per_joint(self) -> None:
+        """Raise RobotError if a list has not one entry per joint."""
+        for key, entries in self.lists.items():
+            if isinstance(entries, tuple) and len(entries) != len(self.joints):
+                raise RobotError(
+                    f"key '{key}' of robot '{self.name}' has {len(entries)} entries; "
+                    f"its {len(self.joints)} joints need one each."
+                )
+
+    @property
+    def lists(self) -> dict[str, Any]:
+        """Return values by key, which may be lists with an entry per joint."""
+        columns = {f"log.columns.{k}": v for k, v in self.log.columns if k != "names"}
+        return {
+            "transmission.matrix": self.transmission and self.transmission.matrix,
+            "gear_ratio": self.gear_ratio,
+            "log.torque_per_ampere": self.log.torque_per_ampere,
+            "log.zero": self.log.zero,
+            "sources.torque_per_ampere": self.sources.torque_per_ampere,
+            "log.bag.joints": self.log.bag.joints,
+            **columns,
+            **{f"log.units.{key}": entries for key, entries in self.log.units},
+        }
