@@ -11,10 +11,6 @@ Severity = Literal["error", "warning", "advice"]
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "advice")  # the worst first
 
 
-def _severity(text: object) -> object:
-    return "error" if text == "refusal" else text  # in version 1
-
-
 @dataclass(frozen=True, kw_only=True)
 class Finding:
     """A finding of a check, whose name `--accept` takes.
@@ -24,7 +20,9 @@ class Finding:
     """
 
     check: str
-    severity: Annotated[Severity, BeforeValidator(_severity)] = "error"
+    severity: Annotated[
+        Severity, BeforeValidator(lambda s: "error" if s == "refusal" else s)  # in version 1
+    ] = "error"
     where: str = ""
     joints: tuple[str, ...] = ()
     logs: tuple[str, ...] = ()

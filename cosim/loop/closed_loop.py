@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter
 
@@ -116,12 +116,10 @@ def _digits(value: float) -> str:
     return repr(float(value)).removesuffix(".0")
 
 
-def _scheme(value: Any) -> Any:
-    return Scheme.of_name(value) if isinstance(value, str) else value
-
-
 NamedScheme = Annotated[
-    Scheme, BeforeValidator(_scheme), PlainSerializer(lambda scheme: scheme.name, return_type=str)
+    Scheme,
+    BeforeValidator(lambda value: Scheme.of_name(value) if isinstance(value, str) else value),
+    PlainSerializer(lambda scheme: scheme.name, return_type=str),
 ]
 
 

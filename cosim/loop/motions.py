@@ -1,7 +1,7 @@
 """Motions of a study in TOML."""
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -74,14 +74,10 @@ class ChirpMotion(_Motion):
     start: PerJoint
 
 
-def _sweep(*, swing_phase: Array, **values: Any) -> Sweep:
-    return Sweep(phase=swing_phase, **values)
-
-
 class SweepMotion(_Motion):
     """Sweep with varying amplitude; see `hesr_model.motions.trajectories.Sweep`."""
 
-    make = staticmethod(_sweep)
+    make = Sweep
     kind: Literal["sweep"]
     first: float = Field(gt=0)
     last: float = Field(gt=0)

@@ -14,16 +14,14 @@ from hesr_model.support.arrays import Array
 
 PERIOD, SLOW_PERIOD = 4.0, 40.0  # [s] of the loops
 _CYCLES = 3  # the last one is measured
-_JUMP, _STIFF = 5e-4, 0.025
-"""Shares of a branch: end of a jump, and of the stiffness measurement."""
+_JUMP, _STIFF = 5e-4, 0.025  # shares of a branch: end of a jump, and of the stiffness measurement
 _BRANCH = np.concatenate([[_JUMP, 5e-3, _STIFF], np.linspace(0.05, 1.0, 39)])
 _TURN = 0.75  # share of the rising branch before an inner loop
 _DEPTH = np.concatenate(
     [[2.0 * _JUMP, 0.01], np.linspace(0.05, 0.5, 10)]
 )  # return path, in amplitudes of the outer loop
 _TURNS = int(np.searchsorted(_BRANCH, _TURN))  # its row
-_Moves = Sequence[tuple[float, Array]]
-"""Directions, and displacements in widths of the outer loop."""
+_Moves = Sequence[tuple[float, Array]]  # directions, and displacements in widths of the outer loop
 _INNER: _Moves = ((-1.0, 0.5 * _DEPTH), (1.0, 0.5 * _DEPTH))
 _NESTED: _Moves = (
     (-1.0, 0.5 * _DEPTH),
@@ -120,21 +118,14 @@ def _loop(bench: FrictionBench, scale: Scale, period: float, load: float | Array
     return np.concatenate(tau)
 
 
-def _positions(amplitude: float) -> Array:
-    rising = amplitude * (2.0 * _BRANCH - 1.0)
-    return np.concatenate([-rising, rising])
-
-
-def _area(tau: Array, amplitude: float) -> float:
-    """Return the work of a closed loop [J]."""
-    x = _positions(amplitude)
-    return float(np.trapezoid(np.append(tau, tau[0]), np.append(x, x[0])))
-
-
 def _slid(fast: Array, slow: Array, amplitude: float) -> PropertyResult:
     half = len(_BRANCH)
     height = float(np.ptp(fast))
-    area, slow_area = (_area(tau, amplitude) for tau in (fast, slow))
+    rising = amplitude * (2.0 * _BRANCH - 1.0)
+    x = np.concatenate([-rising, rising])
+    area, slow_area = (
+        float(np.trapezoid(np.append(tau, tau[0]), np.append(x, x[0]))) for tau in (fast, slow)
+    )
     jump = float(fast[half - 1] - fast[half])
     at = int(np.searchsorted(_BRANCH, _STIFF))
     way = 2.0 * amplitude * (_BRANCH[at] - _BRANCH[0])
@@ -155,7 +146,6 @@ def _slid(fast: Array, slow: Array, amplitude: float) -> PropertyResult:
             f"At a tenth of the speed the loop dissipates {ratio:.2g} times the work: it depends "
             "on velocity, not on position."
         )
-    x = _positions(amplitude)
     return judged(
         ("stiffness after a reversal", stiffness, "N.m/rad"),
         ("area of the loop", area, "J"),

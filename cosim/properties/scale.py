@@ -48,10 +48,6 @@ class Scale:
         slowest = np.abs(self.steady[0])
         return np.where(slowest > _NO_FRICTION, np.minimum(self.level, slowest), self.level)
 
-    def steady_at(self, speeds: Array, joint: int) -> Array:
-        """Interpolate the steady torque (N,) [N.m] of a joint at speeds (N,) [rad/s]."""
-        return np.interp(speeds, self.speeds[:, joint], self.steady[:, joint])
-
 
 def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
     """Slide and reverse joints up to `speed` (n,) [rad/s] under a load [N.m]."""

@@ -40,7 +40,7 @@ def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
 def _weakest(scale: Scale, joint: int) -> tuple[float, float]:
     """Return the speed of steepest fall of the steady curve [rad/s] and its fall."""
     speeds = scale.speed[joint] * np.geomspace(CREEP, _FASTEST, 100)
-    torque = scale.steady_at(speeds, joint)
+    torque = np.interp(speeds, scale.speeds[:, joint], scale.steady[:, joint])
     fallen = np.max(np.maximum.accumulate(torque) - torque) / scale.level[joint]
     slope = np.gradient(torque, speeds)
     steepest = int(np.argmin(slope))
@@ -54,7 +54,8 @@ def _pulled(
     before, last = (float(np.ptp(part)) for part in (stretch[half:quarter], stretch[quarter:]))
     slow, fast = float(np.min(dq[half:])), float(np.max(dq[half:]))
     cycles = slow < _STICKS * pull and fast > _SLIPS * pull and last >= _LASTS * before
-    period = _period(t[half:], dq[half:] - pull) if cycles else None
+    begins = t[half + 1 :][(dq[half:-1] <= pull) & (dq[half + 1 :] > pull)]
+    period = float(np.mean(np.diff(begins))) if cycles and len(begins) > 1 else None
     weak, flat = falls >= WEAKENING, falls <= _NO_WEAKENING
     does = (
         f"It cycles between {slow / pull:.2g} and {fast / pull:.2g} times the pulling speed"
@@ -79,8 +80,3 @@ def _pulled(
         reason=f"{does}; {why}.",
         plot=plot("time", "stretch", curve("", t, 1e3 * stretch, most=160)),
     )
-
-
-def _period(t: Array, over: Array) -> float | None:
-    begins = t[1:][(over[:-1] <= 0.0) & (over[1:] > 0.0)]
-    return float(np.mean(np.diff(begins))) if len(begins) > 1 else None

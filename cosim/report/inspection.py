@@ -113,17 +113,12 @@ def _views(proposal: Proposal) -> list[JointView]:
             velocities=_velocities(part, int(j)),
             friction=_friction(examination, k, int(j)),
             covered=np.concatenate([each.v[:, j] for each in examination.parts]),
-            loads=_loads(examination, int(j)),
+            loads=np.concatenate([torques.gravity[:, j] for torques in examination.torques])
+            if examination.torques
+            else None,
         )
         for j in np.flatnonzero(part.moves)
     ]
-
-
-def _loads(examination: Examination, j: int) -> Array | None:
-    """Return the model's gravity torque (N,) without its mean; None without a model."""
-    if not examination.torques:
-        return None
-    return np.concatenate([torques.gravity[:, j] for torques in examination.torques])
 
 
 def _line(name: str, x: Array, y: Array, stroke: Stroke) -> Line:

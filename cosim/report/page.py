@@ -100,7 +100,9 @@ def write_report(
         _section(*names, [one for one in made if one.part in of_section], home)
         for names, of_section in SECTIONS.items()
     ]
-    _write_index(Tables(folder / TABLES), made)
+    rows = [row_of(file, *texts) for one in made for file, texts in one.tables.items()]
+    index = ResultTable(caption="", head=("file", "caption", "note"), rows=rows)
+    Tables(folder / TABLES).csv(index, "index")
     write_sections(
         path,
         title=f"HESR report: {results.run.study}",
@@ -138,8 +140,3 @@ def _section(key: str, title: str, parts: list[Made], home: str) -> Section | No
     files = {f"{TABLES}/{file}": text for one in parts for file, (text, _) in one.tables.items()}
     html = render("section.html.j2", parts=parts, files=files, home=home)
     return Section(key=key, title=title, html=html, folded=True)
-
-
-def _write_index(tables: Tables, made: list[Made]) -> None:
-    rows = [row_of(file, *texts) for one in made for file, texts in one.tables.items()]
-    tables.csv(ResultTable(caption="", head=("file", "caption", "note"), rows=rows), "index")

@@ -142,6 +142,8 @@ class Results:
         run = SavedRun.read(folder / RUN)
         body, battery = RigidBody.read(folder / "rigid_body.json"), folder / "properties.json"
         positions = folder / SIMULATION
+        truths = read_json(folder / TRUTHS) if (folder / TRUTHS).is_file() else {}
+        plants = "the errors on alternative plants"
         return cls(
             folder=folder,
             run=run,
@@ -152,7 +154,7 @@ class Results:
             simulated=_by_test(PositionErrors, positions, "the simulations of a run")
             if positions.is_file()
             else {},
-            truths=_truths(folder / TRUTHS),
+            truths=from_json(dict[str, Errors], truths, folder / TRUTHS, plants),
             provenance=body.provenance,
             **(_loop(folder) if run.controller else {}),
         )
@@ -167,11 +169,6 @@ def _comparisons(path: Path) -> dict[str, Comparison]:
 def _by_test(kind: Any, path: Path, what: str) -> dict[str, Any]:
     found = read_json(path).items()
     return {name: from_json(kind, one, path, f"{what} on {name!r}") for name, one in found}
-
-
-def _truths(path: Path) -> dict[str, Errors]:
-    found = read_json(path) if path.is_file() else {}
-    return from_json(dict[str, Errors], found, path, "the errors on alternative plants")
 
 
 def _loop(folder: Path) -> dict[str, Any]:

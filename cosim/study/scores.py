@@ -30,8 +30,7 @@ MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
 REFERENCE = "lugre"
 """Reference of ratios if a class of inputs has none of its own; otherwise the first law."""
 BASELINE = "stribeck"  # law without memory, for comparison
-MEASURED_START = " + start"
-"""Row-name suffix: initial state estimated from measured torque."""
+MEASURED_START = " + start"  # row-name suffix: initial state estimated from measured torque
 Errors = Mapping[str, Mapping[str, Sequence[float]]]  # RMSE by test set, law, joint [N.m]
 ORACLE = "true friction"
 """Row of the twin's own friction; its error is noise and the error of the rigid body."""

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from hesr_model.findings import Finding
     from hesr_model.support.files import PathArg
 
-KINDS = ("prediction", "passivity", "properties")
-"""Kinds of HESR's own tests."""
+KINDS = ("prediction", "passivity", "properties")  # kinds of HESR's own tests
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -106,7 +106,7 @@ def start_values(motion: Trajectory) -> dict[str, float | str | tuple[float, ...
         case Sweep():
             scalars = ("first", "last", "length", "swing_period")
             found = {"kind": "sweep", **{name: getattr(motion, name) for name in scalars}}
-            vectors = {"offset": motion.start, "swing_phase": motion.phase}
+            vectors = {"offset": motion.start, "swing_phase": motion.swing_phase}
             vectors |= {"amplitude": motion.amplitude, "swing": motion.swing}
         case _:
             raise ExportError(

@@ -14,17 +14,8 @@ from fmu_src.equations.header import SOLVER, Joint, equations_header
 from fmu_src.export.description3 import Terminal
 from fmu_src.export.interface import Interface, Variable
 from fmu_src.export.package import Content, Version, check_request, own_source, write_fmu
+from fmu_src.friction import friction_component
 from fmu_src.friction.embedded_model import embedding
-from fmu_src.friction.friction_component import (
-    adding,
-    dependencies,
-    discretisation,
-    joints_of,
-    law_variables,
-    mixed,
-    scales,
-    start_mode,
-)
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.drive_page import to_html
@@ -123,13 +114,15 @@ def _interface(model: FrictionModel, laws: Sequence[Joint], own: Motors) -> Inte
         zip(model.joints, model.laws, laws, strict=True), start=1
     ):
         sources = _sources(joint, model.coupling)
-        made_of = dependencies(own_law, torque, sources)
+        made_of = friction_component.dependencies(own_law, torque, sources)
         text = f"friction torque of {name} over the last inner step, on its side of the gear"
         friction.append(
             Variable(f"tau_f[{joint}]", "output", text, unit="N.m", dependencies=made_of)
         )
-        own_laws += law_variables(law, joint, own_law, sources)
-    choice = discretisation(model, "how the states of the friction are relaxed over an inner step")
+        own_laws += friction_component.law_variables(law, joint, own_law, sources)
+    choice = friction_component.discretisation(
+        model, "how the states of the friction are relaxed over an inner step"
+    )
     found = [v for n, unit, text in _INPUTS for v in vector(n, "input", unit, text, zeros)]
     for n, unit, text, deps in _OUTPUTS:
         found += _coupled(model.coupling, list(vector(n, "output", unit, text, zeros, deps)))
@@ -137,7 +130,7 @@ def _interface(model: FrictionModel, laws: Sequence[Joint], own: Motors) -> Inte
     for n, unit, text in _PARAMETERS:
         found += vector(n, "fixed", unit, text, getattr(own, n, zeros))
     found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
-    found += [choice, start_mode(), *scales(model), *own_laws]
+    found += [choice, friction_component.start_mode(), *friction_component.scales(model), *own_laws]
     variables = [_at_joint(v, model.slides) for v in found]
     inputs = {v.name for v in variables if v.role == "input"}
     return Interface(
@@ -175,7 +168,7 @@ def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]
     return {
         "dq": (f"dq_start[{joint}]", f"ratio[{joint}]"),
         "q": (f"q_start[{joint}]", f"ratio[{joint}]"),
-        "tau_load": mixed("tau_load", joint, coupling),
+        "tau_load": friction_component.mixed("tau_load", joint, coupling),
     }
 
 
@@ -186,10 +179,10 @@ def _coupled(coupling: Coupling | None, outputs: Sequence[Variable]) -> Iterator
             continue
         found = [
             name
-            for motor in adding(link, coupling)
+            for motor in friction_component.adding(link, coupling)
             for dependency in outputs[motor - 1].dependencies
             for name in (
-                mixed(dependency.partition("[")[0], motor, coupling)
+                friction_component.mixed(dependency.partition("[")[0], motor, coupling)
                 if dependency.startswith(("q_link[", "dq_link["))
                 else (dependency,)
             )
@@ -245,7 +238,7 @@ def export_drive(
 
 def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content:
     """Return the FMU of a drive before compilation."""
-    joints = joints_of(model, names={TORQUE: "tau_f"})
+    joints = friction_component.joints_of(model, names={TORQUE: "tau_f"})
     table = _interface(model, joints, own)
     header = equations_header(joints, table, _PLACES, wanted=SOLVER, coupling=model.coupling)
     about = description_of(

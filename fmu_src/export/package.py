@@ -12,16 +12,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
+from fmu_src.export import description3
 from fmu_src.export.description import Description, to_xml
-from fmu_src.export.description3 import (
-    ICON,
-    TERMINALS,
-    Arrays,
-    Terminal,
-    build_description,
-    to_terminals,
-    to_xml3,
-)
 from fmu_src.export.interface import Interface, to_c
 from fmu_src.export.toolchain import Target, build, targets
 from fmu_src.run.fmu import remember
@@ -85,7 +77,7 @@ class Content:
     members: Mapping[str, bytes]
     libraries: Mapping[str, Binary] = field(default_factory=dict)
     stimuli: Stimuli | None = None
-    terminals: Sequence[Terminal] = ()
+    terminals: Sequence[description3.Terminal] = ()
 
 
 def own_source(name: str) -> str:
@@ -123,17 +115,19 @@ def write_fmu(
     table, about = content.table, content.about
     guid, sources = translation_unit(content, fmi)
     members: dict[str, bytes] = {
-        "modelDescription.xml": (to_xml3 if fmi == 3 else to_xml)(table, about, guid),
+        "modelDescription.xml": (description3.to_xml3 if fmi == 3 else to_xml)(table, about, guid),
         "documentation/licenses/license.txt": (_HERE / "pages/templates/license.txt").read_bytes(),
         **content.members,
     }
     members |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
     if fmi == 3:
-        members["sources/buildDescription.xml"] = build_description(about)
+        members["sources/buildDescription.xml"] = description3.build_description(about)
         if picture := members.pop("model.png", None):
-            members[ICON] = picture
-        if connected := to_terminals(table, content.terminals, icon=picture is not None):
-            members[TERMINALS] = connected
+            members[description3.ICON] = picture
+        if connected := description3.to_terminals(
+            table, content.terminals, icon=picture is not None
+        ):
+            members[description3.TERMINALS] = connected
     folders = _FOLDERS if fmi == 3 else {}
     with scratch_folder() as home:
         for name, text in sources.items():
@@ -157,7 +151,7 @@ def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str,
     table, about = content.table, content.about
     sources = _sources(content.sources, fmi)
     if fmi == 3:
-        sources["extents.h"] = Arrays(table).to_c()
+        sources["extents.h"] = description3.Arrays(table).to_c()
     guid = _guid(table, about, sources)
     return guid, sources | {"interface.h": to_c(table, guid, about.step)}
 

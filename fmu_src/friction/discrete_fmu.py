@@ -8,15 +8,7 @@ from dataclasses import replace
 
 from fmu_src.equations.header import Joint, equations_header, indicators, own_size
 from fmu_src.export.interface import Interface, Variable
-from fmu_src.friction.friction_component import (
-    START_MODE,
-    dependencies,
-    law_variables,
-    of_joint,
-    place,
-    scales,
-    start_mode,
-)
+from fmu_src.friction import friction_component
 from hesr_model.equations.component import Component, Parameter, Quantity
 from hesr_model.equations.memory import Slow
 from hesr_model.friction.model import FrictionModel
@@ -35,8 +27,8 @@ def discrete_equations(
 ) -> tuple[Interface, str]:
     """Return variables and equations.h of an FMU; all joints share the switches, initially 1."""
     joints = [_joint(model, i, own, switches) for i, own in enumerate(components, start=1)]
-    factors = scales(model) if components[0].shared else ()
-    signals = (*_signals(model, joints, switches), start_mode(), *factors)
+    factors = friction_component.scales(model) if components[0].shared else ()
+    signals = (*_signals(model, joints, switches), friction_component.start_mode(), *factors)
     table = Interface(
         variables=(*signals, *_own(model, components, joints)),
         indicators=indicators(joints),
@@ -44,11 +36,11 @@ def discrete_equations(
         model_exchange=False,
         directional_derivatives=False,
     )
-    return table, equations_header(joints, table, {"START_MODE": START_MODE})
+    return table, equations_header(joints, table, {"START_MODE": friction_component.START_MODE})
 
 
 def _joint(model: FrictionModel, i: int, own: Component, switches: Sequence[Quantity]) -> Joint:
-    at = place(model.laws[i - 1], i)
+    at = friction_component.place(model.laws[i - 1], i)
     slow = tuple(m.name for m in own.memory if isinstance(m, Slow))
     names = {q.name: f"{q.name}[{i}]" for q in (*own.inputs, *own.shared, *own.outputs)}
     # Joints that differ only in starts share C code.
@@ -76,12 +68,14 @@ def _signals(
         for i, _ in enumerate(joints, start=1):
             # The factors of temperature are 1 at the reference.
             start = model.thermal[i - 1].reference if quantity == TEMPERATURE else 0.0
-            yield of_joint(model, quantity, i, "input", start=start)
+            yield friction_component.of_joint(model, quantity, i, "input", start=start)
     for quantity in own.outputs:
         for i, joint in enumerate(joints, start=1):
             # Later it changes with steps only, not with inputs set between them.
-            at_start = dependencies(joint, quantity.symbol, starting=True)
-            yield of_joint(model, quantity, i, "output", initial_dependencies=at_start)
+            at_start = friction_component.dependencies(joint, quantity.symbol, starting=True)
+            yield friction_component.of_joint(
+                model, quantity, i, "output", initial_dependencies=at_start
+            )
 
 
 def _own(
@@ -92,10 +86,10 @@ def _own(
         count = len(law.values)
         known = replace(joint, parameters=joint.parameters[:count])
         elements = dict(zip(joint.derivatives, component.memory, strict=True))
-        for variable in law_variables(law, i, known):
+        for variable in friction_component.law_variables(law, i, known):
             element = elements.get(variable.name)
             if element is not None:
-                at_start = dependencies(joint, element.derivative, starting=True)
+                at_start = friction_component.dependencies(joint, element.derivative, starting=True)
                 variable = replace(variable, initial_dependencies=at_start)
             yield variable
         for name, parameter in zip(

@@ -10,16 +10,9 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+from fmu_src.export import package
 from fmu_src.export.description import Description
 from fmu_src.export.interface import Interface
-from fmu_src.export.package import (
-    Content,
-    Version,
-    check_request,
-    equation_sources,
-    translation_unit,
-    write_fmu,
-)
 from fmu_src.friction.discrete_fmu import thermal_equations
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_component import POWER, friction_equations
@@ -58,7 +51,7 @@ def export_fmu(
     low_pass: float | None = None,
     body: PageBody | None = None,
     progress: Progress = silent,
-    fmi: Version = 2,
+    fmi: package.Version = 2,
 ) -> Path:
     """Write a friction model as an FMU of FMI 2.0 or 3.0 for co-simulation and model exchange.
 
@@ -70,14 +63,14 @@ def export_fmu(
     The same model gives the same bytes. For the date see `date_of`. Raises ExportError if C or FMI
     cannot express the model or a thermal model gets options; SimulationError if it has no band.
     """
-    check_request(path, platforms)
+    package.check_request(path, platforms)
     if model.thermal:
         whole = thermal_content(model, beside=bool(power or band or low_pass or properties or body))
     else:
         whole = content(
             model, properties, audit, power=power, band=band, low_pass=low_pass, body=body
         )
-    return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
+    return package.write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
 def export_bare(
@@ -86,17 +79,17 @@ def export_bare(
     *,
     platforms: Sequence[str] = ("linux64",),
     band: bool = False,
-    fmi: Version = 2,
+    fmi: package.Version = 2,
 ) -> Path:
     """Write the same FMU as `export_fmu` without its documentation."""
     bare = thermal_content(model, beside=band) if model.thermal else _component(model, band=band)
-    return write_fmu(bare, path, platforms=platforms, fmi=fmi)
+    return package.write_fmu(bare, path, platforms=platforms, fmi=fmi)
 
 
 def live_of(model: FrictionModel) -> dict[str, Any]:
     """Return the data of a model's interactive section, for pages outside its FMU."""
     bare = _component(model)
-    return live_data(model, bare.table, wasm(translation_unit(bare)[1]))
+    return live_data(model, bare.table, wasm(package.translation_unit(bare)[1]))
 
 
 def content(
@@ -108,13 +101,13 @@ def content(
     band: bool = False,
     low_pass: float | None = None,
     body: PageBody | None = None,
-) -> Content:
+) -> package.Content:
     """Return the FMU of a friction model, before it is compiled."""
     bare = _component(model, (POWER,) if power else (), band=band, low_pass=low_pass)
     model = _as_run(model, low_pass)
     with ThreadPoolExecutor(max_workers=1) as pool:
         # Draw the picture while the compiler runs.
-        module = pool.submit(wasm, translation_unit(bare)[1])
+        module = pool.submit(wasm, package.translation_unit(bare)[1])
         picture = model_png(model)
         live = live_section(live_data(model, bare.table, module.result()))
         live += log_section(model, body) + live_assets(log=True)
@@ -135,7 +128,7 @@ def _component(
     *,
     band: bool = False,
     low_pass: float | None = None,
-) -> Content:
+) -> package.Content:
     require_numbers(model)
     if band:
         model.require_band()
@@ -155,7 +148,7 @@ def _as_run(model: FrictionModel, low_pass: float | None) -> FrictionModel:
     return model.behind_low_pass(low_pass)
 
 
-def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
+def thermal_content(model: FrictionModel, *, beside: bool = False) -> package.Content:
     """Return the FMU of a model that follows temperature, before it is compiled."""
     if beside:
         raise ExportError(
@@ -170,10 +163,10 @@ def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
 
 def bare_content(
     model: FrictionModel, about: Description, table: Interface, header: str
-) -> Content:
+) -> package.Content:
     """Return the FMU of a model without pages, with the model itself."""
-    return Content(
-        table=table, about=about, sources=equation_sources(header), members=embedding(model)
+    return package.Content(
+        table=table, about=about, sources=package.equation_sources(header), members=embedding(model)
     )
 
 

@@ -5,15 +5,8 @@ from typing import Any
 
 from fmu_src.pages.datasheet import figure
 from fmu_src.pages.html import rendered
+from hesr_model.audit import properties
 from hesr_model.audit.expectations import EXPECTATIONS, Expectation
-from hesr_model.audit.properties import (
-    MARKS,
-    Figure,
-    JointProperties,
-    Plot,
-    Properties,
-    PropertyResult,
-)
 from hesr_model.units import unit_of_joint, unit_of_joints
 
 _WIDTH, _HEIGHT = 236, 148  # size of a plot in its own units
@@ -22,7 +15,7 @@ _LINES = ("var(--accent)", "#c2410c", "#15803d")
 _DIGITS = 3
 
 
-def section(found: Properties, *, sliding: Sequence[bool] = ()) -> str:
+def section(found: properties.Properties, *, sliding: Sequence[bool] = ()) -> str:
     """Return HTML: a table of properties by joint, then each experiment with its plots."""
     slides = sliding or (False,) * len(found.joints)
     return rendered(
@@ -34,7 +27,7 @@ def section(found: Properties, *, sliding: Sequence[bool] = ()) -> str:
     )
 
 
-def _sizes(joint: JointProperties, slides: bool) -> list[tuple[str, str]]:
+def _sizes(joint: properties.JointProperties, slides: bool) -> list[tuple[str, str]]:
     rows = (
         ("trained speed", joint.speed, "rad/s"),
         ("friction level", joint.level, "N.m"),
@@ -49,7 +42,7 @@ def _size(value: float | None, unit: str) -> str:
 
 
 def _property(
-    found: Properties, expectation: Expectation, sliding: Sequence[bool]
+    found: properties.Properties, expectation: Expectation, sliding: Sequence[bool]
 ) -> dict[str, Any]:
     findings = [joint.findings[expectation.key] for joint in found.joints]
     return {
@@ -59,7 +52,7 @@ def _property(
         "joints": [
             {
                 "name": joint.joint,
-                "verdict": MARKS[f.verdict],
+                "verdict": properties.MARKS[f.verdict],
                 "reason": f.reason,
                 "figures": [_spelled(one) for one in f.figures],
                 "plot": svg(f.plot) if f.plot else "",
@@ -69,19 +62,19 @@ def _property(
     }
 
 
-def _cell(found: PropertyResult, expectation: Expectation) -> str:
+def _cell(found: properties.PropertyResult, expectation: Expectation) -> str:
     value = found.figures[0].value if found.figures else None
     if value is None:
-        return MARKS[found.verdict]
-    return f"{MARKS[found.verdict]} {figure(expectation.factor * value, _DIGITS)}"
+        return properties.MARKS[found.verdict]
+    return f"{properties.MARKS[found.verdict]} {figure(expectation.factor * value, _DIGITS)}"
 
 
-def _spelled(one: Figure) -> str:
+def _spelled(one: properties.Figure) -> str:
     unit = "" if one.unit == "1" else f" {one.unit}"
     return f"{one.name}: {figure(one.value, _DIGITS)}{unit if one.value is not None else ''}"
 
 
-def svg(plot: Plot) -> str:
+def svg(plot: properties.Plot) -> str:
     """Return a plot as inline SVG; names come from the experiments, so nothing needs escaping."""
     curves = [c for c in plot.curves if len(c.x) > 1]
     if not curves:
@@ -109,7 +102,9 @@ def svg(plot: Plot) -> str:
     )
 
 
-def _frame(plot: Plot, x_range: tuple[float, float], y_range: tuple[float, float]) -> Iterator[str]:
+def _frame(
+    plot: properties.Plot, x_range: tuple[float, float], y_range: tuple[float, float]
+) -> Iterator[str]:
     right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
     yield (
         f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}" '

@@ -7,11 +7,8 @@ from typing import Any
 import fmpy
 from fmpy import fmi2, fmi3
 
-Call = Callable[..., None]
-"""Calls a function by name with arguments after the instance."""
-
-Tell = Callable[[int, str], None]
-"""Receives status and text of a message."""
+Call = Callable[..., None]  # calls a function by name with arguments after the instance
+Tell = Callable[[int, str], None]  # receives status and text of a message
 
 
 def _logger(tell: Tell) -> Callable[..., None]:

@@ -15,16 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from fmu_src.run import sandbox_child
 from fmu_src.run.fmi import VERSIONS, Tell
 from fmu_src.run.instance import CallError, DiedError, Failure, LoadError, UnpackedFmu
-from fmu_src.run.sandbox_child import (
-    LENGTH,
-    LONGEST_TEXT,
-    POSITION,
-    WORDS,
-    Exchange,
-    unpacked_answer,
-)
 from hesr_model.support.arrays import Array
 from hesr_model.support.process import ChildProcess, FailedError, how_it_ended
 from hesr_model.support.text import plain
@@ -47,7 +40,7 @@ class Sandbox:
     def __init__(self, folder: Path, seconds: float) -> None:
         self.seconds, self.reached = seconds, 0
         # Kept open, because the FMU may replace the file.
-        self._position = (folder / POSITION).open("w+b", buffering=0)
+        self._position = (folder / sandbox_child.POSITION).open("w+b", buffering=0)
         self._position.write(b"\0")
         self._socket, theirs = socket.socketpair()
         self._socket.settimeout(_POLL)
@@ -75,14 +68,14 @@ class Sandbox:
         """Return the answer to a request, at most `most` bytes."""
         end = time.monotonic() + self.seconds
         try:
-            self._send(LENGTH.pack(len(request)) + request, end)
+            self._send(sandbox_child.LENGTH.pack(len(request)) + request, end)
             return self._receive(most, end)
         except OSError as error:  # a closed connection included
             raise self.died(self._how_it_ended()) from error
 
     def run(self, function: str, *arguments: Any) -> Any:
         """Return the result of "module:function", called in the process with JSON data."""
-        request = WORDS + json.dumps(["run", [function, *arguments]]).encode()
+        request = sandbox_child.WORDS + json.dumps(["run", [function, *arguments]]).encode()
         data = self.ask(request, _MOST_RESULT)
         try:
             answer = json.loads(data)
@@ -116,7 +109,7 @@ class Sandbox:
             self._require_time(end)
 
     def _receive(self, most: int, end: float) -> bytes:
-        data, size = bytearray(), LENGTH.size + most
+        data, size = bytearray(), sandbox_child.LENGTH.size + most
         while len(data) < size:
             try:
                 piece = self._socket.recv(_PIECE)
@@ -129,15 +122,15 @@ class Sandbox:
             if not piece:
                 raise ConnectionError
             data += piece
-            if len(data) < LENGTH.size:
+            if len(data) < sandbox_child.LENGTH.size:
                 self._require_time(end)
                 continue
-            size = LENGTH.size + LENGTH.unpack_from(data)[0]
-            if size > LENGTH.size + most or len(data) > size:
+            size = sandbox_child.LENGTH.size + sandbox_child.LENGTH.unpack_from(data)[0]
+            if size > sandbox_child.LENGTH.size + most or len(data) > size:
                 raise self.died(NONSENSE)
             if len(data) < size:
                 self._require_time(end)
-        return bytes(data[LENGTH.size :])
+        return bytes(data[sandbox_child.LENGTH.size :])
 
     def _require_time(self, end: float) -> None:
         if time.monotonic() > end:
@@ -244,9 +237,9 @@ class SandboxedInstance:
 
     def _call(self, function: str, method: str, *arguments: Any) -> None:
         self._known.clear()
-        request = WORDS + json.dumps([method, arguments]).encode()
+        request = sandbox_child.WORDS + json.dumps([method, arguments]).encode()
         try:
-            data = self._sandbox.ask(request, LONGEST_TEXT)
+            data = self._sandbox.ask(request, sandbox_child.LONGEST_TEXT)
             try:
                 answer = json.loads(data)
                 unloadable, failed = (answer.get(key) for key in ("unloadable", "failed"))
@@ -270,18 +263,18 @@ class SandboxedInstance:
         """Do pending writes, a step [s] unless its size is 0, and read buffers."""
         written, self._written = self._written, []
         self._known.clear()
-        exchange = Exchange(
+        exchange = sandbox_child.Exchange(
             begin=begin, size=size, written=written, needed=needed, prefetch=prefetch
         )
         names = [self._functions["write"]] * len(written)
         names += [self._functions["step"]] * (size != 0.0)
         names += [self._functions["read"]] * (len(needed) + len(prefetch))
         read = [*needed, *prefetch]
-        most = 8 + sum(self._sizes[number] for number in read) + LONGEST_TEXT
+        most = 8 + sum(self._sizes[number] for number in read) + sandbox_child.LONGEST_TEXT
         try:
             data = self._sandbox.ask(exchange.packed(), most)
             try:
-                status, position, rest = unpacked_answer(data)
+                status, position, rest = sandbox_child.unpacked_answer(data)
                 failed = names[position] if status else ""
                 found = [] if status else read[: max(position, len(needed))]
                 for number in found:

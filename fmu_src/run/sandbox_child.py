@@ -36,9 +36,7 @@ LONGEST_MESSAGE = 2000
 LONGEST_TEXT = 4 * MOST_MESSAGES * LONGEST_MESSAGE  # largest text of an answer of an FMU [bytes]
 POSITION = "position"
 
-EXCHANGE, WORDS = b"X", b"W"
-"""First byte of a request, packed or in JSON."""
-
+EXCHANGE, WORDS = b"X", b"W"  # first byte of a request, packed or in JSON
 LENGTH = struct.Struct("!I")
 _ERROR = 3  # status
 _REQUEST, _ANSWER = struct.Struct("<ddIII"), struct.Struct("<ii")

@@ -50,7 +50,7 @@ class _Verbs(click.Group):
         if cmd_name not in self.list_commands(ctx):
             return None
         function = workflow(cmd_name)
-        return command(cmd_name, function, _invoke, _more(function))
+        return command(cmd_name, function, _invoke, further(function))
 
 
 def workflow(verb: str) -> Function:
@@ -64,10 +64,10 @@ def workflow(verb: str) -> Function:
     return plugin
 
 
-def _more(function: Function) -> Sequence[inspect.Parameter]:
+def further(function: Function) -> Sequence[inspect.Parameter]:
     """Return the further keyword options of a function, if its module lists them."""
-    more = _module(function).get("further_options")
-    return more() if more else ()
+    found: Sequence[inspect.Parameter] = _module(function).get("further_options", tuple)()
+    return found
 
 
 def _invoke(function: Function, given: dict[str, Any]) -> None:

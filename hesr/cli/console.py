@@ -7,13 +7,13 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TextIO
+from typing import TextIO
 
 import click
 
@@ -22,9 +22,7 @@ from hesr_model.support.files import written_whole
 from hesr_model.support.interrupts import Interrupted
 from hesr_model.support.progress import Stages, listed_in
 
-INTERRUPTED = 130
-"""Exit codes after signals: 128 and the number of the signal."""
-
+INTERRUPTED = 130  # exit codes after signals: 128 and the number of the signal
 _STANDARD_OUTPUT = Path("-")
 _AGAIN = 2.0  # [s] within this time a second Ctrl-C does not disturb the clean-up
 _LATER = 0.05  # [s] delay before an interrupt that Python dropped is raised again
@@ -224,13 +222,3 @@ def answer_file(json_file: Path | None) -> Iterator[Path | None]:
     else:
         with written_whole(json_file) as temporary:
             yield temporary
-
-
-def answer(json_file: Path | None, data: Mapping[str, Any] | list[Any]) -> None:
-    """Write an answer as JSON, if requested; ``-`` is standard output."""
-    import json
-
-    with answer_file(json_file) as file:
-        if file:
-            text = json.dumps(data, indent=2, allow_nan=False)
-            file.write_text(f"{text}\n", encoding="utf-8")

@@ -23,8 +23,7 @@ Invoke = Callable[[Function, dict[str, Any]], None]
 _MANY = ("Logs", "Laws", "FmuArgs", "ResultArgs", "Sources", "Sequence[")
 """Annotations of parameters that take several values."""
 
-_WIDTH = 75
-"""Width of an example in the help, which is indented by 2 and may end with a backslash."""
+_WIDTH = 75  # width of an example in the help, which is indented by 2 and may end with a backslash
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,11 +185,12 @@ def _parameter(verb: str, one: inspect.Parameter, text: str, function: Function)
     many = annotation.startswith(_MANY)
     required = one.default is one.empty
     if one.kind is one.POSITIONAL_OR_KEYWORD and not form.option:
+        metavar = form.metavar or one.name.upper()
         return click.Argument(
             [one.name],
             nargs=-1 if many else 1,
             required=required,
-            metavar=_wrapped(form.metavar or one.name.upper(), many=many, required=required),
+            metavar=(metavar if required else f"[{metavar}]") + "..." * many,
             help=text,
         )
     if inner == "bool":
@@ -205,10 +205,6 @@ def _parameter(verb: str, one: inspect.Parameter, text: str, function: Function)
         help=text,
         shell_complete=_completion(form.complete) if form.complete else None,
     )
-
-
-def _wrapped(metavar: str, *, many: bool, required: bool) -> str:
-    return f"{metavar if required else f'[{metavar}]'}{'...' * many}"
 
 
 def _kind(annotation: str, function: Function, form: Form) -> Kind:

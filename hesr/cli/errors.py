@@ -33,9 +33,7 @@ MOVED = {verb: f"'hesr {verb}' is now: {form}." for verb, form in _NEW_FORMS.ite
 """New form of each verb of earlier versions."""
 
 _REFUSED = 2
-_UNREAD = 1
-"""Exit code after the reader of the output has closed it, as Click's."""
-
+_UNREAD = 1  # exit code after the reader of the output has closed it, as Click's
 _LONGEST = 4000  # characters of a sentence: file names may be of any length
 
 _PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")

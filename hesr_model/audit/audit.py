@@ -56,8 +56,7 @@ class Audit:
 
 Run = Callable[[FrictionLaw, Array, Array, Array, Array], Array]
 """Torque of a law for t, dq, q and load, all (N,)."""
-Response = tuple[ClosedMotions, float, Array]
-"""Motions, their constant load and the torque (A, K)."""
+Response = tuple[ClosedMotions, float, Array]  # motions, their constant load and the torque (A, K)
 
 
 def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:

@@ -35,7 +35,9 @@ def own_of_logs(
     logs = list(dict.fromkeys(record.log for record in records))
     own = [OwnOfLog() for _ in logs]
     if len(logs) > 1 and wanted:
-        log, columns, torque = log_of_rows(records), _coarse(records), _torque(records)
+        log, torque = log_of_rows(records), _torque(records)
+        dq = np.concatenate([r.dq for r in records])
+        columns = np.column_stack([np.tanh(dq / MOVING), dq, np.ones_like(dq)])
         for _ in range(_ROUNDS):
             level, offset = _of_rows(own, log)
             law = np.linalg.lstsq(level[:, None] * columns, torque - offset, rcond=None)[0]
@@ -62,11 +64,6 @@ def with_own(
     ends = np.cumsum([len(torque) for torque in predicted])
     level, offset = _of_rows(own, log)
     return np.split(level * whole + offset, ends[:-1])
-
-
-def _coarse(records: Sequence[FrictionRecord]) -> Array:
-    dq = np.concatenate([r.dq for r in records])
-    return np.column_stack([np.tanh(dq / MOVING), dq, np.ones_like(dq)])
 
 
 def _torque(records: Sequence[FrictionRecord]) -> Array:

@@ -159,6 +159,7 @@ def fit_models(
     with parallel.results_of(banded, workers, names=names) as results:
         fitted = {law: tuple(next(results) for _ in records) for law in pooled}
     periods = [float(np.median(np.diff(r.t))) for of_joint in records for r in of_joint]
+    left = {law: [e for _, e in of_law if e is not None] for law, of_law in fitted.items()}
     return {
         law: FrictionModel(
             law=law,
@@ -170,16 +171,11 @@ def fit_models(
             sample_time=round(float(np.median(periods)), 9),
             trained=tuple(TrainedRange.of(of_joint) for of_joint in records),
             training_rmse=tuple(map(training_error, plain[law], records)),
-            left_out_rmse=_all_known([error for _, error in fitted[law]]),
+            left_out_rmse=tuple(left[law]) if len(left[law]) == len(records) else (),
             provenance=dict(provenance or {}),
         )
         for law in fitted
     }
-
-
-def _all_known(errors: Sequence[float | None]) -> tuple[float, ...]:
-    known = tuple(error for error in errors if error is not None)
-    return known if len(known) == len(errors) else ()
 
 
 def _run(

@@ -28,8 +28,7 @@ from hesr_model.support.typed_json import from_json, read_json, to_json, write_j
 from hesr_model.support.untrusted_text import require_printable
 from hesr_model.units import unit_of_joints
 
-MIXED = "recommended"
-"""Name of a model with a law of its own on each joint."""
+MIXED = "recommended"  # name of a model with a law of its own on each joint
 _MOST_SHOWN = 40  # coefficients of a law up to which notebooks show its equations
 
 

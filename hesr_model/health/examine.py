@@ -6,17 +6,11 @@ from dataclasses import dataclass, replace
 
 from hesr_model.errors import FitError
 from hesr_model.findings import Finding
+from hesr_model.health import positions
 from hesr_model.health.causes import check_causes
 from hesr_model.health.evidence import Motionwise, Torques, as_logged, motionwise
 from hesr_model.health.findings import merged, of_log, require_known, require_sound
 from hesr_model.health.loss import check_loss
-from hesr_model.health.positions import (
-    check_columns,
-    check_jumps,
-    check_limits,
-    check_steps,
-    check_time,
-)
 from hesr_model.health.sample_hold import check_held, check_speed
 from hesr_model.health.timing import check_clocks
 from hesr_model.health.torque import NO_SIGNAL, Explained, check_torque, explained
@@ -51,11 +45,11 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
     findings: list[Finding] = []
     parts: list[Motionwise] = []
     for log in logs:
-        timed = of_log(log, check_time(log, robot))
+        timed = of_log(log, positions.check_time(log, robot))
         findings += timed
         if any(f.severity == "error" for f in timed):
             continue
-        for check in (check_jumps, check_steps, check_held):
+        for check in (positions.check_jumps, positions.check_steps, check_held):
             findings += of_log(log, check(log, robot))
         parts += motionwise(log, robot.log.filter_cutoff)
     if model and (robot.known is not None or model.springs):
@@ -67,9 +61,9 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
     for part in parts:
         findings += of_log(part.log, check_velocity(part, robot, broken))
         if model:
-            findings += of_log(part.log, check_limits(part, model))
+            findings += of_log(part.log, positions.check_limits(part, model))
             findings += of_log(part.log, check_speed(part, model))
-        findings += of_log(part.log, check_columns(part, robot))
+        findings += of_log(part.log, positions.check_columns(part, robot))
     if model and not hopeless(findings):
         for part, (own, torque), fit in zip(parts, logged, fits, strict=True):
             seen = [j for j in fit if fit[j].r2 > NO_SIGNAL]

@@ -19,14 +19,10 @@ from hesr_model.support.arrays import Array, Mask
 
 Key = TypeVar("Key")
 
-BIN = 0.05
-"""Length of a bin, whose rows are averaged [s]."""
-SECONDS_PER_DEGREE = 8.0
-"""Minimum duration per degree of freedom [s]."""
-_TIMES_PER_DEGREE = 3.0
-"""Minimum duration per degree of freedom in correlation times."""
-LEAST_DEGREES = 4
-"""Degrees of freedom below which no law is called worse: about 40 s of logs."""
+BIN = 0.05  # length of a bin, whose rows are averaged [s]
+SECONDS_PER_DEGREE = 8.0  # minimum duration per degree of freedom [s]
+_TIMES_PER_DEGREE = 3.0  # minimum duration per degree of freedom in correlation times
+LEAST_DEGREES = 4  # degrees of freedom below which no law is called worse: about 40 s of logs
 _BOTH_SETS = 2.0**0.5  # standard error of a difference between two sets of logs, over that of one
 LEAST_SECONDS = 40.0
 MOST_SECONDS = 1e7
@@ -36,10 +32,8 @@ CALIBRATION = 5.0
 A nominal level of 1 % has a true one of up to 5 % (`tests/benchmarks`).
 """
 CALIBRATED = 8
-SIGNIFICANCE = 0.05
-"""Level of p after the factor, adjusted for all laws of a table."""
-POWER = 0.8
-"""Probability with which the smallest detectable difference is found."""
+SIGNIFICANCE = 0.05  # level of p after the factor, adjusted for all laws of a table
+POWER = 0.8  # probability with which the smallest detectable difference is found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -160,7 +160,7 @@ class Sweep(Trajectory):
 
     In formulas::
 
-        dq    = A(t) sin(phi(t)),    A(t) = amplitude + swing sin(2 pi t / swing_period + phase)
+        dq    = A(t) sin(phi(t)),  A(t) = amplitude + swing sin(2 pi t / swing_period + swing_phase)
         phi   = 2 pi (first t + (last - first) t^2 / (2 length))
 
     The position is the exact integral, by Fresnel's functions. The joint rests outside the length
@@ -170,7 +170,7 @@ class Sweep(Trajectory):
     start: Array
     amplitude: Array
     swing: Array
-    phase: Array
+    swing_phase: Array
     swing_period: float
     first: float
     last: float
@@ -195,12 +195,12 @@ class Sweep(Trajectory):
         rate, slope = 2 * np.pi * self.first, 2 * np.pi * (self.last - self.first) / self.length
         slow = 2 * np.pi / self.swing_period
         wave = np.exp(1j * (rate * time + 0.5 * slope * time**2))
-        swell = np.exp(1j * (slow * time + self.phase))
+        swell = np.exp(1j * (slow * time + self.swing_phase))
         peak = self.amplitude + self.swing * swell.imag
         # 2 sin(phi) sin(s) = cos(phi - s) - cos(phi + s): every term has a quadratic phase.
         steady = _quadratic_phase_integral(0.0, rate, slope, time).imag
-        below = _quadratic_phase_integral(-self.phase, rate - slow, slope, time).real
-        above = _quadratic_phase_integral(self.phase, rate + slow, slope, time).real
+        below = _quadratic_phase_integral(-self.swing_phase, rate - slow, slope, time).real
+        above = _quadratic_phase_integral(self.swing_phase, rate + slow, slope, time).real
         q = self.start + self.amplitude * steady + 0.5 * self.swing * (below - above)
         dq = peak * wave.imag
         ddq = slow * self.swing * swell.real * wave.imag + peak * (rate + slope * time) * wave.real
@@ -214,7 +214,7 @@ def chirp(*, start: Array, amplitude: Array, first: float, last: float, length: 
         start=start,
         amplitude=amplitude,
         swing=none,
-        phase=none,
+        swing_phase=none,
         swing_period=length,
         first=first,
         last=last,

@@ -19,18 +19,10 @@ from hesr_model.errors import FitError, RobotError
 from hesr_model.inference.covariance import Covariance
 from hesr_model.logs.robot_log import Log, require_moving
 from hesr_model.logs.signals import Motion, smoothed
+from hesr_model.rigid_body import observations
 from hesr_model.rigid_body import physical as consistent
 from hesr_model.rigid_body.base_parameters import at_random_states, known_columns, unknown_columns
 from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of, solve
-from hesr_model.rigid_body.observations import (
-    averaged,
-    friction_columns,
-    logs_of,
-    peak_speeds,
-    per_joint,
-    stacked,
-    without_known,
-)
 from hesr_model.robots.robot import Robot
 from hesr_model.support import html
 from hesr_model.support.arrays import Array, Integers, Mask
@@ -243,19 +235,21 @@ def identify_motions(
         raise FitError(
             f"robot '{model.name}': 'physical' excludes 'known' of the robot file; remove one."
         )
-    motions, reversed_motions = (without_known(m, model) for m in (motions, reversed_motions))
+    motions, reversed_motions = (
+        observations.without_known(m, model) for m in (motions, reversed_motions)
+    )
     everything = [*motions, *reversed_motions]
     base = unknown_columns(model)
-    friction = friction_columns(model, base) & (method == "stacked")
+    friction = observations.friction_columns(model, base) & (method == "stacked")
     where = "log " + ", ".join(motion.name for motion in everything)
     rows = sum(len(motion.t) for motion in everything)
     require_samples(where, rows, len(base) + int(np.sum(friction)))
-    require_speed(where, peak_speeds(everything, model), model)
+    require_speed(where, observations.peak_speeds(everything, model), model)
 
     def blocks_of(columns: tuple[int, ...]) -> list[Block]:
         if method == "paper":
-            return averaged(motions, reversed_motions, model, columns)
-        return stacked(everything, model, columns, friction)
+            return observations.averaged(motions, reversed_motions, model, columns)
+        return observations.stacked(everything, model, columns, friction)
 
     blocks = blocks_of(base)
     weighting = weighting or ("ols" if method == "paper" else "wls")
@@ -264,7 +258,7 @@ def identify_motions(
     solution = solve(blocks, scale=scale, weighted=weighting == "wls", loose=loose)
     if not physical:
         tell_ridge(where, solution)
-    labels = logs_of(motions if method == "paper" else everything)
+    labels = observations.logs_of(motions if method == "paper" else everything)
     body = body_of(
         solution,
         covariance_of(blocks, solution, labels),
@@ -298,7 +292,7 @@ def _consistent(
         standard_errors=found.covariance.standard_errors,
         covariance=found.covariance,
         ridge=0.0,
-        friction=per_joint(found.friction, friction),
+        friction=observations.per_joint(found.friction, friction),
         rmse=found.rmse,
         physical=True,
     )
@@ -345,7 +339,7 @@ def body_of(
         standard_errors=covariance.standard_errors,
         condition=solution.condition,
         ridge=solution.ridge,
-        friction=per_joint(solution.x[len(base) :], friction),
+        friction=observations.per_joint(solution.x[len(base) :], friction),
         rmse=solution.rmse,
         rows=rows,
         logs=logs,

@@ -16,14 +16,10 @@ import numpy as np
 from hesr_model.errors import FitError
 from hesr_model.logs.robot_log import Log, require_moving
 from hesr_model.logs.signals import Motion, smoothed
+from hesr_model.rigid_body import observations
 from hesr_model.rigid_body.base_parameters import dependence
 from hesr_model.rigid_body.identification import RigidBody, scale_of
 from hesr_model.rigid_body.least_squares import Block, Solution, solve
-from hesr_model.rigid_body.observations import (
-    friction_columns,
-    per_joint,
-    stacked,
-)
 from hesr_model.robots.robot import LINK_PARAMETERS, Robot
 from hesr_model.support.arrays import Array, Integers
 
@@ -102,8 +98,8 @@ def identify_payload_motions(
         )
     added = [replace(motion, tau=motion.tau - unloaded.torque(model, motion)) for motion in motions]
     columns = _last_link(model)
-    friction = friction_columns(model, columns)
-    blocks = stacked(added, model, columns, friction)
+    friction = observations.friction_columns(model, columns)
+    blocks = observations.stacked(added, model, columns, friction)
     solution = solve(blocks, scale=scale_of(model, columns, friction), weighted=True)
     if solution.ridge:
         raise FitError(
@@ -112,7 +108,7 @@ def identify_payload_motions(
         )
     carried = [
         block.matrix[:, : len(unloaded.base)]
-        for block in stacked(motions, model, unloaded.base, friction)
+        for block in observations.stacked(motions, model, unloaded.base, friction)
     ]
     covariance = _covariance(blocks, solution, [segments[block.samples] for block in blocks])
     covariance += _inherited(blocks, solution, carried, unloaded.standard_errors)
@@ -120,7 +116,7 @@ def identify_payload_motions(
         parameters=solution.x[:10],
         covariance=covariance[:10, :10],
         condition=solution.condition,
-        friction=per_joint(solution.x[10:], friction),
+        friction=observations.per_joint(solution.x[10:], friction),
         rmse=solution.rmse,
         rows=len(segments),
         logs=tuple(motion.name for motion in motions),

@@ -12,8 +12,7 @@ import click
 import pytest
 
 import hesr
-from hesr.cli.app import _more as further
-from hesr.cli.app import app, workflow
+from hesr.cli.app import app, further, workflow
 from hesr.cli.derive import Docstring
 from hesr_model.support.lazy import lazy
 

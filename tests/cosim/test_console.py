@@ -14,7 +14,6 @@ import pytest
 
 from hesr.cli.console import (
     _Ended,
-    answer,
     answer_file,
     command_output,
     ended_by_signals,
@@ -23,8 +22,15 @@ from hesr.cli.console import (
 from hesr.cli.errors import errors_said, home_where_needed, plain_where_needed, refuse
 from hesr_model.errors import ConfigError
 from hesr_model.support.interrupts import Interrupted
+from hesr_model.support.typed_json import write_json
 
 Capture = pytest.CaptureFixture[str]
+
+
+def answer(json_file: Path, data: dict[str, int]) -> None:
+    with answer_file(json_file) as file:
+        assert file is not None
+        write_json(file, data)
 
 
 # --- quiet, verbose and JSON ------------------------------------------------------------------
@@ -81,8 +87,8 @@ def test_a_failed_command_writes_no_json(tmp_path: Path, capsys: Capture) -> Non
     assert list(tmp_path.iterdir()) == []
     with answer_file(None) as wanted:
         assert wanted is None
-    answer(tmp_path / "b.json", [1.5])
-    assert (tmp_path / "b.json").read_text() == "[\n  1.5\n]\n"
+    answer(tmp_path / "b.json", {"b": 2})
+    assert (tmp_path / "b.json").read_text() == '{\n  "b": 2\n}\n'
 
 
 def test_progress_is_logged_with_verbose(capsys: Capture) -> None:

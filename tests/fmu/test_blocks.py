@@ -92,7 +92,7 @@ MOTIONS = {
     ).time_reversed(),
     "sine": Sine(offset=OFFSET, amplitude=PEAK, frequency=0.25, periods=3),
     "sweep": Sweep(
-        **SWEEP, swing=np.array([0.45, -0.3, 0.2]), phase=np.array([0.0, 1.0, 2.0]),
+        **SWEEP, swing=np.array([0.45, -0.3, 0.2]), swing_phase=np.array([0.0, 1.0, 2.0]),
         swing_period=7.0, last=0.45, length=42.0,
     ),
     "chirp": chirp(**SWEEP, last=1.0, length=4.68),

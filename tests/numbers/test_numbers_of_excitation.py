@@ -29,7 +29,7 @@ from hesr_model.robots.robot import Robot, RobotDescription
 
 START, AMPLITUDE = np.array([0.1, -0.2]), np.array([0.5, 0.4])
 SWEEP = Sweep(
-    start=START, amplitude=AMPLITUDE, swing=np.array([0.2, -0.1]), phase=np.array([0.3, 1.2]),
+    start=START, amplitude=AMPLITUDE, swing=np.array([0.2, -0.1]), swing_phase=np.array([0.3, 1.2]),
     swing_period=2.7, first=0.3, last=1.4, length=5.0,
 )  # fmt: skip
 DRAWN = random_fourier(

@@ -8,7 +8,7 @@ import pytest
 
 from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body import accumulation as streamed
+from hesr_model.rigid_body import identification
 from hesr_model.rigid_body.accumulation import Streamed
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
 from hesr_model.robots.robot import Robot
@@ -50,7 +50,7 @@ def assert_alike(one: RigidBody, other: RigidBody) -> None:
 def test_the_body_equals_that_of_the_batch(
     arm_model: Robot, motions: list[Motion], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(streamed, "AT_ONCE", 300)
+    monkeypatch.setattr(identification, "AT_ONCE", 300)
     assert_alike(of(arm_model, motions), identify_motions(motions, arm_model))
 
 

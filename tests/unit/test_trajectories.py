@@ -23,7 +23,7 @@ def sweep(**changes):
         "start": OFFSET,
         "amplitude": np.array([0.75, 0.5, 0.0]),
         "swing": np.array([0.45, 0.2, 0.0]),
-        "phase": np.array([-np.pi / 2, 0.4, 0.0]),
+        "swing_phase": np.array([-np.pi / 2, 0.4, 0.0]),
         "swing_period": 14.0,
         "first": 0.1,
         "last": 0.45,

@@ -1,7 +1,6 @@
 """Hysteresis state, friction loops, and ratios with intervals."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
@@ -10,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, NullLocator, ScalarFormatter
 from numpy.typing import NDArray
 
-from cosim.report.figures.chart import Line, plot, proxy
+from cosim.report.figures.chart import Panel, plot, proxy
 from cosim.report.figures.style import INK, SERIES, SOFT, style_axis, styled
 from cosim.study.scores import Ratio
 from hesr_model.support.arrays import Array
@@ -24,26 +23,16 @@ _REACH = 0.25  # range of loops over the maximum speed; laws differ little beyon
 _SEEN = 700  # maximum number of measured points of a loop
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Sheet:
-    """Axes with closed lines: heading, names of the axes, and lines."""
-
-    title: str
-    x: str
-    y: str
-    lines: tuple[Line, ...]
-
-
-def sheets(panels: Sequence[Sheet]) -> Figure:
-    """Draw sheets next to each other, with a legend below each."""
+def sheets(panels: Sequence[tuple[str, Panel]]) -> Figure:
+    """Draw panels of closed lines over named axes next to each other, with a legend below each."""
     with styled():
         figure = Figure(figsize=(9.0, 2.95), layout="constrained")
         axes = figure.subplots(1, len(panels))
-        for axis, panel in zip(axes, panels, strict=True):
+        for axis, (x, panel) in zip(axes, panels, strict=True):
             for line in panel.lines:
                 plot(axis, line)
             axis.set_title(panel.title)
-            axis.set_xlabel(panel.x)
+            axis.set_xlabel(x)
             axis.set_ylabel(panel.y)
             handles = [proxy(line.stroke) for line in panel.lines]
             axis.legend(

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from cosim.report.figures.chart import Line
-from cosim.report.figures.plots import Sheet, sheets
+from cosim.report.figures.chart import Line, Panel
+from cosim.report.figures.plots import sheets
 from cosim.report.figures.style import Stroke, strokes
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, TableCell, number, row_of, title
@@ -106,9 +106,9 @@ def hysteresis(results: Results) -> dict[str, Any] | None:
     slow = f"dq [{results.unit('mrad/s', 0)}]"
     picture = sheets(
         (
-            Sheet(title="(a) β: slope at rest", x=slow, y="tanh(β dq)", lines=slopes),
-            Sheet(title="(b) α: width of the loop", x=dq, y="h", lines=widths),
-            Sheet(title="(c) as fitted", x=f"dq [{results.unit('rad/s')}]", y="h", lines=fitted),
+            (slow, Panel(title="(a) β: slope at rest", y="tanh(β dq)", lines=slopes)),
+            (dq, Panel(title="(b) α: width of the loop", y="h", lines=widths)),
+            (f"dq [{results.unit('rad/s')}]", Panel(title="(c) as fitted", y="h", lines=fitted)),
         )
     )
     return {

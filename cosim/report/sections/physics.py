@@ -5,17 +5,9 @@ from typing import Any
 from markupsafe import Markup
 
 from cosim.report.results import Results
+from cosim.report.tables import table
 from cosim.report.tables.laws import audit as audit_table
 from cosim.report.tables.properties import properties as properties_table
-from cosim.report.tables.table import (
-    ResultTable,
-    TableCell,
-    fixed,
-    number,
-    on_joints,
-    row_of,
-    title,
-)
 from fmu_src.pages.datasheet import certified
 from fmu_src.pages.properties_sheet import section as sheet
 from hesr_model.audit.audit import Audit
@@ -35,7 +27,7 @@ def audit(results: Results) -> dict[str, Any] | None:
     found = results.audits
     if not found:
         return None
-    energy = ResultTable(
+    energy = table.ResultTable(
         caption="Maximum energy of a law over a closed cycle [J], and chatter of its torque at "
         f"rest [{results.unit('N.m')}]",
         head=(
@@ -44,22 +36,24 @@ def audit(results: Results) -> dict[str, Any] | None:
             *(f"chatter {short}" for short in results.joints),
         ),
         rows=[
-            row_of(
-                title(law),
+            table.row_of(
+                table.title(law),
                 *(
-                    TableCell(text="none", value=0.0) if passive(a) else number(a.generated, 2)
+                    table.TableCell(text="none", value=0.0)
+                    if passive(a)
+                    else table.number(a.generated, 2)
                     for a in of_law.audits
                 ),
-                *(fixed(a.chatter, 2) for a in of_law.audits),
+                *(table.fixed(a.chatter, 2) for a in of_law.audits),
             )
             for law, of_law in found.items()
         ],
     )
-    proofs = ResultTable(
+    proofs = table.ResultTable(
         caption="Passivity of each law and joint",
         head=("law", "joint", "certificate"),
         rows=[
-            row_of(title(law), joint, certified(c, slides=slides))
+            table.row_of(table.title(law), joint, certified(c, slides=slides))
             for law, of_law in found.items()
             for joint, c, slides in zip(
                 results.joints, of_law.certificates, results.models[law].slides, strict=True
@@ -86,9 +80,9 @@ def properties(results: Results) -> dict[str, Any] | None:
     if not results.properties:
         return None
     laws = results.recommended
-    of_law = combined(on_joints(laws), results.properties, laws)
+    of_law = combined(table.on_joints(laws), results.properties, laws)
     return {
         "properties": properties_table(results.properties, full=True),
-        "law": on_joints(laws),
+        "law": table.on_joints(laws),
         "sheet": of_law and Markup(sheet(of_law, sliding=results.sliding)),
     }

@@ -11,17 +11,9 @@ from cosim.report.figures.chart import Chart, Line, Panel, drawn
 from cosim.report.figures.style import MEASURED, SERIES, Stroke
 from cosim.report.results import Results
 from cosim.report.sections.prediction import WINDOW, band
+from cosim.report.tables import table
 from cosim.report.tables.properties import most_passed
 from cosim.report.tables.scores import leading, ratio_notes
-from cosim.report.tables.table import (
-    ResultTable,
-    TableCell,
-    decimals,
-    fixed,
-    on_joints,
-    row_of,
-    title,
-)
 from cosim.study.results import read_findings
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Ratio
 from hesr_model.audit.expectations import EXPECTATIONS
@@ -41,7 +33,7 @@ def summary(results: Results) -> dict[str, Any]:
     return {
         "run": results.run,
         "verdict": results.verdict,
-        "law": on_joints(laws),
+        "law": table.on_joints(laws),
         "fmu": results.fmu if (results.folder / results.fmu).is_file() else "",
         "findings": len(findings),
         "first": [replace(finding, remedy="").sentence for finding in findings[:_FINDINGS]],
@@ -51,37 +43,37 @@ def summary(results: Results) -> dict[str, Any]:
         "tests": len(results.tests),
         "has_loop": results.loop is not None,
         "floor": _floor(results),
-        "winners": [(title(leading(of)), plant) for plant, of in results.truths.items()],
+        "winners": [(table.title(leading(of)), plant) for plant, of in results.truths.items()],
         "passed": paper and paper.passed,
-        "most": most and (", ".join(map(title, most[0])), most[1]),
+        "most": most and (", ".join(map(table.title, most[0])), most[1]),
         "checks": len(EXPECTATIONS),
     }
 
 
-def errors(results: Results, laws: Sequence[str]) -> ResultTable:
+def errors(results: Results, laws: Sequence[str]) -> table.ResultTable:
     """Return error, unexplained share, and ratio to the strongest reference of a law per joint."""
     test = results.tests[0]
     scores = results.comparisons[test]
     own = scores.of(laws).rmse
-    places = decimals(own)
+    places = table.decimals(own)
     head = ["joint", "RMSE", "unexplained"]
     columns = [
-        [fixed(error, places) for error in own],
-        [TableCell(text=f"{100 * s:.0f} %", value=100 * s) for s in scores.unexplained(own)],
+        [table.fixed(error, places) for error in own],
+        [table.TableCell(text=f"{100 * s:.0f} %", value=100 * s) for s in scores.unexplained(own)],
     ]
-    caption = f"Error of {on_joints(laws)} on ‘{test}’ [{results.unit('N.m')}]"
+    caption = f"Error of {table.on_joints(laws)} on ‘{test}’ [{results.unit('N.m')}]"
     if found := _reference(scores, laws):
         references, ratios, role = found
         head += ["reference", "ratio"]
-        names = on_joints(references)
+        names = table.on_joints(references)
         said = f"{names}, {role}" if len(set(references)) == 1 else f"{role} ({names})"
         caption += f" and of {said}; small: 95\u00a0% interval"
         columns += [
-            [fixed(error, places) for error in scores.of(references).rmse],
-            [fixed(ratio.value, 2, notes=ratio_notes(ratio)[1:]) for ratio in ratios],
+            [table.fixed(error, places) for error in scores.of(references).rmse],
+            [table.fixed(ratio.value, 2, notes=ratio_notes(ratio)[1:]) for ratio in ratios],
         ]
-    rows = [row_of(*cells) for cells in zip(results.joints, *columns, strict=True)]
-    return ResultTable(caption=caption, head=head, rows=rows)
+    rows = [table.row_of(*cells) for cells in zip(results.joints, *columns, strict=True)]
+    return table.ResultTable(caption=caption, head=head, rows=rows)
 
 
 def _reference(
@@ -113,7 +105,7 @@ def _reference(
         )
         for ratio in found.laws[rival]
     ]
-    role = f"the best law with {on_joints(laws)} as its reference"
+    role = f"the best law with {table.on_joints(laws)} as its reference"
     return [rival] * len(inverse), inverse, role
 
 
@@ -133,13 +125,13 @@ def _plot(results: Results, laws: Sequence[str]) -> dict[str, Any] | None:
         Line(name="predicted", x=t, y=predicted, stroke=Stroke(colour=SERIES[0])),
     )
     unit = results.unit("N.m", k - 1)
-    panel = Panel(title=f"{short}: {name}, {title(law)}", y=f"friction [{unit}]", lines=lines)
+    panel = Panel(title=f"{short}: {name}, {table.title(law)}", y=f"friction [{unit}]", lines=lines)
     chart = Chart(x="t [s]", rows=((panel,),), height=_HEIGHT, window=(0.0, WINDOW))
     return {
         "figure": drawn(chart, _WIDTH),
         "joint": name,
         "short": short,
-        "law": title(law),
+        "law": table.title(law),
         "log": log.name,
     }
 
@@ -150,7 +142,7 @@ def _floor(results: Results) -> dict[str, str] | None:
         return None
     floor = scores[ORACLE].rmse
     above = 100.0 * float(np.mean(np.divide(scores[best].rmse, floor)) - 1.0)
-    places, few = decimals([max(floor)]), len(floor) <= _FEW
+    places, few = table.decimals([max(floor)]), len(floor) <= _FEW
     shown = [f"{value:.{places}f}" for value in (floor if few else (min(floor), max(floor)))]
     listed = (" / " if few else " – ").join(shown)
-    return {"error": listed, "best": title(best), "above": f"{above:.0f}"}
+    return {"error": listed, "best": table.title(best), "above": f"{above:.0f}"}

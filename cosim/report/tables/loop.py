@@ -7,19 +7,10 @@ import numpy as np
 
 from cosim.loop.closed_loop import StandIn
 from cosim.loop.traces import LoopOutcome, Overcompensation, Tracked
-from cosim.report.tables.table import (
-    ResultTable,
-    TableCell,
-    decimals,
-    fixed,
-    joints,
-    number,
-    row_of,
-    title,
-)
+from cosim.report.tables import table
 
 
-def outcome(found: LoopOutcome) -> list[ResultTable]:
+def outcome(found: LoopOutcome) -> list[table.ResultTable]:
     """Return all tables of a closed loop."""
     return [
         tracking("Tracking: RMSE [mrad], mean over the motions", found.tracking),
@@ -29,26 +20,26 @@ def outcome(found: LoopOutcome) -> list[ResultTable]:
     ]
 
 
-def tracking(caption: str, rows: Sequence[Tracked]) -> ResultTable:
+def tracking(caption: str, rows: Sequence[Tracked]) -> table.ResultTable:
     """Return errors by scheme and law; notes are their spread, or the end of a single motion."""
     one = all(len(row.rmse) == 1 for row in rows)
     table_rows, digits = [], places(rows)
     for scheme in dict.fromkeys(row.scheme for row in rows):
-        table_rows.append(row_of(scheme.title))
+        table_rows.append(table.row_of(scheme.title))
         for row in rows:
             if row.scheme == scheme:
                 notes = row.last[0] if one else row.spread
                 cells = [mrad(*part) for part in zip(row.mean, digits, notes, strict=True)]
-                table_rows.append(row_of(title(row.law), *cells))
+                table_rows.append(table.row_of(table.title(row.law), *cells))
     small = "mean error of its last tenth" if one else "spread over the motions"
-    return ResultTable(
+    return table.ResultTable(
         caption=f"{caption}; small: {small}",
-        head=("torque model", *joints(len(rows[0].mean))),
+        head=("torque model", *table.joints(len(rows[0].mean))),
         rows=table_rows,
     )
 
 
-def sweeps(rows: Sequence[Tracked]) -> list[ResultTable]:
+def sweeps(rows: Sequence[Tracked]) -> list[table.ResultTable]:
     """Return a table per scheme: error of the worst joint by change and law."""
     tables = []
     for scheme in dict.fromkeys(replace(row.scheme, change="") for row in rows):
@@ -59,11 +50,11 @@ def sweeps(rows: Sequence[Tracked]) -> list[ResultTable]:
         }
         laws = list(dict.fromkeys(law for _, law in found))
         tables.append(
-            ResultTable(
+            table.ResultTable(
                 caption=f"{scheme.title}: RMSE of the worst joint [mrad] under changes",
-                head=("change", *map(title, laws)),
+                head=("change", *map(table.title, laws)),
                 rows=[
-                    row_of(change, *(mrad(found[change, law], 2) for law in laws))
+                    table.row_of(change, *(mrad(found[change, law], 2) for law in laws))
                     for change in dict.fromkeys(change for change, _ in found)
                 ],
             )
@@ -71,30 +62,34 @@ def sweeps(rows: Sequence[Tracked]) -> list[ResultTable]:
     return tables
 
 
-def overcompensation(found: Sequence[Overcompensation]) -> ResultTable:
+def overcompensation(found: Sequence[Overcompensation]) -> table.ResultTable:
     """Return the friction factor above which an arm at rest cycles."""
-    return ResultTable(
+    return table.ResultTable(
         caption="Minimum factor on the friction torque at which the arm at rest begins to cycle",
         head=("law and scheme", "factor"),
         rows=[
-            row_of(
-                f"{title(one.law)}: {one.scheme.title}",
-                TableCell(text="none up to 3") if one.factor is None else number(one.factor, 2),
+            table.row_of(
+                f"{table.title(one.law)}: {one.scheme.title}",
+                table.TableCell(text="none up to 3")
+                if one.factor is None
+                else table.number(one.factor, 2),
             )
             for one in found
         ],
     )
 
 
-def mrad(angle: float, digits: int, note: float | None = None, *, best: bool = False) -> TableCell:
+def mrad(
+    angle: float, digits: int, note: float | None = None, *, best: bool = False
+) -> table.TableCell:
     """Return the cell of an angle [rad] in mrad; "stopped" if the run failed."""
     if not np.isfinite(angle):
-        return TableCell(text="stopped")
+        return table.TableCell(text="stopped")
     notes = () if note is None else (f"{1e3 * note:.3g}",)
-    return fixed(1e3 * angle, digits, best=best, notes=notes)
+    return table.fixed(1e3 * angle, digits, best=best, notes=notes)
 
 
 def places(rows: Iterable[Tracked]) -> list[int]:
     """Return the decimals of each column of angles."""
     laws = [row.mean for row in rows if row.law != StandIn.ORACLE]
-    return [decimals(1e3 * np.array(column), 2) for column in zip(*laws, strict=True)]
+    return [table.decimals(1e3 * np.array(column), 2) for column in zip(*laws, strict=True)]

@@ -35,9 +35,7 @@ RIGID = Quantity(
 )
 ADAPT = Quantity(name="adapt", unit="1", description="1: factors adapt, 0: they are held")
 
-INPUTS = (MEASURED, RIGID, ADAPT)
-"""Inputs of an adaptive law in addition to those of every law."""
-
+INPUTS = (MEASURED, RIGID, ADAPT)  # inputs of an adaptive law in addition to those of every law
 _FACTORS = (
     ("level", "1", "factor on Coulomb and static friction of {joint}"),
     ("viscosity", "1", "factor on viscous friction of {joint}"),

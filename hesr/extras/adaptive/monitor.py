@@ -12,8 +12,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
-_SHARED = 0.5
-"""Share of joints above which a change is shared."""
+_SHARED = 0.5  # share of joints above which a change is shared
 _ESTIMATES = ("level", "level_sd", "viscosity", "viscosity_sd", "offset", "offset_sd")
 
 POINTS_TO = {

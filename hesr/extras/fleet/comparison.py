@@ -8,9 +8,7 @@ from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
 from hesr_model.inference.comparison import holm
 from hesr_model.inference.deviation import ENOUGH, Deviation, deviations
 
-Key = tuple[str, str, str, str]
-"""Robot, law, joint, and name of a number."""
-
+Key = tuple[str, str, str, str]  # robot, law, joint, and name of a number
 _KINDS = {"level": "drift", "offset": "shift", "error": "error"}
 _POINTS_TO = POINTS_TO | {"error": "play, damage, or a sensor: no friction law explains it"}
 _ERROR = "rmse"

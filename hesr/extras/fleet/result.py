@@ -7,8 +7,7 @@ from pathlib import Path
 from hesr_model.findings import Finding
 from hesr_model.inference.deviation import Trend
 
-BODY = "rigid_body"
-"""Name in place of a law for the rigid body."""
+BODY = "rigid_body"  # name in place of a law for the rigid body
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,8 +29,7 @@ from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, counted, silent
 
 ABOUT, TABLE, PAGE = "fleet.json", "fleet.parquet", "fleet.html"
-ROBOTS, TYPES = "robots", "types"
-"""Folders of the robots, one each, and of the FMUs."""
+ROBOTS, TYPES = "robots", "types"  # folders of the robots, one each, and of the FMUs
 
 
 def run_fleet(

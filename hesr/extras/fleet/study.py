@@ -18,8 +18,7 @@ from hesr_model.support.text import quoted
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
 
 _TABLES = {".csv", ".gz", ".parquet", ".pq", ".feather"}
-_BAG = "metadata.yaml"
-"""Marks a folder as a ROS 2 bag."""
+_BAG = "metadata.yaml"  # marks a folder as a ROS 2 bag
 _WILD = re.compile(r"[*?\[]")
 _DAY = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
 

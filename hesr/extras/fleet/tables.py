@@ -11,8 +11,7 @@ from hesr_model.inference.deviation import ENOUGH
 if TYPE_CHECKING:
     from hesr.extras.fleet.result import Fleet
 
-_MOST = 30
-"""Maximum rows per table; the Parquet file is complete."""
+_MOST = 30  # maximum rows per table; the Parquet file is complete
 
 
 def all_tables(fleet: "Fleet") -> Iterator[ResultTable]:

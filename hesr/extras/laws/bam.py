@@ -33,9 +33,7 @@ from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.laws.stribeck import F_C, SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
 from hesr_model.rigid_body.residual import FrictionRecord
 
-ALPHAS = (1, 2, 3)
-"""Candidate exponents of the Stribeck curve."""
-
+ALPHAS = (1, 2, 3)  # candidate exponents of the Stribeck curve
 _AT_REST = sympy.Symbol("e", real=True)  # stands for exp(-|v/v_s|^alpha)
 _AHEAD, _BACK = (positive(way * sgn(DQ) * TAU_LOAD) for way in (1, -1))
 _ANY = absolute(TAU_LOAD)

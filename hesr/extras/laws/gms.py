@@ -30,9 +30,7 @@ from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
 
 RATIO = Coefficient(name="ratio", unit="1", description="static friction over Coulomb friction")
 ATTRACTION = Coefficient(name="C", unit="1/s", description="relaxation rate of sliding friction")
-ATTRACTION_BOUNDS = (1.0, 1e3)
-"""Bounds of the rate [1/s]."""
-
+ATTRACTION_BOUNDS = (1.0, 1e3)  # bounds of the rate [1/s]
 _WIDTHS = DEFLECTIONS[::2]
 _FORCES = tuple(
     Coefficient(name=f"F_{i}", unit="N.m", description="Coulomb friction of an element")

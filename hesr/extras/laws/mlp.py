@@ -14,8 +14,7 @@ from hesr_model.laws.networks.training import Network, path
 from hesr_model.laws.parfam import evolve, family
 from hesr_model.support.arrays import Array, Mask
 
-MAX_HIDDEN = 16
-"""Largest hidden layer."""
+MAX_HIDDEN = 16  # largest hidden layer
 DECAYS = (3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
 """Weight decays on standardised data; each network starts from that of the previous decay."""
 SEARCHED_ROWS = 1600

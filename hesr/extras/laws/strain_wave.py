@@ -16,8 +16,7 @@ MU_AVG = Coefficient(name="mu_avg", unit="1", description="friction per load in 
 MU_DIF = Coefficient(name="mu_dif", unit="1", description="friction per load, driving or driven")
 X_0 = Coefficient(name="x_0", unit="rad", description="sliding deflection")
 
-DEFLECTION_BOUNDS = (1e-5, 0.1)
-"""Bounds of the sliding deflection [rad]."""
+DEFLECTION_BOUNDS = (1e-5, 0.1)  # bounds of the sliding deflection [rad]
 
 
 @register
@@ -59,8 +58,7 @@ class StrainWave(OneForm):
         )
 
 
-RISE_BOUNDS = (1e-4, 10.0)
-"""Bounds of the relative rise per load [1/(N.m)]."""
+RISE_BOUNDS = (1e-4, 10.0)  # bounds of the relative rise per load [1/(N.m)]
 RISE_D = Coefficient(
     name="rise_d", unit="1/(N.m)", description="relative rise per load, driving motor"
 )

@@ -3,15 +3,7 @@
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
-from cosim.report.tables.table import (
-    ResultTable,
-    TableCell,
-    decimals,
-    fixed,
-    joints,
-    number,
-    row_of,
-)
+from cosim.report.tables import table
 from hesr.extras.leaderboard.board_file import Kind
 from hesr.extras.leaderboard.leaderboard import Leaderboard, ScoredRobot, Standing
 from hesr.extras.leaderboard.score import Interval
@@ -20,7 +12,7 @@ from hesr_model.units import unit_of_joints
 _HEADS = {"all": "all rows", "moving": "moving", "reversals": "reversals", "rests": "rests"}
 
 
-def standings(board: Leaderboard) -> Iterator[ResultTable]:
+def standings(board: Leaderboard) -> Iterator[table.ResultTable]:
     """Yield the standings of each robot."""
     for robot in board.robots:
         of_robot = [s for s in board.standings if s.robot == robot.name]
@@ -33,7 +25,7 @@ def standings(board: Leaderboard) -> Iterator[ResultTable]:
         for group, members in groupby(of_robot, key=lambda s: s.group):
             listed = list(members)
             alone = sum(s.leads for s in listed) == 1
-            rows.append(row_of(f"inputs {group}"))
+            rows.append(table.row_of(f"inputs {group}"))
             for standing in listed:
                 cells = [
                     _cell(standing.relative[kind], best=alone and standing.leads and kind == "all")
@@ -41,12 +33,12 @@ def standings(board: Leaderboard) -> Iterator[ResultTable]:
                 ]
                 cells.append(_cell(standing.ratio))
                 if battery:
-                    cells.append(TableCell(text=_passed(standing)))
+                    cells.append(table.TableCell(text=_passed(standing)))
                 if timed and standing.step is not None:
-                    cells.append(number(1e6 * standing.step, 2))
+                    cells.append(table.number(1e6 * standing.step, 2))
                 name = f"{standing.name} (foreign)" if standing.foreign else standing.name
-                rows.append(row_of(name, *cells))
-        yield ResultTable(
+                rows.append(table.row_of(name, *cells))
+        yield table.ResultTable(
             caption=f"{board.arena}, {robot.name}: error of the torque over the size of friction, "
             "with 95\u00a0% intervals",
             head=(
@@ -62,44 +54,47 @@ def standings(board: Leaderboard) -> Iterator[ResultTable]:
         )
 
 
-def by_joint(board: Leaderboard, robot: ScoredRobot, kind: Kind) -> ResultTable:
+def by_joint(board: Leaderboard, robot: ScoredRobot, kind: Kind) -> table.ResultTable:
     """Return the RMSE by joint on rows of one kind."""
     of_robot = [s for s in board.standings if s.robot == robot.name]
     values = [s.joints[kind] for s in of_robot]
-    places = [decimals(column) for column in zip(*values, strict=True)]
+    places = [table.decimals(column) for column in zip(*values, strict=True)]
     unit = unit_of_joints("N.m", robot.sliding)
-    spread = [fixed(s, n) for s, n in zip(robot.tau_std, places, strict=True)]
-    return ResultTable(
+    spread = [table.fixed(s, n) for s, n in zip(robot.tau_std, places, strict=True)]
+    return table.ResultTable(
         caption=f"{robot.name}: RMSE of the torque [{unit}], {_HEADS[kind]}",
-        head=("entry", *joints(len(robot.joints))),
+        head=("entry", *table.joints(len(robot.joints))),
         rows=[
-            row_of("(std of friction)", *spread, quiet=True),
+            table.row_of("(std of friction)", *spread, quiet=True),
             *(
-                row_of(s.name, *(fixed(v, n) for v, n in zip(row, places, strict=True)))
+                table.row_of(s.name, *(table.fixed(v, n) for v, n in zip(row, places, strict=True)))
                 for s, row in zip(of_robot, values, strict=True)
             ),
         ],
     )
 
 
-def logs(board: Leaderboard) -> ResultTable:
+def logs(board: Leaderboard) -> table.ResultTable:
     """Return the logs."""
-    rows = [row_of(x.name, x.robot, x.sha256, x.source, x.licence) for x in board.logs]
+    rows = [table.row_of(x.name, x.robot, x.sha256, x.source, x.licence) for x in board.logs]
     head = ("log", "robot", "SHA-256", "from", "licence")
-    return ResultTable(caption="Logs", head=head, rows=rows, numeric=False)
+    return table.ResultTable(caption="Logs", head=head, rows=rows, numeric=False)
 
 
-def entries(standings: Sequence[Standing]) -> ResultTable:
+def entries(standings: Sequence[Standing]) -> table.ResultTable:
     """Return the entries."""
-    rows = [row_of(s.name, s.robot, s.law or "–", ", ".join(s.inputs), s.sha256) for s in standings]
+    rows = [
+        table.row_of(s.name, s.robot, s.law or "–", ", ".join(s.inputs), s.sha256)
+        for s in standings
+    ]
     head = ("entry", "robot", "law", "inputs", "SHA-256")
-    return ResultTable(caption="Entries", head=head, rows=rows, numeric=False)
+    return table.ResultTable(caption="Entries", head=head, rows=rows, numeric=False)
 
 
-def _cell(value: Interval | None, *, best: bool = False) -> TableCell:
+def _cell(value: Interval | None, *, best: bool = False) -> table.TableCell:
     if value is None:
-        return TableCell(text="–")
-    return fixed(value.value, 3, best=best, notes=(f"{value.low:.3f}–{value.high:.3f}",))
+        return table.TableCell(text="–")
+    return table.fixed(value.value, 3, best=best, notes=(f"{value.low:.3f}–{value.high:.3f}",))
 
 
 def _passed(standing: Standing) -> str:

@@ -138,8 +138,7 @@ class _Motion:
         return cls(scale=scale, rate=slope, peak=peak, stribeck=stribeck)
 
 
-_PEAK = sympy.Symbol("_peak", positive=True)
-"""exp(-(v / v_s)^2): 1 at rest, 0 at speed."""
+_PEAK = sympy.Symbol("_peak", positive=True)  # exp(-(v / v_s)^2): 1 at rest, 0 at speed
 
 
 def _stribeck_velocity(peak: sympy.Expr, values: Values, own: str) -> float | None:

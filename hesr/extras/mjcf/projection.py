@@ -32,9 +32,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 
 RATIO = Coefficient(name="ratio", unit="1", description="static over Coulomb friction")
 TIME = Coefficient(name="T", unit="s", description="micro-damping over stiffness")
-TIME_BOUNDS = (1e-7, 0.05)
-"""Bounds of T [s]; the lower one has no effect at any step in use."""
-
+TIME_BOUNDS = (1e-7, 0.05)  # bounds of T [s]; the lower one has no effect at any step in use
 _FORCES = tuple(
     Coefficient(name=f"F_{i}", unit="N.m", description="Coulomb friction of a bristle")
     for i in range(1, len(DEFLECTIONS) + 1)

@@ -36,12 +36,10 @@ _WORDS = frozenset(_KEYWORDS.split())
 _LIBRARIES = frozenset({"Modelica", "ModelicaServices", "Complex"})
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
-_FREQUENCY = 0.25
-"""Frequency of the motions in the examples and of the reference motion [Hz]."""
+_FREQUENCY = 0.25  # frequency of the motions in the examples and of the reference motion [Hz]
 
 
-_STEADY = "steadyStart"
-"""Parameter that starts states in the steady state of the first inputs."""
+_STEADY = "steadyStart"  # parameter that starts states in the steady state of the first inputs
 
 
 def export_modelica(model: FrictionModel, path: Path) -> Path:

@@ -19,9 +19,7 @@ from hesr_model.errors import ExportError
 from hesr_model.friction.law import SETTLING, LawForm
 
 _NAMES = "abs acos asin atan atan2 cos cosh der exp log sign sin sinh sqrt tan tanh"
-FUNCTIONS = tuple(_NAMES.split())
-"""Functions and operators of Modelica in use."""
-
+FUNCTIONS = tuple(_NAMES.split())  # functions and operators of Modelica in use
 _HALF = sympy.Rational(1, 2)
 _WIDTH = 96
 

@@ -18,9 +18,7 @@ from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
-_LANES = 8
-"""Robots per batch step: two vectors of AVX2, one of AVX-512."""
-
+_LANES = 8  # robots per batch step: two vectors of AVX2, one of AVX-512
 _OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE) \w+ (\w+)\(", re.MULTILINE)
 
 

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 _ROUNDS = 5
-_SECONDS = 20
-"""Time limit for the scheduler to answer and to have a worker [s]."""
+_SECONDS = 20  # time limit for the scheduler to answer and to have a worker [s]
 
 
 @contextmanager

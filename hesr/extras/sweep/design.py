@@ -10,8 +10,7 @@ from hesr.extras.sweep.study import MOST_RUNS, Correlated, SweepInput, SweepStud
 from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
 
-_EDGE = 2.0**-53
-"""Smallest distance to 0 and 1 of the quantiles of a normal distribution."""
+_EDGE = 2.0**-53  # smallest distance to 0 and 1 of the quantiles of a normal distribution
 
 
 def chosen(study: SweepStudy) -> Array:

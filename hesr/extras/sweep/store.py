@@ -17,8 +17,7 @@ from hesr_model.support.files import folder_made, written_whole
 from hesr_model.support.typed_json import read_json, write_json
 
 ABOUT = "sweep.json"
-RUNS = "runs"
-"""Folder of the Parquet files, which form one data set."""
+RUNS = "runs"  # folder of the Parquet files, which form one data set
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

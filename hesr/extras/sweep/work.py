@@ -80,8 +80,7 @@ class RunOutputs:
 
 
 _LOCK = Lock()
-_held: tuple[str, Master] | None = None
-"""System of the last task, loaded."""
+_held: tuple[str, Master] | None = None  # system of the last task, loaded
 
 
 def run_rows(task: Task, values: Array) -> RunOutputs:

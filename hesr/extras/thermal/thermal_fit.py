@@ -23,15 +23,9 @@ from hesr_model.inference.covariance import blocks_of_time, covariance, left_out
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
-LEAST_SPREAD = 3.0
-"""Smallest difference between the 5 and 95 % quantiles [K]."""
-
-LEAST_TIME = 300.0
-"""Smallest length of the longest log without temperatures [s]."""
-
-_TIMES = (60.0, 14_400.0)
-"""Bounds of the thermal time constant [s]."""
-
+LEAST_SPREAD = 3.0  # smallest difference between the 5 and 95 % quantiles [K]
+LEAST_TIME = 300.0  # smallest length of the longest log without temperatures [s]
+_TIMES = (60.0, 14_400.0)  # bounds of the thermal time constant [s]
 _UNKNOWNS = {
     "coulomb_scale": (-1.0, 1.0, 0.1),  # logarithm
     "viscous_scale": (-1.5, 1.5, 0.1),  # logarithm
@@ -42,11 +36,8 @@ _UNKNOWNS = {
 }
 """Bounds and scale of each unknown; the last one is optional."""
 
-_WIDTH = 1.96
-"""Half width of a 95 % interval in standard errors."""
-
-_ROUNDS = 2
-"""Iterations of the fixed point of heat and friction."""
+_WIDTH = 1.96  # half width of a 95 % interval in standard errors
+_ROUNDS = 2  # iterations of the fixed point of heat and friction
 
 
 class Factored:

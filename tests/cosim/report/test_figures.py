@@ -22,7 +22,7 @@ from pytest_regressions.file_regression import FileRegressionFixture
 
 from cosim.report.figures.chart import Chart, Line, Panel, drawn, thinned
 from cosim.report.figures.motions import JointView, excitation, joints
-from cosim.report.figures.plots import Sheet, loops, ratios, sheets
+from cosim.report.figures.plots import loops, ratios, sheets
 from cosim.report.figures.style import (
     _RC,
     DESIRED,
@@ -158,8 +158,8 @@ def test_ratios_with_intervals(recorded) -> None:
 
 def test_sheets_of_closed_lines(recorded) -> None:
     lines = (LONG, SHORT, Line(name="third", x=DQ, y=TAU, stroke=DESIRED), SHORT)
-    panels = [Sheet(title=f"s{k}", x="x", y="y", lines=lines[: 2 * k + 1]) for k in range(2)]
-    recorded(sheets([*panels, Sheet(title="all", x="x", y="y", lines=lines)]))
+    panels = [("x", Panel(title=f"s{k}", y="y", lines=lines[: 2 * k + 1])) for k in range(2)]
+    recorded(sheets([*panels, ("x", Panel(title="all", y="y", lines=lines))]))
 
 
 def test_joints_of_logs(recorded) -> None:
