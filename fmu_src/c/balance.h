@@ -7,7 +7,6 @@
 #include <string.h>
 
 #include "component.h"
-#include "coupling.h"
 #include "equations.h"
 
 typedef struct {
@@ -22,7 +21,8 @@ typedef struct {
     double u[MAX_INPUTS]; /* inputs of the law but speed and angle */
     double inertia, gear, stiffness, damping;
     double tau_motor, q_link, dq_link;
-    double h; /* [s] */
+    double clearance; /* of the spring on either side of q_link */
+    double h;         /* [s] */
     double euler;
 } Step;
 
@@ -39,50 +39,16 @@ static double input_at(const Component *component, int variable, double time) {
     return component->v[variable] + slope * time;
 }
 
-/* The same for a coordinate, mixed from the joints. */
-static double mixed_at(const Component *component, bool torque, int vector, int i, double time) {
-    double sum = 0.0;
-    if (!COUPLED) {
-        return input_at(component, vector + i, time);
-    }
-    for (int m = 0; m < JOINTS; m++) {
-        sum += share_of(torque, i, m) * input_at(component, vector + m, time);
-    }
-    return sum;
-}
-
-/* Inner step of length h that ends at `time` [s] after the start of the communication step. It is
- * implicit: its inputs are those at its end. */
-static Step step_of(const Component *component, int i, double h, double time) {
-    const Joint *joint = &joints[i];
-    const double *v = component->v;
-    Step step = {
-        .joint = joint,
-        .k = joint->constants ? joint->constants : &v[joint->first_parameter],
-        .inertia = v[INERTIA + i],
-        .gear = 1.0 / v[RATIO + i],
-        .stiffness = v[STIFFNESS + i],
-        .damping = v[DAMPING + i],
-        .tau_motor = input_at(component, TAU_MOTOR + i, time),
-        .q_link = mixed_at(component, false, Q_LINK, i, time),
-        .dq_link = mixed_at(component, false, DQ_LINK, i, time),
-        .h = h,
-        .euler = v[DISCRETISATION] == EULER,
-    };
-    for (int j = 2; j < joint->inputs; j++) {
-        step.u[j] = j == LOAD ? mixed_at(component, true, TAU_LOAD, i, time)
-                              : input_at(component, joint->input[j], time);
-    }
-    return step;
-}
-
 static void see(const Step *step, double q, double dq, double *u) {
     memcpy(u, step->u, sizeof step->u);
     u[0] = step->gear * dq;
     u[1] = step->gear * q;
 }
 
-/* Evaluate friction and flexspline in joint coordinates at a motor speed v held over the step; h =
+/* Torque of a spring at the inputs u of the law; its slope along du is added. */
+static double link_torque(const Step *step, const double *u, const double *du, double *slope);
+
+/* Evaluate friction and spring in joint coordinates at a motor speed v held over the step; h =
  * 0 keeps the states. Slopes are derivatives with respect to v. */
 static void attempt(const Step *step, const Motion *from, double v, Trial *trial) {
     const double du[MAX_INPUTS] = {step->gear, step->gear * step->h};
@@ -91,9 +57,8 @@ static void attempt(const Step *step, const Motion *from, double v, Trial *trial
     step->joint->attempt(step->k, u, from->x, step->h, step->euler, du, trial->x, torque, slope);
     trial->v = v;
     trial->tau_f = torque[0];
-    trial->tau_link =
-        step->stiffness * (u[1] - step->q_link) + step->damping * (u[0] - step->dq_link);
-    trial->slope = slope[0] + step->stiffness * du[1] + step->damping * du[0];
+    trial->tau_link = link_torque(step, u, du, &slope[0]);
+    trial->slope = slope[0];
 }
 
 static void balance(const Step *step, const Motion *from, double v, Trial *trial) {

@@ -1,6 +1,7 @@
-"""documentation/index.html of a drive FMU."""
+"""documentation/index.html of a drive FMU, and the laws on that of a plant."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -24,19 +25,7 @@ _HOLDS = 0.01  # [N.m]; less counts as zero
 
 def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
     """Return the page as one self-contained file."""
-    audits, refused = datasheet.audited(model)
-    verdicts = [datasheet.verdict(a, known=bool(model.trained)) for a in audits]
-    verdicts = verdicts or [""] * len(model.laws)
-    rows = zip(model.joints, model.laws, model.slides, verdicts, strict=True)
-    joints = [
-        {
-            "name": name,
-            "equations": equations(law),
-            "rest": _rest(law, slides=slides),
-            "verdict": verdict,
-        }
-        for name, law, slides, verdict in rows
-    ]
+    joints, refused = law_entries(model)
     pairs = zip(model.joints, model.laws, strict=True)
     return rendered(
         "drive.html.j2",
@@ -49,6 +38,24 @@ def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
         joints=joints,
         refused=refused,
     )
+
+
+def law_entries(model: FrictionModel) -> tuple[list[dict[str, Any]], str]:
+    """Return a page's entry for each joint's law, and the reason for a missing audit or ""."""
+    audits, refused = datasheet.audited(model)
+    verdicts = [datasheet.verdict(a, known=bool(model.trained)) for a in audits]
+    verdicts = verdicts or [""] * len(model.laws)
+    rows = zip(model.joints, model.laws, model.slides, verdicts, strict=True)
+    joints: list[dict[str, Any]] = [
+        {
+            "name": name,
+            "equations": equations(law),
+            "rest": _rest(law, slides=slides),
+            "verdict": verdict,
+        }
+        for name, law, slides, verdict in rows
+    ]
+    return joints, refused
 
 
 def holding_torque(law: FrictionLaw) -> float:
