@@ -1,0 +1,1 @@
+"""Plant FMU: the dynamics of a robot with friction in its joints."""

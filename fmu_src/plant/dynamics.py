@@ -1,0 +1,366 @@
+"""dynamics.h: mass matrix and bias of one robot as straight-line C.
+
+Newton-Euler and composite bodies in link frames whose joint axis is z. Everything that a turn about
+(or a slide along) a joint's axis leaves unchanged is moved to its parent, so that 7 (or 4) of the
+ten parameters of a link remain; `table` gives them as a linear map of the robot's parameters.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fmu_src.export.interface import literal
+from fmu_src.plant.expressions import Expression, Expressions
+from hesr_model.robots.model_file import JointFrame
+from hesr_model.robots.robot import Robot
+from hesr_model.support.arrays import Array
+
+_EXACT = 5e-12  # deviation of a direction cosine from 0 or 1 that is the rounding of an angle
+_TENSOR = ((0, 1, 3), (1, 2, 4), (3, 4, 5))  # of xx, xy, yy, xz, yz, zz
+_MASS, _FIRST, _INERTIA = 0, slice(1, 4), slice(4, 10)
+
+
+@dataclass(frozen=True)
+class _Link:
+    """A link in its frame with the joint axis z; rotation and translation are to the parent's."""
+
+    parent: int
+    prismatic: bool
+    rotation: Array
+    translation: Array
+
+
+def _aligned(tree: Sequence[JointFrame]) -> tuple[list[_Link], list[Array]]:
+    """Return the links in turned frames, and the rotations from those to the robot's frames."""
+    turns = [_to_axis(joint.axis) for joint in tree]
+    links = []
+    for joint, turn in zip(tree, turns, strict=True):
+        before = np.eye(3) if joint.parent < 0 else turns[joint.parent]
+        rotation = _rounded(before.T @ joint.rotation @ turn)
+        links.append(_Link(joint.parent, joint.prismatic, rotation, before.T @ joint.translation))
+    return links, turns
+
+
+def _to_axis(axis: Array) -> Array:
+    """Return a rotation whose third column is the axis, of zeros and ones where possible."""
+    z = _rounded(axis / np.linalg.norm(axis))
+    x = np.zeros(3)
+    x[int(np.argmin(np.abs(z)))] = 1.0
+    x -= (x @ z) * z
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _rounded(matrix: Array) -> Array:
+    whole = np.round(matrix)
+    return np.where(np.abs(matrix - whole) < _EXACT, whole, matrix)
+
+
+def moved(parameters: Array, rotation: Array, translation: Array) -> Array:
+    """Return a body's ten parameters in another frame, given the pose of its own there."""
+    m, t = parameters[_MASS], translation
+    h = rotation @ parameters[_FIRST]
+    inertia = rotation @ parameters[_INERTIA][np.array(_TENSOR)] @ rotation.T
+    inertia = inertia + (2.0 * h @ t + m * t @ t) * np.eye(3)
+    inertia -= np.outer(h, t) + np.outer(t, h) + m * np.outer(t, t)
+    rows = (inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2], inertia[1, 2])
+    return np.array([m, *(h + m * t), *rows, inertia[2, 2]])
+
+
+def _carried(link: _Link) -> Array:
+    """Return the map (10, 10) to the part of a link's parameters that its parent can carry."""
+    part = np.zeros((10, 10))
+    if link.prismatic:
+        part[_INERTIA, _INERTIA] = np.eye(6)
+    else:  # what is symmetric about z: m, mz, and Iyy of both xx and yy
+        part[0, 0] = part[3, 3] = part[4, 6] = part[6, 6] = 1.0
+    return part
+
+
+def table(robot: Robot) -> Array:
+    """Return the map (10 L, 10 L) from the parameters of the links to those of dynamics.h."""
+    links, turns = _aligned(robot.tree)
+    count = len(links)
+    whole = np.zeros((10 * count, 10 * count))
+    own = [slice(10 * i, 10 * i + 10) for i in range(count)]
+    unit = np.eye(10)
+    for i, turn in enumerate(turns):
+        columns = [moved(one, turn.T, np.zeros(3)) for one in unit]
+        whole[own[i], own[i]] = np.column_stack(columns)
+    for i in reversed(range(count)):
+        link, part = links[i], _carried(links[i])
+        pose = link.rotation, link.translation
+        if link.parent >= 0:
+            to_parent = np.column_stack([moved(one, *pose) for one in unit])
+            whole[own[link.parent]] += to_parent @ part @ whole[own[i]]
+        whole[own[i]] -= part @ whole[own[i]]
+    return np.where(np.abs(whole) < 1e-15, 0.0, whole)
+
+
+Vector = list[Expression]
+
+
+def _sum(graph: Expressions, terms: Iterable[Expression]) -> Expression:
+    return sum(terms, graph.constant(0.0))
+
+
+def _times(matrix: Array, a: Vector) -> Vector:
+    return [_sum(a[0].graph, (x * float(f) for x, f in zip(a, row, strict=True))) for row in matrix]
+
+
+def _plus(a: Vector, b: Vector) -> Vector:
+    return [x + y for x, y in zip(a, b, strict=True)]
+
+
+def _scaled(a: Vector, factor: Expression | float) -> Vector:
+    return [x * factor for x in a]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return [a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+
+
+def _rows(tensor: Vector) -> list[Vector]:
+    return [[tensor[k] for k in row] for row in _TENSOR]
+
+
+def _apply(tensor: Vector, a: Vector) -> Vector:
+    return [_sum(a[0].graph, (x * y for x, y in zip(row, a, strict=True))) for row in _rows(tensor)]
+
+
+class _Joint:
+    """A link's joint at its symbolic position: transforms between its frame and its parent's."""
+
+    def __init__(self, link: _Link, number: int, graph: Expressions, q: Expression) -> None:
+        self.link = link
+        one, zero = graph.constant(1.0), graph.constant(0.0)
+        self.cosine = one if link.prismatic else graph.name(f"cosine[{number}]")
+        self.sine = zero if link.prismatic else graph.name(f"sine[{number}]")
+        arm = [graph.constant(float(x)) for x in link.translation]
+        if link.prismatic:
+            arm = _plus(arm, _times(link.rotation, [zero, zero, q]))
+        self.arm = arm
+
+    def up(self, a: Vector) -> Vector:
+        """Turn a vector to the parent's frame."""
+        c, s = self.cosine, self.sine
+        return _times(self.link.rotation, [c * a[0] - s * a[1], s * a[0] + c * a[1], a[2]])
+
+    def down(self, a: Vector) -> Vector:
+        """Turn a vector from the parent's frame."""
+        c, s = self.cosine, self.sine
+        x, y, z = _times(self.link.rotation.T, a)
+        return [c * x + s * y, c * y - s * x, z]
+
+    def tensor_up(self, t: Vector) -> Vector:
+        """Turn a symmetric tensor to the parent's frame."""
+        c, s = self.cosine, self.sine
+        xx, xy, yy, xz, yz, zz = t
+        x2 = c * c * xx - 2.0 * (c * s) * xy + s * s * yy
+        turned = [x2, c * s * (xx - yy) + (c * c - s * s) * xy, xx + yy - x2]
+        turned += [c * xz - s * yz, s * xz + c * yz, zz]
+        half = [_times(self.link.rotation, row) for row in _rows(turned)]
+        whole = [_times(self.link.rotation, [row[j] for row in half]) for j in range(3)]
+        return [whole[i][j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
+
+
+class _Arm:
+    """Symbolic dynamics of a robot in the coordinates of its friction."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot, self.graph = robot, Expressions()
+        self.links, _ = _aligned(robot.tree)
+        slopes, self.offsets = robot.follow or (np.eye(robot.n), np.zeros(robot.n))
+        coupling = robot.description.coupling
+        self.slopes = slopes if coupling is None else slopes @ np.linalg.inv(coupling.forward)
+        used = np.any(table(robot) != 0.0, axis=1)
+        zero = self.graph.constant(0.0)
+        self.parameters = [
+            [self.graph.name(f"p[{10 * i + k}]") if used[10 * i + k] else zero for k in range(10)]
+            for i in range(len(self.links))
+        ]
+        self.joints = [
+            _Joint(link, i, self.graph, self.followed("q", i)) for i, link in enumerate(self.links)
+        ]
+
+    def followed(self, motion: str, link: int) -> Expression:
+        """Return the position or speed of a link's joint."""
+        names = (self.graph.name(f"{motion}[{j}]") for j in range(self.robot.n))
+        terms = (x * float(f) for x, f in zip(names, self.slopes[link], strict=True))
+        return _sum(self.graph, terms) + (float(self.offsets[link]) if motion == "q" else 0.0)
+
+    def on_joints(self, links: Sequence[Expression], column: int) -> Expression:
+        """Return a torque of all links' joints on a coordinate."""
+        pairs = zip(links, self.slopes[:, column], strict=True)
+        return _sum(self.graph, (x * float(f) for x, f in pairs))
+
+    def bias(self) -> list[Expression]:
+        """Return the torques of all links' joints without acceleration, by Newton and Euler."""
+        graph = self.graph
+        zeros = [graph.constant(0.0)] * 3
+        base = (zeros, zeros, [-graph.name(f"gravity[{k}]") for k in range(3)])
+        states: list[tuple[Vector, Vector, Vector]] = []
+        forces, moments = [], []
+        for i, joint in enumerate(self.joints):
+            w, turn, a = states[joint.link.parent] if joint.link.parent >= 0 else base
+            carried = _plus(_cross(turn, joint.arm), _cross(w, _cross(w, joint.arm)))
+            w, turn, a = joint.down(w), joint.down(turn), joint.down(_plus(a, carried))
+            dq = self.followed("dq", i)
+            across = [w[1] * dq, -(w[0] * dq), zeros[0]]  # w x z dq
+            if joint.link.prismatic:
+                a = _plus(a, _scaled(across, 2.0))
+            else:
+                turn = _plus(turn, across)
+                w = [w[0], w[1], w[2] + dq]
+            states.append((w, turn, a))
+            m, h, inertia = self._body(i)
+            centre = _plus(_cross(turn, h), _cross(w, _cross(w, h)))
+            forces.append(_plus(_scaled(a, m), centre))
+            gyro = _plus(_apply(inertia, turn), _cross(w, _apply(inertia, w)))
+            moments.append(_plus(gyro, _cross(h, a)))
+        return self._collected(forces, moments)
+
+    def _collected(self, forces: list[Vector], moments: list[Vector]) -> list[Expression]:
+        torques = []
+        for joint in reversed(self.joints):
+            force, moment = forces.pop(), moments.pop()
+            torques.append(force[2] if joint.link.prismatic else moment[2])
+            if (parent := joint.link.parent) >= 0:
+                up = joint.up(force)
+                forces[parent] = _plus(forces[parent], up)
+                moment = _plus(joint.up(moment), _cross(joint.arm, up))
+                moments[parent] = _plus(moments[parent], moment)
+        return torques[::-1]
+
+    def spring_torques(self) -> list[Expression]:
+        """Return the torques of springs and balancers on all links' joints."""
+        names = [joint.name for joint in self.robot.tree]
+        found = [self.graph.constant(0.0)] * len(names)
+        for number, term in enumerate(self.robot.springs):
+            link = names.index(self.robot.joints[term.joint])
+            c, s = self.joints[link].cosine, self.joints[link].sine
+            one, zero = self.graph.constant(1.0), self.graph.constant(0.0)
+            over = ((one, zero), (c, s), (c * c - s * s, 2.0 * (s * c)))[term.harmonic]
+            shape = self.followed("q", link) if term.linear else over[term.sine]
+            found[link] = found[link] + self.graph.name(f"spring[{number}]") * shape
+        return found
+
+    def _body(self, link: int) -> tuple[Expression, Vector, Vector]:
+        own = self.parameters[link]
+        return own[_MASS], own[_FIRST], own[_INERTIA]
+
+    def mass_matrix(self) -> list[list[Expression]]:
+        """Return the mass matrix of all links' joints, by composite bodies."""
+        zero, count = self.graph.constant(0.0), len(self.links)
+        bodies = [self._body(i) for i in range(count)]
+        whole = [[zero] * count for _ in range(count)]
+        for i in reversed(range(count)):
+            m, h, inertia = bodies[i]
+            link = self.links[i]
+            force = [zero, zero, m] if link.prismatic else [-h[1], h[0], zero]
+            moment = [h[1], -h[0], zero] if link.prismatic else [inertia[k] for k in (3, 4, 5)]
+            at = i
+            while at >= 0:
+                value = force[2] if self.links[at].prismatic else moment[2]
+                whole[i][at] = whole[at][i] = value
+                joint = self.joints[at]
+                force = joint.up(force)
+                moment = _plus(joint.up(moment), _cross(joint.arm, force))
+                at = self.links[at].parent
+            if link.parent >= 0:
+                bodies[link.parent] = self._joined(bodies[link.parent], bodies[i], self.joints[i])
+        return whole
+
+    def _joined(self, body: Any, child: Any, joint: _Joint) -> tuple[Expression, Vector, Vector]:
+        (m, h, inertia), (own, first, tensor) = body, child
+        t, first = joint.arm, joint.up(first)
+        half = _plus(first, _scaled(t, own * 0.5))  # of both terms with t
+        inner = 2.0 * _sum(self.graph, (x * y for x, y in zip(half, t, strict=True)))
+        pairs = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+        shift = [(inner if i == j else 0.0) - (half[i] * t[j] + t[i] * half[j]) for i, j in pairs]
+        moved_up = _plus(joint.tensor_up(tensor), shift)
+        return m + own, _plus(h, _plus(first, _scaled(t, own))), _plus(inertia, moved_up)
+
+
+def dynamics_header(robot: Robot) -> str:
+    """Return dynamics.h: the function `dynamics`, and the map to its parameters."""
+    arm = _Arm(robot)
+    n = range(robot.n)
+    bias, mass = _plus(arm.bias(), arm.spring_torques()), arm.mass_matrix()
+    half = [[arm.on_joints(row, j) for j in n] for row in mass]  # M G
+    stores = {f"bias[{i}]": arm.on_joints(bias, i) for i in n}
+    for i in n:
+        for j in range(i + 1):
+            links = arm.on_joints([row[j] for row in half], i)
+            stores[f"mass[{i}][{j}]"] = links + _rotors(arm, i, j)
+    angles = {
+        f"angle[{i}]": arm.followed("q", i)
+        for i, link in enumerate(arm.links)
+        if not link.prismatic
+    }
+    entries = table(robot)
+    rows, columns = np.nonzero(entries)
+    return _HEADER.format(
+        links=len(arm.links),
+        last=[joint.name for joint in robot.tree].index(robot.joints[-1]),
+        angles="\n".join(f"    {line}" for line in arm.graph.to_c(angles)),
+        statements="\n".join(f"    {line}" for line in arm.graph.to_c(stores)),
+        entries="\n".join(
+            f"    {{{i}, {j}, {literal(float(entries[i, j]))}}},"
+            for i, j in zip(rows, columns, strict=True)
+        ),
+    )
+
+
+def _rotors(arm: _Arm, i: int, j: int) -> Expression:
+    """Return an entry of the rotors' mass matrix in the coordinates of the friction."""
+    motors, coupling = arm.robot.description.motors, arm.robot.description.coupling
+    turns = np.eye(arm.robot.n) if motors is None else motors.forward
+    turns = turns if coupling is None else turns @ np.linalg.inv(coupling.forward)
+    inertia = (arm.graph.name(f"rotor[{k}]") for k in range(arm.robot.n))
+    pairs = zip(inertia, _rounded(turns[:, i] * turns[:, j]), strict=True)
+    return _sum(arm.graph, (x * float(f) for x, f in pairs))
+
+
+_HEADER = """\
+/* Generated: mass matrix and bias of one robot, without loops over its links. */
+#ifndef DYNAMICS_H
+#define DYNAMICS_H
+
+#include <math.h>
+
+/* Number of moving links, and the one that carries the payload. */
+enum {{ LINKS = {links}, LAST_LINK = {last} }};
+
+/* Parameters p (10 a link) from masses, first moments and inertias about the joint frames: what the
+ * parent can carry belongs to the parent. */
+typedef struct {{
+    int row, column;
+    double factor;
+}} Entry;
+
+static const Entry regrouped[] = {{
+{entries}
+}};
+
+/* The lower triangle of the mass matrix, and the torque at zero acceleration. */
+static void dynamics(const double *restrict p, const double *restrict rotor,
+                     const double *restrict spring, const double *restrict gravity,
+                     const double *restrict q, const double *restrict dq,
+                     double mass[restrict][JOINTS], double *restrict bias) {{
+    double angle[LINKS] = {{0.0}}, sine[LINKS], cosine[LINKS];
+    {{
+{angles}
+    }}
+    for (int i = 0; i < LINKS; i++) {{
+        sine[i] = even_sin(angle[i]);
+        cosine[i] = even_cos(angle[i]);
+    }}
+    (void)p, (void)rotor, (void)spring, (void)gravity, (void)dq; /* a robot need not use all */
+{statements}
+}}
+
+#endif
+"""

@@ -1,0 +1,141 @@
+"""Hash-consed arithmetic expressions, and the straight-line C of them."""
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+from fmu_src.export.interface import literal
+
+
+class Operation(NamedTuple):
+    """One operation: const, name, add or mul; operands are indices of nodes."""
+
+    kind: str
+    left: int = 0
+    right: int = 0
+    value: float = 0.0
+    name: str = ""
+
+
+class Expressions:
+    """Expressions that share equal parts; constants are folded, zeros and ones vanish."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Operation] = []
+        self._known: dict[Operation, int] = {}
+
+    def _node(self, node: Operation) -> "Expression":
+        index = self._known.setdefault(node, len(self.nodes))
+        if index == len(self.nodes):
+            self.nodes.append(node)
+        return Expression(self, index)
+
+    def constant(self, value: float) -> "Expression":
+        """Return a constant."""
+        return self._node(Operation("const", value=float(value) + 0.0))
+
+    def name(self, text: str) -> "Expression":
+        """Return a C expression without side effects, such as a variable."""
+        return self._node(Operation("name", name=text))
+
+    def add(self, a: int, b: int) -> "Expression":
+        """Return the sum of two nodes."""
+        one, two = self.nodes[a], self.nodes[b]
+        if one.kind == two.kind == "const":
+            return self.constant(one.value + two.value)
+        if one.kind == "const" and one.value == 0.0:
+            return Expression(self, b)
+        if two.kind == "const" and two.value == 0.0:
+            return Expression(self, a)
+        if self._factor(a)[1] == self._factor(b)[1]:
+            whole = self._factor(a)[0] + self._factor(b)[0]
+            return self.multiply(self.constant(whole).index, self._factor(a)[1])
+        return self._node(Operation("add", min(a, b), max(a, b)))
+
+    def multiply(self, a: int, b: int) -> "Expression":
+        """Return the product of two nodes; a constant factor comes first."""
+        (f, one), (g, two) = self._factor(a), self._factor(b)
+        factor = f * g
+        kinds = self.nodes[one].kind, self.nodes[two].kind
+        if factor == 0.0 or kinds == ("const", "const"):
+            return self.constant(factor)
+        if "const" in kinds:
+            rest = two if kinds[0] == "const" else one
+        else:
+            rest = self._node(Operation("mul", min(one, two), max(one, two))).index
+        if factor == 1.0:
+            return Expression(self, rest)
+        return self._node(Operation("mul", self.constant(factor).index, rest))
+
+    def _factor(self, index: int) -> tuple[float, int]:
+        """Return the constant factor of a node and the node without it."""
+        node = self.nodes[index]
+        if node.kind == "const":
+            return node.value, self.constant(1.0).index
+        if node.kind == "mul" and self.nodes[node.left].kind == "const":
+            return self.nodes[node.left].value, node.right
+        return 1.0, index
+
+    def to_c(self, stores: Mapping[str, "Expression"]) -> list[str]:
+        """Return C statements that store expressions."""
+        needed = self._needed(e.index for e in stores.values())
+        lines = [
+            f"const double t{i} = {self._text(i)};"
+            for i in sorted(needed)
+            if self.nodes[i].kind != "const"
+        ]
+        return lines + [f"{place} = {self._operand(e.index)};" for place, e in stores.items()]
+
+    def _needed(self, roots: Iterable[int]) -> set[int]:
+        found: set[int] = set()
+        ahead = list(roots)
+        while ahead:
+            index = ahead.pop()
+            node = self.nodes[index]
+            if index not in found:
+                found.add(index)
+                ahead += [node.left, node.right] if node.kind in ("add", "mul") else []
+        return found
+
+    def _operand(self, index: int) -> str:
+        node = self.nodes[index]
+        return literal(node.value) if node.kind == "const" else f"t{index}"
+
+    def _text(self, index: int) -> str:
+        node = self.nodes[index]
+        if node.kind == "name":
+            return node.name
+        if node.kind == "mul":
+            if self.nodes[node.left] == Operation("const", value=-1.0):
+                return f"-{self._operand(node.right)}"
+            return f"{self._operand(node.left)} * {self._operand(node.right)}"
+        return f"{self._operand(node.left)} + {self._operand(node.right)}"
+
+
+class Expression:
+    """A node of a graph with arithmetic operators."""
+
+    def __init__(self, graph: Expressions, index: int) -> None:
+        self.graph = graph
+        self.index = index
+
+    def _index(self, other: "Expression | float") -> int:
+        one = other if isinstance(other, Expression) else self.graph.constant(float(other))
+        return one.index
+
+    def __add__(self, other: "Expression | float") -> "Expression":
+        return self.graph.add(self.index, self._index(other))
+
+    def __mul__(self, other: "Expression | float") -> "Expression":
+        return self.graph.multiply(self.index, self._index(other))
+
+    def __neg__(self) -> "Expression":
+        return self * -1.0
+
+    def __sub__(self, other: "Expression | float") -> "Expression":
+        return self + self.graph.multiply(self._index(other), self.graph.constant(-1.0).index)
+
+    def __rsub__(self, other: float) -> "Expression":
+        return -self + other
+
+    __radd__ = __add__
+    __rmul__ = __mul__
