@@ -23,6 +23,7 @@ from hesr_model.support.progress import Progress, Stages, counted, silent
 
 if TYPE_CHECKING:
     from fmu_src.pages.live.body import PageBody
+    from fmu_src.plant.plant_fmu import PlantBody
 
 RobotArg = RobotLike
 LogArg = Log | PathArg
@@ -117,6 +118,14 @@ def page_body(robot: RobotArg, body: BodyArg) -> "PageBody":
 
     model = model_of(robot)
     return PageBody.of(model, body_of(body, (), model))
+
+
+def plant_body(robot: RobotArg, body: BodyArg | None) -> "PlantBody":
+    """Return a robot for a plant, with a rigid body or the parameters of its model file."""
+    from fmu_src.plant.plant_fmu import PlantBody
+
+    model = model_of(robot)
+    return PlantBody.of(model, None if body is None else body_of(body, (), model))
 
 
 def model_given(model: LawArg) -> FrictionModel:

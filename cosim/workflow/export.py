@@ -66,11 +66,12 @@ def export(
         File to write.
     format : str, optional
         Of a law: fmu (default; velocity in, torque out), adaptive (an FMU that estimates friction
-        from measured torques), drive (an FMU with the rotor: torque in, velocity out), mjcf
-        (actuators for MuJoCo), modelica, c (one header without FMI), torch or jax (one batched,
-        differentiable file), ssv (coefficients and covariance as a parameter set of SSP). Of an
-        arm: fmu (default), or python-arm for hosts with Python, HESR and MuJoCo. Of a system: ssp,
-        or fmu for one FMU that holds it; by default the suffix of the output decides.
+        from measured torques), drive (an FMU with the rotor: torque in, velocity out), plant (an
+        FMU of the whole robot: torque in, motion out), mjcf (actuators for MuJoCo), modelica, c
+        (one header without FMI), torch or jax (one batched, differentiable file), ssv (coefficients
+        and covariance as a parameter set of SSP). Of an arm: fmu (default), or python-arm for hosts
+        with Python, HESR and MuJoCo. Of a system: ssp, or fmu for one FMU that holds it; by default
+        the suffix of the output decides.
     platform : sequence of str, optional
         Platforms of an FMU: linux64 (default), win64, darwin64, aarch64-linux or all; repeatable.
     progress : callable, optional
@@ -100,9 +101,11 @@ def export(
     low_pass : float, Hz
         FMU: cut-off of a causal low pass of the velocity; by default none.
     robot : robot or path
-        FMU: with --rigid-body, its page computes the friction in a dropped log.
+        Plant: the robot of the law. FMU: with --rigid-body, its page computes the friction in a
+        dropped log.
     rigid_body : body or path
-        FMU: result of 'hesr identify', for --robot.
+        Plant and FMU: result of 'hesr identify' for --robot; by default a plant has the parameters
+        of the model file.
     signals : path
         Arm: TOML file with inputs and outputs; by default every control and sensor.
     ssp : {"1.0", "2.0"}
@@ -126,6 +129,7 @@ def export(
 
         $ hesr export law.json -o Friction.fmu --platform linux64 --platform win64
         $ hesr export law.json --format drive --inertia 3,3,0.6 -o Drive.fmu
+        $ hesr export law.json --format plant --robot robot.toml --rigid-body body.json -o Arm.fmu
         $ hesr export robot.xml -o Arm.fmu --signals arm.toml --platform win64
         $ hesr export closed_loop.toml -o loop.ssp
 
@@ -139,7 +143,8 @@ def export(
 
     path = path_of(output, "an output")
     given: dict[str, Any] = {k: v for k, v in options.items() if v is not None and v is not False}
-    if ("robot" in given) != ("rigid_body" in given):
+    alone = format == "plant" and "robot" in given
+    if ("robot" in given) != ("rigid_body" in given) and not alone:
         raise ArgumentError("'robot' and 'rigid_body' must be given together.")
     suffix = Path(source).suffix.lower() if isinstance(source, str | Path) else ""
     building = partial(progress, f"building {path.name}")
@@ -221,7 +226,7 @@ def _write_law(
 ) -> None:
     """Write a friction law, or copy the cached FMU of the same file."""
     from cosim.systems.parameter_set import export_ssv
-    from cosim.workflow.arguments import model_given, page_body
+    from cosim.workflow.arguments import model_given, page_body, plant_body
     from fmu_src import model_file
     from fmu_src.export.cache import exported
     from hesr_model.friction.model import FrictionModel
@@ -240,8 +245,11 @@ def _write_law(
         name = {"robot": "body", "rigid_body": "body"}.get(option, option)
         if name not in taken and not (name == "platforms" and platform is None):
             _refuse_option(option, format, formats)
+    if format == "plant" and "robot" not in given:
+        raise ArgumentError("'format' plant needs 'robot', the robot of the law.")
     if "body" in taken and "robot" in given:
-        given["body"] = page_body(given.pop("robot"), given.pop("rigid_body"))
+        body_of = plant_body if format == "plant" else page_body
+        given["body"] = body_of(given.pop("robot"), given.pop("rigid_body", None))
     if "progress" in taken:
         given["progress"] = partial(progress, f"building {output.name}")
 
@@ -254,7 +262,7 @@ def _write_law(
     if "platforms" in taken and not isinstance(law, FrictionModel) and "properties" not in given:
         body = given.get("body")
         known = {k: v for k, v in given.items() if k not in ("progress", "body")}
-        known |= {"format": format, "body": body and {"cutoff": body.cutoff, **body.files}}
+        known |= {"format": format, "body": body and body.key}
         exported(model_file(str(law)), known, output, write)
     else:
         write()

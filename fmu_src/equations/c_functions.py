@@ -47,6 +47,8 @@ SIGNATURES: Mapping[str, str] = {
     "follow": "IN(k), IN(u), IN(s), IN(x), double dt, double euler, IN(du), OUT(moved)",
     "attempt": "IN(k), IN(u), IN(x), double dt, double euler, IN(du), OUT(moved), OUT(y), "
     "OUT(slope)",
+    "attempts": "LANES(const, k), LANES(const, u), LANES(const, x), double dt, double euler, "
+    "LANES(, moved), LANES(, y), LANES(, slope)",
 }
 """Arguments of the functions, with arrays that are read or written."""
 
@@ -270,3 +272,15 @@ class Functions:
         targets = _array("moved", self._moved) | _array("y", self._outputs)
         targets |= _array("slope", map(change_of, self._outputs))
         return self._with_changes("attempt", sampled(self.component), targets, self._input_seeds)
+
+    def attempts(self) -> str:
+        """Do as `attempt` for LANES instances, along their velocity, which moves their position."""
+        places = Arguments().plus(self._parameters, "k", "[l]").plus(self._inputs, "u", "[l]")
+        places = places.plus(self._states, "x", "[l]").single(DT, "dt").single(EULER, "euler")
+        program = sampled(self.component)
+        seeds = dict(zip(self._inputs[:2], (sympy.Integer(1), DT), strict=True))
+        whole = {**program, **changes_along(seeds, program)}
+        targets = _array("moved", self._moved) | _array("y", self._outputs)
+        targets |= _array("slope", map(change_of, self._outputs))
+        targets = {f"{place}[l]": symbol for place, symbol in targets.items()}
+        return function(self._head("attempts"), whole, targets, places.places)

@@ -48,6 +48,9 @@ FRICTION = (
 SOLVER = ("rates", "begin", "attempt", "solved_derivatives")
 """Functions called by a solver inside an FMU."""
 
+SOLVER_OF_ALL = (*SOLVER, "attempts")
+"""Functions called by a solver for all joints."""
+
 
 def own_size(joints: Sequence[Joint]) -> int:
     """Return the number of doubles in the own memory of equations.c."""
@@ -101,9 +104,11 @@ def equations_header(
         "COUPLED": int(coupling is not None),
         **{name: table.places[variable] for name, variable in places.items()},
     }
+    if "attempts" in wanted:  # an even number, for vectors of two
+        constants["LANES"] = len(joints) + len(joints) % 2
     return _HEADER.format(
         constants=",\n".join(f"    {name} = {value}" for name, value in constants.items()),
-        members="\n".join(f"    void (*{n})({declared(SIGNATURES[n])});" for n in wanted),
+        members="\n".join(map(_member, wanted)),
         functions="\n".join(texts),
         names="\n".join(
             _signs(f) + (f.refused() if _wanted("refused", f) else "") for f in functions.values()
@@ -112,6 +117,11 @@ def equations_header(
         rows="\n".join(rows),
         coupling=_coupling(coupling, len(joints)),
     )
+
+
+def _member(function: str) -> str:
+    kind = "bool" if "LANES(" in SIGNATURES[function] else "void"
+    return f"    {kind} (*{function})({declared(SIGNATURES[function])});"
 
 
 def _written(

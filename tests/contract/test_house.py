@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from sources import LAYERS, MODULES, ROOT, layer, tree
 
 # Maximum lines of Python, C and headers: 59,000, plus 2,050 for evidence, robots and logs, 250 more
-# than allowed.
+# than allowed, and 1,566 for the plant.
 BUDGET = {
     "hesr_model": 22_000,
-    "fmu_src": 17_300,
+    "fmu_src": 18_849,
     "cosim": 13_850,
     "hesr": 1_000,
     "hesr.extras": 7_700,
-    "all": 61_050,
+    "all": 62_616,
 }
 
 FMT_SKIPS = 20  # lines that `ruff format` must skip

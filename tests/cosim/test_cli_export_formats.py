@@ -38,6 +38,22 @@ def test_a_drive_is_exported(hesr, tmp_path):
         assert drive.get(["dq[3]"])[0] > 0.0
 
 
+def test_a_plant_is_exported_with_the_identified_body(hesr, study_run, tmp_path):
+    moved = []
+    for more in ((), ("--rigid-body", study_run.rigid_body)):
+        fmu = tmp_path / f"Arm{len(more)}.fmu"
+        given = ("--format", "plant", "--robot", uf850("robot.toml"), *more)
+        answer = hesr("export", TABLE_1, *given, "-o", fmu)
+        assert answer.code == 0, answer.err
+        assert answer.out.endswith(f" KiB.\nWritten: {fmu}\n")
+        with FmuInstance(fmu) as arm:
+            arm.initialise(start={"tau[1]": 60.0})
+            arm.step(0.0, 0.01)
+            moved.append(float(arm.get(["dq[1]"])[0]))
+    assert min(moved) > 0.0
+    assert 1e-6 < abs(moved[1] / moved[0] - 1.0) < 0.2  # not the parameters of the model file
+
+
 def test_modelica_is_exported(hesr, tmp_path):
     path = tmp_path / "Friction.mo"
     answer = hesr("export", TABLE_1, "--format", "modelica", "-o", path)
@@ -114,7 +130,7 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         (["--fmi", "4", "-o", "F.fmu"], "Invalid value for '--fmi': '4' is not one of '2', '3'."),
         (
             ["--fmi", "3", "--format", "modelica", "-o", "F.mo"],
-            "--fmi needs --format adaptive or drive or fmu, but the format is 'modelica'.",
+            "--fmi needs --format adaptive or drive or fmu or plant, but the format is 'modelica'.",
         ),
         (
             ["--inertia", "3", "-o", "F.fmu"],
@@ -123,11 +139,20 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         (["--project", "-o", "F.fmu"], "--project needs --format mjcf, but the format is 'fmu'."),
         (
             ["--format", "mjcf", "--platform", "win64", "-o", "f.xml"],
-            "--platform needs --format adaptive or drive or fmu, but the format is 'mjcf'.",
+            "--platform needs --format adaptive or drive or fmu or plant, but the format is "
+            "'mjcf'.",
         ),
         (
             ["--format", "modelica", "--properties", "-o", "F.mo"],
             "--properties needs --format fmu, but the format is 'modelica'.",
+        ),
+        (
+            ["--format", "plant", "-o", "A.fmu"],
+            "--format plant needs --robot, the robot of the law.",
+        ),
+        (
+            ["--format", "plant", "--rigid-body", "body.json", "-o", "A.fmu"],
+            "--robot and --rigid-body must be given together.",
         ),
         (
             ["--robot", "robot.toml", "-o", "F.fmu"],
@@ -161,10 +186,10 @@ def test_the_rigid_body_is_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monk
     )
     assert [path.name for path in tmp_path.iterdir()] == ["others.json"]
     for arguments, sentence in (
-        (["--format", "drive"], "--robot needs --format fmu, but the format is 'drive'."),
+        (["--format", "drive"], "--robot needs --format fmu or plant, but the format is 'drive'."),
         (
             ["--format", "adaptive"],
-            "--robot needs --format fmu, but the format is 'adaptive'.",
+            "--robot needs --format fmu or plant, but the format is 'adaptive'.",
         ),
     ):
         answer = hesr("export", TABLE_1, *given, *arguments, "-o", "F.fmu")

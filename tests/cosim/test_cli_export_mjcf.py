@@ -81,7 +81,8 @@ def test_python_hosts_get_the_same_arm(hesr, mjcf, tmp_path):
         (["swing.xml", "-o", "A.fmu", "--format", "python-arm", "--platform", "win64"],
          "--platform is for native FMUs, not python-arm."),
         (["uf850-table1", "-o", "A.fmu", "--format", "python-arm"],
-         "--format is python-arm; allowed are adaptive, c, drive, fmu, jax, mjcf, modelica, ssv, "),
+         "--format is python-arm; allowed are adaptive, c, drive, fmu, jax, mjcf, modelica, "
+         "plant, ssv, "),
         (["swing.xml", "-o", "A.fmu", "--platform", "vms"], "platform 'vms' is unknown"),
         (["uf850-table1", "-o", "A.fmu", "--signals", "table.toml"],
          "--signals is for an MJCF (.xml)."),

@@ -30,6 +30,11 @@ class PageBody:
         )
 
     @property
+    def key(self) -> dict[str, object]:
+        """Return everything that determines the page, as JSON data."""
+        return {"cutoff": self.cutoff, **self.files}
+
+    @property
     def files(self) -> dict[str, str]:
         """Return its C files by name, which define everything but the cut-off."""
         return translation_unit(self.fmu)[1]

@@ -1,0 +1,320 @@
+/* Component: a robot under friction; torque in, motion out.
+ *
+ *     M(q) q'' + b(q, q') + G = tau,  G_i = friction_i + stop_i
+ *
+ * with the generated M and b. An inner step of length h solves for speeds u that move positions
+ * and enter friction and stops,
+ *
+ *     R(u) = M (u - v) / w + h [G(u) - r] = 0,  r = tau - b at the middle of the step
+ *
+ * and ends at v + (u - v) / w. A weight w_i is 1/2 (midpoint) where friction is smooth and 1
+ * (implicit Euler) where it is stiff or holds. If motors turn several joints, all of this is in the
+ * coordinates of the friction (coupling.h), except for the stops. */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "component_alone.h"
+#include "component_plain.h"
+#include "coupling.h"
+#include "dynamics.h"
+#include "equations.h"
+#include "plant_solver.h"
+
+/* Own memory: whether initialisation has ended, slopes of G, mass matrix times acceleration, and
+ * parameters of dynamics.h. */
+enum { STARTED = 0, SLOPE = 1, INERTIAL = SLOPE + JOINTS, TABLE = INERTIAL + JOINTS };
+
+/* Maximum number of inner steps in a step. */
+#define MOST_PARTS 1e7
+
+/* Longest motion of a joint in an inner step [rad or m], since M and b are those of its middle. */
+#define LONGEST_MOTION 0.01
+
+/* Tolerance for a number of steps to count as whole. */
+#define ROUNDING 1e-9
+
+/* Sums over `matrix` or its transpose, or a copy without a coupling. */
+static void mixed(const double matrix[JOINTS][JOINTS], bool transposed, const double *from,
+                  double *to) {
+    memcpy(to, from, JOINTS * sizeof *to);
+    for (int i = 0; COUPLED && i < JOINTS; i++) {
+        to[i] = 0.0;
+        for (int m = 0; m < JOINTS; m++) {
+            to[i] += (transposed ? matrix[m][i] : matrix[i][m]) * from[m];
+        }
+    }
+}
+
+/* Torque of the motors on coordinate i at `time` [s] after the start of the step. */
+static double drive_torque(const Component *component, int i, double time) {
+    double sum = 0.0;
+    if (!COUPLED) {
+        return input_at(component, TAU + i, time);
+    }
+    for (int m = 0; m < JOINTS; m++) {
+        sum += backward[i][m] * input_at(component, TAU + m, time);
+    }
+    return sum;
+}
+
+/* Whether coordinate i is joint i, so that the joint's stops apply to it. */
+static bool alone(int i) {
+    for (int m = 0; COUPLED && m < JOINTS; m++) {
+        if ((m == i) != (forward[i][m] != 0.0) || (m != i && forward[m][i] != 0.0)) {
+            return false;
+        }
+    }
+    return true;
+}
+
+static void regroup(Component *component) {
+    const double *v = component->v, *c = &v[PAYLOAD_COM], m = v[PAYLOAD_M];
+    const double squared = c[0] * c[0] + c[1] * c[1] + c[2] * c[2];
+    static const int pair[6][2] = {{0, 0}, {0, 1}, {1, 1}, {0, 2}, {1, 2}, {2, 2}};
+    double load[10] = {m, m * c[0], m * c[1], m * c[2]};
+    double *p = &component->own[TABLE];
+    for (int k = 0; k < 6; k++) { /* Steiner */
+        const int i = pair[k][0], j = pair[k][1];
+        load[4 + k] = v[PAYLOAD_INERTIA + k] + m * ((i == j ? squared : 0.0) - c[i] * c[j]);
+    }
+    memset(p, 0, 10 * LINKS * sizeof *p);
+    for (int n = 0; n < (int)(sizeof regrouped / sizeof regrouped[0]); n++) {
+        const Entry *one = &regrouped[n];
+        const int of_load = one->column - 10 * LAST_LINK;
+        const double more = of_load >= 0 && of_load < 10 ? load[of_load] : 0.0;
+        p[one->row] += one->factor * (v[PARAMETERS + one->column] + more);
+    }
+    component->changed = 0.0;
+}
+
+/* Evaluate mass matrix and bias at a motion in the coordinates of the friction. */
+static void evaluate(const Component *component, Solver *solver, const double *q,
+                     const double *dq) {
+    const double *v = component->v;
+    dynamics(&component->own[TABLE], &v[ROTORS], &v[SPRINGS], &v[GRAVITY], q, dq, solver->mass,
+             solver->bias);
+    for (int i = 0; i < JOINTS; i++) {
+        for (int j = 0; j < i; j++) {
+            solver->mass[j][i] = solver->mass[i][j];
+        }
+    }
+}
+
+static void open_axis(const Component *component, int i, Axis *axis) {
+    const Joint *joint = &joints[i];
+    const double *v = component->v;
+    const bool stops = alone(i);
+    Step *step = &axis->step;
+    step->joint = joint;
+    step->k = joint->constants ? joint->constants : &v[joint->first_parameter];
+    step->gear = 1.0;
+    step->stiffness = stops ? v[STIFFNESS + i] : 0.0;
+    step->damping = stops ? v[DAMPING + i] : 0.0;
+    step->q_link = 0.5 * (v[Q_MIN + i] + v[Q_MAX + i]);
+    step->clearance = 0.5 * (v[Q_MAX + i] - v[Q_MIN + i]);
+    step->euler = v[DISCRETISATION] == EULER;
+    for (int j = LOAD + 1; j < joint->inputs; j++) {
+        step->u[j] = v[joint->input[j]];
+    }
+    for (int j = 0; j < joint->states; j++) {
+        axis->from.x[j] = v[joint->first_state + j];
+    }
+}
+
+static void open_solver(const Component *component, double h, Solver *solver) {
+    double q[JOINTS], dq[JOINTS], ddq[JOINTS];
+    mixed(forward, false, &component->v[Q], q);
+    mixed(forward, false, &component->v[DQ], dq);
+    mixed(forward, false, &component->v[DDQ], ddq);
+    solver->h = h;
+    for (int i = 0; i < JOINTS; i++) {
+        Axis *axis = &solver->axis[i];
+        open_axis(component, i, axis);
+        axis->step.h = h;
+        axis->from.q = q[i];
+        axis->from.dq = dq[i];
+        axis->from.ddq = ddq[i];
+        axis->slope = component->own[SLOPE + i];
+        axis->inertial = component->own[INERTIAL + i];
+    }
+    copy_to_lanes(solver);
+}
+
+static void store(Component *component, const Solver *solver) {
+    double q[JOINTS], dq[JOINTS], ddq[JOINTS], load[JOINTS], friction[JOINTS], stop[JOINTS];
+    double *v = component->v;
+    for (int i = 0; i < JOINTS; i++) {
+        const Axis *axis = &solver->axis[i];
+        const Motion *at = &axis->from;
+        q[i] = at->q, dq[i] = at->dq, ddq[i] = at->ddq;
+        load[i] = solver->bias[i] + axis->inertial;
+        friction[i] = at->tau_f, stop[i] = at->tau_link;
+        memcpy(&v[axis->step.joint->first_state], at->x,
+               (size_t)axis->step.joint->states * sizeof *v);
+        component->own[SLOPE + i] = axis->slope;
+        component->own[INERTIAL + i] = axis->inertial;
+    }
+    mixed(backward, true, q, &v[Q]);
+    mixed(backward, true, dq, &v[DQ]);
+    mixed(backward, true, ddq, &v[DDQ]);
+    mixed(forward, true, load, &v[TAU_LOAD]);
+    mixed(forward, true, friction, &v[TAU_FRICTION]);
+    mixed(forward, true, stop, &v[TAU_STOP]);
+}
+
+/* Derivatives of the states; the glue asks for them when they are read. */
+static void derive_states(Component *component) {
+    double *v = component->v, u[MAX_INPUTS];
+    for (int i = 0; i < JOINTS; i++) {
+        const Joint *joint = &joints[i];
+        double *x = &v[joint->first_state];
+        for (int j = 0; j < joint->inputs; j++) {
+            u[j] = input_of(v, i, j);
+        }
+        const double *k = joint->constants ? joint->constants : &v[joint->first_parameter];
+        joint->solved_derivatives(k, u, x, x + joint->states);
+    }
+}
+
+/* Make an inner step of length h that ends at `time`. Two of half the length replace one without a
+ * solution: the shorter the step, the more inertia dominates. */
+static bool inner_step(const Component *component, Solver *solver, double time, double h,
+                       int halvings, Message *why) {
+    double q[JOINTS], dq[JOINTS];
+    solver->h = h;
+    for (int i = 0; i < JOINTS; i++) {
+        const Motion *from = &solver->axis[i].from;
+        q[i] = from->q + 0.5 * h * from->dq;
+        dq[i] = from->dq + 0.5 * h * from->ddq;
+    }
+    evaluate(component, solver, q, dq);
+    for (int i = 0; i < JOINTS; i++) {
+        Axis *axis = &solver->axis[i];
+        axis->step.h = h;
+        axis->applied = drive_torque(component, i, time - 0.5 * h) - solver->bias[i];
+        axis->step.u[LOAD] = solver->bias[i] + axis->inertial;
+    }
+    return advance(solver, why) ||
+           (halvings > 0 &&
+            inner_step(component, solver, time - 0.5 * h, 0.5 * h, halvings - 1, why) &&
+            inner_step(component, solver, time, 0.5 * h, halvings - 1, why));
+}
+
+/* Check a parameter; NaN fails. */
+static bool sound(int variable, double value, bool right, const char *needed, Message *why) {
+    if (!right) {
+        snprintf(why->text, sizeof why->text, "%s is %g; it must %s.", variables[variable].name,
+                 value, needed);
+    }
+    return right;
+}
+
+/* Motion, friction and acceleration at the start values. */
+static bool start(Component *component, Message *why) {
+    double *v = component->v, q[JOINTS], dq[JOINTS], zero[JOINTS] = {0.0};
+    Solver solver;
+    memcpy(&v[Q], &v[Q_START], JOINTS * sizeof *v);
+    memcpy(&v[DQ], &v[DQ_START], JOINTS * sizeof *v);
+    memcpy(&v[DDQ], zero, sizeof zero);
+    memset(&component->own[SLOPE], 0, 2 * JOINTS * sizeof component->own[0]);
+    regroup(component);
+    open_solver(component, 0.0, &solver);
+    mixed(forward, false, &v[Q], q);
+    mixed(forward, false, &v[DQ], dq);
+    evaluate(component, &solver, q, dq);
+    double rest[JOINTS];
+    for (int i = 0; i < JOINTS; i++) {
+        Axis *axis = &solver.axis[i];
+        const Joint *joint = axis->step.joint;
+        double u[MAX_INPUTS];
+        axis->step.u[LOAD] = solver.bias[i];
+        memcpy(axis->from.x, &v[joint->first_start], (size_t)joint->states * sizeof *v);
+        see(&axis->step, q[i], dq[i], u);
+        if (joint->states > 0 && v[START_MODE] == STEADY) {
+            joint->begin(axis->step.k, u, axis->from.x);
+        }
+        attempt(&axis->step, &axis->from, dq[i], &axis->trial);
+        axis->slope = NEVER_SMOOTH;
+        axis->from.tau_f = axis->trial.tau_f;
+        axis->from.tau_link = axis->trial.tau_link;
+        axis->weight = 1.0;
+        axis->held = false;
+        rest[i] = drive_torque(component, i, 0.0) - solver.bias[i] - torque_of(axis);
+        axis->inertial = rest[i];
+    }
+    if (!solved(&solver, zero, rest)) {
+        snprintf(why->text, sizeof why->text,
+                 "The mass matrix is not positive definite at the start posture; check masses, "
+                 "inertias and the payload.");
+        return false;
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        solver.axis[i].from.ddq = rest[i];
+    }
+    store(component, &solver);
+    return true;
+}
+
+static bool component_initialise(Component *component, void *workspace, Message *why) {
+    const double *v = component->v;
+    (void)workspace;
+    if (!sound(SUBSTEP, v[SUBSTEP], v[SUBSTEP] > 0.0, "be positive", why)) {
+        return false;
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        const int k = STIFFNESS + i, d = DAMPING + i, most = Q_MAX + i;
+        if (!sound(k, v[k], v[k] >= 0.0, "not be negative", why) ||
+            !sound(d, v[d], v[d] >= 0.0, "not be negative", why) ||
+            !sound(most, v[most], v[most] >= v[Q_MIN + i], "not be below the lower limit", why)) {
+            return false;
+        }
+    }
+    if (!start(component, why)) {
+        return false;
+    }
+    component->own[STARTED] = 1.0;
+    return true;
+}
+
+/* Before the first step, outputs follow start values and inputs; then they are those of the last
+ * step. */
+static bool component_output(Component *component, void *workspace, Message *why) {
+    (void)workspace;
+    if (component->own[STARTED] == 0.0 && !start(component, why)) {
+        return false;
+    }
+    derive_states(component);
+    return true;
+}
+
+static bool component_step(Component *component, void *workspace, double step, Message *why) {
+    double fastest = 0.0;
+    (void)workspace;
+    for (int i = 0; i < JOINTS; i++) {
+        fastest = fmax(fastest, fabs(component->v[DQ + i]));
+    }
+    const double longest = fmin(component->v[SUBSTEP], LONGEST_MOTION / fastest);
+    const double parts = fmax(1.0, ceil(step / longest * (1.0 - ROUNDING)));
+    if (!(parts <= MOST_PARTS)) {
+        snprintf(why->text, sizeof why->text,
+                 "A step of %g s would be %g inner ones; at most %g are made. Take a shorter step "
+                 "or a longer substep than %g s, or look at the speeds.",
+                 step, parts, MOST_PARTS, component->v[SUBSTEP]);
+        return false;
+    }
+    if (component->changed != 0.0) {
+        regroup(component);
+    }
+    Solver solver;
+    open_solver(component, step / parts, &solver);
+    for (double n = 1.0; n <= parts; n++) {
+        if (!inner_step(component, &solver, step * (n / parts), step / parts, HALVINGS, why)) {
+            return false;
+        }
+    }
+    store(component, &solver);
+    component->event = 0.0;
+    component->done = step;
+    return true;
+}

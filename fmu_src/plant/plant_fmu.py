@@ -1,0 +1,295 @@
+"""Plant FMU: a robot with friction in its joints; torque in, motion out."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import sympy
+
+from fmu_src.blocks.block import vector
+from fmu_src.equations.header import SOLVER_OF_ALL, equations_header
+from fmu_src.export.interface import Interface, Variable
+from fmu_src.export.package import Content, Version, check_request, own_source, write_fmu
+from fmu_src.friction.embedded_model import embedding
+from fmu_src.friction.friction_component import (
+    adding,
+    dependencies,
+    discretisation,
+    joints_of,
+    law_variables,
+    mixed,
+    scales,
+    start_mode,
+)
+from fmu_src.friction.friction_fmu import description_of
+from fmu_src.friction.validity import require_exportable
+from fmu_src.pages.plant_page import to_html
+from fmu_src.plant.dynamics import dynamics_header
+from fmu_src.run.reference_results import Stimuli, waves
+from hesr_model.errors import ExportError
+from hesr_model.friction.inputs import TAU_LOAD, TORQUE
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import LINK_PARAMETERS, Robot
+from hesr_model.support.arrays import Array
+from hesr_model.support.progress import Progress, silent
+from hesr_model.units import unit_of_joint
+
+SUBSTEP = 1e-3  # default of the longest inner step [s]
+STIFFNESS, DAMPING = 1e4, 1e2  # defaults of the stops [N.m/rad, N.m.s/rad]
+_UNLIMITED = 1e6  # limit of a joint without stops [rad or m]
+_POSTURES = 100  # random postures in the check of the mass matrix
+
+_UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantBody:
+    """A robot and its parameters (P,), ordered as `robot.parameter_names`."""
+
+    robot: Robot
+    parameters: Array
+
+    @classmethod
+    def of(cls, robot: Robot, body: RigidBody | None = None) -> "PlantBody":
+        """Return a robot with identified parameters, by default those of its model file.
+
+        Raises RobotError if the body belongs to another robot, ExportError if a mass matrix is not
+        positive definite.
+        """
+        own = robot.nominal_parameters if body is None else body.parameters_for(robot)
+        found = cls(robot=robot, parameters=own)
+        found.require_inertia(robot.description.model.name if body is None else "the rigid body")
+        return found
+
+    def require_inertia(self, source: str) -> None:
+        """Raise ExportError if the mass matrix is not positive definite at random postures."""
+        low, high, _ = self.robot.reach
+        q = np.random.default_rng(0).uniform(low, high, (_POSTURES, self.robot.n))
+        mass, _ = self.robot.dynamics(self.parameters, q, np.zeros_like(q))
+        least = np.linalg.eigvalsh(mass)[:, 0]
+        if not np.all(least > 0.0):
+            raise ExportError(
+                f"{source} gives the mass matrix of '{self.robot.name}' the eigenvalue "
+                f"{np.min(least):.2g} kg.m2, where a plant needs positive ones; use a model file "
+                "with inertias, or identify with method physical."
+            )
+
+    @cached_property
+    def rotors(self) -> Array:
+        """Rotor inertias (n,)."""
+        several = self.parameters[10 * self.robot.links : self.robot.inertial]
+        return several if len(several) else self.robot.rotor_nominal
+
+    @property
+    def key(self) -> dict[str, object]:
+        """Everything that determines the FMU, as JSON data."""
+        tunable = [*self.parameters.tolist(), *self.rotors.tolist(), *self.robot.gravity.tolist()]
+        limits = [bound.tolist() for bound in self.robot.limits]
+        return {"dynamics.h": dynamics_header(self.robot), "numbers": tunable, "limits": limits}
+
+
+_OUTPUTS = (
+    ("q", "rad", "position"),
+    ("dq", "rad/s", "speed"),
+    ("ddq", "rad/s2", "acceleration over the last inner step"),
+    ("tau_friction", "N.m", "friction torque over the last inner step"),
+    (TAU_LOAD.name, "N.m", "torque that the rigid bodies need"),
+    ("tau_stop", "N.m", "torque of the stops at the limits of the joint"),
+)
+_START = ("q_start", "dq_start")
+
+
+def _parameters(body: PlantBody) -> Iterator[Variable]:
+    robot = body.robot
+    low, high, _ = robot.limits
+    bounded = np.isfinite(high - low)
+    low, high = np.where(bounded, low, -_UNLIMITED), np.where(bounded, high, _UNLIMITED)
+    inside = (low <= 0.0) & (high >= 0.0)
+    each = np.ones(robot.n)
+    yield from vector(
+        "q_start", "fixed", "rad", "initial position", np.where(inside, 0.0, 0.5 * (low + high))
+    )
+    yield from vector("dq_start", "fixed", "rad/s", "initial speed", 0.0 * each)
+    yield from vector("q_min", "fixed", "rad", "position of the lower stop", low)
+    yield from vector("q_max", "fixed", "rad", "position of the upper stop", high)
+    text = "of the stops"
+    yield from vector("stop_stiffness", "fixed", "N.m/rad", f"stiffness {text}", STIFFNESS * each)
+    yield from vector("stop_damping", "fixed", "N.m.s/rad", f"damping {text}", DAMPING * each)
+
+
+def _inertial(body: PlantBody) -> Iterator[Variable]:
+    for i, joint in enumerate(body.robot.tree, start=1):
+        values = body.parameters[10 * (i - 1) : 10 * i]
+        for name, unit, value in zip(LINK_PARAMETERS, _UNITS, values, strict=True):
+            text = f"{name} of link {i}, {joint.name}, in the frame of its joint"
+            yield Variable(f"link[{i}].{name}", "tunable", text, unit=unit, start=float(value))
+    yield from vector("rotor", "tunable", "kg.m2", "rotor inertia through the gear", body.rotors)
+    springs = body.parameters[body.robot.inertial :]
+    for term, value in zip(body.robot.springs, springs, strict=True):
+        number = term.joint + 1
+        unit = unit_of_joint(term.unit, slides=body.robot.slides[term.joint])
+        text = f"{term.name} of the spring or balancer of joint {number}"
+        name = f"spring[{number}].{term.name}"
+        yield Variable(name, "tunable", text, unit=unit, start=float(value))
+    for axis, value in enumerate(body.robot.gravity, start=1):
+        text = f"gravity along axis {axis} of the base"
+        yield Variable(f"gravity[{axis}]", "tunable", text, unit="m/s2", start=float(value))
+    yield Variable("payload.m", "tunable", "mass of the payload on the last link", unit="kg")
+    for axis in (1, 2, 3):
+        text = f"centre of mass of the payload along axis {axis} of the last joint's frame"
+        yield Variable(f"payload.com[{axis}]", "tunable", text, unit="m")
+    for name in LINK_PARAMETERS[4:]:
+        text = f"inertia {name} of the payload about its centre of mass, in axes of the last joint"
+        yield Variable(f"payload.{name}", "tunable", text, unit="kg.m2")
+
+
+def _interface(model: FrictionModel, body: PlantBody) -> Interface:
+    laws = joints_of(model, names={TORQUE: "tau_friction"})
+    numbers = range(1, len(laws) + 1)
+    zeros = (0.0,) * len(laws)
+    starts, own_parameters = list(_parameters(body)), list(_inertial(body))
+    inertial = tuple(v.name for v in own_parameters)
+    start = tuple(f"{name}[{i}]" for name in _START for i in numbers)
+    gravity = (*start, *inertial)
+    torque = sympy.Symbol(TORQUE, real=True)
+
+    def sources(i: int) -> dict[str, tuple[str, ...]]:
+        moving = {n: mixed(f"{n}_start", i, model.coupling) for n in ("dq", "q")}
+        return {**moving, TAU_LOAD.name: gravity}
+
+    friction = [dependencies(law, torque, sources(i)) for i, law in enumerate(laws, start=1)]
+    stops = tuple(v.name for v in starts)
+    commands = tuple(f"tau[{i}]" for i in numbers)
+    everything = (*commands, *stops, *inertial, *(n for one in friction for n in one))
+    found = list(vector("tau", "input", "N.m", "torque of the motor", zeros))
+    for name, unit, text in _OUTPUTS:
+        for i, one in enumerate(vector(name, "output", unit, text, zeros), start=1):
+            made_of = {
+                "q": (f"q_start[{i}]",),
+                "dq": (f"dq_start[{i}]",),
+                "ddq": everything,
+                "tau_friction": tuple(
+                    n for k in adding(i, model.coupling) for n in friction[k - 1]
+                ),
+                TAU_LOAD.name: everything,
+                "tau_stop": (*start, *stops),
+            }[name]
+            found.append(replace(one, dependencies=tuple(dict.fromkeys(made_of))))
+    found += starts
+    found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
+    how = "how the states of the friction are relaxed over an inner step"
+    found += [discretisation(model, how), start_mode(), *own_parameters, *scales(model)]
+    for i, (law, own) in enumerate(zip(model.laws, laws, strict=True), start=1):
+        found += law_variables(law, i, own, sources(i))
+    return Interface(
+        variables=tuple(_of_the_last_step(_at_joint(v, model.slides)) for v in found),
+        own=1 + 2 * len(laws) + 10 * body.robot.links,  # enum of plant.c
+        model_exchange=False,
+        directional_derivatives=False,
+        inner_steps=True,
+    )
+
+
+_WORDS = {"torque": "force", "inertia": "mass"}
+_OF_JOINTS = re.compile(r"(tau|q|dq|ddq|tau_\w+|q_\w+|dq_start|stop_\w+|rotor)\[(\d+)\]")
+
+
+def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
+    joint = _OF_JOINTS.fullmatch(variable.name)
+    if joint is None or not slides[int(joint[2]) - 1]:
+        return variable
+    text = variable.description
+    for turning, sliding in _WORDS.items():
+        text = re.sub(rf"\b{turning}\b", sliding, text)
+    unit = variable.unit and unit_of_joint(variable.unit, slides=True)
+    return replace(variable, unit=unit, description=text)
+
+
+def _of_the_last_step(variable: Variable) -> Variable:
+    """Let the variable depend on inputs only until initialisation ends."""
+    at_once = tuple(name for name in variable.dependencies if name.startswith("tau["))
+    others = tuple(name for name in variable.dependencies if not name.startswith("tau["))
+    return replace(variable, dependencies=others, initial_dependencies=at_once)
+
+
+_VECTORS = ("tau", *(name for name, *_ in _OUTPUTS), *_START, "q_min", "q_max")
+_PLACES = {name.upper(): f"{name}[1]" for name in _VECTORS}
+_PLACES |= {"STIFFNESS": "stop_stiffness[1]", "DAMPING": "stop_damping[1]"}
+_PLACES |= {"PARAMETERS": "link[1].m", "ROTORS": "rotor[1]", "GRAVITY": "gravity[1]"}
+_PLACES |= {"PAYLOAD_M": "payload.m", "PAYLOAD_COM": "payload.com[1]"}
+_PLACES |= {"PAYLOAD_INERTIA": "payload.Ixx"}
+_PLACES |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}
+
+
+def export_plant(
+    model: FrictionModel,
+    path: Path,
+    *,
+    body: PlantBody,
+    platforms: Sequence[str] = ("linux64",),
+    progress: Progress = silent,
+    fmi: Version = 2,
+    bare: bool = False,
+) -> Path:
+    """Write a robot under a friction model as an FMU for co-simulation.
+
+    Raises ExportError if the friction model belongs to another robot.
+    """
+    check_request(path, platforms)
+    require_exportable(model, "a plant")
+    _require_fitting(model, body.robot)
+    whole = content(model, body, bare=bare)
+    return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
+
+
+def _require_fitting(model: FrictionModel, robot: Robot) -> None:
+    if tuple(model.joints) != tuple(robot.joints):
+        raise ExportError(
+            f"the friction model has the joints {', '.join(model.joints)}, but robot "
+            f"'{robot.name}' has {', '.join(robot.joints)}; give the robot of its logs."
+        )
+    of_law, of_robot = (
+        np.eye(robot.n) if coupling is None else coupling.forward
+        for coupling in (model.coupling, robot.description.coupling)
+    )
+    if not np.array_equal(of_law, of_robot):
+        raise ExportError(
+            f"robot '{robot.name}' has another transmission matrix than the friction model; give "
+            "the robot of its logs."
+        )
+
+
+def content(model: FrictionModel, body: PlantBody, *, bare: bool = False) -> Content:
+    """Return the FMU of a plant before compilation."""
+    joints = joints_of(model, names={TORQUE: "tau_friction"})
+    table = _interface(model, body)
+    springs = next((n for n in table.places if n.startswith("spring[")), "gravity[1]")
+    header = equations_header(
+        joints, table, _PLACES | {"SPRINGS": springs}, wanted=SOLVER_OF_ALL, coupling=model.coupling
+    )
+    about = description_of(
+        model,
+        name=f"Plant of {body.robot.name} with {model.law}",
+        identifier=f"plant_{model.law}",
+        text=f"Robot with {len(model.joints)} joints under friction: torque in, motion out.",
+        step=SUBSTEP,
+    )
+    names = ("balance.h", "coupling.h", "law_math.h", "plant.c", "plant_solver.h", "root.h")
+    sources = {name: own_source(name) for name in names}
+    sources |= {"dynamics.h": dynamics_header(body.robot), "equations.h": header}
+    members = {}
+    if not bare:
+        page = to_html(model, table, about).encode()
+        members = {"documentation/index.html": page, **embedding(model)}
+    inputs = waves({f"tau[{i}]": 1.0 for i in range(1, len(joints) + 1)})
+    return Content(
+        table=table,
+        about=about,
+        sources=sources,
+        members=members,
+        stimuli=Stimuli(step=SUBSTEP, inputs=inputs),
+    )

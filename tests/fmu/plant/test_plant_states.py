@@ -1,0 +1,76 @@
+"""Steps of 10 ms from random states, for each law: every one has a solution."""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from c_hosts import LINUX
+from plant_robots import ur_like
+from plant_runs import content_of
+from registry_models import everyday
+
+from fmu_src.export.package import translation_unit
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.robots.robot import Robot
+from hesr_model.support.compiler import compile_c
+
+HOST = Path(__file__).with_name("plant_states.c")
+STEP = 0.01  # s
+MOMENTS = [f"link[6].{n}=0" for n in ("mx", "my", "mz", "Ixy", "Ixz", "Iyz")]
+LIGHT = ["link[6].m=0.05", *MOMENTS, *(f"link[6].{n}=2e-4" for n in ("Ixx", "Iyy", "Izz"))]
+HUNDREDFOLD = [f"viscous_scale[{i}]=100" for i in range(1, 7)]
+FINE = "substep=0.0005"
+FASTER = 1.2  # highest speed of a light wrist over that of short steps
+WITHOUT_BOUND = ("parfam_h",)
+"""Laws whose friction falls exponentially at the high speeds of a light wrist: it runs away."""
+
+Host = Callable[..., tuple[int, float, str]]
+
+
+@pytest.fixture
+def host(tmp_path: Path) -> Callable[[FrictionLaw], Host]:
+    """Compile the sources of six joints under a law with the host in C."""
+
+    def make(law: FrictionLaw) -> Host:
+        robot = Robot(ur_like(tmp_path))
+        sources = translation_unit(content_of(robot, [law] * robot.n))[1]
+        for name, text in {**sources, HOST.name: HOST.read_text(encoding="utf-8")}.items():
+            (tmp_path / name).write_text(text, encoding="utf-8")
+        program = tmp_path / "host"
+        flags = (*LINUX, "-std=gnu99", "-w", "-ffp-contract=off")
+        compile_c(tmp_path / HOST.name, flags, program, ("-lm",))
+
+        def run(starts: int, steps: int, *parameters: str) -> tuple[int, float, str]:
+            command = [program, starts, steps, STEP, 1, *parameters]
+            found = subprocess.run(
+                list(map(str, command)), check=True, capture_output=True, text=True
+            ).stdout.split(maxsplit=2)
+            return int(found[0]), float(found[1]), " ".join(found[2:])
+
+        return run
+
+    return make
+
+
+@pytest.mark.parametrize("name", list(everyday()))
+def test_every_random_state_has_a_solution(name: str, fitted, host) -> None:
+    assert host(fitted[name])(1000, 10)[::2] == (0, "")
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("name", [name for name in everyday() if name not in WITHOUT_BOUND])
+def test_a_light_wrist_is_no_faster_than_with_short_steps(name: str, fitted, host) -> None:
+    """Nor is it with a hundredfold viscous friction."""
+    run = host(fitted[name])
+    bound = FASTER * run(300, 10, *LIGHT, FINE)[1]
+    for more in ([], HUNDREDFOLD):
+        failed, fastest, why = run(300, 10, *LIGHT, *more)
+        assert (failed, why) == (0, "")
+        assert fastest < bound
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", list(everyday()))
+def test_a_million_random_states_have_a_solution(name: str, fitted, host) -> None:
+    assert host(fitted[name])(100_000, 10)[::2] == (0, "")
