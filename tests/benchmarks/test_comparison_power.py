@@ -124,6 +124,7 @@ def tables(
     *,
     each: bool,
     ratio: float = 1.0,
+    draws: int = DRAWS,
 ) -> list[tuple[LawErrors, str]]:
     """Tables of equal laws; the errors of one law, which is returned, are divided by `ratio`."""
     rng, found = np.random.default_rng(1), []
@@ -134,7 +135,7 @@ def tables(
         for law in laws
     }
     whole = {law: np.sqrt(np.mean(np.square(size[law]), axis=1)) for law in laws}
-    for k in range(DRAWS):
+    for k in range(draws):
         j, better = k % joints, str(rng.choice(list(laws)))
         cut: dict[str, list[np.ndarray]] = {law: [] for law in laws}
         for _ in range(logs):
@@ -156,17 +157,25 @@ def worse(table: LawErrors) -> set[str]:
 
 
 def size(
-    tested: ErrorsOnTests, laws: Sequence[str], seconds: float, logs: int, *, each: bool
+    tested: ErrorsOnTests,
+    laws: Sequence[str],
+    seconds: float,
+    logs: int,
+    *,
+    each: bool,
+    draws: int = DRAWS,
 ) -> float:
     """Share of tables of equal laws that call any law worse."""
-    return float(
-        np.mean([bool(worse(t)) for t, _ in tables(tested, laws, seconds, logs, each=each)])
-    )
+    found = tables(tested, laws, seconds, logs, each=each, draws=draws)
+    return float(np.mean([bool(worse(table)) for table, _ in found]))
 
 
-@pytest.mark.parametrize(("seconds", "logs"), [(40, 1), (72, 1), (40, 2), (20, 4)])
+@pytest.mark.parametrize(
+    ("seconds", "logs", "draws"),
+    [(40, 1, 10 * DRAWS), (72, 1, DRAWS), (40, 2, DRAWS), (20, 4, DRAWS)],
+)
 def test_size_on_the_twin(
-    twin: ErrorsOnTests, seconds: float, logs: int, tell: Callable[[str], None]
+    twin: ErrorsOnTests, seconds: float, logs: int, draws: int, tell: Callable[[str], None]
 ) -> None:
     """At most 6.5 % of tables are wrong; 1,000 draws have a standard error of 0.7 %.
 
@@ -174,7 +183,9 @@ def test_size_on_the_twin(
     motions than one or two motions show: printed, not asserted.
     """
     for laws in (NINE, list(twin.errors)):
-        equal, overall = (size(twin, laws, seconds, logs, each=each) for each in (True, False))
+        equal, overall = (
+            size(twin, laws, seconds, logs, each=each, draws=draws) for each in (True, False)
+        )
         tell(
             f"{len(laws)} laws, {logs} x {seconds} s: {100 * equal:.1f} % of tables are wrong with "
             f"laws equal on each motion, {100 * overall:.1f} % with laws equal over all motions"
@@ -225,7 +236,9 @@ def test_the_stated_smallest_difference_is_found(
         i, k = other.laws.index(law), other.laws.index(best)
         error = float(other.standard_errors(k)[i])
         difference = other.log_rmse[i] - other.log_rmse[k] + np.log(stated)
-        p = calibration(comparisons) * float(two_sided(difference / error, other.degrees))
+        p = calibration(comparisons, other.degrees) * float(
+            two_sided(difference / error, other.degrees)
+        )
         hits.append(comparisons * p < SIGNIFICANCE)
     share = float(np.mean(hits))
     tell(f"{logs} x {seconds} s: the stated difference is found in {100 * share:.0f} %")

@@ -5,7 +5,6 @@ import pytest
 from scipy.signal import lfilter
 
 from hesr_model.inference.comparison import (
-    CALIBRATION,
     LEAST_DEGREES,
     SIGNIFICANCE,
     LawErrors,
@@ -138,11 +137,11 @@ def test_equal_predictions_are_equal() -> None:
 
 def test_holms_adjustment() -> None:
     assert holm({"a": 0.01, "b": 0.04, "c": 0.03}) == {"a": 0.03, "b": 0.06, "c": 0.06}
-    assert CALIBRATION * 0.01 == SIGNIFICANCE
 
 
 def test_factor_on_p_grows_with_the_number_of_laws() -> None:
-    assert [calibration(n) for n in (1, 8, 16)] == [5.0, 5.0, 10.0]
+    assert [calibration(n, 5.0) for n in (1, 8, 16)] == [6.5, 6.5, 13.0]
+    assert calibration(8, 50.0) == pytest.approx(5.15)
     of = errors(0, 2, 1, 80.0, common=0.9)
     found = compared(of | {"law_1": [1.3 * e for e in of["law_1"]]})
     few, many = (found.ratios("law_0", family)["law_1"] for family in (8, 16))

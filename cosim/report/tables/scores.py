@@ -11,6 +11,7 @@ from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratio
 from cosim.study.verdict import percent_above, separation
 from hesr_model.friction.metrics import BandScore
 from hesr_model.friction.model import FrictionModel
+from hesr_model.inference.comparison import CALIBRATION
 from hesr_model.units import unit_of_joints
 
 MEASURES = {
@@ -104,8 +105,9 @@ def separations(name: str, scores: Comparison, laws: Sequence[str] = ()) -> Resu
         rows=rows,
         numeric=False,
         note="Student's t over cosines of the squared errors and differences between logs, Holm "
-        "over the laws of a joint; p is multiplied by 5 (more beyond 9 laws, in proportion) since "
-        "the nominal level was calibrated. The result holds for motions of this kind.",
+        f"over the laws of a joint; p is multiplied by {CALIBRATION:.0f} (1 + 1.5/degrees of "
+        "freedom), beyond 9 laws by more in proportion, since the nominal level was calibrated. "
+        "The result holds for motions of this kind.",
     )
 
 
