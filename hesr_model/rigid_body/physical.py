@@ -140,12 +140,12 @@ class _Chart:
     @classmethod
     def of(cls, model: Robot) -> Self:
         nominal, links = model.nominal_parameters[: model.inertial], 10 * model.links
-        starts = [_start(link)[::-1, ::-1] for link in nominal[:links].reshape(-1, 10)]
+        factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]
         known = rotors > 0
         roots = np.sqrt(np.where(known, rotors, 1.0))
         return cls(
-            factors=np.linalg.cholesky(np.reshape(starts, (-1, 4, 4)))[:, ::-1, ::-1],
+            factors=np.array(factors),
             rotors=rotors,
             start=np.concatenate([np.zeros(links), roots]),
             pull=np.concatenate(
@@ -199,6 +199,10 @@ def _triangle(x: Array) -> Array:
     for place, value in zip(_UPPER, x[4:], strict=True):
         u[place] = value
     return u
+
+
+def _upper_factor(matrix: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])
 
 
 def _start(link: Array) -> Array:
