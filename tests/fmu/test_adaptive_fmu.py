@@ -111,6 +111,7 @@ def test_the_fmu_matches_the_python_estimate(bench: Bench, records: list[Frictio
     assert len(np.unique(found[:, 2 * len(records) :])) > 100
 
 
+@pytest.mark.ci
 def test_the_fmu_is_valid(fmu: Path) -> None:
     assert validate_fmu(str(fmu)) == []
     assert check(fmu).problems == ()
