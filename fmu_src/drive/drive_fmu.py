@@ -249,7 +249,7 @@ def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content
         "out.",
         step=SUBSTEP,
     )
-    names = ("balance.h", "coupling.h", "drive.c", "law_math.h", "root.h")
+    names = ("balance.h", "coupling.h", "drive.c", "drive_step.h", "law_math.h", "root.h")
     sources = {name: own_source(name) for name in names}
     members = {}
     if not bare:

@@ -121,6 +121,7 @@ def law(make_law) -> FrictionLaw:
     return replace(make_law("lugre"), band=BAND)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_checkers_find_no_problem(law, make_model, tmp_path: Path, fmi) -> None:
     whole = export_fmu(make_model(law, law), tmp_path / "F.fmu", band=True, power=True, fmi=fmi)

@@ -136,7 +136,7 @@ static const Joint joints[] = {{CONSTANT ? constants : 0, FIRST, 4, {0, 0, TAU_L
 """
 BALANCED = """
 #define CONSTANT {constant}
-#include "balance.h"
+#include "drive_step.h"
 EXPORT void tried(const double *values, double h, double time, double v, double *found) {{
     Component component;
     Trial trial;
@@ -166,7 +166,7 @@ def tried(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     """(v, residual, slope, size, tau_f, tau_link, x) at a given speed, and the coefficient."""
     library = compiled(
         tmp_path_factory.mktemp("balance"), BALANCED.format(constant=int(request.param == 50.0)),
-        "balance.h", "coupling.h", others={"equations.h": LAWS},
+        "balance.h", "coupling.h", "drive_step.h", others={"equations.h": LAWS},
     )  # fmt: skip
     call = function(library, "tried", None, POINTER(c_double), *[c_double] * 3, POINTER(c_double))
 

@@ -1,0 +1,50 @@
+/* Inner step of a joint that a flexspline couples to its link. */
+#ifndef DRIVE_STEP_H
+#define DRIVE_STEP_H
+
+#include "balance.h"
+#include "coupling.h"
+
+/* Input of a coordinate, mixed from the joints, at `time` [s] after the start of the step. */
+static double mixed_at(const Component *component, bool torque, int vector, int i, double time) {
+    double sum = 0.0;
+    if (!COUPLED) {
+        return input_at(component, vector + i, time);
+    }
+    for (int m = 0; m < JOINTS; m++) {
+        sum += share_of(torque, i, m) * input_at(component, vector + m, time);
+    }
+    return sum;
+}
+
+/* Inner step of length h that ends at `time` [s] after the start of the communication step. It is
+ * implicit: its inputs are those at its end. */
+static Step step_of(const Component *component, int i, double h, double time) {
+    const Joint *joint = &joints[i];
+    const double *v = component->v;
+    Step step = {
+        .joint = joint,
+        .k = joint->constants ? joint->constants : &v[joint->first_parameter],
+        .inertia = v[INERTIA + i],
+        .gear = 1.0 / v[RATIO + i],
+        .stiffness = v[STIFFNESS + i],
+        .damping = v[DAMPING + i],
+        .tau_motor = input_at(component, TAU_MOTOR + i, time),
+        .q_link = mixed_at(component, false, Q_LINK, i, time),
+        .dq_link = mixed_at(component, false, DQ_LINK, i, time),
+        .h = h,
+        .euler = v[DISCRETISATION] == EULER,
+    };
+    for (int j = 2; j < joint->inputs; j++) {
+        step.u[j] = j == LOAD ? mixed_at(component, true, TAU_LOAD, i, time)
+                              : input_at(component, joint->input[j], time);
+    }
+    return step;
+}
+
+static double link_torque(const Step *step, const double *u, const double *du, double *slope) {
+    *slope = *slope + step->stiffness * du[1] + step->damping * du[0];
+    return step->stiffness * (u[1] - step->q_link) + step->damping * (u[0] - step->dq_link);
+}
+
+#endif
