@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "component.h"
+#include "coupling.h"
 #include "equations.h"
 
 typedef struct {
@@ -37,6 +38,18 @@ typedef struct {
 static double input_at(const Component *component, int variable, double time) {
     const double slope = variable < SLOPES ? component->slope[variable] : 0.0;
     return component->v[variable] + slope * time;
+}
+
+/* Input of a coordinate, mixed from the joints, at `time` [s] after the start of the step. */
+static double mixed_at(const Component *component, bool torque, int vector, int i, double time) {
+    double sum = 0.0;
+    if (!COUPLED) {
+        return input_at(component, vector + i, time);
+    }
+    for (int m = 0; m < JOINTS; m++) {
+        sum += share_of(torque, i, m) * input_at(component, vector + m, time);
+    }
+    return sum;
 }
 
 static void see(const Step *step, double q, double dq, double *u) {

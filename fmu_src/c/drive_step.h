@@ -3,19 +3,6 @@
 #define DRIVE_STEP_H
 
 #include "balance.h"
-#include "coupling.h"
-
-/* Input of a coordinate, mixed from the joints, at `time` [s] after the start of the step. */
-static double mixed_at(const Component *component, bool torque, int vector, int i, double time) {
-    double sum = 0.0;
-    if (!COUPLED) {
-        return input_at(component, vector + i, time);
-    }
-    for (int m = 0; m < JOINTS; m++) {
-        sum += share_of(torque, i, m) * input_at(component, vector + m, time);
-    }
-    return sum;
-}
 
 /* Inner step of length h that ends at `time` [s] after the start of the communication step. It is
  * implicit: its inputs are those at its end. */
@@ -43,7 +30,7 @@ static Step step_of(const Component *component, int i, double h, double time) {
 }
 
 static double link_torque(const Step *step, const double *u, const double *du, double *slope) {
-    *slope = *slope + step->stiffness * du[1] + step->damping * du[0];
+    *slope += step->stiffness * du[1] + step->damping * du[0];
     return step->stiffness * (u[1] - step->q_link) + step->damping * (u[0] - step->dq_link);
 }
 

@@ -46,18 +46,6 @@ static void mixed(const double matrix[JOINTS][JOINTS], bool transposed, const do
     }
 }
 
-/* Torque of the motors on coordinate i at `time` [s] after the start of the step. */
-static double drive_torque(const Component *component, int i, double time) {
-    double sum = 0.0;
-    if (!COUPLED) {
-        return input_at(component, TAU + i, time);
-    }
-    for (int m = 0; m < JOINTS; m++) {
-        sum += backward[i][m] * input_at(component, TAU + m, time);
-    }
-    return sum;
-}
-
 /* Whether coordinate i is joint i, so that the joint's stops apply to it. */
 static bool alone(int i) {
     for (int m = 0; COUPLED && m < JOINTS; m++) {
@@ -192,7 +180,7 @@ static bool inner_step(const Component *component, Solver *solver, double time, 
     for (int i = 0; i < JOINTS; i++) {
         Axis *axis = &solver->axis[i];
         axis->step.h = h;
-        axis->applied = drive_torque(component, i, time - 0.5 * h) - solver->bias[i];
+        axis->applied = mixed_at(component, true, TAU, i, time - 0.5 * h) - solver->bias[i];
         axis->step.u[LOAD] = solver->bias[i] + axis->inertial;
     }
     return advance(solver, why) ||
@@ -240,7 +228,7 @@ static bool start(Component *component, Message *why) {
         axis->from.tau_link = axis->trial.tau_link;
         axis->weight = 1.0;
         axis->held = false;
-        rest[i] = drive_torque(component, i, 0.0) - solver.bias[i] - torque_of(axis);
+        rest[i] = mixed_at(component, true, TAU, i, 0.0) - solver.bias[i] - torque_of(axis);
         axis->inertial = rest[i];
     }
     if (!solved(&solver, zero, rest)) {

@@ -1,7 +1,7 @@
 """Drive FMU: a friction model and its motors; torque in, speed and angle out."""
 
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
@@ -25,7 +25,6 @@ from hesr_model.friction.inputs import TORQUE
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.progress import Progress, silent
-from hesr_model.units import unit_of_joint
 
 SUBSTEP = 1e-3  # default of the longest inner step [s]
 
@@ -134,7 +133,7 @@ def _interface(model: FrictionModel, laws: Sequence[Joint], own: Motors) -> Inte
     variables = [_at_joint(v, model.slides) for v in found]
     inputs = {v.name for v in variables if v.role == "input"}
     return Interface(
-        variables=tuple(_of_the_last_step(v, inputs) for v in variables),
+        variables=tuple(friction_component.of_the_last_step(v, inputs) for v in variables),
         own=1,  # STARTED of drive.c
         model_exchange=False,
         directional_derivatives=False,
@@ -148,20 +147,10 @@ def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
     joint = re.search(r"\[(\d+)\]", variable.name)
     if joint is None or not slides[int(joint[1]) - 1]:
         return variable
-    text = variable.description
-    for turning, sliding in _WORDS.items():
-        text = re.sub(rf"\b{turning}\b", sliding, text)
-    unit = variable.unit and unit_of_joint(variable.unit, slides=True)
-    return replace(variable, unit=unit, description=text)
+    return friction_component.sliding(variable, _WORDS)
 
 
 _WORDS = {"torque": "force", "angle": "position", "inertia": "mass", "flexspline": "spring"}
-
-
-def _of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:
-    at_once = tuple(name for name in variable.dependencies if name in inputs)
-    others = tuple(name for name in variable.dependencies if name not in inputs)
-    return replace(variable, dependencies=others, initial_dependencies=at_once)
 
 
 def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]]:

@@ -1,6 +1,7 @@
 """Friction component: its variables and its equations, from a friction model."""
 
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
@@ -353,3 +354,19 @@ def _usual(size: float) -> float:
 def _per_second(unit: str) -> str:
     above, slash, below = unit.partition("/")
     return f"{above}/({below}.s)" if slash else f"{above}/s"
+
+
+def sliding(variable: Variable, words: Mapping[str, str]) -> Variable:
+    """Return a variable of a turning joint as that of a sliding one, with other words and unit."""
+    text = variable.description
+    for turning, other in words.items():
+        text = re.sub(rf"\b{turning}\b", other, text)
+    unit = variable.unit and unit_of_joint(variable.unit, slides=True)
+    return replace(variable, unit=unit, description=text)
+
+
+def of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:
+    """Return a variable that depends on inputs only until initialisation ends."""
+    at_once = tuple(name for name in variable.dependencies if name in inputs)
+    others = tuple(name for name in variable.dependencies if name not in inputs)
+    return replace(variable, dependencies=others, initial_dependencies=at_once)

@@ -1,4 +1,4 @@
-"""documentation/index.html of a drive FMU, and the laws on that of a plant."""
+"""documentation/index.html of the FMUs of drives and plants."""
 
 from dataclasses import replace
 from typing import Any
@@ -23,12 +23,14 @@ _CRAWL, _LONG = 1e-9, 1e12
 _HOLDS = 0.01  # [N.m]; less counts as zero
 
 
-def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
+def to_html(
+    model: FrictionModel, table: Interface, about: Description, template: str = "drive.html.j2"
+) -> str:
     """Return the page as one self-contained file."""
-    joints, refused = law_entries(model)
+    joints, refused = _law_entries(model)
     pairs = zip(model.joints, model.laws, strict=True)
     return rendered(
-        "drive.html.j2",
+        template,
         about=about,
         model=model,
         titles=list(dict.fromkeys(title(law) for law in model.laws)),
@@ -40,7 +42,7 @@ def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
     )
 
 
-def law_entries(model: FrictionModel) -> tuple[list[dict[str, Any]], str]:
+def _law_entries(model: FrictionModel) -> tuple[list[dict[str, Any]], str]:
     """Return a page's entry for each joint's law, and the reason for a missing audit or ""."""
     audits, refused = datasheet.audited(model)
     verdicts = [datasheet.verdict(a, known=bool(model.trained)) for a in audits]

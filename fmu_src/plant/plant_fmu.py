@@ -21,12 +21,14 @@ from fmu_src.friction.friction_component import (
     joints_of,
     law_variables,
     mixed,
+    of_the_last_step,
     scales,
+    sliding,
     start_mode,
 )
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
-from fmu_src.pages.plant_page import to_html
+from fmu_src.pages.drive_page import to_html
 from fmu_src.plant.dynamics import dynamics_header
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.errors import ExportError
@@ -186,7 +188,7 @@ def _interface(model: FrictionModel, body: PlantBody) -> Interface:
     for i, (law, own) in enumerate(zip(model.laws, laws, strict=True), start=1):
         found += law_variables(law, i, own, sources(i))
     return Interface(
-        variables=tuple(_of_the_last_step(_at_joint(v, model.slides)) for v in found),
+        variables=tuple(of_the_last_step(_at_joint(v, model.slides), commands) for v in found),
         own=1 + 2 * len(laws) + 10 * body.robot.links,  # enum of plant.c
         model_exchange=False,
         directional_derivatives=False,
@@ -202,18 +204,7 @@ def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
     joint = _OF_JOINTS.fullmatch(variable.name)
     if joint is None or not slides[int(joint[2]) - 1]:
         return variable
-    text = variable.description
-    for turning, sliding in _WORDS.items():
-        text = re.sub(rf"\b{turning}\b", sliding, text)
-    unit = variable.unit and unit_of_joint(variable.unit, slides=True)
-    return replace(variable, unit=unit, description=text)
-
-
-def _of_the_last_step(variable: Variable) -> Variable:
-    """Let the variable depend on inputs only until initialisation ends."""
-    at_once = tuple(name for name in variable.dependencies if name.startswith("tau["))
-    others = tuple(name for name in variable.dependencies if not name.startswith("tau["))
-    return replace(variable, dependencies=others, initial_dependencies=at_once)
+    return sliding(variable, _WORDS)
 
 
 _VECTORS = ("tau", *(name for name, *_ in _OUTPUTS), *_START, "q_min", "q_max")
@@ -283,7 +274,7 @@ def content(model: FrictionModel, body: PlantBody, *, bare: bool = False) -> Con
     sources |= {"dynamics.h": dynamics_header(body.robot), "equations.h": header}
     members = {}
     if not bare:
-        page = to_html(model, table, about).encode()
+        page = to_html(model, table, about, template="plant.html.j2").encode()
         members = {"documentation/index.html": page, **embedding(model)}
     inputs = waves({f"tau[{i}]": 1.0 for i in range(1, len(joints) + 1)})
     return Content(

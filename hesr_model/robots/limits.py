@@ -23,7 +23,7 @@ def chain_limits(
     """Return lowest and highest position [rad or m] and highest speed (n,) of the joints `own`.
 
     `follow` is G and b of q_all = G q + b. Joints that follow a leader also limit it, unless they
-    leave it no range, which the mask (n,) tells.
+    leave it no range: there the mask (n,) is true.
     """
     joints, n = list(model.joints)[1:], len(own)
     ranges = np.array([position_limits(model, joint) for joint in joints])
