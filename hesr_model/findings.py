@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from pydantic import AliasChoices, BeforeValidator, Field
@@ -41,6 +42,9 @@ class Finding:
             where.append(f"joint{plural} {', '.join(map(repr, self.joints))}")
         said = f"{self.found}: {self.remedy}." if self.remedy else self.found
         return f"{', '.join(where)}{': ' if where else ''}{said}"
+
+
+caution = partial(Finding, severity="warning")
 
 
 def errors_first(findings: Iterable[Finding]) -> list[Finding]:

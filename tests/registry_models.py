@@ -1,9 +1,14 @@
 """Models of every registered law."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
+from fmu_src.export.package import translation_unit
+from fmu_src.friction.friction_fmu import _component
+from fmu_src.pages.live.section import live_data
+from fmu_src.pages.live.wasm import wasm
 from hesr_model.fitting.estimator import Estimator
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel
@@ -50,3 +55,9 @@ def models_of_registry() -> Iterator[FrictionModel]:
                 "versions": {"numpy": "2.9"},
             },
         )
+
+
+def live_of(model: FrictionModel) -> dict[str, Any]:
+    """Return the data of a model's interactive section, for pages outside its FMU."""
+    bare = _component(model)
+    return live_data(model, bare.table, wasm(translation_unit(bare)[1]))

@@ -32,11 +32,6 @@ class Recording:
     truth: ArmRun  # truth at the times of the log
     desired: Array  # position (N, n) [rad]
 
-    @property
-    def tracking_error(self) -> Array:
-        """True minus desired position (N, n) [rad]."""
-        return self.truth.q - self.desired
-
 
 def excite(
     motions: Motions,
@@ -59,7 +54,7 @@ def excite(
         with written_whole(truth_of(path)) as temporary:
             write_table(temporary, columns)
         paths[recording.log.name] = path
-        worst = np.abs(recording.tracking_error).max() * 1e3
+        worst = np.abs(recording.truth.q - recording.desired).max() * 1e3
         _log.info("%s: %d samples, at most %.0f mrad off", path, len(recording.log.t), worst)
     return paths
 

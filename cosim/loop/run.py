@@ -17,7 +17,7 @@ from fmu_src.arm.python_arm.export import export_python_arm
 from fmu_src.arm.table import SignalTable
 from fmu_src.arm.truth import true_friction
 from hesr_model.errors import ConfigError
-from hesr_model.findings import Finding
+from hesr_model.findings import Finding, caution
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.support.files import scratch_folder
@@ -99,9 +99,8 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
     if worst <= _AGREEMENT:
         return []
     return [
-        Finding(
+        caution(
             check="masters",
-            severity="warning",
             found=f"the Python and the native master differ by {worst:.1e} of a signal's largest "
             f"value, more than rounding ({_AGREEMENT:g})",
             remedy="report this as a bug, with closed_loop.toml and fmus/",

@@ -17,7 +17,7 @@ from cosim.properties.bench import DriveBench, FrictionBench
 from cosim.properties.break_away import breakaway, dither, hold
 from cosim.properties.coupling import coupling
 from cosim.properties.dissipation import dissipation
-from cosim.properties.presliding import memory, nested, presliding
+from cosim.properties.presliding import memory, presliding
 from cosim.properties.scale import INERTIA, Scale, measure_scale
 from cosim.properties.sliding import chatter, lag, start, work
 from cosim.properties.stick_slip import stick_slip
@@ -176,7 +176,7 @@ def _moved(
     experiments: dict[str, Callable[[], list[PropertyResult]]] = {
         "presliding": partial(presliding, bench, scale),
         "memory": partial(memory, bench, scale, states),
-        "nested": partial(nested, bench, scale, states, _peaks(seen, scale)),
+        "nested": partial(memory, bench, scale, states, _peaks(seen, scale)),
         "start": partial(start, bench, scale),
         "lag": partial(lag, bench, scale),
         "chatter": partial(chatter, bench, scale, seen),

@@ -17,18 +17,12 @@ _CYCLES = 3  # the last one is measured
 _JUMP, _STIFF = 5e-4, 0.025  # shares of a branch: end of a jump, and of the stiffness measurement
 _BRANCH = np.concatenate([[_JUMP, 5e-3, _STIFF], np.linspace(0.05, 1.0, 39)])
 _TURN = 0.75  # share of the rising branch before an inner loop
-_DEPTH = np.concatenate(
-    [[2.0 * _JUMP, 0.01], np.linspace(0.05, 0.5, 10)]
-)  # return path, in amplitudes of the outer loop
+# Return path, in amplitudes of the outer loop.
+_DEPTH = np.concatenate([[2.0 * _JUMP, 0.01], np.linspace(0.05, 0.5, 10)])
 _TURNS = int(np.searchsorted(_BRANCH, _TURN))  # its row
 _Moves = Sequence[tuple[float, Array]]  # directions, and displacements in widths of the outer loop
 _INNER: _Moves = ((-1.0, 0.5 * _DEPTH), (1.0, 0.5 * _DEPTH))
-_NESTED: _Moves = (
-    (-1.0, 0.5 * _DEPTH),
-    (1.0, 0.25 * _DEPTH),
-    (-1.0, 0.25 * _DEPTH),
-    (1.0, 0.5 * _DEPTH),
-)
+_NESTED: _Moves = (_INNER[0], (1.0, 0.25 * _DEPTH), (-1.0, 0.25 * _DEPTH), _INNER[1])
 _AT_ONCE = 0.99  # share of the height; a larger jump excludes pre-sliding
 _LITTLE = 1e-9  # [N.m] minimum height of a loop
 
@@ -43,27 +37,13 @@ def presliding(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
 
 
 def memory(
-    bench: FrictionBench, scale: Scale, states: Sequence[int | None]
+    bench: FrictionBench, scale: Scale, states: Sequence[int | None], peaks: Array | None = None
 ) -> list[PropertyResult]:
-    """Reverse on the rising branch of a loop too slow for memory of time, return and continue."""
-    return _reversed(bench, scale, states, _INNER)
+    """Reverse on the rising branch of a loop too slow for memory of time, return and continue.
 
-
-def nested(
-    bench: FrictionBench, scale: Scale, states: Sequence[int | None], peaks: Array
-) -> list[PropertyResult]:
-    """Reverse twice, in nested loops, while the load swings from half of `peaks` [N.m] to it."""
-    return _reversed(bench, scale, states, _NESTED, peaks)
-
-
-def _reversed(
-    bench: FrictionBench,
-    scale: Scale,
-    states: Sequence[int | None],
-    moves: _Moves,
-    peaks: Array | None = None,
-) -> list[PropertyResult]:
-    """Make moves at a turning point of the rising branch; see `nested` for `peaks`."""
+    With `peaks` [N.m] reverse twice, in nested loops, while the load swings from half of it to it.
+    """
+    moves = _INNER if peaks is None else _NESTED
     innermost = loaded = np.zeros(bench.joints)
     if peaks is not None:
         loaded = np.ptp(_loop(bench, scale, SLOW_PERIOD, peaks), axis=0)

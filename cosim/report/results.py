@@ -90,10 +90,6 @@ class Results:
         """Recommended FMU."""
         return self.verdict.fmu if self.verdict else f"fmus/{self.best}.fmu"
 
-    def decided(self, test: str) -> tuple[str, ...]:
-        """Return the laws recommended by a test set, if it decided."""
-        return self.verdict.laws if self.verdict and self.verdict.test == test else ()
-
     @cached_property
     def best(self) -> str:
         """Law with the lowest error over the size of friction, on the first test set."""

@@ -106,6 +106,8 @@ def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
     traces = _save_torques(folder / TRACES, run)
     stems = Counter(log.name for log in run.logs.values())
     twin = {"mujoco": version("mujoco")} if study.twin else {}
+    identification = (*study.logs.identification, *study.logs.reversed)
+    of_role = {"identification": identification, "training": study.logs.training, **study.logs.test}
     saved = SavedRun(
         study=study.name,
         command=command,
@@ -122,7 +124,7 @@ def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
                 name=log.name if stems[log.name] == 1 else name,
                 file=_file(name, files[name]),
                 sha256=sha256(files[name]),
-                roles=_roles(study, name),
+                roles=tuple(role for role, names in of_role.items() if name in names),
                 rows=len(log.t),
                 duration=float(log.t[-1] - log.t[0]),
                 rate=float(1.0 / np.median(np.diff(log.t))),
@@ -145,16 +147,6 @@ def _file(name: str, file: Path) -> str:
     inside = PurePath(name)
     known = file.match(name) and not inside.is_absolute() and ".." not in inside.parts
     return inside.as_posix() if known else file.name
-
-
-def _roles(study: Study, name: str) -> tuple[str, ...]:
-    logs = study.logs
-    of_role = {
-        "identification": (*logs.identification, *logs.reversed),
-        "training": logs.training,
-        **logs.test,
-    }
-    return tuple(role for role, names in of_role.items() if name in names)
 
 
 def _save_torques(folder: Path, run: Scored) -> dict[str, str]:

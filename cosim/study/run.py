@@ -178,7 +178,9 @@ def score_study(
         fitted.write(folder / "laws" / f"{law}.json")
     fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
     _of_each(
-        models, partial(_built, fmus, platforms=platforms), partial(job.progress, "building FMUs")
+        models,
+        lambda law, fitted: export_bare(fitted, fmus[law], platforms=platforms),
+        partial(job.progress, "building FMUs"),
     )
     comparisons, predictions = job.compare(models, records, files, folder / "fmus", runs)
     write_json(folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()})
@@ -212,10 +214,6 @@ def _runs(
         ends = {part.t[-1]: part for part in whole.parts()} if whole else {}
         found[name] = [decouple(ends.get(part.t[-1], part)) for part in log.parts()]
     return found
-
-
-def _built(fmus: Mapping[str, Path], law: str, model: FrictionModel, **more: Any) -> None:
-    export_bare(model, fmus[law], **more)
 
 
 def _documented(

@@ -1,4 +1,4 @@
-"""Prediction part of a twin's study over random draws."""
+"""Prediction part of a twin's study over random draws, and on alternative plants."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 from scipy.special import stdtrit
 
-from cosim.loop.excite import Recording, recorded
+from cosim.loop.excite import Recording, recorded, recordings
 from cosim.loop.motions import FourierMotion, Motions, MotionSpec, SweepMotion
-from cosim.loop.twin import loaded_arm
-from cosim.study.scores import ORACLE, REFERENCE, Errors, by_joint, causal, predict_models
-from cosim.study.study import Study
+from cosim.loop.twin import export_twin, loaded_arm, twin_plant
+from cosim.study import scores
+from cosim.study.scores import MEASURED_START, ORACLE, REFERENCE, Errors, by_joint
+from cosim.study.study import Study, Twin
 from fmu_src.arm.plant import Plant, servo_signals
 from hesr_model.errors import ConfigError
 from hesr_model.fitting.fit import fit_models
@@ -23,6 +24,7 @@ from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Progress, counted, silent
 
 LEAST = 2  # draws
@@ -130,7 +132,7 @@ def errors_on(
     errors: dict[str, dict[str, list[float]]] = {}
     for test, names in study.logs.test.items():
         tested = of_logs(names)
-        predicted = predict_models(models, causal(tested))
+        predicted = scores.predict_models(models, scores.causal(tested))
         predicted[ORACLE] = [[truths[name][:, k] for name in names] for k in range(len(tested))]
         errors[test] = {
             law: [score(r, p).rmse for r, p in zip(tested, of_law, strict=True)]
@@ -171,3 +173,31 @@ def _spreads(values: Array, shown: Callable[[Array], Array] = np.asarray) -> tup
     halves = stdtrit(count - 1, _UPPER) * values.std(axis=0, ddof=1) / np.sqrt(count)
     rows = shown(np.column_stack([means, means - halves, means + halves]))
     return tuple(Spread(mean=mean, low=low, high=high) for mean, low, high in rows.tolist())
+
+
+def under_truths(
+    study: Study, path: Path, laws: Sequence[str], *, progress: Progress = silent
+) -> dict[str, Errors]:
+    """Return the errors of laws by alternative plant of the twin, refitted to each.
+
+    The twin's bristles favour bristle laws.
+    """
+    twin = study.twin
+    names = twin.truths if twin else ()
+    return {
+        truth: _under(study, twin.model_copy(update={"truth": truth}), path, laws)
+        for truth in counted(names, progress, str)
+        if twin
+    }
+
+
+def _under(study: Study, twin: Twin, path: Path, laws: Sequence[str]) -> Errors:
+    with scratch_folder() as folder:
+        plant, signals = twin_plant(twin, path, folder)
+        arm = export_twin(plant, folder, signals)
+        found = list(recordings(Motions.read(twin.motions), plant, fmu=arm))
+    fit = partial(fit_models, seed=study.seed, left_out=lambda *_: None)
+    return {
+        test: {law: rmse for law, rmse in of_test.items() if not law.endswith(MEASURED_START)}
+        for test, of_test in errors_on(study, found, laws, fit).items()
+    }

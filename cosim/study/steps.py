@@ -219,7 +219,7 @@ class Job:
         """Score laws on the alternative plants of the twin; empty if the study names none."""
         if self.study.twin is None or not self.study.twin.truths:
             return {}
-        from cosim.loop.alternative_plants import under_truths
+        from cosim.study.seeds import under_truths
 
         progress = partial(self.progress, "trying alternative plants")
         return under_truths(self.study, self.path, laws, progress=progress)

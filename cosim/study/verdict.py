@@ -147,7 +147,8 @@ def recommend(
         law, why = _by_training(names, scores, models)
         return (law,) * count, why
     lowest = [scores.laws[leading[0]].rmse[j] for j, leading in enumerate(scores.leading)]
-    above = {law: _ratios(scores.laws[law].rmse, lowest) for law in names}
+    rmse = {law: zip(scores.laws[law].rmse, lowest, strict=True) for law in names}
+    above = {law: [e / max(least, 1e-300) for e, least in of_law] for law, of_law in rmse.items()}
     good = {
         j: [law for law in scores.leading[j] if law in names and above[law][j] <= CLOSE]
         for j in long
@@ -188,10 +189,6 @@ def simplicity(model: FrictionModel, joint: int | None = None) -> tuple[int, int
     laws = model.laws if joint is None else model.laws[joint : joint + 1]
     inputs = {symbol for law in laws for symbol in law.form.inputs}
     return len(inputs), max(len(law.start) for law in laws), max(len(law.values) for law in laws)
-
-
-def _ratios(errors: Sequence[float], lowest: Sequence[float]) -> list[float]:
-    return [e / max(least, 1e-300) for e, least in zip(errors, lowest, strict=True)]
 
 
 def percent_above(low: float, high: float) -> str:

@@ -8,7 +8,8 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from cosim.systems.contents import SystemContents, UnitExponents
-from cosim.systems.markup import add_units, text_of, to_bytes
+from cosim.systems.markup import add_units, text_of
+from fmu_src.export.description import to_bytes
 from fmu_src.run.master import Element
 
 _PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
@@ -62,6 +63,7 @@ def to_description(
 ) -> bytes:
     """Return modelDescription.xml."""
     spec = contents.spec
+    structured = all(_STRUCTURED.fullmatch(".".join(shown.element)) for shown in exposed)
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -70,7 +72,8 @@ def to_description(
         description=f"System of {len(spec.components)} FMUs, stepped every {spec.step:g} s.",
         generationTool=f"HESR {installed('hesr')}",
         generationDateAndTime=contents.created,
-        variableNamingConvention=_convention(exposed),
+        # names such as "der(x)" are flat
+        variableNamingConvention="structured" if structured else "flat",
         numberOfEventIndicators="0",
     )
     ET.SubElement(
@@ -93,12 +96,6 @@ def to_description(
         variables.append(_scalar(contents, shown, reference, units))
     _unknowns(ET.SubElement(root, "ModelStructure"), contents, exposed)
     return to_bytes(root)
-
-
-def _convention(exposed: list[Exposed]) -> str:
-    """Return "structured" if all names are, else "flat", for instance with "der(x)"."""
-    named = (".".join(shown.element) for shown in exposed)
-    return "structured" if all(_STRUCTURED.fullmatch(name) for name in named) else "flat"
 
 
 def _scalar(

@@ -35,13 +35,6 @@ class ValueWithUnit:
     base: UnitExponents | None  # None if undefined
 
 
-def to_bytes(root: ET.Element) -> bytes:
-    """Return the text of an XML file."""
-    ET.indent(root)
-    text: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return text + b"\n"
-
-
 def text_of(kind: str, value: float | str) -> str:
     """Return a value as in XML and JSON files, with all digits."""
     if kind == "String":

@@ -10,9 +10,10 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from cosim.systems.contents import SystemContents, UnitExponents
-from cosim.systems.markup import NAMESPACES, SSD, Version, add_units, text_of, to_bytes
+from cosim.systems.markup import NAMESPACES, SSD, Version, add_units, text_of
 from cosim.systems.ssp_results import result_files
 from cosim.systems.system import ComponentSpec
+from fmu_src.export.description import to_bytes
 from fmu_src.export.package import zip_members
 from fmu_src.run.master import Element
 from hesr_model.errors import ConfigError

@@ -1,6 +1,5 @@
 """Systems of FMUs in a TOML file."""
 
-import json
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -12,6 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 from fmu_src.run.master import Order
 from hesr_model.support.config import Config, RelativePath
 from hesr_model.support.files import written_whole
+from hesr_model.support.text import toml
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
 Signal = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*\.\S+$")]
@@ -100,13 +100,13 @@ def write_system(spec: SystemSpec, path: Path) -> Path:
 
 def _lines(spec: SystemSpec, folder: Path) -> Iterator[str]:
     for key in ("name", "step", "stop", "order", "observe"):
-        yield f"{key} = {_value(getattr(spec, key))}"
+        yield f"{key} = {toml(getattr(spec, key))}"
     for component in spec.components:
-        yield from ("", "[[components]]", f"name = {_value(component.name)}")
+        yield from ("", "[[components]]", f"name = {toml(component.name)}")
         fmu = Path(os.path.relpath(component.fmu.resolve(), folder)).as_posix()
-        yield f"fmu = {_value(fmu)}"
+        yield f"fmu = {toml(fmu)}"
         if component.step is not None:
-            yield f"step = {_value(component.step)}"
+            yield f"step = {toml(component.step)}"
         if component.start:
             yield from ("", "[components.start]", *_pairs(component.start))
     for table in ("connections", "limits"):
@@ -116,13 +116,4 @@ def _lines(spec: SystemSpec, folder: Path) -> Iterator[str]:
 
 def _pairs(table: Any) -> Iterator[str]:
     for key, value in table.items():
-        yield f"{_value(key)} = {_value(value)}"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, tuple | list):
-        return f"[{', '.join(map(_value, value))}]"
-    if isinstance(value, float):
-        return repr(float(value))
-    # TOML writes text, integers and booleans like JSON.
-    return json.dumps(value, ensure_ascii=False)
+        yield f"{toml(key)} = {toml(value)}"

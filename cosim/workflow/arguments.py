@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from cosim.study.results import log_findings
 from fmu_src import BUILT_IN, model_file
@@ -35,8 +35,6 @@ FmuArgs = PathArg | Sequence[PathArg]
 ResultArgs = PathArg | Sequence[PathArg]
 PerJoint = float | Sequence[float]
 """One number for each joint, or one for all."""
-
-Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, kw_only=True)

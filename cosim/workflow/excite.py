@@ -58,12 +58,9 @@ def excite(
     'motion.csv'
     """
     from cosim.loop.design import design
-    from hesr_model.errors import ConfigError
     from hesr_model.support.files import path_of
 
     path = path_of(output, "a motion")
-    if path.suffix.lower() not in (".csv", ".parquet", ".pq"):
-        raise ConfigError(f"{path}: results are written as .csv or .parquet.")
     chosen = None if settings is None else path_of(settings, "a file of settings")
     stages = partial(progress, "designing the motion")
     return design(path_of(robot, "a robot"), path, chosen, progress=stages)

@@ -238,7 +238,6 @@ def _going_on(kept: Path) -> Iterator[None]:
 
 def answer(spread: Seeds, _: PathArg | None) -> Answer:
     """Return the answer of a run over draws: its tables."""
-    from cosim.report.tables.draws import over_draws
     from hesr_model.support.typed_json import to_json
 
     return Written(
@@ -248,3 +247,24 @@ def answer(spread: Seeds, _: PathArg | None) -> Answer:
         shows_tables=True,
         data=to_json(spread),
     )
+
+
+def over_draws(found: Seeds) -> Iterator[ResultTable]:
+    """Yield errors and ratios of each test set over draws of noise, motions and friction."""
+    from cosim.report.tables.table import ResultTable, TableCell, joints, row_of, title
+
+    draws = f"mean of {found.seeds} draws of noise, motions and true friction [95 % interval]"
+    for test, scores in found.tests.items():
+        for what, laws in (
+            (f"RMSE of the predicted torque [N.m] on '{test}'", scores.rmse),
+            (f"RMSE over that of {title(found.reference)} on '{test}'", scores.ratios),
+        ):
+            rows = []
+            for law, spreads in laws.items():
+                texts = [f"{s.mean:.3f} [{s.low:.3f}, {s.high:.3f}]" for s in spreads]
+                pairs = zip(texts, spreads, strict=True)
+                cells = [TableCell(text=text, value=s.mean) for text, s in pairs]
+                rows.append(row_of(title(law), *cells))
+            yield ResultTable(
+                caption=f"{what}, {draws}", head=("law", *joints(len(found.joints))), rows=rows
+            )

@@ -8,7 +8,6 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
-from typing import Any
 
 from fmu_src.export import package
 from fmu_src.export.description import Description
@@ -84,12 +83,6 @@ def export_bare(
     """Write the same FMU as `export_fmu` without its documentation."""
     bare = thermal_content(model, beside=band) if model.thermal else _component(model, band=band)
     return package.write_fmu(bare, path, platforms=platforms, fmi=fmi)
-
-
-def live_of(model: FrictionModel) -> dict[str, Any]:
-    """Return the data of a model's interactive section, for pages outside its FMU."""
-    bare = _component(model)
-    return live_data(model, bare.table, wasm(package.translation_unit(bare)[1]))
 
 
 def content(

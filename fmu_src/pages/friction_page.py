@@ -49,6 +49,7 @@ def to_html(
     used = {symbol for law in model.laws for symbol in law.form.inputs}
     titles = list(dict.fromkeys(title(law) for law in model.laws))
     start = table.variables[table.places["discretisation"]].start
+    errors = [f"{error:.3g}" for error in model.training_rmse]
     return rendered(
         "index.html.j2",
         about=about,
@@ -63,7 +64,7 @@ def to_html(
         training=training(model.provenance),
         units=units,
         trained_rows=_trained_rows(model.trained, units),
-        training_rmse=_training_rmse(model.training_rmse, units["tau"]),
+        training_rmse={f"RMSE on the training logs [{units['tau']}]": errors} if errors else {},
         **_measured(model, audit),
     )
 
@@ -143,11 +144,6 @@ def _trained_rows(
         for name in _RANGES
     }
     return rows | {"sample time [s]": [figure(seen.sample_time) for seen in trained]}
-
-
-def _training_rmse(errors: Sequence[float], unit: str) -> dict[str, list[str]]:
-    cells = [f"{error:.3g}" for error in errors]
-    return {f"RMSE on the training logs [{unit}]": cells} if cells else {}
 
 
 def _measured(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:

@@ -84,11 +84,7 @@ def refine(
 
 class _Problem:
     def __init__(
-        self,
-        robot: Robot,
-        body: RigidBody,
-        friction: FrictionModel,
-        motions: Sequence[Motion],
+        self, robot: Robot, body: RigidBody, friction: FrictionModel, motions: Sequence[Motion]
     ) -> None:
         self._robot, self._body, self._friction, self._motions = robot, body, friction, motions
         self._logs = [motion_records(motion, robot, body) for motion in motions]
@@ -151,9 +147,7 @@ class _Problem:
         numbers = [[list(law.values.values()) for law in model.laws] for model in friction]
         bodies = np.array([self._moved_body(change).parameters for change in theta])
         simulator = Simulator(
-            robot=self._robot,
-            parameters=np.repeat(bodies, count, axis=0),
-            friction=self._friction,
+            robot=self._robot, parameters=np.repeat(bodies, count, axis=0), friction=self._friction
         )
         found = simulator.run(
             joined([windows] * many),

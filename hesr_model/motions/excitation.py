@@ -81,10 +81,7 @@ def condition(model: Robot, base: tuple[int, ...], motion: Fourier) -> float:
 
 
 def design(
-    model: Robot,
-    settings: ExcitationSettings | None = None,
-    *,
-    progress: Progress = silent,
+    model: Robot, settings: ExcitationSettings | None = None, *, progress: Progress = silent
 ) -> Excitation:
     """Design the motion with the smallest `condition` within limits.
 

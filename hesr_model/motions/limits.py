@@ -188,5 +188,4 @@ def _require_stated(model: Robot, key: str, limits: Array) -> None:
 def peak_torque(model: Robot, motion: Fourier) -> Array:
     """Return the largest torque (n,) [N.m] of the model file's rigid body, without friction."""
     q, dq, ddq = one_period(motion)
-    peaks: Array = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
-    return peaks
+    return np.asarray(np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0))

@@ -276,11 +276,7 @@ def identify_motions(
 
 
 def _consistent(
-    body: RigidBody,
-    blocks: Sequence[Block],
-    model: Robot,
-    friction: Mask,
-    labels: Integers,
+    body: RigidBody, blocks: Sequence[Block], model: Robot, friction: Mask, labels: Integers
 ) -> RigidBody:
     with threadpool_limits(1):
         found = consistent.fit(

@@ -90,11 +90,7 @@ def solve_factors(
     return solution
 
 
-def covariance_of(
-    blocks: Sequence[Block],
-    solution: Solution,
-    labels: Integers,
-) -> Covariance:
+def covariance_of(blocks: Sequence[Block], solution: Solution, labels: Integers) -> Covariance:
     """Return the covariance from residuals summed by sample; `labels` are log numbers."""
     labels = blocks_of_time(labels)
     size, logs = len(solution.x), int(np.max(labels)) + 1

@@ -93,10 +93,7 @@ def stacked(
 
 
 def averaged(
-    motions: Sequence[Motion],
-    counterparts: Sequence[Motion],
-    model: Robot,
-    base: tuple[int, ...],
+    motions: Sequence[Motion], counterparts: Sequence[Motion], model: Robot, base: tuple[int, ...]
 ) -> list[Block]:
     """Return one block per friction coordinate: means of forward and reversed rows.
 

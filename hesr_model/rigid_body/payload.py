@@ -61,11 +61,6 @@ class Payload:
         """Mass [kg]."""
         return float(self.parameters[0])
 
-    @property
-    def centre_of_mass(self) -> Array:
-        """Centre of mass (3,) in the frame of the last joint [m]."""
-        return self.parameters[1:4] / self.mass
-
     def to_dict(self) -> dict[str, Any]:
         """Return JSON data."""
         return {

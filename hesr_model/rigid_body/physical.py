@@ -97,8 +97,7 @@ def fit(
         inertial = chart.parameters(x)
         others = factor.shape[1] - size - 1
         freely = solve_triangular(
-            factor[:others, :others],
-            factor[:others, -1] - factor[:others, others:-1] @ inertial,
+            factor[:others, :others], factor[:others, -1] - factor[:others, others:-1] @ inertial
         )
         every = np.concatenate([inertial, freely])
         rmse = np.array([np.sqrt(np.mean((b.target - b.matrix @ every) ** 2)) for b in blocks])
@@ -220,8 +219,7 @@ def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
         counts = np.array([len(block.target) for block in blocks])
         rmse = np.full(len(blocks), np.sqrt(np.sum(counts * rmse**2) / np.sum(counts)))
     largest = max(float(np.max(rmse)), 1e-9)
-    weights: Array = 1.0 / np.maximum(rmse, 1e-6 * largest)
-    return weights
+    return np.asarray(1.0 / np.maximum(rmse, 1e-6 * largest))
 
 
 def _eliminated(blocks: Sequence[Block], weights: Array, size: int) -> tuple[Array, Array]:

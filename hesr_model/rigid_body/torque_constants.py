@@ -133,11 +133,7 @@ class _Problem:
 
     @classmethod
     def of(
-        cls,
-        kinds: Sequence[tuple[Block, Array]],
-        model: Robot,
-        weight: Array,
-        spread: Array,
+        cls, kinds: Sequence[tuple[Block, Array]], model: Robot, weight: Array, spread: Array
     ) -> "_Problem":
         size, last = len(spread), slice(10 * (model.links - 1), 10 * model.links)
         nominal = model.nominal_parameters

@@ -56,10 +56,5 @@ def _doubt(
     check: str, path: Path, joint: str, found: str, remedy: str, severity: Severity = "warning"
 ) -> Finding:
     return Finding(
-        check=check,
-        severity=severity,
-        where=str(path),
-        joints=(joint,),
-        found=found,
-        remedy=remedy,
+        check=check, severity=severity, where=str(path), joints=(joint,), found=found, remedy=remedy
     )

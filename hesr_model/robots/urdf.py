@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from hesr_model.errors import RobotError
-from hesr_model.findings import Finding
+from hesr_model.findings import Finding, caution
 
 UNLIMITED = 1e9  # position limit of a joint without one, which Pinocchio's URDF parser would refuse
 _NUMBERS = {
@@ -111,9 +111,8 @@ def _inertia_doubts(path: Path, link: str, inertial: Element) -> Iterator[Findin
     excess = principal[2] - principal[0] - principal[1]
     if principal[0] < -_SLACK * principal[2] or excess > _SLACK * principal[2]:
         numbers = ", ".join(f"{value:.3g}" for value in principal)
-        yield Finding(
+        yield caution(
             check="impossible-inertia",
-            severity="warning",
             where=str(path),
             found=f"the principal moments of inertia of link '{link}' are {numbers} kg.m2",
             remedy="none may be negative or exceed the sum of the others; correct its <inertia>",

@@ -94,11 +94,7 @@ def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
     """Run a program in a folder; raises FailedError, also after `seconds`."""
     with tempfile.TemporaryFile(dir=folder) as output:
         child = ChildProcess(
-            command,
-            folder,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
+            command, folder, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
         )
         try:
             code = child.process.wait(seconds)

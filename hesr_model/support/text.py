@@ -1,6 +1,8 @@
-"""Text from files of unknown origin, made safe to show."""
+"""Text from files of unknown origin, made safe to show; values as TOML."""
 
+import json
 from collections.abc import Iterable
+from typing import Any
 
 _LONGEST = 160  # characters; hostile texts have millions
 
@@ -32,3 +34,13 @@ def few(words: Iterable[str], most: int = 5) -> str:
     words = list(words)
     more = f" and {len(words) - most} more" if len(words) > most else ""
     return f"{', '.join(words[:most])}{more}"
+
+
+def toml(value: Any) -> str:
+    """Return a value in TOML, on one line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(k)} = {toml(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(toml, value))}]"
+    # TOML writes text, integers and booleans like JSON.
+    return repr(float(value)) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from live_page import SAME, alive, error, expected, field, saved, slider
-from registry_models import STUDIED
+from registry_models import STUDIED, live_of
 
 from fmu_src import export_fmu
-from fmu_src.friction.friction_fmu import live_of
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import ReferenceMotion, torques
 from fmu_src.pages.live.page import live_assets, live_section

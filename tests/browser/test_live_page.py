@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import sympy
 from live_page import SAME, alive, error, expected, field, saved, settle, slider
+from registry_models import live_of
 
-from fmu_src.friction.friction_fmu import live_of
 from fmu_src.pages.live.page import live_assets, live_section
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q

@@ -7,16 +7,18 @@ from collections.abc import Iterator
 
 from sources import LAYERS, MODULES, ROOT, layer, tree
 
-# Maximum lines of Python, C and headers: 59,000, plus 2,050 for evidence, robots and logs, 250 more
-# than allowed, and 1,566 for the plant.
+# Maximum lines of Python, C and headers: 59,000, plus 1,800 for evidence, robots and logs, and
+# 1,600 for the plant.
 BUDGET = {
     "hesr_model": 22_000,
-    "fmu_src": 18_849,
-    "cosim": 13_850,
-    "hesr": 1_000,
-    "hesr.extras": 7_700,
-    "all": 62_616,
+    "fmu_src": 18_600,
+    "cosim": 13_700,
+    "hesr": 800,
+    "hesr.extras": 7_300,
+    "all": 62_250,
 }
+
+TEMPLATES = 3_456  # lines of templates, styles and scripts, without those of project folders
 
 FMT_SKIPS = 20  # lines that `ruff format` must skip
 
@@ -63,6 +65,17 @@ def test_the_tree_stays_within_its_budget() -> None:
                     lines[where] += sum(1 for _ in file)
     lines["all"] = sum(lines.values())
     assert {name: count for name, count in lines.items() if count > BUDGET[name]} == {}
+
+
+def test_the_templates_stay_within_their_budget() -> None:
+    kinds = (".j2", ".js", ".css", ".svg", ".html")
+    lines = 0
+    for package in ("hesr", "fmu_src", "cosim"):
+        for path in (ROOT / package).rglob("*"):
+            if path.suffix in kinds:
+                with path.open(encoding="utf-8") as file:
+                    lines += sum(1 for _ in file)
+    assert 0 < lines <= TEMPLATES
 
 
 def test_names_of_public_classes_are_unique() -> None:

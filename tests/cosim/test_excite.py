@@ -106,7 +106,7 @@ def test_arm_stays_within_its_limits(everything, plant):
 
 def test_servo_follows_within_a_few_hundredths_of_a_radian(everything):
     for recording in everything.values():
-        assert np.abs(recording.tracking_error).max() < 0.06
+        assert np.abs(recording.truth.q - recording.desired).max() < 0.06
 
 
 def test_torque_is_far_from_the_servo_limits(everything):

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from registry_models import live_of
 
 from fmu_src.friction.friction_component import friction_equations
-from fmu_src.friction.friction_fmu import live_of
 from fmu_src.pages.live.page import live_section
 from fmu_src.pages.live.section import ends
 from hesr_model.friction.law import FrictionLaw

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 import sympy
+from registry_models import live_of
 
 from fmu_src import export_fmu
 from fmu_src.drive.drive_fmu import export_drive
-from fmu_src.friction.friction_fmu import export_bare, live_of
+from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.validity import require_numbers
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.modelica.modelica_package import export_modelica

@@ -12,9 +12,10 @@ from unchanged import Unchanged
 from hesr_model.health.evidence import Estimate, JointTorque
 from hesr_model.health.excitation_gaps import unseen
 from hesr_model.health.fit_checks import _least_inertia, check_body, check_laws, check_owner
-from hesr_model.health.proposal import _constants, _toml, _with_cutoff, changed
+from hesr_model.health.proposal import _constants, _with_cutoff, changed
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription
+from hesr_model.support.text import toml
 
 ROWS = 1000
 
@@ -177,7 +178,7 @@ def test_proposed_constants(
         {
             "reasons": reasons,
             "toml": [
-                _toml(x)
+                toml(x)
                 for x in ({"a b": (1.0, True), "c": "é"}, [], ["x", 2], 1e-7, Path("x").name)
             ],
         }

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure as Figure  # also for type hints of pages
 from matplotlib.lines import Line2D
 from matplotlib.typing import LineStyleType
 
-from cosim.report.figures.style import INK, SOFT, Stroke, style_axis, styled
+from cosim.report.figures.style import INK, SOFT, Stroke, styled
 from hesr_model.support.arrays import Array
 
 _COLUMNS, _ROWS = 520, 4
@@ -129,7 +129,6 @@ def _draw(axis: Axes, panel: Panel, window: tuple[float, float] | None, columns:
         )
     axis.set_title(panel.title)
     axis.set_ylabel(panel.y)
-    style_axis(axis)
 
 
 def _dash(stroke: Stroke) -> LineStyleType:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cosim.report.figures.chart import Line, legend, plot
-from cosim.report.figures.style import SERIES, style_axis, styled
+from cosim.report.figures.style import SERIES, styled
 from hesr_model.motions.excitation import Excitation
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
@@ -75,7 +75,6 @@ def joints(views: Sequence[JointView]) -> Figure:
             )
             for axis, title in zip(row, titles, strict=True):
                 axis.set_title(title, fontsize=8.5)
-                style_axis(axis)
             row[1].set_xlabel(view.unit, fontsize=8, labelpad=1)
             row[2].set_xlabel(view.unit, fontsize=8, labelpad=1)
             row[3].set_xlabel("N" if view.unit == "m/s" else "N.m", fontsize=8, labelpad=1)

@@ -10,7 +10,7 @@ from matplotlib.ticker import NullFormatter, NullLocator, ScalarFormatter
 from numpy.typing import NDArray
 
 from cosim.report.figures.chart import Panel, plot, proxy
-from cosim.report.figures.style import INK, SERIES, SOFT, style_axis, styled
+from cosim.report.figures.style import INK, SERIES, SOFT, styled
 from cosim.study.scores import Ratio
 from hesr_model.support.arrays import Array
 
@@ -45,7 +45,6 @@ def sheets(panels: Sequence[tuple[str, Panel]]) -> Figure:
                 columnspacing=1.0,
                 fontsize=8,
             )
-            style_axis(axis)
     return figure
 
 
@@ -93,7 +92,6 @@ def loops(
             axis.set_title(title, fontsize=8.5)
             axis.set_xlim(-reach, reach)
             axis.set_ylim(*span)
-            style_axis(axis)
         for axis in axes[len(laws) :]:
             axis.set_visible(False)
         figure.supxlabel(x, fontsize=9, y=0.04 / height, va="bottom")
@@ -131,7 +129,6 @@ def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str
         axis.set_ylim(len(laws) - 0.5, -0.5)
         axis.grid(visible=False, axis="y")
         axis.set_xlabel(x)
-        style_axis(axis)
         figure.legend(
             loc="outside upper left", ncols=len(joints), borderaxespad=0.0, handletextpad=0.3
         )

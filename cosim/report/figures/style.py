@@ -6,14 +6,13 @@ CSS variable for light and dark.
 
 import io
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matplotlib import rc_context
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hesr_model.support.files import written_whole
@@ -59,9 +58,12 @@ _RC: "dict[RcKeyType, Any]" = {
     "path.simplify": True,
     "path.simplify_threshold": 0.2,
     "text.color": INK,
+    # The grid replaces tick marks.
+    "xtick.major.size": 0,
     "xtick.color": LINE,
     "xtick.labelcolor": SOFT,
     "xtick.labelsize": 8,
+    "ytick.major.size": 0,
     "ytick.color": LINE,
     "ytick.labelcolor": SOFT,
     "ytick.labelsize": 8,
@@ -97,16 +99,7 @@ def strokes(names: Sequence[str]) -> dict[str, Stroke]:
     }
 
 
-@contextmanager
-def styled() -> Iterator[None]:
-    """Apply the style of the report."""
-    with rc_context(_RC):
-        yield
-
-
-def style_axis(axis: Axes) -> None:
-    """Remove tick marks; the grid replaces them."""
-    axis.tick_params(length=0)
+styled = partial(rc_context, _RC)  # applies the style of the report
 
 
 def _settle(figure: Figure) -> None:

@@ -10,16 +10,10 @@ from cosim.report.tables.laws import audit as audit_table
 from cosim.report.tables.properties import properties as properties_table
 from fmu_src.pages.datasheet import certified
 from fmu_src.pages.properties_sheet import section as sheet
-from hesr_model.audit.audit import Audit
 from hesr_model.audit.cycles import ENCODER
 from hesr_model.audit.properties import combined
 
 _ROUNDING = 1e-6  # energy of round-off [J]
-
-
-def passive(found: Audit) -> bool:
-    """Whether no tested closed cycle generates energy."""
-    return found.generated < _ROUNDING
 
 
 def audit(results: Results) -> dict[str, Any] | None:
@@ -40,7 +34,7 @@ def audit(results: Results) -> dict[str, Any] | None:
                 table.title(law),
                 *(
                     table.TableCell(text="none", value=0.0)
-                    if passive(a)
+                    if a.generated < _ROUNDING
                     else table.number(a.generated, 2)
                     for a in of_law.audits
                 ),
@@ -68,7 +62,7 @@ def audit(results: Results) -> dict[str, Any] | None:
         "proven": sum(
             all(c.verdict == "proven" for c in of_law.certificates) for of_law in found.values()
         ),
-        "passive": sum(all(map(passive, of_law.audits)) for of_law in found.values()),
+        "passive": sum(all(a.generated < _ROUNDING for a in of.audits) for of in found.values()),
         "audits": [
             (law, audit_table(law, of.audits, results.sliding)) for law, of in found.items()
         ],

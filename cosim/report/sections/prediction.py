@@ -11,16 +11,7 @@ from cosim.report.figures.plots import loops as loop_panels
 from cosim.report.figures.plots import ratios
 from cosim.report.figures.style import MEASURED, SOFT, Stroke, strokes
 from cosim.report.results import Results
-from cosim.report.tables.scores import (
-    MEASURES,
-    bands,
-    errors,
-    left_out,
-    other_truths,
-    own_friction,
-    position_errors,
-    separations,
-)
+from cosim.report.tables import scores as tables
 from cosim.report.tables.table import ResultTable, title
 from cosim.study.results import SavedLog
 from cosim.study.scores import BASELINE, ORACLE, input_classes
@@ -50,9 +41,9 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
         "moving": f"{MOVING:g}",
         "window": f"{WINDOW:g}",
         "tests": [_test(results, test) for test in results.tests],
-        "left_out": left_out(results.models, results.sliding),
-        "truths": truths and other_truths(results.comparisons, truths, run.truth),
-        "family": own_friction(run.truth),
+        "left_out": tables.left_out(results.models, results.sliding),
+        "truths": truths and tables.other_truths(results.comparisons, truths, run.truth),
+        "family": tables.own_friction(run.truth),
         "paper": paper.table_ii(results.joints) if run.robot == paper.ROBOT else None,
     }
 
@@ -61,8 +52,9 @@ def _test(results: Results, test: str) -> dict[str, Any]:
     scores, log = results.comparisons[test], results.log_of(test)
     simulated = results.simulated.get(test)
     split = test != results.tests[0] and test in {band.test for band in results.run.bands}
-    whole, *parts = (_errors(results, test, measure) for measure in MEASURES)
-    laws = _key_laws(results)
+    whole, *parts = (_errors(results, test, measure) for measure in tables.MEASURES)
+    laws, verdict = _key_laws(results), results.verdict
+    decided = verdict.laws if verdict and verdict.test == test else ()
     window = (0.0, WINDOW) if log and log.duration > 1.5 * WINDOW else None
     return {
         "name": test,
@@ -72,15 +64,15 @@ def _test(results: Results, test: str) -> dict[str, Any]:
         "laws": ", ".join(map(title, laws)),
         "window": window,
         "traces": _chart(results, log, laws, window=window) if log and not split else None,
-        "simulated": simulated and position_errors(test, simulated, results.sliding),
-        "bands": bands(test, scores) if scores.bands else None,
-        "separations": separations(test, scores, results.decided(test)),
+        "simulated": simulated and tables.position_errors(test, simulated, results.sliding),
+        "bands": tables.bands(test, scores) if scores.bands else None,
+        "separations": tables.separations(test, scores, decided),
     }
 
 
 def _errors(results: Results, name: str, measure: str = "rmse") -> ResultTable:
     scores, inputs = results.comparisons[name], input_classes(results.models)
-    return errors(name, scores, measure, inputs, results.sliding)
+    return tables.errors(name, scores, measure, inputs, results.sliding)
 
 
 def _key_laws(results: Results) -> list[str]:

@@ -79,14 +79,12 @@ def overcompensation(found: Sequence[Overcompensation]) -> table.ResultTable:
     )
 
 
-def mrad(
-    angle: float, digits: int, note: float | None = None, *, best: bool = False
-) -> table.TableCell:
+def mrad(angle: float, digits: int, note: float | None = None) -> table.TableCell:
     """Return the cell of an angle [rad] in mrad; "stopped" if the run failed."""
     if not np.isfinite(angle):
         return table.TableCell(text="stopped")
     notes = () if note is None else (f"{1e3 * note:.3g}",)
-    return table.fixed(1e3 * angle, digits, best=best, notes=notes)
+    return table.fixed(1e3 * angle, digits, notes=notes)
 
 
 def places(rows: Iterable[Tracked]) -> list[int]:

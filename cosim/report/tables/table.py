@@ -76,12 +76,12 @@ def joints(count: int) -> tuple[str, ...]:
     return tuple(f"J{k}" for k in range(1, count + 1))
 
 
-def on_joints(laws: Sequence[str], named: Sequence[str] = ()) -> str:
+def on_joints(laws: Sequence[str]) -> str:
     """Return the titles of laws with the short names of their joints; one law of all alone."""
     where: dict[str, list[str]] = {}
-    for law, name in zip(laws, named or joints(len(laws)), strict=True):
+    for law, name in zip(laws, joints(len(laws)), strict=True):
         where.setdefault(title(law), []).append(name)
-    if len(where) == 1 and not named:
+    if len(where) == 1:
         return next(iter(where))
     return "; ".join(f"{law} on {', '.join(of)}" for law, of in where.items())
 

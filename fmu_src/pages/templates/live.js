@@ -84,9 +84,7 @@ function figures(motion, torque) {
 }
 
 /* Key of a knob's value; coefficients may have any name. */
-function keyOf(knob) {
-  return knob.reference ?? knob.name;
-}
+const keyOf = (knob) => knob.reference ?? knob.name;
 
 /* Position of a value on its slider, 0 to 1, and the inverse. */
 function positionOf(knob, value) {
@@ -119,16 +117,11 @@ class Section extends Panel {
     this.show();
   }
 
-  knobs(joint) {
-    return [...joint.motion, ...joint.coefficients];
-  }
-
-  fitted(joint) {
-    return Object.fromEntries(this.knobs(joint).map((knob) => [keyOf(knob), knob.value]));
+  fitted({ motion, coefficients }) {
+    return Object.fromEntries([...motion, ...coefficients].map((knob) => [keyOf(knob), knob.value]));
   }
 
   show() {
-    this.objection = "";
     this.joint = this.data.joints[this.number];
     this.rows = new Map();
     for (const group of ["motion", "coefficients"]) {
@@ -136,7 +129,7 @@ class Section extends Panel {
       this.find(group).replaceChildren(this.find(group).firstElementChild, ...rows);
       this.find(group).hidden = !rows.length;
     }
-    this.redraw();
+    this.object("");
   }
 
   row(knob) {
@@ -182,17 +175,16 @@ class Section extends Panel {
     return row;
   }
 
-  /* Report an invalid number until another one is set. */
+  /* Report an invalid number, or "" for none, until another one is set. */
   object(text) {
     this.objection = text;
     this.redraw();
   }
 
   set(knob, value, typing) {
-    this.objection = "";
     this.values[this.number][keyOf(knob)] = knob.scale === "whole" ? Math.round(value) : value;
     this.write(knob, typing);
-    this.redraw();
+    this.object("");
   }
 
   /* Show a knob's value, except in the field being edited. */
@@ -210,10 +202,9 @@ class Section extends Panel {
   }
 
   reset() {
-    this.objection = "";
     this.values[this.number] = this.fitted(this.joint);
-    for (const knob of this.knobs(this.joint)) this.write(knob);
-    this.redraw();
+    for (const knob of this.rows.keys()) this.write(knob);
+    this.object("");
   }
 
   /* Once per frame. */

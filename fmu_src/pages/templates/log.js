@@ -2,9 +2,7 @@
 
 const QUANTITIES = ["q", "dq", "tau_load", "tau"];
 
-function kindOf(quantity) {
-  return quantity.startsWith("tau") ? "tau" : quantity;
-}
+const kindOf = (quantity) => quantity.startsWith("tau") ? "tau" : quantity;
 
 class Log extends Panel {
   constructor(element, joints, own, fmu, body) {
@@ -72,26 +70,25 @@ class Log extends Panel {
   offer(guess) {
     this.guess = guess;
     const option = (name, text = name) => new Option(text, name);
-    const put = (select, chosen, none) => {
-      select.replaceChildren(option("", none), ...this.table.names.map((name) => option(name)));
+    const put = (select, chosen) => {
+      select.replaceChildren(option("", "–"), ...this.table.names.map((name) => option(name)));
       select.value = chosen ?? "";
     };
-    put(this.selects("t")[0], guess.columns.t, "–");
+    put(this.selects("t")[0], guess.columns.t);
     if (guess.columns.t) this.unit("t").value = guess.unitOfTime(guess.columns.t);
     for (const quantity of QUANTITIES) {
       const group = guess.columns[quantity];
-      this.selects(quantity).forEach((select, k) => put(select, group?.[k], "–"));
+      this.selects(quantity).forEach((select, k) => put(select, group?.[k]));
       const unit = this.unit(quantity), said = group && guess.said(kindOf(quantity), group[0]);
       unit.selectedIndex = 0;
       if ([...unit.options].some((o) => o.value === said)) unit.value = said;
     }
     this.find("kind").value = guess.friction ? "friction" : "total";
     this.find("cutoff").value = "";
-    const unsure = !guess.columns.t || !(guess.columns.q || guess.columns.dq) ||
-      !guess.columns.tau;
-    this.find("columns").open = unsure;
+    const { t, q, dq, tau } = guess.columns;
+    this.find("columns").open = !(t && (q || dq) && tau);
     this.reasons = "";
-    if (guess.columns.t && guess.columns.q) this.guessUnits();
+    if (t && q) this.guessUnits();
   }
 
   /* Guess unnamed units: the derivative of the position must match the velocity. */

@@ -6,9 +6,7 @@ const SHORTEST_PART = 1; /* [s] */
 const PADDING_PERIODS = 3;
 const HIGHEST_SHARE = 0.8; /* fraction of the Nyquist frequency */
 
-function differences(t) {
-  return t.slice(1).map((value, k) => value - t[k]);
-}
+const differences = (t) => t.slice(1).map((value, k) => value - t[k]);
 
 /* First and last row, exclusive, of the parts between gaps. */
 function partsOf(t) {

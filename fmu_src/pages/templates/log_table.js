@@ -25,9 +25,7 @@ function isData(line, delimiter) {
   return numbers > 0 && 2 * numbers >= cells.length;
 }
 
-function isComment(line) {
-  return line[0] === "#" || line[0] === "%";
-}
+const isComment = (line) => line[0] === "#" || line[0] === "%";
 
 /* Header, first row of data and delimiter: data start at the first line of numbers below a line of
  * as many names. */

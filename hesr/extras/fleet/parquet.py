@@ -75,7 +75,7 @@ def _numbers(one: JointResult, fleet: Fleet, key: tuple[str, str, str]) -> dict[
         "structure": one.structure,
         "coefficients": list(one.values.items()),
         "standard_errors": list(one.errors.items()),
-        "z": list(fleet.z_of(*key).items()),
+        "z": list(fleet.z.get(key, {}).items()),
     }
     if one.law != BODY:
         found |= {"rmse": one.rmse, "tau_std": one.tau_std}

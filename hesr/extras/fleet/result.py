@@ -112,10 +112,6 @@ class Fleet:
     folder: Path
     reused: int
 
-    def z_of(self, robot: str, law: str, joint: str) -> Mapping[str, float]:
-        """Return z by name."""
-        return self.z.get((robot, law, joint), {})
-
     @property
     def broken(self) -> Iterator[RobotResult]:
         """Robots with omitted logs or laws."""

@@ -63,8 +63,7 @@ def _values(one: SweepInput, unit: Array) -> Array:
     if one.low is not None and one.high is not None:
         if one.integer:
             low, high = np.ceil(one.low), np.floor(one.high)
-            whole: Array = np.minimum(low + np.floor(unit * (high - low + 1.0)), high)
-            return whole
+            return np.asarray(np.minimum(low + np.floor(unit * (high - low + 1.0)), high))
         return one.low + unit * (one.high - one.low)
     drawn: Array = (one.mean or 0.0) + (one.std or 0.0) * _normal(unit)
     return np.round(drawn) if one.integer else drawn
@@ -73,8 +72,7 @@ def _values(one: SweepInput, unit: Array) -> Array:
 def _correlated(group: Correlated, unit: Array) -> Array:
     sizes, axes = np.linalg.eigh(np.array(group.covariance))
     root = (axes * np.sqrt(np.maximum(sizes, 0.0))) @ axes.T
-    drawn: Array = np.array(group.mean) + _normal(unit) @ root
-    return drawn
+    return np.asarray(np.array(group.mean) + _normal(unit) @ root)
 
 
 def _normal(unit: Array) -> Array:

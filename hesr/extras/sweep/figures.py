@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from cosim.report.figures.style import SERIES, SOFT, style_axis, styled
+from cosim.report.figures.style import SERIES, SOFT, styled
 from hesr_model.support.arrays import Array
 
 _BINS = 40
@@ -24,7 +24,6 @@ def distributions(names: Sequence[str], values: Array) -> Figure:
                 axis.axvline(place, color=SOFT, linewidth=1.0, dashes=(4.0, 2.0))
             axis.set_title(name)
             axis.set_ylabel("runs")
-            style_axis(axis)
     return figure
 
 
@@ -43,5 +42,4 @@ def shares(inputs: Sequence[str], first: Array, total: Array, intervals: Array) 
         axis.invert_yaxis()
         axis.set_xlabel("share of the variance")
         axis.legend(loc="lower right")
-        style_axis(axis)
     return figure

@@ -61,5 +61,4 @@ def _shares(blocks: Array) -> Array:
     a, b, mixed = blocks[0], blocks[1], blocks[2:]
     first = np.mean(b * (mixed - a), axis=1)
     total = 0.5 * np.mean((a - mixed) ** 2, axis=1)
-    found: Array = np.stack([first, total]) / np.var(blocks[:2])
-    return found
+    return np.asarray(np.stack([first, total]) / np.var(blocks[:2]))

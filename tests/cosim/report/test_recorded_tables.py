@@ -15,14 +15,13 @@ from rich.console import Console
 from cosim.loop.closed_loop import Scheme, StandIn
 from cosim.loop.traces import LoopOutcome, Overcompensation, Tracked
 from cosim.report.tables import laws, loop, properties, scores
-from cosim.report.tables.csv_file import csv_text
-from cosim.report.tables.draws import over_draws
-from cosim.report.tables.markdown import markdown
 from cosim.report.tables.table import ResultTable, decimals, fixed, number, row_of
 from cosim.report.tables.terminal import Drawn
+from cosim.report.tables.text import csv_text, markdown
 from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import Comparison, LawScores, Ratio, Ratios
 from cosim.study.seeds import Seeds, SeedScores, Spread
+from cosim.workflow.run import over_draws
 from fmu_src.check.convention import Convention
 from fmu_src.friction.settings import Error
 from hesr_model.audit.expectations import EXPECTATIONS

@@ -22,8 +22,8 @@ from cosim.report.figures.chart import Chart, Line
 from cosim.report.paper import table_ii, table_iii
 from cosim.report.results import Results
 from cosim.report.sections import inputs, laws, loop, physics, prediction, summary
-from cosim.report.tables.csv_file import csv_text
 from cosim.report.tables.table import ResultTable
+from cosim.report.tables.text import csv_text
 from cosim.study.results import SavedLog, SavedRun, write_findings, write_torques
 from cosim.study.scores import ORACLE, Comparison, compare, input_classes, predict_models
 from cosim.study.study import TimeBand
