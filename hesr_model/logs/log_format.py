@@ -129,11 +129,16 @@ class LogUnits(Config):
 
 
 class LogBag(Config):
-    """Joint states in ROS bags: joint names and meaning of `effort`."""
+    """Joint states in ROS bags: topics, joint names and meaning of `effort`."""
 
-    topic: str = "/joint_states"
+    topic: str | tuple[str, ...] = "/joint_states"
     joints: tuple[str, ...] | None = None
     effort: Literal["tau", "current"] = "tau"
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of all topics."""
+        return (self.topic,) if isinstance(self.topic, str) else self.topic
 
 
 class LogFormat(Config):

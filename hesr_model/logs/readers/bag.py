@@ -1,14 +1,16 @@
 """ROS bags of sensor_msgs/msg/JointState, read without ROS."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
+from hesr_model.logs.readers.mcap import complete
 from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
@@ -25,39 +27,40 @@ def is_bag(path: Path) -> bool:
 
 
 def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
-    """Read the joint states from one topic of a bag; raises LogError."""
-    bag = robot.log.bag
+    """Read the joint states from the topics of a bag; raises LogError.
+
+    Joints that no message lists together are interpolated at the stamps of the slowest one.
+    """
+    bag, drop = robot.log.bag, robot.log.missing == "drop"
     joints = bag.joints or robot.joints
-    messages = list(_messages(path, bag.topic))
+    where = f"{path}: topic{'s' * (len(bag.topics) > 1)} {', '.join(map(repr, bag.topics))}"
+    messages = list(_messages(path, bag.topics))
     used = [message for message in messages if set(joints) <= set(message.names)]
-    where = f"{path}: topic '{bag.topic}'"
-    if not used:
-        raise _missing_joints(where, joints, messages)
-    stamps = [message.stamp for message in used]
-    if not any(stamps):
-        raise LogError(f"{where}: its messages have no time stamps (all are 0).")
-    drop = robot.log.missing == "drop"
-    effort = _values(where, used, joints, "effort", missing=drop)
+    groups = {joints: used} if used else _groups(where, joints, messages)
+    series = [_Series.of(where, *group, missing=drop) for group in groups.items()]
+    base = min(series, key=lambda s: len(s.messages))
+    rows = np.flatnonzero(np.logical_and.reduce([s.covers(base.t) for s in series]))
+    if not len(rows):
+        raise LogError(f"{where}: the messages of the joints do not overlap in time.")
+    q, dq, effort = (
+        _joined(series, field, base.t[rows]) for field in ("position", "velocity", "effort")
+    )
     if effort is None:
         raise LogError(
             f"{where}: its messages have no effort; record torques or currents as effort."
         )
-    q = _values(where, used, joints, "position", missing=drop)
     if q is None:
         raise LogError(f"{where}: its messages have no position; positions are needed.")
-    dq = None
-    if robot.log.columns.dq:
-        dq = _values(where, used, joints, "velocity", missing=drop)
-        if dq is None:
-            _log.warning("%s: has no velocity; it is derived from the position.", where)
+    if robot.log.columns.dq and dq is None:
+        _log.warning("%s: has no velocity; it is derived from the position.", where)
     return LogSamples(
-        t=np.array([stamp - stamps[0] for stamp in stamps]) * 1e-9,
+        t=(base.t[rows] - base.t[rows[0]]) * 1e-9,
         q=q,
-        dq=dq,
+        dq=dq if robot.log.columns.dq else None,
         effort=effort,
         is_current=bag.effort == "current",
-        time=f"topic '{bag.topic}'",
-        place=lambda k: f"message {used[k].number}",
+        time=where.removeprefix(f"{path}: "),
+        place=lambda k: f"message {base.messages[rows[k]].number}",
     )
 
 
@@ -73,7 +76,78 @@ class _Message:
     effort: Array
 
 
-def _messages(path: Path, topic: str) -> Iterator[_Message]:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Series:
+    """Fields (N, n) of joints that share messages, at their stamps (N,) [ns] since the first."""
+
+    t: NDArray[np.int64]
+    messages: Sequence[_Message]
+    values: Mapping[str, Array | None]
+
+    @classmethod
+    def of(
+        cls, where: str, joints: Sequence[str], messages: Sequence[_Message], *, missing: bool
+    ) -> Self:
+        """Read the fields of joints; raises LogError."""
+        stamps = np.array([message.stamp for message in messages])
+        if not stamps.any():
+            raise LogError(f"{where}: its messages have no time stamps (all are 0).")
+        fields = ("position", "velocity", "effort")
+        return cls(
+            t=stamps,
+            messages=messages,
+            values={f: _values(where, messages, joints, f, missing=missing) for f in fields},
+        )
+
+    def covers(self, t: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether messages surround times [ns] closely, with at most ten median steps between."""
+        own = np.sort(self.t)
+        after = np.searchsorted(own, t)
+        before = np.searchsorted(own, t, side="right") - 1
+        inside = (after < len(own)) & (before >= 0)
+        steps = np.zeros(len(t))
+        steps[inside] = own[after[inside]] - own[before[inside]]
+        return inside & (steps <= 10 * np.median(np.diff(own))) if len(own) > 1 else inside
+
+    def at(self, field: str, t: NDArray[np.int64]) -> Array | None:
+        """Return a field at times [ns], interpolated where no message has them."""
+        values = self.values[field]
+        if values is None:
+            return None
+        if np.array_equal(t, self.t):
+            return values
+        own, rows = np.unique(self.t, return_index=True)
+        origin = own[0]
+        return np.column_stack(
+            [np.interp(t - origin, own - origin, of_joint) for of_joint in values[rows].T]
+        )
+
+
+def _groups(
+    where: str, joints: Sequence[str], messages: Sequence[_Message]
+) -> dict[tuple[str, ...], Sequence[_Message]]:
+    """Return the messages of each joint."""
+    if not messages:
+        raise LogError(f"{where}: has no messages.")
+    listed = dict.fromkeys(name for message in messages for name in message.names)
+    groups: dict[tuple[str, ...], Sequence[_Message]] = {}
+    for joint in joints:
+        groups[joint,] = [m for m in messages if joint in m.names]
+        if not groups[joint,]:
+            raise LogError(
+                f"{where}: has no joint '{joint}'; its messages list {', '.join(listed)}; map "
+                "names under 'log.bag.joints' of the robot file."
+            )
+    return groups
+
+
+def _joined(series: Sequence[_Series], field: str, t: NDArray[np.int64]) -> Array | None:
+    parts = [s.at(field, t) for s in series]
+    whole = [part for part in parts if part is not None]
+    return np.column_stack(whole) if len(whole) == len(series) else None
+
+
+def _messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
     if not (path.is_file() or path.is_dir()):  # a pipe may have no end
         raise LogError(f"{path}: no such log file.")
     if path.is_dir() and not (path / "metadata.yaml").is_file():
@@ -90,9 +164,11 @@ def _messages(path: Path, topic: str) -> Iterator[_Message]:
         ) from error
     try:
         # bags older than ROS 2 Iron lack definitions
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
-        with reader:
-            connections = _connections(path, reader, topic)
+        with (
+            complete(path) as whole,
+            AnyReader([whole], default_typestore=get_typestore(Stores.LATEST)) as reader,
+        ):
+            connections = [c for topic in topics for c in _connections(path, reader, topic)]
             for number, (connection, _, raw) in enumerate(reader.messages(connections), start=1):
                 message: Any = reader.deserialize(raw, connection.msgtype)
                 stamp = message.header.stamp
@@ -126,19 +202,6 @@ def _connections(path: Path, reader: Any, topic: str) -> list[Any]:
                 f"{path}: topic '{topic}' has messages {connection.msgtype}; expected {_TYPE}."
             )
     return connections
-
-
-def _missing_joints(where: str, joints: Sequence[str], messages: Sequence[_Message]) -> LogError:
-    if not messages:
-        return LogError(f"{where}: has no messages.")
-    listed = dict.fromkeys(name for message in messages for name in message.names)
-    for joint in joints:
-        if joint not in listed:
-            return LogError(
-                f"{where}: has no joint '{joint}'; its messages list {', '.join(listed)}; map "
-                "names under 'log.bag.joints' of the robot file."
-            )
-    return LogError(f"{where}: no message lists all of {', '.join(joints)} together.")
 
 
 def _values(
