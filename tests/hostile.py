@@ -16,6 +16,7 @@ CALLS = {
     "fmi2Terminate": "fmi2.c",
     "fmi2FreeInstance": "fmi2.c",
     "fmi2ExitInitializationMode": "fmi2.c",
+    "fmi2GetFMUstate": "fmi2_state.c",
 }
 """Functions that may misbehave, and their files."""
 
@@ -29,8 +30,14 @@ NOT_A_NUMBER = """
 """
 
 UNDEFINED = """
-    if (getenv("DEED") && strncmp(getenv("DEED"), "fmi2DoStep status ", 18) == 0) {
-        return (fmi2Status)atoi(getenv("DEED") + 18);
+    if (getenv("DEED") && strncmp(getenv("DEED"), "CALL status ", sizeof "CALL status") == 0) {
+        return (fmi2Status)atoi(getenv("DEED") + sizeof "CALL status");
+    }
+"""
+
+FREED = """
+    if (getenv("FREED")) {
+        fclose(fopen(getenv("FREED"), "w"));
     }
 """
 
@@ -50,7 +57,10 @@ def infected(fmu: Path, copy: Path) -> Path:
         found = re.search(rf"\({call}\)[^;{{]*\{{", text)
         assert found, f"{name} has no {call}"
         more = f'misbehave("{call}");' + NOT_A_NUMBER * (call == "fmi2GetReal")
-        more += UNDEFINED * (call == "fmi2DoStep")
+        if call == "fmi2FreeInstance":
+            more += FREED
+        elif call != "fmi2Instantiate":
+            more += UNDEFINED.replace("CALL", call)
         file.write_text(text[: found.end()] + more + text[found.end() :], encoding="utf-8")
     all_c = folder / "all.c"
     all_c.write_text(SOURCE.read_text() + all_c.read_text(encoding="utf-8"), encoding="utf-8")

@@ -67,16 +67,20 @@ static fmi2Status refuse_number(const Instance *instance, const char *function,
                   variable_of(vr)->name, value);
 }
 
-/* On-demand variables must be finite; after a failure or termination the last values are
- * returned. */
-static fmi2Status demanded_are_finite(const Instance *instance, const fmi2ValueReference vr[],
-                                      size_t n) {
-    const Component *component = &instance->memory.component;
-    for (size_t i = 0; (instance->memory.mode & RUNNING) && i < n; i++) {
-        const Role role = variable_of(vr[i])->role;
-        if ((role == ON_DEMAND || role == DERIVATIVE) && !isfinite(component->v[first_of(vr[i])])) {
-            return refuse(instance, "%s became %g at time %.9g.", variable_of(vr[i])->name,
-                          component->v[first_of(vr[i])], component->time);
+/* On-demand variables must be finite; after a termination the last values are returned, after a
+ * failure only finite ones. */
+static fmi2Status readable(const Instance *instance, const fmi2ValueReference vr[], size_t n) {
+    const Memory *memory = &instance->memory;
+    for (size_t i = 0; memory->mode != TERMINATED && i < n; i++) {
+        static const char format[] = "%s became %g at time %.9g.";
+        const Variable *variable = variable_of(vr[i]);
+        const double value = memory->component.v[first_of(vr[i])];
+        if (memory->mode == FAILED && !isfinite(value)) {
+            complain(instance, format, variable->name, value, memory->component.time);
+            return fmi2Error;
+        }
+        if ((variable->role == ON_DEMAND || variable->role == DERIVATIVE) && !isfinite(value)) {
+            return refuse(instance, format, variable->name, value, memory->component.time);
         }
     }
     return fmi2OK;
@@ -116,7 +120,7 @@ static fmi2Status read(fmi2Component c, const char *function, Type type,
     if (derived && status == fmi2OK) {
         derive(instance);
     }
-    return status == fmi2OK ? demanded_are_finite(instance, vr, n) : status;
+    return status == fmi2OK ? readable(instance, vr, n) : status;
 }
 
 FMI2_STATUS(fmi2GetReal)

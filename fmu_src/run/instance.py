@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import chdir, suppress
-from ctypes import POINTER, c_double, c_uint
+from ctypes import POINTER, c_double, c_int, c_uint
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from functools import partial
+from typing import Any, NoReturn, Protocol
 
 import fmpy
 import numpy as np
@@ -17,6 +18,7 @@ from hesr_model.support.arrays import Array
 PLATFORM: str = fmpy.platform  # in FMI 2.0
 SUFFIX: str = fmpy.sharedLibraryExtension
 WARNING = 1  # highest status of a call that has succeeded; OK is 0
+_FATAL, _STATUSES = 4, range(6)  # after other values, and 4, an instance must not be called
 
 Failure = Callable[[Exception], Exception]
 """Turns a `CallError` or `DiedError` into the error that is raised."""
@@ -94,6 +96,10 @@ class Instance:
                 )
         except Exception as error:  # FMPy raises bare exceptions
             raise LoadError(str(error)) from error
+        self._usable = True
+        for name, function in vars(self.slave.dll).items():  # FMPy accepts negative ones
+            if name.startswith("fmi") and function.restype is c_int:
+                function.errcheck = partial(_require_status, name)
         try:
             self.fmi.instantiate(self.slave, tell)
         except Exception as error:  # FMPy raises bare exceptions
@@ -103,21 +109,20 @@ class Instance:
     def call(self, function: str, *arguments: Any) -> None:
         """Call a function of the FMU; raise unless its status is OK or warning."""
         try:
-            status = getattr(self.slave, function)(self.slave.component, *arguments)
+            getattr(self.slave, function)(self.slave.component, *arguments)
         except FMICallException as error:
-            status = error.status
-        if not 0 <= status <= WARNING:
-            self.fail(function, status)
+            self.fail(function, error.status)
 
     def ask(self, method: str, *arguments: Any) -> Any:
         """Call a method of FMPy's instance, such as "getFMUstate", and return its result."""
         try:
             return getattr(self.slave, method)(*arguments)
         except FMICallException as error:
-            raise self._failure(CallError(error.function, error.status)) from error
+            self.fail(error.function, error.status)
 
-    def fail(self, function: str, status: int) -> None:
+    def fail(self, function: str, status: int) -> NoReturn:
         """Raise the error of a function that returned a status."""
+        self._usable = status in _STATUSES and status != _FATAL
         raise self._failure(CallError(function, status))
 
     def setup(self, time: float, stop: float | None) -> None:
@@ -168,16 +173,23 @@ class Instance:
     def close(self, *, stepping: bool) -> None:
         """Terminate and free the instance, and unload the binary."""
         try:
-            if stepping:
+            if stepping and self._usable:
                 with suppress(FMICallException):  # it must be freed anyway
                     getattr(self.slave, self.fmi.functions["terminate"])(self.slave.component)
-            getattr(self.slave, self.fmi.functions["free"])(self.slave.component)
+            if self._usable:
+                getattr(self.slave, self.fmi.functions["free"])(self.slave.component)
         finally:
             self.slave.freeLibrary()
 
     def kill(self) -> None:
         """Free the instance without terminating the simulation."""
         self.close(stepping=False)
+
+
+def _require_status(name: str, status: int, *_: object) -> int:
+    if status not in _STATUSES:
+        raise FMICallException(function=name, status=status)
+    return status
 
 
 class LocalBuffer:

@@ -1,6 +1,7 @@
 """The adaptive friction FMU: the equations of Python, with all memory in its state."""
 
 import ctypes
+import re
 import subprocess
 import zipfile
 from collections.abc import Iterator
@@ -207,6 +208,17 @@ def test_non_finite_inputs_are_refused(bench: Bench) -> None:
     bench.begin()
     with pytest.raises(SimulationError, match="tau_meas"):
         bench.fmu.set({"tau_meas[1]": np.nan})
+
+
+def test_after_an_error_numbers_that_are_not_finite_are_refused(bench: Bench) -> None:
+    bench.fmu.initialise(start=bench.inputs(0))
+    bench.fmu.set({"dq[1]": 1e300, "tau_load[1]": 1e308, "tau_meas[1]": -1e308})
+    with pytest.raises(SimulationError, match=r"became -?(inf|nan)") as raised:
+        bench.fmu.step(0.0, 0.005)
+    (bad,) = re.findall(r"(\S+) became", str(raised.value))
+    assert np.isfinite(bench.fmu.get(["dq[1]"])).all()
+    with pytest.raises(SimulationError, match=rf"{re.escape(bad)} became -?(inf|nan) at time"):
+        bench.fmu.get([bad])
 
 
 def test_a_law_without_bounds_leaves_no_file(tmp_path: Path) -> None:
