@@ -1,6 +1,7 @@
 """FMUs as co-simulation slaves: variables by name, trusted or not, pooled, freed on every exit.
 
-Trusted FMUs have empty files in the user's cache folder, named after their hashes.
+Trusted FMUs have empty files in the user's cache folder, named after their hashes under the user's
+key, which nobody else can compute.
 """
 
 import logging
@@ -48,8 +49,8 @@ def remember(fmu: Path) -> None:
     """Trust an FMU, if the cache folder can be written."""
     try:
         place = hash_folder()
-        place.mkdir(parents=True, exist_ok=True)
-        (place / sha256(fmu)).touch()
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+        (place / _mark(sha256(fmu))).touch(mode=0o600)
         _forget_some(place)
     except OSError as error:
         _log.info("%s: will be run in a process of its own (%s).", fmu, error)
@@ -58,9 +59,13 @@ def remember(fmu: Path) -> None:
 def is_known(digest: str) -> bool:
     """Whether an FMU of this SHA-256 is trusted."""
     try:
-        return (hash_folder() / digest).is_file()
+        return (hash_folder() / _mark(digest)).is_file()
     except OSError:  # no permission
         return False
+
+
+def _mark(digest: str) -> str:
+    return cache.keyed("exported", digest.encode()).hex()
 
 
 def is_ours(fmu: Path) -> bool:

@@ -1,15 +1,20 @@
 """Cache of slow results that depend on their inputs only.
 
-Entries, named by a hash of their inputs, contain a hash of their content.
+Entries, named by a hash of their inputs, contain a hash of their content under a key of the user,
+who alone may read folder, entries and key.
 """
 
 import hashlib
+import hmac
+import logging
 import os
+import secrets
 import stat
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 from filelock import FileLock
@@ -18,6 +23,8 @@ LIMIT = 256 * 1024 * 1024  # [B] per kind, some thousand FMUs
 USED: Counter[tuple[str, bool]] = Counter()
 """Cache hits (True) and misses by kind, of this process and its workers."""
 _DIGEST = hashlib.sha256().digest_size
+_OTHERS = 0o077  # permissions of group and others
+_log = logging.getLogger(__name__)
 
 
 def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
@@ -33,9 +40,10 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
     name = key.hexdigest()
     # Lock files remain, so many entries share one.
     shelf = folder() / kind / name[:2]
-    lock = FileLock(shelf / "lock")
+    lock = FileLock(shelf / "lock", mode=0o600)
     try:
-        shelf.mkdir(parents=True, exist_ok=True)
+        for place in (shelf.parent, shelf):
+            _make_private(place)
         found = _read(shelf / name)
         if found is None:
             lock.acquire()
@@ -66,19 +74,76 @@ def since(earlier: Counter[tuple[str, bool]]) -> dict[str, tuple[int, int]]:
 
 def folder() -> Path:
     """Return a writable folder: in XDG_CACHE_HOME, .cache of HOME, or a private one."""
-    named = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return _own("XDG_CACHE_HOME", ".cache")
+
+
+def keyed(kind: str, content: bytes) -> bytes:
+    """Return a hash of content that only this user can compute."""
+    key = _key(_own("XDG_CONFIG_HOME", ".config"))
+    return hmac.digest(key, kind.encode() + b"\0" + content, "sha256")
+
+
+@cache
+def _key(place: Path) -> bytes:
+    file, size = place / "key", _DIGEST
+    try:
+        with FileLock(place / "lock", mode=0o600):
+            found = _content(file)
+            if found is None or len(found) != size:  # missing, or perhaps known to others
+                found = secrets.token_bytes(size)
+                _replace(file, found)
+    except OSError as error:
+        _log.info("%s: cannot be written (%s); nothing is reused.", file, error)
+        return secrets.token_bytes(size)
+    return found
+
+
+def _own(variable: str, default: str) -> Path:
+    named = Path(os.environ.get(variable, ""))
     home = Path(os.environ.get("HOME", ""))
     places = []
     if named.is_absolute():
         places.append(named)
     if home.is_absolute() and home.is_dir():
-        places.append(home / ".cache")
+        places.append(home / default)
     for place in places:
+        path = place / "hesr"
         with suppress(OSError):
-            (place / "hesr").mkdir(mode=0o700, parents=True, exist_ok=True)
-            if os.access(place / "hesr", os.W_OK | os.X_OK):
-                return place / "hesr"
+            path.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if not _is_private(path.lstat(), stat.S_ISDIR):
+                _warn(path)
+                break
+            if os.access(path, os.W_OK | os.X_OK):
+                return path
     return _temporary()
+
+
+@cache
+def _warn(path: Path) -> None:
+    _log.warning(
+        "%s is a link, belongs to another user or is open to others; a private temporary folder "
+        "is used. Remove it.",
+        path,
+    )
+
+
+def _is_private(found: os.stat_result, is_kind: Callable[[int], bool]) -> bool:
+    if not is_kind(found.st_mode):
+        return False
+    return not hasattr(os, "getuid") or (
+        found.st_uid == os.getuid() and not found.st_mode & _OTHERS
+    )
+
+
+def _make_private(path: Path) -> None:
+    """Make a folder within a private one; raise OSError for links and those of others."""
+    path.mkdir(mode=0o700, exist_ok=True)
+    found = path.lstat()
+    if stat.S_ISDIR(found.st_mode) and found.st_mode & _OTHERS and hasattr(os, "getuid"):
+        path.chmod(0o700)
+        found = path.lstat()
+    if not _is_private(found, stat.S_ISDIR):
+        raise PermissionError(f"{path} is not private")
 
 
 def _temporary() -> Path:
@@ -86,22 +151,36 @@ def _temporary() -> Path:
     path = Path(tempfile.gettempdir(), f"hesr-cache-{user}")
     with suppress(OSError):
         path.mkdir(mode=0o700, exist_ok=True)
-        found = path.lstat()
-        own = not hasattr(os, "getuid") or (
-            found.st_uid == user and not stat.S_IMODE(found.st_mode) & 0o077
-        )
-        if stat.S_ISDIR(found.st_mode) and own:
+        if _is_private(path.lstat(), stat.S_ISDIR):
             return path
+    return _new_folder()
+
+
+@cache
+def _new_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="hesr-cache-"))
 
 
-def _read(entry: Path) -> bytes | None:
+def _content(file: Path) -> bytes | None:
+    """Return the content of a private file that is no link; None for others."""
     try:
-        data = entry.read_bytes()
+        handle = os.open(
+            file, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+        )
     except OSError:
         return None
+    with os.fdopen(handle, "rb") as opened:
+        if not _is_private(os.fstat(handle), stat.S_ISREG):
+            return None
+        return opened.read()
+
+
+def _read(entry: Path) -> bytes | None:
+    data = _content(entry)
+    if data is None:
+        return None
     content = data[_DIGEST:]
-    if data[:_DIGEST] != _digest(entry, content):
+    if not hmac.compare_digest(data[:_DIGEST], _digest(entry, content)):
         return None
     with suppress(OSError):
         os.utime(entry)  # as recently used
@@ -109,17 +188,21 @@ def _read(entry: Path) -> bytes | None:
 
 
 def _write(entry: Path, content: bytes) -> None:
-    handle, name = tempfile.mkstemp(dir=entry.parent)
+    _replace(entry, _digest(entry, content) + content)
+
+
+def _replace(path: Path, data: bytes) -> None:
+    handle, name = tempfile.mkstemp(dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(_digest(entry, content) + content)
-        Path(name).replace(entry)
+            file.write(data)
+        Path(name).replace(path)
     finally:
         Path(name).unlink(missing_ok=True)
 
 
 def _digest(entry: Path, content: bytes) -> bytes:
-    return hashlib.sha256(entry.name.encode() + content).digest()
+    return keyed(f"{entry.parts[-3]}/{entry.name}", content)
 
 
 def _prune(kind: Path) -> None:

@@ -4,6 +4,7 @@ A request on stdin is a line with the numbers of a batch and a job; an answer on
 its size and the pickled tuple (error or None, result, cache use).
 """
 
+import logging
 import os
 import shutil
 import signal
@@ -20,6 +21,7 @@ from typing import IO, Any
 
 import cloudpickle
 
+from hesr_model.support import cache
 from hesr_model.support.cache import USED
 from hesr_model.support.garbage import collect_seldom
 
@@ -42,6 +44,7 @@ def work(folder: Path, parent: int) -> None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
     collect_seldom()
+    logging.getLogger(cache.__name__).setLevel(logging.ERROR)  # the parent has warned
     tempfile.tempdir = str(folder)
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     with Path(os.devnull).open("rb") as nothing:

@@ -21,8 +21,10 @@ from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from cosim.systems.system_file import System
 from fmu_src.run.fmu import FmuInstance, hash_folder, is_ours, remember
+from fmu_src.run.instance import Instance
 from fmu_src.run.sandbox import Sandbox
 from hesr_model.errors import SimulationError
+from hesr_model.support.files import sha256
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="limits are those of POSIX")
 
@@ -228,20 +230,60 @@ def test_all_its_child_processes_are_ended(
         assert psutil.Process(int(file.read_text())).status() == psutil.STATUS_ZOMBIE
 
 
-@pytest.mark.parametrize("status", [-1, 6, 2147483647])
+STATUSES = {-1: "illegal return code", 6: "illegal return code", 2147483647: "illegal return code",
+            4: "fatal"}  # fmt: skip
+
+
+@pytest.mark.parametrize("call", ["fmi2DoStep", "fmi2SetReal", "fmi2ExitInitializationMode"])
+@pytest.mark.parametrize("status", STATUSES)
 @pytest.mark.parametrize("place", ["sandbox", "python", "native"])
 def test_an_undefined_status_is_an_error(
-    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, status: int, place: str
+    hostile_lag: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    call: str,
+    status: int,
+    place: str,
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("FREED", str(tmp_path / "freed"))
     if place != "sandbox":
         remember(hostile_lag)
-    monkeypatch.setenv("DEED", f"fmi2DoStep status {status}")
+    monkeypatch.setenv("DEED", f"{call} status {status}")
     path = tmp_path / "lags.toml"
     path.write_text(LAGS.replace("FMU", str(hostile_lag)), encoding="utf-8")
-    with Master(SystemSpec.read(path), path, native=place == "native") as master:
-        failure = str(master.run().failure)
-    assert failure.endswith(f"fmi2DoStep failed with status {status} (illegal return code).")
+    try:
+        with Master(SystemSpec.read(path), path, native=place == "native") as master:
+            failure = str(master.run().failure)
+    except SimulationError as error:  # in the initialisation
+        failure = str(error)
+    assert failure.endswith(f"{call} failed with status {status} ({STATUSES[status]}).")
+
+
+def test_an_instance_is_not_called_after_a_fatal_status(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("FREED", str(tmp_path / "freed"))
+    remember(hostile_lag)
+    for status, is_freed in ((4, False), (-7, False), (3, True)):
+        monkeypatch.setenv("DEED", f"fmi2DoStep status {status}")
+        with pytest.raises(SimulationError, match=f"status {status} "):
+            go(hostile_lag)
+        assert (tmp_path / "freed").exists() is is_freed
+
+
+def test_a_negative_status_of_saving_a_state_is_an_error(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    remember(hostile_lag)
+    with FmuInstance(hostile_lag) as lag:
+        lag.initialise()
+        monkeypatch.setenv("DEED", "fmi2GetFMUstate status -1")
+        assert isinstance(lag._instance, Instance)
+        with pytest.raises(SimulationError, match=r"fmi2GetFMUstate failed with status -1 \(ille"):
+            lag._instance.ask("getFMUstate")
 
 
 @pytest.mark.parametrize(
@@ -320,6 +362,27 @@ def test_non_finite_outputs_are_reported(
     assert str(caught.value) == (f"{hostile_friction}: at t = 1 s tau[1] is not a finite number.")
     with pytest.raises(SimulationError, match=r"at t = 0 s tau\[1\] is not a finite number\."):
         measure(hostile_friction)
+
+
+def test_a_marker_that_anyone_can_make_trusts_nothing(
+    lag_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither the plain hash of earlier versions, nor a marker of another user or FMU counts."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    foreign = archived({"a": b"b"}, tmp_path / "Foreign.fmu")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "attacker"))
+    remember(lag_fmu)
+    assert is_ours(lag_fmu)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "victim"))
+    (hash_folder() / sha256(lag_fmu)).touch(0o600)
+    assert not is_ours(lag_fmu)
+    remember(lag_fmu)
+    assert is_ours(lag_fmu)
+    assert not is_ours(foreign)
+    changed = bytearray(lag_fmu.read_bytes())
+    changed[-1] ^= 1
+    (tmp_path / "Changed.fmu").write_bytes(changed)
+    assert not is_ours(tmp_path / "Changed.fmu")
 
 
 def test_unwritable_hashes_leave_an_fmu_foreign(

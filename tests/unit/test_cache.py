@@ -1,6 +1,10 @@
 """The cache: each entry is made once, complete and in a usable place."""
 
+import hashlib
+import hmac
+import logging
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Callable
@@ -18,6 +22,7 @@ from hesr_model.support.parallel import results_of
 @pytest.fixture(autouse=True)
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     return tmp_path / "cache" / "hesr"
 
 
@@ -195,3 +200,146 @@ def test_a_folder_writable_by_others_is_not_trusted(
         temporary.symlink_to(tmp_path / "elsewhere")
     assert folder() != temporary
     assert folder().stat().st_mode & 0o777 == 0o700
+
+
+# --- poisoned caches --------------------------------------------------------------------------
+
+GOOD, EVIL = b"made of something", b"planted by others"
+
+
+def poisoned(here: Path, deed: str, tmp_path: Path) -> None:
+    """Put the content of another user in the place of the only entry."""
+    (entry,) = entries(here)
+    name = entry.name.encode()
+    planted = tmp_path / "planted"
+    planted.write_bytes(hashlib.sha256(name + EVIL).digest() + EVIL)  # without the key
+    planted.chmod(0o600)
+    entry.unlink()
+    if deed == "planted":
+        planted.rename(entry)
+    elif deed == "link":
+        entry.symlink_to(planted)
+    elif deed == "other key":
+        key = b"k" * 32
+        message = f"things/{entry.name}".encode() + b"\0" + EVIL
+        entry.write_bytes(hmac.digest(key, message, "sha256") + EVIL)
+        entry.chmod(0o600)
+    elif deed == "other kind":
+        kept("others", ("a",), lambda: EVIL)
+        (other,) = (here / "others").glob("*/?*[!k]")
+        other.rename(entry)
+
+
+@pytest.mark.parametrize("deed", ["planted", "link", "other key", "other kind"])
+def test_planted_entries_are_not_used(here: Path, tmp_path: Path, deed: str) -> None:
+    kept("things", ("a",), lambda: GOOD)
+    poisoned(here, deed, tmp_path)
+    make = Maker(GOOD)
+    assert kept("things", ("a",), make) == GOOD
+    assert make.times == 1
+
+
+@pytest.mark.parametrize("deed", ["readable", "foreign", "link to a good one"])
+def test_entries_that_others_may_have_changed_are_not_used(
+    here: Path, tmp_path: Path, deed: str
+) -> None:
+    kept("things", ("a",), lambda: GOOD)
+    (entry,) = entries(here)
+    if deed == "readable":
+        entry.chmod(0o666)
+    elif deed == "foreign":
+        if os.getuid() != 0:
+            pytest.skip("only root can give a file away")
+        os.chown(entry, 12345, 12345)
+    else:
+        entry.symlink_to(entry.rename(tmp_path / "moved"))
+    make = Maker(GOOD)
+    assert kept("things", ("a",), make) == GOOD
+    assert make.times == 1
+
+
+@pytest.mark.parametrize("place", ["things", "things/ab"])
+def test_links_to_folders_are_not_followed(here: Path, tmp_path: Path, place: str) -> None:
+    kept("things", ("a",), lambda: GOOD)
+    (entry,) = entries(here)
+    shelf = entry.parent if "/" in place else entry.parent.parent
+    shelf.symlink_to(shelf.rename(tmp_path / "moved"))
+    make = Maker(GOOD)
+    assert kept("things", ("a",), make) == GOOD
+    assert make.times == 1
+    assert len(entries(tmp_path / "moved")) == 1  # nothing is written there
+
+
+def spoiled(place: Path, deed: str) -> None:
+    place.mkdir(parents=True, mode=0o700)
+    if deed == "open":
+        place.chmod(0o777)
+    elif deed == "readable":
+        place.chmod(0o755)
+    elif deed == "foreign":
+        if os.getuid() != 0:
+            pytest.skip("only root can give a folder away")
+        os.chown(place, 12345, 12345)
+    else:
+        place.rename(place.with_name("elsewhere"))
+        place.symlink_to(place.with_name("elsewhere"))
+
+
+@pytest.mark.parametrize("deed", ["open", "readable", "foreign", "link"])
+@pytest.mark.parametrize("place", ["cache", "config"])
+def test_folders_of_others_are_replaced_with_a_warning(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    place: str,
+    deed: str,
+) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    spoiled(tmp_path / place / "hesr", deed)
+    make = Maker(GOOD)
+    with caplog.at_level(logging.WARNING):
+        assert [kept("things", ("a",), make) for _ in range(2)] == [GOOD] * 2
+    assert make.times == 1
+    (warning,) = caplog.messages  # once
+    assert warning == (
+        f"{tmp_path / place / 'hesr'} is a link, belongs to another user or is open to others; "
+        "a private temporary folder is used. Remove it."
+    )
+    (own,) = temporary.iterdir()
+    assert own.stat().st_mode & 0o777 == 0o700
+    assert not list((tmp_path / place / "hesr").iterdir())
+
+
+def test_folders_and_files_are_private(here: Path, tmp_path: Path) -> None:
+    kept("things", ("a",), lambda: GOOD)
+    for path in (*here.rglob("*"), here, *(tmp_path / "config" / "hesr").rglob("*")):
+        assert path.stat().st_mode & 0o777 == (0o700 if path.is_dir() else 0o600), path
+    assert len((tmp_path / "config" / "hesr" / "key").read_bytes()) == 32
+
+
+@pytest.mark.parametrize("deed", ["readable", "short", "link"])
+def test_a_key_that_others_may_know_is_replaced(here: Path, tmp_path: Path, deed: str) -> None:
+    place = tmp_path / "config" / "hesr"
+    place.mkdir(parents=True, mode=0o700)
+    key = place / "key"
+    key.write_bytes(b"k" * (16 if deed == "short" else 32))
+    key.chmod(0o644 if deed == "readable" else 0o600)
+    if deed == "link":
+        key.symlink_to(key.rename(tmp_path / "known"))
+    kept("things", ("a",), lambda: GOOD)
+    assert not key.is_symlink()
+    assert len(key.read_bytes()) == 32
+    assert key.read_bytes() != b"k" * 32
+    assert key.stat().st_mode & 0o777 == 0o600
+
+
+def test_another_user_with_a_copy_of_the_cache_reuses_nothing(
+    here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept("things", ("a",), lambda: EVIL)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "victim"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "copy"))
+    shutil.copytree(here, tmp_path / "copy" / "hesr", copy_function=shutil.copy2)
+    assert kept("things", ("a",), lambda: GOOD) == GOOD
