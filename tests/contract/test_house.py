@@ -10,12 +10,12 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # Maximum lines of Python, C and headers: 59,000, plus 1,800 for evidence, robots and logs, and
 # 1,600 for the plant.
 BUDGET = {
-    "hesr_model": 22_060,
+    "hesr_model": 22_138,
     "fmu_src": 18_600,
     "cosim": 13_700,
     "hesr": 800,
     "hesr.extras": 7_300,
-    "all": 62_360,
+    "all": 62_462,
 }
 
 TEMPLATES = 3_456  # lines of templates, styles and scripts, without those of project folders
