@@ -22,8 +22,9 @@ typedef struct {
     double u[MAX_INPUTS]; /* inputs of the law but speed and angle */
     double inertia, gear, stiffness, damping;
     double tau_motor, q_link, dq_link;
-    double clearance; /* of the spring on either side of q_link */
-    double h;         /* [s] */
+    double clearance;         /* of the spring on either side of q_link */
+    double servo, gain, most; /* torque of a servo at speed 0, minus its slope, and its limit */
+    double h;                 /* [s] */
     double euler;
 } Step;
 

@@ -9,7 +9,8 @@
  *
  * and ends at v + (u - v) / w. A weight w_i is 1/2 (midpoint) where friction is smooth and 1
  * (implicit Euler) where it is stiff or holds. If motors turn several joints, all of this is in the
- * coordinates of the friction (coupling.h), except for the stops. */
+ * coordinates of the friction (coupling.h), except for the stops. With a SERVO, G includes minus
+ * its torque kv (dq_cmd - u) + ki (integral of dq_cmd - q - h u). */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -17,22 +18,14 @@
 #include "component_alone.h"
 #include "component_plain.h"
 #include "coupling.h"
-#include "dynamics.h"
 #include "equations.h"
-#include "plant_solver.h"
-
-/* Own memory: whether initialisation has ended, slopes of G, mass matrix times acceleration, and
- * parameters of dynamics.h. */
-enum { STARTED = 0, SLOPE = 1, INERTIAL = SLOPE + JOINTS, TABLE = INERTIAL + JOINTS };
+#include "plant_servo.h"
 
 /* Maximum number of inner steps in a step. */
 #define MOST_PARTS 1e7
 
 /* Longest motion of a joint in an inner step [rad or m], since M and b are those of its middle. */
 #define LONGEST_MOTION 0.01
-
-/* Tolerance for a number of steps to count as whole. */
-#define ROUNDING 1e-9
 
 /* Sums over `matrix` or its transpose, or a copy without a coupling. */
 static void mixed(const double matrix[JOINTS][JOINTS], bool transposed, const double *from,
@@ -76,19 +69,6 @@ static void regroup(Component *component) {
     component->changed = 0.0;
 }
 
-/* Evaluate mass matrix and bias at a motion in the coordinates of the friction. */
-static void evaluate(const Component *component, Solver *solver, const double *q,
-                     const double *dq) {
-    const double *v = component->v;
-    dynamics(&component->own[TABLE], &v[ROTORS], &v[SPRINGS], &v[GRAVITY], q, dq, solver->mass,
-             solver->bias);
-    for (int i = 0; i < JOINTS; i++) {
-        for (int j = 0; j < i; j++) {
-            solver->mass[j][i] = solver->mass[i][j];
-        }
-    }
-}
-
 static void open_axis(const Component *component, int i, Axis *axis) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
@@ -102,6 +82,7 @@ static void open_axis(const Component *component, int i, Axis *axis) {
     step->q_link = 0.5 * (v[Q_MIN + i] + v[Q_MAX + i]);
     step->clearance = 0.5 * (v[Q_MAX + i] - v[Q_MIN + i]);
     step->euler = v[DISCRETISATION] == EULER;
+    step->servo = step->gain = step->most = 0.0;
     for (int j = LOAD + 1; j < joint->inputs; j++) {
         step->u[j] = v[joint->input[j]];
     }
@@ -111,6 +92,7 @@ static void open_axis(const Component *component, int i, Axis *axis) {
 }
 
 static void open_solver(const Component *component, double h, Solver *solver) {
+    const double *own = component->own;
     double q[JOINTS], dq[JOINTS], ddq[JOINTS];
     mixed(forward, false, &component->v[Q], q);
     mixed(forward, false, &component->v[DQ], dq);
@@ -123,15 +105,16 @@ static void open_solver(const Component *component, double h, Solver *solver) {
         axis->from.q = q[i];
         axis->from.dq = dq[i];
         axis->from.ddq = ddq[i];
-        axis->slope = component->own[SLOPE + i];
-        axis->inertial = component->own[INERTIAL + i];
+        axis->slope = own[SLOPE + i];
+        axis->inertial = own[INERTIAL + i];
+        axis->command = SERVO ? own[INTEGRAL + i] : 0.0;
     }
     copy_to_lanes(solver);
 }
 
 static void store(Component *component, const Solver *solver) {
     double q[JOINTS], dq[JOINTS], ddq[JOINTS], load[JOINTS], friction[JOINTS], stop[JOINTS];
-    double *v = component->v;
+    double *v = component->v, *own = component->own, motor[JOINTS], unused = 0.0;
     for (int i = 0; i < JOINTS; i++) {
         const Axis *axis = &solver->axis[i];
         const Motion *at = &axis->from;
@@ -140,8 +123,17 @@ static void store(Component *component, const Solver *solver) {
         friction[i] = at->tau_f, stop[i] = at->tau_link;
         memcpy(&v[axis->step.joint->first_state], at->x,
                (size_t)axis->step.joint->states * sizeof *v);
-        component->own[SLOPE + i] = axis->slope;
-        component->own[INERTIAL + i] = axis->inertial;
+        own[SLOPE + i] = axis->slope;
+        own[INERTIAL + i] = axis->inertial;
+        if (SERVO) {
+            const double servo = servo_torque(&axis->step, axis->trial.v, &unused);
+            own[INTEGRAL + i] = axis->command;
+            stop[i] += servo;
+            motor[i] = axis->support + servo;
+        }
+    }
+    if (SERVO) {
+        mixed(forward, true, motor, &v[TAU_MOTOR]);
     }
     mixed(backward, true, q, &v[Q]);
     mixed(backward, true, dq, &v[DQ]);
@@ -176,17 +168,28 @@ static bool inner_step(const Component *component, Solver *solver, double time, 
         q[i] = from->q + 0.5 * h * from->dq;
         dq[i] = from->dq + 0.5 * h * from->ddq;
     }
+    if (SERVO) {
+        weigh(component, solver, q);
+    }
     evaluate(component, solver, q, dq);
     for (int i = 0; i < JOINTS; i++) {
         Axis *axis = &solver->axis[i];
         axis->step.h = h;
         axis->applied = mixed_at(component, true, TAU, i, time - 0.5 * h) - solver->bias[i];
+        if (SERVO) {
+            drive(component, i, time - h, axis);
+        }
         axis->step.u[LOAD] = solver->bias[i] + axis->inertial;
     }
-    return advance(solver, why) ||
-           (halvings > 0 &&
-            inner_step(component, solver, time - 0.5 * h, 0.5 * h, halvings - 1, why) &&
-            inner_step(component, solver, time, 0.5 * h, halvings - 1, why));
+    if (advance(solver, why)) {
+        for (int i = 0; SERVO && i < JOINTS; i++) {
+            solver->axis[i].command += h * commanded(component, i, time - h);
+        }
+        return true;
+    }
+    return halvings > 0 &&
+           inner_step(component, solver, time - 0.5 * h, 0.5 * h, halvings - 1, why) &&
+           inner_step(component, solver, time, 0.5 * h, halvings - 1, why);
 }
 
 /* Check a parameter; NaN fails. */
@@ -210,6 +213,9 @@ static bool start(Component *component, Message *why) {
     open_solver(component, 0.0, &solver);
     mixed(forward, false, &v[Q], q);
     mixed(forward, false, &v[DQ], dq);
+    if (SERVO) {
+        weigh(component, &solver, q);
+    }
     evaluate(component, &solver, q, dq);
     double rest[JOINTS];
     for (int i = 0; i < JOINTS; i++) {
@@ -229,6 +235,9 @@ static bool start(Component *component, Message *why) {
         axis->weight = 1.0;
         axis->held = false;
         rest[i] = mixed_at(component, true, TAU, i, 0.0) - solver.bias[i] - torque_of(axis);
+        if (SERVO) {
+            rest[i] += hold_start(component, i, q[i], rest[i] + axis->support, axis);
+        }
         axis->inertial = rest[i];
     }
     if (!solved(&solver, zero, rest)) {
@@ -256,6 +265,12 @@ static bool component_initialise(Component *component, void *workspace, Message 
             !sound(d, v[d], v[d] >= 0.0, "not be negative", why) ||
             !sound(most, v[most], v[most] >= v[Q_MIN + i], "not be below the lower limit", why)) {
             return false;
+        }
+        const int own[] = {KV + i, KI + i, TORQUE_LIMIT + i, LATENCY};
+        for (int n = 0; SERVO && n < 4; n++) {
+            if (!sound(own[n], v[own[n]], v[own[n]] >= 0.0, "not be negative", why)) {
+                return false;
+            }
         }
     }
     if (!start(component, why)) {
@@ -291,6 +306,12 @@ static bool component_step(Component *component, void *workspace, double step, M
                  step, parts, MOST_PARTS, component->v[SUBSTEP]);
         return false;
     }
+    if (SERVO && !forget(component, 0.0)) {
+        snprintf(why->text, sizeof why->text,
+                 "The latency of %g s is longer than %d steps; take longer steps.",
+                 component->v[LATENCY], MOST_COMMANDS);
+        return false;
+    }
     if (component->changed != 0.0) {
         regroup(component);
     }
@@ -302,6 +323,9 @@ static bool component_step(Component *component, void *workspace, double step, M
         }
     }
     store(component, &solver);
+    if (SERVO) {
+        remember(component, step);
+    }
     component->event = 0.0;
     component->done = step;
     return true;

@@ -8,6 +8,7 @@
 
 #include "coupling.h"
 #include "root.h"
+#include "servo.h"
 
 enum { MOST_ITERATIONS = 60, PATIENCE = 6, SWEEPING = 20, HALVINGS = 12 };
 
@@ -39,6 +40,8 @@ typedef struct {
     double applied;  /* torque of the motor less the bias */
     double inertial; /* mass matrix times acceleration */
     bool held;       /* whether friction holds the speed, where its law jumps */
+    double command;  /* integral of the servo's command */
+    double support;  /* torque of the motor besides the servo's */
 } Axis;
 
 typedef struct {
@@ -51,7 +54,7 @@ typedef struct {
 } Solver;
 
 /* Torque of the one-sided springs beyond the clearance; they push but do not pull. */
-static double link_torque(const Step *step, const double *u, const double *du, double *slope) {
+static double stop_torque(const Step *step, const double *u, const double *du, double *slope) {
     const double away = u[1] - step->q_link, side = away < 0.0 ? -1.0 : 1.0;
     const double deep = side * away - step->clearance;
     if (!(deep > 0.0) && !isnan(deep)) {
@@ -65,6 +68,21 @@ static double link_torque(const Step *step, const double *u, const double *du, d
     const double steeper = deep < DEPTH ? step->damping * speed / DEPTH : 0.0;
     *slope += (step->stiffness + steeper) * du[1] + step->damping * share * du[0];
     return side * push;
+}
+
+/* Torque of the servo at speed v; its slope is subtracted. */
+static double servo_torque(const Step *step, double v, double *slope) {
+    const double torque = step->servo - step->gain * v;
+    if (fabs(torque) >= step->most) {
+        return copysign(step->most, torque);
+    }
+    *slope += step->gain;
+    return torque;
+}
+
+static double link_torque(const Step *step, const double *u, const double *du, double *slope) {
+    const double stop = stop_torque(step, u, du, slope);
+    return SERVO ? stop - servo_torque(step, u[0], slope) : stop;
 }
 
 /* Whether the law may hold the axis at rest. */
@@ -254,14 +272,15 @@ static void balance_all(const Solver *solver, double *residual) {
 
 /* Whether the residuals are balanced, and their sum; those of held axes count if `held`. */
 static bool balanced_all(const Solver *solver, bool held, const double *residual, double *total) {
-    double size = *total = 0.0;
+    double size = *total = 0.0, rounding = 0.0; /* of positions, as torque */
     for (int i = 0; i < JOINTS; i++) {
         const Axis *axis = &solver->axis[i];
         const double grain = solver->mass[i][i] * (fabs(axis->trial.v) + fabs(axis->from.dq));
         *total += axis->held && !held ? 0.0 : fabs(residual[i]);
         size += solver->h * (fabs(torque_of(axis)) + fabs(axis->applied)) + GRAIN * grain;
+        rounding += axis->held ? 0.0 : fabs(axis->slope * axis->from.q);
     }
-    return *total <= BALANCED * size;
+    return *total <= BALANCED * size + 4.0 * DBL_EPSILON * rounding;
 }
 
 static bool any_held(const Solver *solver) {

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import sympy
 
-from fmu_src.blocks.block import vector
+from fmu_src.blocks.block import places, vector
 from fmu_src.equations.header import SOLVER_OF_ALL, equations_header
 from fmu_src.export.interface import Interface, Variable
 from fmu_src.export.package import Content, Version, check_request, own_source, write_fmu
@@ -43,6 +43,7 @@ from hesr_model.units import unit_of_joint
 SUBSTEP = 1e-3  # default of the longest inner step [s]
 STIFFNESS, DAMPING = 1e4, 1e2  # defaults of the stops [N.m/rad, N.m.s/rad]
 _UNLIMITED = 1e6  # limit of a joint without stops [rad or m]
+COMMANDS = 64  # greatest number of commands within the latency of a servo, as in plant_servo.h
 _POSTURES = 100  # random postures in the check of the mass matrix
 
 _UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
@@ -102,7 +103,19 @@ _OUTPUTS = (
     (TAU_LOAD.name, "N.m", "torque that the rigid bodies need"),
     ("tau_stop", "N.m", "torque of the stops at the limits of the joint"),
 )
+_OF_SERVO = (("tau_motor", "N.m", "torque of the motor: servo, compensated gravity, and tau"),)
 _START = ("q_start", "dq_start")
+
+
+def _inputs(servo: "ServoGains | None") -> dict[str, tuple[str, str]]:
+    tau = {"tau": ("N.m", "torque of the motor" + (" in addition to the servo's" if servo else ""))}
+    return tau | ({"dq_cmd": ("rad/s", "speed command of the servo")} if servo else {})
+
+
+def _memory(joints: int, links: int, servo: "ServoGains | None") -> int:
+    """Return the number of doubles in the own memory of plant.c."""
+    plant = 1 + 2 * joints + 10 * links
+    return plant + (joints + 1 + COMMANDS * (1 + joints) if servo else 0)
 
 
 def _parameters(body: PlantBody) -> Iterator[Variable]:
@@ -149,7 +162,47 @@ def _inertial(body: PlantBody) -> Iterator[Variable]:
         yield Variable(f"payload.{name}", "tunable", text, unit="kg.m2")
 
 
-def _interface(model: FrictionModel, body: PlantBody) -> Interface:
+@dataclass(frozen=True, kw_only=True)
+class ServoGains:
+    """Gains (n,) of a servo per joint: proportional [N.m.s/rad] and integral [N.m/rad]."""
+
+    kv: tuple[float, ...]
+    ki: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name, gains in (("kv", self.kv), ("ki", self.ki)):
+            for joint, gain in enumerate(gains, start=1):
+                if not (np.isfinite(gain) and gain >= 0.0):
+                    raise ExportError(
+                        f"plant: '{name}' of joint {joint} is {gain:g}; it must not be negative."
+                    )
+
+    def parameters(self) -> Iterator[Variable]:
+        """Yield the parameters."""
+        each = np.ones(len(self.kv))
+        text = "gain of the servo"
+        yield from vector("servo_kv", "tunable", "N.m.s/rad", f"proportional {text}", self.kv)
+        yield from vector("servo_ki", "tunable", "N.m/rad", f"integral {text}", self.ki)
+        text = "limit of the servo's torque"
+        yield from vector("torque_limit", "tunable", "N.m", text, _UNLIMITED * each)
+        text = "share of gravity and springs that the servo compensates"
+        yield from vector("gravity_share", "tunable", "1", text, each)
+        text = f"delay of the commands, at most {COMMANDS} steps"
+        yield Variable("latency", "fixed", text, unit="s")
+
+
+_PLACES_OF_SERVO = {
+    "DQ_CMD": "dq_cmd[1]",
+    "TAU_MOTOR": "tau_motor[1]",
+    "KV": "servo_kv[1]",
+    "KI": "servo_ki[1]",
+    "TORQUE_LIMIT": "torque_limit[1]",
+    "GRAVITY_SHARE": "gravity_share[1]",
+    "LATENCY": "latency",
+}
+
+
+def _interface(model: FrictionModel, body: PlantBody, servo: ServoGains | None) -> Interface:
     laws = joints_of(model, names={TORQUE: "tau_friction"})
     numbers = range(1, len(laws) + 1)
     zeros = (0.0,) * len(laws)
@@ -165,10 +218,16 @@ def _interface(model: FrictionModel, body: PlantBody) -> Interface:
 
     friction = [dependencies(law, torque, sources(i)) for i, law in enumerate(laws, start=1)]
     stops = tuple(v.name for v in starts)
-    commands = tuple(f"tau[{i}]" for i in numbers)
-    everything = (*commands, *stops, *inertial, *(n for one in friction for n in one))
-    found = list(vector("tau", "input", "N.m", "torque of the motor", zeros))
-    for name, unit, text in _OUTPUTS:
+    own_servo = list(servo.parameters()) if servo else []
+    commands = tuple(f"{name}[{i}]" for name in _inputs(servo) for i in numbers)
+    gains = tuple(v.name for v in own_servo)
+    everything = (*commands, *stops, *inertial, *gains, *(n for one in friction for n in one))
+    found = [
+        v
+        for name, (unit, text) in _inputs(servo).items()
+        for v in vector(name, "input", unit, text, zeros)
+    ]
+    for name, unit, text in (*_OUTPUTS, *(_OF_SERVO if servo else ())):
         for i, one in enumerate(vector(name, "output", unit, text, zeros), start=1):
             made_of = {
                 "q": (f"q_start[{i}]",),
@@ -179,9 +238,10 @@ def _interface(model: FrictionModel, body: PlantBody) -> Interface:
                 ),
                 TAU_LOAD.name: everything,
                 "tau_stop": (*start, *stops),
+                "tau_motor": everything,
             }[name]
             found.append(replace(one, dependencies=tuple(dict.fromkeys(made_of))))
-    found += starts
+    found += starts + own_servo
     found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
     how = "how the states of the friction are relaxed over an inner step"
     found += [discretisation(model, how), start_mode(), *own_parameters, *scales(model)]
@@ -189,7 +249,7 @@ def _interface(model: FrictionModel, body: PlantBody) -> Interface:
         found += law_variables(law, i, own, sources(i))
     return Interface(
         variables=tuple(of_the_last_step(_at_joint(v, model.slides), commands) for v in found),
-        own=1 + 2 * len(laws) + 10 * body.robot.links,  # enum of plant.c
+        own=_memory(len(laws), body.robot.links, servo),
         model_exchange=False,
         directional_derivatives=False,
         inner_steps=True,
@@ -197,7 +257,9 @@ def _interface(model: FrictionModel, body: PlantBody) -> Interface:
 
 
 _WORDS = {"torque": "force", "inertia": "mass"}
-_OF_JOINTS = re.compile(r"(tau|q|dq|ddq|tau_\w+|q_\w+|dq_start|stop_\w+|rotor)\[(\d+)\]")
+_OF_JOINTS = re.compile(
+    r"(tau|q|dq|ddq|tau_\w+|q_\w+|dq_\w+|stop_\w+|servo_\w+|torque_limit|rotor)\[(\d+)\]"
+)
 
 
 def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
@@ -221,6 +283,8 @@ def export_plant(
     path: Path,
     *,
     body: PlantBody,
+    kv: Sequence[float] | None = None,
+    ki: Sequence[float] | None = None,
     platforms: Sequence[str] = ("linux64",),
     progress: Progress = silent,
     fmi: Version = 2,
@@ -228,12 +292,16 @@ def export_plant(
 ) -> Path:
     """Write a robot under a friction model as an FMU for co-simulation.
 
-    Raises ExportError if the friction model belongs to another robot.
+    With `kv` (n,) it includes a servo with a speed command. Raises ExportError if the friction
+    model belongs to another robot, or a gain is negative.
     """
     check_request(path, platforms)
     require_exportable(model, "a plant")
     _require_fitting(model, body.robot)
-    whole = content(model, body, bare=bare)
+    if kv is None and ki is not None:
+        raise ExportError("plant: 'ki' needs 'kv', the proportional gain of the servo.")
+    servo = kv and ServoGains(kv=tuple(kv), ki=tuple(ki or (0.0,) * len(kv)))
+    whole = content(model, body, servo=servo or None, bare=bare)
     return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
@@ -254,10 +322,12 @@ def _require_fitting(model: FrictionModel, robot: Robot) -> None:
         )
 
 
-def content(model: FrictionModel, body: PlantBody, *, bare: bool = False) -> Content:
+def content(
+    model: FrictionModel, body: PlantBody, *, servo: ServoGains | None = None, bare: bool = False
+) -> Content:
     """Return the FMU of a plant before compilation."""
     joints = joints_of(model, names={TORQUE: "tau_friction"})
-    table = _interface(model, body)
+    table = _interface(model, body, servo)
     springs = next((n for n in table.places if n.startswith("spring[")), "gravity[1]")
     header = equations_header(
         joints, table, _PLACES | {"SPRINGS": springs}, wanted=SOLVER_OF_ALL, coupling=model.coupling
@@ -269,14 +339,26 @@ def content(model: FrictionModel, body: PlantBody, *, bare: bool = False) -> Con
         text=f"Robot with {len(model.joints)} joints under friction: torque in, motion out.",
         step=SUBSTEP,
     )
-    names = ("balance.h", "coupling.h", "law_math.h", "plant.c", "plant_solver.h", "root.h")
+    names = (
+        "balance.h",
+        "coupling.h",
+        "law_math.h",
+        "plant.c",
+        "plant_servo.h",
+        "plant_solver.h",
+        "root.h",
+    )
     sources = {name: own_source(name) for name in names}
+    found = _PLACES_OF_SERVO if servo else dict.fromkeys(_PLACES_OF_SERVO, "tau[1]")
     sources |= {"dynamics.h": dynamics_header(body.robot), "equations.h": header}
+    sources |= {"servo.h": places(table, "SERVO_H", found, SERVO=int(servo is not None))}
     members = {}
     if not bare:
         page = to_html(model, table, about, template="plant.html.j2").encode()
         members = {"documentation/index.html": page, **embedding(model)}
-    inputs = waves({f"tau[{i}]": 1.0 for i in range(1, len(joints) + 1)})
+    inputs = waves(
+        {f"{name}[{i}]": 1.0 for name in _inputs(servo) for i in range(1, len(joints) + 1)}
+    )
     return Content(
         table=table,
         about=about,

@@ -1,0 +1,108 @@
+/* Servo of a plant: its commands, which may act late, and the gravity that it compensates. */
+#ifndef PLANT_SERVO_H
+#define PLANT_SERVO_H
+
+#include "dynamics.h"
+#include "plant_solver.h"
+
+/* Own memory: whether initialisation has ended, slopes of G, mass matrix times acceleration, and
+ * parameters of dynamics.h. A servo's follows. */
+enum { STARTED = 0, SLOPE = 1, INERTIAL = SLOPE + JOINTS, TABLE = INERTIAL + JOINTS };
+
+/* Memory of a servo: integrals of its commands, and earlier commands, each with its time. */
+enum { INTEGRAL = TABLE + 10 * LINKS, COMMANDS = INTEGRAL + JOINTS, FIRST_COMMAND = COMMANDS + 1 };
+enum { ROW = 1 + JOINTS };
+
+/* Greatest number of commands within the latency. */
+enum { MOST_COMMANDS = 64 };
+
+/* Tolerance for a number of steps to count as whole, and for times [s] to be equal. */
+#define ROUNDING 1e-9
+
+/* Evaluate mass matrix and bias at a motion in the coordinates of the friction. */
+static void evaluate(const Component *component, Solver *solver, const double *q,
+                     const double *dq) {
+    const double *v = component->v;
+    dynamics(&component->own[TABLE], &v[ROTORS], &v[SPRINGS], &v[GRAVITY], q, dq, solver->mass,
+             solver->bias);
+    for (int i = 0; i < JOINTS; i++) {
+        for (int j = 0; j < i; j++) {
+            solver->mass[j][i] = solver->mass[i][j];
+        }
+    }
+}
+
+/* Speed command that acts at `time` [s] after the start of the step. */
+static double commanded(const Component *component, int i, double time) {
+    const double *own = component->own, *row = &own[FIRST_COMMAND];
+    const double at = time - component->v[LATENCY];
+    if (at > -ROUNDING) {
+        return mixed_at(component, false, DQ_CMD, i, 0.0);
+    }
+    double found = 0.0; /* before the first command */
+    for (int n = 0; n < (int)own[COMMANDS]; n++, row += ROW) {
+        found = row[0] <= component->time + at + ROUNDING ? row[1 + i] : found;
+    }
+    return found;
+}
+
+/* Forget commands that no longer act `later` [s] after the start of the step; whether there is room
+ * for another. */
+static bool forget(Component *component, double later) {
+    double *own = component->own, *row = &own[FIRST_COMMAND], *count = &own[COMMANDS];
+    const double oldest = component->time + later - component->v[LATENCY];
+    while (*count > 1.0 && row[ROW] <= oldest) {
+        *count -= 1.0;
+        memmove(row, &row[ROW], (size_t)*count * ROW * sizeof *row);
+    }
+    return *count < MOST_COMMANDS;
+}
+
+static void remember(Component *component, double step) {
+    double *own = component->own, *count = &own[COMMANDS];
+    double *row = &own[FIRST_COMMAND + (int)*count * ROW];
+    row[0] = component->time;
+    for (int i = 0; i < JOINTS; i++) {
+        row[1 + i] = mixed_at(component, false, DQ_CMD, i, 0.0);
+    }
+    *count += 1.0;
+    forget(component, step);
+}
+
+/* Set the supported torque of every axis: its share of gravity and springs at a posture. */
+static void weigh(const Component *component, Solver *solver, const double *q) {
+    const double rest[JOINTS] = {0.0};
+    evaluate(component, solver, q, rest);
+    for (int i = 0; i < JOINTS; i++) {
+        solver->axis[i].support = component->v[GRAVITY_SHARE + i] * solver->bias[i];
+    }
+}
+
+/* Set an axis's servo to the command at `time`, and add what supports the axis. */
+static void drive(const Component *component, int i, double time, Axis *axis) {
+    const double *v = component->v, command = commanded(component, i, time), h = axis->step.h;
+    const double behind = axis->command + h * command - axis->from.q;
+    axis->step.servo = v[KV + i] * command + v[KI + i] * behind;
+    axis->step.gain = v[KV + i] + h * v[KI + i];
+    axis->step.most = v[TORQUE_LIMIT + i];
+    axis->applied += axis->support;
+    axis->support += mixed_at(component, true, TAU, i, time + 0.5 * h);
+}
+
+/* Set the integral of a servo so that its torque is `missing` less at speed 0; return the torque of
+ * servo and support at the start. */
+static double hold_start(const Component *component, int i, double q, double missing, Axis *axis) {
+    const double *v = component->v, ki = v[KI + i];
+    double unused = 0.0;
+    axis->command = ki > 0.0 ? q - missing / ki : q;
+    axis->step.servo = ki * (axis->command - q);
+    axis->step.gain = v[KV + i];
+    axis->step.most = v[TORQUE_LIMIT + i];
+    const double support = axis->support;
+    const double servo = servo_torque(&axis->step, axis->from.dq, &unused);
+    axis->from.tau_link -= servo;
+    axis->support += mixed_at(component, true, TAU, i, 0.0);
+    return support + servo;
+}
+
+#endif

@@ -1,0 +1,144 @@
+"""Servo of a plant: rest, latency, limits, and what is refused."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plant_robots import UF850, coupled
+from plant_runs import content_of
+
+from fmu_src.check.run import check
+from fmu_src.export.package import write_fmu
+from fmu_src.plant.plant_fmu import COMMANDS, PlantBody, ServoGains, content, export_plant
+from fmu_src.run.fmu import FmuInstance
+from hesr_model.errors import ExportError, SimulationError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.robots.robot import Robot
+
+KV, KI = (90.5, 150.8, 52.8), (905.0, 1508.0, 528.0)
+STEP = 0.005
+POSTURE = {"q_start[1]": 0.3, "q_start[2]": 0.5, "q_start[3]": -1.2}
+PAYLOAD = {"payload.m": 2.0, "payload.com[3]": 0.1}
+
+Array = np.ndarray
+
+
+@pytest.fixture(scope="module")
+def servo_arm(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("servo") / "Arm.fmu"
+    return export_plant(table1, path, body=PlantBody.of(Robot(UF850)), kv=KV, ki=KI)
+
+
+def run(fmu: Path, commands: Array, outputs: str = "q", **start: float) -> Array:
+    """Return an output (K + 1, 3) under speed commands (K, 3), each held for a step."""
+    rows = []
+    with FmuInstance(fmu) as arm:
+        zeros = {f"{name}[{i}]": 0.0 for name in ("tau", "dq_cmd") for i in (1, 2, 3)}
+        arm.initialise(start=zeros | POSTURE | start)
+        names = [f"{outputs}[{i}]" for i in (1, 2, 3)]
+        rows.append(arm.get(names))
+        for k, command in enumerate(commands):
+            arm.set({f"dq_cmd[{i + 1}]": float(x) for i, x in enumerate(command)})
+            arm.step(k * STEP, STEP)
+            rows.append(arm.get(names))
+    return np.array(rows)
+
+
+def wave(count: int) -> Array:
+    return 0.5 * np.sin(2 * np.pi * 0.5 * STEP * np.arange(count))[:, None] * np.ones(3)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.0])
+def test_an_arm_starts_at_rest(share: float, servo_arm: Path) -> None:
+    """The integral holds what is not compensated; compensation includes the payload."""
+    start = PAYLOAD | {f"gravity_share[{i}]": share for i in (1, 2, 3)}
+    q = run(servo_arm, np.zeros((200, 3)), **start)
+    np.testing.assert_allclose(q, np.tile(q[0], (201, 1)), atol=1e-12)
+    torque = run(servo_arm, np.zeros((1, 3)), "tau_motor", **start)
+    load = run(servo_arm, np.zeros((1, 3)), "tau_load", **start)
+    friction = run(servo_arm, np.zeros((1, 3)), "tau_friction", **start)
+    np.testing.assert_allclose(torque, load + friction, atol=1e-9)
+    assert np.abs(load).max() > 10.0
+
+
+def test_the_torque_is_that_of_both_gains(servo_arm: Path) -> None:
+    """Its speed is that in the middle of an inner step, that of the output at its end."""
+    commands = np.vstack([wave(150), np.zeros((600, 3))])
+    names = ("q", "dq", "tau_motor", "tau_load")
+    q, dq, motor, load = (run(servo_arm, commands, name) for name in names)
+    behind = STEP * np.cumsum(commands, axis=0)[159:] - (q[160:] - q[0])
+    expected = KI * behind - KV * dq[160:]
+    found = (motor - load)[160:] - (motor - load)[0]
+    assert np.median(np.abs(found - expected)) < 0.01 * np.abs(expected).max()
+    assert np.abs(KI * behind).max() > 5.0
+    assert np.abs(KV * dq[160:]).max() > 2.0
+
+
+def test_commands_act_after_the_latency(servo_arm: Path) -> None:
+    commands = wave(300)
+    late = run(servo_arm, commands, latency=3 * STEP)
+    shifted = run(servo_arm, np.vstack([np.zeros((3, 3)), commands[:-3]]))
+    np.testing.assert_allclose(late, shifted, atol=1e-12)
+    part = run(servo_arm, commands, latency=2.6 * STEP)
+    assert 1e-4 < np.abs(part - late).max() < 0.01
+
+
+def test_torque_stays_within_its_limit(servo_arm: Path) -> None:
+    limit = {f"torque_limit[{i}]": 20.0 for i in (1, 2, 3)}
+    shares = {f"gravity_share[{i}]": 0.0 for i in (1, 2, 3)}
+    torque = run(servo_arm, 3.0 * wave(200), "tau_motor", **limit, **shares)
+    assert np.abs(torque).max() == 20.0
+
+
+@pytest.mark.parametrize(
+    ("start", "sentence"),
+    [
+        ({"servo_kv[2]": -1.0}, "servo_kv[2] is -1; it must not be negative."),
+        ({"servo_ki[1]": -1.0}, "servo_ki[1] is -1; it must not be negative."),
+        ({"torque_limit[3]": -1.0}, "torque_limit[3] is -1; it must not be negative."),
+        ({"latency": -0.1}, "latency is -0.1; it must not be negative."),
+        ({"latency": 10.0}, f"The latency of 10 s is longer than {COMMANDS} steps; take longer"),
+    ],
+)
+def test_bad_parameters_are_refused(start, sentence: str, servo_arm: Path) -> None:
+    with pytest.raises(SimulationError, match=re.escape(sentence)):
+        run(servo_arm, wave(COMMANDS + 1), **start)
+
+
+def test_bad_gains_are_refused(table1: FrictionModel, tmp_path: Path) -> None:
+    body, path = PlantBody.of(Robot(UF850)), tmp_path / "Arm.fmu"
+    sentence = "plant: 'kv' of joint 2 is -1; it must not be negative."
+    with pytest.raises(ExportError, match=re.escape(sentence)):
+        export_plant(table1, path, body=body, kv=(1.0, -1.0, 1.0))
+    sentence = "plant: 'ki' needs 'kv', the proportional gain of the servo."
+    with pytest.raises(ExportError, match=re.escape(sentence)):
+        export_plant(table1, path, body=body, ki=KI)
+
+
+def test_the_file_is_valid(servo_arm: Path) -> None:
+    assert check(servo_arm).problems == ()
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_servos_turn_coupled_motors(fmi, make_law, tmp_path: Path) -> None:
+    robot = Robot(coupled(tmp_path))
+    model = content_of(robot, [make_law("lugre")] * 6)
+    assert model.table.places["tau[1]"] == 0
+    laws = FrictionModel(
+        law="by_hand", robot=robot.name, joints=robot.joints, laws=(make_law("lugre"),) * 6,
+        sample_time=STEP, coupling=robot.description.coupling,
+    )  # fmt: skip
+    servo = ServoGains(kv=(100.0,) * 6, ki=(1000.0,) * 6)
+    whole = content(laws, PlantBody.of(robot), servo=servo, bare=True)
+    path = write_fmu(whole, tmp_path / "Arm.fmu", fmi=fmi)
+    assert check(path).problems == ()
+    with FmuInstance(path) as arm:
+        names = [f"{name}[{i}]" for name in ("tau", "dq_cmd") for i in range(1, 7)]
+        arm.initialise(start=dict.fromkeys(names, 0.0))
+        arm.set({"dq_cmd[5]": 0.3})
+        for k in range(400):
+            arm.step(k * STEP, STEP)
+        found = arm.get([f"dq[{i}]" for i in range(1, 7)])
+    np.testing.assert_allclose(found, [0.0, 0.0, 0.0, 0.0, 0.3, 0.0], atol=0.01)
