@@ -217,9 +217,16 @@ def example(
     )
 
 
-def run_tracking(loop: StudyLoop) -> tuple[list[Tracked], list[Tracked]]:
-    """Run all rows on all motions, and selected ones on a long motion."""
+def run_tracking(loop: StudyLoop, *, quick: bool = False) -> tuple[list[Tracked], list[Tracked]]:
+    """Run all rows on all motions, and selected ones on a long motion.
+
+    With `quick`, only rows with the desired velocity and no long motion.
+    """
     tracking = loop.tracking
+    if quick:
+        rows = [row for row in loop.rows() if row.scheme.source == "desired"]
+        found = loop.track(rows, motions(tracking), tracking.duration, "tracking", traced=True)
+        return found, []
     long = motions(tracking, int(np.ceil(tracking.drift / tracking.duration)))[:1]
     return (
         loop.track(loop.rows(), motions(tracking), tracking.duration, "tracking", traced=True),

@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.loop.closed_loop import ARM, Tracking
 from cosim.loop.loops import StudyLoop, assemble, build, example, require_reachable, run_tracking
+from cosim.loop.plant_loop import PLANT, build_plant, on_plant
 from cosim.loop.robustness import run_overcompensation, run_sweeps
 from cosim.loop.traces import TRACES, LoopOutcome, write_traces
 from cosim.systems.simulation import Master
@@ -16,8 +17,9 @@ from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_arm.export import export_python_arm
 from fmu_src.arm.table import SignalTable
 from fmu_src.arm.truth import true_friction
-from hesr_model.errors import ConfigError
+from hesr_model.errors import ConfigError, ExportError
 from hesr_model.findings import Finding, caution
+from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.support.files import scratch_folder
@@ -37,12 +39,15 @@ def run_loop(
     folder: Path,
     *,
     friction: Mapping[str, Path],
+    models: Mapping[str, FrictionModel],
+    quick: bool = False,
     kept: Path | None,
     progress: Stages,
 ) -> LoopOutcome:
     """Build the FMUs of a loop in ``folder/fmus``, next to Arm.fmu, and run it.
 
-    Writes one loop as closed_loop.toml and the positions along the first motion as `TRACES`.
+    Writes one loop with the arm and one with the generated plant, and the positions along the first
+    motion as `TRACES`. A `quick` run has the rows with the desired velocity only.
     """
     require_reachable(tracking, robot)
     progress("building the loop", 0, 1)
@@ -54,18 +59,39 @@ def run_loop(
     loop = assemble(
         fmus, robot, tracking=tracking, friction=friction, plant=plant, kept=kept, progress=progress
     )
-    write_system(example(loop), folder / "closed_loop.toml")
+    findings = write_loops(loop, robot, body, models, folder)
     progress("building the loop", 1, 1)
-    tables, long = run_tracking(loop)
+    tables, long = run_tracking(loop, quick=quick)
     runs = [(t.scheme, t.law, t.trace) for t in tables if t.trace]
     write_traces(folder / TRACES, runs)
     return LoopOutcome(
         tracking=tables,
         long=long,
-        sweeps=run_sweeps(loop, robot, body, fmus, tables),
-        overcompensation=run_overcompensation(loop),
-        findings=check_masters(loop, plant, signals),
+        sweeps=[] if quick else run_sweeps(loop, robot, body, fmus, tables),
+        overcompensation=[] if quick else run_overcompensation(loop),
+        findings=[*findings, *([] if quick else check_masters(loop, plant, signals))],
     )
+
+
+def write_loops(
+    loop: StudyLoop,
+    robot: Robot,
+    body: RigidBody,
+    models: Mapping[str, FrictionModel],
+    folder: Path,
+) -> list[Finding]:
+    """Write the loops; return a finding if there is no plant."""
+    spec, gains = example(loop), loop.tracking.gains
+    write_system(spec, folder / "closed_loop.toml")
+    try:
+        plant = build_plant(folder / "fmus" / PLANT, models, robot, body, gains)
+    except ExportError as error:
+        reason = str(error).rstrip(".")
+        found = f"the loop was not written with a generated plant ({reason})"
+        remedy = "set 'physical = true' in the study"
+        return [Finding(check="plant", severity="advice", found=found, remedy=remedy)]
+    write_system(on_plant(spec, plant, gains), folder / "plant_loop.toml")
+    return []
 
 
 def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[Finding]:

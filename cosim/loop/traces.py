@@ -96,8 +96,7 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
 
     if not path.is_file():
         raise ArtifactError(
-            f"{path}: no such file; 'hesr run' writes it for a study with [tracking], but not with "
-            "--quick."
+            f"{path}: no such file; 'hesr run' writes it for a study with [tracking]."
         )
     try:
         table = pyarrow.parquet.read_table(path)

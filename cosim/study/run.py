@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from cosim.loop.artefact import complete_loops
 from cosim.loop.traces import LoopOutcome
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.results import TRUTHS, Scored, log_findings, save_run, write_findings
@@ -78,16 +79,7 @@ def run_study(
     """
     study = Study.read(path)
     if quick:
-        twin = study.twin and study.twin.model_copy(update={"truths": ()})
-        study = study.model_copy(
-            update={
-                "laws": laws_with("quick"),
-                "variants": {},
-                "refinement": None,
-                "tracking": None,
-                "twin": twin,
-            }
-        )
+        study = _shortened(study)
     targets(platforms)
     used = USED.copy()
     kept = unfinished(output)
@@ -102,7 +94,8 @@ def run_study(
             truths = job.other_truths([law for law in models if law not in study.variants])
             if truths:
                 write_json(folder / TRUTHS, truths)
-            loop = job.closed_loop(run, folder)
+            loop = job.closed_loop(run, folder, quick=quick)
+            complete_loops(folder)
             found = {} if quick else job.properties(run, folder)
             # Last: the FMUs document the physics checks.
             body = PageBody.of(run.robot, run.rigid_body)
@@ -142,6 +135,20 @@ def run_study(
         truth=(study.twin and study.twin.truth) or "",
         cached=since(used),
     )
+
+
+def _shortened(study: Study) -> Study:
+    """Return a study with few laws and, in closed loop, one motion."""
+    laws = laws_with("quick")
+    twin = study.twin and study.twin.model_copy(update={"truths": ()})
+    tracking = study.tracking and study.tracking.model_copy(
+        update={
+            "seeds": study.tracking.seeds[:1],
+            "sources": tuple(law for law in study.tracking.sources if law in laws),
+        }
+    )
+    shorter: dict[str, Any] = {"laws": laws, "variants": {}, "refinement": None}
+    return study.model_copy(update=shorter | {"tracking": tracking, "twin": twin})
 
 
 def score_study(

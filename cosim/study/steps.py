@@ -190,7 +190,7 @@ class Job:
         write_properties(folder / "properties.json", found)
         return found
 
-    def closed_loop(self, run: Scored, folder: Path) -> LoopOutcome | None:
+    def closed_loop(self, run: Scored, folder: Path, *, quick: bool = False) -> LoopOutcome | None:
         """Run the closed loop of the study; None if it has none."""
         if self.study.tracking is None or self.study.twin is None:
             return None
@@ -207,6 +207,8 @@ class Job:
             run.rigid_body,
             folder,
             friction=run.fmus,
+            models=run.models,
+            quick=quick,
             kept=self.kept,
             progress=self.progress,
         )

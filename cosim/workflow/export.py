@@ -39,9 +39,11 @@ class ExportOptions(TypedDict, total=False):
     rigid_body: BodyArg
     signals: PathArg
     ssp: Ssp
+    kv: PerJoint
+    ki: PerJoint
 
 
-_PER_JOINT = ("inertia", "stiffness", "damping", "ratio")
+_PER_JOINT = ("inertia", "stiffness", "damping", "ratio", "kv", "ki")
 _OF_ARMS, _OF_SYSTEMS = ("signals",), ("ssp",)
 _log = logging.getLogger(__name__)
 
@@ -55,15 +57,15 @@ def export(
     progress: Stages = silent,
     **options: Unpack[ExportOptions],
 ) -> Path:
-    """Write a friction law, an arm or a system of FMUs for other tools.
+    """Write a friction law, an arm, a system of FMUs or a closed loop for other tools.
 
     Parameters
     ----------
     source : law or path
         Friction model (.json) or uf850-table1 (the paper's); MJCF of an arm (.xml); system of FMUs
-        (.toml, .ssp).
+        (.toml, .ssp); with format loop, results of a study of a twin, or the study.
     output : path
-        File to write.
+        File to write, or folder of a loop.
     format : str, optional
         Of a law: fmu (default; velocity in, torque out), adaptive (an FMU that estimates friction
         from measured torques), drive (an FMU with the rotor: torque in, velocity out), plant (an
@@ -71,7 +73,9 @@ def export(
         (one header without FMI), torch or jax (one batched, differentiable file), ssv (coefficients
         and covariance as a parameter set of SSP). Of an arm: fmu (default), or python-arm for hosts
         with Python, HESR and MuJoCo. Of a system: ssp, or fmu for one FMU that holds it; by default
-        the suffix of the output decides.
+        the suffix of the output decides. Of results or a study, which is run with its quick laws:
+        loop (all FMUs of the closed loop, the system as SSP and TOML, and a script that runs it
+        with FMPy and NumPy).
     platform : sequence of str, optional
         Platforms of an FMU: linux64 (default), win64, darwin64, aarch64-linux or all; repeatable.
     progress : callable, optional
@@ -106,6 +110,10 @@ def export(
     rigid_body : body or path
         Plant and FMU: result of 'hesr identify' for --robot; by default a plant has the parameters
         of the model file.
+    kv : float or sequence of float, N.m.s/rad
+        Plant: proportional gains of a servo with a speed command; by default no servo.
+    ki : float or sequence of float, N.m/rad
+        Plant: integral gains of the servo; by default 0.
     signals : path
         Arm: TOML file with inputs and outputs; by default every control and sensor.
     ssp : {"1.0", "2.0"}
@@ -148,7 +156,9 @@ def export(
         raise ArgumentError("'robot' and 'rigid_body' must be given together.")
     suffix = Path(source).suffix.lower() if isinstance(source, str | Path) else ""
     building = partial(progress, f"building {path.name}")
-    if suffix == ".xml":
+    if format == "loop":
+        _write_loop(Path(str(source)), path, platform, given, progress)
+    elif suffix == ".xml":
         _write_arm(Path(str(source)), path, format or "fmu", platform, given, building)
     elif suffix in (".toml", ".ssp"):
         _write_system(Path(str(source)), path, format, platform, given)
@@ -183,6 +193,32 @@ def _write_arm(
             f"'format' is {format}, which is for friction laws; a robot becomes an FMU (fmu, "
             "python-arm)."
         )
+
+
+def _write_loop(
+    source: Path,
+    output: Path,
+    platform: Sequence[str] | None,
+    given: Mapping[str, Any],
+    progress: Stages,
+) -> None:
+    """Write the closed loop of results, or of a study, which is run first."""
+    from cosim.loop.artefact import copy_loops
+    from cosim.study.run import run_study
+    from cosim.study.study import Study
+    from hesr_model.support.files import scratch_folder
+
+    _refuse_others(given, (), "other formats than loop")
+    if platform is not None:
+        raise ArgumentError("'platform' is for single FMUs; a loop is built for linux64.")
+    if source.is_dir():
+        copy_loops(source, output)
+        return
+    if Study.read(source).tracking is None:
+        raise ArgumentError(f"{source}: has no [tracking], which a loop needs; add it, and [twin].")
+    with scratch_folder() as folder:
+        run_study(source, folder / "results", quick=True, progress=progress)
+        copy_loops(folder / "results", output)
 
 
 def _write_system(
@@ -334,12 +370,14 @@ def further_options() -> list[inspect.Parameter]:
 
 def answer(path: Path, output: PathArg | None) -> Answer:
     """Return the answer of an export: the file and the tools that read it."""
-    size = path.stat().st_size / 1024.0
+    files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
+    size = sum(file.stat().st_size for file in files) / 1024.0
     lines = [f"{_TOOLS.get(path.suffix.lower(), 'File for other tools')}, {size:.0f} KiB."]
     return Written(format="hesr-export-1", lines=lines, data=str(path), files=written_files(output))
 
 
 _TOOLS = {
+    "": "FMUs of a closed loop with simulate.py, for FMPy, and its SSP",
     ".fmu": "FMU, for every tool that imports FMI",
     ".ssp": "SSP, for OMSimulator, easySSP and other importers",
     ".ssv": "parameter set of SSP",

@@ -10,7 +10,6 @@ from typing import Any
 from fmu_src.check import functions
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import KINDS, InterfaceKind, ParsedDescription
-from fmu_src.check.rules import Problem
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
 from hesr_model.support.text import listed, plain, quoted
@@ -67,17 +66,7 @@ _PE = re.compile(
     r"msvcrt|ucrtbase|bcrypt|crypt32|rpcrt4|winmm|version|psapi|dbghelp|iphlpapi|comdlg32|"
     r"comctl32|setupapi|secur32|userenv|wsock32|mswsock|powrprof|api-ms-win-[a-z0-9-]+|"
     r"ext-ms-win-[a-z0-9-]+|bcryptprimitives|cfgmgr32|imm32|netapi32|opengl32|pdh|uxtheme|wininet|"
-    r"winhttp|normaliz|propsys|sechost|wldap32|activeds|adsldpapi|authz|avicap32|avifil32|avrt|"
-    r"cabinet|clusapi|credui|cryptbase|cryptnet|cryptsp|cryptui|d2d1|d3d\d+|dciman32|ddraw|dhcpcsvc|"
-    r"dinput8?|dnsapi|dsound|dwmapi|dwrite|dxgi|dxva2|fltlib|gdiplus|glu32|hid|httpapi|icmp|imagehlp|"
-    r"loadperf|lz32|mpr|msacm32|mscoree|msi|msimg32|msvfw32|ncrypt|ndfapi|odbc32|oleacc|oledlg|"
-    r"profapi|rasapi32|resutils|rstrtmgr|samlib|schannel|security|sensapi|shcore|srvcli|tapi32|tdh|"
-    r"traffic|urlmon|usp10|wbemuuid|wer|wevtapi|windowscodecs|wintrust|winusb|wlanapi|wtsapi32|"
-    r"xinput[0-9_]+|xmllite)\.dll|winspool\.drv",
-    re.IGNORECASE,
-)
-_REDISTRIBUTABLE = re.compile(
-    r"(vcruntime\d+(_\d)?|msvc[pr]\d+(_\w+)?|concrt\d+|vcomp\d+|mfc\d+u?|atl\d+)\.dll",
+    r"winhttp|normaliz|propsys|sechost|wldap32)\.dll",
     re.IGNORECASE,
 )
 _MACH_O = re.compile(r"/usr/lib/.*|/System/Library/.*", re.DOTALL)
@@ -90,7 +79,7 @@ _FOLDER = "binaries/"
 _PYTHON = re.compile("_?Py[A-Z_][A-Za-z_]+")
 
 
-def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iterator[Problem]:
+def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iterator[str]:
     """Yield the problems of the binaries; `folder` is for temporary files."""
     for platform, names in _by_platform(contents).items():
         expected = PLATFORMS[about.fmi].get(platform)
@@ -102,14 +91,13 @@ def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iter
             name = f"{_FOLDER}{platform}/{identifier}{expected.suffix}"
             if name in contents.files:
                 file = contents.files[name]
-                for rule, text in _of_library(file, about, kinds, expected, names, folder):
-                    yield rule, f"{plain(name)}: {text}"
+                for text in _of_library(file, about, kinds, expected, names, folder):
+                    yield f"{plain(name)}: {text}"
             elif name not in contents.names:
                 what = " and ".join(kind.element for kind in kinds)
                 yield (
-                    "binary-missing",
                     f"{_FOLDER}{platform}: it lacks {quoted(posixpath.basename(name))}, the name "
-                    f"that modelIdentifier of {what} requires.",
+                    f"that modelIdentifier of {what} requires."
                 )
 
 
@@ -139,11 +127,11 @@ def _of_library(
     expected: Platform,
     beside: set[str],
     folder: Path,
-) -> Iterator[Problem]:
+) -> Iterator[str]:
     try:
         found = run_in_sandbox(_READER, str(file), folder=folder, seconds=SECONDS)
     except DiedError as error:
-        yield "binary-unreadable", f"its content could not be read: its reader {error}."
+        yield f"its content could not be read: its reader {error}."
         return
     parts = found["parts"]
     machines = [part["machine"] for part in parts]
@@ -151,8 +139,7 @@ def _of_library(
     if found["format"] != expected.format or not right:
         is_a = f"{found['format']} for {', '.join(machines)}" if parts else "not a readable library"
         needed = " or ".join(expected.machines)
-        text = f"it is {is_a}; needed in this folder is {expected.format} for {needed}."
-        yield "binary-format", text
+        yield f"it is {is_a}; needed in this folder is {expected.format} for {needed}."
         return
     texts = [
         text
@@ -164,33 +151,30 @@ def _of_library(
 
 def _exports(
     part: Mapping[str, Any], about: ParsedDescription, kinds: list[InterfaceKind]
-) -> Iterator[Problem]:
+) -> Iterator[str]:
     if not part["shared"]:
-        yield "binary-format", "it is a program or object file; expected a shared library."
+        yield "it is a program or object file; expected a shared library."
     exports = set(part["exports"])
     if about.fmi == 2:
         for kind in kinds:
             yield from _missing(kind, exports)
     elif missing := [name for name in functions.REQUIRED_3 if name not in exports]:
-        text = f"it does not export {listed(missing)}; FMI 3.0 requires all of its functions."
-        yield "binary-functions", text
+        yield f"it does not export {listed(missing)}; FMI 3.0 requires all of its functions."
     # One library may serve several versions of FMI.
     own = f"fmi{about.fmi}"
     strange = sorted(n for n in exports if n.startswith(own) and n not in functions.KNOWN)
     if strange:
-        text = f"it exports {listed(strange)}, which FMI {about.fmi}.0 does not have."
-        yield "binary-unknown", text
+        yield f"it exports {listed(strange)}, which FMI {about.fmi}.0 does not have."
 
 
-def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[Problem]:
+def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[str]:
     required = functions.REQUIRED[kind.element]
     missing = [name for name in required if name not in exports]
     prefixed = [name for name in missing if f"{kind.identifier}_{name}" in exports]
     if prefixed:
         yield (
-            "binary-functions",
             f"it exports {listed([f'{kind.identifier}_{prefixed[0]}'])} and the like; the prefix "
-            "is for source code and static libraries only.",
+            "is for source code and static libraries only."
         )
         return
     promised: set[str] = set()
@@ -198,14 +182,12 @@ def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[Problem]:
         broken = [name for name in names if name in missing]
         if broken and kind.can(capability):
             promised.update(broken)
-            text = f"it does not export {listed(broken)}, though {capability} is 'true'."
-            yield "binary-functions", text
+            yield f"it does not export {listed(broken)}, though {capability} is 'true'."
     rest = [name for name in missing if name not in promised]
     if rest:
         yield (
-            "binary-functions",
             f"it does not export {listed(rest)}; FMI 2.0 requires all functions of "
-            f"{KINDS[kind.element]}.",
+            f"{KINDS[kind.element]}."
         )
 
 
@@ -216,7 +198,7 @@ def _place(name: str) -> str:
     return posixpath.basename(name)
 
 
-def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Iterator[Problem]:
+def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Iterator[str]:
     python = [name for name in part["imports"] if _PYTHON.fullmatch(name)]
     others = []
     for name in part["libraries"]:
@@ -225,21 +207,13 @@ def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Ite
         elif not _USUAL[expected.format].fullmatch(name):
             others.append(name)
     if python:
-        text = f"it needs a Python interpreter in the host ({listed(python, 3)} undefined)."
-        yield "binary-python", text
+        yield f"it needs a Python interpreter in the host ({listed(python, 3)} undefined)."
     names = {_place(name) for name in others}
-    absent = sorted(names - beside)
-    runtime = [name for name in absent if _REDISTRIBUTABLE.fullmatch(name)]
-    for rule, needed in (
-        ("binary-library", [name for name in absent if name not in runtime]),
-        ("binary-runtime", runtime),
-    ):
-        if needed:
-            yield rule, f"it needs {listed(needed)}, neither part of the system nor in the FMU."
+    if absent := sorted(names - beside):
+        yield f"it needs {listed(absent)}, neither part of the system nor in the FMU."
     origin = any("$ORIGIN" in path or "${ORIGIN}" in path for path in part["run_paths"])
     present = sorted(names & beside)
     if present and expected.format == "ELF" and not origin:
         yield (
-            "binary-path",
-            f"it needs {listed(present)} in its folder, but its run path lacks $ORIGIN to find it.",
+            f"it needs {listed(present)} in its folder, but its run path lacks $ORIGIN to find it."
         )

@@ -87,7 +87,7 @@ def _figure(results: Results, scheme: Scheme) -> Chart | None:
 
 def robustness(results: Results) -> dict[str, Any] | None:
     """Return tracking errors with an arm other than the identified one."""
-    if results.loop is None:
+    if results.loop is None or not results.loop.sweeps:
         return None
     return {
         "sweeps": tables.sweeps(results.loop.sweeps),

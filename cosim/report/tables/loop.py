@@ -12,12 +12,11 @@ from cosim.report.tables import table
 
 def outcome(found: LoopOutcome) -> list[table.ResultTable]:
     """Return all tables of a closed loop."""
-    return [
-        tracking("Tracking: RMSE [mrad], mean over the motions", found.tracking),
-        tracking("One long motion: RMSE [mrad]", found.long),
-        *sweeps(found.sweeps),
-        overcompensation(found.overcompensation),
-    ]
+    shown = [tracking("Tracking: RMSE [mrad], mean over the motions", found.tracking)]
+    shown += [tracking("One long motion: RMSE [mrad]", found.long)] if found.long else []
+    shown += sweeps(found.sweeps)
+    more = found.overcompensation
+    return [*shown, *([overcompensation(more)] if more else [])]
 
 
 def tracking(caption: str, rows: Sequence[Tracked]) -> table.ResultTable:

@@ -1,0 +1,193 @@
+"""The closed loop as files, run by their script without HESR, with MuJoCo and with the plant."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib.metadata import distribution
+from pathlib import Path
+
+import numpy as np
+import pytest
+from closed_loop import GAINS, Bench
+from packaging.requirements import Requirement
+from small_results import STUDY
+from small_twin import GAINS as SMALL_GAINS
+from small_twin import MOTIONS
+
+import hesr
+from cosim.loop.closed_loop import Scheme
+from cosim.loop.loops import assemble
+from cosim.loop.plant_loop import on_plant
+from cosim.loop.run import write_loops
+from cosim.study.study import Study
+from cosim.systems.simulation import Master
+from cosim.systems.system_file import System
+from fmu_src.arm.plant import Plant
+from fmu_src.arm.truth import true_friction
+from fmu_src.plant.plant_fmu import PlantBody, export_plant
+from hesr_model.errors import ArgumentError, ArtifactError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import Robot, RobotDescription
+from hesr_model.support.files import models_folder
+
+UF850 = models_folder() / "uf850"
+
+FILES = {"closed_loop.toml", "closed_loop.ssp", "plant_loop.toml", "plant_loop.ssp", "simulate.py"}
+MOST_LINES = 60
+ALIKE = 0.02  # relative difference of the RMSE with both plants
+QUIET = {"q_noise": (0.0, 0.0, 0.0), "tau_meas_noise": (0.0, 0.0, 0.0)}
+
+
+def needed(names: set[str]) -> Iterator[str]:
+    """Names of packages and of all that they require."""
+    waiting, seen = [*names], set()
+    while waiting:
+        if (name := waiting.pop()) in seen:
+            continue
+        seen.add(name)
+        yield name
+        for text in distribution(name).requires or ():
+            one = Requirement(text)
+            if one.marker is None or one.marker.evaluate({"extra": ""}):
+                waiting.append(one.name)
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Site folder with FMPy and NumPy only."""
+    site = tmp_path_factory.mktemp("site")
+    for name in needed({"fmpy", "numpy"}):
+        for file in distribution(name).files or ():
+            top = file.parts[0]
+            if top not in ("..", "/") and not (site / top).exists():
+                (site / top).symlink_to(Path(str(distribution(name).locate_file(top))))
+    return site
+
+
+def script(folder: Path, site: Path, *arguments: str) -> np.ndarray:
+    """Run simulate.py with the packages of a site folder alone; return its table."""
+    start = f"import sys, runpy; sys.path.insert(0, {str(site)!r}); import importlib.util as u; "
+    start += "assert not any(map(u.find_spec, ('hesr', 'hesr_model', 'mujoco', 'matplotlib'))); "
+    start += "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+    command = [sys.executable, "-I", "-S", "-c", start, "simulate.py", *arguments]
+    said = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert said.returncode == 0, said.stderr
+    table = np.loadtxt(folder / "tracking.csv", delimiter=",", skiprows=1)
+    desired, q = np.split(table[:, 1:], 2, axis=1)
+    rmse = 1e3 * np.sqrt(np.mean((desired - q) ** 2, axis=0))
+    printed = re.fullmatch(r"RMSE \[mrad\]: (\S+) (\S+) (\S+)\n", said.stdout)
+    assert printed is not None
+    np.testing.assert_allclose([float(x) for x in printed.groups()], rmse, atol=6e-4)
+    return table
+
+
+@pytest.fixture(scope="module")
+def loop(small_results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return hesr.export(small_results, tmp_path_factory.mktemp("to") / "loop", format="loop")
+
+
+def test_results_and_exports_contain_both_loops(loop: Path, small_results: Path) -> None:
+    assert {path.name for path in loop.iterdir()} == FILES | {"fmus"}
+    assert {path.name for path in small_results.iterdir()} >= FILES
+    fmus = {"Arm", "Plant", "Trajectory", "InverseDynamics", "Controller", "Velocity", "parfam_h"}
+    assert {path.stem for path in (loop / "fmus").iterdir()} == fmus
+    assert len((loop / "simulate.py").read_text().splitlines()) <= MOST_LINES
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(("name", "q"), [("closed_loop", "arm.q_true"), ("plant_loop", "arm.q")])
+def test_the_script_gives_the_motion_of_hesr(name: str, q: str, loop: Path, bare: Path) -> None:
+    """Bit for bit, and so does the SSP."""
+    found = script(loop, bare, *(() if name == "closed_loop" else (f"{name}.toml",)))
+    for suffix in (".toml", ".ssp"):
+        run = System.read(loop / f"{name}{suffix}").run()
+        whole = np.column_stack([run.t, run.vector("trajectory.q"), run.vector(q)])
+        np.testing.assert_array_equal(found, whole)
+    assert np.ptp(found[:, 4:], axis=0).min() > 0.01
+
+
+@pytest.mark.ci
+def test_both_plants_track_alike(bench: Bench, tmp_path: Path) -> None:
+    """With the friction and the servo of MuJoCo's arm in the plant."""
+    plant = bench.plant
+    truth = true_friction(plant.model, plant.joints, sample_time=0.005)
+    fmu = export_plant(
+        truth, tmp_path / "Plant.fmu", body=PlantBody.of(bench.robot), kv=GAINS.Kv, ki=GAINS.Ki
+    )
+    for scheme in (
+        Scheme(compensation="none"),
+        Scheme(compensation="torque_error"),
+        Scheme(compensation="servo_inversion"),
+        Scheme(compensation="servo_inversion", Kx=5.0),
+    ):
+        spec = bench.system(bench.loop(scheme))
+        errors = []
+        start = {"arm": QUIET}
+        for system, more, q in (
+            (spec, start, "arm.q_true"),
+            (on_plant(spec, fmu, GAINS), {}, "arm.q"),
+        ):
+            with Master(system) as master:
+                run = master.run(start=more).require_success()
+            difference = run.vector("trajectory.q") - run.vector(q)
+            errors.append(np.sqrt(np.mean(difference**2, axis=0)))
+        np.testing.assert_allclose(errors[1], errors[0], rtol=ALIKE)
+        assert errors[0].min() > 1e-3
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    (tmp_path / "motions.toml").write_text(MOTIONS, encoding="utf-8")
+    text = STUDY.format(uf850=models_folder() / "uf850").split("[variants.plain]")
+    rest = text[1].partition("[twin]")
+    path = tmp_path / "study.toml"
+    path.write_text(f"{text[0]}{''.join(rest[1:])}{SMALL_GAINS}", encoding="utf-8")
+    return path
+
+
+@pytest.mark.ci
+def test_a_study_is_run_for_its_loop(study: Path, tmp_path: Path) -> None:
+    """Its quick run tracks the quick laws on one motion."""
+    outcome = hesr.run(study, output=tmp_path / "out", quick=True).outcome
+    assert outcome.loop is not None
+    laws = {str(row.law) for row in outcome.loop.tracking}
+    assert {"stribeck", "lugre", "parfam_h"} < laws
+    assert all(row.rmse.shape == (1, 3) for row in outcome.loop.tracking)
+    assert "Tracking" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    path = hesr.export(study, tmp_path / "loop", format="loop")
+    for name in ("closed_loop.toml", "plant_loop.toml"):
+        again, first = (System.read(at / name).run() for at in (path, tmp_path / "out"))
+        np.testing.assert_array_equal(again.vector("trajectory.q"), first.vector("trajectory.q"))
+
+
+def test_sources_without_a_loop_are_refused(study: Path, tmp_path: Path) -> None:
+    sentence = f"{tmp_path}: has no closed_loop.toml; 'hesr run' writes it for a study with [twin]"
+    with pytest.raises(ArtifactError, match=re.escape(sentence)):
+        hesr.export(tmp_path, tmp_path / "loop", format="loop")
+    study.write_text(study.read_text(encoding="utf-8").partition("[tracking]")[0])
+    sentence = f"{study}: has no [tracking], which a loop needs; add it, and [twin]."
+    with pytest.raises(ArgumentError, match=re.escape(sentence)):
+        hesr.export(study, tmp_path / "loop", format="loop")
+    with pytest.raises(ArgumentError, match="a loop is built for linux64"):
+        hesr.export(study, tmp_path / "loop", format="loop", platform=["win64"])
+
+
+def test_masses_without_a_plant_are_reported(
+    small_results: Path, table1: FrictionModel, tmp_path: Path
+) -> None:
+    robot = Robot(RobotDescription.read(UF850 / "robot.toml"))
+    found = RigidBody.read(small_results / "rigid_body.json")
+    settings = Study.read(small_results.parent / "study.toml").tracking
+    assert settings is not None
+    law = {"parfam_h": small_results / "fmus" / "parfam_h.fmu"}
+    fmus, plant = small_results / "fmus", Plant.read(UF850 / "plant.toml")
+    loop = assemble(fmus, robot, tracking=settings, friction=law, plant=plant)
+    nothing = replace(found, parameters=0.0 * found.parameters)
+    [finding] = write_loops(loop, robot, nothing, {"table1": table1}, tmp_path)
+    reason = "the rigid body gives the mass matrix of 'uf850' the eigenvalue 0 kg.m2"
+    assert f"the loop was not written with a generated plant ({reason}" in finding.sentence
+    assert (tmp_path / "closed_loop.toml").is_file()
+    assert not (tmp_path / "plant_loop.toml").exists()
