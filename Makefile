@@ -7,10 +7,12 @@
 # make interrupts run the tests of interrupts as a background job does, with SIGINT ignored
 # make durations  run all tests and record their CPU seconds in tests/durations.toml
 # make soak       run the tests that take too long for daily use
-# make lint       formatting, static checks, types
+# make lint       formatting, static checks, types, and the pipelines
+# make pipelines  check workflows, container and citation
 # make mutate     put small faults into the sources and count those that tests notice;
 #                 MUTATE='cli --number 5 --seed 7' chooses area, number and seed
 # make docs       build the documentation as a site in site/, strictly, notebooks executed
+# make dist       build and check the wheel and the source archive in dist/
 # make interop    install other FMI engines in .tools and compare them with ours
 # make benchmark  speed and memory, recorded, not judged
 
@@ -36,7 +38,7 @@ FITS := tests/numbers $(patsubst %,tests/unit/test_%.py, \
 INTERRUPTS := tests/unit/test_files.py $(patsubst %,tests/cosim/test_%.py,cli_interrupts foreign_fmus workers)
 
 .PHONY: run test test-all contract hard kernels interrupts durations soak mutate messages lint format docs \
-  interop benchmark clean
+  pipelines dist interop benchmark clean
 
 run: $(VENV)/installed
 	$(BIN)/hesr run
@@ -74,11 +76,25 @@ mutate: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --editable '.[mutation]'
 	$(BIN)/python tests/mutation/run.py $(MUTATE)
 
-lint: $(VENV)/installed
+lint: $(VENV)/installed pipelines
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run -Werror $(C_FILES)
+
+pipelines: $(VENV)/installed
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/[!c]*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-config .github/ISSUE_TEMPLATE/config.yml
+	[ ! -x $(BIN)/hadolint ] || $(BIN)/hadolint Dockerfile
+	$(BIN)/check-jsonschema --builtin-schema vendor.citation-file-format CITATION.cff
+	$(BIN)/pre-commit validate-config
+
+dist: $(VENV)/installed
+	rm -rf dist
+	$(BIN)/python -m build
+	$(BIN)/twine check --strict dist/*
 
 format: $(VENV)/installed
 	$(BIN)/ruff check --fix .
@@ -88,6 +104,7 @@ format: $(VENV)/installed
 docs: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet 'jax>=0.4.30'  # of one notebook; no extra has it
 	$(BIN)/sphinx-build -q -W --keep-going -c docs/site . site
+	$(BIN)/pytest tests/browser/test_site.py
 
 interop: $(VENV)/installed
 	.ci/interop .tools/interop
