@@ -1,0 +1,40 @@
+"""The wheel and the source archive, built as for a release."""
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SWITCHES = ("--no-isolation", "--skip-dependency-check")
+
+
+def built(source: Path, folder: Path, *switches: str) -> list[Path]:
+    command = [sys.executable, "-m", "build", *SWITCHES, *switches, "--outdir", str(folder)]
+    environment = os.environ | {"SOURCE_DATE_EPOCH": "1760000000"}
+    subprocess.run([*command, str(source)], check=True, env=environment, stdout=subprocess.DEVNULL)
+    return sorted(folder.iterdir())
+
+
+@pytest.mark.ci
+def test_a_release_is_complete_and_reproducible(tmp_path: Path) -> None:
+    pytest.importorskip("hatchling", reason="hatchling is not installed")
+    (archive,) = built(ROOT, tmp_path / "source", "--sdist")
+    wheels = []
+    for k in range(2):
+        shutil.unpack_archive(archive, tmp_path / f"unpacked{k}")
+        (source,) = (tmp_path / f"unpacked{k}").iterdir()
+        wheels += built(source, tmp_path / f"wheel{k}", "--wheel")
+    assert wheels[0].read_bytes() == wheels[1].read_bytes()
+    with zipfile.ZipFile(wheels[0]) as wheel:
+        names = set(wheel.namelist())
+    assert not [name for name in names if "test_" in name or name.startswith("tests/")]
+    needed = ("hesr/py.typed", "hesr/__init__.pyi", "fmu_src/c/component.h")
+    assert names.issuperset(needed)
+    assert any(name.startswith("hesr_model/_models/uf850/") for name in names)
+    twine = [sys.executable, "-m", "twine", "check", "--strict", str(archive), str(wheels[0])]
+    subprocess.run(twine, check=True, stdout=subprocess.DEVNULL)
