@@ -4,10 +4,9 @@
 """
 
 import importlib.metadata
-from typing import Any
 
 project = "HESR"
-author = "the authors of HESR"
+author = "HESR contributors"
 release = version = importlib.metadata.version("hesr")
 copyright = author  # noqa: A001  # as Sphinx calls it
 
@@ -31,9 +30,9 @@ templates_path = ["templates"]
 html_additional_pages = {"index": "to_docs.html"}
 html_show_sourcelink = html_show_copyright = False
 
-myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
-# Mermaid and other fences without a lexer are shown as they are.
+# Fences without a lexer are shown as they are.
 suppress_warnings = ["misc.highlighting_failure"]
 
 nb_execution_mode = "force"
@@ -48,14 +47,3 @@ autodoc_typehints = "none"  # signatures have them
 numpydoc_class_members_toctree = False
 numpydoc_show_class_members = False
 numpydoc_attributes_as_param_list = False
-
-
-def setup(app: Any) -> None:
-    """Show flow charts, which the site has no program to draw, as what they are written as."""
-    app.add_lexer("mermaid", _text_lexer())
-
-
-def _text_lexer() -> Any:
-    from pygments.lexers.special import TextLexer
-
-    return TextLexer
