@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.workflow.answer import Answer, Written, written_files
 from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 from hesr_model.support.progress import Stages, silent
+from hesr_model.support.untrusted_text import parse_toml
 
 if TYPE_CHECKING:
     from cosim.systems.signals import Signals
@@ -19,22 +21,37 @@ def simulate(
     system: PathArg,
     *,
     output: PathArg | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    step: float | None = None,
+    set: Sequence[str] = (),  # noqa: A002  # the option's name
+    input: PathArg | None = None,  # noqa: A002  # the option's name
     only: int | None = None,
     workers: int | None = None,
     cluster: str | None = None,
     trust: bool = False,
     progress: Stages = silent,
 ) -> Signals | Answer:
-    """Run a system of FMUs, once or in a sweep.
+    """Run a system of FMUs, once or in a sweep, or one FMU of any tool.
 
     An interrupted sweep continues where it stopped.
 
     Parameters
     ----------
     system : path
-        System (.toml: FMUs, connections, steps), SSP, or sweep (.toml: what is varied).
+        System (.toml: FMUs, connections, steps), SSP or FMU, or sweep (.toml: what is varied).
     output : path, optional
         CSV or Parquet file; for a sweep, the folder (default: results/NAME).
+    start : float, s, optional
+        FMU: begin of the run; by default that of the file.
+    stop : float, s, optional
+        FMU: end of the run; by default that of the file.
+    step : float, s, optional
+        FMU: time between rows; by default that of the file.
+    set : sequence of str, optional
+        FMU: start values as NAME=VALUE, repeatable.
+    input : path, optional
+        FMU: CSV of inputs over time [s], linear for continuous inputs and held for others.
     only : int, optional
         Sweep: repeat this run only and write its signals.
     workers : int, optional
@@ -65,6 +82,7 @@ def simulate(
         $ hesr simulate loop.toml -o result.csv
         $ hesr simulate payload.toml -o results/payload
         $ hesr simulate payload.toml --only 7 -o run.csv
+        $ hesr simulate Model.fmu --stop 10 --set gain=2 --input steps.csv -o result.csv
 
     In Python:
 
@@ -92,6 +110,12 @@ def simulate(
         raise ArgumentError(f"'{name}' is for a sweep; {path} is a system.")
     if file is not None:
         _require_table(file)
+    times = {"start": start, "stop": stop, "step": step}
+    if path.suffix.lower() == ".fmu":
+        return _single(path, file, times, values_of(path, set), input)
+    options = times | {"set": set or None, "input": input}
+    for name in (name for name, value in options.items() if value is not None):
+        raise ArgumentError(f"'{name}' is for an FMU; {path} is a system.")
     with opened_system(path) as spec:
         remember_trust((component.fmu for component in spec.components), trust=trust)
         if not spec.observe:
@@ -112,6 +136,44 @@ def simulate(
             f"t = {result.end:.9g} s, are kept in {file}."
         )
     return result
+
+
+def values_of(path: Path, pairs: Sequence[str]) -> dict[str, Any]:
+    """Return start values of texts NAME=VALUE; values are those of TOML, or texts."""
+    found: dict[str, Any] = {}
+    for pair in pairs:
+        name, sign, text = pair.partition("=")
+        if not (name and sign):
+            raise ConfigError(f"{path}: --set is '{pair}'; expected NAME=VALUE, such as gain=2.")
+        try:
+            found[name] = parse_toml(f"value={text}")["value"]
+        except ValueError:
+            found[name] = text
+    return found
+
+
+def _single(
+    fmu: Path,
+    output: Path | None,
+    times: Mapping[str, float | None],
+    values: Mapping[str, Any],
+    table: PathArg | None,
+) -> Signals:
+    """Run one FMU, always in the sandbox."""
+    from cosim.systems.signals import Signals
+    from fmu_src.run.single import simulate_single
+    from hesr_model.logs.tables import read_table
+    from hesr_model.support.files import path_of
+
+    inputs = {}
+    if table is not None:
+        read = read_table(path_of(table, "an input"))
+        inputs = dict(zip(read.names, read.numbers(read.names).T, strict=True))
+    t, columns = simulate_single(fmu, **times, values=values, inputs=inputs)
+    found = Signals(t=t, signals=columns)
+    if output is not None:
+        found.write(output)
+    return found
 
 
 def _require_table(path: Path) -> None:

@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from sources import LAYERS, MODULES, ROOT, layer, tree
 
 # Maximum lines of Python, C and headers: 59,000, plus 1,800 for evidence, robots and logs, and
-# 1,600 for the plant.
+# 1,600 for the plant, and 646 for FMUs of other tools.
 BUDGET = {
     "hesr_model": 22_138,
-    "fmu_src": 18_828,
-    "cosim": 13_841,
+    "fmu_src": 18_986,
+    "cosim": 13_903,
     "hesr": 800,
     "hesr.extras": 7_300,
-    "all": 62_876,
+    "all": 63_096,
 }
 
 TEMPLATES = 3_456  # lines of templates, styles and scripts, without those of project folders
