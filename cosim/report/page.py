@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,9 @@ from cosim.report.results import Results
 from cosim.report.sections import inputs, laws, loop, physics, prediction
 from cosim.report.sections.summary import summary
 from cosim.report.tables.table import ResultTable, row_of
-from fmu_src.pages.datasheet import ModelAudit
+from cosim.study.results import record_files
 from hesr_model.support import parallel
+from hesr_model.support.files import folder_written_whole
 from hesr_model.support.progress import Stages, counted, silent
 
 REPORT, FIGURES = "report.html", "figures"
@@ -76,17 +77,27 @@ def write_report(
     folder: Path,
     output: Path | None = None,
     *,
-    audits: Mapping[str, ModelAudit] | None = None,
     progress: Stages = silent,
 ) -> Path:
     """Write the page, by default report.html in `folder`, figures and tables; return its path.
 
-    `audits` are those already known.
+    A killed process leaves all files of the folder as they were, or all new ones.
     """
-    results = replace(Results.read(folder), audited=audits)
+    results = Results.read(folder)
     path = output or folder / REPORT
+    with folder_written_whole(folder) as temporary:
+        inside = temporary / REPORT if output is None else path
+        compose_report(results, temporary, inside, path.parent, progress=progress)
+        record_files(temporary, folder)
+    return path
+
+
+def compose_report(
+    results: Results, folder: Path, page: Path, place: Path, *, progress: Stages = silent
+) -> None:
+    """Write the page of results, which is read at `place`, and figures and tables to a folder."""
     parts = [part for of_section in SECTIONS.values() for part in of_section]
-    home = _link_from(path.parent.resolve(), folder.resolve())
+    home = _link_from(place.resolve(), results.folder.resolve())
     jobs = [partial(_made, part, results, folder, home) for part in parts]
     made: list[Made] = []
     # starting processes costs more
@@ -104,7 +115,7 @@ def write_report(
     index = ResultTable(caption="", head=("file", "caption", "note"), rows=rows)
     Tables(folder / TABLES).csv(index, "index")
     write_sections(
-        path,
+        page,
         title=f"HESR report: {results.run.study}",
         heading=f"Friction of {results.run.robot}: report of the study ‘{results.run.study}’",
         summary=made[0].html,
@@ -112,7 +123,6 @@ def write_report(
         zooms=zooms,
         library=library() if zooms else "",
     )
-    return path
 
 
 def _link_from(place: Path, folder: Path) -> str:

@@ -22,6 +22,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import laws_of_paper
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import settle
 from hesr_model.support.typed_json import from_json, read_json
 from hesr_model.units import unit_of_joints
 
@@ -132,6 +133,7 @@ class Results:
     @classmethod
     def read(cls, folder: Path) -> "Results":
         """Read a folder written by `hesr run`, or raise ArtifactError or LogError."""
+        settle(folder)
         if not (folder / RUN).is_file():
             what = f"'{RUN}' is missing in it" if folder.is_dir() else "the folder does not exist"
             raise ArtifactError(f"{folder}: no results of 'hesr run'; {what}.")

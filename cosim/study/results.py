@@ -70,6 +70,7 @@ class SavedRun:
     versions: Mapping[str, str]
     left_out: Mapping[str, str] = field(default_factory=dict)  # reasons by law
     truth: str = ""  # alternative plant
+    written: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of each other file
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -141,6 +142,18 @@ def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
         versions={**run.source["versions"], **twin, "fmpy": version("fmpy")},
     )
     write_json(folder / RUN, {"format": RUN_FORMAT, **to_json(saved)})
+
+
+def record_files(folder: Path, results: Path | None = None) -> None:
+    """Write the hashes of all files of a folder to its `run.json`, an updated one of `results`."""
+    about = read_json((results or folder) / RUN)
+    found = {
+        file.relative_to(folder).as_posix(): sha256(file)
+        for file in sorted(folder.rglob("*"))
+        if file.is_file() and file != folder / RUN
+    }
+    about["written"] = {**about.get("written", {}), **found}
+    write_json(folder / RUN, about)
 
 
 def _file(name: str, file: Path) -> str:

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from cosim.loop.artefact import complete_loops
 from cosim.loop.traces import LoopOutcome
 from cosim.study.position_errors import SIMULATION, simulate_tests
-from cosim.study.results import TRUTHS, Scored, log_findings, save_run, write_findings
+from cosim.study.results import (
+    TRUTHS,
+    Scored,
+    log_findings,
+    record_files,
+    save_run,
+    write_findings,
+)
 from cosim.study.scores import Comparison, Errors, LogRecords, records_of
 from cosim.study.steps import Job
 from cosim.study.study import Study
@@ -117,11 +124,9 @@ def run_study(
                 words, models, folder, audits, found, platforms=platforms, body=body
             )
             save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)
+            _report(folder, audits, job.progress)
+            record_files(folder)
         shutil.rmtree(kept, ignore_errors=True)
-        from cosim.report.page import write_report  # slow to import
-
-        known = {law: audit for law, audit in audits.items() if audit}
-        write_report(output, audits=known, progress=job.progress)
     return Outcome(
         rigid_body=run.rigid_body,
         comparisons=run.comparisons,
@@ -149,6 +154,15 @@ def _shortened(study: Study) -> Study:
     )
     shorter: dict[str, Any] = {"laws": laws, "variants": {}, "refinement": None}
     return study.model_copy(update=shorter | {"tracking": tracking, "twin": twin})
+
+
+def _report(folder: Path, audits: Mapping[str, ModelAudit | None], progress: Stages) -> None:
+    from cosim.report.page import REPORT, compose_report  # slow to import
+    from cosim.report.results import Results
+
+    known = {law: audit for law, audit in audits.items() if audit}
+    results = replace(Results.read(folder), audited=known)
+    compose_report(results, folder, folder / REPORT, folder, progress=progress)
 
 
 def score_study(

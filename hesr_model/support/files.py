@@ -4,10 +4,14 @@ import errno
 import hashlib
 import logging
 import os
+import platform
+import re
 import shutil
 import tempfile
+import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from secrets import token_hex
 
@@ -18,6 +22,10 @@ from hesr_model.support import interrupts
 
 _TEMPORARY = ".hesr-"
 _LOCK = f"{_TEMPORARY}lock"
+_WHOLE = f"{_TEMPORARY}whole"  # folder of a complete result, which is moved into place
+_HERE = f"{zlib.crc32(platform.node().encode()) & 0xFFFF:04x}"
+_OF_A_PROCESS = re.compile(rf"(\..+\.|hesr-){_HERE}-(\d+)-[a-z0-9_]{{8}}(\.\w+)?")
+"""Temporary names, with machine and process."""
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the writer; others may come from files that the block reads."""
 
@@ -57,8 +65,9 @@ def sha256(path: Path) -> str:
 def folder_written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files move into `path` when the block succeeds.
 
-    On any exception nothing at `path` changes. Raises ArtifactError before the block if another run
-    is writing into the folder or it cannot be written.
+    On any exception nothing at `path` changes; a killed process leaves all files or none to
+    `settle`. Raises ArtifactError before the block if another run is writing into the folder or it
+    cannot be written.
     """
     with _room_for(path), ExitStack() as cleanup:
         try:
@@ -68,8 +77,17 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
         _take(path, cleanup)
         temporary = cleanup.enter_context(scratch_folder(path, _TEMPORARY))
         yield temporary
-        with interrupts.deferred():  # all files or none
-            _move(temporary, path)
+        with interrupts.deferred():
+            _require_places(temporary, path)
+            temporary.rename(path / _WHOLE)  # from here on all files, even if killed
+            _move(path)
+
+
+def settle(path: Path) -> None:
+    """Complete or remove what a killed run has left in a folder, unless a run is writing there."""
+    with ExitStack() as cleanup, suppress(ArtifactError, OSError):
+        if any(path.glob(f"{_TEMPORARY}*")):
+            _take(path, cleanup)
 
 
 @contextmanager
@@ -113,9 +131,35 @@ def _take(path: Path, cleanup: ExitStack) -> None:
         raise _unwritable(path, error) from error
     cleanup.callback(lock.release)
     cleanup.callback((path / _LOCK).unlink, missing_ok=True)
+    _move(path)
     for left in path.glob(f"{_TEMPORARY}*/"):
         _log.info("removing %s, left behind by a killed run", left)
         shutil.rmtree(left, ignore_errors=True)
+    for folder in (path, *path.glob("*/")):
+        _sweep(folder)
+
+
+@cache
+def _sweep(folder: Path) -> None:
+    """Remove temporary files and folders of killed processes, once per process."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if not (found := _OF_A_PROCESS.fullmatch(entry.name)) or _runs(int(found[2])):
+                continue
+            with suppress(OSError):
+                owner = entry.stat(follow_symlinks=False).st_uid
+                if hasattr(os, "getuid") and owner != os.getuid():
+                    continue
+                if entry.is_dir(follow_symlinks=False):
+                    _remove_whatever(Path(entry.path))
+                else:
+                    Path(entry.path).unlink()
+
+
+def _runs(process: int) -> bool:
+    import psutil
+
+    return bool(psutil.pid_exists(process))
 
 
 def _remove_empty(folder: Path) -> None:
@@ -123,14 +167,26 @@ def _remove_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def _move(temporary: Path, path: Path) -> None:
-    for file in sorted(p for p in temporary.rglob("*") if p.is_file()):
+def _require_places(temporary: Path, path: Path) -> None:
+    for file in temporary.rglob("*"):
         target = path / file.relative_to(temporary)
+        if target.exists() and target.is_dir() != file.is_dir():
+            code = errno.EISDIR if target.is_dir() else errno.ENOTDIR
+            raise _unwritable(target, OSError(code, os.strerror(code)))
+
+
+def _move(path: Path) -> None:
+    """Move all files of a complete result into place; may be repeated."""
+    whole = path / _WHOLE
+    for file in sorted(p for p in whole.rglob("*") if p.is_file()):
+        target = path / file.relative_to(whole)
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             file.replace(target)
         except OSError as error:
             raise _unwritable(target, error) from error
+    if whole.is_dir():
+        _remove_whatever(whole)
 
 
 @contextmanager
@@ -138,7 +194,10 @@ def scratch_folder(parent: Path | None = None, prefix: str = "hesr-") -> Iterato
     """Yield a temporary folder; interrupts leave none."""
     with ExitStack() as cleanup:
         with interrupts.deferred():
-            folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+            if parent is None:
+                _sweep(Path(tempfile.gettempdir()))
+            own = f"{prefix}{_HERE}-{os.getpid()}-"
+            folder = Path(tempfile.mkdtemp(prefix=own, dir=parent))
             cleanup.callback(_removed, folder)
         yield folder
 
@@ -178,10 +237,11 @@ def written_whole(path: Path) -> Iterator[Path]:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
             if path.exists() and not path.is_file():  # a file would replace it
                 raise ArtifactError(f"{path}: is a pipe or a device; give the name of a file.")
+            _sweep(path.parent)
+            _sweep(Path(tempfile.gettempdir()))
             with interrupts.deferred():
-                handle, name = tempfile.mkstemp(
-                    dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
-                )
+                own = f".{path.name}.{_HERE}-{os.getpid()}-"
+                handle, name = tempfile.mkstemp(dir=path.parent, prefix=own, suffix=path.suffix)
                 temporary = Path(name)
                 cleanup.callback(temporary.unlink, missing_ok=True)
             os.close(handle)

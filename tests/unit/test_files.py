@@ -196,9 +196,7 @@ def test_a_file_in_place_of_a_results_folder_is_named(tmp_path: Path) -> None:
 
     with pytest.raises(ArtifactError) as caught:
         write()
-    assert str(caught.value) == (
-        f"{tmp_path / 'fmus' / 'b.fmu'}: cannot be written there (File exists)."
-    )
+    assert str(caught.value) == (f"{tmp_path / 'fmus'}: cannot be written there (Not a directory).")
     assert everything_in(tmp_path) == {"fmus": "mine"}
 
 

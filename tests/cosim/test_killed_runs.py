@@ -1,0 +1,180 @@
+"""Runs killed at any time leave the whole old result or the whole new one."""
+
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+from processes import assert_nothing_runs, started, wait_for
+from small_study import contents, write_study
+
+from hesr_model.errors import ArtifactError
+from hesr_model.support.files import folder_written_whole, settle, written_whole
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+
+FILES = 60
+
+WRITER = f"""
+import os, sys
+from itertools import count
+from pathlib import Path
+from hesr_model.support.files import folder_written_whole
+
+for version in count():
+    with folder_written_whole(Path(sys.argv[1])) as folder:
+        for k in range({FILES}):
+            (folder / str(k % 7)).mkdir(exist_ok=True)
+            (folder / str(k % 7) / str(k)).write_text(f"{{os.getpid()}} {{version}}")
+"""
+
+
+def begins_with(file: Path, text: str) -> bool:
+    return file.exists() and file.read_text().startswith(text)
+
+
+def test_a_kill_while_files_move_leaves_one_version(tmp_path: Path) -> None:
+    results, rng = tmp_path / "results", random.Random(5)
+    first, interrupted = results / "0" / "0", set()
+    for _ in range(8):
+        with started(results, folder=tmp_path, program=("-c", WRITER)) as process:
+            wait_for(partial(begins_with, first, str(process.pid)), process)
+            time.sleep(0.05 * rng.random())
+            process.send_signal(signal.SIGKILL)
+            process.communicate()
+        interrupted |= {path.name[:9] for path in results.glob(".hesr-*")}
+        settle(results)
+        found = contents(results)
+        assert len(found) == FILES
+        assert len(set(found.values())) == 1
+        assert not list(results.glob(".*"))
+    assert interrupted
+
+
+def test_a_complete_result_is_moved_by_the_next_start(tmp_path: Path) -> None:
+    """As a kill between two moves leaves it."""
+    results = tmp_path / "results"
+    whole = results / ".hesr-whole"
+    (whole / "figures").mkdir(parents=True)
+    (results / "old").write_text("old")
+    for name in ("old", "figures/a"):
+        (whole / name).write_text("new")
+    (results / ".hesr-lock").touch()
+    settle(results)
+    assert contents(results) == {"old": b"new", "figures/a": b"new"}
+
+
+def test_a_result_that_does_not_fit_into_the_folder_changes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("old")
+    (tmp_path / "z").mkdir()
+
+    def write() -> None:
+        with folder_written_whole(tmp_path) as folder:
+            (folder / "a").write_text("new")
+            (folder / "z").write_text("new")
+
+    with pytest.raises(ArtifactError, match=r"z: cannot be written there \(Is a directory\)"):
+        write()
+    assert contents(tmp_path) == {"a": b"old"}
+
+
+HALF = """
+import os, signal, sys
+from pathlib import Path
+from hesr_model.support.files import scratch_folder, written_whole
+
+with scratch_folder(), written_whole(Path(sys.argv[1])) as file:
+    file.write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_files_of_killed_processes_are_removed_and_others_are_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / ".other.abcdefgh").write_text("of the user")
+    path = tmp_path / "figure.png"
+    with started(path, folder=tmp_path, program=("-c", HALF)) as process:
+        process.communicate()
+    assert len(list(tmp_path.glob(".figure.png.*.png"))) == 1
+    assert list((tmp_path / "tmp").iterdir())
+    with written_whole(path) as alive:
+        more = "import sys; sys.argv[1:] = ['b.txt']\n" + HALF.replace("    os.kill", "    print")
+        with started(folder=tmp_path, program=("-c", more)) as process:
+            assert process.communicate()
+            assert process.returncode == 0
+        assert alive.exists()
+        assert [file for file in tmp_path.glob(".*") if file != alive] == [
+            tmp_path / ".other.abcdefgh"
+        ]
+        assert not list((tmp_path / "tmp").iterdir())
+        alive.write_text("whole")
+    assert path.read_text() == "whole"
+
+
+@pytest.mark.parametrize(
+    "kills", [pytest.param(3, marks=pytest.mark.ci), pytest.param(200, marks=pytest.mark.soak)]
+)
+def test_a_killed_run_leaves_the_old_result_or_the_new_one(tmp_path: Path, kills: int) -> None:
+    """A third of the kills are in the last tenth; each tenth run is resumed to its end."""
+    study, rng = write_study(tmp_path), random.Random(kills)
+    results, texts = tmp_path / "results", {}
+    texts["new"] = study.read_text(encoding="utf-8")
+    texts["old"] = texts["new"].replace("seed = 3", "seed = 4")
+    command = ("run", study, "--quick", "-o", "results")
+    date = {"SOURCE_DATE_EPOCH": "1700000000"}
+    seconds, whole = 0.0, {}
+    for name, text in sorted(texts.items(), reverse=True):  # the new one last
+        study.write_text(text, encoding="utf-8")
+        begin = time.monotonic()
+        with started(*command, folder=tmp_path, **date) as process:
+            assert process.communicate()
+            assert process.returncode == 0
+        seconds = time.monotonic() - begin
+        results.rename(tmp_path / name)
+        whole[name] = hashes(tmp_path / name)
+    study.write_text(texts["new"], encoding="utf-8")
+    unfinished, seen = tmp_path / ".results-unfinished", set()
+    for k in range(kills):
+        shutil.rmtree(results, ignore_errors=True)
+        shutil.copytree(tmp_path / "old", results)
+        late = rng.random() < 1 / 3 or k == 1
+        begin = time.monotonic()
+        with started(*command, folder=tmp_path, **date) as process:
+            wait = seconds * (0.9 + 0.1 * rng.random() if late else rng.random())
+            while process.poll() is None and time.monotonic() < begin + wait:
+                time.sleep(0.01)
+            process.send_signal(signal.SIGKILL)
+            process.communicate()
+        assert_nothing_runs(process.pid)
+        again = (*command,) if k % 10 == 0 else ("report", "results", "-o", "digest.md")
+        with started(*again, folder=tmp_path, **date) as process:
+            assert process.communicate()
+            assert process.returncode == 0
+        found = hashes(results)
+        (name,) = (name for name, files in whole.items() if files == found)
+        seen.add(name)
+        assert name == "new" or again != command
+        if again == command:
+            assert not unfinished.exists()
+        about = json.loads((results / "run.json").read_text(encoding="utf-8"))
+        assert about["written"] == {n: h for n, h in found.items() if n != "run.json"}
+        assert "report.html" in about["written"]
+        assert not list((tmp_path / "tmp").iterdir())
+        shutil.rmtree(unfinished, ignore_errors=True)
+    assert seen == {"old", "new"}
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file, hidden ones included."""
+    return {
+        file.relative_to(folder).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest()
+        for file in sorted(folder.rglob("*"))
+        if file.is_file()
+    }
