@@ -15,6 +15,12 @@ UR_FRAMES = (
     ("0 0.11655 0", f"{HALF} {2 * HALF} {2 * HALF}"),
 )  # fmt: skip
 
+PANDA_FRAMES = (
+    ("0 0 0.333", "0 0 0"), ("0 0 0", f"-{HALF} 0 0"), ("0 -0.316 0", f"{HALF} 0 0"),
+    ("0.0825 0 0", f"{HALF} 0 0"), ("-0.0825 0.384 0", f"-{HALF} 0 0"), ("0 0 0", f"{HALF} 0 0"),
+    ("0.088 0 0", f"{HALF} 0 0"),
+)  # fmt: skip
+
 
 def _link(name: str, rng: np.random.Generator) -> str:
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -45,9 +51,13 @@ def _urdf(folder: Path, name: str, joints: list[str], rng: np.random.Generator) 
 
 def ur_like(folder: Path) -> Path:
     """Six joints about z with the frames of a UR10e."""
-    joints = [
-        _joint(k, k - 1, "revolute", frame, "0 0 1", "") for k, frame in enumerate(UR_FRAMES, 1)
-    ]
+    return chain(folder, 6)
+
+
+def chain(folder: Path, count: int) -> Path:
+    """The first three or all joints of `ur_like`, or seven joints with the frames of a Panda."""
+    frames = PANDA_FRAMES if count == len(PANDA_FRAMES) else UR_FRAMES[:count]
+    joints = [_joint(k, k - 1, "revolute", frame, "0 0 1", "") for k, frame in enumerate(frames, 1)]
     return _urdf(folder, "ur", joints, np.random.default_rng(1))
 
 
