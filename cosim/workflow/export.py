@@ -62,8 +62,8 @@ def export(
     Parameters
     ----------
     source : law or path
-        Friction model (.json) or uf850-table1 (the paper's); MJCF of an arm (.xml); system of FMUs
-        (.toml, .ssp); with format loop, results of a study of a twin, or the study.
+        Friction model (.json) or uf850-table1 (the paper's); MJCF or URDF of an arm (.xml, .urdf);
+        system of FMUs (.toml, .ssp); with format loop, results of a study of a twin, or the study.
     output : path
         File to write, or folder of a loop.
     format : str, optional
@@ -115,7 +115,8 @@ def export(
     ki : float or sequence of float, N.m/rad
         Plant: integral gains of the servo; by default 0.
     signals : path
-        Arm: TOML file with inputs and outputs; by default every control and sensor.
+        Arm: TOML file with inputs and outputs; by default every control and sensor, or torques,
+        positions and speeds of its joints if it has none.
     ssp : {"1.0", "2.0"}
         SSP: version; by default 1.0.
 
@@ -139,6 +140,7 @@ def export(
         $ hesr export law.json --format drive --inertia 3,3,0.6 -o Drive.fmu
         $ hesr export law.json --format plant --robot robot.toml --rigid-body body.json -o Arm.fmu
         $ hesr export robot.xml -o Arm.fmu --signals arm.toml --platform win64
+        $ hesr export robot.urdf -o Arm.fmu
         $ hesr export closed_loop.toml -o loop.ssp
 
     In Python:
@@ -158,7 +160,7 @@ def export(
     building = partial(progress, f"building {path.name}")
     if format == "loop":
         _write_loop(Path(str(source)), path, platform, given, progress)
-    elif suffix == ".xml":
+    elif suffix in (".xml", ".urdf"):
         _write_arm(Path(str(source)), path, format or "fmu", platform, given, building)
     elif suffix in (".toml", ".ssp"):
         _write_system(Path(str(source)), path, format, platform, given)
@@ -175,7 +177,7 @@ def _write_arm(
     given: Mapping[str, Any],
     progress: Any,
 ) -> None:
-    """Write the arm of an MJCF."""
+    """Write the arm of an MJCF or URDF."""
     from fmu_src.arm.native import export_mjcf
     from fmu_src.arm.python_arm.export import export_python_arm
 
@@ -184,6 +186,8 @@ def _write_arm(
     if format == "python-arm":
         if platform is not None:
             raise ArgumentError("'platform' is for native FMUs, not python-arm.")
+        if model.suffix.lower() == ".urdf":
+            raise ArgumentError("'format' is python-arm, which needs an MJCF; omit it for a URDF.")
         export_python_arm(model, signals, output)
     elif format == "fmu":
         platforms = platform or ("linux64",)

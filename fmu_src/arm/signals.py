@@ -12,7 +12,7 @@ import numpy as np
 from fmu_src.arm.parts import ArmInput, ArmOutput, ArmSignals, ArmStart, Loss
 from fmu_src.arm.table import LossTable, OutputTable, SignalTable, StartTable
 from hesr_model.errors import ConfigError
-from hesr_model.robots.mjcf import compiled
+from hesr_model.robots.mjcf import compiled, compiled_spec
 
 _S, _J = mujoco.mjtSensor, mujoco.mjtJoint
 
@@ -35,6 +35,11 @@ _UNITS_AT_JOINT = {
     _S.mjSENS_JOINTVEL: ("rad/s", "m/s"),
     _S.mjSENS_JOINTACTFRC: ("N.m", "N"),
 }
+_SENSORS_OF_JOINT = {
+    "q": _S.mjSENS_JOINTPOS,
+    "dq": _S.mjSENS_JOINTVEL,
+    "tau": _S.mjSENS_JOINTACTFRC,
+}
 
 
 def passive_motors(model: Any, joint: str | None = None) -> list[int]:
@@ -53,15 +58,38 @@ def named_signals(model: Any, file: Path, table: SignalTable) -> ArmSignals:
 
 
 def signals_of(path: Path, table: Path | SignalTable | None = None) -> ArmSignals:
-    """Return the signals of an MJCF: those of a table or its file, or every control and sensor."""
+    """Return the signals of an MJCF: those of a table or its file, or every control and sensor.
+
+    A file without sensors, such as a URDF, receives those of its joints, and one without actuators
+    a motor per joint.
+    """
     model = compiled(path)
     if isinstance(table, SignalTable):
         return named_signals(model, path, table)
     if table is not None:
         return named_signals(model, table, SignalTable.read(table))
     if not model.nsensor:
-        raise ConfigError(f"{path}: has no sensor, so an FMU of it would have no output.")
+        model = compiled_spec(path, _add_joint_signals)
+    if not model.nsensor:
+        raise ConfigError(
+            f"{path}: has neither a sensor nor a hinge or slide, so an FMU of it would have no "
+            "output; add a sensor."
+        )
     return everything(model)
+
+
+def _add_joint_signals(spec: Any) -> None:
+    """Add sensors of position, speed and torque to all joints, and motors if there are none."""
+    passive, of_joint = not list(spec.actuators), mujoco.mjtObj.mjOBJ_JOINT
+    for number, joint in enumerate(spec.joints, start=1):
+        if joint.type in SINGLE:
+            joint.name = joint.name or f"joint{number}"
+            for stem, kind in _SENSORS_OF_JOINT.items():
+                name = f"{stem}_{joint.name}"
+                spec.add_sensor(name=name, type=kind, objtype=of_joint, objname=joint.name)
+            if passive:
+                motor = spec.add_actuator(name=f"tau_{joint.name}", target=joint.name)
+                motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
 
 
 class _Lookup:
@@ -217,7 +245,18 @@ def _inputs(model: Any, actuator: int, names: _Names) -> Iterator[ArmInput]:
     size, address = int(model.actuator_ctrlnum[actuator]), int(model.actuator_ctrladr[actuator])
     name = names.of(model.actuator(actuator).name, f"control{actuator + 1}") if size else ""
     for k in range(size):
-        yield ArmInput(name + _index(k, size), "1", (address + k,))
+        yield ArmInput(name + _index(k, size), _unit_of_control(model, actuator), (address + k,))
+
+
+def _unit_of_control(model: Any, actuator: int) -> str:
+    """Return the unit of a control: that of torque or force if it is one on a joint."""
+    kinds = (model.actuator_gaintype, model.actuator_biastype, model.actuator_dyntype)
+    direct = all(kind[actuator] == 0 for kind in kinds) and model.actuator_gainprm[actuator, 0] == 1
+    at_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+    if not (direct and at_joint and model.actuator_gear[actuator, 0] == 1):
+        return "1"
+    joint = model.jnt_type[model.actuator_trnid[actuator, 0]]
+    return {_J.mjJNT_HINGE: "N.m", _J.mjJNT_SLIDE: "N"}.get(_J(joint), "1")
 
 
 def _outputs(model: Any, sensor: int, names: _Names) -> Iterator[ArmOutput]:

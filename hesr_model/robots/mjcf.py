@@ -4,6 +4,7 @@ import json
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,12 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from hesr_model.errors import ConfigError, RobotError
-from hesr_model.robots.urdf import UNLIMITED
+from hesr_model.robots.urdf import UNLIMITED, read_urdf
 from hesr_model.support.arrays import Array
 from hesr_model.support.cache import kept
 
 _MOST_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
+_LEAST = 1e-9  # mass and inertia of the links of a URDF for MuJoCo [kg, kg.m2]
 _STATES = 8  # random states of the check
 
 Compiled = dict[str, Any]  # a compiled file as JSON; see `_described`
@@ -34,14 +36,42 @@ def engine() -> Any:
 
 
 def compiled(path: Path) -> Any:
-    """Return the MuJoCo model of an MJCF; ConfigError if it is missing or invalid."""
+    """Return the MuJoCo model of an MJCF or URDF; ConfigError if it is missing or invalid."""
     if not path.is_file():
         raise ConfigError(f"{path}: no such model file.")
+    if is_urdf(path):
+        return compiled_spec(path)
     _require_an_end(path)
-    try:
+    with _refused(path):
         return engine().MjModel.from_xml_path(str(path))
+
+
+def compiled_spec(path: Path, change: Callable[[Any], None] = lambda _: None) -> Any:
+    """Return the changed MuJoCo model of a file; a URDF has no appearance and no contacts."""
+    with _refused(path), warnings.catch_warnings(action="ignore"):  # deprecated attributes
+        if is_urdf(path):
+            spec = engine().MjSpec.from_string(read_urdf(path, path.read_bytes()).text)
+            spec.compiler.balanceinertia = True  # MuJoCo refuses what rounding makes impossible
+            spec.compiler.boundmass = spec.compiler.boundinertia = _LEAST
+        else:
+            spec = engine().MjSpec.from_file(str(path))
+        change(spec)
+        return spec.compile()
+
+
+def is_urdf(path: Path) -> bool:
+    """Return whether a name is that of a URDF."""
+    return path.suffix.lower() == ".urdf"
+
+
+@contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    try:
+        yield
     except (ValueError, RuntimeError) as error:  # RuntimeError: out of memory
-        raise ConfigError(f"{path}: cannot be compiled as an MJCF ({_reason(error)}).") from error
+        kind = "a URDF" if is_urdf(path) else "an MJCF"
+        reason = f"cannot be compiled as {kind} ({_reason(error)})"
+        raise ConfigError(f"{path}: {reason}.") from error
 
 
 def compiled_robot(path: Path) -> Compiled:

@@ -13,6 +13,18 @@ MJCF = """\
 </mujoco>
 """
 
+IMPOSSIBLE = """
+<robot name="swing">
+  <link name="base"/>
+  <link name="bob">
+    <inertial>
+      <mass value="1"/><inertia ixx="1" iyy="-1" izz="1" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
+  <joint name="pivot" type="continuous"><parent link="base"/><child link="bob"/></joint>
+</robot>
+"""
+
 
 @pytest.fixture
 def hesr(capsys, monkeypatch) -> Hesr:
@@ -71,7 +83,9 @@ def test_python_hosts_get_the_same_arm(hesr, mjcf, tmp_path):
         (["none.xml", "-o", "A.fmu"], "none.xml: no such model file."),
         (["swing.xml", "-o", "A.zip"], "A.zip: the name of an FMU ends in .fmu."),
         (["broken.xml", "-o", "A.fmu"], "cannot be compiled as an MJCF"),
-        (["blind.xml", "-o", "A.fmu"], "has no sensor, so an FMU of it would have no output."),
+        (["blind.xml", "-o", "A.fmu"],
+         "has neither a sensor nor a hinge or slide, so an FMU of it would have no output; add a "
+         "sensor."),
         (["swing.xml", "-o", "A.fmu", "--signals", "none.toml"], "none.toml: no such file."),
         (["swing.xml", "-o", "A.fmu", "--signals", "table.toml"], "the model has no sensor 'z'."),
         (["swing.xml", "-o", "A.fmu", "--signals", "other.toml"], "the model has no actuator 'v'."),
@@ -80,6 +94,9 @@ def test_python_hosts_get_the_same_arm(hesr, mjcf, tmp_path):
         (["swing.xml", "-o", "A.fmu", "--platform", "all"], "pip could not download MuJoCo's"),
         (["swing.xml", "-o", "A.fmu", "--format", "python-arm", "--platform", "win64"],
          "--platform is for native FMUs, not python-arm."),
+        (["swing.urdf", "-o", "A.fmu", "--format", "python-arm"],
+         "--format is python-arm, which needs an MJCF; omit it for a URDF."),
+        (["swing.urdf", "-o", "A.fmu"], "swing.urdf: cannot be compiled as a URDF ("),
         (["uf850-table1", "-o", "A.fmu", "--format", "python-arm"],
          "--format is python-arm; allowed are adaptive, c, drive, fmu, jax, mjcf, modelica, "
          "plant, ssv, "),
@@ -92,7 +109,8 @@ def test_refusals_are_one_sentence(arguments, sentence, hesr, mjcf, tmp_path, mo
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
-    (tmp_path / "blind.xml").write_text(MJCF.replace('<jointpos name="y" joint="j"/>', ""))
+    (tmp_path / "blind.xml").write_text("<mujoco><worldbody/></mujoco>")
+    (tmp_path / "swing.urdf").write_text(IMPOSSIBLE)
     output = '[outputs.y]\nunit = "rad"\nsensors = [{ NAME = 1 }]\n'
     (tmp_path / "table.toml").write_text(output.replace("NAME", "z"))
     drive = '[inputs.u]\nunit = "N"\nactuators = [["v"]]\n'

@@ -1,5 +1,8 @@
 """Any MJCF as an FMU compared with MuJoCo in Python, with and without a signal table."""
 
+import sys
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -10,6 +13,10 @@ from fmu_src.arm.native import export_mjcf
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError, ExportError, SimulationError
 from hesr_model.logs.noise import standard_normal
+from hesr_model.robots.robot import Robot
+
+sys.path.append(str(Path(__file__).parent / "plant"))
+from plant_robots import ur_like
 
 DT = 0.01
 
@@ -248,6 +255,36 @@ def test_an_inconsistent_table_is_refused(old, new, sentence, export, tmp_path):
     assert not (tmp_path / "Model.fmu").exists()
 
 
+def test_a_file_without_sensors_receives_those_of_its_joints(export):
+    start, end = CART_POLE.index("<sensor>"), CART_POLE.index("</mujoco>")
+    with FmuInstance(export(CART_POLE[:start] + CART_POLE[end:])) as cart:
+        assert names(cart, "output") == ["q_slider", "dq_slider", "tau_slider",
+                                         "q_hinge", "dq_hinge", "tau_hinge"]  # fmt: skip
+        assert [units(cart)[n] for n in ("q_slider", "dq_hinge", "tau_slider")] == [
+            "m", "rad/s", "N",
+        ]  # fmt: skip
+        assert not any(name.startswith("tau_") for name in names(cart, "input"))
+
+
+def test_a_urdf_is_driven_by_torques(tmp_path):
+    """Its first acceleration is that of the rigid bodies."""
+    path = ur_like(tmp_path)
+    robot = Robot(path)
+    q, tau = np.array([0.3, -0.8, 1.2, 0.4, 0.5, 0.1]), np.array([9.0, -40.0, 20.0, 3.0, 2.0, 1.0])
+    mass, bias = robot.dynamics(robot.nominal_parameters, q[None], np.zeros((1, 6)))
+    expected = np.linalg.solve(mass[0], tau - bias[0])
+    with FmuInstance(export_mjcf(path, tmp_path / "Arm.fmu")) as arm:
+        inputs = [f"tau_j{i}" for i in range(1, 7)]
+        assert names(arm, "input") == inputs
+        assert {units(arm)[name] for name in inputs} == {"N.m"}
+        arm.initialise(start={f"start_j{i + 1}": float(x) for i, x in enumerate(q)})
+        arm.set(dict(zip(inputs, tau.tolist(), strict=True)))
+        step = arm.description.defaultExperiment.stepSize
+        arm.step(0.0, float(step))
+        found = np.array(arm.get([f"dq_j{i}" for i in range(1, 7)])) / float(step)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
 def test_joints_and_sensors_with_several_values_are_refused(export):
     ball = CART_POLE.replace('name="hinge" axis="0 1 0"', 'name="hinge" type="ball"')
     ball = ball.replace('<position name="spring" joint="hinge" kp="2"/>', "")
@@ -260,9 +297,11 @@ def test_joints_and_sensors_with_several_values_are_refused(export):
 
 
 def test_unsuitable_models_are_refused(export, tmp_path):
-    start, end = CART_POLE.index("<sensor>"), CART_POLE.index("</mujoco>")
-    with pytest.raises(ConfigError, match="has no sensor, so an FMU of it would have no output"):
-        export(CART_POLE[:start] + CART_POLE[end:])
+    ball = (
+        '<mujoco><worldbody><body><joint type="ball"/><geom size="1"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(ConfigError, match="has neither a sensor nor a hinge or slide, so an FMU"):
+        export(ball)
     with pytest.raises(ConfigError, match="cannot be compiled as an MJCF"):
         export("<mujoco><nonsense/></mujoco>")
     with pytest.raises(ConfigError, match="no such model file"):

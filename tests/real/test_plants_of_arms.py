@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from test_arms import LISTED, located, rests, urdf_model
 
+from fmu_src.arm.signals import signals_of
+from hesr_model.errors import ConfigError
 from hesr_model.robots.mjcf import engine
 from hesr_model.robots.model_file import load, set_joint
 from hesr_model.robots.robot import Robot
@@ -20,6 +22,8 @@ from test_plant_dynamics import AGREEMENT, Generated, worst
 LOCKED = 1e15  # rotor inertia of the joints that do not move [kg.m2]
 STATES = 8
 FEWEST = 25
+IMPOSSIBLE = ("tiago_description/robots/tiago_no_hand.urdf",)
+"""Arms with a negative inertia, which MuJoCo refuses."""
 
 Array = np.ndarray
 State = tuple[Array, Array, Array]  # position, speed, and torque of each joint
@@ -121,6 +125,25 @@ def followed(other: MuJoCo | Pinocchio, q: Array, dq: Array, slopes: Array, tau:
     mass = np.linalg.inv(np.column_stack(columns))
     bias = -mass @ free
     return np.linalg.solve(slopes.T @ mass @ slopes, tau - slopes.T @ bias)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(("package", "name"), LISTED)
+def test_arms_become_plants_of_mujoco(package: str, name: str) -> None:
+    """Every joint can be driven or is driven by the file's actuators, and is measured."""
+    path = located(package, name)
+    if name in IMPOSSIBLE:
+        with pytest.raises(ConfigError, match="cannot be compiled as a URDF"):
+            signals_of(path)
+        return
+    signals = signals_of(path)
+    kinds = signals.model.jnt_type
+    joints = int(np.count_nonzero(kinds >= 2))  # slides and hinges
+    assert len(signals.starts) == joints
+    assert signals.inputs
+    if path.suffix == ".urdf":
+        assert len(signals.inputs) == joints
+        assert len(signals.outputs) == 3 * joints
 
 
 def test_enough_arms_are_compared() -> None:
