@@ -67,7 +67,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
     if model and not hopeless(findings):
         for part, (own, torque), fit in zip(parts, logged, fits, strict=True):
             seen = [j for j in fit if fit[j].r2 > NO_SIGNAL]
-            clocks, late = check_clocks(part, own, seen, model)
+            clocks, late = check_clocks(part, seen, model)
             found = (*clocks, *check_torque(own, fit, model, late), *check_loss(own, torque, model))
             findings += of_log(part.log, found)
         findings = _caused(findings, check_causes(parts, model))

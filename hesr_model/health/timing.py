@@ -4,9 +4,10 @@ Friction after a reversal looks like a lag, and unknown rotor inertias look like
 both tests fit a body with free parameters in addition to friction with memory.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import sympy
@@ -14,55 +15,95 @@ import sympy
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Stop
 from hesr_model.findings import Finding
-from hesr_model.health.evidence import Motionwise, rubbing
+from hesr_model.health.evidence import Estimate, Motionwise, rubbing
 from hesr_model.inference.correlation import correlation_length
+from hesr_model.logs.robot_log import Log
+from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import onto
-from hesr_model.support.arrays import Array
+from hesr_model.support.arrays import Array, Mask
 
-_ROWS = 700  # per log
-_WIDTHS = np.array([5e-4, 2e-3, 8e-3, 3.2e-2])  # break-away deflections [rad or m]
-_LATEST, _STEP, _LATE = 0.25, 0.01, 0.06  # searched delays, search step, reported delay [s]
-_SMOOTH = 0.05  # averaging window of a torque [s]
-_EARLY, _ALONE = 0.1, 0.1
-"""Reporting thresholds [s] for an early median lag and for a single late joint.
-
-On measured logs friction alone looks early by .05 s on most joints, and late by .06 s on one.
-"""
+_WIDTHS = 2.5e-4 * 2.0 ** np.arange(9)  # break-away deflections [rad or m]
+_SLOW = 0.5  # share of the peak speed in which friction falls
+_LATEST, _STEP = 0.25, 0.005  # searched delays, search step [s]
+_SMOOTH, _EVERY, _BODY = 0.1, 0.02, 5e-3  # averaging window, time between averages, bodies [s]
+_MOST = 40_000  # rows of a log, its middle ones
+_SYSTEMATIC = 0.003  # error of a joint's lag by friction of other shapes [s]
+_NARROW, _LATE = 0.01, 0.06  # reported: half an interval of a small lag, a larger lag [s]
 _SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)  # factors of inertial torque: squared stamp rates
 _OFF = 1.4  # reported factor of a wrong time-stamp rate
+_MENDED = 0.5  # left by the right rate of most joints' unexplained squares; a wrong zero leaves .6
 _SURE = 25.0  # twice the log-likelihood ratio: five standard errors
+_ERRORS = 3.0  # standard errors of a stated interval
 _SHORTEST = 8.0  # duration of a log over the largest delay
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LagRows:
-    """Regressors (N, n, P) at rest and in motion, and friction (N, K) by joint."""
+    """Shifted torques (N, S, n), regressors (N, n, P) at rest and in motion, friction (N, K).
 
-    t: Array
+    All are averaged alike, so that they keep their phases.
+    """
+
+    torques: Array
     still: Array
     moving: Array
     rubs: tuple[Array, ...]
+    known: Mask  # (N, n) rows whose friction does not depend on what was before the log
 
     @classmethod
-    def of(cls, part: Motionwise, model: Robot, base: Sequence[int]) -> "LagRows":
-        """Evaluate the columns `base` of the regressor, and friction, along a part of a log."""
-        logged = model.description.logged
-        u, v = onto(logged, part.q), onto(logged, part.v)
-        step = -(-len(part.t) // _ROWS)
-        q, dq, ddq = (values[::step] for values in (part.q, part.v, part.a))
+    def of(cls, log: Log, model: Robot, base: Sequence[int]) -> "LagRows":
+        """Evaluate the columns `base` of the regressor, and friction, along a log."""
+        from scipy.interpolate import make_interp_spline
+
+        before = max(len(log.t) - _MOST, 0) // 2
+        log = replace(log.rows(slice(before, before + _MOST)), dq=None)
+        motion, logged = smooth(log, model.description.log.filter_cutoff), model.description.logged
+        times = np.arange(log.t[0] + _LATEST, log.t[-1] - _LATEST, max(_EVERY, log.period))
+        some = slice(None, None, max(1, round(_BODY / log.period)))
+        q, dq, ddq = (values[some] for values in (motion.q, motion.dq, motion.ddq))
         nothing = np.zeros_like(q)
         still = model.regressor(q, nothing, nothing)[:, :, list(base)]
         whole = model.regressor(q, dq, ddq)[:, :, list(base)]
+        tau = log.tau
         if logged is not None:
-            still, whole = logged.torque(still), logged.torque(whole)
+            still, whole, tau = logged.torque(still), logged.torque(whole), logged.torque(tau)
+        u, v = onto(logged, log.q), onto(logged, motion.dq)
+        travelled = np.maximum.accumulate(np.abs(u - u[0]), axis=0)
+        mean, of_body = _means(log.t, times, log.period), _means(log.t[some], times, log.period)
+        even = np.arange(log.t[0], log.t[-1], log.period)
+        torque = make_interp_spline(even, _means(log.t, even, log.period) @ tau, k=1)
         return cls(
-            t=part.t[::step],
-            still=still,
-            moving=whole - still,
-            rubs=tuple(_rubs(u[:, j], v[:, j])[::step] for j in range(model.n)),
+            torques=torque(times[:, None] + _shifts()),
+            still=_each(of_body, still),
+            moving=_each(of_body, whole - still),
+            rubs=tuple(mean @ _rubs(u[:, j], v[:, j]) for j in range(model.n)),
+            known=mean @ (1.0 * (travelled > 2.0 * _WIDTHS[-1])) > 1.0 - 1e-9,
         )
+
+
+def _each(means: Any, values: Array) -> Array:
+    return np.asarray(means @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+
+
+def _means(t: Array, times: Array, period: float) -> Any:
+    """Return the sparse weights (M, N) of averages around `times` (M,) of values between rows."""
+    from scipy.sparse import csr_array
+
+    half = round(max(_SMOOTH, 3.0 * period) / period)
+    kernel = np.convolve(np.ones(half), np.ones(half))[:, None] / half**2
+    near = np.clip(times[:, None] + period * np.arange(1 - half, half), t[0], t[-1])
+    row = np.clip(np.searchsorted(t, near) - 1, 0, len(t) - 2)
+    share = (near - t[row]) / (t[row + 1] - t[row])
+    weights = np.stack([1.0 - share, share], axis=-1) * kernel
+    indices = np.stack([row, row + 1], axis=-1)
+    starts = np.arange(len(times) + 1) * 2 * len(kernel)
+    return csr_array((weights.ravel(), indices.ravel(), starts), shape=(len(times), len(t)))
+
+
+def _shifts() -> Array:
+    return np.asarray(_STEP * np.arange(-round(_LATEST / _STEP), round(_LATEST / _STEP) + 1))
 
 
 def _rubs(u: Array, v: Array) -> Array:
@@ -70,7 +111,10 @@ def _rubs(u: Array, v: Array) -> Array:
     stops = KernelRun(_stops(), [np.diff(u, prepend=u[0])], np.ones_like(u))
     start = np.full(len(_WIDTHS), np.sign(v[0]))
     held = stops.at(np.zeros(0), start, settled=True)
-    return np.column_stack([held, rubbing(v), v, v * np.abs(v), np.ones_like(v)])
+    # Friction falls with speed.
+    slow = np.exp(-np.abs(v) / (_SLOW * np.max(np.abs(v), initial=1e-9)))
+    free = np.sign(v), rubbing(v), v, v * np.abs(v), np.ones_like(v)
+    return np.column_stack([held, held * slow[:, None], *free])
 
 
 @cache
@@ -84,39 +128,32 @@ def _stops() -> Kernel:
 
 
 def check_clocks(
-    part: Motionwise, logged: Motionwise, joints: Sequence[int], model: Robot
-) -> tuple[list[Finding], set[int]]:
+    part: Motionwise, joints: Sequence[int], model: Robot
+) -> tuple[list[Finding], Collection[int]]:
     """Check the rate of the stamps and the lag of torques of `joints`.
 
-    Returns findings, and joints whose torque may lag.
+    Returns findings, and joints whose torque lags.
     """
     if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
-        return [], set()
-    rows = LagRows.of(part, model, base_columns(model))
-    found = {j: delay(rows, j, part.t, logged.tau[:, j]) for j in joints}
-    lags = {j: lag for j, (lag, sure) in found.items() if sure > _SURE}
-    most = float(np.median(list(lags.values()))) if len(lags) > 1 else 0.0
-    late: dict[int, Finding] = {}
-    for j, lag in lags.items():
-        together = (most >= _LATE <= lag) or (most <= -_EARLY >= lag)
-        # A lag at the end of the range does not match the motion.
-        if not together and not _ALONE <= lag < _LATEST - 0.5 * _STEP:
-            continue
-        late[j] = Finding(
+        return [], ()
+    rows = LagRows.of(part.log, model, base_columns(model))
+    late = lags(rows, joints)
+    findings = [
+        Finding(
             check="torque-lag",
             severity="warning",
             joints=(model.description.joints[j],),
-            found=f"its torque is about {abs(lag) * 1e3:.0f} ms {'late' if lag > 0 else 'early'} "
-            "relative to the motion",
+            found=f"its torque is about {1e3 * abs(lag.value):.0f} ms "
+            f"{'late' if lag.value > 0 else 'early'} relative to the motion "
+            f"(+- {1e3 * _ERRORS * lag.error:.0f} ms)",
             remedy="torques were filtered or come from another clock; shift their columns in time",
         )
-    # The memory of friction absorbs a lag or looks like one: fits with and without must agree.
-    plain = {j: delay(rows, j, part.t, logged.tau[:, j], memory=False)[0] for j in late}
-    findings = [finding for j, finding in late.items() if lags[j] * plain[j] > 0.0]
-    rate, sure = stamps_rate(rows, joints, part.t, logged.tau)
+        for j, lag in late.items()
+    ]
+    rate, sure = stamps_rate(rows, joints)
     if sure > _SURE and max(rate, 1.0 / rate) > _OFF:
         findings.append(_wrong_rate(rate, model.description))
-    return findings, set(late)
+    return findings, late
 
 
 def _wrong_rate(rate: float, robot: RobotDescription) -> Finding:
@@ -131,40 +168,93 @@ def _wrong_rate(rate: float, robot: RobotDescription) -> Finding:
     )
 
 
-def delay(
-    rows: LagRows, j: int, t: Array, tau: Array, *, memory: bool = True
-) -> tuple[float, float]:
-    """Return the lag of a torque [s], and twice its log-likelihood ratio.
+def lags(rows: LagRows, joints: Sequence[int]) -> dict[int, Estimate]:
+    """Return the lags [s] whose intervals exclude 0, by joint.
+
+    Memory of friction absorbs a lag, and friction without it looks like one: the lag of a joint is
+    between those of fits with and without it. Friction with memory comes close to the lag of most
+    joints together.
+    """
+    held = {j: delay(rows, j) for j in joints}
+    plain = {j: delay(rows, j, memory=False) for j in joints}
+    late, other = common_delay(list(held.values())), common_delay(list(plain.values()))
+    early = max(late, other, key=lambda lag: lag.value)
+    if _told(late) if late.value > 0.0 else (early.value < 0.0 and _told(early)):
+        return dict.fromkeys(joints, late)
+    found = {}
+    for j in joints:
+        middle = 0.5 * (held[j].value + plain[j].value)
+        half = 0.5 * abs(held[j].value - plain[j].value)
+        error = half / _ERRORS + max(held[j].error, plain[j].error)
+        if _LATE + _ERRORS * error < middle < _LATEST - 2.0 * _STEP:
+            found[j] = Estimate(value=middle, error=error)
+    return found
+
+
+def _told(lag: Estimate) -> bool:
+    """Return whether a lag is surely not 0, and known well or large."""
+    half = _ERRORS * lag.error
+    return abs(lag.value) > half + (0.0 if half < _NARROW else _LATE)
+
+
+def common_delay(lags: Sequence[Estimate]) -> Estimate:
+    """Return the weighted median of lags; its standard error includes their spread.
+
+    It is infinite for fewer than three lags, whose spread is unknown.
+    """
+    known = [lag for lag in lags if np.isfinite(lag.error)]
+    if len(known) < 3:
+        return Estimate(value=0.0, error=np.inf)
+    values, errors = np.array([(lag.value, np.hypot(lag.error, _SYSTEMATIC)) for lag in known]).T
+    order = np.argsort(values)
+    values, weights = values[order], errors[order] ** -2.0 / np.sum(errors**-2.0)
+    middle = float(np.interp(0.5, np.cumsum(weights) - 0.5 * weights, values))
+    spread = weights @ (values - middle) ** 2 / (len(known) - 1)
+    return Estimate(value=middle, error=float(np.sqrt(spread + 1.0 / np.sum(errors**-2.0))))
+
+
+def delay(rows: LagRows, j: int, *, memory: bool = True) -> Estimate:
+    """Return the lag of a torque [s]; its error is infinite at an end of the search range.
 
     Without `memory`, friction depends on the velocity only.
     """
-    from scipy.ndimage import uniform_filter1d
+    from scipy.optimize import nnls
 
-    inner = (rows.t >= t[0] + _LATEST) & (rows.t <= t[-1] - _LATEST)
-    shifts = np.arange(-_LATEST, _LATEST + 0.5 * _STEP, _STEP)
-    # Average first: then the noise of all shifts is equal.
-    even = uniform_filter1d(tau, max(1, round(_SMOOTH / float(np.median(np.diff(t))))))
-    moved = np.stack([np.interp(rows.t[inner] + shift, t, even) for shift in shifts], axis=1)
-    rubs = rows.rubs[j][inner, 0 if memory else len(_WIDTHS) :]
-    basis = _basis(np.hstack([rows.still[inner, j] + rows.moving[inner, j], rubs]))
-    left = moved - basis @ (basis.T @ moved)
+    count = 2 * len(_WIDTHS) + 2
+    known = rows.known[:, j]
+    rubs, others = np.split(rows.rubs[j][known], [count], axis=1)
+    others = np.hstack([(rows.still + rows.moving)[known, j], others])
+    if len(others) <= others.shape[1] + count:
+        return Estimate(value=0.0, error=np.inf)
+    targets = np.hstack([rubs[:, 0 if memory else -2 :], rows.torques[known, :, j]])
+    left = _project_out(others, targets)
+    rubs, torques = np.split(left, [left.shape[1] - len(_shifts())], axis=1)
+    # Friction of negative weight would imitate a lag.
+    q, corner = np.linalg.qr(rubs)
+    fits = np.array([nnls(corner, column, maxiter=1000)[0] for column in (q.T @ torques).T]).T
+    left = torques - rubs @ fits
     squares = np.sum(left**2, axis=0)
-    k, now = int(np.argmin(squares)), int(np.argmin(np.abs(shifts)))
-    free = max(len(left) - basis.shape[1], 0)
+    k = int(np.argmin(squares))
+    if k in (0, len(squares) - 1):
+        return Estimate(value=float(_shifts()[k]), error=np.inf)
+    free = max(len(left) - others.shape[1] - rubs.shape[1], 1)
     independent = free / correlation_length(left[:, k])
-    return float(shifts[k]), float(independent * np.log(squares[now] / squares[k]))
+    before, at, after = 0.5 * independent * np.log(np.maximum(squares[k - 1 : k + 2], 1e-300))
+    bend = max(before - 2.0 * at + after, 1e-12)
+    vertex = _shifts()[k] + 0.5 * _STEP * (before - after) / bend
+    return Estimate(value=float(vertex), error=float(_STEP / np.sqrt(bend)))
 
 
-def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> tuple[float, float]:
+def stamps_rate(rows: LagRows, joints: Sequence[int]) -> tuple[float, float]:
     """Return the ratio of a motion's duration to that of its stamps, and its certainty.
 
     With stamps r times too short, inertial torques are 1 / r^2 times as large. The result is (1, 0)
-    at an end of the search range.
+    at an end of the search range, and if no rate explains the torques of most joints.
     """
     parts = []
     count = rows.still.shape[2]
     for j in joints:
-        torque = np.interp(rows.t, t, tau[:, j])[:, None]
+        torque = rows.torques[:, len(_shifts()) // 2, [j]]
         left = _project_out(rows.rubs[j], np.hstack([torque, rows.still[:, j], rows.moving[:, j]]))
         body = left[:, 1 : 1 + count] + left[:, 1 + count :]
         parts.append(left / max(float(np.std(_project_out(body, left[:, :1]))), 1e-12))
@@ -179,6 +269,8 @@ def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> t
     squares = np.sum(by_joint**2, axis=1)
     independent = np.array([len(own) / correlation_length(own[:, best]) for own in by_joint])
     now = int(np.argmin(np.abs(np.log(_SCALES))))
+    if np.median(squares[:, best] / squares[:, now]) > _MENDED:
+        return 1.0, 0.0
     sure = independent @ np.log(squares[:, now] / squares[:, best])
     return float(1.0 / np.sqrt(_SCALES[best])), float(sure)
 

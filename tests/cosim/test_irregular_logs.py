@@ -14,11 +14,14 @@ from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from hesr_model.health.examine import examine
 from hesr_model.health.proposal import inspected
+from hesr_model.health.timing import LagRows, lags
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 SEEDS = range(20)
+WELL_KNOWN = {"sweep", "trial"}  # logs whose lags are known to 10 ms
 _STEPS = (6, 17)  # rows of 5 ms between samples: 12 to 33 Hz
 
 LONGER = (("period = 6.0", "period = 24.0"), ("length = 8.0", "length = 24.0"))
@@ -83,10 +86,24 @@ def test_an_irregular_log_of_the_twin_is_sound(recorded: list[Log], arm: Robot) 
     assert examine([log], description, Robot(description)).findings == ()
 
 
+def late_torques(log: Log, by: float) -> Log:
+    return replace(log, tau=np.column_stack([np.interp(log.t - by, log.t, c) for c in log.tau.T]))
+
+
 @pytest.mark.ci
 @pytest.mark.parametrize("late", [0.0, 0.15])
 def test_a_lag_is_reported_where_there_is_one(recorded: list[Log], arm: Robot, late: float) -> None:
     for log in recorded[:2]:
-        tau = np.column_stack([np.interp(log.t - late, log.t, column) for column in log.tau.T])
-        told = examine([replace(log, tau=tau)], arm.description, arm).findings
+        told = examine([late_torques(log, late)], arm.description, arm).findings
         assert bool([f for f in told if f.check == "torque-lag"]) == bool(late)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("late", [0.0, 0.01, 0.02, 0.035, 0.05])
+def test_reported_lags_are_within_5_ms(recorded: list[Log], arm: Robot, late: float) -> None:
+    base, known = base_columns(arm), []
+    for log in recorded:
+        found = lags(LagRows.of(late_torques(log, late), arm, base), range(arm.n))
+        known += [(log.name, lag) for lag in found.values()]
+        assert all(abs(lag.value - late) < min(0.005, 3.0 * lag.error) for lag in found.values())
+    assert {name for name, _ in known} == (WELL_KNOWN if late else set())

@@ -169,7 +169,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     "torque of one joint late": (
         lambda log: replace(log, tau=np.column_stack([
             log.tau[:, 0], late(log.tau, 30)[:, 1], log.tau[:, 2]
-        ])), "torque-lag", ("j2",), r"its torque is about 1\d0 ms late",
+        ])), "torque-lag", ("j2",), r"its torque is about 1(4[5-9]|5[0-5]) ms late",
     ),
     "a stuck encoder": (
         lambda log: replace(log, q=stuck(log.q, 1)), "stuck", ("j2",),
@@ -208,7 +208,8 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
         r"\[.q2., .q3., .q1.\]",
     ),
     "torques late": (
-        lambda log: replace(log, tau=late(log.tau, 30)), "torque-lag", (), r"about 1\d0 ms late",
+        lambda log: replace(log, tau=late(log.tau, 30)), "torque-lag", (),
+        r"about 1(4[5-9]|5[0-5]) ms late .* \(\+- \d ms\)",
     ),
 }  # fmt: skip
 
