@@ -34,6 +34,7 @@ class FmuReport(Answer):
     format = "hesr-fmu-report-1"
     reports: Sequence[Report]
     conventions: Mapping[Path, Convention] = field(default_factory=dict)
+    files: Sequence[Path] = ()
 
     @property
     def findings(self) -> Sequence[Finding]:  # type: ignore[override]  # derived from the reports
@@ -57,7 +58,7 @@ class FmuReport(Answer):
 
     def summary(self) -> str:
         """Return verdict, first findings and omitted validators of each file."""
-        return shortened(self._lines(most=max(2, 16 // len(self.reports))))
+        return shortened(self._lines(most=max(2, 16 // len(self.reports))), self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return all findings, and the tables of the kind ``convention``."""
@@ -82,13 +83,15 @@ def check(
     *,
     kind: Sequence[Kind] = ("static",),
     vdmcheck: PathArg | None = None,
+    junit: PathArg | None = None,
+    sarif: PathArg | None = None,
     trust: bool = False,
     progress: Stages = silent,
 ) -> FmuReport:
-    """Validate FMUs (FMPy, VDMCheck2, own rules).
+    """Validate FMUs and SSPs (schemas, FMPy, VDMCheck2, own rules).
 
-    The static checks always run and execute no code of the FMU; the other kinds do. An SSP is
-    checked by its reference results only.
+    An error violates the standard or fails in a host, a warning may fail in some; advice concerns
+    comfort. The static checks always run and execute no code of the FMU; the other kinds do.
 
     Parameters
     ----------
@@ -100,6 +103,10 @@ def check(
         convention).
     vdmcheck : path, optional
         Folder with VDMCheck2; by default .tools/vdmcheck2, if present.
+    junit : path, optional
+        JUnit file to write: a test case per file and rule, which fails for an error.
+    sarif : path, optional
+        SARIF file to write, for code hosts.
     trust : bool, optional
         Run these FMUs without a sandbox, now and later: faster, but with all your rights.
     progress : callable, optional
@@ -115,7 +122,7 @@ def check(
     ArtifactError
         If a file does not exist or cannot be opened; damage inside is a finding.
     ConfigError
-        If VDMCheck2 is missing in `vdmcheck`, or an SSP is given without ``references``.
+        If VDMCheck2 is missing in `vdmcheck`, or an SSP is given for another kind.
 
     Examples
     --------
@@ -123,6 +130,7 @@ def check(
 
         $ hesr check Friction.fmu --vdmcheck .tools/vdmcheck2
         $ hesr check Friction.fmu --kind hostile --kind references
+        $ hesr check System.ssp --fail-on warning --junit check.xml --sarif check.sarif
 
     In Python:
 
@@ -130,17 +138,18 @@ def check(
     >>> hesr.check("Friction.fmu").passed
     True
     """
+    from cosim.report.check_files import write_junit, write_sarif
+    from cosim.systems.ssp_check import check_ssp
     from cosim.workflow.arguments import paths_of, remember_trust
     from fmu_src.check.convention import judge, measure
-    from fmu_src.check.run import Report
     from fmu_src.check.run import check as check_fmu
     from fmu_src.run.archive import opened
     from hesr_model.support.files import path_of
 
     paths = paths_of(fmus, "an FMU")
     systems = [path for path in paths if path.suffix.lower() == ".ssp"]
-    if systems and set(kind) != {"references"}:
-        raise ArgumentError(f"{systems[0]}: an SSP only supports 'kind' references.")
+    if systems and set(kind) - {"static", "references"}:
+        raise ArgumentError(f"{systems[0]}: an SSP supports 'kind' static and references only.")
     for path in paths:
         if path not in systems:
             opened(path).close()  # refuse an unreadable file before checking others
@@ -151,7 +160,7 @@ def check(
     reports = []
     for path in counted(paths, partial(progress, "checking"), lambda path: path.name):
         report = (
-            Report(path, (), ())
+            check_ssp(path, vdmcheck=folder)
             if path in systems
             else check_fmu(path, vdmcheck=folder, hostile="hostile" in kind)
         )
@@ -165,19 +174,24 @@ def check(
             if not (broken := reports[place]).problems:
                 raise
             reports[place] = replace(broken, skipped=(*broken.skipped, f"Convention: {error}"))
-    return FmuReport(reports=reports, conventions=conventions)
+    files = []
+    for file, write in ((junit, write_junit), (sarif, write_sarif)):
+        if file is not None:
+            files.append(path_of(file, "an output"))
+            write(files[-1], reports)
+    return FmuReport(reports=reports, conventions=conventions, files=files)
 
 
 def _with_references(report: Report) -> Report:
     """Return a report extended by the comparison with the reference results in the file."""
     from cosim.systems.ssp_results import verify_ssp
-    from fmu_src.check.run import problems_of
+    from fmu_src.check.rules import findings, with_rule
     from fmu_src.run.reference_results import verify
 
     system = report.path.suffix.lower() == ".ssp"
     found = (verify_ssp if system else verify)(report.path)
     return replace(
         report,
-        problems=(*report.problems, *problems_of("references", found.problems)),
+        problems=(*findings(with_rule("references", found.problems)), *report.problems),
         skipped=(*report.skipped, *found.skipped),
     )

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from fmu_src.check.rules import Problem
 from fmu_src.run.archive import (
     DAMAGED,
     MOST_BYTES_IN_ALL,
@@ -14,6 +15,7 @@ from fmu_src.run.archive import (
     hazards,
     is_folder,
     opened,
+    oversize,
     said,
     unreadable,
 )
@@ -26,7 +28,7 @@ class Contents:
 
     names: tuple[str, ...] = ()
     files: dict[str, Path] = field(default_factory=dict)  # under numbered names
-    problems: tuple[str, ...] = ()
+    problems: tuple[Problem, ...] = ()
 
     def read(self, name: str) -> bytes:
         """Return the content of a readable file."""
@@ -39,7 +41,8 @@ def unpack(path: Path, folder: Path) -> Contents:
         try:
             archive = entries(file)
         except DAMAGED as error:
-            return Contents(problems=(f"it is not a readable ZIP archive ({said(error)}).",))
+            text = f"it is not a readable ZIP archive ({said(error)})."
+            return Contents(problems=(("archive-damaged", text),))
         with archive:
             return _read_all(archive, folder)
 
@@ -48,8 +51,8 @@ def _read_all(archive: zipfile.ZipFile, folder: Path) -> Contents:
     found = archive.infolist()
     if len(found) > MOST_ENTRIES:
         text = f"it has {len(found)} entries; more than {MOST_ENTRIES} are not checked."
-        return Contents(problems=(text,))
-    problems = [text for entry in found for text in _oddities(entry)]
+        return Contents(problems=(("archive-large", text),))
+    problems = [problem for entry in found for problem in _oddities(entry)]
     problems += _duplicates([entry.filename for entry in found])
     files: dict[str, Path] = {}
     unpacked = 0
@@ -65,28 +68,33 @@ def _read_all(archive: zipfile.ZipFile, folder: Path) -> Contents:
         try:
             copy_entry(archive, entry, target)
         except DAMAGED as error:
-            problems.append(f"the entry {quoted(entry.filename)} cannot be read ({said(error)}).")
+            text = f"the entry {quoted(entry.filename)} cannot be read ({said(error)})."
+            problems.append(("archive-damaged", text))
         else:
             files.setdefault(entry.filename, target)
     if unread:
-        problems.append(
+        text = (
             f"its entries claim {unpacked} bytes unpacked; more than {MOST_BYTES_IN_ALL} are not "
             f"read; left out: {listed(dict.fromkeys(unread))}."
         )
+        problems.append(("archive-large", text))
     names = tuple(dict.fromkeys(e.filename for e in found if not is_folder(e)))
     return Contents(names=names, files=files, problems=tuple(problems))
 
 
-def _oddities(entry: zipfile.ZipInfo) -> Iterator[str]:
-    yield from hazards(entry)
+def _oddities(entry: zipfile.ZipInfo) -> Iterator[Problem]:
+    large = oversize(entry)
+    for text in hazards(entry):
+        yield "archive-large" if large and text.endswith(large) else "archive-entry", text
     if "\\" in entry.filename:
         yield (
+            "archive-backslash",
             f"the entry {quoted(entry.filename)} has a backslash in its name; FMI separates "
-            "folders by '/'."
+            "folders by '/'.",
         )
 
 
-def _duplicates(names: list[str]) -> Iterator[str]:
+def _duplicates(names: list[str]) -> Iterator[Problem]:
     first: dict[str, str] = {}
     for name in names:
         folded = name.casefold()
@@ -95,9 +103,10 @@ def _duplicates(names: list[str]) -> Iterator[str]:
             continue
         other = first[folded]
         if other == name:
-            yield f"the entry {quoted(name)} is duplicated."
+            yield "archive-duplicate", f"the entry {quoted(name)} is duplicated."
         else:
             yield (
+                "archive-case",
                 f"the entries {quoted(other)} and {quoted(name)} are the same file on Windows, "
-                "which ignores case."
+                "which ignores case.",
             )

@@ -10,6 +10,7 @@ from typing import Any
 from fmu_src.check import functions
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import KINDS, InterfaceKind, ParsedDescription
+from fmu_src.check.rules import Problem
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
 from hesr_model.support.text import listed, plain, quoted
@@ -66,7 +67,17 @@ _PE = re.compile(
     r"msvcrt|ucrtbase|bcrypt|crypt32|rpcrt4|winmm|version|psapi|dbghelp|iphlpapi|comdlg32|"
     r"comctl32|setupapi|secur32|userenv|wsock32|mswsock|powrprof|api-ms-win-[a-z0-9-]+|"
     r"ext-ms-win-[a-z0-9-]+|bcryptprimitives|cfgmgr32|imm32|netapi32|opengl32|pdh|uxtheme|wininet|"
-    r"winhttp|normaliz|propsys|sechost|wldap32)\.dll",
+    r"winhttp|normaliz|propsys|sechost|wldap32|activeds|adsldpapi|authz|avicap32|avifil32|avrt|"
+    r"cabinet|clusapi|credui|cryptbase|cryptnet|cryptsp|cryptui|d2d1|d3d\d+|dciman32|ddraw|dhcpcsvc|"
+    r"dinput8?|dnsapi|dsound|dwmapi|dwrite|dxgi|dxva2|fltlib|gdiplus|glu32|hid|httpapi|icmp|imagehlp|"
+    r"loadperf|lz32|mpr|msacm32|mscoree|msi|msimg32|msvfw32|ncrypt|ndfapi|odbc32|oleacc|oledlg|"
+    r"profapi|rasapi32|resutils|rstrtmgr|samlib|schannel|security|sensapi|shcore|srvcli|tapi32|tdh|"
+    r"traffic|urlmon|usp10|wbemuuid|wer|wevtapi|windowscodecs|wintrust|winusb|wlanapi|wtsapi32|"
+    r"xinput[0-9_]+|xmllite)\.dll|winspool\.drv",
+    re.IGNORECASE,
+)
+_REDISTRIBUTABLE = re.compile(
+    r"(vcruntime\d+(_\d)?|msvc[pr]\d+(_\w+)?|concrt\d+|vcomp\d+|mfc\d+u?|atl\d+)\.dll",
     re.IGNORECASE,
 )
 _MACH_O = re.compile(r"/usr/lib/.*|/System/Library/.*", re.DOTALL)
@@ -79,7 +90,7 @@ _FOLDER = "binaries/"
 _PYTHON = re.compile("_?Py[A-Z_][A-Za-z_]+")
 
 
-def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iterator[str]:
+def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iterator[Problem]:
     """Yield the problems of the binaries; `folder` is for temporary files."""
     for platform, names in _by_platform(contents).items():
         expected = PLATFORMS[about.fmi].get(platform)
@@ -91,13 +102,14 @@ def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iter
             name = f"{_FOLDER}{platform}/{identifier}{expected.suffix}"
             if name in contents.files:
                 file = contents.files[name]
-                for text in _of_library(file, about, kinds, expected, names, folder):
-                    yield f"{plain(name)}: {text}"
+                for rule, text in _of_library(file, about, kinds, expected, names, folder):
+                    yield rule, f"{plain(name)}: {text}"
             elif name not in contents.names:
                 what = " and ".join(kind.element for kind in kinds)
                 yield (
+                    "binary-missing",
                     f"{_FOLDER}{platform}: it lacks {quoted(posixpath.basename(name))}, the name "
-                    f"that modelIdentifier of {what} requires."
+                    f"that modelIdentifier of {what} requires.",
                 )
 
 
@@ -127,11 +139,11 @@ def _of_library(
     expected: Platform,
     beside: set[str],
     folder: Path,
-) -> Iterator[str]:
+) -> Iterator[Problem]:
     try:
         found = run_in_sandbox(_READER, str(file), folder=folder, seconds=SECONDS)
     except DiedError as error:
-        yield f"its content could not be read: its reader {error}."
+        yield "binary-unreadable", f"its content could not be read: its reader {error}."
         return
     parts = found["parts"]
     machines = [part["machine"] for part in parts]
@@ -139,7 +151,8 @@ def _of_library(
     if found["format"] != expected.format or not right:
         is_a = f"{found['format']} for {', '.join(machines)}" if parts else "not a readable library"
         needed = " or ".join(expected.machines)
-        yield f"it is {is_a}; needed in this folder is {expected.format} for {needed}."
+        text = f"it is {is_a}; needed in this folder is {expected.format} for {needed}."
+        yield "binary-format", text
         return
     texts = [
         text
@@ -151,30 +164,33 @@ def _of_library(
 
 def _exports(
     part: Mapping[str, Any], about: ParsedDescription, kinds: list[InterfaceKind]
-) -> Iterator[str]:
+) -> Iterator[Problem]:
     if not part["shared"]:
-        yield "it is a program or object file; expected a shared library."
+        yield "binary-format", "it is a program or object file; expected a shared library."
     exports = set(part["exports"])
     if about.fmi == 2:
         for kind in kinds:
             yield from _missing(kind, exports)
     elif missing := [name for name in functions.REQUIRED_3 if name not in exports]:
-        yield f"it does not export {listed(missing)}; FMI 3.0 requires all of its functions."
+        text = f"it does not export {listed(missing)}; FMI 3.0 requires all of its functions."
+        yield "binary-functions", text
     # One library may serve several versions of FMI.
     own = f"fmi{about.fmi}"
     strange = sorted(n for n in exports if n.startswith(own) and n not in functions.KNOWN)
     if strange:
-        yield f"it exports {listed(strange)}, which FMI {about.fmi}.0 does not have."
+        text = f"it exports {listed(strange)}, which FMI {about.fmi}.0 does not have."
+        yield "binary-unknown", text
 
 
-def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[str]:
+def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[Problem]:
     required = functions.REQUIRED[kind.element]
     missing = [name for name in required if name not in exports]
     prefixed = [name for name in missing if f"{kind.identifier}_{name}" in exports]
     if prefixed:
         yield (
+            "binary-functions",
             f"it exports {listed([f'{kind.identifier}_{prefixed[0]}'])} and the like; the prefix "
-            "is for source code and static libraries only."
+            "is for source code and static libraries only.",
         )
         return
     promised: set[str] = set()
@@ -182,12 +198,14 @@ def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[str]:
         broken = [name for name in names if name in missing]
         if broken and kind.can(capability):
             promised.update(broken)
-            yield f"it does not export {listed(broken)}, though {capability} is 'true'."
+            text = f"it does not export {listed(broken)}, though {capability} is 'true'."
+            yield "binary-functions", text
     rest = [name for name in missing if name not in promised]
     if rest:
         yield (
+            "binary-functions",
             f"it does not export {listed(rest)}; FMI 2.0 requires all functions of "
-            f"{KINDS[kind.element]}."
+            f"{KINDS[kind.element]}.",
         )
 
 
@@ -198,7 +216,7 @@ def _place(name: str) -> str:
     return posixpath.basename(name)
 
 
-def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Iterator[str]:
+def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Iterator[Problem]:
     python = [name for name in part["imports"] if _PYTHON.fullmatch(name)]
     others = []
     for name in part["libraries"]:
@@ -207,13 +225,21 @@ def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Ite
         elif not _USUAL[expected.format].fullmatch(name):
             others.append(name)
     if python:
-        yield f"it needs a Python interpreter in the host ({listed(python, 3)} undefined)."
+        text = f"it needs a Python interpreter in the host ({listed(python, 3)} undefined)."
+        yield "binary-python", text
     names = {_place(name) for name in others}
-    if absent := sorted(names - beside):
-        yield f"it needs {listed(absent)}, neither part of the system nor in the FMU."
+    absent = sorted(names - beside)
+    runtime = [name for name in absent if _REDISTRIBUTABLE.fullmatch(name)]
+    for rule, needed in (
+        ("binary-library", [name for name in absent if name not in runtime]),
+        ("binary-runtime", runtime),
+    ):
+        if needed:
+            yield rule, f"it needs {listed(needed)}, neither part of the system nor in the FMU."
     origin = any("$ORIGIN" in path or "${ORIGIN}" in path for path in part["run_paths"])
     present = sorted(names & beside)
     if present and expected.format == "ELF" and not origin:
         yield (
-            f"it needs {listed(present)} in its folder, but its run path lacks $ORIGIN to find it."
+            "binary-path",
+            f"it needs {listed(present)} in its folder, but its run path lacks $ORIGIN to find it.",
         )

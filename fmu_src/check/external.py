@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from fmu_src.check.archive import Contents
+from fmu_src.check.rules import Problem
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
 from hesr_model.support.process import FailedError, run
@@ -34,14 +35,17 @@ def write_copy(contents: Contents, readable: Iterable[str], path: Path) -> None:
             )
 
 
-def fmpy(copy: Path, folder: Path) -> tuple[list[str], list[str]]:
+def fmpy(copy: Path, folder: Path) -> tuple[list[Problem], list[str]]:
     """Return the problems that FMPy finds, and why it was not run."""
     try:
         reader = "fmu_src.check.readers:validate"
-        found = run_in_sandbox(reader, str(copy), folder=folder, seconds=FMPY_SECONDS)
+        found, failed = run_in_sandbox(reader, str(copy), folder=folder, seconds=FMPY_SECONDS)
     except DiedError as error:
         return [], [f"FMPy {error}."]
-    return [_with_difference(text) for text in found], []
+    problems = [("fmpy", _with_difference(text)) for text in found]
+    if failed:
+        problems = [("fmpy-failed", f"FMPy cannot read the description ({plain(failed, 400)}).")]
+    return problems, []
 
 
 def _with_difference(text: str) -> str:
@@ -55,7 +59,7 @@ def _with_difference(text: str) -> str:
     return sentence
 
 
-def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[str], list[str]]:
+def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[Problem], list[str]]:
     """Return the problems that VDMCheck2 finds, and why it was not run."""
     jar = (place or DEFAULT_VDMCHECK) / JAR
     if not jar.is_file():
@@ -77,14 +81,14 @@ def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[str], 
         return [], [f"VDMCheck2: it gave no verdict but said '{first}'."]
     rules = [match for line in lines if (match := _RULE.fullmatch(line))]
     problems = [_rule(m[1], m[2]) for m in rules if not m[2].startswith(("//", "Warning:"))]
-    return problems or ["it found unnamed errors."], []
+    return problems or [("vdmcheck2", "it found unnamed errors.")], []
 
 
-def _rule(name: str, text: str) -> str:
+def _rule(name: str, text: str) -> Problem:
     line = _LINE.search(text)
     where = f"modelDescription.xml, line {line[1]}: " if line else ""
     text = text[: line.start()] if line else text
-    return _sentence(f"{where}{text} (rule {name})")
+    return f"vdmcheck2:{name}", _sentence(f"{where}{text}")
 
 
 def _sentence(text: str) -> str:

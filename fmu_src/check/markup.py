@@ -7,6 +7,7 @@ from xml.parsers import expat
 
 from lxml import etree
 
+from fmu_src.check.rules import Problem
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
 from hesr_model.support.text import plain
@@ -58,14 +59,15 @@ class _Guard:
             )
 
 
-def parse(name: str, file: Path) -> tuple[etree._Element | None, list[str]]:
+def parse(name: str, file: Path) -> tuple[etree._Element | None, list[Problem]]:
     """Return the root of an XML file, or None, and its problems."""
     if file.stat().st_size > MOST_BYTES:
-        return None, [f"{name}: it has more than {MOST_BYTES} bytes; it is not read."]
+        text = f"{name}: it has more than {MOST_BYTES} bytes; it is not read."
+        return None, [("xml-unreadable", text)]
     data = file.read_bytes()
     if (place := _not_utf8(data)) is not None:
         text = f"it is not valid UTF-8, which FMI requires (byte {place + 1})."
-        return None, [f"{name}: {text}"]
+        return None, [("xml-encoding", f"{name}: {text}")]
     guard = _Guard()
     try:
         guard.run(data)
@@ -74,12 +76,16 @@ def parse(name: str, file: Path) -> tuple[etree._Element | None, list[str]]:
         )
         root = etree.fromstring(data, parser)
     except _RefusedError as error:
-        return None, [f"{name}: {error}"]
+        return None, [("xml-unreadable", f"{name}: {error}")]
     except etree.XMLSyntaxError as error:
-        return None, [f"{name}: it cannot be read as XML ({plain(str(error))})."]
-    if guard.encoding is None or not _UTF8.fullmatch(guard.encoding):
-        found = "no encoding" if guard.encoding is None else f"'{plain(guard.encoding)}'"
-        return root, [f"{name}: its first line declares {found}; FMI needs UTF-8."]
+        text = f"{name}: it cannot be read as XML ({plain(str(error))})."
+        return None, [("xml-unreadable", text)]
+    if guard.encoding is None and root.get("fmiVersion") == "2.0":
+        text = f"{name}: its first line declares no encoding; FMI 2 asks for UTF-8."
+        return root, [("xml-undeclared", text)]
+    if guard.encoding is not None and not _UTF8.fullmatch(guard.encoding):
+        text = f"{name}: its first line declares '{plain(guard.encoding)}'; FMI needs UTF-8."
+        return root, [("xml-encoding", text)]
     return root, []
 
 
@@ -92,11 +98,14 @@ def _not_utf8(data: bytes) -> int | None:
     return data.index(b"\0") if b"\0" in data else None
 
 
-def schema_problems(name: str, file: Path, folder: Path) -> list[str]:
+def schema_problems(name: str, file: Path, folder: Path) -> list[Problem]:
     """Return the schema violations of an XML file; time is limited, being quadratic in errors."""
     try:
         reader = "fmu_src.check.readers:compare"
         found = run_in_sandbox(reader, str(file), folder=folder, seconds=SECONDS)
     except DiedError as error:
-        return [f"{name}: it cannot be compared with the schema: the comparison {error}."]
-    return [f"{name}, line {line}: {plain(text, 400)}" for line, text in found]
+        text = f"{name}: it cannot be compared with the schema: the comparison {error}."
+        return [("xsd", text)]
+    return [
+        (f"xsd:{kind}", f"{name}, line {line}: {plain(text, 400)}") for line, kind, text in found
+    ]

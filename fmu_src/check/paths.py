@@ -8,6 +8,8 @@ from itertools import islice
 from pathlib import Path
 
 from fmu_src.check.archive import Contents
+from fmu_src.check.rules import Problem
+from fmu_src.check.sources import SUFFIXES, without_comments
 from hesr_model.support.text import plain, quoted
 
 MOST_PATHS = 100  # per file; the first one and the number are reported
@@ -40,6 +42,7 @@ _ALONE = re.compile(rb"(?<![A-Za-z0-9_.~-])(?<!\b[A-Za-z]:)|(?<=-[IL])")
 # Hosts never look for the FMU's own binary under a versioned name.
 _CARRIED = re.compile(r"(.+/)?binaries/[^/]+/lib[^/]+\.so(\.[0-9]+)+")
 
+_XML_COMMENT = re.compile(rb"<!--.*?(?:-->|\Z)", re.DOTALL)
 _LIBRARIES = (".so", ".dll", ".dylib")
 
 
@@ -52,17 +55,18 @@ def skipped(contents: Contents) -> list[str]:
     ]
 
 
-def problems(contents: Contents) -> Iterator[str]:
+def problems(contents: Contents) -> Iterator[Problem]:
     """Yield the files that contain such a path."""
     for name, file in contents.files.items():
         if _built_elsewhere(name, file):
             continue
-        found = list(dict.fromkeys(islice(_paths(file), MOST_PATHS)))
+        found = list(dict.fromkeys(islice(_paths(_code(name, file)), MOST_PATHS)))
         if found:
             more = f" and {len(found) - 1} more of its kind" if len(found) > 1 else ""
             yield (
+                "machine-path",
                 f"{plain(name)}: it holds {quoted(found[0])}{more}, a path of the machine where "
-                "the FMU was built."
+                "the FMU was built.",
             )
 
 
@@ -88,9 +92,18 @@ def _of_fmpy() -> dict[int, list[Path]]:
     return found
 
 
-def _paths(file: Path) -> Iterator[str]:
+def _code(name: str, file: Path) -> bytes:
+    """Return the content of a file without the comments of C and XML."""
     # Do not map the file: Python's search in a map reads one byte past the end.
     data = file.read_bytes()
+    if name.lower().endswith(SUFFIXES):
+        return without_comments(data)
+    if name.lower().endswith((".xml", ".html", ".htm", ".svg")):
+        return _XML_COMMENT.sub(b"", data)
+    return data
+
+
+def _paths(data: bytes) -> Iterator[str]:
     for literal, before, pattern in _PLACES:
         place = data.find(literal)
         while place >= 0:

@@ -1,6 +1,8 @@
 """Readers of untrusted files, run in the sandbox so that no file can stall a check."""
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -9,33 +11,76 @@ MOST_SYMBOLS = 10_000
 MOST_ERRORS = 10_000
 
 _SCHEMAS = {
-    "1.0": "fmi1/fmiModelDescription.xsd",
-    "2.0": "fmi2/fmi2ModelDescription.xsd",
-    "3": "fmi3/fmi3ModelDescription.xsd",
-    "fmiTerminalsAndIcons": "fmi3/fmi3TerminalsAndIcons.xsd",
-    "fmiBuildDescription": "fmi3/fmi3BuildDescription.xsd",
+    "1.0": "schema/fmi1/fmiModelDescription.xsd",
+    "2.0": "schema/fmi2/fmi2ModelDescription.xsd",
+    "3": "schema/fmi3/fmi3ModelDescription.xsd",
+    "fmiTerminalsAndIcons": "schema/fmi3/fmi3TerminalsAndIcons.xsd",
+    "fmiBuildDescription": "schema/fmi3/fmi3BuildDescription.xsd",
+    "SystemStructureDescription": "ssp/schema/SystemStructureDescription.xsd",
+    "ParameterSet": "ssp/schema/SystemStructureParameterValues.xsd",
+    "ParameterMapping": "ssp/schema/SystemStructureParameterMapping.xsd",
+    "SignalDictionary": "ssp/schema/SystemStructureSignalDictionary.xsd",
 }
 """Schemas by version, or by root element if it is the same in all versions."""
 
 
-def validate(file: str) -> list[str]:
-    """Return the problems that FMPy finds."""
-    from fmpy.validation import validate_fmu
+def validate(file: str) -> tuple[list[str], str]:
+    """Return the problems that FMPy finds, and why it cannot read a file, or ""."""
+    from fmpy import read_model_description
+    from fmpy.model_description import ValidationError
 
-    return [str(problem) for problem in validate_fmu(file)]
+    try:
+        read_model_description(file, validate_variable_names=True, validate_model_structure=True)
+    except ValidationError as error:
+        return [str(p) for p in error.problems if not _of_fmi_3(str(p), file)], ""
+    except Exception as error:
+        # FMPy raises bare exceptions for violations; others are its own faults.
+        said = str(error) or type(error).__name__
+        return ([said], "") if type(error) is Exception else ([], f"{type(error).__name__}: {said}")
+    return [], ""
 
 
-def compare(file: str) -> list[tuple[int, str]]:
-    """Return line and message of each schema violation of a file without DTD and entities."""
-    import fmpy
+_INITIAL = re.compile(r"ModelStructure/InitialUnknowns .*Expected \{(.*)\} but was \{(.*)\}\.")
+
+
+def _of_fmi_3(problem: str, file: str) -> bool:
+    """Whether FMPy only misses aliases and clocks of FMI 3, which are no initial unknowns."""
+    if not (sets := _INITIAL.fullmatch(problem)):
+        return False
+    from fmpy import read_model_description
+
+    about = read_model_description(file, validate=False)
+    exempt = {v.name for v in about.modelVariables if v.alias or v.type == "Clock"}
+    expected, found = (set(names.split(", ")) for names in sets.groups())
+    return expected - exempt == found - exempt
+
+
+def compare(file: str) -> list[tuple[int, str, str]]:
+    """Return line, kind and message of each schema violation; no DTD, no entities."""
     from lxml import etree
 
     root = etree.parse(file, etree.XMLParser(resolve_entities=False, no_network=True)).getroot()
-    version = root.get("fmiVersion", "")
-    name = _SCHEMAS.get(root.tag) or _SCHEMAS["3" if version.startswith("3.") else version]
-    schema = etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "schema" / name))
+    place = schema_of(root.tag, root.attrib)
+    if place is None:
+        return []
+    schema = etree.XMLSchema(file=str(place))
     schema.validate(root)
-    return [(e.line, str(e.message)[:1000]) for e in islice(schema.error_log, MOST_ERRORS)]
+    return [
+        (e.line, e.type_name.removeprefix("SCHEMAV_").lower(), str(e.message)[:1000])
+        for e in islice(schema.error_log, MOST_ERRORS)
+    ]
+
+
+def schema_of(tag: str, attributes: Mapping[str, str]) -> Path | None:
+    """Return the schema for a root element, None if it is not installed."""
+    tag, version = tag.rpartition("}")[2], attributes.get("fmiVersion", "")
+    name = _SCHEMAS.get(tag) or _SCHEMAS["3" if version.startswith("3.") else version]
+    package, folder = "fmpy", ""
+    if name.startswith("ssp/") and attributes.get("version", "").startswith("2."):
+        package, folder, name = "pyssp_standard", "resources/ssp2", Path(name).name
+    spec = find_spec(package)
+    places = (spec.submodule_search_locations if spec else None) or ()
+    return next((Path(place, folder, name) for place in places), None)
 
 
 def inspect(file: str) -> dict[str, Any]:

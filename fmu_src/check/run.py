@@ -17,6 +17,7 @@ from fmu_src.check import (
     hostile,
     markup,
     paths,
+    rules,
     sources,
     structure,
     terminals,
@@ -24,16 +25,15 @@ from fmu_src.check import (
 )
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription, read_description
+from fmu_src.check.rules import Problem, with_rule
 from hesr_model.errors import ConfigError
-from hesr_model.findings import Finding
+from hesr_model.findings import SEVERITIES, Finding, errors_first
 from hesr_model.support.text import plain, quoted
 from hesr_model.support.typed_json import to_json
 
 _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
 _OTHER_XML = (terminals.FILE, _BUILD)
-
-MOST_PROBLEMS = 1000  # per check
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,13 @@ class Report:
     @property
     def verdict(self) -> str:
         """One-line summary."""
-        count = len(self.problems)
-        return f"{count} problem{'s' if count > 1 else ''} found." if count else "no problem found."
+        counts = {s: sum(p.severity == s for p in self.problems) for s in SEVERITIES}
+        said = [
+            f"{count} {severity}{'s' * (count > 1 and severity != 'advice')}"
+            for severity, count in counts.items()
+            if count
+        ]
+        return f"{', '.join(said)}." if said else "no finding."
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as JSON data."""
@@ -72,22 +77,9 @@ def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) ->
         folder.mkdir()
         found = _Found(folder, vdmcheck, hostile=hostile)
         found.check(archive.unpack(path, files))
-    return Report(path=path, problems=tuple(found.problems), skipped=tuple(found.skipped))
-
-
-def problems_of(check: str, texts: Iterable[str]) -> list[Finding]:
-    """Return the findings of one check, without repetitions and at most `MOST_PROBLEMS`."""
-    kept: dict[str, None] = {}
-    more = 0
-    for text in texts:
-        if len(kept) < MOST_PROBLEMS:
-            kept[text] = None
-        elif text not in kept:
-            more += 1
-    problems = [Finding(check=check, found=text) for text in kept]
-    if more:
-        problems.append(Finding(check=check, found=f"{more} more findings are not listed."))
-    return problems
+    return Report(
+        path=path, problems=tuple(errors_first(found.problems)), skipped=tuple(found.skipped)
+    )
 
 
 class _Found:
@@ -98,30 +90,31 @@ class _Found:
         self.problems: list[Finding] = []
         self.skipped: list[str] = []
 
-    def _add(self, check: str, texts: Iterable[str]) -> bool:
-        problems = problems_of(check, texts)
-        self.problems += problems
-        return bool(problems)
+    def _add(self, problems: Iterable[Problem]) -> bool:
+        """Add findings; return whether one is an error."""
+        found = rules.findings(problems)
+        self.problems += found
+        return any(finding.severity == "error" for finding in found)
 
-    def _add_run(self, check: str, found: tuple[list[str], list[str]]) -> None:
-        self._add(check, found[0])
+    def _add_run(self, found: tuple[list[Problem], list[str]]) -> None:
+        self._add(found[0])
         self.skipped += found[1]
 
     def check(self, contents: Contents) -> None:
-        damaged = self._add("archive", contents.problems)
-        if not contents.names and damaged:
+        damaged = self._add(contents.problems)
+        if not contents.names and contents.problems:
             self.skipped.append("All other checks: not run; the archive could not be read.")
             return
-        self._add("paths", paths.problems(contents))
+        self._add(paths.problems(contents))
         self.skipped += paths.skipped(contents)
         root, texts = _model(contents)
-        broken = self._add("xml", texts)
+        broken = self._add(texts)
         if root is None:
             self.skipped.append(f"All other checks: {_MODEL} could not be read.")
             return
         version = str(root.get("fmiVersion", ""))
-        texts = markup.schema_problems(_MODEL, contents.files[_MODEL], self._folder)
-        invalid = self._add("schema", texts)
+        problems = markup.schema_problems(_MODEL, contents.files[_MODEL], self._folder)
+        invalid = self._add(problems)
         file = contents.files.get(_BUILD)
         about = read_description(root, markup.parse(_BUILD, file)[0] if file else None)
         if version != "1.0":
@@ -137,18 +130,19 @@ class _Found:
         if self._hostile and (version != "2.0" or damaged):
             self.skipped.append("Hostile master: not run; it needs FMI 2.0 and a valid archive.")
         elif self._hostile:
-            self._add_run("hostile", hostile.problems(about, contents, self._folder))
+            said, skipped = hostile.problems(about, contents, self._folder)
+            self._add_run((list(with_rule("hostile", said)), skipped))
 
     def _check_rules(self, about: ParsedDescription, contents: Contents) -> None:
         more = variables.RULES_2 if about.fmi == 2 else variables.RULES_3
-        rules = (*general.RULES, *variables.RULES, *structure.RULES, *more)
-        self._add("rules", chain.from_iterable(rule(about) for rule in rules))
+        every = (*general.RULES, *variables.RULES, *structure.RULES, *more)
+        self._add(chain.from_iterable(rule(about) for rule in every))
         if terminals.FILE in contents.files:
             connected, _ = markup.parse(terminals.FILE, contents.files[terminals.FILE])
             if connected is not None:
-                self._add("terminals", terminals.problems(connected, about, contents))
-        self._add("sources", sources.problems(about, contents))
-        self._add("binaries", binaries.problems(about, contents, self._folder))
+                self._add(terminals.problems(connected, about, contents))
+        self._add(sources.problems(about, contents))
+        self._add(binaries.problems(about, contents, self._folder))
         self.skipped += binaries.skipped(about, contents)
 
     def _run_others(self, contents: Contents, version: str) -> None:
@@ -156,25 +150,25 @@ class _Found:
         for name in _OTHER_XML:
             if name in contents.files:
                 texts = markup.parse(name, contents.files[name])[1]
-                if self._add("xml", texts):
+                if self._add(texts):
                     continue
                 texts = markup.schema_problems(name, contents.files[name], self._folder)
-                if not self._add("schema", texts):
+                if not self._add(texts):
                     readable.append(name)
         copy = self._folder / "copy.fmu"
         external.write_copy(contents, readable, copy)
-        self._add_run("fmpy", external.fmpy(copy, self._folder))
+        self._add_run(external.fmpy(copy, self._folder))
         if version != "2.0":
             self.skipped.append(f"VDMCheck2: it is for FMI 2.0, this is FMI {plain(version)}.")
             return
-        self._add_run("vdmcheck2", external.vdmcheck2(copy, self._folder, self._vdmcheck))
+        self._add_run(external.vdmcheck2(copy, self._folder, self._vdmcheck))
 
 
-def _model(contents: Contents) -> tuple[etree._Element | None, list[str]]:
+def _model(contents: Contents) -> tuple[etree._Element | None, list[Problem]]:
     if _MODEL not in contents.names:
         elsewhere = next((n for n in contents.names if n.endswith(f"/{_MODEL}")), None)
         hint = f"; {quoted(elsewhere)} is in the wrong folder" if elsewhere else ""
-        return None, [f"{_MODEL} is missing{hint}."]
+        return None, [("xml-unreadable", f"{_MODEL} is missing{hint}.")]
     if _MODEL not in contents.files:
         return None, []
     root, texts = markup.parse(_MODEL, contents.files[_MODEL])
@@ -182,8 +176,10 @@ def _model(contents: Contents) -> tuple[etree._Element | None, list[str]]:
         return None, texts
     if root.tag != "fmiModelDescription":
         tag = quoted(str(root.tag))
-        return None, [*texts, f"{_MODEL}: its root is {tag}; it must be 'fmiModelDescription'."]
+        text = f"{_MODEL}: its root is {tag}; it must be 'fmiModelDescription'."
+        return None, [*texts, ("xml-unreadable", text)]
     version = root.get("fmiVersion", "")
     if version not in ("1.0", "2.0") and not version.startswith("3."):
-        return None, [*texts, f"{_MODEL}: its fmiVersion is {quoted(version)}; expected '2.0'."]
+        text = f"{_MODEL}: its fmiVersion is {quoted(version)}; expected '2.0'."
+        return None, [*texts, ("fmi-version", text)]
     return root, texts

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription
+from fmu_src.check.rules import Problem
 from hesr_model.support.text import plain, quoted
 
 MOST_BYTES = 8 << 20  # of a source file; larger ones are data
@@ -21,36 +22,40 @@ stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string tgmath th
 wchar wctype direct dlfcn io malloc process pthread unistd windows
 """
 _SYSTEM = frozenset(_SYSTEM_NAMES.split())  # system headers that may be included in quotes
-_SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".inc")
+SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".inc")
 
 # Strings may contain comment markers. Unclosed comments end with the file: a search for their end
 # would be quadratic.
 _COMMENT = re.compile(rb'/\*.*?(?:\*/|\Z)|//[^\n]*|"(?:\\.|[^"\\\n])*"?', re.DOTALL)
-_INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]{1,500})"', re.MULTILINE)
+_DIRECTIVE = re.compile(
+    rb'^[ \t]*#[ \t]*(?:include[ \t]*"([^"\n]{1,500})"|(if|ifdef|endif)\b|ifndef[ \t]+(\w+))',
+    re.MULTILINE,
+)
 _FOLDER = "sources/"
 
 
-def problems(about: ParsedDescription, contents: Contents) -> Iterator[str]:
+def problems(about: ParsedDescription, contents: Contents) -> Iterator[Problem]:
     """Yield missing source files."""
     names = set(contents.names)
     binaries = any(name.startswith("binaries/") for name in names)
     if not binaries and not any(kind.sources for kind in about.kinds):
-        yield "binaries and a list of source files are both missing."
+        yield "binary-none", "binaries and a list of source files are both missing."
     for kind in about.kinds:
         for source in kind.sources:
             if _FOLDER + source not in names:
                 yield (
+                    "source-missing",
                     f"{kind.element} lists the source file {quoted(source)}, which is not in "
-                    "sources/."
+                    "sources/.",
                 )
     yield from _includes(about, contents)
 
 
-def _includes(about: ParsedDescription, contents: Contents) -> Iterator[str]:
+def _includes(about: ParsedDescription, contents: Contents) -> Iterator[Problem]:
     code = {
         name
         for name in contents.files
-        if name.startswith(_FOLDER) and name.lower().endswith(_SUFFIXES)
+        if name.startswith(_FOLDER) and name.lower().endswith(SUFFIXES)
     }
     names = frozenset(contents.names)
     start = {_FOLDER + source for kind in about.kinds for source in kind.sources} & code
@@ -60,20 +65,38 @@ def _includes(about: ParsedDescription, contents: Contents) -> Iterator[str]:
         name = waiting.pop()
         if contents.files[name].stat().st_size > MOST_BYTES:
             continue
-        for included in _included(contents.read(name)):
+        for included, always in _included(contents.read(name)):
             places = [
                 posixpath.normpath(posixpath.join(folder, included))
                 for folder in (posixpath.dirname(name), _FOLDER)
             ]
             found = next((p for p in places if p in names), None)
             supplied = included in _OFFICIAL or included.lower().removesuffix(".h") in _SYSTEM
-            if found is None and not supplied:
-                yield (f"{plain(name)}: includes {quoted(included)}, which is not in the archive.")
+            if found is None and always and not supplied:
+                text = f"{plain(name)}: includes {quoted(included)}, which is not in the archive."
+                yield "source-include", text
             elif found in code and found not in seen:
                 seen.add(found)
                 waiting.append(found)
 
 
-def _included(text: bytes) -> list[str]:
-    code = _COMMENT.sub(lambda match: match[0] if match[0].startswith(b'"') else b" ", text)
-    return [name.decode("utf-8", "replace") for name in _INCLUDE.findall(code)]
+def _included(text: bytes) -> Iterator[tuple[str, bool]]:
+    """Yield the included names, and whether they are included on every platform."""
+    code = without_comments(text)
+    depth = 0
+    for match in _DIRECTIVE.finditer(code):
+        name, directive, guard = match.groups()
+        if name is not None:
+            yield name.decode("utf-8", "replace"), depth == 0
+        elif directive == b"endif":
+            depth = max(depth - 1, 0)
+        else:
+            # An include guard is no condition.
+            defined = re.match(rb"[^\n]*\s*#[ \t]*define[ \t]+(\w+)", code[match.end() :])
+            guards = depth == 0 and guard and defined and defined[1] == guard
+            depth += 0 if guards else 1
+
+
+def without_comments(text: bytes) -> bytes:
+    """Return source code of C without its comments."""
+    return _COMMENT.sub(lambda match: match[0] if match[0].startswith(b'"') else b" ", text)

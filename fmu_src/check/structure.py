@@ -5,64 +5,76 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from fmu_src.check.description import STRUCTURE, ParsedDescription, Unknown
+from fmu_src.check.rules import Problem
 from hesr_model.support.text import listed, quoted
 
 
-def _derivatives(about: ParsedDescription) -> Iterator[str]:
+def _derivatives(about: ParsedDescription) -> Iterator[Problem]:
     if not about.exchanges:
         return
     place, found = about.lists["Derivatives"], {u.index for u in about.structure["Derivatives"]}
     declared = [v for v in about.variables if "derivative" in v.own]
     wrong = {
-        "lacks": [v for v in declared if v.variability == "continuous" and v.index not in found],
-        "lists": [v for v in declared if v.variability != "continuous" and v.index in found],
+        ("structure-states", "lacks"): [
+            v for v in declared if v.variability == "continuous" and v.index not in found
+        ],
+        ("structure-derivatives", "lists"): [
+            v for v in declared if v.variability != "continuous" and v.index in found
+        ],
     }
-    for verb, variables in wrong.items():
+    for (rule, verb), variables in wrong.items():
         if variables:
             yield (
+                rule,
                 f"{place} {verb} {listed(v.name for v in variables)}; it must list every "
-                "derivative of a state and no other variable."
+                "derivative of a state and no other variable.",
             )
 
 
-def _order(about: ParsedDescription) -> Iterator[str]:
+def _order(about: ParsedDescription) -> Iterator[Problem]:
     place = "InitialUnknowns"
     found = [v for u in about.structure[place] if (v := about.variable(u.index))]
     for before, after in pairwise(found if about.fmi == 2 else ()):
         if after.index < before.index:
             yield (
+                "structure-order",
                 f"{about.lists[place]} lists {quoted(after.name)} after {quoted(before.name)}; it "
-                "must follow the order of the variables."
+                "must follow the order of the variables.",
             )
 
 
-def _indices(about: ParsedDescription) -> Iterator[str]:
+def _indices(about: ParsedDescription) -> Iterator[Problem]:
     for name in STRUCTURE:
         for index, times in Counter(u.index for u in about.structure[name]).items():
             variable = about.variable(index)
             if variable is None:
-                yield f"{about.lists[name]} lists {about.shown(index)}, which does not exist."
+                text = f"{about.lists[name]} lists {about.shown(index)}, which does not exist."
+                yield "structure-index", text
             elif times > 1:
-                yield f"{about.lists[name]} lists {quoted(variable.name)} {times} times."
+                text = f"{about.lists[name]} lists {quoted(variable.name)} {times} times."
+                yield "structure-index", text
 
 
-def _dependencies(about: ParsedDescription) -> Iterator[str]:
+def _dependencies(about: ParsedDescription) -> Iterator[Problem]:
+    inputs = any(v.causality == "input" and v.kind != "Clock" for v in about.variables)
     for name in STRUCTURE:
         unknowns = about.structure[name]
-        silent = [_named(about, u) for u in unknowns if u.dependencies is None]
+        silent = [_named(about, u) for u in unknowns if u.dependencies is None and inputs]
         if silent:
             yield (
+                "structure-loops",
                 f"{about.lists[name]} gives no dependencies for {listed(silent)}, "
-                "so importers assume all inputs and find false algebraic loops."
+                "so importers assume all inputs and find false algebraic loops.",
             )
         for unknown in unknowns:
             who = f"{about.lists[name]} gives {quoted(_named(about, unknown))}"
             known = unknown.dependencies or ()
             missing = [i for i in known if about.variable(i) is None]
             if missing:
-                yield f"{who} a dependency on {about.shown(missing[0])}, which does not exist."
+                text = f"{who} a dependency on {about.shown(missing[0])}, which does not exist."
+                yield "structure-dependency", text
             elif about.fmi == 2 and any(a >= b for a, b in pairwise(known)):
-                yield f"{who} dependencies that are not in ascending order."
+                yield "structure-order", f"{who} dependencies that are not in ascending order."
 
 
 def _named(about: ParsedDescription, unknown: Unknown) -> str:

@@ -1,49 +1,41 @@
 """Rules on variables; each yields one sentence for each variable that breaks it."""
 
-import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 
 from fmu_src.check.description import ParsedDescription, ParsedVariable, integer, real
+from fmu_src.check.rules import Problem
 from hesr_model.support.text import listed, plain, quoted
-
-_PART = r"(?:[A-Za-z_][A-Za-z0-9_]*|'(?:[^'\\]|\\.)+')(?:\[[0-9]+(?:,[0-9]+)*\])?"
-_IDENTIFIER = rf"{_PART}(?:\.{_PART})*"
-_STRUCTURED = re.compile(rf"{_IDENTIFIER}|der\({_IDENTIFIER}(?:,[0-9]+)?\)")
 
 
 def _of_each(
-    rule: Callable[[ParsedDescription, ParsedVariable], Iterator[str]],
-) -> Callable[[ParsedDescription], Iterator[str]]:
-    def of_all(about: ParsedDescription) -> Iterator[str]:
+    rule: Callable[[ParsedDescription, ParsedVariable], Iterator[Problem]],
+) -> Callable[[ParsedDescription], Iterator[Problem]]:
+    def of_all(about: ParsedDescription) -> Iterator[Problem]:
         for v in about.variables:
-            for text in rule(about, v):
-                yield f"the variable {quoted(v.name)} {text}"
+            for name, text in rule(about, v):
+                yield name, f"the variable {quoted(v.name)} {text}"
 
     return of_all
 
 
-@_of_each
-def _structured_names(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
-    promised = about.attributes.get("variableNamingConvention") == "structured"
-    if promised and not _STRUCTURED.fullmatch(v.name):
-        yield "is not a structured name, as variableNamingConvention requires."
-
-
-def _independent(about: ParsedDescription) -> Iterator[str]:
+def _independent(about: ParsedDescription) -> Iterator[Problem]:
     found = [v.name for v in about.variables if v.causality == "independent"]
     if len(found) > 1:
-        yield f"the variables {listed(found)} are all independent; only one may be."
+        yield (
+            "variable-independent",
+            f"the variables {listed(found)} are all independent; only one may be.",
+        )
 
 
 @_of_each
-def _ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
+def _ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
     if v.kind not in ("Real", "Integer", "Enumeration", *about.continuous) and "Int" not in v.kind:
         return
     low, high = (real(v.get(name)) for name in ("min", "max"))
     starts = [real(text) for text in (v.get("start") or "").split()]
     if low is not None and high is not None and low > high:
-        yield f"has min {low:.15g}, above its max {high:.15g}."
+        yield "variable-range", f"has min {low:.15g}, above its max {high:.15g}."
     elif outside := [
         start
         for start in starts
@@ -51,56 +43,48 @@ def _ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
         and ((low is not None and start < low) or (high is not None and start > high))
     ]:
         bounds = [f"{k} {x:.15g}" for k, x in (("min", low), ("max", high)) if x is not None]
-        yield (f"has the start value {outside[0]:.15g}, outside its {' and '.join(bounds)}.")
+        text = f"has the start value {outside[0]:.15g}, outside its {' and '.join(bounds)}."
+        yield "variable-range", text
     nominal = real(v.get("nominal"))
     if nominal is not None and nominal <= 0:
-        yield f"has the nominal value {nominal:.15g}; it must be positive."
+        yield "variable-nominal", f"has the nominal value {nominal:.15g}; it must be positive."
     if v.kind == "Enumeration" and v.type and v.type.kind == "Enumeration":
         value = integer(v.own.get("start"))
         if value is not None and value not in v.type.values:
             yield (
+                "variable-item",
                 f"has the start value {value}, which is not an item of the enumeration "
-                f"{quoted(v.type.name)}."
+                f"{quoted(v.type.name)}.",
             )
 
 
 @_of_each
-def _inputs(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
+def _inputs(_: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
     if v.causality == "input" and v.declared_initial is not None:
-        yield f"has initial '{plain(v.declared_initial)}', which is invalid with causality 'input'."
+        text = (
+            f"has initial '{plain(v.declared_initial)}', which is invalid with causality 'input'."
+        )
+        yield "variable-initial", text
 
 
 @_of_each
-def _types(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
+def _types(_: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
     if v.type is not None and v.type.kind != v.kind:
         yield (
+            "variable-type",
             f"is of type {plain(v.kind)}, but its declared type {quoted(v.type.name)} is of type "
-            f"{plain(v.type.kind)}."
+            f"{plain(v.type.kind)}.",
         )
 
 
-def _units(about: ParsedDescription) -> Iterator[str]:
-    users: list[tuple[str, Mapping[str, str], ParsedVariable | None]] = [
-        (f"variable {quoted(v.name)}", v.own, v) for v in about.variables
-    ]
-    users += [(f"type {quoted(t.name)}", t.attributes, None) for t in about.types]
-    for who, own, variable in users:
-        unit, display = own.get("unit"), own.get("displayUnit")
-        if unit is not None and unit not in about.display_units:
-            yield f"the {who} has the unit {quoted(unit)}, which is not defined."
-            continue
-        unit = variable.get("unit") if variable else unit
-        if display is not None and unit is None:
-            yield f"the {who} has the display unit {quoted(display)} but no unit."
-        elif display is not None and display not in about.display_units.get(unit or "", ()):
-            yield (
-                f"the {who} has the display unit {quoted(display)}, which its unit "
-                f"{quoted(unit or '')} does not define."
-            )
+@_of_each
+def _display_units(_: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
+    if (display := v.own.get("displayUnit")) is not None and v.get("unit") is None:
+        yield "variable-unit", f"has the display unit {quoted(display)} but no unit."
 
 
 @_of_each
-def _derivatives(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
+def _derivatives(about: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
     state = about.variable(integer(v.own.get("derivative")))
     if state is not None and (
         state is v
@@ -110,12 +94,13 @@ def _derivatives(about: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
     ):
         size = "" if about.fmi == 2 else " and of its size"
         yield (
+            "variable-derivative",
             f"is the derivative of {quoted(state.name)}, which is not another continuous "
-            f"variable of type {' or '.join(about.continuous)}{size}."
+            f"variable of type {' or '.join(about.continuous)}{size}.",
         )
 
 
-def _aliases(about: ParsedDescription) -> Iterator[str]:
+def _aliases(about: ParsedDescription) -> Iterator[Problem]:
     sets: dict[tuple[str, int], list[ParsedVariable]] = defaultdict(list)
     for v in about.variables:
         base = "Integer" if v.kind == "Enumeration" else v.kind
@@ -127,22 +112,22 @@ def _aliases(about: ParsedDescription) -> Iterator[str]:
         who = f"the variables {listed(v.name for v in members)} share value reference {reference}"
         constants = [v for v in members if v.variability == "constant"]
         if constants and len(constants) < len(members):
-            yield f"{who}, but only some of them are constant."
+            yield "alias-constant", f"{who}, but only some of them are constant."
         if len({v.own.get("start") for v in constants}) > 1:
-            yield f"{who}, but as constants have different values."
+            yield "alias-constant", f"{who}, but as constants have different values."
         if sum(_settable(v) for v in members) > 1:
-            yield f"{who}, but more than one of them can be set."
+            yield "alias-settable", f"{who}, but more than one of them can be set."
         if len({v.get("unit") for v in members}) > 1:
-            yield f"{who}, but have different units."
+            yield "alias-unit", f"{who}, but have different units."
 
 
 @_of_each
-def _sizes(_: ParsedDescription, v: ParsedVariable) -> Iterator[str]:
+def _sizes(_: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
     given = len((v.own.get("start") or "").split())
     if v.size is None:
-        yield "has a dimension of unknown size."
+        yield "variable-size", "has a dimension of unknown size."
     elif v.kind not in ("String", "Binary") and given > 1 and given != v.size:
-        yield f"has {given} start values for {v.size} elements."
+        yield "variable-size", f"has {given} start values for {v.size} elements."
 
 
 def _settable(v: ParsedVariable) -> bool:
@@ -151,6 +136,6 @@ def _settable(v: ParsedVariable) -> bool:
     return started or v.causality == "input"
 
 
-RULES = (_structured_names, _ranges, _types, _units, _derivatives)  # rules of every version
+RULES = (_ranges, _types, _display_units, _derivatives)  # rules of every version
 RULES_2 = (_independent, _inputs, _aliases)
 RULES_3 = (_sizes,)

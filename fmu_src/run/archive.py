@@ -195,6 +195,11 @@ def unreadable(entry: zipfile.ZipInfo) -> str | None:
         return "is encrypted, so that no importer can read it."
     if entry.compress_type not in _METHODS:
         return f"is compressed by method {entry.compress_type}; FMI uses 8 (deflate) or 0 (none)."
+    return oversize(entry)
+
+
+def oversize(entry: zipfile.ZipInfo) -> str | None:
+    """Return why an entry is too large to be read, or None."""
     if entry.file_size > MOST_BYTES:
         return f"claims {entry.file_size} bytes; more than {MOST_BYTES} are not read."
     if entry.file_size > max(_LARGE, MOST_RATIO * entry.compress_size):

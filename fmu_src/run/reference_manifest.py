@@ -1,8 +1,7 @@
 """Manifest of reference results in the folder `extra/`, FMI-LS-REF 1.0.0-alpha.1."""
 
-import hashlib
 import posixpath
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
@@ -38,7 +37,7 @@ class ExperimentFiles:
 
 
 def manifest_files(
-    experiments: Sequence[ExperimentFiles], members: Mapping[str, bytes]
+    experiments: Sequence[ExperimentFiles], members: Iterable[str]
 ) -> dict[str, bytes]:
     """Return the manifest and the experiments file of the `members` of `extra/`."""
     root = ET.Element("Experiments")
@@ -63,10 +62,10 @@ def manifest_files(
             related.append(("testcase", name, "text/csv", played[name]))
         else:
             related.append(("result", name, "text/csv", "reference results"))
-    return {MANIFEST: _manifest(related, {**members, **own_files}), **own_files}
+    return {MANIFEST: _manifest(related), **own_files}
 
 
-def _manifest(related: Iterable[tuple[str, ...]], members: Mapping[str, bytes]) -> bytes:
+def _manifest(related: Iterable[tuple[str, ...]]) -> bytes:
     ET.register_namespace("fmi-ls", _LAYER)
     root = ET.Element("fmiReferences", {f"{{{_LAYER}}}{k}": text for k, text in _ABOUT.items()})
     for role, name, kind, text in related:
@@ -77,7 +76,5 @@ def _manifest(related: Iterable[tuple[str, ...]], members: Mapping[str, bytes]) 
             source=posixpath.relpath(name, FOLDER),
             role=role,
             description=text,
-            checksum=hashlib.sha3_256(members[name]).hexdigest(),
-            checksumType="SHA3-256",
         )
     return to_bytes(root)

@@ -121,7 +121,7 @@ def test_the_command_line_fits_and_exports_the_law(site: Path, results: Path) ->
     assert f"{LAW} for joint1, joint2, joint3" in said
     assert "Passivity: proven on joint1, joint2, joint3." in said
     hesr(site, "export", "law.json", "-o", "law.fmu", cwd=folder)
-    assert "no problem found" in hesr(site, "check", "law.fmu", cwd=folder)
+    assert "no finding" in hesr(site, "check", "law.fmu", cwd=folder)
     hesr(site, "export", "law.json", "--format", "modelica", "-o", "Law.mo", cwd=folder)
     assert "tanh(" in (folder / "Law.mo").read_text(encoding="utf-8")
 

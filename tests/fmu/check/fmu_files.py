@@ -102,10 +102,15 @@ def without_binaries(fmu: Path, path: Path, **more: Any) -> Path:
     return changed(fmu, path, files=names | more.pop("files", {}), **more)
 
 
-def texts(found: Report, of: str | None = None) -> list[str]:
-    return [p.found for p in found.problems if of in (None, p.check)]
+RULES = ("kind", "token", "date", "experiment", "unit", "type", "category", "variable", "alias")
+RULES = (*RULES, "structure")
+"""Beginnings of the names of rules on the model description."""
 
 
-def said(path: Path, of: str | None = None) -> list[str]:
-    """Findings of one check, or of all, for a file."""
+def texts(found: Report, of: str | tuple[str, ...] = "") -> list[str]:
+    return [p.found for p in found.problems if p.check.startswith(of)]
+
+
+def said(path: Path, of: str | tuple[str, ...] = "") -> list[str]:
+    """Findings of rules whose names begin with `of`, for a file."""
     return texts(check(path), of)

@@ -16,7 +16,7 @@ PARAMETER = {"causality": "parameter", "variability": "fixed"}
 def sentences(xml: Xml) -> list[str]:
     about = read_description(etree.fromstring(xml.bytes()))
     rules = (*general.RULES, *variables.RULES, *variables.RULES_2, *structure.RULES)
-    return [text for rule in rules for text in rule(about)]
+    return [text for rule in rules for _, text in rule(about)]
 
 
 def put(element: str, **attributes: str | None) -> Change:

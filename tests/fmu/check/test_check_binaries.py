@@ -36,7 +36,7 @@ def of(table1_fmu, tmp_path):
     def check_binary(data, name=BINARY, change=lambda _: None, **files):
         more = {path.replace("__", "/"): content for path, content in files.items()}
         path = changed(table1_fmu, tmp_path / "F.fmu", change, {name: data} | more)
-        return said(path, "binaries")
+        return said(path, "binary")
 
     return check_binary
 

@@ -7,7 +7,7 @@ import pytest
 from fmpy import read_model_description
 from fmpy.model_description import CoSimulation, ModelDescription, ModelVariable, Unknown
 from fmpy.validation import validate_fmu
-from fmu_files import changed, texts
+from fmu_files import RULES, changed, texts
 from pythonfmu.builder import FmuBuilder
 
 from fmu_src.check.run import check
@@ -83,13 +83,13 @@ def test_further_findings_are_reported(decay):
         "installed.",
         "ModelStructure/Outputs gives no dependencies for 'x', 'n', so importers assume all "
         "inputs and find false algebraic loops.",
-    } <= set(texts(found, "rules"))
+    } <= set(texts(found, RULES))
     (initial,) = (t for t in texts(found, "fmpy") if "InitialUnknowns" in t)
     assert initial.endswith("It lacks 'n', 'x'.")
     needs = "it needs a Python interpreter in the host ('"
     for library in ("linux64/Decay.so", "win64/Decay.dll"):
         name = f"binaries/{library}: "
-        assert any(t.startswith(name + needs) for t in texts(found, "binaries"))
+        assert any(t.startswith(name + needs) for t in texts(found, "binary"))
     assert any(t.startswith('The variable "n"') for t in texts(found, "fmpy"))
     assert found.verdict == f"{len(found.problems)} problems found."
 
@@ -127,9 +127,9 @@ def container(table1_fmu, tmp_path):
 def test_a_container_of_fmpy_is_checked(container):
     found = check(container)
     loops = "gives no dependencies for 'tau', so importers assume all inputs and find false"
-    assert texts(found, "rules") == [
+    assert texts(found, RULES) == [
         f"ModelStructure/{name} {loops} algebraic loops." for name in ("Outputs", "InitialUnknowns")
     ]
     assert not texts(found, "archive") + texts(found, "fmpy")
     # Its library also serves FMI 3, whose function names are allowed.
-    assert not any("fmi3" in text for text in texts(found, "binaries"))
+    assert not any("fmi3" in text for text in texts(found, "binary"))

@@ -61,7 +61,7 @@ def test_findings_of_vdmcheck2_are_reported(source_fmu, tmp_path):
     path = changed(source_fmu, tmp_path / "F.fmu", change)
     found = texts(check(path, vdmcheck=FOLDER), "vdmcheck2")
     assert found[0].startswith("modelDescription.xml, line ")
-    assert found[0].endswith(": stop time must be later than start time (rule validStartStopTime).")
+    assert found[0].endswith(": stop time must be later than start time.")
     assert not any("https://" in text for text in found)
 
 
@@ -106,7 +106,7 @@ def test_missing_java_is_reported(source_fmu, vdmcheck, monkeypatch):
         (
             "echo 'validX: bad thing at modelDescription.xml:3'; echo https://x.y/z; "
             "echo 'validY: worse'; echo 'Errors found.'; exit 1",
-            ["modelDescription.xml, line 3: bad thing (rule validX).", "worse (rule validY)."],
+            ["modelDescription.xml, line 3: bad thing.", "worse."],
             [],
         ),
     ],
@@ -135,7 +135,7 @@ def test_hanging_fmpy_is_reported(source_fmu, monkeypatch):
     assert "FMPy gave no answer within 0.01 s and was ended." in check(source_fmu).skipped
 
 
-def test_a_name_that_makes_fmpy_hang_is_reported_by_us(source_fmu, tmp_path, monkeypatch):
+def test_a_name_that_makes_fmpy_hang_is_bounded(source_fmu, tmp_path, monkeypatch):
     """The run time of its grammar explodes with the length of a name."""
     monkeypatch.setattr(external, "FMPY_SECONDS", 2.0)
     path = changed(
@@ -144,10 +144,6 @@ def test_a_name_that_makes_fmpy_hang_is_reported_by_us(source_fmu, tmp_path, mon
         lambda xml: xml.variable("joint[1].alpha").set("name", "a" * 100_000 + "!"),
     )
     found = check(path)
-    assert texts(found) == [
-        f"the variable '{'a' * 160}...' is not a structured name, as variableNamingConvention "
-        "requires."
-    ]
     assert found.skipped[0] == "FMPy gave no answer within 2 s and was ended."
 
 

@@ -1,7 +1,7 @@
 """Rules for everything except variables: one change of Table I gives one specific message."""
 
 import pytest
-from fmu_files import Xml, changed, said
+from fmu_files import RULES, Xml, changed, said
 from lxml import etree
 from rule_changes import enumeration, put, sentences
 
@@ -125,5 +125,5 @@ def test_rules_tolerate_violations_of_the_schema(table1_fmu, tmp_path):
 
     bad = changed(table1_fmu, tmp_path / "Bad.fmu", change)
     out_of_order = "ModelStructure/Outputs gives 'tau[3]' dependencies that are not in ascending"
-    assert [text for text in said(bad, "rules") if text.startswith(out_of_order)]
-    assert said(bad, "schema")
+    assert [text for text in said(bad, RULES) if text.startswith(out_of_order)]
+    assert said(bad, "xsd")

@@ -12,7 +12,7 @@ from fmu_src.check.run import check
 @pytest.fixture
 def of(source_fmu, tmp_path):
     def check_file(data, name="resources/x"):
-        return said(changed(source_fmu, tmp_path / "F.fmu", files={name: data}), "paths")
+        return said(changed(source_fmu, tmp_path / "F.fmu", files={name: data}), "machine-path")
 
     return check_file
 
@@ -79,7 +79,7 @@ def test_binaries_and_the_description_are_searched(table1_fmu, tmp_path):
         files={BINARY: binary},
     )
     rest = "it holds '/home/anna/robot', a path of the machine where the FMU was built."
-    assert said(path, "paths") == [f"modelDescription.xml: {rest}", f"{BINARY}: {rest}"]
+    assert said(path, "machine-path") == [f"modelDescription.xml: {rest}", f"{BINARY}: {rest}"]
 
 
 def test_third_party_binaries_are_skipped(source_fmu, tmp_path):
@@ -88,7 +88,7 @@ def test_third_party_binaries_are_skipped(source_fmu, tmp_path):
     names = ("binaries/linux64/libother.so.4.0.0", nested, "binaries/linux64/libother.so")
     for name, problems in zip(names, (0, 0, 1), strict=True):
         fmu = changed(source_fmu, tmp_path / "F.fmu", files={name: text})
-        assert len(said(fmu, "paths")) == problems
+        assert len(said(fmu, "machine-path")) == problems
         skipped = f"paths in {name}: a library that the FMU carries, built elsewhere."
         assert (skipped in check(fmu).skipped) == (problems == 0)
 
@@ -108,4 +108,4 @@ def test_libraries_of_fmpy_are_skipped(source_fmu, tmp_path):
     ):
         found = check(changed(source_fmu, tmp_path / "F.fmu", files={name: data}))
         assert (told in found.skipped) == passed
-        assert [p.check for p in found.problems] == ([] if passed else ["paths"])
+        assert [p.check for p in found.problems] == ([] if passed else ["machine-path"])

@@ -22,7 +22,7 @@ def of(source_fmu, tmp_path):
                     old.getparent().remove(old)
 
         new = {f"sources/{name}": data for name, data in files.items()}
-        return said(changed(source_fmu, tmp_path / "F.fmu", change, new), "sources")
+        return said(changed(source_fmu, tmp_path / "F.fmu", change, new), ("source", "binary-none"))
 
     return check_sources
 
@@ -33,7 +33,7 @@ def test_a_missing_listed_file_is_reported(source_fmu, tmp_path):
         tmp_path / "F.fmu",
         lambda xml: xml.find("CoSimulation/SourceFiles/File").set("name", "b/none.c"),
     )
-    assert said(path, "sources") == [
+    assert said(path, ("source", "binary-none")) == [
         "CoSimulation lists the source file 'b/none.c', which is not in sources/."
     ]
 
@@ -100,7 +100,7 @@ def test_all_sources_are_checked_without_a_list(table1_fmu, tmp_path):
 
     files = {"sources/extra.c": b'#include "none.h"\n'}
     path = changed(table1_fmu, tmp_path / "F.fmu", change, files)
-    assert said(path, "sources") == [
+    assert said(path, ("source", "binary-none")) == [
         "sources/extra.c: includes 'none.h', which is not in the archive."
     ]
 

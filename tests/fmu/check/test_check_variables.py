@@ -4,10 +4,6 @@ import pytest
 from rule_changes import PARAMETER, enumeration, new, of_type, own, sentences, var
 
 VARIABLES = {
-    "name": (
-        var("joint[1].alpha", name="1 alpha"),
-        "the variable '1 alpha' is not a structured name, as variableNamingConvention requires.",
-    ),
     "initial of an input": (
         var("dq[1]", initial="exact"),
         "the variable 'dq[1]' has initial 'exact', which is invalid with causality 'input'.",
@@ -47,19 +43,6 @@ VARIABLES = {
         new("Real", {"start": "1", "declaredType": "Discretisation"}, name="x", **PARAMETER),
         "the variable 'x' is of type Real, but its declared type 'Discretisation' is of type "
         "Integer.",
-    ),
-    "unit": (
-        own("tau[1]", unit="furlong"),
-        "the variable 'tau[1]' has the unit 'furlong', which is not defined.",
-    ),
-    "unit of a type": (
-        of_type("Real", {"unit": "furlong"}, {"start": "1"}),
-        "the type 'T' has the unit 'furlong', which is not defined.",
-    ),
-    "display unit": (
-        own("tau[1]", displayUnit="furlong"),
-        "the variable 'tau[1]' has the display unit 'furlong', which its unit 'N.m' does not "
-        "define.",
     ),
     "display unit alone": (
         own("tau[1]", displayUnit="furlong", unit=None),
@@ -106,15 +89,3 @@ def test_aliases_are_checked(first, a, second, b, expected, xml):
     xml.add_variable("Real", first, name="a", valueReference="7000", **a)
     xml.add_variable("Real", second, name="b", valueReference="7000", **b)
     assert sentences(xml) == ([expected] if expected else [])
-
-
-def test_flat_names_are_unrestricted(xml):
-    xml.root.set("variableNamingConvention", "flat")
-    xml.variable("joint[1].alpha").set("name", "1 alpha")
-    assert sentences(xml) == []
-
-
-@pytest.mark.parametrize("name", ["'a b'.c[1,2]", "der(a.b[1])", "der(x,2)", r"'\''", "_1"])
-def test_structured_names_are_checked(name, xml):
-    xml.variable("joint[1].alpha").set("name", name)
-    assert sentences(xml) == []

@@ -83,7 +83,7 @@ def test_rules_of_fmi_3_are_checked(old, new, said):
     assert old.encode() in FULL
     about = read_description(etree.fromstring(FULL.replace(old.encode(), new.encode())))
     rules = (*general.RULES, *variables.RULES, *variables.RULES_3, *structure.RULES)
-    found = [text for rule in rules for text in rule(about)]
+    found = [text for rule in rules for _, text in rule(about)]
     assert any(said in text for text in found) if said else found == []
 
 
@@ -104,8 +104,8 @@ def test_rules_of_fmi_3_are_checked(old, new, said):
 def test_findings_of_fmpy_in_fmi_3_need_no_rule(old, new, said, tmp_path):
     assert old.encode() in FULL
     members = {MODEL: FULL.replace(old.encode(), new.encode())}
-    found = readers.validate(str(write(tmp_path / "F.fmu", members)))
-    assert any(said in text for text in found), found
+    found, failed = readers.validate(str(write(tmp_path / "F.fmu", members)))
+    assert any(said in text for text in found), (found, failed)
 
 
 BUILD = b"""<?xml version="1.0" encoding="UTF-8"?>
@@ -126,11 +126,11 @@ def test_sources_and_binaries_of_fmi_3_are_checked(tmp_path):
         "binaries/x86_64-linux/Line.so": b"no library", "binaries/linux64/Line.so": b"none either",
     }  # fmt: skip
     found = check(write(tmp_path / "F.fmu", members))
-    assert texts(found, "sources") == [
+    assert texts(found, ("source", "binary-none")) == [
         "CoSimulation lists the source file 'none.c', which is not in sources/.",
         "sources/all.c: includes 'mine.h', which is not in the archive.",
     ]
-    assert texts(found, "binaries") == [
+    assert texts(found, "binary") == [
         "binaries/x86_64-linux/Line.so: it is not a readable library; needed in this folder is ELF "
         "for X86_64."
     ]
@@ -140,7 +140,7 @@ def test_sources_and_binaries_of_fmi_3_are_checked(tmp_path):
 @pytest.mark.parametrize("xml", [FMI_1, FMI_3])
 def test_the_schema_of_the_version_is_used(xml, tmp_path):
     path = write(tmp_path / "F.fmu", {MODEL: xml.replace(b'causality="output"', b'causality="x"')})
-    assert texts(check(path), "schema")
+    assert texts(check(path), "xsd")
 
 
 def test_fmpy_checks_fmi_3(tmp_path):
@@ -152,7 +152,7 @@ def test_fmpy_checks_fmi_3(tmp_path):
 def test_names_outside_the_archive_are_reported_for_any_version(tmp_path):
     path = write(tmp_path / "F.fmu", {MODEL: FMI_3, "../x": b"/home/anna/robot"})
     found = check(path)
-    assert [p.check for p in found.problems] == ["archive", "paths", "sources"]
+    assert [p.check for p in found.problems] == ["archive-entry", "binary-none", "machine-path"]
     assert found.skipped[-1] == (
         "FMPy and VDMCheck2: not run; the archive, its XML or the schema is wrong."
     )
@@ -175,7 +175,7 @@ CONNECTED = b"""<?xml version="1.0" encoding="UTF-8"?>
 def test_terminals_are_checked(tmp_path):
     file = "terminalsAndIcons/terminalsAndIcons.xml"
     found = check(write(tmp_path / "F.fmu", {MODEL: FMI_3, file: CONNECTED}))
-    assert texts(found, "terminals") == [
+    assert texts(found, "terminal") == [
         "the terminal 'a' is there 2 times.",
         "the member of the terminal 'a', 'm' is there 2 times.",
         "the terminal 'a' has the member 'none', which is not a variable.",
@@ -183,4 +183,4 @@ def test_terminals_are_checked(tmp_path):
     ]
     wrong = CONNECTED.replace(b' matchingRule="plug"', b"")
     found = check(write(tmp_path / "G.fmu", {MODEL: FMI_3, file: wrong}))
-    assert texts(found, "schema")[0].startswith(f"{file}, line ")
+    assert texts(found, "xsd")[0].startswith(f"{file}, line ")

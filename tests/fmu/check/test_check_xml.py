@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from fmu_files import MODEL, changed, said, texts
+from fmu_files import MODEL, RULES, changed, said, texts
 
 from fmu_src.check import markup
 from fmu_src.check.run import check
@@ -78,13 +78,21 @@ def test_other_encodings_are_reported(source_fmu, of_xml):
     assert texts(of_xml(ascii_only)) == [no_utf8.format(2)]
 
 
+def test_a_missing_declaration_of_the_encoding_is_advice(of_xml):
+    for declaration in (b"<?xml version='1.0'?>", b""):
+        report = of_xml(declaration + b"<fmiModelDescription fmiVersion='2.0'/>")
+        (found,) = (p for p in report.problems if p.check.startswith("xml"))
+        assert (found.check, found.severity) == ("xml-undeclared", "advice")
+        assert found.found == (
+            "modelDescription.xml: its first line declares no encoding; FMI 2 asks for UTF-8."
+        )
+
+
 @pytest.mark.parametrize(
     ("declaration", "declares"),
     [
         (b"<?xml version='1.0' encoding='ISO-8859-1'?>", "'ISO-8859-1'"),
         (b"<?xml version='1.0' encoding='utf-7'?>", "'utf-7'"),
-        (b"<?xml version='1.0'?>", "no encoding"),
-        (b"", "no encoding"),
     ],
 )
 def test_another_declaration_of_the_encoding_is_reported(declaration, declares, source_fmu, of_xml):
@@ -139,7 +147,7 @@ def test_violations_of_the_schema_are_reported(source_fmu, tmp_path):
 
     path = changed(source_fmu, tmp_path / "F.fmu", change)
     found = check(path)
-    schema = texts(found, "schema")
+    schema = texts(found, "xsd")
     assert len(schema) >= 3
     for part in ("'inpud'", "'yesterday'", "'colour'"):
         assert any(part in text for text in schema)
@@ -151,8 +159,9 @@ def test_violations_of_the_schema_are_reported(source_fmu, tmp_path):
 def test_the_list_of_problems_is_limited(source_fmu, tmp_path):
     def change(xml):
         for i in range(1500):
-            xml.add_variable("Real", {"unit": f"u{i}"}, name=f"x{i}")
+            xml.add_variable("Real", {"nominal": "0"}, name=f"x{i}")
 
-    found = said(changed(source_fmu, tmp_path / "F.fmu", change), "rules")
-    assert len(found) == 1001
-    assert found[-1] == "500 more findings are not listed."
+    path = changed(source_fmu, tmp_path / "F.fmu", change)
+    found = said(path, RULES)
+    assert len(found) == 1000
+    assert said(path, "more") == ["500 more findings are not listed."]

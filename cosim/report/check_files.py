@@ -1,0 +1,84 @@
+"""Findings of `hesr check` for other programs: JUnit and SARIF 2.1.0."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version as installed
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from fmu_src.check.rules import RULES, rule_of
+from fmu_src.check.run import Report
+from hesr_model.findings import Finding, Severity
+from hesr_model.support.files import written_whole
+
+_SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+_LEVELS: Mapping[Severity, str] = {"error": "error", "warning": "warning", "advice": "note"}
+
+
+def write_junit(path: Path, reports: Sequence[Report]) -> None:
+    """Write a test suite per file and a test case per rule; errors are failures."""
+    root = ET.Element("testsuites", name="hesr check")
+    for report in reports:
+        by_rule: dict[str, list[Finding]] = {}
+        for finding in report.problems:
+            by_rule.setdefault(finding.check, []).append(finding)
+        failed = sum(_failing(found) for found in by_rule.values())
+        about = {"name": str(report.path), "tests": str(len(by_rule) or 1), "errors": "0"}
+        suite = ET.SubElement(root, "testsuite", about, failures=str(failed), skipped="0")
+        for name, found in (by_rule or {"check": []}).items():
+            case = ET.SubElement(suite, "testcase", name=name, classname=str(report.path))
+            text = "\n".join(f"{finding.severity}: {finding.found}" for finding in found)
+            if _failing(found):
+                failure = ET.SubElement(case, "failure", message=found[0].found, type=name)
+                failure.text = text
+            elif found:
+                ET.SubElement(case, "system-out").text = text
+    ET.indent(root)
+    with written_whole(path) as temporary:
+        temporary.write_bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n")
+
+
+def _failing(found: Iterable[Finding]) -> bool:
+    return any(finding.severity == "error" for finding in found)
+
+
+def write_sarif(path: Path, reports: Sequence[Report]) -> None:
+    """Write a run with all rules and a result per finding."""
+    names = dict.fromkeys([*RULES, *(f.check for report in reports for f in report.problems)])
+    results = [
+        {
+            "ruleId": finding.check,
+            "ruleIndex": list(names).index(finding.check),
+            "level": _LEVELS[finding.severity],
+            "message": {"text": finding.found},
+            "locations": [
+                {"physicalLocation": {"artifactLocation": {"uri": report.path.as_posix()}}}
+            ],
+        }
+        for report in reports
+        for finding in report.problems
+    ]
+    driver = {
+        "name": "hesr check",
+        "version": installed("hesr"),
+        "rules": [_described(name) for name in names],
+    }
+    data = {
+        "$schema": _SCHEMA,
+        "version": "2.1.0",
+        "runs": [{"tool": {"driver": driver}, "results": results}],
+    }
+    with written_whole(path) as temporary:
+        temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def _described(name: str) -> dict[str, Any]:
+    rule = rule_of(name)
+    return {
+        "id": name,
+        "shortDescription": {"text": rule.finds},
+        "help": {"text": f"{rule.finds} ({rule.clause})"},
+        "helpUri": rule.link,
+        "defaultConfiguration": {"level": _LEVELS[rule.severity]},
+    }

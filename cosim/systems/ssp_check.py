@@ -1,0 +1,48 @@
+"""Checks of SSPs: archive, schemas, and the FMUs inside."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from cosim.systems.markup import SSD
+from fmu_src.check import archive, markup
+from fmu_src.check.archive import Contents
+from fmu_src.check.rules import Problem, findings
+from fmu_src.check.run import Report, check
+from hesr_model.findings import Finding, errors_first
+
+_XML = (".ssd", ".ssv", ".ssm", ".ssb")
+
+
+def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
+    """Check an SSP without running its FMUs; raise ArtifactError if it is unreadable."""
+    skipped: dict[str, None] = {}
+    with TemporaryDirectory(prefix="hesr-check-") as temporary:
+        files, folder = Path(temporary, "files"), Path(temporary, "work")
+        files.mkdir()
+        folder.mkdir()
+        contents = archive.unpack(path, files)
+        found = findings([*contents.problems, *_described(contents, folder)])
+        for name, file in contents.files.items():
+            if name.lower().endswith(".fmu"):
+                inner = check(file, vdmcheck=vdmcheck)
+                found += [_inside(name, finding) for finding in inner.problems]
+                skipped |= dict.fromkeys(f"{name}: {reason}" for reason in inner.skipped)
+    return Report(path=path, problems=tuple(errors_first(found)), skipped=tuple(skipped))
+
+
+def _described(contents: Contents, folder: Path) -> Iterator[Problem]:
+    if contents.names and SSD not in contents.names:
+        yield "xml-unreadable", f"{SSD} is missing."
+    for name, file in contents.files.items():
+        if not name.lower().endswith(_XML):
+            continue
+        root, problems = markup.parse(name, file)
+        yield from problems
+        if root is not None:
+            yield from markup.schema_problems(name, file, folder)
+
+
+def _inside(name: str, finding: Finding) -> Finding:
+    return replace(finding, found=f"{name}: {finding.found}")

@@ -1,0 +1,133 @@
+"""Rules of `hesr check`: identifier, severity, content and clause of the standard."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from hesr_model.findings import Finding, Severity
+
+Problem = tuple[str, str]
+"""Identifier of a rule, with an own identifier of a validator after ":", and a sentence."""
+
+MOST_PROBLEMS = 1000  # per check
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule; a host fails or the standard is violated (error), or may fail (warning)."""
+
+    severity: Severity
+    finds: str
+    clause: str  # of FMI 2.0.4 and 3.0.1, or the validator
+
+    @property
+    def link(self) -> str:
+        """Address of the standard."""
+        return "https://ssp-standard.org/" if "SSP" in self.clause else "https://fmi-standard.org/"
+
+
+_ARCHIVE, _XML = "FMI 2: 2.3; FMI 3: 2.5", "FMI 2: 2.2; FMI 3: 2.4"
+_TYPES, _ROOT = "FMI 2: 2.2.3; FMI 3: 2.4.4", "FMI 2: 2.2.1; FMI 3: 2.4.1"
+_UNITS, _EXPERIMENT = "FMI 2: 2.2.2; FMI 3: 2.4.3", "FMI 2: 2.2.5; FMI 3: 2.4.6"
+_VARIABLES, _STRUCTURE = "FMI 2: 2.2.7; FMI 3: 2.4.7", "FMI 2: 2.2.8; FMI 3: 2.4.8"
+_KINDS, _SOURCES = "FMI 2: 3.3.1, 4.3.1; FMI 3: 3.4, 4.4", "FMI 2: 2.3; FMI 3: 2.5.1.4"
+_BINARIES, _TERMINALS = "FMI 2: 2.1.1, 2.3; FMI 3: 2.2, 2.5.1.3", "FMI 3: 2.4.9"
+
+RULES: Mapping[str, Rule] = {
+    "archive-damaged": Rule("error", "archives or entries that cannot be read", _ARCHIVE),
+    "archive-entry": Rule("error", "unsafe names, links, encryption, other compression", _ARCHIVE),
+    "archive-backslash": Rule("error", "backslashes in names", _ARCHIVE),
+    "archive-duplicate": Rule("error", "names that occur twice", _ARCHIVE),
+    "archive-case": Rule("warning", "names that differ in case alone", _ARCHIVE),
+    "archive-large": Rule("warning", "entries too large to be checked", _ARCHIVE),
+    "xml-unreadable": Rule("error", "missing, malformed or oversized XML, wrong root", _XML),
+    "xml-encoding": Rule("error", "XML in another encoding than UTF-8", _XML),
+    "xml-undeclared": Rule("advice", "XML of FMI 2 that does not declare its encoding", _XML),
+    "fmi-version": Rule("error", "unknown versions of FMI", _ROOT),
+    "xsd": Rule("error", "violations of the schema, named by libxml2", "XSD of FMI and SSP"),
+    "fmpy": Rule("error", "findings of FMPy", "FMPy"),
+    "fmpy-failed": Rule("warning", "descriptions that FMPy cannot read", "FMPy"),
+    "vdmcheck2": Rule("error", "findings of VDMCheck2, with the names of its rules", "VDMCheck2"),
+    "kind-missing": Rule("error", "neither model exchange nor co-simulation", _ROOT),
+    "kind-identifier": Rule("error", "modelIdentifier that is no identifier of C", _KINDS),
+    "kind-tool": Rule("advice", "needsExecutionTool", _KINDS),
+    "kind-state": Rule("error", "serialisation of states without states", _KINDS),
+    "token-empty": Rule("error", "empty guid or instantiationToken", _ROOT),
+    "date-format": Rule("advice", "dates of FMI 2 in another form than UTC with Z", _ROOT),
+    "experiment-times": Rule("warning", "stop time, step or tolerance out of range", _EXPERIMENT),
+    "experiment-step": Rule("advice", "a step longer than the experiment", _EXPERIMENT),
+    "unit-twice": Rule("error", "units or display units defined twice", _UNITS),
+    "type-twice": Rule("error", "types, items or values defined twice", _TYPES),
+    "type-name": Rule("error", "types with the name of a variable", _TYPES),
+    "category-twice": Rule("error", "log categories defined twice", "FMI 2: 2.2.4; FMI 3: 2.4.5"),
+    "variable-range": Rule("error", "min above max, start outside both", _VARIABLES),
+    "variable-nominal": Rule("error", "nominal values that are not positive", _VARIABLES),
+    "variable-item": Rule("error", "start values that are no item of the enumeration", _VARIABLES),
+    "variable-type": Rule("error", "declared types of another kind", _VARIABLES),
+    "variable-unit": Rule("error", "display units without a unit", _VARIABLES),
+    "variable-initial": Rule("error", "inputs with 'initial'", _VARIABLES),
+    "variable-derivative": Rule("error", "derivatives of what is not a state", _VARIABLES),
+    "variable-independent": Rule("error", "several independent variables", _VARIABLES),
+    "variable-size": Rule("error", "unknown sizes, wrong number of start values", _VARIABLES),
+    "alias-constant": Rule("error", "aliases of constants that differ", _VARIABLES),
+    "alias-settable": Rule("error", "aliases of which several can be set", _VARIABLES),
+    "alias-unit": Rule("warning", "aliases with different units", _VARIABLES),
+    "structure-derivatives": Rule(
+        "error", "listed derivatives that are not continuous", _STRUCTURE
+    ),
+    "structure-states": Rule("warning", "derivatives of states that are not listed", _STRUCTURE),
+    "structure-index": Rule("error", "entries twice or of no variable", _STRUCTURE),
+    "structure-dependency": Rule("error", "dependencies on no variable", _STRUCTURE),
+    "structure-order": Rule("warning", "entries or dependencies out of order", _STRUCTURE),
+    "structure-loops": Rule("advice", "outputs without dependencies on inputs", _STRUCTURE),
+    "terminal-twice": Rule("error", "names of terminals or members that occur twice", _TERMINALS),
+    "terminal-member": Rule("error", "members that are no variables", _TERMINALS),
+    "terminal-icon": Rule("warning", "a declared icon that is missing", _TERMINALS),
+    "source-missing": Rule("error", "listed source files that are missing", _SOURCES),
+    "source-include": Rule("warning", "unconditional includes that are missing", _SOURCES),
+    "binary-none": Rule("error", "neither binaries nor source code", _ARCHIVE),
+    "binary-missing": Rule("error", "folders without the named library", _BINARIES),
+    "binary-format": Rule("error", "libraries of another platform, programs", _BINARIES),
+    "binary-unreadable": Rule("warning", "libraries that end the reader", _BINARIES),
+    "binary-functions": Rule("error", "functions of FMI that are not exported", _BINARIES),
+    "binary-unknown": Rule("advice", "exported functions that FMI does not have", _BINARIES),
+    "binary-python": Rule("warning", "libraries that need Python in the host", _BINARIES),
+    "binary-library": Rule("warning", "libraries that need others, not in the FMU", _BINARIES),
+    "binary-runtime": Rule("advice", "libraries that need a runtime of Visual C++", _BINARIES),
+    "binary-path": Rule("warning", "libraries that do not find others next to them", _BINARIES),
+    "machine-path": Rule("advice", "paths of the build machine, except in comments", "privacy"),
+    "hostile": Rule("error", "failures under --kind hostile", "FMI 2: 2.1, 3.2, 4.2"),
+    "references": Rule("error", "results other than those in the file", "FMI-LS-REF"),
+    "ssp-structure": Rule("error", "parts that are missing or contradict FMUs", "SSP: 5 to 7"),
+    "ssp-support": Rule("advice", "parts that 'hesr simulate' does not support", "SSP: 5"),
+    "more": Rule("advice", "further findings of a check, beyond 1000", "hesr"),
+}
+"""Rules by identifier."""
+
+
+def findings(problems: Iterable[Problem]) -> list[Finding]:
+    """Return the findings of one check, without repetitions and at most `MOST_PROBLEMS`."""
+    kept: dict[Problem, None] = {}
+    more = 0
+    for problem in problems:
+        if len(kept) < MOST_PROBLEMS:
+            kept[problem] = None
+        elif problem not in kept:
+            more += 1
+    found = [
+        Finding(check=name, severity=rule_of(name).severity, found=text) for name, text in kept
+    ]
+    if more:
+        found.append(
+            Finding(check="more", severity="advice", found=f"{more} more findings are not listed.")
+        )
+    return found
+
+
+def rule_of(name: str) -> Rule:
+    """Return the rule of a finding."""
+    return RULES[name.partition(":")[0]]
+
+
+def with_rule(name: str, texts: Iterable[str]) -> Iterator[Problem]:
+    """Yield sentences as problems of one rule."""
+    return ((name, text) for text in texts)
