@@ -130,7 +130,7 @@ def _description(array: ArrayVariable) -> str:
     if len({len(w) for w in words}) > 1:
         return "; ".join(texts)
     return " ".join(
-        column[0] if len(set(column)) == 1 else ", ".join(c.rstrip(":") for c in column)
+        column[0] if len(set(column)) == 1 else ", ".join(c.rstrip(":,") for c in column)
         for column in zip(*words, strict=True)
     )
 
