@@ -1,6 +1,7 @@
 /* Misbehaviour of a hostile FMU in a call, selected by the environment: DEED is "<call> <deed>". Precedes
  * all other code of an FMU; `hostile.py` puts the calls of `misbehave` into its functions.
  */
+#include <errno.h>
 #include <math.h>
 #include <signal.h>
 #include <stdio.h>
@@ -19,7 +20,20 @@ unsigned sleep(unsigned seconds);
 long write(int file, const void *bytes, size_t size);
 int pthread_create(unsigned long *thread, const void *how, void *(*run)(void *), void *with);
 
-enum { FILES = 256, PIECE = 1 << 26, SIGNALS = 64, MANY = 30 };
+int kill(int process, int number);
+int getppid(void);
+int open(const char *path, int how, ...);
+int socket(int domain, int type, int protocol);
+int symlink(const char *from, const char *to);
+int unlink(const char *path);
+int rename(const char *from, const char *to);
+int chmod(const char *path, unsigned mode);
+int truncate(const char *path, long size);
+int execve(const char *path, char *const arguments[], char *const environment[]);
+int ptrace(int request, int process, void *address, void *data);
+int fcntl(int file, int command, ...);
+
+enum { FILES = 256, PIECE = 1 << 26, SIGNALS = 64, MANY = 30, DONE = 99 };
 
 static void *crash(void *with) {
     *(volatile int *)8 = 1;
@@ -41,6 +55,47 @@ static void flee(void) {
     sleep(1);
 }
 
+/* Try what a sandbox must refuse; return its result. */
+static int attempt(const char *what) {
+    const char *target = getenv("TARGET");
+    unsigned long thread;
+    char *const nothing[] = {NULL};
+    if (strcmp(what, "read") == 0) {
+        return open(target, 0);
+    } else if (strcmp(what, "write") == 0) {
+        return open(target, 2);
+    } else if (strcmp(what, "create") == 0) {
+        return open(target, 0102, 0600);
+    } else if (strcmp(what, "truncate") == 0) {
+        return truncate(target, 0);
+    } else if (strcmp(what, "remove") == 0) {
+        return unlink(target);
+    } else if (strcmp(what, "move") == 0) {
+        return rename(target, "mine");
+    } else if (strcmp(what, "read by a link") == 0) {
+        return symlink(target, "link") < 0 ? -1 : open("link", 0);
+    } else if (strcmp(what, "permit") == 0) {
+        return chmod(target, 0777);
+    } else if (strcmp(what, "socket 1") == 0 || strcmp(what, "socket 2") == 0) {
+        return socket(what[7] - '0', 1, 0);
+    } else if (strcmp(what, "execute") == 0) {
+        return execve("/bin/true", nothing, nothing);
+    } else if (strcmp(what, "fork") == 0) {
+        return fork();
+    } else if (strcmp(what, "signal") == 0) {
+        return kill(getppid(), 9);
+    } else if (strcmp(what, "signal all") == 0) {
+        return kill(-1, 9);
+    } else if (strcmp(what, "signal by a file") == 0) {
+        return fcntl(1, 8, getppid());
+    } else if (strcmp(what, "trace") == 0) {
+        return ptrace(16, getppid(), NULL, NULL);
+    } else if (strcmp(what, "thread") == 0) {
+        return -pthread_create(&thread, NULL, crash, NULL);
+    }
+    return 0;
+}
+
 static void misbehave(const char *call) {
     const char *deed = getenv("DEED");
     const size_t length = strlen(call);
@@ -55,6 +110,9 @@ static void misbehave(const char *call) {
         signal(SIGTERM, SIG_IGN);
         for (volatile unsigned i = 0;; i++) {
         }
+    } else if (strncmp(deed, "try ", 4) == 0) {
+        const int result = attempt(deed + 4);
+        exit(result < 0 ? errno : DONE);
     } else if (strcmp(deed, "segfault") == 0) {
         crash(NULL);
     } else if (strcmp(deed, "abort") == 0) {

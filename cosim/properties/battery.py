@@ -9,7 +9,6 @@ from functools import partial
 from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -41,6 +40,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Progress, counted, silent
 
 _SAMPLE_TIME = 5e-3  # [s] default
@@ -105,7 +105,7 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
     Coupled joints move one friction coordinate at a time; thermal laws stay at their fit.
     """
     model = subject.model and replace(subject.model, coupling=None, thermal=())
-    with TemporaryDirectory(prefix="hesr-") as folder:
+    with scratch_folder() as folder:
         fmu = subject.fmu
         if fmu is None:
             if model is None:

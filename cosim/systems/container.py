@@ -14,7 +14,6 @@ import re
 from collections.abc import Iterator, Mapping
 from importlib.metadata import distribution
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from cosim.systems.container_description import Exposed, exposed_variables, to_description
@@ -28,6 +27,7 @@ from fmu_src.run.fmu import is_ours, remember
 from fmu_src.run.master import Element
 from fmu_src.run.reference_results import Stimuli, result_files
 from hesr_model.errors import ConfigError, ExportError
+from hesr_model.support.files import scratch_folder
 
 _RUNTIMES = {"linux64": ("x86_64-linux", ".so"), "win64": ("x86_64-windows", ".dll")}
 """Folder and suffix of FMPy's runtime; FMI 2.0 has one folder for its two macOS binaries."""
@@ -117,7 +117,7 @@ def holding_sources(step: float, runtime: str) -> dict[str, str]:
 
 
 def _holding(identifier: str, step: float, platform: str, runtime: str) -> bytes:
-    with TemporaryDirectory(prefix="hesr-") as folder:
+    with scratch_folder() as folder:
         for name, text in holding_sources(step, runtime).items():
             Path(folder, name).write_text(text, encoding="utf-8")
         flags = ("-ldl",) if platform == "linux64" else ()

@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
@@ -19,6 +18,7 @@ from cosim.systems.system import Name, SystemSpec
 from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
 from fmu_src.run.variables import Variables
 from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.support.files import scratch_folder
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
 # Steps in annotations of the engines, in any namespace because tools differ.
@@ -38,7 +38,7 @@ def opened_system(path: Path) -> Iterator[SystemSpec]:
     if path.suffix.lower() != ".ssp":
         yield SystemSpec.read(path)
         return
-    with Archive(path, "SSP") as archive, TemporaryDirectory(prefix="hesr-") as folder:
+    with Archive(path, "SSP") as archive, scratch_folder() as folder:
         yield SystemSpec.validated(path, _Reader(path, archive, Path(folder)).system())
 
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from platform import machine
-from tempfile import TemporaryDirectory
 
 import mujoco
 
 from fmu_src.export.package import Binary
 from hesr_model.errors import ExportError
+from hesr_model.support.files import scratch_folder
 
 _PACKAGE = "mujoco-core"
 _SECONDS = 600.0
@@ -84,8 +84,8 @@ def _downloaded(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
     wanted = f"{_PACKAGE}=={version(_PACKAGE)}"
     options = [option for tag in wheel.tags for option in ("--platform", tag)]
     options += ["--no-deps", "--only-binary", ":all:", "--quiet", "--disable-pip-version-check"]
-    with TemporaryDirectory(prefix="hesr-") as folder:
-        command = [sys.executable, "-m", "pip", "download", wanted, *options, "--dest", folder]
+    with scratch_folder() as folder:
+        command = [sys.executable, "-m", "pip", "download", wanted, *options, "--dest", str(folder)]
         try:
             ended = subprocess.run(
                 command, capture_output=True, text=True, check=False, timeout=_SECONDS

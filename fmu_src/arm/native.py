@@ -3,7 +3,6 @@
 import hashlib
 import importlib.metadata
 import re
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from fmu_src.export.interface import Interface
 from fmu_src.export.package import Content, check_request, own_source, write_fmu
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.errors import ExportError
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Progress, silent
 
 _SMALL = 0.1  # amplitude of controls in the reference results
@@ -112,7 +112,7 @@ def licences(package: str) -> dict[str, bytes]:
 
 
 def _binary(model: Any) -> bytes:
-    with tempfile.TemporaryDirectory(prefix="hesr-") as folder:
+    with scratch_folder() as folder:
         file = Path(folder, "model.mjb")
         mujoco.mj_saveModel(model, str(file), None)
         return file.read_bytes()

@@ -157,7 +157,8 @@ class _Master:
             for name in scenarios:
                 try:
                     if sandbox is None:
-                        sandbox = Sandbox(Path(mkdtemp(dir=self._folder)), SECONDS)
+                        own = Path(mkdtemp(dir=self._folder))
+                        sandbox = Sandbox(own, SECONDS, Path(str(self._plan["folder"])))
                     outcome = sandbox.run(_SCENARIO, self._plan, name)
                     try:
                         found[name] = _run(outcome, len(self._outputs))

@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from lxml import etree
@@ -28,6 +27,7 @@ from fmu_src.check.description import ParsedDescription, read_description
 from fmu_src.check.rules import Problem, with_rule
 from hesr_model.errors import ConfigError
 from hesr_model.findings import SEVERITIES, Finding, errors_first
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.text import plain, quoted
 from hesr_model.support.typed_json import to_json
 
@@ -71,7 +71,7 @@ def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) ->
     """
     if vdmcheck is not None and not (vdmcheck / external.JAR).is_file():
         raise ConfigError(f"--vdmcheck is '{vdmcheck}', which does not contain {external.JAR}.")
-    with TemporaryDirectory(prefix="hesr-check-") as temporary:
+    with scratch_folder() as temporary:
         files, folder = Path(temporary, "files"), Path(temporary, "work")
         files.mkdir()
         folder.mkdir()

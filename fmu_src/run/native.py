@@ -2,7 +2,6 @@
 
 import ctypes
 import logging
-import tempfile
 from collections.abc import Sequence
 from enum import IntEnum
 from functools import cache
@@ -19,6 +18,7 @@ from fmu_src.run.instance import PLATFORM, Buffer, LocalBuffer
 from fmu_src.run.master import Layout
 from hesr_model.errors import ExportError
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import scratch_folder
 
 _log = logging.getLogger(__name__)
 
@@ -197,7 +197,7 @@ def _library() -> ctypes.CDLL | None:
     if target is None:
         return None
     try:
-        with tempfile.TemporaryDirectory(prefix="hesr-", ignore_cleanup_errors=True) as folder:
+        with scratch_folder() as folder:
             for name in ("master.c", "fmi2.h"):
                 Path(folder, name).write_text(own_source(name), encoding="utf-8")
             file = Path(folder, f"master{target.suffix}")

@@ -18,6 +18,7 @@ import numpy as np
 from fmu_src.run import sandbox_child
 from fmu_src.run.fmi import VERSIONS, Tell
 from fmu_src.run.instance import CallError, DiedError, Failure, LoadError, UnpackedFmu
+from fmu_src.run.sandbox_rights import warn
 from hesr_model.support.arrays import Array
 from hesr_model.support.process import ChildProcess, FailedError, how_it_ended
 from hesr_model.support.text import plain
@@ -33,11 +34,14 @@ NONSENSE = "gave an invalid answer and was ended"
 class Sandbox:
     """A child process in an empty folder that answers requests within `seconds` [s] each.
 
+    It may read a file or folder, `readable`.
+
     Otherwise it raises DiedError with the end of a sentence; `reached` is then the position of the
     last call within its request.
     """
 
-    def __init__(self, folder: Path, seconds: float) -> None:
+    def __init__(self, folder: Path, seconds: float, readable: Path) -> None:
+        warn()
         self.seconds, self.reached = seconds, 0
         # Kept open, because the FMU may replace the file.
         self._position = (folder / sandbox_child.POSITION).open("w+b", buffering=0)
@@ -46,12 +50,13 @@ class Sandbox:
         self._socket.settimeout(_POLL)
         theirs.set_inheritable(True)
         # -P: modules in the current folder are not imported.
-        command = (sys.executable, "-P", "-m", "fmu_src.run.sandbox_child", str(theirs.fileno()))
+        child = ("-P", "-m", "fmu_src.run.sandbox_child", str(theirs.fileno()), readable.resolve())
         windows = sys.platform == "win32"
         try:
             self._started = ChildProcess(
-                command,
+                (sys.executable, *map(str, child)),
                 folder,
+                environment=dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder.resolve())),
                 stdin=subprocess.PIPE,  # closed when this process ends
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -144,9 +149,12 @@ class Sandbox:
 
 
 def run_in_sandbox(function: str, *arguments: Any, folder: Path, seconds: float) -> Any:
-    """Return the result of a function in a new sandbox; see `Sandbox.run`."""
+    """Return the result of a function in a new sandbox; see `Sandbox.run`.
+
+    Its first argument is the path that it may read.
+    """
     with TemporaryDirectory(dir=folder) as own:
-        sandbox = Sandbox(Path(own), seconds)
+        sandbox = Sandbox(Path(own), seconds, Path(arguments[0]))
         try:
             return sandbox.run(function, *arguments)
         finally:
@@ -171,7 +179,7 @@ class SandboxedInstance:
         self._known: dict[int, bytes] = {}
         self._asked: dict[int, None] = {}
         try:
-            self._sandbox = Sandbox(folder, seconds)
+            self._sandbox = Sandbox(folder, seconds, Path(fmu.folder))
         except DiedError as error:
             raise failure(error) from error
         try:

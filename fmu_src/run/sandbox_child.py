@@ -1,10 +1,10 @@
 """Process of a sandbox, which serves an FMU or runs functions by name.
 
-python -m fmu_src.run.sandbox_child SOCKET
+python -m fmu_src.run.sandbox_child SOCKET READABLE
 
 Messages are JSON, except for packed ones of steps (`Exchange`), after their length. The first byte
 of the file `POSITION` is the position of the running call within its request. The process ends with
-its parent.
+its parent. It may write in its folder and read below READABLE; see `sandbox_rights`.
 """
 
 import importlib
@@ -22,6 +22,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from fmu_src.run.sandbox_rights import give_up
 
 if TYPE_CHECKING:
     from fmu_src.run.instance import LocalBuffer
@@ -212,10 +214,11 @@ def _end_with_parent() -> None:
 
 
 def main() -> None:
-    """Serve the socket whose number is the only argument."""
+    """Serve the socket whose number is the first argument."""
     connection = socket.socket(fileno=int(sys.argv[1]))
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     _limit()
+    give_up(Path.cwd(), Path(sys.argv[2]))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     _Host(connection).serve()
 
 

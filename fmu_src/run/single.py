@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from fmu_src.run.sandbox import run_in_sandbox
 from fmu_src.run.variables import Value, Variables, description_in
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import scratch_folder
 
 SECONDS = 600.0  # for a whole simulation
 _MOST_ROWS = 1_000_000
@@ -34,7 +34,7 @@ def simulate_single(
     """
     from fmpy.simulation import auto_interval
 
-    with Archive(fmu) as archive, TemporaryDirectory(prefix="hesr-") as folder:
+    with Archive(fmu) as archive, scratch_folder() as folder:
         about, declared = description_in(archive)
         if about.fmiVersion == "1.0":
             raise ConfigError(f"{fmu}: is of FMI 1.0; export it for FMI 2.0 or 3.0.")

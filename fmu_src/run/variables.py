@@ -10,7 +10,6 @@ from copy import copy
 from difflib import SequenceMatcher
 from math import prod
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from fmpy.model_description import ModelDescription, read_model_description
 
 from fmu_src.run.archive import MOST_TEXT, Archive
 from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.text import plain, quoted
 
 DESCRIPTION = "modelDescription.xml"
@@ -58,7 +58,7 @@ def description_in(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
     Raises ArtifactError if it is missing or damaged, SimulationError if it is not readable.
     """
     text = archive.read(DESCRIPTION, MOST_TEXT)
-    with TemporaryDirectory(prefix="hesr-") as folder:
+    with scratch_folder() as folder:
         Path(folder, DESCRIPTION).write_bytes(text)
         return description_of(Path(folder), archive.path)
 

@@ -12,13 +12,12 @@ from contextlib import ExitStack, contextmanager, redirect_stdout
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TextIO
 
 import click
 
 from hesr_model.errors import ConfigError, HesrError
-from hesr_model.support.files import written_whole
+from hesr_model.support.files import scratch_folder, written_whole
 from hesr_model.support.interrupts import Interrupted
 from hesr_model.support.progress import Stages, listed_in
 
@@ -214,7 +213,7 @@ def answer_file(json_file: Path | None) -> Iterator[Path | None]:
     if json_file is None:
         yield None
     elif json_file == _STANDARD_OUTPUT:
-        with TemporaryDirectory(prefix="hesr-") as folder:
+        with scratch_folder() as folder:
             file = Path(folder) / "answer.json"
             yield file
             if not _output.get().quiet:

@@ -3,7 +3,6 @@
 import ctypes
 import platform
 import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import accumulate
@@ -16,6 +15,7 @@ from hesr_model.equations.operations import NAMES, Program
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.compiler import compile_c
+from hesr_model.support.files import scratch_folder
 
 BLOCK, _LANES = 128, 8  # as in rows.c
 
@@ -88,7 +88,7 @@ def library() -> ctypes.CDLL:
             f"{', '.join(map(' '.join, HOSTS))}."
         )
     try:
-        with tempfile.TemporaryDirectory(prefix="hesr-", ignore_cleanup_errors=True) as folder:
+        with scratch_folder() as folder:
             found = ctypes.CDLL(str(built(Path(folder), host)))
     except (ExportError, ImportError, OSError) as error:
         raise ExportError(

@@ -5,7 +5,6 @@ from dataclasses import asdict
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support import parallel
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Progress, into_file, silent, steps_told, watched
 from hesr_model.support.provenance import provenance as source_of
 
@@ -132,7 +132,7 @@ def fit_models(
         }
         records = [without_own(r, o) for r, o in zip(records, own, strict=True)]
         provenance = {**(provenance or {}), "per_log": known}
-    with TemporaryDirectory(prefix="hesr-") as folder:
+    with scratch_folder() as folder:
         jobs = {
             law: [
                 partial(

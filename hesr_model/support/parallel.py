@@ -3,13 +3,11 @@
 import json
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from functools import partial
 from importlib import import_module
-from pathlib import Path
 from queue import SimpleQueue
 from subprocess import PIPE
 from threading import Thread
@@ -20,6 +18,7 @@ import cloudpickle
 from hesr_model.errors import WorkerError
 from hesr_model.support import interrupts
 from hesr_model.support.cache import USED
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.process import ChildProcess, end_marked, new_mark
 from hesr_model.support.progress import current, running
 from hesr_model.support.worker import JOBS, JobAnswer, read_answer
@@ -109,8 +108,7 @@ class _Pool:
 
     def __enter__(self) -> "_Pool":
         with interrupts.deferred():
-            folder = tempfile.TemporaryDirectory(prefix="hesr-")
-            self._folder = Path(self._cleanup.enter_context(folder))
+            self._folder = self._cleanup.enter_context(scratch_folder())
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

@@ -44,7 +44,8 @@ def work(folder: Path, parent: int) -> None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
     collect_seldom()
-    logging.getLogger(cache.__name__).setLevel(logging.ERROR)  # the parent has warned
+    for name in (cache.__name__, "fmu_src.run.sandbox_rights"):  # the parent has warned
+        logging.getLogger(name).setLevel(logging.ERROR)
     tempfile.tempdir = str(folder)
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     with Path(os.devnull).open("rb") as nothing:

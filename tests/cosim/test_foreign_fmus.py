@@ -7,6 +7,7 @@ import tempfile
 import time
 import zipfile
 from contextlib import suppress
+from errno import EACCES, EPERM
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +21,16 @@ from test_cli_interrupts import started, wait_for
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from cosim.systems.system_file import System
+from fmu_src.check.run import check
+from fmu_src.run import sandbox_rights
 from fmu_src.run.fmu import FmuInstance, hash_folder, is_ours, remember
 from fmu_src.run.instance import Instance
 from fmu_src.run.sandbox import Sandbox
 from hesr_model.errors import SimulationError
 from hesr_model.support.files import sha256
 
+is_restricted = sandbox_rights._landlock_version() >= 6 and sandbox_rights._has_seccomp()
+linux = pytest.mark.skipif(not is_restricted, reason="needs Landlock 6 and seccomp")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="limits are those of POSIX")
 
 
@@ -225,9 +230,78 @@ def test_all_its_child_processes_are_ended(
     monkeypatch.setenv("DEED", "fmi2DoStep flee")
     with pytest.raises(SimulationError, match=rf"fmi2DoStep {EXIT}"):
         go(hostile_lag)
+    if is_restricted:  # no process starts
+        assert not file.exists()
+        return
     with suppress(psutil.NoSuchProcess):
         # Where orphans are not reaped, a killed process remains as a zombie.
         assert psutil.Process(int(file.read_text())).status() == psutil.STATUS_ZOMBIE
+
+
+REFUSED = {
+    **dict.fromkeys(
+        ("read", "read by a link", "write", "create", "truncate", "remove", "move"), EACCES
+    ),
+    **dict.fromkeys(("permit", "socket 1", "socket 2", "execute", "fork", "trace"), EPERM),
+    **dict.fromkeys(("signal", "signal all", "signal by a file"), EPERM),
+}
+"""What foreign code tries, and the error it gets."""
+
+
+@linux
+@pytest.mark.parametrize("deed", REFUSED)
+@pytest.mark.parametrize("place", ["load", "fmi2DoStep"])
+def test_foreign_code_has_few_rights(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, deed: str, place: str
+) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    target = home / "secret"
+    if deed != "create":
+        target.write_text("secret")
+        target.chmod(0o600)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("TARGET", str(target))
+    monkeypatch.setenv("DEED", f"{place} try {deed}")
+    with pytest.raises(SimulationError, match=rf"exit code {REFUSED[deed]}\b"):
+        go(hostile_lag)
+    assert not target.exists() if deed == "create" else target.read_text() == "secret"
+
+
+@linux
+@pytest.mark.parametrize("deed", ["read", "create"])
+def test_foreign_code_has_its_scratch_folder(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, deed: str
+) -> None:
+    """A control: the same attempts succeed there, so that the errors above mean something."""
+    monkeypatch.setenv("TARGET", "own" if deed == "create" else "/usr/lib/os-release")
+    monkeypatch.setenv("DEED", f"fmi2DoStep try {deed}")
+    with pytest.raises(SimulationError, match=r"exit code 99\b"):
+        go(hostile_lag)
+
+
+@linux
+@pytest.mark.parametrize("deed", ["read", "execute", "signal"])
+def test_readers_of_untrusted_files_have_few_rights_too(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, deed: str
+) -> None:
+    (tmp_path / "secret").write_text("secret")
+    monkeypatch.setenv("TARGET", str(tmp_path / "secret"))
+    monkeypatch.setenv("DEED", f"fmi2DoStep try {deed}")
+    (hostile,) = check(hostile_lag, hostile=True).problems[-1:]
+    assert f"exit code {REFUSED[deed]}" in str(hostile.found)
+
+
+def test_a_system_without_limits_is_named(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(sandbox_rights.platform, "machine", lambda: "riscv64")
+    sandbox_rights.warn.cache_clear()
+    sandbox_rights.warn()
+    sandbox_rights.warn()
+    (warning,) = caplog.messages
+    assert "programs and network (seccomp); see SECURITY.md." in warning
+    sandbox_rights.warn.cache_clear()
 
 
 STATUSES = {-1: "illegal return code", 6: "illegal return code", 2147483647: "illegal return code",

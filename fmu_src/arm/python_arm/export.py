@@ -5,7 +5,6 @@ import json
 import sys
 import zipfile
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -18,6 +17,7 @@ from fmu_src.export.interface import Interface
 from fmu_src.export.package import check_request, write_archive
 from fmu_src.run.fmu import remember
 from hesr_model.errors import ConfigError
+from hesr_model.support.files import scratch_folder
 
 MODEL, ABOUT = "model.xml", "about.json"  # names of the FMU's resources
 
@@ -28,7 +28,7 @@ def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path
     """Write an MJCF, without references to files, as an FMU for hosts with HESR and MuJoCo."""
     check_request(output, ("linux64",))
     about = _about(mjcf, table)
-    with TemporaryDirectory(prefix="hesr-") as folder:
+    with scratch_folder() as folder:
         parts = [Path(folder, MODEL), Path(folder, ABOUT)]
         parts[0].write_bytes(mjcf.read_bytes())
         parts[1].write_text(json.dumps(about), encoding="utf-8")
