@@ -51,6 +51,9 @@ def write_container(contents: SystemContents, path: Path) -> Path:
     members = _runtimes(contents, nested, identifier)
     for name, files in nested.items():
         members |= {f"resources/{name}/{file}": content for file, content in files.items()}
+        if not any(file.startswith("resources/") for file in files):
+            # FMUs of other tools fail on a missing folder, for which the runtime passes NULL.
+            members[f"resources/{name}/resources/empty.txt"] = b""
     exposed = list(exposed_variables(contents))
     described = to_description(contents, exposed, identifier, "")
     guid = _guid({**members, "0": described, "1": _configuration(contents, exposed, "")})

@@ -62,12 +62,12 @@ def simulate_single(
             "values": _settable(fmu, variables, values or {}, arrays=bool(declared)),
             "inputs": _inputs(fmu, variables, inputs or {}),
         }
-        archive.unpack(Path(folder))
-        process = Path(folder, "process")
+        archive.unpack(folder)
+        process = folder / "process"
         process.mkdir()
         try:
             reader = "fmu_src.run.single:run"
-            found = run_in_sandbox(reader, folder, options, folder=process, seconds=SECONDS)
+            found = run_in_sandbox(reader, str(folder), options, folder=process, seconds=SECONDS)
         except DiedError as error:
             raise SimulationError(f"{fmu}: its simulation {error}.") from error
     columns = {name: np.array(column) for name, column in found.items()}

@@ -12,7 +12,7 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 BUDGET = {
     "hesr_model": 22_320,
     "fmu_src": 19_508,
-    "cosim": 14_092,
+    "cosim": 14_095,
     "hesr": 800,
     "hesr.extras": 7_300,
     "all": 63_987,
