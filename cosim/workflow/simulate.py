@@ -29,6 +29,7 @@ def simulate(
     only: int | None = None,
     workers: int | None = None,
     cluster: str | None = None,
+    insecure: bool = False,
     trust: bool = False,
     progress: Stages = silent,
 ) -> Signals | Answer:
@@ -57,7 +58,9 @@ def simulate(
     workers : int, optional
         Sweep: processes; by default one per core.
     cluster : str, optional
-        Sweep: address of a scheduler of dask.distributed.
+        Sweep: address of a scheduler of dask.distributed, with the TLS settings of Dask.
+    insecure : bool
+        Sweep: allow a cluster on another machine without encryption.
     trust : bool
         Run these FMUs without a sandbox, now and later: faster, but with all your rights.
     progress : callable, optional
@@ -103,9 +106,15 @@ def simulate(
         if only is not None and file is not None:
             _require_table(file)
         return job.run(
-            path, output=file, only=only, workers=workers, cluster=cluster, progress=progress
+            path,
+            output=file,
+            only=only,
+            workers=workers,
+            cluster=cluster,
+            insecure=insecure,
+            progress=progress,
         )
-    given = {"only": only, "workers": workers, "cluster": cluster}
+    given = {"only": only, "workers": workers, "cluster": cluster, "insecure": insecure or None}
     for name in (name for name, value in given.items() if value is not None):
         raise ArgumentError(f"'{name}' is for a sweep; {path} is a system.")
     if file is not None:

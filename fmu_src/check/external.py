@@ -15,6 +15,7 @@ from hesr_model.support.text import listed, plain
 
 FMPY_SECONDS = 120.0
 VDMCHECK_SECONDS = 300.0
+VDMCHECK_VARIABLES = 5000  # it takes quadratic time
 
 DEFAULT_VDMCHECK = Path(".tools/vdmcheck2")
 JAR = "vdmcheck2.jar"
@@ -59,7 +60,9 @@ def _with_difference(text: str) -> str:
     return sentence
 
 
-def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[Problem], list[str]]:
+def vdmcheck2(
+    copy: Path, folder: Path, place: Path | None, count: int
+) -> tuple[list[Problem], list[str]]:
     """Return the problems that VDMCheck2 finds, and why it was not run."""
     jar = (place or DEFAULT_VDMCHECK) / JAR
     if not jar.is_file():
@@ -67,6 +70,9 @@ def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[Proble
     java = shutil.which("java")
     if java is None:
         return [], ["VDMCheck2: Java is not installed."]
+    if count > VDMCHECK_VARIABLES:
+        text = f"VDMCheck2: it would take too long for {count} variables"
+        return [], [f"{text}; at most {VDMCHECK_VARIABLES} are given to it."]
     # Without -v it writes a file into its own folder.
     command = (java, "-jar", str(jar.resolve()), "-v", str(folder / "model.vdm"), str(copy))
     try:

@@ -126,7 +126,7 @@ class _Found:
                 "FMPy and VDMCheck2: not run; the archive, its XML or the schema is wrong."
             )
         else:
-            self._run_others(contents, version)
+            self._run_others(contents, version, len(about.variables))
         if self._hostile and (version != "2.0" or damaged):
             self.skipped.append("Hostile master: not run; it needs FMI 2.0 and a valid archive.")
         elif self._hostile:
@@ -145,7 +145,7 @@ class _Found:
         self._add(binaries.problems(about, contents, self._folder))
         self.skipped += binaries.skipped(about, contents)
 
-    def _run_others(self, contents: Contents, version: str) -> None:
+    def _run_others(self, contents: Contents, version: str, count: int) -> None:
         readable = [_MODEL]
         for name in _OTHER_XML:
             if name in contents.files:
@@ -161,7 +161,7 @@ class _Found:
         if version != "2.0":
             self.skipped.append(f"VDMCheck2: it is for FMI 2.0, this is FMI {plain(version)}.")
             return
-        self._add_run(external.vdmcheck2(copy, self._folder, self._vdmcheck))
+        self._add_run(external.vdmcheck2(copy, self._folder, self._vdmcheck, count))
 
 
 def _model(contents: Contents) -> tuple[etree._Element | None, list[Problem]]:

@@ -5,6 +5,7 @@ import re
 import stat
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from io import BufferedReader
@@ -96,6 +97,10 @@ class Archive:
                 raise self._refusal(
                     f"it claims {size} bytes unpacked; at most {MOST_BYTES_IN_ALL} are read"
                 )
+            twice = Counter(entry.filename.casefold() for entry in found if not is_folder(entry))
+            for name, count in twice.items():
+                if count > 1:
+                    raise self._refusal(f"it has {count} entries named {quoted(name)}")
             self._entries = {entry.filename: entry for entry in found if not is_folder(entry)}
             self._cleanup = cleanup.pop_all()
         return self

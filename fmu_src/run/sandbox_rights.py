@@ -162,7 +162,7 @@ def _allow(rules: int, path: Path, allowed: int) -> None:
 
 
 def _restrict_calls() -> None:
-    """Refuse system calls with EPERM; `clone3`, whose flags are hidden, does not exist."""
+    """Refuse system calls with EPERM; clone3, whose flags are hidden, does not exist."""
     processor, clone, fcntl, limits, signals, refused = _CALLS[platform.machine()]
     steps = [
         (_LOAD, _PROCESSOR), (_EQUAL, processor, 1, 0), (_RETURN, _REFUSE),

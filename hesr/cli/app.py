@@ -11,7 +11,7 @@ import click
 
 from hesr.cli.console import answer_file, command_output, shown_progress
 from hesr.cli.derive import Function, command
-from hesr.cli.errors import MOVED, refuse
+from hesr.cli.errors import MOVED, refuse, require_environment
 from hesr_model.errors import ArgumentError, ConfigError
 
 if TYPE_CHECKING:
@@ -71,6 +71,7 @@ def further(function: Function) -> Sequence[inspect.Parameter]:
 
 
 def _invoke(function: Function, given: dict[str, Any]) -> None:
+    require_environment()
     json_file = given.pop("json_file", None)
     fail_on, quiet, verbose = (given.pop(name) for name in ("fail_on", "quiet", "verbose"))
     file = None if json_file is None else Path(json_file)

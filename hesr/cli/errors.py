@@ -10,7 +10,7 @@ from typing import NoReturn
 
 import click
 
-from hesr_model.errors import HesrError
+from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support.text import plain
 
 _NEW_FORMS = {
@@ -35,6 +35,9 @@ MOVED = {verb: f"'hesr {verb}' is now: {form}." for verb, form in _NEW_FORMS.ite
 _REFUSED = 2
 _UNREAD = 1  # exit code after the reader of the output has closed it, as Click's
 _LONGEST = 4000  # characters of a sentence: file names may be of any length
+
+_LEAST_MEMORY, _LEAST_FILES = 1 << 30, 64  # limits that libraries need [bytes, open at a time]
+_LAST_DATE = 253402300799  # [s] of SOURCE_DATE_EPOCH
 
 _PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
 """Replacements, of the same width, for characters that the output cannot encode."""
@@ -65,6 +68,27 @@ def errors_said() -> Iterator[None]:
         refuse("not enough memory; give less data at once.")
     except RecursionError:
         refuse("an input file is nested too deeply.")
+
+
+def require_environment() -> None:
+    """Refuse limits and dates with which libraries crash, hang or raise SIGINT."""
+    date = os.environ.get("SOURCE_DATE_EPOCH", "0")
+    if not (date.isascii() and date.isdigit() and int(date) <= _LAST_DATE):
+        raise ConfigError(f"SOURCE_DATE_EPOCH is '{date}'; expected whole seconds since 1970.")
+    with suppress(ImportError):  # Windows has no such limits
+        import resource
+
+        for kind, least, name, unit, option in (
+            (resource.RLIMIT_AS, _LEAST_MEMORY, "memory", " MB", "v"),
+            (resource.RLIMIT_NOFILE, _LEAST_FILES, "open files", "", "n"),
+        ):
+            limit = resource.getrlimit(kind)[0]
+            if limit != resource.RLIM_INFINITY and limit < least:
+                scale = 10**6 if unit else 1
+                raise ConfigError(
+                    f"the limit of {name} is {limit // scale}{unit}; at least "
+                    f"{least // scale}{unit} are needed (ulimit -{option})."
+                )
 
 
 def refuse(sentence: str) -> NoReturn:

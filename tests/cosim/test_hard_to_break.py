@@ -505,3 +505,54 @@ def test_an_endless_motion_is_refused() -> None:
     sentence = r"2e\+302 samples; at most 1e\+08 can be logged"
     with loaded_arm(plant) as arm, pytest.raises(ConfigError, match=sentence):
         record(arm, slow, 1, name="slow")
+
+
+# --- environments -----------------------------------------------------------------------------
+
+ENVIRONMENTS = {
+    "date": (
+        {"SOURCE_DATE_EPOCH": "x"},
+        "",
+        "SOURCE_DATE_EPOCH is 'x'; expected whole seconds since 1970.",
+    ),
+    "negative date": (
+        {"SOURCE_DATE_EPOCH": "-1"},
+        "",
+        "SOURCE_DATE_EPOCH is '-1'; expected whole seconds since 1970.",
+    ),
+    "memory": (
+        {},
+        "ulimit -v 300000",
+        "the limit of memory is 307 MB; at least 1073 MB are needed (ulimit -v).",
+    ),
+    "files": (
+        {},
+        "ulimit -n 16",
+        "the limit of open files is 16; at least 64 are needed (ulimit -n).",
+    ),
+    "locale": ({"LC_ALL": "xx_XX", "LANG": "zz"}, "", ""),
+}
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+@pytest.mark.parametrize("command", ["export", "report"])
+def test_odd_environments_are_named(tmp_path: Path, name: str, command: str) -> None:
+    variables, limit, sentence = ENVIRONMENTS[name]
+    output = tmp_path / "x.fmu"
+    verb = f"export uf850-table1 -o {output}" if command == "export" else f"report {tmp_path}"
+    result = subprocess.run(
+        ["sh", "-c", f'{limit or ":"}; exec {sys.executable} {COMMAND[0]} "{COMMAND[1]}" {verb}'],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        env=os.environ | variables,
+    )
+    if sentence:
+        assert (result.returncode, result.stderr) == (2, f"hesr: {sentence}\n")
+        assert not output.exists()
+    elif command == "export":
+        assert result.returncode == 0, result.stderr
+        assert output.exists()
+    else:
+        assert "no results of 'hesr run'" in result.stderr

@@ -4,6 +4,7 @@ import re
 import resource
 import stat
 import time
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -107,6 +108,22 @@ def test_a_symbolic_link_is_refused(members: dict[str, bytes], tmp_path: Path, h
     with zipfile.ZipFile(fmu, "a") as archive:
         archive.writestr(link, "/etc")
     refuse(fmu, hesr, "'resources/link' is a symbolic link")
+
+
+@pytest.mark.parametrize("second", ["modelDescription.xml", "MODELDescription.xml"])
+def test_two_descriptions_are_refused(
+    members: dict[str, bytes], tmp_path: Path, hesr: Hesr, second: str
+) -> None:
+    fmu = tmp_path / "Lag.fmu"
+    with warnings.catch_warnings(), zipfile.ZipFile(fmu, "w") as archive:
+        warnings.simplefilter("ignore")  # of a duplicate name
+        for name, content in members.items():
+            archive.writestr(name, content)
+        archive.writestr(second, members["modelDescription.xml"])
+    (tmp_path / "lags.toml").write_text(LAGS.replace("FMU", str(fmu)), encoding="utf-8")
+    answer = hesr("simulate", tmp_path / "lags.toml", "-o", tmp_path / "a.csv")
+    assert answer.code == 2
+    assert "it has 2 entries named 'modeldescription.xml'" in answer.err
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from small_fmus import LAGS
+from small_study import hesr_here
 from test_sweep import STUDY, files, written
 
 from hesr.extras.sweep import cluster
@@ -96,3 +97,37 @@ def test_workers_that_keep_dying_end_the_sweep(
         "workers of the cluster died 0 times; 40 chunks of runs are left; repeat the command "
         "to continue."
     )
+
+
+@pytest.mark.parametrize(
+    ("address", "is_refused"),
+    [
+        ("tcp://10.0.0.7:8786", True),
+        ("tcp://cluster.example:8786", True),
+        ("tcp://localhost.example:8786", True),
+        ("10.0.0.7:8786", True),
+        ("ws://[2001:db8::1]:8786", True),
+        ("tls://10.0.0.7:8786", False),
+        ("tcp://localhost:8786", False),
+        ("tcp://127.0.0.1:8786", False),
+        ("tcp://[::1]:8786", False),
+    ],
+)
+def test_addresses_of_other_machines_need_encryption(address: str, is_refused: bool):
+    cluster.require_encryption(address, insecure=True)
+    if is_refused:
+        with pytest.raises(
+            ConfigError, match=r"is not encrypted; use tls:// with the TLS settings"
+        ):
+            cluster.require_encryption(address, insecure=False)
+    else:
+        cluster.require_encryption(address, insecure=False)
+
+
+def test_the_command_refuses_an_unencrypted_cluster(
+    study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    refused = hesr_here(capsys, monkeypatch)("simulate", study, "--cluster", "tcp://192.0.2.1:1")
+    assert refused.code == 2
+    assert refused.err.startswith("hesr: --cluster: tcp://192.0.2.1:1 is not encrypted;")

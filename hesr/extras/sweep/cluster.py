@@ -4,8 +4,10 @@ FMUs are identified by hash and cached on each machine. Chunks of dead workers a
 """
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from fmu_src.run.fmu import is_known, is_ours, remember
 from hesr.extras.sweep.plan import Plan
@@ -44,6 +46,22 @@ def results_of(
         except TimeoutError as error:
             raise ConfigError(f"--cluster: the scheduler at {address} has no worker.") from error
         yield _done(client, plan, firsts)
+
+
+def require_encryption(address: str, *, insecure: bool) -> None:
+    """Raise ConfigError for an unencrypted address of another machine unless `insecure`."""
+    parts = urlsplit(address)
+    if insecure or parts.scheme in ("tls", "wss", "inproc"):
+        return
+    host = parts.hostname or ""
+    with suppress(ValueError):
+        if ip_address(host).is_loopback:
+            return
+    if host != "localhost":
+        raise ConfigError(
+            f"--cluster: {address} is not encrypted; use tls:// with the TLS settings of Dask, or "
+            "--insecure in a network that you trust."
+        )
 
 
 def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int, RunOutputs]]:

@@ -28,6 +28,7 @@ class SweepJob:
         only: int | None = None,
         workers: int | None = None,
         cluster: str | None = None,
+        insecure: bool = False,
         progress: Stages = silent,
     ) -> Answer:
         """Do all runs, by default into ``results/NAME``, or only one into ``runN.csv``."""
@@ -36,6 +37,10 @@ class SweepJob:
         if only is not None:
             return _replay(path, only, output or Path(f"run{only}.csv"))
         folder = output or Path("results") / self.read(path).name
+        if cluster is not None:
+            from hesr.extras.sweep.cluster import require_encryption
+
+            require_encryption(cluster, insecure=insecure)
         runs = run_sweep(path, folder, workers=workers, cluster=cluster, progress=progress)
         return SweepResult(**vars(runs), path=path, files=(folder / PAGE, folder / RUNS))
 
