@@ -11,11 +11,11 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # 1,600 for the plant, and 646 for FMUs of other tools.
 BUDGET = {
     "hesr_model": 22_320,
-    "fmu_src": 19_508,
-    "cosim": 14_095,
-    "hesr": 800,
+    "fmu_src": 19_515,
+    "cosim": 14_104,
+    "hesr": 820,
     "hesr.extras": 7_300,
-    "all": 63_987,
+    "all": 64_054,
 }
 
 TEMPLATES = 3_456  # lines of templates, styles and scripts, without those of project folders
