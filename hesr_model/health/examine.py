@@ -58,6 +58,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
     logged = [as_logged(*both, robot.logged) for both in zip(parts, torques, strict=False)]
     fits = [explained(part, torque) for part, torque in logged]
     broken = {name for f in findings if f.check in ("wrap", "spikes") for name in f.joints}
+    coarse = {name for f in findings if f.check == "coarse" for name in f.joints}
     for part in parts:
         findings += of_log(part.log, check_velocity(part, robot, broken))
         if model:
@@ -68,8 +69,9 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
         for part, (own, torque), fit in zip(parts, logged, fits, strict=True):
             seen = [j for j in fit if fit[j].r2 > NO_SIGNAL]
             clocks, late = check_clocks(part, seen, model)
-            found = (*clocks, *check_torque(own, fit, model, late), *check_loss(own, torque, model))
-            findings += of_log(part.log, found)
+            blurred = {*late, *(j for j in fit if robot.joints[j] in coarse)}
+            found = (*clocks, *check_torque(own, fit, model, blurred))
+            findings += of_log(part.log, (*found, *check_loss(own, torque, model)))
         findings = _caused(findings, check_causes(parts, model))
     return Examination(
         findings=tuple(merged(_without_followers(findings))),
@@ -136,12 +138,13 @@ def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Find
 def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
     clear = {f.joints for f in findings if f.check in ("velocity-columns", "same-column")}
     coarse = any(f.check == "coarse" for f in findings)
+    hidden = hopeless(findings)
     mended = any(key.startswith("log.units") for f in findings for key in f.changes)
     return [
         f
         for f in findings
         if (f.check != "velocity-match" or f.joints not in clear)
-        and not (f.check in ("time-scale", "speed-limit") and (mended or coarse))
+        and not (f.check in ("time-scale", "speed-limit") and (mended or coarse or hidden))
     ]
 
 

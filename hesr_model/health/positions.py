@@ -7,6 +7,8 @@ import numpy as np
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.loss import loses_rows, share_of_long_steps
+from hesr_model.logs.guess import is_of_motor
+from hesr_model.logs.log_format import column_names
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
@@ -134,9 +136,12 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
     in_degrees = bool(np.any(turning & (beyond > 3.0 * width))) and bool(
         np.all(np.maximum(lower - low * factor, high * factor - upper)[turning] < _BEYOND + 0.1)
     )
+    names = column_names(robot.log.columns.q, robot.joints)
     for j, joint in enumerate(robot.joints):
         if beyond[j] <= _BEYOND:
             continue
+        of_motor = beyond[j] > width[j] and robot.logged is None and is_of_motor(names[j])
+        mends = in_degrees and turning[j] and not of_motor
         wrong = beyond[j] > width[j]
         far = high[j] if high[j] - upper[j] > lower[j] - low[j] else low[j]
         limit = upper[j] if high[j] - upper[j] > lower[j] - low[j] else lower[j]
@@ -148,12 +153,15 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
             severity="error" if wrong else "warning",
             joints=(joint,),
             found=f"its position reaches {far:.4g}, the model's limit is {limit:.4g}",
-            remedy="q is in degrees; set [log.units] q = 'deg'"
-            if in_degrees and turning[j]
+            remedy=f"columns such as '{names[0]}' are named like motors'; give the turns of each "
+            "motor per turn of each joint as 'matrix' in [transmission], with logs = 'motor'"
+            if of_motor
+            else "q is in degrees; set [log.units] q = 'deg'"
+            if mends
             else "its unit, its zero or its column is wrong, or the model's limits are"
             if wrong
             else "the log's zero differs from the model's, or the model's limits are narrow",
-            changes={"log.units.q": unit} if in_degrees and turning[j] else {},
+            changes={"log.units.q": unit} if mends else {},
         )
 
 

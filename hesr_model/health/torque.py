@@ -32,12 +32,12 @@ def explained(motion: Motionwise, torques: Torques) -> Explained:
 
 
 def check_torque(
-    motion: Motionwise, found: Explained, model: Robot, late: Collection[int] = ()
+    motion: Motionwise, found: Explained, model: Robot, blurred: Collection[int] = ()
 ) -> Iterator[Finding]:
-    """Check torques, but not the scale of `late` joints."""
+    """Check torques, but not the scale of `blurred` joints."""
     for j, fit in found.items():
         yield from _sign(fit, j, model)
-        if j not in late:
+        if j not in blurred:
             yield from _scale(fit, j, found, model)
         if fit.gravity.t < -_SURE and fit.gravity_size > _SEEN * fit.residual:
             yield Finding(
@@ -128,7 +128,8 @@ def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator
     yield Finding(
         check="torque-scale",
         joints=(robot.joints[j],),
-        found=f"its torque is {max(scale, 0.0):.2g} times the {of} torque of the model",
+        found=f"its torque is {max(scale, 0.0):.2g} (+- {margin:.1g}) times the {of} torque of the "
+        "model",
         remedy=_why_scaled(robot, scale, everywhere=everywhere)
         if scale > _WEIGHTLESS or not weightless or abs(fit.inertia.value) < 1.0 / _SCALE
         else "gravity was removed from it, a spring or counterweight carries the arm, or the file "

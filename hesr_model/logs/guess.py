@@ -29,6 +29,7 @@ _OTHERS = _words(
     "target desired des ref reference cmd command setpoint goal acc acceleration ddq qdd error err "
     "tcp ext external voltage control window limit mode status dir"
 )  # ignored columns
+_MOTORS = _words("qm motor motors")
 _MEASURED = _words("actual act meas measured msr")
 _TIME = _words("t time timestamp stamp timestamps clock unix secs seconds sec zeit")
 _UNITS: Mapping[str, Mapping[str, str]] = {
@@ -105,6 +106,11 @@ def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) ->
             f"{table.listing}; name them under 'log.columns' of a robot file."
         )
     return Guess(columns=columns, units=units, reasons=reasons)
+
+
+def is_of_motor(name: str) -> bool:
+    """Return whether a column is named like a motor's."""
+    return not _MOTORS.isdisjoint(_tokens(name))
 
 
 def _groups(names: Sequence[str], joints: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]:

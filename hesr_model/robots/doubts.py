@@ -21,6 +21,9 @@ def doubts_of_model(path: Path, model: Any) -> Iterator[Finding]:
         if urdf and not link.mass > 0.0:
             needs = "give the link an <inertial> if it is a real part"
             yield _doubt("massless-link", path, name, "its link has no mass", needs)
+        if urdf and link.mass > 0.0 and not np.any(link.inertia):
+            found = f"its link of {link.mass:.3g} kg has no inertia, as if it was rounded"
+            yield _doubt("rounded-inertia", path, name, found, "write more digits of its <inertia>")
         if joint.nq != 1 or not np.isfinite(low + high):
             if joint.nq == 1 and urdf:
                 needs = "state them in its <limit>; hesr excite needs them"

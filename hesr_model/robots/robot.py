@@ -104,7 +104,9 @@ class Robot:
         q = np.random.default_rng(0).uniform(low, high, (8, self.n))
         masses, _ = self.dynamics(self.nominal_parameters, q, np.zeros_like(q))
         own = doubts_of_chain(self._file.path, self.joints, masses, self._limits[3])
-        return (*own, *self._file.doubts)
+        rounded = {f.joints for f in self._file.doubts if f.check == "rounded-inertia"}
+        kept = (f for f in own if f.check != "no-inertia" or f.joints not in rounded)
+        return (*kept, *self._file.doubts)
 
     @cached_property
     def gravity(self) -> Array:

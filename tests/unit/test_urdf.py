@@ -1,5 +1,6 @@
 """URDF: mimic joints, names shared by joints and links, doubtful and refused numbers."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -139,6 +140,13 @@ def test_a_joint_that_moves_no_inertia_is_an_error(tmp_path: Path) -> None:
         first.sentence
     )
     assert {doubt.check for doubt in others} == {"impossible-inertia"}
+    head, last = text.rsplit("<inertia ", 1)
+    last = re.sub(r'(i\w\w)="[^"]*"', r'\1="0"', last)
+    path.write_text(f"{head}<inertia {last}", encoding="utf-8")
+    rounded, *others = Robot(path).doubts
+    assert rounded.sentence.startswith(f"{path}, joint 'j2': its link of ")
+    assert "has no inertia, as if it was rounded: write more digits of its <in" in rounded.sentence
+    assert others == []
     known = Robot(describe(path, "j1", "j2", known=()))  # placeholders
     assert known.doubts == ()
 

@@ -124,7 +124,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "torque of j2 a hundredth": (
         lambda log: replace(log, tau=column(log.tau, 1, 0.01)), "torque-scale", ("j2",),
-        r"its torque is 0\.01 times the gravity torque of the model",
+        r"its torque is 0\.01 \(\+- 0\.\d+\) times the gravity torque of the model",
     ),
     "currents as torques": (
         lambda log: replace(log, tau=log.tau / 12.0), "torque-scale", ("j1", "j2", "j3"),
@@ -212,6 +212,23 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
         r"about 1(4[5-9]|5[0-5]) ms late .* \(\+- \d ms\)",
     ),
 }  # fmt: skip
+
+
+def test_motor_angles_are_not_taken_for_degrees(log: Log, arm_model: Robot) -> None:
+    """50 turns per turn look like degrees; only the names of the columns tell them apart."""
+    turned = replace(log, q=50.0 * log.q, dq=None)
+    robot = arm_model.description
+    for name, said, changes in (
+        ("q{}", "q is in degrees; set [log.units] q = 'deg'", {"log.units.q": "deg"}),
+        ("qm{}", "columns such as 'qm1' are named like motors'; give the turns of each motor "
+         "per turn of each joint as 'matrix' in [transmission], with logs = 'motor'", {}),
+    ):  # fmt: skip
+        columns = robot.log.columns.model_copy(update={"q": name})
+        own = robot.model_copy(update={"log": robot.log.model_copy(update={"columns": columns})})
+        first, *others = examine([turned], own, Robot(own)).findings
+        assert "speed-limit" not in {f.check for f in others}
+        assert (first.check, first.severity, first.changes) == ("limits", "error", changes)
+        assert said in first.sentence
 
 
 def test_speeds_above_the_model_limits_are_reported(log: Log, arm_model: Robot) -> None:
