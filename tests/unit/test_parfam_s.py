@@ -15,7 +15,7 @@ from hesr_model.friction.predict import predict
 from hesr_model.laws.stops import passive
 from hesr_model.laws.stops.estimator import ParFamS
 from hesr_model.laws.stops.form import BOUNDS, Structure
-from hesr_model.laws.stops.search import dictionary, search
+from hesr_model.laws.stops.search import TIMES, dictionary, oldest, search, times, weights
 from hesr_model.rigid_body.residual import FrictionRecord
 
 RIPPLE = 200
@@ -220,5 +220,43 @@ def test_other_structures_are_refused(structure: dict[str, object], said: str) -
 def test_no_bound_is_negative() -> None:
     for bound in BOUNDS.values():
         for load in (-3.0, 0.0, 2.0):
-            at = {"tau_load": load, "load_scale": 2.0, "p": 0.3}
-            assert bound.subs({s: at[s.name] for s in bound.free_symbols}) >= 0
+            for most in (-1.0, 0.2, 0.9):
+                at = {"tau_load": load, "load_scale": 2.0, "p": 0.3, "P": most}
+                assert bound.subs({s: at[s.name] for s in bound.free_symbols}) >= 0
+
+
+def broken_away() -> FrictionRecord:
+    """A rest that is longer than any in training, then motion."""
+    return replace(record("rest", 5), dq=np.where(np.arange(3000) < 2900, 0.0, 0.5))
+
+
+def test_rows_with_an_unknown_age_are_left_out(plain: list[FrictionRecord]) -> None:
+    samples = JointRows.of(plain, coefficients=1)
+    since = np.concatenate([r.t - r.t[0] for r in plain])
+    without, counted = weights(samples), weights(samples, 0.4)
+    np.testing.assert_array_equal(counted, without * (since > 1.205))
+    assert without[since < 1.2].any()
+    short = replace(plain[0], dq=0.0 * plain[0].dq, q=0.0 * plain[0].q)  # it never moves
+    assert weights(JointRows.of([*plain, short], coefficients=1), 0.4)[-2000:].all()
+
+
+def test_ageing_times_fit_into_the_left_out_parts(plain: list[FrictionRecord]) -> None:
+    def tried(duration: float) -> tuple[float, ...]:
+        rows = plain[0].rows(slice(round(duration / 0.01)))
+        return times(JointRows.of([rows], coefficients=1))
+
+    assert tried(2.0) == ()
+    assert tried(8.0) == (0.05, 0.1)
+    assert tried(30.0) == TIMES
+
+
+def test_the_age_stays_within_its_trained_range() -> None:
+    trained = [record("one", 0), record("two", 1)]
+    samples = JointRows.of(trained, coefficients=20)
+    age = 1.0 - np.exp(-0.05 / 0.4)
+    best = dictionary(samples, load=False).at(0.2, 0.4)
+    assert best.numbers["P"] == oldest(samples, best.weights, 0.2, 0.4)
+    form = ParFamS.form({"stops": [["age", 4]]})
+    values = {"F_age_5": 2.0, "tau_0": 0.0, "v_s": 0.2, "T": 0.4, "P": age}
+    law = FrictionLaw(name="parfam_s", structure={"stops": [["age", 4]]}, form=form, values=values)
+    assert np.abs(predict(law, **broken_away().motion)).max() == pytest.approx(2.0 * age)

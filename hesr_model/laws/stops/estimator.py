@@ -29,7 +29,7 @@ class _Stops(Estimator):
     ripple: ClassVar[bool] = False
     start_samples: ClassVar[int] = 0
     typical: ClassVar[Mapping[str, Any]] = {
-        "stops": [["1", 0], ["1", 4], ["p", 0]],
+        "stops": [["1", 0], ["1", 4], ["age", 0]],
         "viscous": ["1", "b"],
     }
 
@@ -86,7 +86,7 @@ class _Stops(Estimator):
         )
 
 
-_LOADED = {**_Stops.typical, "stops": [["1", 0], ["1", 4], ["p", 0], ["load", 0]]}
+_LOADED = {**_Stops.typical, "stops": [["1", 0], ["1", 4], ["age", 0], ["load", 0]]}
 
 
 @register

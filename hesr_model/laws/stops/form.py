@@ -2,6 +2,7 @@
 
     x_i+ = clip(x_i + v dt / w_i, -s_i, s_i)    s_i >= 0: an expression of `BOUNDS`
     p'   = (psi(v) - p) / T                     psi = exp(-(v/v_s)^2)
+    a    = min(p, P)                            the age of a bound; P: the largest in training
     tau  = sum_i F_i x_i + v f(v) + ripple + tau_0
 
 Stribeck effect, lag and load act on bounds: a moving bound only dissipates.
@@ -31,6 +32,7 @@ LOAD_SCALE = Coefficient(
     name="load_scale", unit="N.m", description="load torque that makes load bounds 1"
 )
 REST = Coefficient(name="T", unit="s", description="ageing time of contacts")
+OLDEST = Coefficient(name="P", unit="1", description="largest age of contacts in training")
 
 AGE = Relaxation(
     name="p",
@@ -43,7 +45,8 @@ AGE = Relaxation(
 _LOAD = TAU_LOAD / LOAD_SCALE.symbol
 BOUNDS: Mapping[str, sympy.Expr] = {
     "1": sympy.Integer(1),
-    "p": AGE.state,
+    "age": positive(OLDEST.symbol - positive(OLDEST.symbol - AGE.state)),  # min(p, P)
+    "p": AGE.state,  # of older files
     "load": absolute(_LOAD),
     "root": sympy.sqrt(absolute(_LOAD)),
     "plus": positive(_LOAD),
@@ -152,6 +155,7 @@ class Structure:
                 TAU_0,
                 *(THINNING[kind] for kind in self.viscous if kind in THINNING),
                 *((V_S, REST) if AGE.state in used else ()),
+                *((OLDEST,) if OLDEST.symbol in used else ()),
                 *((LOAD_SCALE,) if TAU_LOAD in used else ()),
                 *((LAG,) if self.ripple else ()),
             ),

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 
+from hesr_model.equations.recurrence import recurrence
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.nonnegative import Normal, Products, blocks_of, pays
 from hesr_model.fitting.separable import SearchSpace, Separable
@@ -43,16 +44,34 @@ def fixed(samples: JointRows) -> dict[str, float]:
     return {LOAD_SCALE.name: load if load > 0.0 else 1.0, **thin}
 
 
-def weights(samples: JointRows) -> Array:
-    """Return (N,) weights: 0 while the unknown initial deflections of a record matter, then 1."""
+def times(samples: JointRows) -> tuple[float, ...]:
+    """Return the ageing times [s] of which three fit into a quarter of each left-out part."""
+    shortest = min(float(samples.dt[fold].sum()) for fold in samples.folds)
+    return tuple(time for time in TIMES if 3.0 * time <= shortest / 4.0)
+
+
+def weights(samples: JointRows, longest: float = 0.0) -> Array:
+    """Return (N,) weights: 0 while the unknown initial state of a record matters, then 1.
+
+    The deflections are forgotten after a way, the age after three times the `longest` T [s].
+    """
     found = np.empty(len(samples.q))
     first = np.flatnonzero(samples.begins)
     for start, end in zip(first, [*first[1:], len(found)], strict=True):
         q = samples.q[start:end]
         way = np.maximum.accumulate(q) - np.minimum.accumulate(q)
         forgotten = way > 2.0 * DEFLECTIONS[-1]
-        found[start:end] = forgotten if forgotten.any() else 1.0
+        since = np.cumsum(samples.dt[start:end]) - samples.dt[start]
+        found[start:end] = (forgotten | ~forgotten.any()) & (since >= 3.0 * longest)
     return found
+
+
+def oldest(samples: JointRows, counted: Array, v_s: float, time: float) -> float:
+    """Return the largest age of the rows with a weight (N,)."""
+    kept = np.exp(-samples.dt / time)
+    grown = (1.0 - kept) * np.exp(-((samples.dq / v_s) ** 2))
+    kept, grown = np.where(samples.begins, 0.0, kept), np.where(samples.begins, 1.0, grown)
+    return float(np.max(recurrence(kept, grown, 1.0) * counted))
 
 
 def columns(structure: Structure, numbers: Mapping[str, float], samples: JointRows) -> Array:
@@ -117,8 +136,9 @@ class Terms:
 
     def at(self, v_s: float, time: float) -> "Terms":
         """Return the terms with another Stribeck velocity [rad/s] and ageing time [s]."""
-        still = {k: c for k, c in self.cache.items() if k != "p"}
-        numbers = self.numbers | {"v_s": v_s, "T": time}
+        still = {k: c for k, c in self.cache.items() if k != "age"}
+        largest = oldest(self.samples, self.weights, v_s, time)
+        numbers = self.numbers | {"v_s": v_s, "T": time, "P": largest}
         return replace(self, numbers=numbers, cache=still)
 
     def active(self) -> tuple[Structure, Array]:
@@ -138,19 +158,22 @@ class Terms:
 def dictionary(samples: JointRows, *, load: bool) -> Terms:
     """Return the bounds of the skeleton with the best v_s and T."""
     speed = float(np.max(np.abs(samples.dq)))
-    counted = weights(samples)
+    ageing = times(samples)
+    counted = weights(samples, max(ageing, default=0.0))
     first = Terms(
-        bounds=("1", "p", "load") if load else ("1", "p"),
+        bounds=("1", *("age",) * bool(ageing), *("load",) * load),
         numbers=fixed(samples),
         samples=samples,
         weights=counted,
         products=Products(samples.tau, samples.folds, counted),
     )
     trials, costs = [], []
-    for share, time in product(SPEEDS, TIMES):
+    if not ageing:
+        return first
+    for share, time in product(SPEEDS, ageing):
         trials.append(first.at(share * speed, time))
         costs.append(trials[-1].cost)  # fills the cache
-        first.cache.update({k: c for k, c in trials[-1].cache.items() if k != "p"})
+        first.cache.update({k: c for k, c in trials[-1].cache.items() if k != "age"})
     return trials[first_best(costs)]
 
 
