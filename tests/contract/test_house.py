@@ -10,12 +10,12 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # Maximum lines of Python, C and headers: 59,000, plus 1,800 for evidence, robots and logs, and
 # 1,600 for the plant, and 646 for FMUs of other tools.
 BUDGET = {
-    "hesr_model": 22_342,
+    "hesr_model": 22_372,
     "fmu_src": 19_515,
     "cosim": 14_104,
     "hesr": 820,
     "hesr.extras": 7_300,
-    "all": 64_077,
+    "all": 64_113,
 }
 
 TEMPLATES = 3_456  # lines of templates, styles and scripts, without those of project folders
