@@ -220,11 +220,12 @@ def example(
 def run_tracking(loop: StudyLoop, *, quick: bool = False) -> tuple[list[Tracked], list[Tracked]]:
     """Run all rows on all motions, and selected ones on a long motion.
 
-    With `quick`, only rows with the desired velocity and no long motion.
+    With `quick`, only rows of the desired velocity without outer loop, and no long motion.
     """
     tracking = loop.tracking
     if quick:
-        rows = [row for row in loop.rows() if row.scheme.source == "desired"]
+        desired = (row for row in loop.rows() if row.scheme.source == "desired")
+        rows = [row for row in desired if not row.scheme.Kx]
         found = loop.track(rows, motions(tracking), tracking.duration, "tracking", traced=True)
         return found, []
     long = motions(tracking, int(np.ceil(tracking.drift / tracking.duration)))[:1]

@@ -47,7 +47,7 @@ def run_loop(
     """Build the FMUs of a loop in ``folder/fmus``, next to Arm.fmu, and run it.
 
     Writes one loop with the arm and one with the generated plant, and the positions along the first
-    motion as `TRACES`. A `quick` run has the rows with the desired velocity only.
+    motion as `TRACES`. A `quick` run has few rows; see `run_tracking`.
     """
     require_reachable(tracking, robot)
     progress("building the loop", 0, 1)

@@ -10,7 +10,7 @@
 #include "root.h"
 #include "servo.h"
 
-enum { MOST_ITERATIONS = 60, PATIENCE = 6, SWEEPING = 20, HALVINGS = 12 };
+enum { MOST_ITERATIONS = 200, PATIENCE = 6, SWEEPING = 20, SWEEPS_ONLY = 60, HALVINGS = 12 };
 
 /* Residual that counts as balanced, as a share of the torques. */
 #define BALANCED 1e-10
@@ -293,7 +293,7 @@ static bool any_held(const Solver *solver) {
 
 static bool settle(Solver *solver, bool sweeping, Message *why) {
     double residual[JOINTS], total, before = INFINITY;
-    bool updated = false;
+    bool updated = false, waiting = false; /* for the balance with axes that were just held */
     for (int n = 0; n < MOST_ITERATIONS; n++) {
         const bool swept = sweeping;
         if (swept && !sweep(solver, why)) {
@@ -311,11 +311,11 @@ static bool settle(Solver *solver, bool sweeping, Message *why) {
         }
         const bool slow = n > 1 && !swept && total > 0.5 * before;
         before = swept ? INFINITY : total;
-        sweeping = slow || done || (n >= PATIENCE && !swept) || (n >= SWEEPING && n % 4 != 0);
+        sweeping = slow || done || (n >= PATIENCE && !swept && !waiting) ||
+                   (n >= SWEEPING && (n % 4 != 0 || n >= SWEEPS_ONLY));
         updated = !sweeping && newton(solver, residual);
-        if (!sweeping && !updated) {
-            before = INFINITY;
-        }
+        waiting = !sweeping && !updated;
+        before = waiting ? INFINITY : before;
     }
     snprintf(why->text, sizeof why->text,
              "No speeds were found that balance the torques in a step of %g s; the motion keeps "

@@ -12,7 +12,7 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 BUDGET = {
     "hesr_model": 22_372,
     "fmu_src": 19_515,
-    "cosim": 14_104,
+    "cosim": 14_105,
     "hesr": 820,
     "hesr.extras": 7_300,
     "all": 64_113,

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio
 import pytest
 import sympy
 from plant_robots import UF850, coupled, ur_like
@@ -13,12 +14,13 @@ from fmu_src.plant.plant_fmu import STIFFNESS
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.laws.lugre import LuGre
+from hesr_model.laws.lugre import LuGre, LuGrePassive
 from hesr_model.robots.robot import Robot
 
 POSTURE = np.array([0.3, -0.8, 1.2, 0.4, 0.5, 0.1])
 DRIFT = 1e-3  # of the exchanged energy
 CREEP = 1e-6  # rad in 60 s
+RISE = 1e-7  # of the exchanged energy
 
 Array = np.ndarray
 
@@ -120,6 +122,51 @@ def test_bristles_hold_an_arm_against_gravity(make_law, tmp_path: Path) -> None:
     settled = run.q[2000]
     assert np.max(np.abs(settled - POSTURE)) > 1e-5  # the bristles carry something
     assert np.max(np.abs(run.q[2000:] - settled)) < CREEP
+
+
+def test_lightly_damped_bristles_come_to_rest(tmp_path: Path) -> None:
+    """With 1 % damping at inner steps of 1 ms, within 20 s."""
+    robot = Robot(ur_like(tmp_path))
+    mass, _ = robot.dynamics(robot.nominal_parameters, POSTURE[None], np.zeros((1, 6)))
+    stiffness, laws = 2e4, []
+    for inertia in np.diag(mass[0]):
+        law = lugre(stiffness, 5.0, 0.0)
+        damping = 0.02 * np.sqrt(stiffness * inertia)
+        laws.append(replace(law, values=law.values | {"sigma_1": damping}))
+    push = np.array([0.0, 3.0, -3.0, 2.0, 1.0, 1.0])
+    tau = np.tile(gravity(robot, POSTURE) + push, (4000, 1))
+    start = at(robot, POSTURE) | open_stops(robot)
+    run = Run(plant(robot, laws, tmp_path), tau, step=0.01, start=start)
+    assert np.ptp(run.q[:500], axis=0).max() > 5e-4
+    assert np.ptp(run.q[2000:], axis=0).max() < CREEP
+
+
+def test_passive_bristles_add_no_energy(tmp_path: Path) -> None:
+    """A falling arm without input: the energy of arm and bristles only decreases."""
+    path = ur_like(tmp_path)
+    robot, model = Robot(path), pinocchio.buildModelFromUrdf(str(path))
+    values = {"sigma_0": 5e4, "sigma_1": 2.0, "s_2": 0.5, "F_c": 2.0, "F_s": 4.0, "v_s": 0.3,
+              "tau_0": 0.0}  # fmt: skip
+    law = FrictionLaw(name="lugre_passive", form=LuGrePassive.core({}), values=values)
+    start = at(robot, POSTURE, np.array([0.5, -0.3, 0.4, 0.2, 0.1, 0.3])) | open_stops(robot)
+    names = [f"{name}[{i}]" for name in ("q", "dq", "z") for i in range(1, 7)]
+    with FmuInstance(plant(robot, [law] * 6, tmp_path)) as arm:
+        arm.initialise(start=start | {f"tau[{i}]": 0.0 for i in range(1, 7)})
+        outputs = arm.buffer(names)
+        rows = [outputs.read().copy()]
+        for k in range(4000):
+            arm.step(1e-3 * k, 1e-3)
+            rows.append(outputs.read().copy())
+    data, energy, kinetic_energy = model.createData(), [], []
+    for q, dq, z in (np.split(row, 3) for row in rows):
+        kinetic_energy.append(pinocchio.computeKineticEnergy(model, data, q, dq))
+        stored = pinocchio.computePotentialEnergy(model, data, q) + 0.5 * 5e4 * z @ z
+        energy.append(kinetic_energy[-1] + stored)
+    exchanged = np.abs(np.diff(kinetic_energy)).sum()
+    rise = np.max(np.array(energy) - np.minimum.accumulate(energy))
+    assert exchanged > 100.0
+    assert energy[0] - energy[-1] > 50.0
+    assert rise <= RISE * exchanged
 
 
 def test_a_law_with_a_jump_holds_exactly(make_law, tmp_path: Path) -> None:
