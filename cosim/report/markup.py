@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from cosim.report.figures.zoom import zoom_data
+from cosim.report.figures.zoom import unpacked, zoom_data
 from cosim.report.tables.table import ResultTable
 from cosim.report.tables.text import csv_text
 from fmu_src.pages.html import TEMPLATES, rendered
@@ -132,6 +132,7 @@ def write_sections(
         sections=[Section(key="summary", title="Summary", html=summary), *sections],
         zooms=zooms or {},
         library=library,
+        injected=[unpacked(library)] if library else [],
         palette=VARIABLES,
     )
     numbers = count(1)

@@ -1,17 +1,31 @@
 """Templates of HTML pages and code files."""
 
+import base64
+import hashlib
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import jinja2
 
+_POLICY = "script-src 'none'"  # in the template of pages
+_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
 TEMPLATES = Path(__file__).parent / "templates"
 
 
 def rendered(template: str, /, folders: Sequence[Path] = (TEMPLATES,), **values: Any) -> str:
-    """Return HTML from a template; values are escaped unless markup, missing names are errors."""
-    return _environment(folders, autoescape=True).get_template(template).render(**values)
+    """Return HTML from a template; values are escaped unless markup, missing names are errors.
+
+    Whole pages run only their own scripts and those in `injected`, and load nothing.
+    """
+    text = _environment(folders, autoescape=True).get_template(template).render(**values)
+    if _POLICY not in text:
+        return text
+    scripts = [*_SCRIPT.findall(text), *values.get("injected", ())]
+    hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
+    allowed = " ".join(f"'sha256-{one}'" for one in hashes)
+    return text.replace(_POLICY, f"script-src 'wasm-unsafe-eval' {allowed}")
 
 
 def code_templates(folder: Path, **options: str) -> jinja2.Environment:

@@ -119,7 +119,11 @@ def test_files_of_killed_processes_are_removed_and_others_are_left_alone(
 
 
 @pytest.mark.parametrize(
-    "kills", [pytest.param(3, marks=pytest.mark.ci), pytest.param(200, marks=pytest.mark.soak)]
+    "kills",
+    [
+        pytest.param(3, marks=pytest.mark.ci),
+        pytest.param(200, marks=[pytest.mark.soak, pytest.mark.timeout(0)]),
+    ],
 )
 def test_a_killed_run_leaves_the_old_result_or_the_new_one(tmp_path: Path, kills: int) -> None:
     """A third of the kills are in the last tenth; each tenth run is resumed to its end."""

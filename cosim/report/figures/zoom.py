@@ -61,6 +61,11 @@ def packed(text: str) -> str:
     return base64.b64encode(zlib.compress(text.encode(), 9)).decode()
 
 
+def unpacked(text: str) -> str:
+    """Return the text that was packed."""
+    return zlib.decompress(base64.b64decode(text)).decode()
+
+
 def _draw(plot: Any, line: "Line", sources: dict[int, Any], every: int) -> None:
     from bokeh.models import ColumnDataSource
 

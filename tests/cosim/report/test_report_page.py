@@ -1,5 +1,7 @@
 """The report: sections, numbers, files, missing data and errors."""
 
+import base64
+import hashlib
 import json
 import os
 import re
@@ -109,6 +111,18 @@ def test_a_run_ends_with_its_report(results: Path) -> None:
     assert {path.suffix for path in (results / "figures").iterdir()} == {".pdf", ".png"}
     assert set(page.figures) == drawn | {"controller"}
     assert len(page.figures) == len(set(page.figures))
+
+
+def test_the_page_runs_its_own_scripts_only(results: Path) -> None:
+    text = Page(results / "report.html").text
+    (policy,) = re.findall(r'<meta http-equiv="Content-Security-Policy" content="([^"]+)"', text)
+    assert policy.startswith("default-src 'none'; ")
+    assert not re.search(
+        r"https?:|\*|'unsafe-(eval|hashes)'|script-src[^;]*'unsafe-inline'", policy
+    )
+    for script in re.findall(r"<script>(.*?)</script>", text, re.DOTALL):
+        found = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        assert f"'sha256-{found}'" in policy
 
 
 def test_the_page_is_small_and_has_few_tables(results: Path) -> None:
