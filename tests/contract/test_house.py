@@ -11,14 +11,14 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # 1,600 for the plant, and 646 for FMUs of other tools.
 BUDGET = {
     "hesr_model": 22_372,
-    "fmu_src": 19_515,
-    "cosim": 14_105,
+    "fmu_src": 19_529,
+    "cosim": 14_111,
     "hesr": 820,
     "hesr.extras": 7_300,
-    "all": 64_113,
+    "all": 64_125,
 }
 
-TEMPLATES = 3_456  # lines of templates, styles and scripts, without those of project folders
+TEMPLATES = 3_457  # lines of templates, styles and scripts, without those of project folders
 
 FMT_SKIPS = 20  # lines that `ruff format` must skip
 
