@@ -69,6 +69,10 @@ def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
         c.name: description_of(c.fmu, f"{path}: component '{c.name}'") for c in spec.components
     }
     variables = {c.name: Variables(c.fmu, descriptions[c.name]) for c in spec.components}
+    for target in (target for target, steps in spec.conversions.items() if steps):
+        raise ConfigError(f"{path}: connection of '{target}': a conversion cannot be exported.")
+    if spec.begin:
+        raise ConfigError(f"{path}: starts at {spec.begin:g} s; exports start at 0.")
     return SystemContents(
         spec=spec,
         path=path,

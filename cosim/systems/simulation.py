@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,19 @@ from cosim.systems.signals import Signals
 from cosim.systems.system import SystemSpec, Value
 from cosim.systems.wiring import Wiring
 from fmu_src.arm.clock import untimed
-from fmu_src.run.fmu import FmuInstance, FmuPool
-from fmu_src.run.master import Element, ExchangeScheme, Layout, Link, PythonStepper, Station
+from fmu_src.run.fmu import FmuInstance, FmuPool, mixed_buffer, numbered_text
+from fmu_src.run.master import (
+    Convert,
+    Element,
+    ExchangeScheme,
+    Layout,
+    Link,
+    PythonStepper,
+    Station,
+)
 from fmu_src.run.native import NativeStepper, native_stepper
 from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, silent
 
 _REPORT_EVERY = 200  # steps between reports of progress
@@ -74,9 +84,15 @@ class Master:
                 Station(
                     slave=slave,
                     every=self.spec.every(component),
-                    inputs=slave.buffer([variable for _, variable in fed]),
+                    inputs=mixed_buffer(slave, [variable for _, variable in fed]),
                     sources=np.array([place[wiring.sources[into]] for into in fed], dtype=np.intp),
-                    outputs=slave.buffer([variable for _, variable in own], part),
+                    outputs=mixed_buffer(slave, [variable for _, variable in own], part),
+                    begin=self.spec.begin,
+                    conversions=[
+                        (i, convert)
+                        for i, into in enumerate(fed)
+                        if (convert := self._conversion(into))
+                    ],
                 )
             )
         low, high = np.array([b for _, b in wiring.limited]).reshape(-1, 2).T
@@ -84,6 +100,7 @@ class Master:
             stations=tuple(stations),
             links=tuple(self._links(place)),
             scheme=self._scheme,
+            begin=self.spec.begin,
             step=self.spec.step,
             values=values,
             names=tuple(names),
@@ -95,6 +112,10 @@ class Master:
         stepper = native_stepper(self._layout) if self._native else None
         self._stepper: PythonStepper | NativeStepper = stepper or PythonStepper(self._layout)
 
+    def _conversion(self, into: Element) -> Convert | None:
+        steps = self.spec.conversions.get(".".join(into), ())
+        return partial(reduce, lambda value, step: step(value), steps) if steps else None
+
     def _links(self, place: Mapping[Element, int]) -> Iterator[Link]:
         sources = self._wiring.sources
         feeding = set(sources.values())
@@ -102,9 +123,10 @@ class Master:
             if element in sources or element in feeding:
                 name, variable = element
                 yield Link(
-                    buffer=self._slaves[name].buffer([variable]),
+                    buffer=mixed_buffer(self._slaves[name], [variable]),
                     place=place[sources.get(element, element)],
                     is_input=element in sources,
+                    convert=self._conversion(element),
                 )
 
     def run(
@@ -130,10 +152,19 @@ class Master:
             failure = error
         done = stepper.done
         # a NaN may make another component fail
-        failure = self._not_finite(done * step) or failure
+        failure = self._not_finite(self.spec.begin + done * step) or failure
         progress(steps, steps)
-        signals = {".".join(e): kept[:done, i] for i, e in enumerate(self._wiring.observed)}
-        return Signals(t=step * np.arange(done, dtype=float), signals=signals, failure=failure)
+        signals = {
+            ".".join(e): self._typed(e, kept[:done, i]) for i, e in enumerate(self._wiring.observed)
+        }
+        t = self.spec.begin + step * np.arange(done, dtype=float)
+        return Signals(t=t, signals=signals, failure=failure)
+
+    def _typed(self, element: Element, values: Array) -> Array:
+        kind = self._slaves[element[0]].variables[element[1]].type
+        if kind == "String":
+            return np.array([numbered_text(value) for value in values])
+        return values if kind == "Real" else values.astype(bool if kind == "Boolean" else np.int64)
 
     def require_start(self, start: Mapping[str, Mapping[str, Value]], path: Path) -> None:
         """Raise ConfigError, naming `path`, if start values do not fit the system."""
@@ -164,7 +195,8 @@ class Master:
                 station.slave.reset()
             own = station.slave.variables.expanded(more.get(component.name, {}))
             start = self._wiring.start[component.name] | own
-            station.slave.enter_initialisation(time=0.0, stop=self.spec.stop, start=start)
+            begin, stop = self.spec.begin, self.spec.stop
+            station.slave.enter_initialisation(time=begin, stop=stop, start=start)
         if self._scheme.first == "propagated":
             self._propagate()
         for station in self._layout.stations:
@@ -177,7 +209,7 @@ class Master:
     def _propagate(self) -> None:
         before = None
         for _ in self._wiring.order:
-            self._layout.propagate(0.0)
+            self._layout.propagate(self.spec.begin)
             if before is not None and np.array_equal(before, self._layout.values):
                 break
             before = self._layout.values.copy()

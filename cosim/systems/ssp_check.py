@@ -6,10 +6,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from cosim.systems.markup import SSD
+from cosim.systems.ssp_reader import UnsupportedError, opened_system
+from cosim.systems.wiring import Wiring
 from fmu_src.check import archive, markup
 from fmu_src.check.archive import Contents
 from fmu_src.check.rules import Problem, findings
 from fmu_src.check.run import Report, check
+from fmu_src.run.variables import Variables, model_description
+from hesr_model.errors import HesrError
 from hesr_model.findings import Finding, errors_first
 
 _XML = (".ssd", ".ssv", ".ssm", ".ssb")
@@ -24,6 +28,8 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
         folder.mkdir()
         contents = archive.unpack(path, files)
         found = findings([*contents.problems, *_described(contents, folder)])
+        if not any(finding.severity == "error" for finding in found):
+            found += findings(_structure(path))
         for name, file in contents.files.items():
             if name.lower().endswith(".fmu"):
                 inner = check(file, vdmcheck=vdmcheck)
@@ -42,6 +48,17 @@ def _described(contents: Contents, folder: Path) -> Iterator[Problem]:
         yield from problems
         if root is not None:
             yield from markup.schema_problems(name, file, folder)
+
+
+def _structure(path: Path) -> Iterator[Problem]:
+    try:
+        with opened_system(path, {"stop": 1.0, "step": 1.0, "start": 0.0}) as spec:
+            about = {c.name: (c.fmu, model_description(c.fmu)) for c in spec.components}
+            Wiring(spec, {name: Variables(*own) for name, own in about.items()}, path)
+    except UnsupportedError as error:
+        yield "ssp-support", str(error).removeprefix(f"{path}: ")
+    except HesrError as error:
+        yield "ssp-structure", str(error).removeprefix(f"{path}: ")
 
 
 def _inside(name: str, finding: Finding) -> Finding:

@@ -1,45 +1,73 @@
 """Systems of FMUs read from a TOML file, or from an SSP of any tool."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import chain, count
+from dataclasses import dataclass, field, replace
+from math import ceil
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
-from pydantic import TypeAdapter, ValidationError
-
-from cosim.systems.contents import UnitExponents, description_of
 from cosim.systems.markup import NAMESPACES, SSD, ValueWithUnit, in_unit_of, read_units
-from cosim.systems.system import Name, SystemSpec
+from cosim.systems.ssp_graph import (
+    ConnectorGraph,
+    ConnectorName,
+    ElementPath,
+    Hop,
+    ParameterValue,
+    number,
+    shown,
+    transformation_of,
+)
+from cosim.systems.ssp_names import safe_names
+from cosim.systems.system import Conversion, SystemSpec
 from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
-from fmu_src.run.variables import Variables
+from fmu_src.run.variables import Variables, model_description
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.files import scratch_folder
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
+_PREFIXES["ssm"] = _PREFIXES["ssv"].replace("Values", "Mapping")
 # Steps in annotations of the engines, in any namespace because tools differ.
 _STEPS = ((".//{*}FixedStepAlgorithm", "baseStepSize"), (".//{*}FixedStepMaster", "stepSize"))
 
 _TRUE = ("true", "1")
 _LONGEST = 100  # characters of a file name
-_NAME: TypeAdapter[str] = TypeAdapter(Name)
+_ROWS = 500  # by default, if neither the SSP nor its FMUs name a step
+_GIVES = ("output", "local", "calculatedParameter", "constant")
+_SYSTEM_GIVES = ("input", "parameter", "structuralParameter")
+"""Kinds of connectors that give values: of elements, and of the enclosing system."""
+
+
+class UnsupportedError(ConfigError):
+    """A part of the standard is not supported."""
 
 
 @contextmanager
-def opened_system(path: Path) -> Iterator[SystemSpec]:
+def opened_system(
+    path: Path,
+    times: Mapping[str, float | None] | None = None,
+    values: Mapping[str, Any] | None = None,
+) -> Iterator[SystemSpec]:
     """Yield the system of a file; the FMUs of an SSP are unpacked meanwhile.
 
-    An SSP is one level of components; all outputs with a connector are observed.
+    `times` [s] (start, stop, step) and start values by hierarchical name replace those of an SSP.
+    Nested systems become one level; all outputs with a connector are observed.
     """
     if path.suffix.lower() != ".ssp":
         yield SystemSpec.read(path)
         return
     with Archive(path, "SSP") as archive, scratch_folder() as folder:
-        yield SystemSpec.validated(path, _Reader(path, archive, Path(folder)).system())
+        reader = _Reader(path, archive, Path(folder))
+        try:
+            content = reader.system(times or {}, values or {})
+        except ConfigError as error:
+            if str(error).startswith(str(path)):
+                raise
+            raise ConfigError(f"{path}: {error}") from error
+        yield SystemSpec.validated(path, content)
 
 
 @dataclass(frozen=True)
@@ -47,6 +75,11 @@ class _Reader:
     path: Path
     archive: Archive
     folder: Path
+    graph: ConnectorGraph = field(default_factory=ConnectorGraph)
+    fmus: dict[ElementPath, Path] = field(default_factory=dict)
+    steps: dict[ElementPath, str] = field(default_factory=dict)  # [s] of components
+    start: dict[ElementPath, dict[str, Any]] = field(default_factory=dict)
+    places: list[ElementPath] = field(default_factory=list)
 
     def error(self, text: str) -> ConfigError:
         return ConfigError(f"{self.path}: {text}")
@@ -72,169 +105,293 @@ class _Reader:
             raise self.error(f"{where}: attribute '{name}' is missing.")
         return value
 
-    def system(self) -> dict[str, Any]:
+    def refuse(self, what: str) -> UnsupportedError:
+        return UnsupportedError(f"{self.path}: {what} not supported.")
+
+    def system(
+        self, times: Mapping[str, float | None], values: Mapping[str, Any]
+    ) -> dict[str, Any]:
         root = self.parsed(SSD)
         system = _one(root, "ssd:System")
         if system is None:
             raise self.error(f"{SSD} contains no system.")
-        experiment = _one(root, "ssd:DefaultExperiment")
-        stop = None if experiment is None else experiment.get("stopTime")
-        if stop is None:
-            raise self.error("the default experiment has no stopTime.")
-        nodes = _all(system, "ssd:Elements/*")
-        names = safe_names(self.attribute(node, "name", "an element") for node in nodes)
-        start = self.values(system, f"system '{system.get('name')}'")
+        where = f"{self.path}: {SSD}"
+        self.elements(system, (), read_units(_all(root, "ssd:Units/ssc:Unit"), where))
+        self.parameters(system, ())
+        for name, value in values.items():
+            if not self.assign((), name, ParameterValue(value=value)):
+                raise self.error(f"--set '{name}' is no variable of the system.")
+        names = safe_names(shown_place(place) for place in self.fmus)
+        of = {place: names[shown_place(place)] for place in self.fmus}
+        connections, conversions = {}, {}
+        for into, out, steps in sorted(self.sources(), key=lambda s: self.graph.order[s[0]]):
+            target, source = (self.signal(of[place], own) for place, own in (into, out))
+            connections[target], conversions[target] = source, steps
         return {
             "name": root.get("name", self.path.stem),
-            "step": self.step(root),
-            "stop": stop,
-            "components": [self.component(node, names, start) for node in nodes],
-            "connections": self.connections(root, system, names),
-            "observe": [
-                self.signal(names[node.get("name", "")], connector, "name")
-                for node in nodes
-                for connector in _all(node, "ssd:Connectors/ssd:Connector[@kind='output']")
+            **self.times(root, times),
+            "components": [
+                {"name": of[place], "fmu": fmu, "start": self.start.get(place, {})}
+                | ({"step": self.steps[place]} if place in self.steps else {})
+                for place, fmu in self.fmus.items()
             ],
+            "connections": connections,
+            "conversions": conversions,
+            "open_inputs": True,
+            "observe": [self.signal(of[place], own) for place, own in self.outputs()],
         }
 
-    def step(self, root: ET.Element) -> str:
+    def times(self, root: ET.Element, given: Mapping[str, float | None]) -> dict[str, Any]:
+        experiment = _one(root, "ssd:DefaultExperiment")
+        own = ET.Element("none") if experiment is None else experiment
+        begin, stop = given.get("start"), given.get("stop")
+        begin = number(own, "startTime", 0.0, SSD) if begin is None else begin
+        if stop is None and own.get("stopTime") is None:
+            raise self.error("the default experiment has no stopTime; give --stop.")
+        stop = number(own, "stopTime", 0.0, SSD) if stop is None else stop
+        step = given.get("step")
+        if step is not None:
+            return {"begin": begin, "stop": stop, "step": step}
         for tag, key in _STEPS:
             node = root.find(tag)
             if node is not None and (text := node.get(key)):
-                return text
-        raise self.error("no step found; it must be in an annotation for libcosim or OMSimulator.")
+                return {"begin": begin, "stop": stop, "step": text}
+        steps = [
+            float(about.defaultExperiment.stepSize)
+            for fmu in self.fmus.values()
+            if (about := model_description(fmu)).defaultExperiment
+            and about.defaultExperiment.stepSize
+        ]
+        count = ceil((stop - begin) / min(steps) - 1e-6) if steps else _ROWS
+        return {"begin": begin, "stop": stop, "step": (stop - begin) / max(count, 1)}
 
-    def component(
-        self, node: ET.Element, names: Mapping[str, str], more: Mapping[str, Any]
-    ) -> dict[str, Any]:
-        name = node.get("name", "")
-        where = f"component '{name}'"
-        if node.tag != f"{{{_PREFIXES['ssd']}}}Component":
-            raise self.error(f"element '{name}' is not an FMU; nested systems are not supported.")
+    def elements(self, system: ET.Element, place: ElementPath, units: Mapping[str, Any]) -> None:
+        """Read connectors and elements of a system, then its connections."""
+        self.places.append(place)
+        self.connectors(system, place, units)
+        for node in _all(system, "ssd:Elements/*"):
+            name = self.attribute(node, "name", "an element")
+            kind = node.tag.rpartition("}")[2]
+            own = (*place, name)
+            if kind == "System":
+                self.elements(node, own, units)
+                self.parameters(node, own)
+            elif kind == "Component":
+                self.component(node, own)
+                self.connectors(node, own, units)
+                self.parameters(node, own)
+            else:
+                raise self.refuse(f"element '{name}' is a {kind}, which is")
+        for node in _all(system, "ssd:Connections/ssd:Connection"):
+            self.connection(node, place)
+
+    def component(self, node: ET.Element, place: ElementPath) -> None:
+        where = f"component '{shown_place(place)}'"
+        source = self.attribute(node, "source", where)
+        if not source.lower().endswith(".fmu"):
+            raise self.refuse(f"{where} is {source}, no FMU, which is")
+        self.places.append(place)
         # Names may collide on other file systems.
-        file = f"{re.sub(r'[^0-9A-Za-z_]', '_', names[name])[:_LONGEST]}.fmu"
-        fmu = self.folder / str(list(names).index(name)) / file
+        file = f"{re.sub(r'[^0-9A-Za-z_]', '_', place[-1])[:_LONGEST]}.fmu"
+        fmu = self.folder / str(len(self.fmus)) / file
         fmu.parent.mkdir(exist_ok=True)
-        fmu.write_bytes(self.member(self.attribute(node, "source", where), f"{where}: "))
-        outer = {
-            key.removeprefix(f"{name}."): value
-            for key, value in more.items()
-            if key.startswith(f"{name}.")
-        }
-        start = self.converted(self.values(node, where) | outer, fmu, where)
-        data = {"name": names[name], "fmu": fmu, "start": start}
-        hint = node.find(".//{*}StepSizeHint")
-        return data if hint is None else data | {"step": hint.get("value")}
+        fmu.write_bytes(self.member(source, f"{where}: "))
+        try:
+            about = model_description(fmu)
+        except SimulationError as error:
+            raise SimulationError(f"{self.path}: {where}: {error}") from error
+        if about.coSimulation is None or about.fmiVersion not in ("2.0", "3.0"):
+            raise self.refuse(
+                f"{where} is of FMI {about.fmiVersion} or for model exchange only, which is"
+            )
+        self.fmus[place] = fmu
+        self.graph.variables[place] = Variables(fmu, about)
+        if (hint := node.find(".//{*}StepSizeHint")) is not None:
+            self.steps[place] = hint.get("value", "")
 
-    def converted(self, start: Mapping[str, Any], fmu: Path, where: str) -> Mapping[str, Any]:
-        if not any(isinstance(value, ValueWithUnit) for value in start.values()):
-            return start
-        variables = Variables(fmu, description_of(fmu, f"{self.path}: {where}"))
-        found: dict[str, Any] = {}
-        for name, value in start.items():
-            if not isinstance(value, ValueWithUnit):
-                found[name] = value
-                continue
-            parameter = f"{self.path}: {where}: parameter '{name}'"
-            try:
-                elements = variables.elements(name)
-            except SimulationError as error:
-                raise ConfigError(f"{parameter}: {error}") from error
-            found |= {e: in_unit_of(variables, e, value, parameter) for e in elements}
-        return found
+    def connectors(self, node: ET.Element, place: ElementPath, units: Mapping[str, Any]) -> None:
+        for connector in _all(node, "ssd:Connectors/ssd:Connector"):
+            name = self.attribute(connector, "name", f"a connector of '{node.get('name')}'")
+            kind = next((c for c in connector if c.tag.startswith(f"{{{_PREFIXES['ssc']}}}")), None)
+            if (
+                _one(connector, "ssc:Dimension") is not None
+                or _one(connector, "ssd:Dimension") is not None
+            ):
+                raise self.refuse(f"connector '{shown((place, name))}' is an array, which is")
+            unit = None if kind is None else kind.get("unit")
+            self.graph.kinds[place, name] = connector.get("kind", "")
+            self.graph.units[place, name] = (unit, units.get(unit)) if unit else None
 
-    def values(self, node: ET.Element, where: str) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+    def connection(self, node: ET.Element, place: ElementPath) -> None:
+        ends: list[ConnectorName] = []
+        for end in ("start", "end"):
+            element = node.get(f"{end}Element")
+            own = place if element is None else (*place, element)
+            name = self.attribute(node, f"{end}Connector", "a connection")
+            if own not in self.places:
+                raise self.error(
+                    f"connection of '{shown((own, name))}': '{element}' is not a component of the "
+                    "system."
+                )
+            if own not in self.fmus and (own, name) not in self.graph.kinds:
+                raise self.error(
+                    f"connection of '{shown((own, name))}': the system has no such connector."
+                )
+            if node.get(f"{end}Indices"):
+                raise self.refuse(f"connection of '{shown((own, name))}': an index is")
+            ends.append((own, name))
+        gives = [
+            self.graph.kinds.get(end) in (_SYSTEM_GIVES if end[0] == place else _GIVES)
+            for end in ends
+        ]
+        # Start and end are no direction.
+        source, target = ends[::-1] if gives[1] and not gives[0] else ends
+        where = f"connection '{shown(target)}' = '{shown(source)}'"
+        hop = Hop(
+            target=target,
+            suppressed=node.get("suppressUnitConversion") in _TRUE,
+            transformation=transformation_of(node, where),
+        )
+        self.graph.add(source, hop)
+
+    def sources(self) -> Iterator[tuple[ConnectorName, ConnectorName, tuple[Conversion, ...]]]:
+        """Yield input, output and conversions of connected components."""
+        for source in list(self.graph.hops):
+            for way in self.graph.ends(source) if source[0] in self.fmus else ():
+                if self.graph.kinds.get(source) in ("calculatedParameter", "constant"):
+                    raise self.refuse(f"connection of the parameter '{shown(source)}' is")
+                steps = self.graph.conversions(source, way, self.graph.unit(source))
+                yield way[-1].target, source, steps
+
+    def outputs(self) -> list[ConnectorName]:
+        """Return all outputs with a connector, or all outputs."""
+        shown_ones = [
+            node
+            for node, kind in self.graph.kinds.items()
+            if node[0] in self.fmus and kind in ("output", "calculatedParameter", "local")
+        ]
+        return shown_ones or [
+            (place, name)
+            for place, variables in self.graph.variables.items()
+            for name in variables.feedthrough
+        ]
+
+    def parameters(self, node: ET.Element, place: ElementPath) -> None:
+        """Apply the parameter bindings of an element, which replace those of inner ones."""
+        kind = "component" if place in self.fmus else "system"
+        where = f"{kind} '{shown_place(place) or node.get('name')}'"
         for binding in _all(node, "ssd:ParameterBindings/ssd:ParameterBinding"):
-            if _one(binding, "ssd:ParameterMapping") is not None:
-                raise self.error(f"{where}: mappings of parameters are not supported.")
+            if binding.get("sourceBase") == "component":
+                raise self.refuse(f"{where}: a parameter source inside an FMU is")
             source, prefix = binding.get("source"), binding.get("prefix", "")
-            for values in (
+            sets = (
                 _all(binding, "ssd:ParameterValues/ssv:ParameterSet")
                 if source is None
                 else [self.parsed(source, f"{where}: ")]
-            ):
+            )
+            mapping = self.mapping(binding, where)
+            for values in sets:
                 units = read_units(_all(values, "ssv:Units/ssc:Unit"), f"{self.path}: {where}")
                 for parameter in _all(values, "ssv:Parameters/ssv:Parameter"):
                     name = self.attribute(parameter, "name", f"{where}: a parameter")
                     about = f"{where}: parameter '{name}'"
-                    found[prefix + name] = self.value(parameter, units, about)
+                    value = self.value(parameter, units, about)
+                    if mapping is None:
+                        self.assign(place, prefix + name, value)
+                        continue
+                    for target, more in mapping.get(prefix + name, ()):
+                        self.assign(place, target, replace(value, **more))
+
+    def mapping(
+        self, binding: ET.Element, where: str
+    ) -> dict[str, list[tuple[str, dict[str, Any]]]] | None:
+        node = _one(binding, "ssd:ParameterMapping")
+        if node is None:
+            return None
+        source = node.get("source")
+        found: dict[str, list[tuple[str, dict[str, Any]]]] = {}
+        root = node if source is None else self.parsed(source, f"{where}: ")
+        for entry in root.iter(f"{{{_PREFIXES['ssm']}}}MappingEntry"):
+            name, target = (
+                self.attribute(entry, key, f"{where}: a mapping") for key in ("source", "target")
+            )
+            more = {
+                "after": transformation_of(entry, f"{where}: mapping of '{name}'"),
+                "suppressed": entry.get("suppressUnitConversion") in _TRUE,
+            }
+            found.setdefault(name, []).append((target, more))
         return found
 
-    def value(
-        self, parameter: ET.Element, units: Mapping[str, UnitExponents], where: str
-    ) -> float | int | bool | str | ValueWithUnit:
+    def value(self, parameter: ET.Element, units: Mapping[str, Any], where: str) -> ParameterValue:
         for node in parameter:
-            kind, text = node.tag.rpartition("}")[2], self.attribute(node, "value", where)
+            kind = node.tag.rpartition("}")[2]
+            if kind == "Dimension" or (text := node.get("value")) is None:
+                raise self.refuse(f"{where} is an array or of type {kind}, which is")
             if kind in ("String", "Enumeration"):
-                return text
+                return ParameterValue(value=text)
             if kind == "Boolean":
-                return text in _TRUE
+                return ParameterValue(value=text in _TRUE)
             try:
-                number = int(text) if kind == "Integer" else float(text)
+                number = int(text) if "Int" in kind else float(text)
             except ValueError as error:
                 raise self.error(f"{where} is '{text}', which is not of type {kind}.") from error
-            unit = node.get("unit")
-            return ValueWithUnit(value=number, unit=unit, base=units.get(unit)) if unit else number
+            own = node.get("unit")
+            return ParameterValue(value=number, unit=(own, units.get(own)) if own else None)
         raise self.error(f"{where} has no value.")
 
-    def signal(self, component: str, node: ET.Element, key: str) -> str:
-        connector = self.attribute(node, key, f"a connector of '{component}'")
-        if not connector or re.search(r"\s", connector):
-            raise self.error(
-                f"connector '{connector}' of '{component}': names with spaces are not supported."
-            )
-        return f"{component}.{connector}"
-
-    def connections(
-        self, root: ET.Element, system: ET.Element, names: Mapping[str, str]
-    ) -> dict[str, str]:
-        defined = read_units(_all(root, "ssd:Units/ssc:Unit"), f"{self.path}: {SSD}")
-        units = {
-            (node.get("name"), connector.get("name")): kind.get("unit", "")
-            for node in _all(system, "ssd:Elements/*")
-            for connector in _all(node, "ssd:Connectors/ssd:Connector")
-            for kind in connector
-        }
-        found: dict[str, str] = {}
-        for node in _all(system, "ssd:Connections/ssd:Connection"):
-            into, out = self.connection(node, names)
-            if into in found:
-                raise self.error(f"'{into}' is connected to '{found[into]}' and to '{out}'.")
-            found[into] = out
-            taken, given = (
-                units.get((node.get(f"{end}Element"), node.get(f"{end}Connector")), "")
-                for end in ("end", "start")
-            )
-            known = taken in defined and given in defined
-            differ = known and defined[taken] != defined[given]
-            if differ and node.get("suppressUnitConversion") not in _TRUE:
-                raise self.error(
-                    f"connection '{into}' = '{out}': the input is in {taken}, the output in "
-                    f"{given}."
-                )
+    def assign(self, place: ElementPath, name: str, parameter: ParameterValue) -> bool:
+        """Set a parameter below an element by its hierarchical name; return whether it exists."""
+        found = False
+        for inner in self.places:
+            prefix = "".join(f"{part}." for part in inner[len(place) :])
+            if inner[: len(place)] != place or not name.startswith(prefix):
+                continue
+            own = name.removeprefix(prefix)
+            if inner in self.fmus:
+                found |= self.set(inner, own, parameter)
+            elif (inner, own) in self.graph.kinds:
+                found = True
+                for way in self.graph.ends((inner, own)):
+                    self.set(*way[-1].target, parameter, (inner, own), way)
         return found
 
-    def connection(self, node: ET.Element, names: Mapping[str, str]) -> tuple[str, str]:
-        ends = [
-            node.get(f"{end}{what}")
-            for end in ("end", "start")
-            for what in ("Element", "Connector")
-        ]
-        into, out = (".".join(filter(None, pair)) for pair in (ends[:2], ends[2:]))
-        where = f"connection '{into}' = '{out}'"
-        if None in ends:
-            raise self.error(f"{where}: connectors of the system itself are not supported.")
-        if any(child.tag.endswith("Transformation") for child in node):
-            raise self.error(f"{where}: transformations are not supported.")
-        for element in (ends[0], ends[2]):
-            if element not in names:
-                raise self.error(f"{where}: '{element}' is not a component of the system.")
-        into, out = (
-            self.signal(names[str(node.get(f"{end}Element"))], node, f"{end}Connector")
-            for end in ("end", "start")
-        )
-        return into, out
+    def set(
+        self,
+        place: ElementPath,
+        name: str,
+        parameter: ParameterValue,
+        connector: ConnectorName | None = None,
+        way: tuple[Hop, ...] = (),
+    ) -> bool:
+        variables = self.graph.variables[place]
+        try:
+            elements = variables.elements(name)
+        except SimulationError:
+            return False
+        where = f"{self.path}: component '{shown_place(place)}': parameter '{name}'"
+        for element in elements:
+            value, unit = parameter.value, parameter.unit
+            if connector is not None and not isinstance(value, str | bool):
+                unit = unit or self.graph.unit(connector)
+                for step in self.graph.conversions(connector, way, unit):
+                    value = step(value)
+            elif unit and not parameter.suppressed:
+                given = ValueWithUnit(value=value, unit=unit[0], base=unit[1])
+                value = in_unit_of(variables, element, given, where)
+            if parameter.after:
+                value = parameter.after.applied(value)
+            self.start.setdefault(place, {})[element] = value
+        return True
+
+    def signal(self, component: str, connector: str) -> str:
+        if not connector or re.search(r"\s", connector):
+            raise self.refuse(f"connector '{connector}' of '{component}': names with spaces are")
+        return f"{component}.{connector}"
+
+
+def shown_place(place: ElementPath) -> str:
+    """Return an element in messages."""
+    return ".".join(place)
 
 
 def _one(node: ET.Element, path: str) -> ET.Element | None:
@@ -243,30 +400,3 @@ def _one(node: ET.Element, path: str) -> ET.Element | None:
 
 def _all(node: ET.Element, path: str) -> list[ET.Element]:
     return node.findall(path, _PREFIXES)
-
-
-def safe_names(names: Iterable[str]) -> dict[str, str]:
-    """Map names of components to unique names that a system allows.
-
-    Other characters become `_`; colliding names get a number.
-    """
-    names = list(dict.fromkeys(names))
-    found = {name: name for name in names if _allowed(name)}
-    taken = set(found)
-    for name in names:
-        if name in found:
-            continue
-        plain = re.sub(r"[^0-9A-Za-z_]", "_", name)
-        plain = plain if _allowed(plain) else f"_{plain}"
-        numbered = (f"{plain}_{k}" for k in count(2))
-        found[name] = next(n for n in chain([plain], numbered) if n not in taken)
-        taken.add(found[name])
-    return found
-
-
-def _allowed(name: str) -> bool:
-    try:
-        _NAME.validate_python(name)
-    except ValidationError:
-        return False
-    return True

@@ -44,15 +44,32 @@ class ComponentSpec(Config):
     step: float | None = Field(default=None, gt=0.0)  # [s] a multiple of the system's
 
 
+class Conversion(Config):
+    """A linear conversion of a connected value, or a table of its values."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+    table: Mapping[float, float] = {}
+
+    def __call__(self, value: float) -> float:
+        """Return the converted value; values outside a table are kept."""
+        if self.table:
+            return self.table.get(value, value)
+        return self.factor * value + self.offset
+
+
 class SystemSpec(Config):
     """A system of FMUs."""
 
     name: str = "system"
     step: float = Field(gt=0.0)  # [s]
-    stop: float = Field(gt=0.0)  # [s] the run starts at 0
+    begin: float = 0.0  # [s] of the run
+    stop: float  # [s] end of the run
     order: Order = "gauss_seidel"  # see `fmu_src.run.master.ExchangeScheme`
     components: tuple[ComponentSpec, ...] = Field(min_length=1, max_length=_MOST_COMPONENTS)
     connections: Mapping[Signal, Signal] = {}  # source of each input
+    conversions: Mapping[Signal, tuple[Conversion, ...]] = {}  # of connected inputs, in order
+    open_inputs: bool = False  # unconnected inputs keep the start value of the FMU
     observe: tuple[Signal, ...] = ()
     limits: Mapping[Signal, Bounds | tuple[Bounds, ...]] = {}  # the run ends outside these
 
@@ -61,7 +78,7 @@ class SystemSpec(Config):
         for name, count in Counter(c.name for c in self.components).items():
             if count > 1:
                 raise ValueError(f"two components are named '{name}'")
-        _multiple_of(self.stop, self.step, "the stop time")
+        _multiple_of(self.stop - self.begin, self.step, "the stop time")
         for component in self.components:
             if component.step is not None:
                 _multiple_of(component.step, self.step, f"the step of '{component.name}'")
@@ -70,7 +87,7 @@ class SystemSpec(Config):
     @property
     def steps(self) -> int:
         """Number of communication steps of a run."""
-        return round(self.stop / self.step)
+        return round((self.stop - self.begin) / self.step)
 
     def every(self, component: ComponentSpec) -> int:
         """Return the number of communication steps per step of a component."""

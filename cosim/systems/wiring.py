@@ -11,6 +11,15 @@ from fmu_src.run.master import Element
 from fmu_src.run.variables import Variables, suggestion
 from hesr_model.errors import ConfigError, SimulationError
 
+_FITTING: Mapping[str, tuple[str, ...]] = {
+    "Real": ("Real", "Integer", "Boolean"),
+    "Integer": ("Integer", "Enumeration", "Boolean"),
+    "Enumeration": ("Integer", "Enumeration"),
+    "Boolean": ("Boolean",),
+    "String": ("String",),
+}
+"""Types of outputs that an input of a type takes without loss."""
+
 
 class Wiring:
     """Signals of a system; `slaves` holds the variables of its components.
@@ -20,16 +29,18 @@ class Wiring:
 
     def __init__(self, spec: SystemSpec, slaves: Mapping[str, Variables], path: Path) -> None:
         self._slaves, self._path = slaves, path
+        self._converted = frozenset(spec.conversions)
         self.sources: dict[Element, Element] = {}
         for target, source in spec.connections.items():
             self._connect(target, source, f"connection '{target}' = '{source}'")
         self.start = {c.name: self._start(c.name, c.start) for c in spec.components}
-        observed = (self.elements(s, f"observed '{s}'", "Real") for s in spec.observe)
+        observed = (self.elements(s, f"observed '{s}'") for s in spec.observe)
         self.observed = list(dict.fromkeys(chain.from_iterable(observed)))
         self.limited: list[tuple[Element, Bounds]] = []
         for signal, bounds in spec.limits.items():
             self.limited += self._bounds(signal, bounds, f"limits of '{signal}'")
-        self._require_inputs()
+        if not spec.open_inputs:
+            self._require_inputs()
         self.order = self._sorted()
 
     def started(self, more: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, float | str]]:
@@ -97,11 +108,13 @@ class Wiring:
                     f"{wanted}."
                 )
         kinds = [self._slaves[name][variable].type for name, variable in (into, out)]
-        if kinds != ["Real", "Real"]:
+        if kinds[1] not in _FITTING.get(kinds[0], ()):
             raise self._error(
-                f"{where}: the input is of type {kinds[0]}, the output of type {kinds[1]}; both "
-                "must be Real."
+                f"{where}: the input is of type {kinds[0]}, the output of type {kinds[1]}, which "
+                "does not fit."
             )
+        if ".".join(into) in self._converted or "Real" not in kinds:
+            return
         taken, given = (self._slaves[name].unit(variable) for name, variable in (into, out))
         # Tools spell units differently: compare SI base units.
         alike = taken[0] == given[0] or (taken[1] is not None and taken[1] == given[1])

@@ -44,13 +44,13 @@ def simulate(
     output : path, optional
         CSV or Parquet file; for a sweep, the folder (default: results/NAME).
     start : float, s, optional
-        FMU: begin of the run; by default that of the file.
+        SSP and FMU: begin of the run; by default that of the file.
     stop : float, s, optional
-        FMU: end of the run; by default that of the file.
+        SSP and FMU: end of the run; by default that of the file.
     step : float, s, optional
-        FMU: time between rows; by default that of the file.
+        SSP and FMU: time between rows; by default that of the file.
     set : sequence of str, optional
-        FMU: start values as NAME=VALUE, repeatable.
+        SSP and FMU: start values as NAME=VALUE, repeatable.
     input : path, optional
         FMU: CSV of inputs over time [s], linear for continuous inputs and held for others.
     only : int, optional
@@ -122,10 +122,12 @@ def simulate(
     times = {"start": start, "stop": stop, "step": step}
     if path.suffix.lower() == ".fmu":
         return _single(path, file, times, values_of(path, set), input)
-    options = times | {"set": set or None, "input": input}
+    options: dict[str, Any] = {"input": input}
+    if path.suffix.lower() != ".ssp":
+        options |= times | {"set": set or None}
     for name in (name for name, value in options.items() if value is not None):
-        raise ArgumentError(f"'{name}' is for an FMU; {path} is a system.")
-    with opened_system(path) as spec:
+        raise ArgumentError(f"'{name}' is for an FMU{' or SSP' * (name != 'input')}, not {path}.")
+    with opened_system(path, times, values_of(path, set)) as spec:
         remember_trust((component.fmu for component in spec.components), trust=trust)
         if not spec.observe:
             raise ConfigError(f"{path}: key 'observe' names no signals to write.")

@@ -31,6 +31,7 @@ class _Fmi2:
         "write": "fmi2SetReal",
         "read": "fmi2GetReal",
         "set": "fmi2Set",
+        "get": "fmi2Get",
         "set_slopes": "fmi2SetRealInputDerivatives",
         "step": "fmi2DoStep",
         "terminate": "fmi2Terminate",

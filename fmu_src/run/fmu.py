@@ -12,6 +12,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
 from fmpy.model_description import ModelDescription
 
 from fmu_src.run.archive import Archive
@@ -263,6 +264,61 @@ class FmuInstance:
             self._instance.set_slopes(references, slopes.tolist())
 
         return set_slopes
+
+
+_TEXTS: list[str] = []
+
+
+def text_number(text: str) -> float:
+    """Return the number of a text in a `MixedBuffer`."""
+    if text not in _TEXTS:
+        _TEXTS.append(text)
+    return float(_TEXTS.index(text))
+
+
+def numbered_text(number: float) -> str:
+    """Return the text of a number."""
+    return _TEXTS[int(number)]
+
+
+def mixed_buffer(slave: FmuInstance, names: Sequence[str], values: Array | None = None) -> Buffer:
+    """Return a buffer of variables of any type; see `MixedBuffer`."""
+    if all(slave.variables[name].type == "Real" for name in names):
+        return slave.buffer(names, values)
+    return MixedBuffer(slave, names, np.zeros(len(names)) if values is None else values)
+
+
+class MixedBuffer:
+    """Values (n,) of variables of any type as numbers; texts are numbered."""
+
+    def __init__(self, slave: FmuInstance, names: Sequence[str], values: Array) -> None:
+        self.values, self._instance = values, slave._instance
+        self._groups = []
+        kinds = [slave.variables[name].type for name in names]
+        for kind in dict.fromkeys(kinds):
+            places = [i for i, own in enumerate(kinds) if own == kind]
+            chosen = [names[i] for i in places]
+            real = slave.buffer(chosen) if kind == "Real" else None
+            own = kind if kind in ("Boolean", "String") else "Integer"
+            self._groups.append((places, own, slave.variables.references(chosen, kind), real))
+
+    def write(self) -> None:
+        """Set the variables."""
+        for places, kind, references, real in self._groups:
+            given = self.values[places]
+            if real:
+                real.values[:] = given
+                real.write()
+            else:
+                read = numbered_text if kind == "String" else int
+                self._instance.set(kind, references, [read(value) for value in given])
+
+    def read(self) -> Array:
+        """Read and return the variables."""
+        for places, kind, references, real in self._groups:
+            found = real.read() if real else self._instance.get(kind, references)
+            self.values[places] = list(map(text_number, found)) if kind == "String" else found
+        return self.values
 
 
 _Key = tuple[Path, int, int, int, str]  # identity of a file and name of the instance

@@ -155,6 +155,19 @@ class Instance:
             pointer = (own * len(held))(*shown)
             self.call(function, (c_uint * 1)(array), 1, *self.fmi.values(pointer, len(held)))
 
+    def get(self, kind: str, references: Sequence[int]) -> list[Any]:
+        """Return variables of type Boolean, Integer or String."""
+        found = []
+        for reference in references:
+            array, position = element_of(reference)
+            name, own = self.fmi.kind(kind, self._types.get(array))
+            pointer = (own * len(self.held.get(array, (0,))))()
+            function = self.fmi.functions["get"] + name
+            self.call(function, (c_uint * 1)(array), 1, *self.fmi.values(pointer, len(pointer)))
+            value = pointer[position]
+            found.append((value or b"").decode(errors="replace") if kind == "String" else value)
+        return found
+
     def set_slopes(self, references: Sequence[int], slopes: Sequence[float]) -> None:
         """Set the slopes of Real inputs [unit/s] for the next step."""
         if why := self.fmi.set_slopes(self.call, list(references), list(slopes)):

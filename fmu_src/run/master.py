@@ -3,6 +3,7 @@
 `fmu_src.run.native` does the same in C, equal bit for bit, for FMUs of FMI 2.0 in this process.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,6 +20,7 @@ Places = NDArray[np.intp]
 Order = Literal["gauss_seidel", "jacobi"]
 
 Element = tuple[str, str]  # component and variable
+Convert = Callable[[float], float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +47,16 @@ class Station:
     inputs: Buffer  # connected ones
     sources: Places  # (n,) indices of the outputs that feed them
     outputs: Buffer  # part of the values of the system
+    begin: float = 0.0  # of the run [s]
+    conversions: Sequence[tuple[int, Convert]] = ()  # by place of the connected input
 
     def set_inputs(self, values: Array) -> None:
         """Set the connected inputs from the values of the system."""
         if self.sources.size:
             # All places are valid; without "clip" NumPy would copy.
             values.take(self.sources, out=self.inputs.values, mode="clip")
+            for place, convert in self.conversions:
+                self.inputs.values[place] = convert(self.inputs.values[place])
             self.inputs.write()
 
     def step(self, k: int, step: float) -> None:
@@ -59,12 +65,12 @@ class Station:
 
     def start(self, k: int, step: float) -> float:
         """Return the start [s] of its step that ends with communication step k."""
-        return (k + 1 - self.every) * step
+        return self.begin + (k + 1 - self.every) * step
 
     def reached(self, steps: int, step: float) -> float:
         """Return its time [s] after a number of communication steps."""
         own = steps - steps % self.every
-        return self.start(own - 1, step) + self.every * step if own else 0.0
+        return self.start(own - 1, step) + self.every * step if own else self.begin
 
     def read_outputs(self) -> None:
         """Read the outputs."""
@@ -79,6 +85,7 @@ class Link:
     buffer: Buffer
     place: int
     is_input: bool
+    convert: Convert | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,6 +99,7 @@ class Layout:
     stations: tuple[Station, ...]  # in stepping order
     links: tuple[Link, ...]  # each after those that its value depends on
     scheme: ExchangeScheme
+    begin: float  # of the run [s]
     step: float  # [s]
     values: Array
     names: tuple[Element, ...]
@@ -104,7 +112,8 @@ class Layout:
         """Set inputs along direct feedthrough [s]; raise SimulationError if one is not finite."""
         for link in self.links:
             if link.is_input:
-                link.buffer.values[0] = self.values[link.place]
+                value = self.values[link.place]
+                link.buffer.values[0] = link.convert(value) if link.convert else value
                 link.buffer.write()
             else:
                 self.values[link.place] = link.buffer.read()[0]
@@ -151,14 +160,15 @@ class PythonStepper:
         for k in range(self.done, stop):
             if k > 0:
                 self._step(k - 1)
-            shown = self._shown(k * layout.step)
+            time = layout.begin + k * layout.step
+            shown = self._shown(time)
             if shown.dot(self._zeros) != 0.0:  # infinity and NaN times zero are NaN
                 layout.values[:] = shown
                 break
             shown.take(layout.rows, out=self._kept[k], mode="clip")
             self.done = k + 1
             if layout.limited.size:
-                layout.require_limits(shown, k * layout.step)
+                layout.require_limits(shown, time)
 
     def _shown(self, time: float) -> Array:
         """Return the values at a communication point [s], with outputs refreshed if required."""

@@ -65,7 +65,8 @@ class _System(ctypes.Structure):
 
 def native_stepper(layout: Layout) -> "NativeStepper | None":
     """Return the steps in C; None for foreign FMUs or refreshed outputs, or without compiler."""
-    if layout.scheme.refreshed != "none":
+    converting = any(station.conversions for station in layout.stations)
+    if layout.scheme.refreshed != "none" or layout.begin or converting:
         return None
     buffers = [b for station in layout.stations for b in (station.inputs, station.outputs)]
     own = [buffer for buffer in buffers if _is_native(buffer)]

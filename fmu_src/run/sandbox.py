@@ -230,11 +230,19 @@ class SandboxedInstance:
         """End the process."""
         self._sandbox.kill()
 
-    def _do(self, method: str, *arguments: Any) -> None:
+    def get(self, kind: str, references: Sequence[int]) -> list[Any]:
+        """Return variables of type Boolean, Integer or String."""
+        found: list[Any] = list(self._do("get", kind, references) or ())
+        wanted = {"String": {str}}.get(kind, {int, bool})
+        if {type(value) for value in found} - wanted or len(found) != len(references):
+            raise self._died([self._functions["get"] + kind], self._sandbox.died(NONSENSE))
+        return found
+
+    def _do(self, method: str, *arguments: Any) -> Any:
         if self._written:
             self._exchange()
-        kind = self._fmi.kind(arguments[0], None)[0] if method == "set" else ""
-        self._call(f"{self._functions[method]}{kind}", method, *arguments)
+        kind = self._fmi.kind(arguments[0], None)[0] if method in ("set", "get") else ""
+        return self._call(f"{self._functions[method]}{kind}", method, *arguments)
 
     setup = partialmethod(_do, "setup")
     enter_initialisation = partialmethod(_do, "enter_initialisation")
@@ -243,7 +251,7 @@ class SandboxedInstance:
     set = partialmethod(_do, "set")
     set_slopes = partialmethod(_do, "set_slopes")
 
-    def _call(self, function: str, method: str, *arguments: Any) -> None:
+    def _call(self, function: str, method: str, *arguments: Any) -> Any:
         self._known.clear()
         request = sandbox_child.WORDS + json.dumps([method, arguments]).encode()
         try:
@@ -260,6 +268,7 @@ class SandboxedInstance:
             raise LoadError(plain(str(unloadable)))
         if failed is not None:
             raise self._failure(CallError(plain(str(failed))))
+        return answer.get("result")
 
     def _exchange(
         self,

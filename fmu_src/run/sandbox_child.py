@@ -114,7 +114,7 @@ class _Host:
             if method in ("load", "buffer", "close"):
                 getattr(self, f"_{method}")(*arguments)
             else:
-                getattr(self._instance, method)(*arguments)
+                answer["result"] = getattr(self._instance, method)(*arguments)
         except LoadError as error:
             answer["unloadable"] = str(error)[:LONGEST_MESSAGE]
         except CallError as error:

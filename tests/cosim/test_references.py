@@ -1,6 +1,5 @@
 """Reference results in FMUs: ours reproduce theirs, and differences are reported."""
 
-import hashlib
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -105,20 +104,12 @@ def test_experiments_that_fail_are_reported(
     assert problem in text
 
 
-def test_changed_and_missing_files_are_reported(
+def test_missing_and_broken_files_are_reported(
     with_results: Callable[..., Path], tmp_path: Path
 ) -> None:
     fmu = with_results(STIMULI, results(1.0, 2.0))
-    digest = hashlib.sha3_256(STIMULI.encode()).hexdigest()
-    named = b'source="../steps_in.csv"'
     with zipfile.ZipFile(fmu) as archive:
         manifest = archive.read(MANIFEST)
-    assert named in manifest
-    signed = manifest.replace(named, named + f' checksum="{digest}"'.encode())
-    assert verify(repacked(fmu, tmp_path / "Signed.fmu", {MANIFEST: signed})).problems == []
-    changed = {f"{STEPS}_in.csv": STIMULI.replace("0,1", "0,1.0", 1).encode(), MANIFEST: signed}
-    found = verify(repacked(fmu, tmp_path / "Changed.fmu", changed))
-    assert found.problems == ["'extra/steps_in.csv' does not match its checksum."]
     other = {MANIFEST: manifest.replace(b"experiments.xml", b"other.xml")}
     found = verify(repacked(fmu, tmp_path / "Missing.fmu", other))
     assert found.problems == [f"{MANIFEST} names '{FOLDER}/other.xml', which is missing."]
@@ -128,9 +119,6 @@ def test_changed_and_missing_files_are_reported(
     broken = {EXPERIMENTS: b"<?xml version='1.0' encoding='nowhere'?><Experiments/>"}
     found = verify(repacked(fmu, tmp_path / "Broken.fmu", broken))
     assert found.problems[-1].endswith("cannot be read: unknown encoding: nowhere.")
-    shaken = signed.replace(digest.encode(), b'00" checksumType="shake_128')
-    found = verify(repacked(fmu, tmp_path / "Sums.fmu", {MANIFEST: shaken}))
-    assert found.problems == []  # a checksum without a length is of an unknown kind
 
 
 def test_skipped_experiments_are_reported(with_results: Callable[..., Path], lag_fmu: Path) -> None:

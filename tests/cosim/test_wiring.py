@@ -105,8 +105,6 @@ def test_values_are_ordered_by_dependency():
          "the causality of 'controller.Kp' is parameter; it must be input."),
         ({"controller.plain": "arm.dq_cmd[1]"},
          "the causality of 'arm.dq_cmd[1]' is input; it must be output."),
-        ({"controller.plain": "arm.error"},
-         "the input is of type Real, the output of type Integer; both must be Real."),
         ({"controller.tau": "arm.q[1]"}, "the input is in N.m, the output in rad."),
         ({"controller.angle": "arm.q[1]"}, "the input is in deg, the output in rad."),
         ({"controller.q[2]": "arm.q[2]"},
@@ -194,7 +192,6 @@ def test_start_values_of_a_run_override_those_of_the_system():
     ("keys", "said"),
     [
         ({"observe": ["arm.Q"]}, "observed 'arm.Q': arm.fmu: there is no variable 'Q'"),
-        ({"observe": ["arm.error"]}, "observed 'arm.error': arm.fmu: variable 'error' is not a Re"),
         ({"limits": {"am.q": [0, 1]}}, "limits of 'am.q': there is no component 'am'; did you"),
         ({"limits": {"arm.q": [[0, 1], [0, 1], [0, 1]]}},
          "limits of 'arm.q': 3 pairs for 2 elements."),

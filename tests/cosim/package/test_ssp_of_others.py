@@ -1,0 +1,348 @@
+"""SSPs as other tools write them, by hand after the standard, against hand-wired systems."""
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pythonfmu.builder import FmuBuilder
+
+import hesr
+from cosim.systems.ssp_check import check_ssp
+from fmu_src.check.run import check
+from hesr_model.errors import ConfigError
+
+UNITS = """<ssd:Units><ssc:Unit name="1"><ssc:BaseUnit/></ssc:Unit>
+<ssc:Unit name="%"><ssc:BaseUnit factor="0.01"/></ssc:Unit>
+<ssc:Unit name="s"><ssc:BaseUnit s="1"/></ssc:Unit></ssd:Units>"""
+HEAD = """<?xml version="1.0" encoding="UTF-8"?>
+<ssd:SystemStructureDescription version="1.0" name="made"
+  xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"
+  xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription"
+  xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+  xmlns:ssm="http://ssp-standard.org/SSP1/SystemStructureParameterMapping">"""
+SETS = """<?xml version="1.0" encoding="UTF-8"?>
+<ssv:ParameterSet version="1.0" name="p"
+  xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"
+  xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"><ssv:Parameters>"""
+SET_END = """</ssv:Parameters><ssv:Units><ssc:Unit name="ms"><ssc:BaseUnit s="1" factor="0.001"/>
+</ssc:Unit></ssv:Units></ssv:ParameterSet>"""
+MAPPING = """<?xml version="1.0" encoding="UTF-8"?>
+<ssm:ParameterMapping version="1.0"
+  xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"
+  xmlns:ssm="http://ssp-standard.org/SSP1/SystemStructureParameterMapping">"""
+
+
+def connector(name: str, kind: str, unit: str = "", type: str = "Real") -> str:  # noqa: A002
+    unit = f' unit="{unit}"' * bool(unit)
+    return f'<ssd:Connector name="{name}" kind="{kind}"><ssc:{type}{unit}/></ssd:Connector>'
+
+
+def lag(name: str, more: str = "", unit: str = "1", fmu: str = "resources/Lag.fmu") -> str:
+    ends = connector("u", "input", unit) + connector("y", "output", "1")
+    return (
+        f'<ssd:Component name="{name}" type="application/x-fmu-sharedlibrary" source="{fmu}">'
+        f"<ssd:Connectors>{ends}</ssd:Connectors>{more}</ssd:Component>"
+    )
+
+
+def wire(start: str, end: str, more: str = "", **attributes: str) -> str:
+    parts = {}
+    for side, text in (("start", start), ("end", end)):
+        element, _, own = text.rpartition(".")
+        parts |= {f"{side}Connector": own} | ({f"{side}Element": element} if element else {})
+    said = " ".join(f'{key}="{value}"' for key, value in (parts | attributes).items())
+    return f"<ssd:Connection {said}>{more}</ssd:Connection>"
+
+
+def binding(source: str = "", more: str = "", prefix: str = "") -> str:
+    source = f' source="{source}"' * bool(source) + f' prefix="{prefix}"' * bool(prefix)
+    return f"<ssd:ParameterBinding{source}>{more}</ssd:ParameterBinding>"
+
+
+def bindings(*parts: str) -> str:
+    return f"<ssd:ParameterBindings>{''.join(parts)}</ssd:ParameterBindings>"
+
+
+def system(
+    *elements: str, wires: str = "", ends: str = "", more: str = "", name: str = "root"
+) -> str:
+    return (
+        f'<ssd:System name="{name}">'
+        + f"<ssd:Connectors>{ends}</ssd:Connectors>" * bool(ends)
+        + more
+        + f"<ssd:Elements>{''.join(elements)}</ssd:Elements>"
+        + f"<ssd:Connections>{wires}</ssd:Connections>" * bool(wires)
+        + "</ssd:System>"
+    )
+
+
+LATE = '<ssd:DefaultExperiment startTime="1" stopTime="3"/>'
+EXPERIMENT = '<ssd:DefaultExperiment startTime="0" stopTime="1"/>'
+
+
+@pytest.fixture
+def ssp(lag_fmu: Path, tmp_path: Path) -> Any:
+    def make(
+        root: str, files: Mapping[str, str | Path] | None = None, end: str = EXPERIMENT
+    ) -> Path:
+        path = tmp_path / "made.ssp"
+        text = f"{HEAD}{root}{UNITS}{end}</ssd:SystemStructureDescription>"
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("SystemStructure.ssd", text)
+            archive.write(lag_fmu, "resources/Lag.fmu")
+            for name, content in (files or {}).items():
+                data = content.read_bytes() if isinstance(content, Path) else content
+                archive.writestr(name, data)
+        return path
+
+    return make
+
+
+@pytest.fixture
+def wired(lag_fmu: Path, tmp_path: Path) -> Any:
+    """The same two lags, wired by hand: b takes `factor` y + `offset` of a."""
+
+    def run(a: Mapping[str, float], b: Mapping[str, float], convert: Any = None) -> Any:
+        lines = ['name = "w"', "step = 0.01", "stop = 1.0", 'observe = ["a.y", "b.y"]']
+        for name, start in (("a", a), ("b", b)):
+            lines += ["[[components]]", f'name = "{name}"', f'fmu = "{lag_fmu}"']
+            lines += [f"start = {{ {', '.join(f'{k} = {v!r}' for k, v in start.items())} }}"]
+        lines += ["[connections]", '"b.u" = "a.y"']
+        if convert:
+            lines += [
+                "[conversions]",
+                f'"b.u" = [{{ factor = {convert[0]!r}, offset = {convert[1]!r} }}]',
+            ]
+        path = tmp_path / "wired.toml"
+        path.write_text("\n".join(lines), encoding="utf-8")
+        return hesr.System.read(path).run().signals
+
+    return run
+
+
+def compared(found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
+    for (_, one), (_, other) in zip(found.items(), expected.items(), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-15)
+
+
+U = '<ssv:Parameter name="u"><ssv:Real value="2"/></ssv:Parameter>'
+
+
+def inline(parameters: str) -> str:
+    body = (SETS + parameters + SET_END).partition("?>")[2]
+    return f"<ssd:ParameterValues>{body}</ssd:ParameterValues>"
+
+
+def test_units_are_converted_between_connectors(ssp: Any, wired: Any) -> None:
+    """y in 1 becomes u in %; the FMU is shared, and the unconnected input keeps its start."""
+    path = ssp(system(lag("a", bindings(binding(more=inline(U)))), lag("b", unit="%"),
+                      wires=wire("a.y", "b.u")), {"documentation/x.bin": "extra"})  # fmt: skip
+    compared(hesr.simulate(path, step=0.01).signals, wired({"u": 2.0}, {}, (100.0, 0.0)))
+    kept = ssp(system(lag("a"), lag("b"), wires=wire("a.y", "b.u", suppressUnitConversion="true")))
+    compared(hesr.simulate(kept, step=0.01).signals, wired({"u": 0.0}, {}))
+
+
+def test_linear_transformations_follow_units(ssp: Any, wired: Any) -> None:
+    linear = '<ssc:LinearTransformation factor="2" offset="-0.5"/>'
+    parts = lag("a", bindings(binding(more=inline(U)))), lag("b", unit="%")
+    # Start and end give no direction.
+    path = ssp(system(*parts, wires=wire("b.u", "a.y", linear)))
+    compared(hesr.simulate(path, step=0.01).signals, wired({"u": 2.0}, {}, (200.0, -0.5)))
+    path = ssp(system(*parts, wires=wire("a.y", "b.u", linear, suppressUnitConversion="true")))
+    compared(hesr.simulate(path, step=0.01).signals, wired({"u": 2.0}, {}, (2.0, -0.5)))
+
+
+def test_nested_systems_and_their_connectors_become_one_level(ssp: Any, wired: Any) -> None:
+    """a is two levels down, b one; values pass through connectors in other units."""
+    deepest = system(lag("a"), ends=connector("in", "input", "%") + connector("out", "output"),
+                     wires=wire("in", "a.u") + wire("a.y", "out"), name="deepest")  # fmt: skip
+    inner = system(deepest, lag("b"), ends=connector("feed", "input", "1"),
+                   wires=wire("feed", "deepest.in") + wire("deepest.out", "b.u"),
+                   name="inner")  # fmt: skip
+    value = '<ssv:Parameter name="target"><ssv:Real value="2"/></ssv:Parameter>'
+    path = ssp(system(inner, ends=connector("target", "input", "1"),
+                      wires=wire("target", "inner.feed"),
+                      more=bindings(binding(more=inline(value)))))  # fmt: skip
+    found = hesr.simulate(path, step=0.01)
+    assert list(found.signals) == ["inner_deepest_a.y", "inner_b.y"]
+    compared(found.signals, wired({"u": 2.0}, {}))
+    compared(hesr.simulate(path, step=0.01, set=["target=3.0", "inner.b.T=0.25"]).signals,
+             wired({"u": 3.0}, {"T": 0.25}))  # fmt: skip
+
+
+def test_sources_prefixes_and_mappings_are_applied(ssp: Any, wired: Any) -> None:
+    """Later sources and outer systems win; a mapping applies its own names only."""
+    millis = '<ssv:Parameter name="T"><ssv:Real value="250" unit="ms"/></ssv:Parameter>'
+    other = '<ssv:Parameter name="u"><ssv:Real value="9"/></ssv:Parameter>' + millis
+    outer = ('<ssv:Parameter name="level"><ssv:Real value="4"/></ssv:Parameter>'
+             '<ssv:Parameter name="unused"><ssv:Real value="7"/></ssv:Parameter>')  # fmt: skip
+    mapped = (MAPPING + '<ssm:MappingEntry source="level" target="a.u"><ssc:LinearTransformation '
+              'factor="0.5" offset="0.25"/></ssm:MappingEntry></ssm:ParameterMapping>')  # fmt: skip
+    files = {"own": other, "b": millis, "outer": outer}
+    files = {f"resources/{name}.ssv": SETS + own + SET_END for name, own in files.items()}
+    files["resources/map.ssm"] = mapped
+    start = '<ssv:Parameter name="x_start"><ssv:Real value="0.75"/></ssv:Parameter>'
+    own = bindings(binding("resources/own.ssv"), binding(more=inline(start)))
+    top = bindings(binding("resources/b.ssv", prefix="b."), binding(
+        "resources/outer.ssv", '<ssd:ParameterMapping source="resources/map.ssm"/>'))  # fmt: skip
+    path = ssp(system(lag("a", own), lag("b"), wires=wire("a.y", "b.u"), more=top), files)
+    expected = wired({"u": 2.25, "T": 0.25, "x_start": 0.75}, {"T": 0.25})
+    compared(hesr.simulate(path, step=0.01).signals, expected)
+    assert [f for f in check_ssp(path).problems if f.severity == "error"] == []
+
+
+@pytest.fixture(scope="session")
+def typed_fmu(shared: Any) -> Path:
+    """A PythonFMU with inputs and outputs of every type; its Integers are an Enumeration."""
+    slave = Path(__file__).parents[1] / "typed_slave.py"
+    made: Path = shared("typed", lambda folder: FmuBuilder.build_FMU(slave, dest=folder))
+    return made / "Typed.fmu"
+
+
+def typed(name: str, more: str = "", integer: str = "Integer") -> str:
+    ends = "".join(
+        connector(n + end, kind, type=t)
+        for n, t in (("r", "Real"), ("i", integer), ("b", "Boolean"), ("s", "String"))
+        for end, kind in (("", "input"), ("o", "output"))
+    )
+    return (
+        f'<ssd:Component name="{name}" source="resources/Typed.fmu" type="application/'
+        f'x-fmu-sharedlibrary"><ssd:Connectors>{ends}</ssd:Connectors>{more}</ssd:Component>'
+    )
+
+
+VALUES = "".join(
+    f'<ssv:Parameter name="{name}"><ssv:{kind} value="{value}"/></ssv:Parameter>'
+    for name, kind, value in (("r", "Real", "1.5"), ("i", "Integer", "3"), ("b", "Boolean", "true"),
+                              ("s", "String", "some text"))
+)  # fmt: skip
+TABLE = (
+    '<ssc:{0}MappingTransformation><ssc:MapEntry source="{1}" target="{2}"/>'
+    "</ssc:{0}MappingTransformation>"
+)
+
+
+def test_connectors_of_every_type_are_connected(ssp: Any, typed_fmu: Path) -> None:
+    wires = (wire("a.ro", "b.r") + wire("a.io", "b.i", TABLE.format("Integer", "3", "-7"))
+             + wire("a.bo", "b.b", TABLE.format("Boolean", "true", "false"))
+             + wire("a.so", "b.s"))  # fmt: skip
+    path = ssp(system(typed("a", bindings(binding(more=inline(VALUES)))), typed("b"), wires=wires),
+               {"resources/Typed.fmu": typed_fmu})  # fmt: skip
+    found = hesr.simulate(path, step=0.5).signals
+    last = {name: column[-1] for name, column in found.items()}
+    assert last == {"a.ro": 1.5, "a.io": 3, "a.bo": True, "a.so": "some text",
+                    "b.ro": 1.5, "b.io": -7, "b.bo": False, "b.so": "some text"}  # fmt: skip
+    assert found["a.io"].dtype.kind == "i"
+    assert found["b.bo"].dtype.kind == "b"
+
+
+def test_types_that_do_not_fit_are_refused(ssp: Any, typed_fmu: Path) -> None:
+    path = ssp(system(typed("a"), typed("b"), wires=wire("a.ro", "b.i")),
+               {"resources/Typed.fmu": typed_fmu})  # fmt: skip
+    said = r"the input is of type Integer, the output of type Real, which does not fit\."
+    with pytest.raises(ConfigError, match=said):
+        hesr.simulate(path)
+
+
+def test_enumerations_are_mapped_by_name(ssp: Any, typed_fmu: Path, tmp_path: Path) -> None:
+    items = '<Item name="{}" value="1"/><Item name="{}" value="2"/>'
+    types = "".join(
+        f'<SimpleType name="T"><Enumeration>{items.format(*names)}</Enumeration></SimpleType>'
+        for names in [("low", "high")]
+    )
+    changed = tmp_path / "Typed.fmu"
+    with zipfile.ZipFile(typed_fmu) as old, zipfile.ZipFile(changed, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                text = data.decode().replace("<ModelVariables>", (
+                    f"<TypeDefinitions>{types}</TypeDefinitions><ModelVariables>"))  # fmt: skip
+                assert text.count("<Integer") == 2
+                data = text.replace("<Integer", '<Enumeration declaredType="T"').encode()
+            new.writestr(name, data)
+    value = '<ssv:Parameter name="i"><ssv:Enumeration value="low"/></ssv:Parameter>'
+    own = typed("a", bindings(binding(more=inline(value))))
+    path = ssp(system(own, typed("b"), wires=wire("a.io", "b.i", TABLE.format(
+        "Enumeration", "low", "high"))), {"resources/Typed.fmu": changed})  # fmt: skip
+    found = hesr.simulate(path, step=0.5).signals
+    assert (found["a.io"][-1], found["b.io"][-1]) == (1, 2)
+
+
+def test_times_default_to_those_of_the_file(ssp: Any) -> None:
+    path = ssp(
+        system(lag("a"), lag("b")), end='<ssd:DefaultExperiment startTime="1" stopTime="3"/>'
+    )
+    found = hesr.simulate(path)
+    assert (found.t[0], found.end) == (1.0, 3.0)
+    np.testing.assert_allclose(np.diff(found.t), 0.01, rtol=1e-9)  # of the FMUs
+    assert hesr.simulate(path, start=2.0, stop=2.5, step=0.25).t.tolist() == [2.0, 2.25, 2.5]
+
+
+REFUSED = {
+    "element": (system(lag("a"), '<ssd:SignalDictionaryReference name="bus" dictionary="d"/>'),
+                "element 'bus' is a SignalDictionaryReference, which is not supported."),
+    "component": (system(lag("a", fmu="resources/b.ssd")),
+                  "component 'a' is resources/b.ssd, no FMU, which is not supported."),
+    "array": (system(lag("a").replace("<ssc:Real", '<ssd:Dimension size="2"/><ssc:Real', 1)),
+              "connector 'a.u' is an array, which is not supported."),
+    "index": (system(lag("a"), lag("b"), wires=wire("a.y", "b.u", endIndices="1")),
+              "connection of 'b.u': an index is not supported."),
+    "inside": (system(lag("a", bindings(binding("x.ssv").replace(
+                   "source=", 'sourceBase="component" source=')))),
+               "component 'a': a parameter source inside an FMU is not supported."),
+    "value": (system(lag("a", bindings(binding(more=inline(U.replace("Real value", "Binary x")))))),
+              "component 'a': parameter 'u' is an array or of type Binary, which is not "
+              "supported."),
+    "end": (system(lag("a"), wires=wire("c.y", "a.u")),
+            "connection of 'c.y': 'c' is not a component of the system."),
+    "twice": (system(lag("a"), lag("b"), wires=wire("a.y", "b.u") + wire("b.y", "b.u")),
+              "'b.u' is connected to 'a.y' and to 'b.y'."),
+    "unit": (system(lag("a"), lag("b", unit="s"), wires=wire("a.y", "b.u")),
+             "connection 'b.u' = 'a.y': the input is in s, the output in 1, which cannot be "
+             "converted; define both in SI base units."),
+    "table": (system(lag("a"), lag("b"),
+                     wires=wire("a.y", "b.u", TABLE.format("Integer", "x", "1"))),
+              "connection 'b.u' = 'a.y': the map entry 'x' = '1' does not fit the connectors."),
+    "factor": (system(lag("a"), lag("b"),
+                      wires=wire("a.y", "b.u", '<ssc:LinearTransformation factor="x"/>')),
+               "connection 'b.u' = 'a.y': factor is 'x'; it must be a number."),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("root", "sentence"), REFUSED.values(), ids=REFUSED)
+def test_other_parts_are_refused_by_name(root: str, sentence: str, ssp: Any) -> None:
+    path = ssp(root)
+    with pytest.raises(ConfigError) as error:
+        hesr.simulate(path)
+    assert str(error.value) == f"{path}: {sentence}"
+
+
+def test_unknown_names_and_missing_times_are_refused(ssp: Any) -> None:
+    path = ssp(system(lag("a")))
+    with pytest.raises(ConfigError, match=r"--set 'a\.v' is no variable of the system\."):
+        hesr.simulate(path, set=["a.v=1"])
+    path = ssp(system(lag("a")), end="")
+    with pytest.raises(ConfigError, match=r"the default experiment has no stopTime; give --stop\."):
+        hesr.simulate(path)
+
+
+def test_conversions_and_other_starts_are_not_exported(ssp: Any, tmp_path: Path) -> None:
+    path = ssp(system(lag("a"), lag("b", unit="%"), wires=wire("a.y", "b.u")))
+    with pytest.raises(
+        ConfigError, match=r"connection of 'b\.u': a conversion cannot be exported\."
+    ):
+        hesr.export(path, tmp_path / "x.fmu")
+    path = ssp(system(lag("a")), end=LATE)
+    with pytest.raises(ConfigError, match=r"starts at 1 s; exports start at 0\."):
+        hesr.export(path, tmp_path / "x.fmu")
+
+
+def test_unsupported_and_contradicting_parts_are_findings(ssp: Any, lag_fmu: Path) -> None:
+    assert check(lag_fmu).problems == ()
+    path = ssp(system(lag("a"), '<ssd:SignalDictionaryReference name="bus" dictionary="d"/>'))
+    assert [(f.check, f.severity) for f in check_ssp(path).problems] == [("ssp-support", "advice")]
+    path = ssp(system(lag("a"), wires=wire("c.y", "a.u")))
+    assert [(f.check, f.severity) for f in check_ssp(path).problems] == [("ssp-structure", "error")]
