@@ -104,7 +104,7 @@ format: $(VENV)/installed
 docs: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet 'jax>=0.4.30'  # of one notebook; no extra has it
 	$(BIN)/sphinx-build -q -W --keep-going -c docs/site . site
-	$(BIN)/pytest tests/browser/test_site.py
+	$(BIN)/pytest tests/browser/test_docs_site.py
 
 interop: $(VENV)/installed
 	.ci/interop .tools/interop

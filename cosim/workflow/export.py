@@ -57,7 +57,7 @@ def export(
     progress: Stages = silent,
     **options: Unpack[ExportOptions],
 ) -> Path:
-    """Write a friction law, an arm, a system of FMUs or a closed loop for other tools.
+    """Write a law, an arm, a system or a closed loop for other tools.
 
     Parameters
     ----------
