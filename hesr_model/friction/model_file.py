@@ -1,6 +1,6 @@
 """JSON form of a friction model: names, structures, numbers and units, never code."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, ValuesView
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -19,6 +19,7 @@ from hesr_model.units import unit_of_joint
 
 MODEL_FORMAT = "hesr-friction-model-1"
 _AS_IN_LAW = ("discretisation", "start", "start_samples", "covariance", "band")
+_MOST = 1000  # coefficients of a joint; expressions of many terms take seconds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +67,12 @@ class JointEntry:
         )
 
     def friction_law(self) -> FrictionLaw:
-        """Rebuild the law; raise ArtifactError if law, coefficient or unit is unknown."""
+        """Rebuild the law; raise ArtifactError if it is too long or something is unknown."""
+        count = max(len(self.coefficients), _leaves(self.structure))
+        if count > _MOST:
+            raise ArtifactError(
+                f"joint '{self.joint}' has {count} coefficients or terms; at most {_MOST} are read."
+            )
         form = estimator(self.law).form(self.structure)
         entries = self.coefficients
         for coefficient in form.coefficients:
@@ -86,6 +92,12 @@ class JointEntry:
             standard_errors={name: e for name, e in errors.items() if e is not None},
             **{name: getattr(self, name) for name in _AS_IN_LAW},
         )
+
+
+def _leaves(data: Any) -> int:
+    """Return the number of values in nested lists and mappings."""
+    parts = data.values() if isinstance(data, Mapping) else data
+    return sum(map(_leaves, parts)) if isinstance(parts, Mapping | list | tuple | ValuesView) else 1
 
 
 @dataclass(frozen=True, kw_only=True)

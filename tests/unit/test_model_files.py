@@ -264,6 +264,10 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
             "theta1_0, theta1_dq, theta1_h, theta1_dh, alpha, beta.",
         ),
         (
+            lambda d: first(d)["structure"].update(units=400 * first(d)["structure"]["units"]),
+            "joint 'joint1' has 2003 coefficients or terms; at most 1000 are read.",
+        ),
+        (
             lambda d: first(d)["coefficients"]["alpha"].update(value=float("nan")),
             "law 'parfam_h': coefficient 'alpha' is nan.",
         ),

@@ -82,7 +82,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         Coefficient(name=linear_name(x), unit=_UNIT[x], description=f"linear term in {x}")
         for x in linear
     ]
-    output = weighted(coefficients, linear)
+    terms = [weighted(coefficients, linear)]
     for k, (g, arguments) in enumerate(units, start=1):
         gain = Coefficient(name=gain_name(k), unit="N.m", description=f"factor of {g} {k}")
         inner = [
@@ -93,7 +93,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
             )
             for x in arguments
         ]
-        output += gain.symbol * FUNCTIONS[g](weighted(inner, arguments))
+        terms.append(gain.symbol * FUNCTIONS[g](weighted(inner, arguments)))
         coefficients += [gain, *inner]
     if "h_bump" in linear and state != "bristle":
         coefficients.append(V_S)
@@ -103,7 +103,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         )
         for x in below
     ]
-    output = output / (1 + weighted(divisors, below))
+    output = sympy.Add(*terms) / (1 + weighted(divisors, below))  # a sum of two at a time is slow
     coefficients += divisors
     if not output.free_symbols & {h, dh}:
         return LawForm(coefficients=tuple(coefficients), output=output)
