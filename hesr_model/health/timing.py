@@ -132,9 +132,11 @@ def check_clocks(
 ) -> tuple[list[Finding], Collection[int]]:
     """Check the rate of the stamps and the lag of torques of `joints`.
 
-    Returns findings, and joints whose torque lags.
+    Returns findings, and joints whose torque lags; none for short logs and those slower than the
+    averages.
     """
-    if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
+    slow = np.median(np.diff(part.t)) > _SMOOTH
+    if slow or np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
         return [], ()
     rows = LagRows.of(part.log, model, base_columns(model))
     late = lags(rows, joints)

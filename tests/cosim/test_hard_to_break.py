@@ -423,11 +423,11 @@ def test_10_gb_of_zeros_take_no_memory(name: str, head: bytes, tmp_path: Path) -
 
 
 def limited() -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (700 * 2**20, 700 * 2**20))
+    resource.setrlimit(resource.RLIMIT_AS, (1100 * 2**20, 1100 * 2**20))
 
 
 def test_insufficient_memory_is_one_sentence(tmp_path: Path) -> None:
-    """A law of 60 MB of JSON in a process limited to 700 MB."""
+    """A law of 60 MB of JSON in a process limited to 1,100 MB."""
     path = tmp_path / "law.json"
     path.write_text("[" + ",".join(["[1.5]"] * 10_000_000) + "]", encoding="utf-8")
     result = subprocess.run(

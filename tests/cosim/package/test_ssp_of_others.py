@@ -340,6 +340,7 @@ def test_conversions_and_other_starts_are_not_exported(ssp: Any, tmp_path: Path)
         hesr.export(path, tmp_path / "x.fmu")
 
 
+@pytest.mark.ci  # starts many commands
 def test_unsupported_and_contradicting_parts_are_findings(ssp: Any, lag_fmu: Path) -> None:
     assert check(lag_fmu).problems == ()
     path = ssp(system(lag("a"), '<ssd:SignalDictionaryReference name="bus" dictionary="d"/>'))
