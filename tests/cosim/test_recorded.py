@@ -122,6 +122,7 @@ def test_results_need_a_binary_for_this_machine(bench: Bench) -> None:
 WAYS = {"hold": "hold", "shown": "shown", "refreshed": "refreshed"}
 
 
+@pytest.mark.ci  # checks five FMUs of a system
 def test_an_ssp_carries_results_of_each_coupling(bench: Bench, tmp_path: Path, hesr: Hesr) -> None:
     spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
     contents = read_contents(spec.model_copy(update={"name": "closed"}), Path("closed.toml"))

@@ -56,7 +56,7 @@ def test_the_scores_of_a_run_are_read() -> None:
 
 
 def test_the_description_of_a_run_is_read() -> None:
-    expected = written("run.json") | {"truth": ""}
+    expected = written("run.json") | {"truth": "", "written": {}}
     del expected["format"]
     assert to_json(SavedRun.read(FILES / "run.json")) == expected
 

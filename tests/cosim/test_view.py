@@ -133,8 +133,7 @@ def test_files_without_traces_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError) as missing:
         read_traces(path)
     assert str(missing.value) == (
-        f"{path}: no such file; 'hesr run' writes it for a study with [tracking], but not with "
-        "--quick."
+        f"{path}: no such file; 'hesr run' writes it for a study with [tracking]."
     )
     path.write_text("text", encoding="utf-8")
     with pytest.raises(ArtifactError) as wrong:
