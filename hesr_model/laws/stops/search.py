@@ -67,11 +67,11 @@ def weights(samples: JointRows, longest: float = 0.0) -> Array:
 
 
 def oldest(samples: JointRows, counted: Array, v_s: float, time: float) -> float:
-    """Return the largest age of the rows with a weight (N,)."""
+    """Return the largest age of the rows with a weight (N,), rounded up to three digits."""
     kept = np.exp(-samples.dt / time)
     grown = (1.0 - kept) * np.exp(-((samples.dq / v_s) ** 2))
     kept, grown = np.where(samples.begins, 0.0, kept), np.where(samples.begins, 1.0, grown)
-    return float(np.max(recurrence(kept, grown, 1.0) * counted))
+    return float(np.ceil(1e3 * np.max(recurrence(kept, grown, 1.0) * counted)) / 1e3)
 
 
 def columns(structure: Structure, numbers: Mapping[str, float], samples: JointRows) -> Array:
