@@ -70,17 +70,16 @@ static fmi2Status refuse_number(const Instance *instance, const char *function,
 /* On-demand variables must be finite; after a termination the last values are returned, after a
  * failure only finite ones. */
 static fmi2Status readable(const Instance *instance, const fmi2ValueReference vr[], size_t n) {
-    const Memory *memory = &instance->memory;
-    for (size_t i = 0; memory->mode != TERMINATED && i < n; i++) {
-        static const char format[] = "%s became %g at time %.9g.";
+    const Component *component = &instance->memory.component;
+    const int failure = instance->memory.mode == FAILED;
+    for (size_t i = 0; instance->memory.mode != TERMINATED && i < n; i++) {
         const Variable *variable = variable_of(vr[i]);
-        const double value = memory->component.v[first_of(vr[i])];
-        if (memory->mode == FAILED && !isfinite(value)) {
-            complain(instance, format, variable->name, value, memory->component.time);
-            return fmi2Error;
-        }
-        if ((variable->role == ON_DEMAND || variable->role == DERIVATIVE) && !isfinite(value)) {
-            return refuse(instance, format, variable->name, value, memory->component.time);
+        const double value = component->v[first_of(vr[i])];
+        if ((failure || variable->role == ON_DEMAND || variable->role == DERIVATIVE) &&
+            !isfinite(value)) {
+            const fmi2Status status = refuse(instance, "%s became %g at time %.9g.", variable->name,
+                                             value, component->time);
+            return failure ? fmi2Error : status;
         }
     }
     return fmi2OK;
