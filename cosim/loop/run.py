@@ -80,7 +80,7 @@ def write_loops(
     models: Mapping[str, FrictionModel],
     folder: Path,
 ) -> list[Finding]:
-    """Write the loops; return a finding if there is no plant."""
+    """Write the loops; return a finding if no plant can be built."""
     spec, gains = example(loop), loop.tracking.gains
     write_system(spec, folder / "closed_loop.toml")
     try:

@@ -144,7 +144,7 @@ class ConnectorGraph:
 
 
 def between(unit: Unit, into: Unit, where: str) -> Conversion:
-    """Return the conversion between two units; raise ConfigError if there is none."""
+    """Return the conversion between two units; raise ConfigError if they differ in kind."""
     if unit[0] == into[0] or unit[1] == into[1] is not None:
         return Conversion()
     one, other = unit[1], into[1]
@@ -177,7 +177,7 @@ def shown(node: ConnectorName) -> str:
 
 
 def number(node: ET.Element, name: str, default: float, where: str) -> float:
-    """Return a number in an attribute; raise ConfigError if it is none."""
+    """Return a number in an attribute; raise ConfigError for other text."""
     text = node.get(name)
     try:
         return default if text is None else float(text)

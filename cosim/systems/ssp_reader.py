@@ -213,10 +213,7 @@ class _Reader:
         for connector in _all(node, "ssd:Connectors/ssd:Connector"):
             name = self.attribute(connector, "name", f"a connector of '{node.get('name')}'")
             kind = next((c for c in connector if c.tag.startswith(f"{{{_PREFIXES['ssc']}}}")), None)
-            if (
-                _one(connector, "ssc:Dimension") is not None
-                or _one(connector, "ssd:Dimension") is not None
-            ):
+            if any(connector.find(f"{p}:Dimension", _PREFIXES) is not None for p in ("ssc", "ssd")):
                 raise self.refuse(f"connector '{shown((place, name))}' is an array, which is")
             unit = None if kind is None else kind.get("unit")
             self.graph.kinds[place, name] = connector.get("kind", "")
@@ -244,7 +241,7 @@ class _Reader:
             self.graph.kinds.get(end) in (_SYSTEM_GIVES if end[0] == place else _GIVES)
             for end in ends
         ]
-        # Start and end are no direction.
+        # The order of start and end does not state a direction.
         source, target = ends[::-1] if gives[1] and not gives[0] else ends
         where = f"connection '{shown(target)}' = '{shown(source)}'"
         hop = Hop(

@@ -79,7 +79,7 @@ def signals_of(path: Path, table: Path | SignalTable | None = None) -> ArmSignal
 
 
 def _add_joint_signals(spec: Any) -> None:
-    """Add sensors of position, speed and torque to all joints, and motors if there are none."""
+    """Add sensors of position, speed and torque to all joints, and motors to a file without."""
     passive, of_joint = not list(spec.actuators), mujoco.mjtObj.mjOBJ_JOINT
     for number, joint in enumerate(spec.joints, start=1):
         if joint.type in SINGLE:

@@ -91,7 +91,7 @@ def _included(text: bytes) -> Iterator[tuple[str, bool]]:
         elif directive == b"endif":
             depth = max(depth - 1, 0)
         else:
-            # An include guard is no condition.
+            # An include guard does not depend on the platform.
             defined = re.match(rb"[^\n]*\s*#[ \t]*define[ \t]+(\w+)", code[match.end() :])
             guards = depth == 0 and guard and defined and defined[1] == guard
             depth += 0 if guards else 1

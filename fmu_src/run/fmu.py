@@ -1,7 +1,7 @@
 """FMUs as co-simulation slaves: variables by name, trusted or not, pooled, freed on every exit.
 
 Trusted FMUs have empty files in the user's cache folder, named after their hashes under the user's
-key, which nobody else can compute.
+key, which others cannot compute.
 """
 
 import logging

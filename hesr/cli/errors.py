@@ -71,7 +71,7 @@ def errors_said() -> Iterator[None]:
 
 
 def require_environment() -> None:
-    """Refuse limits and dates with which libraries crash, hang or raise SIGINT."""
+    """Refuse limits and dates that make libraries crash, hang or raise SIGINT."""
     date = os.environ.get("SOURCE_DATE_EPOCH", "0")
     if not (date.isascii() and date.isdigit() and int(date) <= _LAST_DATE):
         raise ConfigError(f"SOURCE_DATE_EPOCH is '{date}'; expected whole seconds since 1970.")

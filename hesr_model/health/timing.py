@@ -43,7 +43,7 @@ _SHORTEST = 8.0  # duration of a log over the largest delay
 class LagRows:
     """Shifted torques (N, S, n), regressors (N, n, P) at rest and in motion, friction (N, K).
 
-    All are averaged alike, so that they keep their phases.
+    One filter averages all of them, so that they keep their phases.
     """
 
     torques: Array

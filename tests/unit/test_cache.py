@@ -239,6 +239,12 @@ def test_planted_entries_are_not_used(here: Path, tmp_path: Path, deed: str) -> 
     assert make.times == 1
 
 
+def give_away(path: Path) -> None:
+    if os.getuid() != 0:
+        pytest.skip("only root can give a file or folder away")
+    os.chown(path, 12345, 12345)
+
+
 @pytest.mark.parametrize("deed", ["readable", "foreign", "link to a good one"])
 def test_entries_that_others_may_have_changed_are_not_used(
     here: Path, tmp_path: Path, deed: str
@@ -248,9 +254,7 @@ def test_entries_that_others_may_have_changed_are_not_used(
     if deed == "readable":
         entry.chmod(0o666)
     elif deed == "foreign":
-        if os.getuid() != 0:
-            pytest.skip("only root can give a file away")
-        os.chown(entry, 12345, 12345)
+        give_away(entry)
     else:
         entry.symlink_to(entry.rename(tmp_path / "moved"))
     make = Maker(GOOD)
@@ -277,9 +281,7 @@ def spoiled(place: Path, deed: str) -> None:
     elif deed == "readable":
         place.chmod(0o755)
     elif deed == "foreign":
-        if os.getuid() != 0:
-            pytest.skip("only root can give a folder away")
-        os.chown(place, 12345, 12345)
+        give_away(place)
     else:
         place.rename(place.with_name("elsewhere"))
         place.symlink_to(place.with_name("elsewhere"))

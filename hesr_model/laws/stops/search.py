@@ -45,7 +45,7 @@ def fixed(samples: JointRows) -> dict[str, float]:
 
 
 def times(samples: JointRows) -> tuple[float, ...]:
-    """Return the ageing times [s] of which three fit into a quarter of each left-out part."""
+    """Return the ageing times [s] up to a twelfth of the shortest left-out part."""
     shortest = min(float(samples.dt[fold].sum()) for fold in samples.folds)
     return tuple(time for time in TIMES if 3.0 * time <= shortest / 4.0)
 

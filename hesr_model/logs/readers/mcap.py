@@ -64,7 +64,7 @@ def _last_record(file: BinaryIO, start: int, size: int) -> int:
 
 
 def _in_chunk(file: BinaryIO, start: int) -> int:
-    """Return where the records of an uncompressed chunk at `start` begin; `start` if it is none."""
+    """Return where the records of an uncompressed chunk at `start` begin; else `start`."""
     file.seek(start)
     head = file.read(9 + 28 + 4 + 8)
     uncompressed = len(head) == 49 and head[:1] == b"\x06" and not any(head[37:41])

@@ -35,9 +35,9 @@ MAPPING = """<?xml version="1.0" encoding="UTF-8"?>
   xmlns:ssm="http://ssp-standard.org/SSP1/SystemStructureParameterMapping">"""
 
 
-def connector(name: str, kind: str, unit: str = "", type: str = "Real") -> str:  # noqa: A002
+def connector(name: str, kind: str, unit: str = "", datatype: str = "Real") -> str:
     unit = f' unit="{unit}"' * bool(unit)
-    return f'<ssd:Connector name="{name}" kind="{kind}"><ssc:{type}{unit}/></ssd:Connector>'
+    return f'<ssd:Connector name="{name}" kind="{kind}"><ssc:{datatype}{unit}/></ssd:Connector>'
 
 
 def lag(name: str, more: str = "", unit: str = "1", fmu: str = "resources/Lag.fmu") -> str:
@@ -204,7 +204,7 @@ def typed_fmu(shared: Any) -> Path:
 
 def typed(name: str, more: str = "", integer: str = "Integer") -> str:
     ends = "".join(
-        connector(n + end, kind, type=t)
+        connector(n + end, kind, datatype=t)
         for n, t in (("r", "Real"), ("i", integer), ("b", "Boolean"), ("s", "String"))
         for end, kind in (("", "input"), ("o", "output"))
     )
