@@ -95,7 +95,8 @@ def test_the_search_is_no_worse_than_the_dictionary(
 ) -> None:
     baseline = dictionary(JointRows.of(plain, coefficients=20), load=load)
     found = search(baseline, load=load)
-    assert found.cost <= baseline.cost
+    # Both may find the same forces, in another order of sums.
+    assert found.cost <= baseline.cost * (1.0 + 1e-12)
     assert ("load" in found.bounds) == load
 
 
