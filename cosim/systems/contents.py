@@ -9,6 +9,7 @@ from typing import Any
 
 from cosim.systems.system import SystemSpec
 from cosim.systems.wiring import Wiring
+from fmu_src.export.description import RELEASED
 from fmu_src.run.master import Element
 from fmu_src.run.variables import Variables, model_description
 from hesr_model.errors import ConfigError, SimulationError
@@ -97,12 +98,13 @@ def description_of(fmu: Path, where: str) -> Any:
 
 
 def _newest(dates: Iterable[str | None]) -> str:
-    newest = _FIRST_DATE
+    found = []
     for text in dates:
         try:
             # Tools write fractions of seconds of any length.
             date = datetime.fromisoformat(re.sub(r"\.\d+", "", text or ""))
         except ValueError:
             continue
-        newest = max(newest, date if date.tzinfo else date.replace(tzinfo=UTC))
-    return min(newest, _LAST_DATE).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        found.append(date if date.tzinfo else date.replace(tzinfo=UTC))
+    newest = max(found, default=datetime.fromisoformat(RELEASED))
+    return min(max(newest, _FIRST_DATE), _LAST_DATE).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

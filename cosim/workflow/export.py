@@ -35,6 +35,7 @@ class ExportOptions(TypedDict, total=False):
     power: bool
     band: bool
     low_pass: float
+    no_events: bool
     robot: RobotArg
     rigid_body: BodyArg
     signals: PathArg
@@ -104,6 +105,9 @@ def export(
         covariance as NAME.ssv.
     low_pass : float, Hz
         FMU: cut-off of a causal low pass of the velocity; by default none.
+    no_events : bool
+        FMU: no events in model exchange where a law jumps at reversals; below 0.001 rad/s the jump
+        is a steep line.
     robot : robot or path
         Plant: the robot of the law. FMU: with --rigid-body, its page computes the friction in a
         dropped log.

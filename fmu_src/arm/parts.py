@@ -11,6 +11,15 @@ from fmu_src.export.interface import Variable
 
 SCALE, PAYLOAD, LATENCY, SEED = "friction_scale", "payload", "latency", "noise_seed"
 
+_KINDS = {
+    "N.m": "torque",
+    "N": "force",
+    "rad": "angle",
+    "m": "position",
+    "rad/s": "speed",
+    "m/s": "speed",
+}
+
 
 @dataclass(frozen=True)
 class ArmInput:
@@ -124,9 +133,10 @@ def noise_name(output: ArmOutput) -> str:
 
 def _connectors(signals: ArmSignals, parameters: tuple[str, ...]) -> Iterator[Variable]:
     for one in signals.inputs:
-        yield Variable(one.name, "input", "control", unit=one.unit)
+        text = f"commanded {_KINDS.get(one.unit, 'control')}"
+        yield Variable(one.name, "input", text, unit=one.unit)
     for out in signals.outputs:
-        text = "sum of sensors"
+        text = f"measured {_KINDS.get(out.unit, 'signal')}"
         yield Variable(out.name, "output", text, unit=out.unit, dependencies=parameters)
 
 

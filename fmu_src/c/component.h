@@ -75,8 +75,9 @@ static void component_demand(Component *component);
  * zero counts as zero. */
 static bool component_event(Component *component, double rest, Message *what);
 
-/* Compute the event indicators, positive while a held value agrees with the inputs. */
-static void component_indicators(const Component *component, double rest, double *indicator);
+/* Compute the event indicators, positive while a held value agrees with the inputs. Returns whether
+ * all values do, also those without an indicator. */
+static bool component_indicators(const Component *component, double rest, double *indicator);
 
 /* Derivatives of continuous outputs and state derivatives along `seed`, a direction of inputs,
  * states and tunable parameters; both have VARIABLES elements. */

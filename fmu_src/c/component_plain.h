@@ -13,8 +13,9 @@ static bool component_event(Component *component, double rest, Message *what) {
     return false;
 }
 
-static void component_indicators(const Component *component, double rest, double *indicator) {
+static bool component_indicators(const Component *component, double rest, double *indicator) {
     (void)component, (void)rest, (void)indicator;
+    return true;
 }
 
 static void component_tangent(const Component *component, const double *seed, double *tangent) {

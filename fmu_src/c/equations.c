@@ -299,15 +299,21 @@ static bool component_event(Component *component, double rest, Message *what) {
     return changed;
 }
 
-static void component_indicators(const Component *component, double rest, double *indicator) {
+static bool component_indicators(const Component *component, double rest, double *indicator) {
+    bool agree = true;
     for (int i = 0; i < JOINTS; i++) {
         double z[MAX_SWITCHES];
         const Place at = place_of(component, i);
         at.joint->switches(at.k, at.u, z);
         for (int j = 0; j < at.joint->switches_of_joint; j++) {
-            *indicator++ = at.s[j] != 0.0 ? at.s[j] * z[j] : rest - fabs(z[j]);
+            const double value = at.s[j] != 0.0 ? at.s[j] * z[j] : rest - fabs(z[j]);
+            agree = agree && value > 0.0;
+            if (j < at.joint->held) {
+                *indicator++ = value;
+            }
         }
     }
+    return agree;
 }
 
 SELDOM static void component_tangent(const Component *component, const double *seed,

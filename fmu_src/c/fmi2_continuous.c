@@ -49,13 +49,8 @@ FMI2_STATUS(fmi2CompletedIntegratorStep)
     if (!instance) {
         return fmi2Error;
     }
-    *event = *terminate = fmi2False;
-    component_indicators(&instance->memory.component, REST, indicator);
-    for (int i = 0; i < INDICATORS; i++) {
-        if (!(indicator[i] > 0.0)) {
-            *event = fmi2True;
-        }
-    }
+    *event = !component_indicators(&instance->memory.component, REST, indicator);
+    *terminate = fmi2False;
     return fmi2OK;
 }
 

@@ -186,10 +186,9 @@ _PLACES |= {name.upper(): name for name in ("substep", "discretisation", "start_
 FLANGE = Terminal(
     name="flange",
     kind="org.modelica.Modelica.Mechanics.Rotational.Interfaces.Flange_b",
-    description="towards the link: its angle and speed in, the torque on it out",
+    description="towards the link: its angle in, the torque on it out",
     members={
         "phi": ("q_link", "signal"),
-        "w": ("dq_link", "signal"),
         "tau": ("tau_link", "outflow"),
     },
 )

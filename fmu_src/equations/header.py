@@ -61,8 +61,12 @@ def own_size(joints: Sequence[Joint]) -> int:
 
 
 def indicators(joints: Sequence[Joint]) -> int:
-    """Return the total number of held signs."""
-    return sum(len(Functions(j.component, "").jumps.expressions) for j in joints)
+    """Return the total number of signs that are held between events."""
+    return sum(_held(Functions(j.component, "")) for j in joints)
+
+
+def _held(own: Functions) -> int:
+    return len(own.jumps.expressions) if own.component.events else 0
 
 
 def equations_header(
@@ -209,7 +213,7 @@ def _row(
         f"constants_{i}" if joint.constants else "NULL",
         len(component.remembered),
         table.places[joint.slope] if joint.slope else -1,
-        *(len(own.jumps.expressions), before, f"{own.name}_names"),
+        *(len(own.jumps.expressions), _held(own), before, f"{own.name}_names"),
     )
     return [*map(str, row), *names]
 
@@ -268,7 +272,8 @@ typedef struct {{
     const double *constants; /* parameters, or NULL if these are variables */
     int remembered;
     int slope; /* of the first output over the first input, or -1 */
-    int switches_of_joint; /* number of held signs */
+    int switches_of_joint; /* number of signs whose changes are events */
+    int held;              /* number of those with indicators: all, or 0 */
     int first_switch;      /* among those of all joints */
     const char *const *names; /* of the arguments of the signs */
     int (*refused)(const double *u, const char **needed);

@@ -2,9 +2,9 @@
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import inf
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import sympy
@@ -14,8 +14,9 @@ from fmu_src.export.interface import Enumeration, Interface, Role, Variable
 from fmu_src.friction.validity import discretisation_of
 from hesr_model.audit.certificate import scale_limits
 from hesr_model.equations.component import Component, Equation, Quantity
+from hesr_model.equations.functions import clip, sgn
 from hesr_model.equations.memory import Element, Relaxation
-from hesr_model.equations.program import initial_state, initial_symbol, sources
+from hesr_model.equations.program import Jumps, initial_state, initial_symbol, sources
 from hesr_model.friction.band import COVERAGE, GREATEST, LEAST, NUMBERS, band_equations
 from hesr_model.friction.inputs import DQ, INPUTS, MOVING, QUANTITIES, TAU_LOAD, TORQUE
 from hesr_model.friction.law import FrictionLaw
@@ -44,6 +45,10 @@ STEADY, GIVEN = 1.0, 2.0
 START_MODE = "start_mode"  # name of the parameter that selects the initial state
 
 _CRAWL = 0.1  # speed of the steady state that defines the nominal value of a state [rad/s]
+
+STEEP = 1e-3  # half width of a jump without event [rad/s]
+
+_Part = TypeVar("_Part", Element, Equation)
 
 _EFFORT = {False: "torque", True: "force"}
 
@@ -96,29 +101,59 @@ def scales_of(joint: int) -> tuple[str, ...]:
     return tuple(f"{scale.name}[{joint}]" for scale in SCALES)
 
 
-def component(law: FrictionLaw, more: Iterable[Equation] = (), *, band: bool = False) -> Component:
-    """Return the equations of a joint: its law with `SCALES`, further outputs and the band."""
+def component(
+    law: FrictionLaw,
+    more: Iterable[Equation] = (),
+    *,
+    band: bool = False,
+    events: bool | None = True,
+) -> Component:
+    """Return the equations of a joint: its law with `SCALES`, further outputs and the band.
+
+    Reversals are solver events if `events`, with None only where the law jumps; without events a
+    jump becomes steep.
+    """
     form = scaled(law.form)
     shared: tuple[Quantity, ...] = SCALES
     equations = (*form.component.equations, *more)
     if band:
         shared = (*shared, *NUMBERS, COVERAGE)
         equations = (*equations, *band_equations(form.memory, form.output))
-    return replace(
+    own = replace(
         form.component, parameters=law.form.coefficients, shared=shared, equations=equations
+    )
+    jumps = Jumps(replace(own, reversing=())).expressions
+    if events or (events is None and jumps):
+        return own
+    steep = {sgn(e): clip(e / STEEP, 1) for e in jumps}
+    return replace(
+        own,
+        events=False,
+        memory=tuple(_replaced(m, steep) for m in own.memory),
+        equations=tuple(_replaced(e, steep) for e in own.equations),
     )
 
 
+def _replaced(part: _Part, swap: Mapping[sympy.Expr, sympy.Expr]) -> _Part:
+    parts = {f.name: getattr(part, f.name) for f in fields(part)}
+    new = {name: e.xreplace(swap) for name, e in parts.items() if isinstance(e, sympy.Basic)}
+    return replace(part, **new)
+
+
 def friction_equations(
-    model: FrictionModel, more: tuple[Equation, ...] = (), *, band: bool = False
+    model: FrictionModel,
+    more: tuple[Equation, ...] = (),
+    *,
+    band: bool = False,
+    events: bool | None = None,
 ) -> tuple[Interface, str]:
     """Return the variables of a friction FMU, and its equations.h.
 
     The connectors `dq[i]`, `q[i]`, `tau_load[i]` -> `tau[i]` are those of every friction FMU;
-    `more` are outputs such as `POWER`, and `band` adds its limits. Raises ExportError for names
-    that FMI forbids, or different discretisations.
+    `more` are outputs such as `POWER`, and `band` adds its limits; for `events` see `component`.
+    Raises ExportError for names that FMI forbids, or different discretisations.
     """
-    joints = joints_of(model, more, band=band)
+    joints = joints_of(model, more, band=band, events=events)
     table = Interface(
         variables=tuple(_variables(model, joints, band=band)),
         indicators=indicators(joints),
@@ -247,13 +282,15 @@ def joints_of(
     names: dict[str, str] | None = None,
     *,
     band: bool = False,
+    events: bool | None = True,
 ) -> tuple[Joint, ...]:
     """Return each joint with the names of its variables; `names` has stems that differ."""
     found = []
     # C has no units, the only difference between revolute and prismatic forms.
     laws = [replace(law, form=law.form.sliding) for law in model.laws]
     for joint, law in enumerate(laws, start=1):
-        own, at = component(law, more, band=band), place(law, joint)
+        own = component(law, more, band=band, events=events)
+        at = place(law, joint)
         stems = {q.name: q.name for q in (*own.inputs, *own.shared, *own.outputs)} | (names or {})
         own_names = {name: f"{stem}[{joint}]" for name, stem in stems.items()}
         found.append(

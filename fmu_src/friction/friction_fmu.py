@@ -10,7 +10,7 @@ from math import inf
 from pathlib import Path
 
 from fmu_src.export import package
-from fmu_src.export.description import Description
+from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Interface
 from fmu_src.friction.discrete_fmu import thermal_equations
 from fmu_src.friction.embedded_model import embedding
@@ -34,7 +34,7 @@ from hesr_model.robots.owner import Owner
 from hesr_model.robots.sources import statements
 from hesr_model.support.progress import Progress, silent
 
-# Range of dates in a ZIP archive; the first also means no date.
+# Range of dates in a ZIP archive.
 _FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 31, tzinfo=UTC)
 
 
@@ -51,23 +51,31 @@ def export_fmu(
     body: PageBody | None = None,
     progress: Progress = silent,
     fmi: package.Version = 2,
+    no_events: bool = False,
 ) -> Path:
     """Write a friction model as an FMU of FMI 2.0 or 3.0 for co-simulation and model exchange.
 
     FMUs of thermal models are for co-simulation only. `properties` and the audit (by default
     computed) are for documentation. `power` and `band` add outputs: dissipated power,
     `tau_lower[i]` and `tau_upper[i]`; `low_pass` is the cut-off [Hz] of a causal low pass of dq in
-    the FMU. With `body`, the FMU's page accepts logs of measured torques.
+    the FMU. With `body`, the FMU's page accepts logs of measured torques. With `no_events`,
+    model exchange has no events even where the law jumps, see `STEEP`; bends never are events.
 
     The same model gives the same bytes. For the date see `date_of`. Raises ExportError if C or FMI
     cannot express the model or a thermal model gets options; SimulationError if it has no band.
     """
     package.check_request(path, platforms)
     if model.thermal:
-        whole = thermal_content(model, beside=bool(power or band or low_pass or properties or body))
+        beside = bool(power or band or low_pass or properties or body or no_events)
+        whole = thermal_content(model, beside=beside)
     else:
         whole = content(
-            model, properties, audit, power=power, band=band, low_pass=low_pass, body=body
+            *(model, properties, audit),
+            power=power,
+            band=band,
+            low_pass=low_pass,
+            body=body,
+            no_events=no_events,
         )
     return package.write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
@@ -79,9 +87,13 @@ def export_bare(
     platforms: Sequence[str] = ("linux64",),
     band: bool = False,
     fmi: package.Version = 2,
+    no_events: bool = False,
 ) -> Path:
     """Write the same FMU as `export_fmu` without its documentation."""
-    bare = thermal_content(model, beside=band) if model.thermal else _component(model, band=band)
+    if model.thermal:
+        bare = thermal_content(model, beside=band or no_events)
+    else:
+        bare = _component(model, band=band, no_events=no_events)
     return package.write_fmu(bare, path, platforms=platforms, fmi=fmi)
 
 
@@ -94,9 +106,11 @@ def content(
     band: bool = False,
     low_pass: float | None = None,
     body: PageBody | None = None,
+    no_events: bool = False,
 ) -> package.Content:
     """Return the FMU of a friction model, before it is compiled."""
-    bare = _component(model, (POWER,) if power else (), band=band, low_pass=low_pass)
+    more = (POWER,) if power else ()
+    bare = _component(model, more, band=band, low_pass=low_pass, no_events=no_events)
     model = _as_run(model, low_pass)
     with ThreadPoolExecutor(max_workers=1) as pool:
         # Draw the picture while the compiler runs.
@@ -121,12 +135,14 @@ def _component(
     *,
     band: bool = False,
     low_pass: float | None = None,
+    no_events: bool = False,
 ) -> package.Content:
     require_numbers(model)
     if band:
         model.require_band()
     about = about_model(model, "friction", "from their motion")
-    equations = friction_equations(_as_run(model, low_pass), more, band=band)
+    events = False if no_events else None
+    equations = friction_equations(_as_run(model, low_pass), more, band=band, events=events)
     return bare_content(model, about, *equations)
 
 
@@ -146,7 +162,7 @@ def thermal_content(model: FrictionModel, *, beside: bool = False) -> package.Co
     if beside:
         raise ExportError(
             f"friction model '{model.law}': a thermal FMU supports no power, band, low pass, "
-            "properties or rigid body; export the model without temperature."
+            "properties, rigid body or no_events; export the model without temperature."
         )
     about = about_model(model, "friction", "from their motion and temperature")
     equations = thermal_equations(model)
@@ -189,10 +205,10 @@ def description_of(
 
 
 def date_of(model: FrictionModel) -> datetime:
-    """Return the date in an FMU: SOURCE_DATE_EPOCH, that of the provenance, or a fixed one."""
+    """Return the date in an FMU: SOURCE_DATE_EPOCH, that of the provenance, or of this release."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     created = model.provenance.get("created")
-    date = _FIRST_DATE
+    date = datetime.fromisoformat(RELEASED)
     try:
         if epoch is not None:
             date = datetime.fromtimestamp(int(epoch), tz=UTC)

@@ -1,19 +1,23 @@
 """documentation/index.html of a friction FMU: its data sheet."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import count
 from pathlib import PurePosixPath
 from typing import Any
 
+import sympy
+
 from fmu_src.export.description import Description
 from fmu_src.export.interface import Interface
-from fmu_src.friction.friction_component import DISCRETISATION, exposed
+from fmu_src.friction.friction_component import DISCRETISATION, STEEP, exposed
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import SETTINGS, Error
 from fmu_src.pages import datasheet
 from fmu_src.pages.datasheet import ModelAudit, figure, spelled
 from fmu_src.pages.html import rendered
 from fmu_src.pages.mathml import equations, symbol
+from hesr_model.equations.functions import sgn
 from hesr_model.equations.program import Jumps
 from hesr_model.errors import HesrError
 from hesr_model.friction.equation import equations as equations_with_numbers
@@ -27,7 +31,6 @@ from hesr_model.robots.sources import statements
 from hesr_model.units import unit_of_joints
 
 _INTERVAL = 1.96  # standard errors of a two-sided 95 % interval
-_NO_DATE = "1980-01-01"  # date of undated archives
 _UNITS = {**INPUT_UNITS, "tau": "N.m", "dtau_ddq": "N.m.s/rad"}
 _RANGES = (*INPUT_UNITS, "tau")
 
@@ -53,7 +56,6 @@ def to_html(
     return rendered(
         "index.html.j2",
         about=about,
-        dated=not about.created.startswith(_NO_DATE),
         model=model,
         live=live,
         properties=properties,
@@ -61,6 +63,8 @@ def to_html(
         unused=[f"{symbol.name}[i]" for symbol in INPUTS if symbol not in used],
         discretisation=DISCRETISATION.items[int(start) - 1][0],
         joints=list(map(_joint, count(1), model.joints, model.laws)),
+        events=bool(table.indicators),
+        steep=STEEP,
         training=training(model.provenance),
         units=units,
         trained_rows=_trained_rows(model.trained, units),
@@ -92,10 +96,23 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
         "states": [m.name for m in law.form.memory],
         "starts": [figure(value, 6) for value in law.start],
         "start_samples": law.start_samples,
-        "switches": [
-            str(z).replace("absolute(", "abs(") for z in Jumps(law.form.component).expressions
-        ],
+        "bends": bool(Jumps(law.form.component).expressions),
+        "jumps": {
+            str(z).replace("absolute(", "abs("): figure(_half_jump(law, z))
+            for z in Jumps(replace(law.form.component, reversing=())).expressions
+        },
     }
+
+
+def _half_jump(law: FrictionLaw, z: sympy.Expr) -> float:
+    """Return half of the jump of the torque at z = 0, without load and memory."""
+    numbers = {c.symbol: law.values[c.name] for c in law.form.coefficients}
+    numbers |= dict.fromkeys((*INPUTS, *(m.state for m in law.form.memory)), 0.0)
+    ahead, back = (
+        float(law.form.output.xreplace({sgn(z): sympy.Integer(way)}).subs(numbers))
+        for way in (1, -1)
+    )
+    return abs(ahead - back) / 2.0
 
 
 def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:

@@ -94,6 +94,7 @@ class Component:
     sample_time : name of the parameter with the sample period [s]; empty if every step is a sample.
     reversing : inputs whose sign changes are solver events because a magnitude bends there.
     settling : share of the steady state in the initial state, 0 to 1; the rest is `start`.
+    events : whether signs are held between events; else a sign change only ends a solver's step.
     """
 
     inputs: tuple[Quantity, ...] = ()
@@ -105,6 +106,7 @@ class Component:
     requirements: tuple[Requirement, ...] = ()
     reversing: tuple[sympy.Symbol, ...] = ()
     settling: sympy.Expr = sympy.S.Zero
+    events: bool = True
 
     def __post_init__(self) -> None:
         given = [q.symbol for q in self.given]

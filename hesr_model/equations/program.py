@@ -108,8 +108,8 @@ def change_of(symbol: sympy.Symbol) -> sympy.Symbol:
 class Jumps:
     """Solver events: sign changes that make a component jump; signs are held in between.
 
-    Bends of magnitudes are events for reversing inputs only. Signs of states alone are not held,
-    since only outputs depend on them.
+    Bends of magnitudes, as of |v| sgn(v), are events for reversing inputs only. Signs of states
+    alone are not held, since only outputs depend on them.
     """
 
     component: Component
@@ -123,8 +123,9 @@ class Jumps:
         given, inputs = {q.symbol for q in own.given}, {q.symbol for q in own.inputs}
         parts = [e.expression for e in own.equations]
         parts += [part for m in own.memory for part in (*m.parts, m.continuous())]
-        jumps = {node.args[0] for e in parts for node in e.atoms(sgn)}
-        bends = {node.args[0] for e in parts for node in e.atoms(absolute)}
+        signs = {(e, node.args[0]) for e in parts for node in e.atoms(sgn)}
+        jumps = {z for e, z in signs if _jumps(e, z)}
+        bends = {z for _, z in signs} | {n.args[0] for e in parts for n in e.atoms(absolute)}
         if not self.every:
             bends = {e for e in bends if e.free_symbols & inputs <= {*own.reversing}}
         found = [e for e in jumps | bends if e.free_symbols <= given and e.free_symbols & inputs]
@@ -138,9 +139,20 @@ class Jumps:
         )
 
     def held(self, assignments: Assignments) -> dict[sympy.Symbol, sympy.Expr]:
-        """Replace signs in assignments by held ones."""
+        """Replace signs in assignments by held ones, if the component has events."""
+        if not self.component.events:
+            return dict(assignments)
         swap = {sgn(e): s for e, s in zip(self.expressions, self.signs, strict=True)}
         return {symbol: e.xreplace(swap) for symbol, e in assignments.items()}
+
+
+def _jumps(expression: sympy.Expr, z: sympy.Expr) -> bool:
+    """Return whether an expression differs on the two sides of z = 0, as far as can be told."""
+    ahead, back = (
+        expression.xreplace({sgn(z): sympy.Integer(way)}).xreplace({z: sympy.S.Zero})
+        for way in (1, -1)
+    )
+    return not (z.is_Symbol and sympy.expand(ahead - back) == 0)
 
 
 def sources(assignments: Assignments, wanted: sympy.Symbol) -> frozenset[sympy.Symbol]:

@@ -10,12 +10,12 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # Maximum lines of Python, C and headers: 59,000, plus 1,800 for evidence, robots and logs, and
 # 1,600 for the plant, and 1,180 for FMUs and SSPs of other tools.
 BUDGET = {
-    "hesr_model": 22_383,
-    "fmu_src": 19_607,
-    "cosim": 14_564,
+    "hesr_model": 22_397,
+    "fmu_src": 19_693,
+    "cosim": 14_567,
     "hesr": 820,
     "hesr.extras": 7_300,
-    "all": 64_670,
+    "all": 64_773,
 }
 
 TEMPLATES = 3_457  # lines of templates, styles and scripts, without those of project folders

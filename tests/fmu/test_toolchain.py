@@ -19,7 +19,7 @@ from fmpy.validation import _validate_variable_names
 
 from fmu_src import export_fmu
 from fmu_src.export import package
-from fmu_src.export.description import to_xml
+from fmu_src.export.description import RELEASED, to_xml
 from fmu_src.export.toolchain import CFLAGS, TARGETS, build, get_ready, universal
 from fmu_src.friction.reference import reference_motion
 from fmu_src.pages.datasheet import ModelAudit, ranges
@@ -200,7 +200,7 @@ def test_another_model_has_another_guid(table1, binary, load, tmp_path):
 @pytest.mark.parametrize(
     ("epoch", "created", "expected"),
     [
-        (None, None, "1980-01-01T00:00:00Z"),
+        (None, None, RELEASED),
         (None, "2024-05-06T07:08:09+02:00", "2024-05-06T05:08:09Z"),
         ("1700000000", "2024-05-06", "2023-11-14T22:13:20Z"),
         ("0", None, "1980-01-01T00:00:00Z"),
