@@ -11,7 +11,7 @@ refuses, and value reference 0, the time, and its archives are not reproducible.
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from fmu_src.run.fmu import is_ours, remember
 from fmu_src.run.master import Element
 from fmu_src.run.reference_results import Stimuli, result_files
 from hesr_model.errors import ConfigError, ExportError
+from hesr_model.support.compiler import compile_c
 from hesr_model.support.files import scratch_folder
 
 _RUNTIMES = {"linux64": ("x86_64-linux", ".so"), "win64": ("x86_64-windows", ".dll")}
@@ -46,7 +47,9 @@ def write_container(contents: SystemContents, path: Path) -> Path:
     if path.suffix != ".fmu":
         raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
     _require_one_step(contents)
-    nested = {c.name: _members(c.fmu) for c in contents.spec.components}
+    nested = {
+        c.name: _members(c.fmu, contents.descriptions[c.name]) for c in contents.spec.components
+    }
     identifier = re.sub(r"\W", "_", contents.spec.name, flags=re.ASCII)
     members = _runtimes(contents, nested, identifier)
     for name, files in nested.items():
@@ -81,9 +84,37 @@ def _require_one_step(contents: SystemContents) -> None:
             )
 
 
-def _members(fmu: Path) -> dict[str, bytes]:
+def _members(fmu: Path, description: Any) -> dict[str, bytes]:
+    """Return the files of an FMU, with a library built from its sources if it has no binary."""
     with Archive(fmu) as archive:
-        return {name: archive.read(name) for name in archive.names}
+        found = {name: archive.read(name) for name in archive.names}
+    sources = [
+        name
+        for configuration in description.buildConfigurations
+        if configuration.modelIdentifier == description.coSimulation.modelIdentifier
+        for of_set in configuration.sourceFileSets
+        for name in of_set.sourceFiles
+        if f"sources/{name}" in found
+    ]
+    if sources and not any(name.startswith("binaries/") for name in found):
+        library = f"{description.coSimulation.modelIdentifier}.so"
+        found[f"binaries/linux64/{library}"] = _built(found, sources, library)
+    return found
+
+
+def _built(files: Mapping[str, bytes], sources: Sequence[str], library: str) -> bytes:
+    with scratch_folder() as folder:
+        for name in (name for name in files if name.startswith("sources/")):
+            path = Path(folder, name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(files[name])
+        first, *others = (str(Path(folder, "sources", name)) for name in sources)
+        headers = Path(str(distribution("fmpy").locate_file("fmpy/c-code")))
+        includes = (f"-I{Path(folder, 'sources')}", f"-isystem{headers}")
+        flags = ("-target", *TARGETS["linux64"].triples, "-w", "-O2", "-fPIC", "-shared")
+        last = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", *others, "-lm")
+        compile_c(Path(first), (*flags, *includes), Path(folder, library), last)
+        return Path(folder, library).read_bytes()
 
 
 def _runtimes(
@@ -189,17 +220,30 @@ def _connections(contents: SystemContents, place: Mapping[str, int]) -> Iterator
         needed = variables[name].feedthrough[variable]
         return not any((name, into) in waiting for into in needed)
 
+    def kind_of(into: Element) -> str:
+        kinds = {variables[name][own].type for name, own in (into, sources[into])}
+        types = {_TYPES.get(kind, str(kind)) for kind in kinds}
+        if len(types) > 1:
+            raise ConfigError(
+                f"{contents.path}: connection of '{'.'.join(into)}': FMPy's container runtime does "
+                f"not connect {' and '.join(sorted(kinds))}."
+            )
+        return types.pop()
+
     while waiting:
         source, target = sources[waiting[0]][0], waiting[0][0]
+        kind = kind_of(waiting[0])
         ready = [
             into
             for into in waiting
-            if (sources[into][0], into[0]) == (source, target) and known(sources[into])
+            if (sources[into][0], into[0]) == (source, target)
+            and kind_of(into) == kind
+            and known(sources[into])
         ]
         waiting = [into for into in waiting if into not in ready]
         outputs = [sources[into][1] for into in ready]
         yield {
-            "variableType": "Float64",
+            "variableType": kind,
             "srcComponent": place[source],
             "dstComponent": place[target],
             "srcValueReferences": [variables[source][out].valueReference for out in outputs],
