@@ -123,6 +123,8 @@ static void misbehave(const char *call) {
         sleep(1000);
     } else if (strcmp(deed, "sleep") == 0) {
         sleep(1000);
+    } else if (strcmp(deed, "doze") == 0) {
+        sleep(1);
     } else if (strcmp(deed, "deafen") == 0) {
         for (int file = 0; file < 3; file++) {
             close(file);
@@ -184,8 +186,8 @@ static void misbehave(const char *call) {
         exit(0);
     } else if (strcmp(deed, "pull away") == 0) {
         /* A file that the other end might open after this process has ended; reading it never ends. */
-        remove("position");
-        if (mkfifo("position", 0600) != 0) {
+        remove("shared");
+        if (mkfifo("shared", 0600) != 0) {
             abort();
         }
         exit(0);

@@ -12,7 +12,7 @@ from cosim.systems.signals import Signals
 from cosim.systems.system import SystemSpec, Value
 from cosim.systems.wiring import Wiring
 from fmu_src.arm.clock import untimed
-from fmu_src.run.fmu import FmuInstance, FmuPool, mixed_buffer, numbered_text
+from fmu_src.run.fmu import SECONDS, FmuInstance, FmuPool, mixed_buffer, numbered_text
 from fmu_src.run.master import (
     Convert,
     Element,
@@ -23,6 +23,7 @@ from fmu_src.run.master import (
     Station,
 )
 from fmu_src.run.native import NativeStepper, native_stepper
+from fmu_src.run.sandbox import SandboxStepper, SystemSandbox, sandbox_stepper
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, silent
@@ -33,8 +34,9 @@ _REPORT_EVERY = 200  # steps between reports of progress
 class Master:
     """A loaded and checked system; a context manager that frees all FMUs.
 
-    It steps in C if all FMUs are in this process and `native` is true; the results are equal.
-    Entering raises ConfigError (see `Wiring`).
+    All untrusted FMUs share a sandbox, or have one each if `isolate` is true. It steps in C if all
+    FMUs are in one process and `native` is true; the results are equal. Entering raises ConfigError
+    (see `Wiring`).
     """
 
     def __init__(
@@ -43,18 +45,21 @@ class Master:
         path: Path = Path("system"),
         *,
         native: bool = True,
+        isolate: bool = False,
         loaded: FmuPool | None = None,
         scheme: ExchangeScheme | None = None,
     ) -> None:
         self.spec, self._path, self._native, self._loaded = spec, path, native, loaded
+        self._isolate = isolate
         self._scheme = scheme or ExchangeScheme(order=spec.order)
         self._cleanup = ExitStack()
 
     def __enter__(self) -> "Master":
         with ExitStack() as cleanup:
             lend = self._loaded.lend if self._loaded else FmuInstance
+            sandbox = None if self._isolate else cleanup.enter_context(SystemSandbox(SECONDS))
             self._slaves = {
-                c.name: cleanup.enter_context(lend(c.fmu, name=c.name))
+                c.name: cleanup.enter_context(lend(c.fmu, name=c.name, system=sandbox))
                 for c in self.spec.components
             }
             variables = {name: slave.variables for name, slave in self._slaves.items()}
@@ -109,8 +114,11 @@ class Master:
             low=low,
             high=high,
         )
-        stepper = native_stepper(self._layout) if self._native else None
-        self._stepper: PythonStepper | NativeStepper = stepper or PythonStepper(self._layout)
+        self._stepper: PythonStepper | NativeStepper | SandboxStepper = (
+            (native_stepper(self._layout) or sandbox_stepper(self._layout))
+            if self._native
+            else None
+        ) or PythonStepper(self._layout)
 
     def _conversion(self, into: Element) -> Convert | None:
         steps = self.spec.conversions.get(".".join(into), ())
@@ -190,17 +198,17 @@ class Master:
 
     def _initialise(self, more: Mapping[str, Mapping[str, Value]]) -> None:
         self._layout.values[:] = 0.0
-        for component, station in zip(self.spec.components, self._layout.stations, strict=True):
-            if station.slave.used:
-                station.slave.reset()
-            own = station.slave.variables.expanded(more.get(component.name, {}))
-            start = self._wiring.start[component.name] | own
+        for name, slave in self._slaves.items():
+            if slave.used:
+                slave.reset()
+            own = slave.variables.expanded(more.get(name, {}))
+            start = self._wiring.start[name] | own
             begin, stop = self.spec.begin, self.spec.stop
-            station.slave.enter_initialisation(time=begin, stop=stop, start=start)
+            slave.enter_initialisation(time=begin, stop=stop, start=start)
         if self._scheme.first == "propagated":
             self._propagate()
-        for station in self._layout.stations:
-            station.slave.exit_initialisation()
+        for slave in self._slaves.values():
+            slave.exit_initialisation()
         for station in self._layout.stations:
             station.read_outputs()
         if self._scheme.first == "zero":

@@ -30,6 +30,7 @@ def simulate(
     workers: int | None = None,
     cluster: str | None = None,
     insecure: bool = False,
+    isolate: bool = False,
     trust: bool = False,
     progress: Stages = silent,
 ) -> Signals | Answer:
@@ -61,6 +62,8 @@ def simulate(
         Sweep: address of a scheduler of dask.distributed, with the TLS settings of Dask.
     insecure : bool
         Sweep: allow a cluster on another machine without encryption.
+    isolate : bool
+        System: run each untrusted FMU in a process of its own, not all in one: slower.
     trust : bool
         Run these FMUs without a sandbox, now and later: faster, but with all your rights.
     progress : callable, optional
@@ -95,7 +98,6 @@ def simulate(
     """
     from cosim.systems.simulation import Master
     from cosim.systems.ssp_reader import opened_system
-    from cosim.systems.system_file import System
     from cosim.workflow.arguments import remember_trust
     from cosim.workflow.jobs import find_job
     from hesr_model.support.files import path_of, written_whole
@@ -103,6 +105,8 @@ def simulate(
     path = path_of(system, "a system")
     file = None if output is None else path_of(output, "an output")
     if job := find_job(path, "simulate"):
+        if isolate:
+            raise ArgumentError(f"'isolate' is for a system; {path} is a sweep.")
         if only is not None and file is not None:
             _require_table(file)
         return job.run(
@@ -133,10 +137,11 @@ def simulate(
             raise ConfigError(f"{path}: key 'observe' names no signals to write.")
         stages = partial(progress, spec.name)
         if file is None:
-            return System(spec, path).run(stages)
+            with Master(spec, path, isolate=isolate) as master:
+                return master.run(stages).require_success()
         # Check that the file can be written before the run.
         with written_whole(file) as temporary:
-            with Master(spec, path) as master:
+            with Master(spec, path, isolate=isolate) as master:
                 result = master.run(stages)
             if not len(result.t):
                 result.require_success()

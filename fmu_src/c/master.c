@@ -31,8 +31,13 @@ typedef struct {
     double *input_values, *output_values;
 } Station;
 
-/* How the steps ended. A failed call belongs to station `failed`, with its status. */
+/* How the steps ended. */
 typedef enum { DONE, NOT_FINITE, OUTSIDE, SET_FAILED, STEP_FAILED, GET_FAILED } End;
+
+/* Recorded rows, and the station and the function that is called, as `End`. Other processes may read it. */
+typedef struct {
+    int64_t done, station, call;
+} StepRecord;
 
 typedef struct {
     const Station *stations;
@@ -47,14 +52,18 @@ typedef struct {
     const double *low, *high;
     int64_t limits;
     double *kept; /* (steps + 1, width) */
-    int64_t done; /* number of recorded rows */
-    int64_t failed;
+    StepRecord *progress;
     fmi2Status status;
 } System;
 
 /* Every other status is an error, including values that FMI does not define. */
 static bool is_good(fmi2Status status) {
     return status == fmi2OK || status == fmi2Warning;
+}
+
+static void note(System *s, int64_t i, End call) {
+    s->progress->station = i;
+    s->progress->call = call;
 }
 
 static bool set_inputs(System *s, int64_t i) {
@@ -65,7 +74,7 @@ static bool set_inputs(System *s, int64_t i) {
     for (int64_t j = 0; j < at->inputs; j++) {
         at->input_values[j] = s->values[at->sources[j]];
     }
-    s->failed = i;
+    note(s, i, SET_FAILED);
     s->status = at->set(at->component, at->input_references, (size_t)at->inputs, at->input_values);
     return is_good(s->status);
 }
@@ -73,7 +82,7 @@ static bool set_inputs(System *s, int64_t i) {
 static bool do_step(System *s, int64_t i, int64_t k) {
     const Station *at = &s->stations[i];
     const double from = (double)(k + 1 - at->every) * s->step;
-    s->failed = i;
+    note(s, i, STEP_FAILED);
     s->status = at->step(at->component, from, (double)at->every * s->step, fmi2True);
     return is_good(s->status);
 }
@@ -83,7 +92,7 @@ static bool read_outputs(System *s, int64_t i) {
     if (at->outputs == 0) {
         return true;
     }
-    s->failed = i;
+    note(s, i, GET_FAILED);
     s->status =
         at->get(at->component, at->output_references, (size_t)at->outputs, at->output_values);
     return is_good(s->status);
@@ -126,8 +135,8 @@ static End jacobi(System *s, int64_t k) {
 }
 
 PUBLIC int advance(System *s, int64_t stop) {
-    while (s->done < stop) {
-        const int64_t k = s->done;
+    while (s->progress->done < stop) {
+        const int64_t k = s->progress->done;
         if (k > 0) {
             const End end = s->jacobi ? jacobi(s, k - 1) : gauss_seidel(s, k - 1);
             if (end != DONE) {
@@ -142,7 +151,7 @@ PUBLIC int advance(System *s, int64_t stop) {
         for (int64_t i = 0; i < s->width; i++) {
             s->kept[k * s->width + i] = s->values[s->rows[i]];
         }
-        s->done = k + 1;
+        s->progress->done = k + 1;
         for (int64_t i = 0; i < s->limits; i++) {
             const double value = s->values[s->limited[i]];
             if (value < s->low[i] || value > s->high[i]) {

@@ -10,7 +10,7 @@ from fmu_src.check.archive import Contents
 from fmu_src.check.rules import Problem
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
-from hesr_model.support.process import FailedError, run
+from hesr_model.support.process import FailedError, run, tied
 from hesr_model.support.text import listed, plain
 
 FMPY_SECONDS = 120.0
@@ -76,7 +76,7 @@ def vdmcheck2(
     # Without -v it writes a file into its own folder.
     command = (java, "-jar", str(jar.resolve()), "-v", str(folder / "model.vdm"), str(copy))
     try:
-        ended = run(command, folder, VDMCHECK_SECONDS)
+        ended = run(tied(command), folder, VDMCHECK_SECONDS)
     except FailedError as error:
         return [], [f"VDMCheck2: {plain(str(error))}."]
     lines = ended.text.splitlines()

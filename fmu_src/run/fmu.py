@@ -33,7 +33,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder, sha256
 
 if TYPE_CHECKING:
-    from fmu_src.run.sandbox import SandboxedInstance
+    from fmu_src.run.sandbox import Sandbox, SandboxedInstance, SystemSandbox
 
 Starts = Mapping[str, float | str]
 SECONDS = 60.0  # for a call of an untrusted FMU
@@ -87,8 +87,8 @@ def _forget_some(place: Path) -> None:
 class FmuInstance:
     """A co-simulation slave; a context manager that frees instance and files on every exit.
 
-    Trusted FMUs run in this process, others in a sandbox with `seconds` [s] for each call;
-    `unpacked` is the folder of a trusted one. Methods raise SimulationError.
+    Trusted FMUs run in this process, others in a sandbox with `seconds` [s] for each call, or in
+    that of a system; `unpacked` is the folder of a trusted one. Methods raise SimulationError.
     """
 
     description: ModelDescription
@@ -102,27 +102,29 @@ class FmuInstance:
         name: str | None = None,
         seconds: float = SECONDS,
         unpacked: Path | None = None,
+        system: "SystemSandbox | None" = None,
     ) -> None:
         self.fmu = fmu
         self.name = name or fmu.stem
         self.time = 0.0  # time reached, or start of the step that failed [s]
         self.messages: list[str] = []
         self.used = self.failed = False  # reset before the next initialisation; a call has failed
-        self._seconds, self._unpacked = seconds, unpacked
+        self._seconds, self._unpacked, self._system = seconds, unpacked, system
+        self.trusted = True
         self._complaint: str | None = None
         self._stepping = False
         self._cleanup = ExitStack()
 
     def __enter__(self) -> Self:
         with ExitStack() as cleanup:
+            sandbox = None
             if self._unpacked:
-                folder, trusted = self._unpacked, True
+                folder = self._unpacked
                 self.description, self.declared = description_of(folder, self.fmu)
             else:
-                folder = cleanup.enter_context(scratch_folder())
-                trusted = self._unpack(folder)
+                folder, sandbox = self._unpack(cleanup)
             self.variables = Variables(self.fmu, self.description)
-            self._instance = self._loaded(folder, trusted=trusted)
+            self._instance = self._loaded(folder, sandbox)
             cleanup.push(self._free)
             self._cleanup = cleanup.pop_all()
         return self
@@ -130,17 +132,27 @@ class FmuInstance:
     def __exit__(self, *ended: Any) -> None:
         self._cleanup.__exit__(*ended)
 
-    def _unpack(self, folder: Path) -> bool:
+    def _unpack(self, cleanup: ExitStack) -> "tuple[Path, Sandbox | None]":
         own = (*(fmi.folder for fmi in VERSIONS.values()), "resources/")
+        place = sandbox = None
         try:
             with Archive(self.fmu) as archive:
+                self.trusted = is_known(archive.digest())
+                if not self.trusted:
+                    from fmu_src.run.sandbox import SystemSandbox  # slow to import
+
+                    system = self._system or cleanup.enter_context(SystemSandbox(self._seconds))
+                    place, sandbox = system.folder, system.sandbox  # starts meanwhile
+                folder = cleanup.enter_context(scratch_folder(place))
                 self.description, self.declared = description_in(archive)
                 archive.unpack(folder, lambda name: name.startswith(own))
-                return is_known(archive.digest())
+                return folder, sandbox
         except ArtifactError as error:
             raise SimulationError(f"{error}") from error
+        except DiedError as error:
+            raise self._failure(error) from error
 
-    def _loaded(self, folder: Path, *, trusted: bool) -> "Instance | SandboxedInstance":
+    def _loaded(self, folder: Path, sandbox: "Sandbox | None") -> "Instance | SandboxedInstance":
         about = self.description
         fmi = {"2.0": 2, "3.0": 3}.get(about.fmiVersion)
         if fmi is None or about.coSimulation is None:
@@ -160,13 +172,11 @@ class FmuInstance:
             variables=self.declared,
         )
         try:
-            if trusted:
+            if sandbox is None:
                 return Instance(unpacked, self._log, self._failure)
-            from fmu_src.run.sandbox import SandboxedInstance  # slow to import
+            from fmu_src.run.sandbox import SandboxedInstance
 
-            own = folder / "process"  # no folder of the archive has this name
-            own.mkdir()
-            return SandboxedInstance(unpacked, self._log, self._failure, own, self._seconds)
+            return SandboxedInstance(unpacked, self._log, self._failure, sandbox)
         except LoadError as error:
             raise SimulationError(f"{self.fmu}: its binary cannot be loaded ({error}).") from error
 
@@ -332,18 +342,23 @@ class FmuPool:
         self._idle: dict[_Key, FmuInstance] = {}
 
     @contextmanager
-    def lend(self, fmu: Path, *, name: str) -> Iterator[FmuInstance]:
-        """Yield a new or kept instance; afterwards it is reset and kept unless a call failed."""
+    def lend(
+        self, fmu: Path, *, name: str, system: "SystemSandbox | None" = None
+    ) -> Iterator[FmuInstance]:
+        """Yield a new or kept instance; afterwards it is reset and kept unless a call failed.
+
+        One in the sandbox of a system ends with it.
+        """
         key = _key(fmu, name)
         instance = self._idle.pop(key, None) if key else None
         if instance is None:
-            instance = FmuInstance(fmu, name=name).__enter__()
+            instance = FmuInstance(fmu, name=name, system=system).__enter__()
         try:
             yield instance
         except BaseException as error:
             instance.__exit__(type(error), error, error.__traceback__)
             raise
-        if key and key not in self._idle and _ready(instance):
+        if key and key not in self._idle and (instance.trusted or not system) and _ready(instance):
             self._idle[key] = instance
             while len(self._idle) > self._most:
                 self._idle.pop(next(iter(self._idle))).__exit__(None, None, None)

@@ -5,12 +5,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.instance import Buffer
 from hesr_model.errors import SimulationError
 from hesr_model.support.arrays import Array
@@ -38,11 +37,20 @@ class ExchangeScheme:
     refreshed: Literal["none", "shown", "all"] = "none"
 
 
+class Slave(Protocol):
+    """An initialised FMU; `time` [s] is that reached, or the start of the step that failed."""
+
+    time: float
+
+    def step(self, time: float, step: float) -> None:
+        """Step from a time [s] by a step [s]."""
+
+
 @dataclass(kw_only=True, eq=False)
 class Station:
     """A component of a system."""
 
-    slave: FmuInstance
+    slave: Slave
     every: int  # its step in communication steps
     inputs: Buffer  # connected ones
     sources: Places  # (n,) indices of the outputs that feed them

@@ -5,17 +5,15 @@ import logging
 from collections.abc import Sequence
 from enum import IntEnum
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
 
-from fmu_src.export.package import own_source
-from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.run.fmi import VERSIONS
-from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.instance import PLATFORM, Buffer, LocalBuffer
-from fmu_src.run.master import Layout
+from fmu_src.run.master import Layout, Slave
 from hesr_model.errors import ExportError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
@@ -23,16 +21,16 @@ from hesr_model.support.files import scratch_folder
 _log = logging.getLogger(__name__)
 
 
-class _End(IntEnum):
+class End(IntEnum):
     """Reasons for the end of the steps, in the order of master.c."""
 
     DONE, NOT_FINITE, OUTSIDE, SET_FAILED, STEP_FAILED, GET_FAILED = range(6)
 
 
-_FUNCTIONS = {
-    _End.SET_FAILED: "fmi2SetReal",
-    _End.STEP_FAILED: "fmi2DoStep",
-    _End.GET_FAILED: "fmi2GetReal",
+FUNCTIONS = {
+    End.SET_FAILED: "fmi2SetReal",
+    End.STEP_FAILED: "fmi2DoStep",
+    End.GET_FAILED: "fmi2GetReal",
 }
 
 
@@ -43,6 +41,12 @@ class _Station(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("input_references", "output_references")),
         *((name, ctypes.c_void_p) for name in ("sources", "input_values", "output_values")),
     )
+
+
+class StepRecord(ctypes.Structure):
+    """Number of recorded rows, and the last call: index of a station, and `End`."""
+
+    _fields_ = tuple((name, ctypes.c_int64) for name in ("done", "station", "call"))
 
 
 class _System(ctypes.Structure):
@@ -58,20 +62,24 @@ class _System(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("limited", "low", "high")),
         ("limits", ctypes.c_int64),
         ("kept", ctypes.c_void_p),
-        *((name, ctypes.c_int64) for name in ("done", "failed")),
+        ("progress", ctypes.POINTER(StepRecord)),
         ("status", ctypes.c_int),
     )
 
 
-def native_stepper(layout: Layout) -> "NativeStepper | None":
+def native_stepper(
+    layout: Layout, library: ctypes.CDLL | None = None, progress: StepRecord | None = None
+) -> "NativeStepper | None":
     """Return the steps in C; None for foreign FMUs or refreshed outputs, or without compiler."""
     converting = any(station.conversions for station in layout.stations)
     if layout.scheme.refreshed != "none" or layout.begin or converting:
         return None
     buffers = [b for station in layout.stations for b in (station.inputs, station.outputs)]
     own = [buffer for buffer in buffers if _is_native(buffer)]
-    library = _library() if len(own) == len(buffers) else None
-    return NativeStepper(layout, own[::2], own[1::2], library) if library else None
+    library = (library or _library()) if len(own) == len(buffers) else None
+    if library is None:
+        return None
+    return NativeStepper(layout, own[::2], own[1::2], library, progress or StepRecord())
 
 
 def _is_native(buffer: Buffer) -> TypeGuard[LocalBuffer]:
@@ -87,9 +95,10 @@ class NativeStepper:
         inputs: Sequence[LocalBuffer],
         outputs: Sequence[LocalBuffer],
         library: ctypes.CDLL,
+        progress: StepRecord,
     ) -> None:
         self._layout, self._fail = layout, [buffer.instance.fail for buffer in inputs]
-        self._advance = library["advance"]
+        self._advance, self._progress = library["advance"], progress
         stations = (_Station * len(inputs))()
         self._held: list[Any] = [stations]  # keeps alive what C points to
         for at, into, out, station in zip(stations, inputs, outputs, layout.stations, strict=True):
@@ -111,6 +120,7 @@ class NativeStepper:
             low=self._address(np.ascontiguousarray(layout.low)),
             high=self._address(np.ascontiguousarray(layout.high)),
             limits=layout.limited.size,
+            progress=ctypes.pointer(progress),
         )
 
     def _address(self, array: Any) -> int:
@@ -120,29 +130,34 @@ class NativeStepper:
     @property
     def done(self) -> int:
         """Number of recorded rows."""
-        return int(self._system.done)
+        return int(self._progress.done)
 
     def begin(self, kept: Array) -> None:
         """See `PythonStepper`."""
         self._kept = kept
-        self._system.kept, self._system.done = kept.ctypes.data, 0
+        self._system.kept, self._progress.done = kept.ctypes.data, 0
 
     def advance(self, stop: int) -> None:
         """See `PythonStepper`."""
         layout, system = self._layout, self._system
-        end = _End(self._advance(ctypes.byref(system), ctypes.c_int64(stop)))
-        failing = int(system.failed) if end in _FUNCTIONS else -1
-        for i, station in enumerate(layout.stations):
-            steps = max(self.done - 1, 0) + (end is _End.NOT_FINITE)
-            station.slave.time = station.reached(steps, layout.step)
-            if i == failing and end is _End.STEP_FAILED:
-                station.slave.time = station.start(self.done - 1, layout.step)
-            elif i == failing and end is _End.GET_FAILED:
-                station.slave.time = station.reached(self.done, layout.step)
-        if end is _End.OUTSIDE:
+        end = End(self._advance(ctypes.byref(system), ctypes.c_int64(stop)))
+        failing = int(self._progress.station) if end in FUNCTIONS else -1
+        set_times(layout, self.done, end, failing)
+        if end is End.OUTSIDE:
             layout.require_limits(layout.values, (self.done - 1) * layout.step)
         if failing >= 0:
-            self._fail[failing](_FUNCTIONS[end], int(system.status))
+            self._fail[failing](FUNCTIONS[end], int(system.status))
+
+
+def set_times(layout: Layout, done: int, end: End, failing: int) -> None:
+    """Set the times reached by the components, after `done` recorded rows."""
+    for i, station in enumerate(layout.stations):
+        steps = max(done - 1, 0) + (end is End.NOT_FINITE)
+        station.slave.time = station.reached(steps, layout.step)
+        if i == failing and end is End.STEP_FAILED:
+            station.slave.time = station.start(done - 1, layout.step)
+        elif i == failing and end is End.GET_FAILED:
+            station.slave.time = station.reached(done, layout.step)
 
 
 def _connect(at: _Station, into: LocalBuffer, out: LocalBuffer) -> tuple[LocalBuffer, LocalBuffer]:
@@ -162,7 +177,12 @@ _AT_ONCE = 1 << 16  # rows between which Python handles signals
 
 
 def through(
-    component: FmuInstance, inputs: Buffer, outputs: Buffer, times: Array, sizes: Array, rows: Array
+    component: Slave,
+    inputs: Buffer,
+    outputs: Buffer,
+    times: Array,
+    sizes: Array,
+    rows: Array,
 ) -> Array:
     """Set inputs (K, m), step from `times` by `sizes` (K,) [s], and return the outputs (K, n).
 
@@ -177,12 +197,12 @@ def through(
         while done.value < len(rows):
             stop = ctypes.c_int64(min(done.value + _AT_ONCE, len(rows)))
             results = ctypes.byref(done), ctypes.byref(status)
-            end = _End(library["through"](ctypes.byref(at), *places, stop, *results))
-            k = done.value - (end is _End.DONE)
-            over = end in (_End.DONE, _End.GET_FAILED)
+            end = End(library["through"](ctypes.byref(at), *places, stop, *results))
+            k = done.value - (end is End.DONE)
+            over = end in (End.DONE, End.GET_FAILED)
             component.time = float(times[k] + sizes[k]) if over else float(times[k])
-            if end is not _End.DONE:
-                inputs.instance.fail(_FUNCTIONS[end], status.value)
+            if end is not End.DONE:
+                inputs.instance.fail(FUNCTIONS[end], status.value)
         return found
     for k, (time, size) in enumerate(zip(times.tolist(), sizes.tolist(), strict=True)):
         inputs.values[:] = rows[k]
@@ -194,16 +214,23 @@ def through(
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    target = TARGETS.get(PLATFORM)
-    if target is None:
+    with scratch_folder() as folder:
+        file = write_library(folder)
+        return ctypes.CDLL(str(file)) if file else None
+
+
+def write_library(folder: Path) -> Path | None:
+    """Write the compiled master.c into a folder; return None without a compiler."""
+    from fmu_src.export.toolchain import TARGETS, build  # not used in a sandbox
+
+    if (target := TARGETS.get(PLATFORM)) is None:
         return None
     try:
-        with scratch_folder() as folder:
-            for name in ("master.c", "fmi2.h"):
-                Path(folder, name).write_text(own_source(name), encoding="utf-8")
-            file = Path(folder, f"master{target.suffix}")
-            file.write_bytes(build(Path(folder, "master.c"), "master", target))
-            return ctypes.CDLL(str(file))
+        for name in ("master.c", "fmi2.h"):
+            Path(folder, name).write_bytes((files("fmu_src") / "c" / name).read_bytes())
+        file = Path(folder, f"master{target.suffix}")
+        file.write_bytes(build(Path(folder, "master.c"), "master", target))
     except (ExportError, OSError) as error:
         _log.info("systems are stepped in Python (%s).", error)
         return None
+    return file

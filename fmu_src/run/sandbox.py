@@ -1,5 +1,6 @@
 """A process with limits on time, memory and files, for untrusted FMUs and files."""
 
+import base64
 import json
 import socket
 import struct
@@ -7,22 +8,27 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import suppress
-from functools import partialmethod
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from functools import cached_property, partialmethod
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from fmu_src.run import sandbox_child
 from fmu_src.run.fmi import VERSIONS, Tell
 from fmu_src.run.instance import CallError, DiedError, Failure, LoadError, UnpackedFmu
+from fmu_src.run.master import Layout
+from fmu_src.run.native import FUNCTIONS, End, set_times, write_library
 from fmu_src.run.sandbox_rights import warn
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.process import ChildProcess, FailedError, how_it_ended
 from hesr_model.support.text import plain
 
+TOTAL = 3600.0  # [s] of a run
 _FAREWELL = 5.0  # [s] to free an instance
 _POLL = 0.1  # [s] between checks of the process
 _PIECE = 1 << 16  # bytes received at once
@@ -34,18 +40,25 @@ NONSENSE = "gave an invalid answer and was ended"
 class Sandbox:
     """A child process in an empty folder that answers requests within `seconds` [s] each.
 
-    It may read a file or folder, `readable`.
+    All requests of a run, or of a process without runs, must be answered within `total` [s]. The
+    process may read a file or folder, `readable`, and imports `modules` at once.
 
-    Otherwise it raises DiedError with the end of a sentence; `reached` is then the position of the
-    last call within its request.
+    Otherwise it raises DiedError with the end of a sentence; `progress` is then that of its end,
+    whose call is the position of the last call within its request.
     """
 
-    def __init__(self, folder: Path, seconds: float, readable: Path) -> None:
+    def __init__(
+        self, folder: Path, seconds: float, readable: Path, *modules: str, total: float = TOTAL
+    ) -> None:
         warn()
-        self.seconds, self.reached = seconds, 0
+        self.seconds, self.readable = seconds, readable
+        self.tells: list[Tell] = []  # by number of the instance
+        self.buffers = 0  # number
+        self._total, self._ended, self._left = total, False, b""
+        self.begin()
         # Kept open, because the FMU may replace the file.
-        self._position = (folder / sandbox_child.POSITION).open("w+b", buffering=0)
-        self._position.write(b"\0")
+        self._shared = (folder / sandbox_child.SHARED).open("w+b", buffering=0)
+        self.share(b"", 0)
         self._socket, theirs = socket.socketpair()
         self._socket.settimeout(_POLL)
         theirs.set_inheritable(True)
@@ -54,7 +67,7 @@ class Sandbox:
         windows = sys.platform == "win32"
         try:
             self._started = ChildProcess(
-                (sys.executable, *map(str, child)),
+                (sys.executable, *map(str, child), *modules),
                 folder,
                 environment=dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder.resolve())),
                 stdin=subprocess.PIPE,  # closed when this process ends
@@ -63,58 +76,87 @@ class Sandbox:
                 **({"close_fds": False} if windows else {"pass_fds": (theirs.fileno(),)}),
             )
         except FailedError as error:
-            self._position.close()
+            self._shared.close()
             self._socket.close()
             raise DiedError(f"has no process: {error}") from error
         finally:
             theirs.close()
 
-    def ask(self, request: bytes, most: int) -> bytes:
-        """Return the answer to a request, at most `most` bytes."""
-        end = time.monotonic() + self.seconds
+    def begin(self) -> None:
+        """Begin a run, which has `total` seconds."""
+        self._last = time.monotonic() + self._total
+
+    def share(self, values: bytes, size: int) -> None:
+        """Clear the progress in the shared file; values and `size` bytes follow it."""
+        self._shared.seek(0)
+        self._shared.write(bytes(sandbox_child.HEAD) + values)
+        self._size = self._shared.tell() + size
+        if self._shared.seek(0, 2) < self._size:
+            self._shared.truncate(self._size)
+
+    def shared(self, begin: int, size: int) -> bytes:
+        """Return bytes of the shared file, fewer if the FMU has shortened it."""
+        if self._ended:
+            return self._left[begin : begin + size]
+        self._shared.seek(begin)
+        return self._shared.read(size)
+
+    def ask(
+        self, request: Any, most: int = sandbox_child.LONGEST_TEXT, *, stepping: bool = False
+    ) -> Any:
+        """Return the answer to a request, at most `most` bytes; `stepping` has `seconds` a row."""
+        data = json.dumps(request).encode()
+        self._end, self._stepping = time.monotonic() + self.seconds, stepping
         try:
-            self._send(sandbox_child.LENGTH.pack(len(request)) + request, end)
-            return self._receive(most, end)
+            self._send(sandbox_child.LENGTH.pack(len(data)) + data)
+            return json.loads(self._receive(most))
         except OSError as error:  # a closed connection included
             raise self.died(self._how_it_ended()) from error
+        except (ValueError, RecursionError) as error:
+            raise self.died(NONSENSE) from error
 
     def run(self, function: str, *arguments: Any) -> Any:
         """Return the result of "module:function", called in the process with JSON data."""
-        request = sandbox_child.WORDS + json.dumps(["run", [function, *arguments]]).encode()
-        data = self.ask(request, _MOST_RESULT)
+        answer = self.ask({"run": [function, *arguments]}, _MOST_RESULT)
         try:
-            answer = json.loads(data)
             if "raised" in answer:
                 raise self.died(f"failed with '{plain(str(answer['raised']), 400).rstrip('.')}'")
             return answer["result"]
-        except (ValueError, TypeError, KeyError, RecursionError) as error:
+        except (TypeError, KeyError) as error:
             raise self.died(NONSENSE) from error
 
     def died(self, how: str) -> DiedError:
-        """End the process and return the error."""
+        """End the process and return the error; what it has shared is kept."""
+        self._left = self.shared(0, self._size)
         self.kill()
         return DiedError(how)
 
     def kill(self) -> None:
         """End the process and its descendants."""
-        if not self._position.closed:
-            self._position.seek(0)
-            self.reached = next(iter(self._position.read(1)), 0)
-            self._position.close()
+        if self._ended:
+            return
+        self._ended = True
+        self._shared.close()
         self._socket.close()
         if self._started.process.stdin:
             self._started.process.stdin.close()
         self._started.end()
 
-    def _send(self, data: bytes, end: float) -> None:
+    def progress(self) -> tuple[int, int, int]:
+        """Return rows, station and call; the FMU may have written anything there."""
+        head = self.shared(0, sandbox_child.HEAD)
+        return struct.unpack("=3q", head.ljust(sandbox_child.HEAD, b"\0"))
+
+    def _send(self, data: bytes) -> None:
         left = memoryview(data)
         while left:
             with suppress(TimeoutError):
                 left = left[self._socket.send(left) :]
-            self._require_time(end)
+            self._require_time()
 
-    def _receive(self, most: int, end: float) -> bytes:
+    def _receive(self, most: int) -> bytes:
         data, size = bytearray(), sandbox_child.LENGTH.size + most
+        before = self.progress() if self._stepping else None
         while len(data) < size:
             try:
                 piece = self._socket.recv(_PIECE)
@@ -122,24 +164,29 @@ class Sandbox:
                 # Descendants may keep the connection open.
                 if self._started.process.poll() is not None:
                     raise ConnectionError from None
-                self._require_time(end)
+                if before and before[0] != (now := self.progress())[0]:
+                    before, self._end = now, time.monotonic() + self.seconds
+                self._require_time()
                 continue
             if not piece:
                 raise ConnectionError
             data += piece
             if len(data) < sandbox_child.LENGTH.size:
-                self._require_time(end)
+                self._require_time()
                 continue
             size = sandbox_child.LENGTH.size + sandbox_child.LENGTH.unpack_from(data)[0]
             if size > sandbox_child.LENGTH.size + most or len(data) > size:
                 raise self.died(NONSENSE)
             if len(data) < size:
-                self._require_time(end)
+                self._require_time()
         return bytes(data[sandbox_child.LENGTH.size :])
 
-    def _require_time(self, end: float) -> None:
-        if time.monotonic() > end:
+    def _require_time(self) -> None:
+        now = time.monotonic()
+        if now > self._end:
             raise self.died(f"gave no answer within {self.seconds:g} s and was ended")
+        if now > self._last:
+            raise self.died(f"ran for more than {self._total:g} s and was ended")
 
     def _how_it_ended(self) -> str:
         try:
@@ -161,169 +208,260 @@ def run_in_sandbox(function: str, *arguments: Any, folder: Path, seconds: float)
             sandbox.kill()
 
 
+class SystemSandbox:
+    """Folder and process of the untrusted FMUs of a system, made when the first one is loaded."""
+
+    def __init__(self, seconds: float, total: float = TOTAL) -> None:
+        self._seconds, self._total = seconds, total
+        self._cleanup = ExitStack()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *ended: Any) -> None:
+        self._cleanup.close()
+
+    @cached_property
+    def folder(self) -> Path:
+        """Folder that the process may read."""
+        return self._cleanup.enter_context(scratch_folder())
+
+    @cached_property
+    def sandbox(self) -> Sandbox:
+        """The process, which writes in a folder within."""
+        own = self.folder / "process"
+        own.mkdir()
+        sandbox = Sandbox(own, self._seconds, self.folder, "fmu_src.run.native", total=self._total)
+        self._cleanup.callback(sandbox.kill)
+        return sandbox
+
+
 class SandboxedInstance:
     """An FMU in a sandbox, with the methods of `Instance`.
 
     A failed write surfaces at the next call.
     """
 
-    def __init__(
-        self, fmu: UnpackedFmu, tell: Tell, failure: Failure, folder: Path, seconds: float
-    ) -> None:
-        self._tell, self._failure = tell, failure
+    def __init__(self, fmu: UnpackedFmu, tell: Tell, failure: Failure, sandbox: Sandbox) -> None:
+        self._failure, self.sandbox = failure, sandbox
         self._fmi = VERSIONS[fmu.fmi]
         self._functions = self._fmi.functions
         self._numbers: dict[tuple[int, ...], int] = {}
-        self._sizes: list[int] = []
-        self._written: list[tuple[int, bytes]] = []
+        self._sizes: dict[int, int] = {}
+        self._written: list[tuple[str, tuple[Any, ...]]] = []  # functions and calls
         self._known: dict[int, bytes] = {}
         self._asked: dict[int, None] = {}
-        try:
-            self._sandbox = Sandbox(folder, seconds, Path(fmu.folder))
-        except DiedError as error:
-            raise failure(error) from error
-        try:
-            self._call("loading it", "load", fmu.to_json())
-        except BaseException:
-            self.kill()
-            raise
+        self.number = len(sandbox.tells)
+        sandbox.tells.append(tell)
+        self._call("loading it", "load", fmu.to_json())
 
     def step(self, time: float, size: float) -> None:
         """Step from a time [s] by a size [s]."""
-        prefetch = list(self._asked)[:_MOST_PREFETCHED]
+        ahead = list(self._asked)[:_MOST_PREFETCHED]
         self._asked.clear()
-        self._exchange(begin=time, size=size, prefetch=prefetch)
+        self._call(self._functions["step"], "step", time, size, ahead=ahead)
 
-    def buffer(self, references: Sequence[int], values: Array | None = None) -> "_SandboxedBuffer":
+    def buffer(self, references: Sequence[int], values: Array | None = None) -> "SandboxedBuffer":
         """Return a buffer of Real variables; see `Instance`."""
         key = tuple(references)
         if key not in self._numbers:
             self._call(self._functions["read"], "buffer", list(key))
-            self._numbers[key] = len(self._sizes)
-            self._sizes.append(8 * len(key))
+            self._numbers[key] = self.sandbox.buffers
+            self._sizes[self.sandbox.buffers] = 8 * len(key)
+            self.sandbox.buffers += 1
         own = np.zeros(len(key)) if values is None else values
-        return _SandboxedBuffer(self, self._numbers[key], own)
+        return SandboxedBuffer(self, self._numbers[key], key, own)
 
-    def write(self, buffer: "_SandboxedBuffer") -> None:
+    def write(self, buffer: "SandboxedBuffer") -> None:
         """Set the variables of a buffer with the next message."""
-        self._written.append((buffer.number, buffer.values.tobytes()))
+        text = base64.b64encode(buffer.values.tobytes()).decode()
+        self._written.append((self._functions["write"], ("write", buffer.number, text)))
         self._known.clear()
 
-    def read(self, buffer: "_SandboxedBuffer") -> None:
+    def read(self, buffer: "SandboxedBuffer") -> None:
         """Read the variables of a buffer."""
         self._asked[buffer.number] = None
         if buffer.number not in self._known:
-            self._exchange(needed=[buffer.number])
+            self._call(self._functions["read"], "read", buffer.number)
         buffer.values[:] = np.frombuffer(self._known[buffer.number])
 
+    def setup(self, time: float, stop: float | None) -> None:
+        """Announce start and end of the experiment [s]."""
+        self.sandbox.begin()
+        self._call(self._functions["setup"], "setup", time, stop)
+
     def close(self, *, stepping: bool) -> None:
-        """Terminate and free the instance, and end the process."""
-        self._sandbox.seconds = min(self._sandbox.seconds, _FAREWELL)
+        """Terminate and free the instance."""
+        self.sandbox.seconds = min(self.sandbox.seconds, _FAREWELL)
         self._failure = lambda error: error
-        try:
-            with suppress(DiedError, CallError):
-                self._call(self._functions["free"], "close", stepping)
-        finally:
-            self.kill()
+        with suppress(DiedError, CallError):
+            self._call(self._functions["free"], "close", stepping)
 
     def kill(self) -> None:
         """End the process."""
-        self._sandbox.kill()
+        self.sandbox.kill()
 
     def get(self, kind: str, references: Sequence[int]) -> list[Any]:
         """Return variables of type Boolean, Integer or String."""
         found: list[Any] = list(self._do("get", kind, references) or ())
         wanted = {"String": {str}}.get(kind, {int, bool})
         if {type(value) for value in found} - wanted or len(found) != len(references):
-            raise self._died([self._functions["get"] + kind], self._sandbox.died(NONSENSE))
+            raise self.failure(self.sandbox.died(NONSENSE), self._functions["get"] + kind)
         return found
 
     def _do(self, method: str, *arguments: Any) -> Any:
-        if self._written:
-            self._exchange()
         kind = self._fmi.kind(arguments[0], None)[0] if method in ("set", "get") else ""
         return self._call(f"{self._functions[method]}{kind}", method, *arguments)
 
-    setup = partialmethod(_do, "setup")
     enter_initialisation = partialmethod(_do, "enter_initialisation")
     exit_initialisation = partialmethod(_do, "exit_initialisation")
     reset = partialmethod(_do, "reset")
     set = partialmethod(_do, "set")
     set_slopes = partialmethod(_do, "set_slopes")
 
-    def _call(self, function: str, method: str, *arguments: Any) -> Any:
-        self._known.clear()
-        request = sandbox_child.WORDS + json.dumps([method, arguments]).encode()
+    def _call(self, function: str, method: str, *arguments: Any, ahead: Sequence[int] = ()) -> Any:
+        """Do pending writes and a call, and read buffers `ahead`; return the call's result."""
+        names = [*(name for name, _ in self._written), function]
+        names += [self._functions["read"]] * len(ahead)
         try:
-            data = self._sandbox.ask(request, sandbox_child.LONGEST_TEXT)
-            try:
-                answer = json.loads(data)
-                unloadable, failed = (answer.get(key) for key in ("unloadable", "failed"))
-                self._hear(answer["messages"])
-            except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-                raise self._sandbox.died(NONSENSE) from error
-        except DiedError as error:
-            raise self._died([function], error) from error
+            return self.request(method, *arguments, ahead=ahead)
+        except (CallError, DiedError) as error:
+            position = min(max(self.sandbox.progress()[2], 0), len(names) - 1)
+            raise self.failure(error, names[position]) from error
+
+    def request(
+        self, method: str, *arguments: Any, ahead: Sequence[int] = (), stepping: bool = False
+    ) -> Any:
+        """Do what `_call` does; raise CallError or DiedError as they are."""
+        calls, self._written = [*(call for _, call in self._written), (method, *arguments)], []
+        self._known.clear()
+        request = {"who": self.number, "calls": calls, "ahead": ahead}
+        most = sandbox_child.LONGEST_TEXT + 2 * sum(self._sizes.values())
+        answer = self.sandbox.ask(request, most, stepping=stepping)
+        try:
+            unloadable, failed = (answer.get(key) for key in ("unloadable", "failed"))
+            for who, status, text in answer["messages"]:
+                self.sandbox.tells[who](int(status), str(text))
+            self._know(ahead, answer["ahead"])
+            result = None if unloadable or failed else answer["results"][len(calls) - 1]
+            self._know(arguments if method == "read" else (), [result])
+        except (ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
+            raise self.sandbox.died(NONSENSE) from error
         if unloadable is not None:
             raise LoadError(plain(str(unloadable)))
         if failed is not None:
-            raise self._failure(CallError(plain(str(failed))))
-        return answer.get("result")
+            raise CallError(plain(str(failed)))
+        return result
 
-    def _exchange(
-        self,
-        begin: float = 0.0,
-        size: float = 0.0,
-        needed: Sequence[int] = (),
-        prefetch: Sequence[int] = (),
-    ) -> None:
-        """Do pending writes, a step [s] unless its size is 0, and read buffers."""
-        written, self._written = self._written, []
-        self._known.clear()
-        exchange = sandbox_child.Exchange(
-            begin=begin, size=size, written=written, needed=needed, prefetch=prefetch
-        )
-        names = [self._functions["write"]] * len(written)
-        names += [self._functions["step"]] * (size != 0.0)
-        names += [self._functions["read"]] * (len(needed) + len(prefetch))
-        read = [*needed, *prefetch]
-        most = 8 + sum(self._sizes[number] for number in read) + sandbox_child.LONGEST_TEXT
-        try:
-            data = self._sandbox.ask(exchange.packed(), most)
-            try:
-                status, position, rest = sandbox_child.unpacked_answer(data)
-                failed = names[position] if status else ""
-                found = [] if status else read[: max(position, len(needed))]
-                for number in found:
-                    values, rest = rest[: self._sizes[number]], rest[self._sizes[number] :]
-                    if len(values) != self._sizes[number]:
-                        raise ValueError("too few values")
-                    self._known[number] = values
-                self._hear(json.loads(rest) if rest else [])
-            except (ValueError, IndexError, TypeError, struct.error, RecursionError) as error:
-                raise self._sandbox.died(NONSENSE) from error
-        except DiedError as error:
-            raise self._died(names, error) from error
-        if status:
-            raise self._failure(CallError(failed, status))
+    def _know(self, numbers: Sequence[int], texts: Sequence[Any]) -> None:
+        for number, text in zip(numbers, texts, strict=False):
+            self._known[number] = base64.b64decode(text)
+            if len(self._known[number]) != self._sizes[number]:
+                raise ValueError("the size is wrong")
 
-    def _hear(self, messages: Sequence[tuple[int, str]]) -> None:
-        for status, text in messages:
-            self._tell(int(status), str(text))
-
-    def _died(self, functions: Sequence[str], error: DiedError) -> Exception:
-        function = functions[min(self._sandbox.reached, len(functions) - 1)]
-        return self._failure(DiedError(f"{function} {error}"))
+    def failure(self, error: Exception, function: str = "") -> Exception:
+        """Return the error of a function that failed or ended the process."""
+        died = isinstance(error, DiedError) and function
+        return self._failure(DiedError(f"{function} {error}") if died else error)
 
 
-class _SandboxedBuffer:
-    def __init__(self, instance: SandboxedInstance, number: int, values: Array) -> None:
-        self.values, self.number = values, number
-        self._instance = instance
+@dataclass
+class SandboxedBuffer:
+    """Values of Real variables of a `SandboxedInstance`; see `Buffer`."""
+
+    instance: SandboxedInstance
+    number: int
+    references: tuple[int, ...]
+    values: Array
 
     def write(self) -> None:
-        self._instance.write(self)
+        """Set the variables with the next message."""
+        self.instance.write(self)
 
     def read(self) -> Array:
-        self._instance.read(self)
+        """Read and return the variables."""
+        self.instance.read(self)
         return self.values
+
+
+def sandbox_stepper(layout: Layout) -> "SandboxStepper | None":
+    """Return the steps of a system whose FMUs share a process; None for others."""
+    own = [
+        buffer
+        for station in layout.stations
+        for buffer in (station.inputs, station.outputs)
+        if isinstance(buffer, SandboxedBuffer) and not station.conversions
+    ]
+    if layout.scheme.refreshed != "none" or len(own) != 2 * len(layout.stations):
+        return None
+    alone = len({id(buffer.instance.sandbox) for buffer in own}) == 1
+    return SandboxStepper(layout, own[::2], own[1::2]) if alone else None
+
+
+class SandboxStepper:
+    """Steps of a system within the process of its FMUs, which shares a file of recorded rows."""
+
+    def __init__(
+        self, layout: Layout, inputs: Sequence[SandboxedBuffer], outputs: Sequence[SandboxedBuffer]
+    ) -> None:
+        self._layout, self._inputs, self._outputs = layout, inputs, outputs
+        self._sandbox = inputs[0].instance.sandbox
+        self._library = write_library(self._sandbox.readable)
+        self.begin(np.empty((0, len(layout.rows))))
+
+    def begin(self, kept: Array) -> None:
+        """See `PythonStepper`."""
+        self._kept, self.done, self._is_prepared = kept, 0, False
+
+    def advance(self, stop: int) -> None:
+        """See `PythonStepper`."""
+        layout, failing, end = self._layout, -1, End.DONE
+        error: CallError | DiedError | None = None
+        try:
+            if not self._is_prepared:
+                self._prepare()
+            self._inputs[0].instance.request("advance", stop, stepping=True)
+        except (CallError, DiedError) as caught:
+            error = caught
+        done, station, call = self._sandbox.progress()
+        self._take(min(max(done, self.done), stop))
+        finite = bool(np.isfinite(layout.values).all())
+        if error:
+            failing = min(max(station, 0), len(layout.stations) - 1)
+            end = End(call) if call in map(int, FUNCTIONS) else End.STEP_FAILED
+        elif self.done < stop and not finite:
+            end = End.NOT_FINITE
+        set_times(layout, max(self.done, 1), end, failing)
+        if finite and not error:
+            if self.done:
+                layout.require_limits(layout.values, layout.begin + (self.done - 1) * layout.step)
+            if self.done < stop:
+                error = self._sandbox.died(NONSENSE)
+        if error:
+            instance = self._inputs[failing].instance
+            raise instance.failure(error, FUNCTIONS[end] if end else "steps") from error
+
+    def _prepare(self) -> None:
+        layout = self._layout
+        self._sandbox.share(layout.values.tobytes(), self._kept.nbytes)
+        stations = [
+            (into.instance.number, at.every, into.references, at.sources.tolist(), out.references)
+            for at, into, out in zip(layout.stations, self._inputs, self._outputs, strict=True)
+        ]
+        about = {name: np.asarray(getattr(layout, name)).tolist() for name in sandbox_child.ABOUT}
+        about["order"] = layout.scheme.order
+        size = (len(layout.values), *self._kept.shape)
+        self._inputs[0].instance.request("system", stations, size, about, str(self._library or ""))
+        self._is_prepared = True
+
+    def _take(self, done: int) -> None:
+        """Copy values and new rows."""
+        values, width = self._layout.values, self._kept.shape[1]
+        first = sandbox_child.HEAD + values.nbytes + 8 * width * self.done
+        for array, begin in ((values, sandbox_child.HEAD), (self._kept[self.done : done], first)):
+            data = self._sandbox.shared(begin, array.nbytes)
+            if len(data) < array.nbytes:
+                return
+            array[:] = np.frombuffer(data).reshape(array.shape)
+        if np.isfinite(self._kept[self.done : done]).all():
+            self.done = done

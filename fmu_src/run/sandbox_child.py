@@ -1,12 +1,14 @@
-"""Process of a sandbox, which serves an FMU or runs functions by name.
+"""Process of a sandbox, which serves FMUs or runs functions by name.
 
-python -m fmu_src.run.sandbox_child SOCKET READABLE
+python -m fmu_src.run.sandbox_child SOCKET READABLE [MODULE ...]
 
-Messages are JSON, except for packed ones of steps (`Exchange`), after their length. The first byte
-of the file `POSITION` is the position of the running call within its request. The process ends with
+Messages are JSON after their length; arrays are texts in base 64. The file `SHARED` begins with the
+running call (`StepRecord`), followed by values and recorded rows of a system. The process ends with
 its parent. It may write in its folder and read below READABLE; see `sandbox_rights`.
 """
 
+import base64
+import ctypes
 import importlib
 import json
 import mmap
@@ -16,7 +18,7 @@ import socket
 import struct
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -26,7 +28,8 @@ from typing import TYPE_CHECKING, Any
 from fmu_src.run.sandbox_rights import give_up
 
 if TYPE_CHECKING:
-    from fmu_src.run.instance import LocalBuffer
+    from fmu_src.run.instance import Instance, LocalBuffer
+    from fmu_src.run.native import StepRecord
 
 MOST_MEMORY = 4 << 30
 MOST_IN_A_FILE = 1 << 30
@@ -36,148 +39,151 @@ LONGEST_MESSAGE = 2000
 """Number and size [characters] of the last messages of an FMU that are forwarded."""
 
 LONGEST_TEXT = 4 * MOST_MESSAGES * LONGEST_MESSAGE  # largest text of an answer of an FMU [bytes]
-POSITION = "position"
-
-EXCHANGE, WORDS = b"X", b"W"  # first byte of a request, packed or in JSON
+SHARED = "shared"
+HEAD = 24  # bytes of `StepRecord`
 LENGTH = struct.Struct("!I")
-_ERROR = 3  # status
-_REQUEST, _ANSWER = struct.Struct("<ddIII"), struct.Struct("<ii")
+ABOUT: dict[str, Any] = dict.fromkeys(("begin", "step", "low", "high"), float)
+ABOUT |= {"rows": "intp", "limited": "intp"}  # parts of a layout, and types
 
 
-@dataclass(frozen=True, kw_only=True)
-class Exchange:
-    """Buffers to write, a step [s] unless its size is 0, and buffers to read."""
+@dataclass
+class _Slave:
+    """A component of a system that is stepped in Python."""
 
-    begin: float = 0.0
-    size: float = 0.0
-    written: Sequence[tuple[int, bytes]] = ()  # numbers of buffers and their values
-    needed: Sequence[int] = ()  # buffers whose failure is an error
-    prefetch: Sequence[int] = ()  # buffers to read speculatively
+    instance: "Instance"
+    number: int
+    progress: "StepRecord"
+    time: float = 0.0
 
-    def packed(self) -> bytes:
-        """Return the request."""
-        counts = len(self.written), len(self.needed), len(self.prefetch)
-        numbers = [*(number for number, _ in self.written), *self.needed, *self.prefetch]
-        return b"".join(
-            (
-                EXCHANGE,
-                _REQUEST.pack(self.begin, self.size, *counts),
-                struct.pack(f"<{len(numbers)}I", *numbers),
-                *(values for _, values in self.written),
-            )
-        )
+    def step(self, time: float, step: float) -> None:
+        from fmu_src.run.native import End
 
-
-def unpacked_answer(data: bytes) -> tuple[int, int, bytes]:
-    """Return status and position of the failed call, and the rest of an answer."""
-    if len(data) < _ANSWER.size:
-        raise ValueError(f"{len(data)} bytes are not an answer")
-    status, position = _ANSWER.unpack_from(data)
-    return status, position, data[_ANSWER.size :]
+        self.progress.station, self.progress.call = self.number, End.STEP_FAILED
+        self.instance.step(time, step)
 
 
 class _Host:
     def __init__(self, connection: socket.socket) -> None:
-        self._connection, self._process = connection, os.getpid()
-        self._messages: list[tuple[int, str]] = []
+        self._connection, self._process, self._who = connection, os.getpid(), 0
+        self._messages: list[tuple[int, int, str]] = []  # number of the instance, status, text
+        self._instances: list[Instance] = []
         self._buffers: list[LocalBuffer] = []
-        with Path(POSITION).open("r+b") as file:
-            self._position = mmap.mmap(file.fileno(), 1)
+        self._file = Path(SHARED).open("r+b")  # noqa: SIM115  # as long as the process
+        self._shared = mmap.mmap(self._file.fileno(), HEAD)
 
     def serve(self) -> None:
         requests = self._connection.makefile("rb")
         while header := requests.read(LENGTH.size):
-            request = requests.read(*LENGTH.unpack(header))
-            if request[:1] == EXCHANGE:
-                answer = self._exchanged(request[1:])
-            else:
-                answer = json.dumps(self._answered(*json.loads(request[1:]))).encode()
+            request = json.loads(requests.read(*LENGTH.unpack(header)))
+            found = _run(*request["run"]) if "run" in request else self._answered(**request)
             if os.getpid() != self._process:  # the FMU has forked: one process answers
                 os._exit(0)
+            answer = json.dumps(found).encode()
             self._connection.sendall(LENGTH.pack(len(answer)) + answer)
 
-    def _tell(self, status: int, text: str) -> None:
-        self._messages.append((status, text[:LONGEST_MESSAGE]))
+    def _tell(self, who: int, status: int, text: str) -> None:
+        self._messages.append((who, status, text[:LONGEST_MESSAGE]))
         del self._messages[:-MOST_MESSAGES]
 
-    def _taken_messages(self) -> list[tuple[int, str]]:
-        messages, self._messages = self._messages, []
-        return messages
-
-    def _answered(self, method: str, arguments: Sequence[Any]) -> dict[str, Any]:
-        if method == "run":
-            return _run(*arguments)
+    def _answered(
+        self, who: int, calls: Sequence[Sequence[Any]], ahead: Sequence[int]
+    ) -> dict[str, Any]:
+        """Do the calls, and read buffers speculatively."""
         from fmu_src.run.instance import CallError, LoadError
 
-        answer: dict[str, Any] = {}
+        answer: dict[str, Any] = {"results": [], "ahead": []}
+        self._who = who
         try:
-            if method in ("load", "buffer", "close"):
-                getattr(self, f"_{method}")(*arguments)
-            else:
-                answer["result"] = getattr(self._instance, method)(*arguments)
+            for position, (method, *arguments) in enumerate(calls):
+                self._note(position)
+                call = getattr(self, f"_{method}", None) or getattr(self._instances[who], method)
+                answer["results"].append(call(*arguments))
         except LoadError as error:
-            answer["unloadable"] = str(error)[:LONGEST_MESSAGE]
+            answer["unloadable"], ahead = str(error)[:LONGEST_MESSAGE], ()
         except CallError as error:
-            answer["failed"] = str(error)[:LONGEST_MESSAGE]
-        return answer | {"messages": self._taken_messages()}
+            answer["failed"], ahead = str(error)[:LONGEST_MESSAGE], ()
+        told, self._messages = self._messages, []
+        with suppress(CallError):  # it will be read again if needed
+            for position, number in enumerate(ahead, start=len(calls)):
+                self._note(position)
+                answer["ahead"].append(self._read(number))
+                told += self._messages
+                self._messages = []
+        self._messages = []
+        return answer | {"messages": told}
+
+    def _note(self, position: int) -> None:
+        struct.pack_into("=q", self._shared, HEAD - 8, position)
 
     def _load(self, fmu: dict[str, Any]) -> None:
-        from fmu_src.run.instance import CallError, Instance, UnpackedFmu
+        from fmu_src.run.instance import Instance, UnpackedFmu
 
-        self._instance, self._call_error = Instance(UnpackedFmu(**fmu), self._tell), CallError
+        self._instances.append(Instance(UnpackedFmu(**fmu), partial(self._tell, self._who)))
 
     def _buffer(self, references: Sequence[int]) -> None:
-        self._buffers.append(self._instance.buffer(references))
+        self._buffers.append(self._instances[self._who].buffer(references))
+
+    def _write(self, number: int, values: str) -> None:
+        buffer = self._buffers[number]
+        buffer.values.data.cast("B")[:] = base64.b64decode(values)
+        buffer.write()
+
+    def _read(self, number: int) -> str:
+        return base64.b64encode(self._buffers[number].read().tobytes()).decode()
 
     def _close(self, stepping: bool) -> None:
-        self._instance.close(stepping=stepping)
+        self._instances[self._who].close(stepping=stepping)
 
-    def _exchanged(self, request: bytes) -> bytes:
-        begin, size, writes, needs, prefetches = _REQUEST.unpack_from(request)
-        count = writes + needs + prefetches
-        numbers = struct.unpack_from(f"<{count}I", request, _REQUEST.size)
-        chosen = [self._buffers[number] for number in numbers]
-        needed, prefetch = chosen[writes : writes + needs], chosen[writes + needs :]
-        offset = _REQUEST.size + 4 * count
-        calls: list[Callable[[], object]] = []
-        for buffer in chosen[:writes]:
-            end = offset + buffer.values.nbytes
-            calls.append(partial(_write, buffer, request[offset:end]))
-            offset = end
-        if size:
-            calls.append(partial(self._instance.step, begin, size))
-        calls += [buffer.read for buffer in needed]
-        for position, call in enumerate(calls):
-            self._position[0] = min(position, 255)
+    def _system(
+        self, stations: Sequence[Any], size: Sequence[int], about: Mapping[str, Any], library: str
+    ) -> None:
+        """Prepare the steps of a system, whose values and rows are in the shared file."""
+        import numpy as np
+
+        from fmu_src.run.master import ExchangeScheme, Layout, PythonStepper, Station
+        from fmu_src.run.native import StepRecord, native_stepper
+
+        values, rows, width = size
+        self._shared = mmap.mmap(self._file.fileno(), 0)
+        self._progress = StepRecord.from_buffer(self._shared)
+        shared = np.frombuffer(self._shared, dtype=float, offset=HEAD)
+        own, kept = shared[:values], shared[values : values + rows * width].reshape(rows, width)
+        made, first = [], 0
+        for i, (who, every, inputs, sources, outputs) in enumerate(stations):
+            instance, part = self._instances[who], own[first : first + len(outputs)]
+            first += len(outputs)
+            made.append(
+                Station(
+                    slave=_Slave(instance, i, self._progress),
+                    every=every,
+                    inputs=instance.buffer(inputs),
+                    sources=np.array(sources, dtype=np.intp),
+                    outputs=instance.buffer(outputs, part),
+                    begin=about["begin"],
+                )
+            )
+        arrays: dict[str, Any] = {n: np.array(about[n], kind)[()] for n, kind in ABOUT.items()}
+        layout = Layout(
+            stations=tuple(made),
+            links=(),
+            scheme=ExchangeScheme(order=about["order"]),
+            values=own,
+            names=(("", ""),) * values,
+            **arrays,
+        )
+        compiled = native_stepper(layout, ctypes.CDLL(library), self._progress) if library else None
+        self._stepper = compiled or PythonStepper(layout)
+        self._stepper.begin(kept)
+
+    def _advance(self, stop: int) -> None:
+        """Step until `stop` rows are recorded, a value is not finite or outside its limits."""
+        from hesr_model.errors import SimulationError
+
+        with suppress(SimulationError):  # limits, which the parent checks
             try:
-                call()
-            except self._call_error as error:
-                if error.status is None:
-                    self._tell(_ERROR, str(error))
-                return self._packed(error.status or _ERROR, position, [])
-        found = list(needed)
-        before = self._taken_messages()
-        for position, buffer in enumerate(prefetch, start=len(calls)):
-            self._position[0] = min(position, 255)
-            try:
-                buffer.read()
-            except self._call_error:
-                self._messages = []  # it will be read again if needed
-                break
-            found.append(buffer)
-        self._messages = before + self._messages
-        return self._packed(0, len(found), found)
-
-    def _packed(self, status: int, position: int, read: Sequence["LocalBuffer"]) -> bytes:
-        messages = self._taken_messages()
-        text = json.dumps(messages).encode() if messages else b""
-        values = [buffer.values.tobytes() for buffer in read]
-        return b"".join((_ANSWER.pack(status, position), *values, text))
-
-
-def _write(buffer: "LocalBuffer", values: bytes) -> None:
-    buffer.values.data.cast("B")[:] = values
-    buffer.write()
+                self._stepper.advance(stop)
+            finally:
+                self._progress.done = self._stepper.done
 
 
 def _run(function: str, *arguments: Any) -> dict[str, Any]:
@@ -219,6 +225,8 @@ def main() -> None:
     _limit()
     give_up(Path.cwd(), Path(sys.argv[2]))
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    for name in sys.argv[3:]:  # while the parent works
+        importlib.import_module(name)
     _Host(connection).serve()
 
 

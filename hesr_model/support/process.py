@@ -4,6 +4,7 @@ import contextlib
 import os
 import signal
 import subprocess
+import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,9 @@ from secrets import token_hex
 from typing import Any
 
 _MOST_OUTPUT = 4 << 20
+# 1 is PR_SET_PDEATHSIG, 9 is SIGKILL.
+_TIED = """import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9)
+os.getppid() == int(sys.argv[1]) or sys.exit(1); os.execvp(sys.argv[2], sys.argv[2:])"""
 _ROUNDS = 10  # a process may start others before it is killed
 
 
@@ -88,6 +92,12 @@ def end_marked(mark: str) -> None:
             with contextlib.suppress(psutil.Error):
                 other.kill()
         psutil.wait_procs(found, timeout=1.0)
+
+
+def tied(command: Sequence[str]) -> Sequence[str]:
+    """Return a command whose program ends with this process, also if it is killed (Linux)."""
+    own = (sys.executable, "-ISc", _TIED, str(os.getpid()))
+    return (*own, *command) if sys.platform == "linux" else command
 
 
 def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:

@@ -16,6 +16,7 @@ from small_fmus import lag
 from cosim.loop.closed_loop import Scheme
 from cosim.systems.contents import read_contents
 from cosim.systems.ssp import write_ssp
+from cosim.systems.system import write_system
 from fmu_src import model_file
 from fmu_src.run.archive import Archive
 from fmu_src.run.fmu import FmuInstance, is_known
@@ -55,15 +56,44 @@ def test_share_of_recognising_our_fmus(bench: Bench, tmp_path: Path, tell: Tell)
     assert share < 0.05
 
 
+def test_a_loop_of_foreign_fmus(bench: Bench, tmp_path: Path, tell: Tell) -> None:
+    """Target: at most 1.3 times `hesr simulate` of trusted FMUs over 10 s, start to end."""
+    spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
+    spec = spec.model_copy(update={"stop": 10.0})
+    copies = [
+        component.model_copy(update={"fmu": foreign(component.fmu, tmp_path / component.fmu.name)})
+        for component in spec.components
+    ]
+    systems = [tmp_path / "ours.toml", tmp_path / "foreign.toml"]
+    write_system(spec, systems[0])
+    write_system(spec.model_copy(update={"components": tuple(copies)}), systems[1])
+    times: dict[Path, list[float]] = {system: [] for system in systems}
+    for _ in range(7):
+        for system, own in times.items():
+            command = ("-c", "from hesr.cli import main; main()", "simulate", system)
+            begin = time.perf_counter()
+            subprocess.run([sys.executable, *command, "-o", system.with_suffix(".csv")], check=True)
+            own.append(time.perf_counter() - begin)
+    ours, theirs = (sorted(own)[len(own) // 2] for own in times.values())
+    tell(f"a loop of {len(copies)} FMUs: {ours:.2f} s trusted, {theirs:.2f} s foreign")
+    results = [system.with_suffix(".csv").read_bytes() for system in systems]
+    assert results[0] == results[1]
+    assert theirs < 1.3 * ours
+
+
+def foreign(fmu: Path, copy: Path) -> Path:
+    with zipfile.ZipFile(fmu) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    return archived(members | {"extra/note.txt": b"mine"}, copy)
+
+
 @pytest.mark.parametrize("whose", ["ours", "foreign"])
 def test_isolated_steps(whose: str, tmp_path: Path, benchmark: BenchmarkFixture) -> None:
     """One step with an input and an output, in this process and in the isolated one."""
     benchmark.group = "a step of a small FMU"
     fmu = lag(tmp_path)
     if whose == "foreign":
-        with zipfile.ZipFile(fmu) as archive:
-            members = {name: archive.read(name) for name in archive.namelist()}
-        fmu = archived(members, tmp_path / "Foreign.fmu")
+        fmu = foreign(fmu, tmp_path / "Foreign.fmu")
     with FmuInstance(fmu) as component:
         inputs, outputs = component.buffer(["u"]), component.buffer(["y"])
         component.initialise()

@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from sources import LAYERS, MODULES, ROOT, layer, tree
 
 # Maximum lines of Python, C and headers: 59,000, plus 1,800 for evidence, robots and logs, and
-# 1,600 for the plant, and 1,180 for FMUs and SSPs of other tools.
+# 1,600 for the plant, 1,180 for FMUs and SSPs of other tools, and 230 for the sandbox of systems.
 BUDGET = {
-    "hesr_model": 22_397,
-    "fmu_src": 19_693,
-    "cosim": 14_611,
+    "hesr_model": 22_407,
+    "fmu_src": 19_898,
+    "cosim": 14_624,
     "hesr": 820,
     "hesr.extras": 7_300,
-    "all": 64_817,
+    "all": 65_045,
 }
 
 TEMPLATES = 3_457  # lines of templates, styles and scripts, without those of project folders

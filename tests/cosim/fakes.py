@@ -195,7 +195,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> None:
     Fake.calls, Fake.alive = [], set()
     monkeypatch.setattr(
         "cosim.systems.simulation.FmuInstance",
-        lambda fmu, *, name: KINDS[fmu.stem](fmu, name=name),
+        lambda fmu, *, name, **_: KINDS[fmu.stem](fmu, name=name),
     )
 
 

@@ -102,9 +102,9 @@ def test_a_step_is_one_message(foreign_lag: Path, monkeypatch: pytest.MonkeyPatc
     sent = []
     ask = Sandbox.ask
 
-    def counted(sandbox: Sandbox, request: bytes, most: int) -> bytes:
+    def counted(sandbox: Sandbox, request: object, most: int, *, stepping: bool) -> object:
         sent.append(request)
-        return ask(sandbox, request, most)
+        return ask(sandbox, request, most, stepping=stepping)
 
     monkeypatch.setattr(Sandbox, "ask", counted)
     with FmuInstance(foreign_lag) as lag:

@@ -140,7 +140,7 @@ def test_python_steps_are_the_fallback_without_a_compiler(lag_fmu, monkeypatch, 
     def refused(*_: object) -> bytes:
         raise ExportError("the C compiler cannot be run.")
 
-    monkeypatch.setattr(fmu_src.run.native, "build", refused)
+    monkeypatch.setattr("fmu_src.export.toolchain.build", refused)
     fmu_src.run.native._library.cache_clear()
     with caplog.at_level("INFO"), Master(lags(lag_fmu)) as master:
         assert type(master._stepper) is PythonStepper
