@@ -12,7 +12,7 @@ Every command of `hesr` is a function, and every object a class::
 Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor, Fmu, System, Signals;
           HesrError, the base of all errors
 Commands  new, inspect, excite, identify, fit, test, export, check, simulate, run, report, monitor;
-          laws, the laws that `fit` knows
+          laws, the laws that `fit` knows; observe, the external torque over logs
 
 A path is text or a path object. Logs, bodies, laws, FMUs and results show themselves as tables in a
 notebook; logs and signals have `to_pandas()`, logs also `to_xarray()`. The stub `__init__.pyi` is

@@ -42,9 +42,13 @@ class ExportOptions(TypedDict, total=False):
     ssp: Ssp
     kv: PerJoint
     ki: PerJoint
+    calibration: Sequence[PathArg]
+    bandwidth: float
+    torque_constants: PerJoint
 
 
-_PER_JOINT = ("inertia", "stiffness", "damping", "ratio", "kv", "ki")
+_PER_JOINT = ("inertia", "stiffness", "damping", "ratio", "kv", "ki", "torque_constants")
+_OF_ROBOTS = ("plant", "observer")  # formats with the dynamics of the robot
 _OF_ARMS, _OF_SYSTEMS = ("signals",), ("ssp",)
 _log = logging.getLogger(__name__)
 
@@ -70,13 +74,15 @@ def export(
     format : str, optional
         Of a law: fmu (default; velocity in, torque out), adaptive (an FMU that estimates friction
         from measured torques), drive (an FMU with the rotor: torque in, velocity out), plant (an
-        FMU of the whole robot: torque in, motion out), mjcf (actuators for MuJoCo), modelica, c
-        (one header without FMI), torch or jax (one batched, differentiable file), ssv (coefficients
-        and covariance as a parameter set of SSP). Of an arm: fmu (default), or python-arm for hosts
-        with Python, HESR and MuJoCo. Of a system: ssp, or fmu for one FMU that holds it; by default
-        the suffix of the output decides. Of results or a study, which is run with its quick laws:
-        loop (all FMUs of the closed loop, the system as SSP and TOML, and a script that runs it
-        with FMPy and NumPy).
+        FMU of the whole robot: torque in, motion out), observer (an FMU or, with an output in .h,
+        one C header: motion and motor torque in, external torque and contact out), mjcf (actuators
+        for MuJoCo), mujoco-plugin (a library with the law itself, and MJCF that loads it into a
+        scene), modelica, c (one header without FMI), torch or jax (one batched, differentiable
+        file), ssv (coefficients and covariance as a parameter set of SSP). Of an arm: fmu
+        (default), or python-arm for hosts with Python, HESR and MuJoCo. Of a system: ssp, or fmu
+        for one FMU that holds it; by default the suffix of the output decides. Of results or a
+        study, which is run with its quick laws: loop (all FMUs of the closed loop, the system as
+        SSP and TOML, and a script that runs it with FMPy and NumPy).
     platform : sequence of str, optional
         Platforms of an FMU: linux64 (default), win64, darwin64, aarch64-linux or all; repeatable.
     progress : callable, optional
@@ -109,15 +115,22 @@ def export(
         FMU: no events in model exchange where a law jumps at reversals; below 0.001 rad/s the jump
         is a steep line.
     robot : robot or path
-        Plant: the robot of the law. FMU: with --rigid-body, its page computes the friction in a
-        dropped log.
+        Plant and observer: the robot of the law. FMU: with --rigid-body, its page computes the
+        friction in a dropped log.
     rigid_body : body or path
-        Plant and FMU: result of 'hesr identify' for --robot; by default a plant has the parameters
-        of the model file.
+        Plant, observer and FMU: result of 'hesr identify' for --robot; by default a plant or an
+        observer has the parameters of the model file.
     kv : float or sequence of float, N.m.s/rad
         Plant: proportional gains of a servo with a speed command; by default no servo.
     ki : float or sequence of float, N.m/rad
         Plant: integral gains of the servo; by default 0.
+    calibration : sequence of path
+        Observer: logs without contact that the law was not fitted to, which determine limits and
+        threshold; repeatable; by default those follow from the bands of the law.
+    bandwidth : float, Hz
+        Observer: cut-off of the external torque; by default 15.
+    torque_constants : float or sequence of float, N.m/A
+        Observer: torque of a joint per current; the inputs are then currents.
     signals : path
         Arm: TOML file with inputs and outputs; by default every control and sensor, or torques,
         positions and speeds of its joints if it has none.
@@ -157,7 +170,7 @@ def export(
 
     path = path_of(output, "an output")
     given: dict[str, Any] = {k: v for k, v in options.items() if v is not None and v is not False}
-    alone = format == "plant" and "robot" in given
+    alone = format in _OF_ROBOTS and "robot" in given
     if ("robot" in given) != ("rigid_body" in given) and not alone:
         raise ArgumentError("'robot' and 'rigid_body' must be given together.")
     suffix = Path(source).suffix.lower() if isinstance(source, str | Path) else ""
@@ -289,10 +302,10 @@ def _write_law(
         name = {"robot": "body", "rigid_body": "body"}.get(option, option)
         if name not in taken and not (name == "platforms" and platform is None):
             _refuse_option(option, format, formats)
-    if format == "plant" and "robot" not in given:
-        raise ArgumentError("'format' plant needs 'robot', the robot of the law.")
+    if format in _OF_ROBOTS and "robot" not in given:
+        raise ArgumentError(f"'format' {format} needs 'robot', the robot of the law.")
     if "body" in taken and "robot" in given:
-        body_of = plant_body if format == "plant" else page_body
+        body_of = plant_body if format in _OF_ROBOTS else page_body
         given["body"] = body_of(given.pop("robot"), given.pop("rigid_body", None))
     if "progress" in taken:
         given["progress"] = partial(progress, f"building {output.name}")
@@ -303,7 +316,8 @@ def _write_law(
         for line in getattr(written, "lines", list)():
             _log.warning("%s", line)
 
-    if "platforms" in taken and not isinstance(law, FrictionModel) and "properties" not in given:
+    fixed = not ({"properties", "calibration"} & given.keys())
+    if "platforms" in taken and not isinstance(law, FrictionModel) and fixed:
         body = given.get("body")
         known = {k: v for k, v in given.items() if k not in ("progress", "body")}
         known |= {"format": format, "body": body and body.key}

@@ -203,7 +203,7 @@ FMI2_STATUS(fmi2SetInteger)
     return fmi2OK;
 }
 
-/* No component has Boolean or String variables: only an empty list is valid. */
+/* A component without variables of a type accepts only an empty list. */
 static fmi2Status none(fmi2Component c, int modes, const char *function, size_t n) {
     Instance *instance = entered(c, modes, function);
     if (!instance) {
@@ -218,8 +218,15 @@ static fmi2Status none(fmi2Component c, int modes, const char *function, size_t 
 
 FMI2_STATUS(fmi2GetBoolean)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Boolean value[]) {
-    (void)vr, (void)value;
-    return none(c, MAY_GET, "fmi2GetBoolean", n);
+    static const char function[] = "fmi2GetBoolean";
+    if (BOOLEANS == 0) {
+        return none(c, MAY_GET, function, n);
+    }
+    const fmi2Status status = read(c, function, BOOLEAN, vr, n, value);
+    for (size_t i = 0; status == fmi2OK && i < n; i++) {
+        value[i] = ((const Instance *)c)->memory.component.v[first_of(vr[i])] != 0.0;
+    }
+    return status;
 }
 
 FMI2_STATUS(fmi2GetString)

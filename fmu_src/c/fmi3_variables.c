@@ -106,6 +106,23 @@ FMI3_STATUS(fmi3SetInt32)
                : fmi3Error;
 }
 
+FMI3_STATUS(fmi3GetBoolean)
+(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Boolean value[], size_t n_values) {
+    static const char function[] = "fmi3GetBoolean";
+    fmi2Boolean whole[VARIABLES];
+    if (BOOLEANS == 0) {
+        return without(c, function, n);
+    }
+    if (!fits(c, function, vr, n, value, n_values)) {
+        return fmi3Error;
+    }
+    const fmi2Status status = fmi2GetBoolean(INNER(c), vr, n, whole);
+    for (size_t i = 0; status == fmi2OK && i < n; i++) {
+        value[i] = whole[i] != 0;
+    }
+    return STATUS(status);
+}
+
 FMI3_STATUS(fmi3GetDirectionalDerivative)
 (fmi3Instance c, const fmi3ValueReference unknowns[], size_t n_unknowns,
  const fmi3ValueReference knowns[], size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,

@@ -260,6 +260,9 @@ def _scalar(variable: Variable, place: int, table: Interface) -> ET.Element:
         declared = {"declaredType": variable.enumeration.name}
         ET.SubElement(element, "Integer", declared | values([variable]))
         return element
+    if variable.boolean:
+        ET.SubElement(element, "Boolean")
+        return element
     unit = variable.unit or "1"
     real = {"unit": unit} | shown_as(unit) | values([variable])
     if variable.nominal != 1.0:

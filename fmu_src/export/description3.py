@@ -112,6 +112,8 @@ def _variable(array: ArrayVariable, arrays: Arrays) -> ET.Element:
     attributes = common_attributes(first, array.name, array.place, text)
     if first.enumeration:
         return ET.Element("Int32", attributes | values(array.elements))
+    if first.boolean:
+        return ET.Element("Boolean", attributes)
     attributes["declaredType"] = _type_of(first.unit or "1", first.nominal)
     attributes |= values(array.elements)
     if first.derivative_of:

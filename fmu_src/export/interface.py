@@ -45,9 +45,9 @@ class Enumeration:
 class Variable:
     """One variable of an FMU, with a structured name such as `dq[1]` or `joint[1].alpha`.
 
-    The unit, in FMI's spelling, is None only for an enumeration. Solvers scale the tolerance of a
-    state by its nominal value. `least` and `greatest` are recommended limits, values outside which
-    are refused if `limited`. Hosts must not interpolate a `switch`.
+    The unit, in FMI's spelling, is None only for an enumeration and a `boolean`. Solvers scale the
+    tolerance of a state by its nominal value. `least` and `greatest` are recommended limits, values
+    outside which are refused if `limited`. Hosts must not interpolate a `switch`.
 
     Initial dependencies count in addition until initialisation ends; for a state they are those of
     its initial value.
@@ -65,6 +65,7 @@ class Variable:
     greatest: float | None = None
     limited: bool = False
     switch: bool = False
+    boolean: bool = False
     derivative_of: str | None = None
     dependencies: tuple[str, ...] = ()
     initial_dependencies: tuple[str, ...] = ()
@@ -73,7 +74,8 @@ class Variable:
     def attributes(self) -> tuple[str, str, str | None]:
         """Causality, variability and initial (None if not written)."""
         causality, variability, initial = _ATTRIBUTES[self.role]
-        return causality, "discrete" if self.switch else variability, initial
+        discrete = self.switch or self.boolean
+        return causality, "discrete" if discrete else variability, initial
 
     @property
     def computed(self) -> bool:
@@ -186,7 +188,8 @@ def _split(name: str) -> tuple[str, tuple[int, ...]]:
 
 def _alike(variable: Variable) -> tuple[str, object]:
     array, indices = _split(variable.name)
-    return array, (len(indices), variable.role, variable.unit, variable.enumeration)
+    kind = (variable.unit, variable.enumeration, variable.boolean)
+    return array, (len(indices), variable.role, *kind)
 
 
 def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) -> str:
@@ -206,6 +209,7 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
     rows, inputs, watched = [], [0], []
     for i, v in enumerate(variables):
         kind = f"INTEGER, 1, {len(v.enumeration.items)}" if v.enumeration else _bounds(v)
+        kind = "BOOLEAN, 0, 1" if v.boolean else kind
         counts = int(v.role != "input" or v.name in used)
         role = "DERIVATIVE" if v.derivative_of else v.role.upper()
         rows.append(f'    {{"{v.name}", {literal(v.start)}, {role}, {kind}, {counts}}},')
@@ -223,6 +227,7 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
         variables=len(rows),
         slopes=1 + inputs[-1],  # up to the last input; C has no empty arrays
         states=len(states),
+        booleans=sum(v.boolean for v in variables),
         watched=len(watched),
         rows="\n".join(rows),
         references=len(references),
@@ -258,7 +263,7 @@ _INTERFACE = """\
 enum {{ VARIABLES = {variables}, STATES = {states}, INDICATORS = {own.indicators} }};
 enum {{ OWN = {own.own}, WATCHED = {watched}, SLOPES = {slopes} }};
 enum {{ MODEL_EXCHANGE = {own.model_exchange:d}, DIRECTIONAL_DERIVATIVES = {derivable:d} }};
-enum {{ INNER_STEPS = {own.inner_steps:d}, REFERENCES = {references} }};
+enum {{ INNER_STEPS = {own.inner_steps:d}, REFERENCES = {references}, BOOLEANS = {booleans} }};
 
 static const Variable variables[VARIABLES] = {{
 {rows}

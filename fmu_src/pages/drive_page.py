@@ -27,7 +27,7 @@ def to_html(
     model: FrictionModel, table: Interface, about: Description, template: str = "drive.html.j2"
 ) -> str:
     """Return the page as one self-contained file."""
-    joints, refused = _law_entries(model)
+    joints, refused = law_entries(model)
     pairs = zip(model.joints, model.laws, strict=True)
     return rendered(
         template,
@@ -42,7 +42,7 @@ def to_html(
     )
 
 
-def _law_entries(model: FrictionModel) -> tuple[list[dict[str, Any]], str]:
+def law_entries(model: FrictionModel) -> tuple[list[dict[str, Any]], str]:
     """Return a page's entry for each joint's law, and the reason for a missing audit or ""."""
     audits, refused = datasheet.audited(model)
     verdicts = [datasheet.verdict(a, known=bool(model.trained)) for a in audits]

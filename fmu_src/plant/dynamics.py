@@ -295,23 +295,55 @@ def dynamics_header(robot: Robot) -> str:
         for j in range(i + 1):
             links = arm.on_joints([row[j] for row in half], i)
             stores[f"mass[{i}][{j}]"] = links + _rotors(arm, i, j)
-    angles = {
-        f"angle[{i}]": arm.followed("q", i)
-        for i, link in enumerate(arm.links)
-        if not link.prismatic
-    }
     entries = table(robot)
     rows, columns = np.nonzero(entries)
     return _HEADER.format(
         links=len(arm.links),
         last=[joint.name for joint in robot.tree].index(robot.joints[-1]),
-        angles="\n".join(f"    {line}" for line in arm.graph.to_c(angles)),
+        angles=_angles(arm),
         statements="\n".join(f"    {line}" for line in arm.graph.to_c(stores)),
         entries="\n".join(
             f"    {{{i}, {j}, {literal(float(entries[i, j]))}}},"
             for i, j in zip(rows, columns, strict=True)
         ),
     )
+
+
+def _angles(arm: _Arm) -> str:
+    angles = {
+        f"angle[{i}]": arm.followed("q", i)
+        for i, link in enumerate(arm.links)
+        if not link.prismatic
+    }
+    return "\n".join(f"    {line}" for line in arm.graph.to_c(angles))
+
+
+def jacobian_header(robot: Robot) -> str:
+    """Return jacobian.h: the Jacobian of the origin of the last joint's frame, in axes of the base.
+
+    Its rows are those of the linear and of the angular velocity.
+    """
+    arm = _Arm(robot)
+    zero, one = arm.graph.constant(0.0), arm.graph.constant(1.0)
+    columns = [[zero] * 6 for _ in arm.links]
+    at = [joint.name for joint in robot.tree].index(robot.joints[-1])
+    tip = [zero] * 3  # in the frame of link `at`
+    while at >= 0:
+        joint, axis = arm.joints[at], [zero, zero, one]
+        slides = joint.link.prismatic
+        linear, angular = (axis, [zero] * 3) if slides else ([-tip[1], tip[0], zero], axis)
+        tip, above = _plus(joint.arm, joint.up(tip)), at
+        while above >= 0:
+            linear, angular = arm.joints[above].up(linear), arm.joints[above].up(angular)
+            above = arm.links[above].parent
+        columns[at], at = [*linear, *angular], joint.link.parent
+    stores = {
+        f"jacobian[{k}][{j}]": arm.on_joints([column[k] for column in columns], j)
+        for k in range(6)
+        for j in range(robot.n)
+    }
+    statements = "\n".join(f"    {line}" for line in arm.graph.to_c(stores))
+    return _JACOBIAN.format(angles=_angles(arm), statements=statements)
 
 
 def _rotors(arm: _Arm, i: int, j: int) -> Expression:
@@ -359,6 +391,28 @@ static void dynamics(const double *restrict p, const double *restrict rotor,
         cosine[i] = even_cos(angle[i]);
     }}
     (void)p, (void)rotor, (void)spring, (void)gravity, (void)dq; /* a robot need not use all */
+{statements}
+}}
+
+#endif
+"""
+
+_JACOBIAN = """\
+/* Generated: Jacobian of the origin of the last joint's frame, in axes of the base. */
+#ifndef JACOBIAN_H
+#define JACOBIAN_H
+
+#include "dynamics.h"
+
+static void flange_jacobian(const double *restrict q, double jacobian[restrict][JOINTS]) {{
+    double angle[LINKS] = {{0.0}}, sine[LINKS], cosine[LINKS];
+    {{
+{angles}
+    }}
+    for (int i = 0; i < LINKS; i++) {{
+        sine[i] = even_sin(angle[i]);
+        cosine[i] = even_cos(angle[i]);
+    }}
 {statements}
 }}
 

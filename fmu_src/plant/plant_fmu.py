@@ -136,7 +136,8 @@ def _parameters(body: PlantBody) -> Iterator[Variable]:
     yield from vector("stop_damping", "fixed", "N.m.s/rad", f"damping {text}", DAMPING * each)
 
 
-def _inertial(body: PlantBody) -> Iterator[Variable]:
+def inertial_parameters(body: PlantBody) -> Iterator[Variable]:
+    """Yield the parameters of links, rotors, springs, gravity and payload."""
     for i, joint in enumerate(body.robot.tree, start=1):
         values = body.parameters[10 * (i - 1) : 10 * i]
         for name, unit, value in zip(LINK_PARAMETERS, _UNITS, values, strict=True):
@@ -206,7 +207,7 @@ def _interface(model: FrictionModel, body: PlantBody, servo: ServoGains | None) 
     laws = joints_of(model, names={TORQUE: "tau_friction"})
     numbers = range(1, len(laws) + 1)
     zeros = (0.0,) * len(laws)
-    starts, own_parameters = list(_parameters(body)), list(_inertial(body))
+    starts, own_parameters = list(_parameters(body)), list(inertial_parameters(body))
     inertial = tuple(v.name for v in own_parameters)
     start = tuple(f"{name}[{i}]" for name in _START for i in numbers)
     gravity = (*start, *inertial)
@@ -248,7 +249,7 @@ def _interface(model: FrictionModel, body: PlantBody, servo: ServoGains | None) 
     for i, (law, own) in enumerate(zip(model.laws, laws, strict=True), start=1):
         found += law_variables(law, i, own, sources(i))
     return Interface(
-        variables=tuple(of_the_last_step(_at_joint(v, model.slides), commands) for v in found),
+        variables=tuple(of_the_last_step(at_joint(v, model.slides), commands) for v in found),
         own=_memory(len(laws), body.robot.links, servo),
         model_exchange=False,
         directional_derivatives=False,
@@ -262,7 +263,8 @@ _OF_JOINTS = re.compile(
 )
 
 
-def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
+def at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
+    """Return a variable of a turning joint, as that of a sliding one if it slides."""
     joint = _OF_JOINTS.fullmatch(variable.name)
     if joint is None or not slides[int(joint[2]) - 1]:
         return variable
@@ -297,7 +299,7 @@ def export_plant(
     """
     check_request(path, platforms)
     require_exportable(model, "a plant")
-    _require_fitting(model, body.robot)
+    require_fitting(model, body.robot)
     if kv is None and ki is not None:
         raise ExportError("plant: 'ki' needs 'kv', the proportional gain of the servo.")
     servo = kv and ServoGains(kv=tuple(kv), ki=tuple(ki or (0.0,) * len(kv)))
@@ -305,7 +307,8 @@ def export_plant(
     return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
-def _require_fitting(model: FrictionModel, robot: Robot) -> None:
+def require_fitting(model: FrictionModel, robot: Robot) -> None:
+    """Raise ExportError unless a model has the joints and the transmission of a robot."""
     if tuple(model.joints) != tuple(robot.joints):
         raise ExportError(
             f"the friction model has the joints {', '.join(model.joints)}, but robot "
@@ -346,6 +349,7 @@ def content(
         "plant.c",
         "plant_servo.h",
         "plant_solver.h",
+        "regroup.h",
         "root.h",
     )
     sources = {name: own_source(name) for name in names}

@@ -55,8 +55,8 @@ def calibrated(
         columns = np.stack(shapes(dq[some], load[some], speed), axis=1)
         if not seen:
             columns[:, 2] = 0.0
-        known = _shares(columns, certain[some], np.zeros_like(squares))
-        found = known + _shares(columns, squares, columns @ known)
+        known = variance_shares(columns, certain[some], np.zeros_like(squares))
+        found = known + variance_shares(columns, squares, columns @ known)
         variance = columns @ found + _NONE
         loss = float(np.mean(np.log(variance) + squares / variance))
         if loss < best[0]:
@@ -120,7 +120,7 @@ def _predicted(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:
     return np.concatenate([predict_record(law, r) for r in records])
 
 
-def _shares(columns: Array, squares: Array, known: Array) -> Array:
+def variance_shares(columns: Array, squares: Array, known: Array) -> Array:
     """Return the non-negative shares (B,) of shapes (N, B) in the variance of normal errors.
 
     `known` (N,) is from other sources. The multiplicative update never lowers the likelihood.

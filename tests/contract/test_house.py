@@ -11,14 +11,14 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # 1,600 for the plant, 1,180 for FMUs and SSPs of other tools, and 230 for the sandbox of systems.
 BUDGET = {
     "hesr_model": 22_407,
-    "fmu_src": 19_898,
-    "cosim": 14_624,
+    "fmu_src": 20_004,
+    "cosim": 14_638,
     "hesr": 820,
-    "hesr.extras": 7_300,
-    "all": 65_045,
+    "hesr.extras": 8_049,
+    "all": 65_918,
 }
 
-TEMPLATES = 3_457  # lines of templates, styles and scripts, without those of project folders
+TEMPLATES = 3_572  # lines of templates, styles and scripts, without those of project folders
 
 FMT_SKIPS = 20  # lines that `ruff format` must skip
 

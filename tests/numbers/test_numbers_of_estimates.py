@@ -186,9 +186,9 @@ def test_parts_of_a_band(records: list[FrictionRecord], unchanged: Unchanged) ->
     unchanged({
         "alone": calibration.calibrated(of, records)[0].band,
         "rested": calibration.calibrated(of, [*records, *many])[0].band,
-        "shares": calibration._shares(columns, squares, np.zeros(300)),
-        "with known": calibration._shares(columns, squares, np.full(300, 0.1)),
-        "none": calibration._shares(columns, 0.0 * squares, np.zeros(300)),
+        "shares": calibration.variance_shares(columns, squares, np.zeros(300)),
+        "with known": calibration.variance_shares(columns, squares, np.full(300, 0.1)),
+        "none": calibration.variance_shares(columns, 0.0 * squares, np.zeros(300)),
         "tails": [calibration._tail(standard**k, float(np.quantile(standard**k, 0.95)))
                   for k in (0.2, 0.8, 1.0, 4.0)],
         "no tail": calibration._tail(0.0 * standard, 0.0),

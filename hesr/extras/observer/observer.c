@@ -1,0 +1,204 @@
+/* Component: external torque of a robot, by an observer of its generalised momentum M(q) dq.
+ *
+ *     (M dq)' = tau_motor - friction - b(q, dq) + M' dq + tau_ext,  r' = K (tau_ext - r)
+ *
+ * r is the estimate. Between two samples M' dq needs no derivative and M dq no acceleration, for
+ *
+ *     M+ dq+ - M dq - (M+ - M) (dq+ + dq) / 2 = (M+ + M) (dq+ - dq) / 2
+ *
+ * holds exactly; the other torques are the means of both samples. The low pass is exact over a
+ * step, so that the observer is stable at any step. De Luca and Mattone, Sensorless robot collision
+ * detection and hybrid force/motion control, ICRA (2005).
+ *
+ * The square of the half-width of the limits passes the same low pass as the errors it bounds. */
+#include <math.h>
+#include <string.h>
+
+#include "component_alone.h"
+#include "component_plain.h"
+#include "equations.h"
+#include "observer_places.h"
+
+/* Own memory: whether initialisation has ended; of the last sample, the mass matrix, speeds, and
+ * torques at zero acceleration that are not external; filtered inertial torques and squares of
+ * half-widths; parameters of dynamics.h. */
+enum { STARTED = 0, MASS = 1, SPEED = MASS + JOINTS * JOINTS, OTHERS = SPEED + JOINTS };
+enum { INERTIAL = OTHERS + JOINTS, SQUARE = INERTIAL + JOINTS, TABLE = SQUARE + JOINTS };
+
+#include "jacobian.h"
+#include "regroup.h"
+
+/* Speed that ends the width of rest [rad/s, m/s]; hesr_model/friction/band.py has the same. */
+#define END_OF_REST 0.005
+
+/* Half-width at 95 % in standard deviations. */
+#define DEVIATIONS 1.96
+
+/* Standard deviation of force and moment without any measurement [N, N.m]: directions that a
+ * singular posture does not show are zero, with this uncertainty. */
+#define UNKNOWN 1e4
+
+static double friction(Component *component, int i, double load, double step, bool begins) {
+    static const double still[MAX_INPUTS] = {0.0};
+    const Joint *joint = &joints[i];
+    double *v = component->v, *x = &v[joint->first_state];
+    double u[MAX_INPUTS], moved[MAX_STATES], torque[MAX_OUTPUTS], slope[MAX_OUTPUTS];
+    const double *k = joint->constants ? joint->constants : &v[joint->first_parameter];
+    v[TAU_LOAD + i] = load;
+    for (int j = 0; j < joint->inputs; j++) {
+        u[j] = v[joint->input[j]];
+    }
+    if (begins) {
+        memcpy(x, &v[joint->first_start], (size_t)joint->states * sizeof *x);
+        if (joint->states > 0 && v[START_MODE] == STEADY) {
+            joint->begin(k, u, x);
+        }
+    }
+    joint->attempt(k, u, x, step, v[DISCRETISATION] == EULER, still, moved, torque, slope);
+    memcpy(x, moved, (size_t)joint->states * sizeof *x);
+    return torque[0];
+}
+
+/* Square of the half-width at 95 % of a torque in this motion. */
+static double half_squared(const double *v, int i) {
+    const double dq = v[DQ + i], slow = dq / fmax(v[BAND_SLOW_SPEED + i], 1e-9);
+    const double resting = 1.0 - fmin(dq * dq / (END_OF_REST * END_OF_REST), 1.0);
+    const double parts[] = {v[BAND_FLOOR + i], v[BAND_SLOW + i] / sqrt(1.0 + slow * slow),
+                            v[BAND_REST + i] * resting, v[BAND_FAST + i] * dq,
+                            v[BAND_LOAD + i] * v[TAU_LOAD + i]};
+    double sum = 0.0;
+    for (int k = 0; k < (int)(sizeof parts / sizeof parts[0]); k++) {
+        sum += parts[k] * parts[k];
+    }
+    return sum;
+}
+
+/* Invert a symmetric positive definite matrix. */
+static void invert(double a[6][6]) {
+    for (int k = 0; k < 6; k++) {
+        const double pivot = 1.0 / a[k][k];
+        a[k][k] = 1.0;
+        for (int j = 0; j < 6; j++) {
+            a[k][j] *= pivot;
+        }
+        for (int i = 0; i < 6; i++) {
+            const double factor = a[i][k];
+            if (i != k) {
+                a[i][k] = 0.0;
+                for (int j = 0; j < 6; j++) {
+                    a[i][j] -= factor * a[k][j];
+                }
+            }
+        }
+    }
+}
+
+/* Weighted least squares of tau_ext = J' (force, moment). */
+static void put_wrench(double *v, const double *squares) {
+    double jacobian[6][JOINTS], covariance[6][6], sum[6] = {0.0};
+    flange_jacobian(&v[Q], jacobian);
+    for (int a = 0; a < 6; a++) {
+        for (int b = 0; b < 6; b++) {
+            covariance[a][b] = a == b ? 1.0 / (UNKNOWN * UNKNOWN) : 0.0;
+            for (int i = 0; i < JOINTS; i++) {
+                const double weight = DEVIATIONS * DEVIATIONS / fmax(squares[i], 1e-12);
+                covariance[a][b] += jacobian[a][i] * weight * jacobian[b][i];
+                sum[a] += b == 0 ? jacobian[a][i] * weight * v[TAU_EXT + i] : 0.0;
+            }
+        }
+    }
+    invert(covariance);
+    for (int a = 0; a < 3; a++) {
+        v[FORCE + a] = v[MOMENT + a] = 0.0;
+        for (int b = 0; b < 6; b++) {
+            v[FORCE + a] += covariance[a][b] * sum[b];
+            v[MOMENT + a] += covariance[3 + a][b] * sum[b];
+        }
+        for (int b = 0; b < 3; b++) {
+            v[FORCE_COVARIANCE + 3 * a + b] = covariance[a][b];
+            v[MOMENT_COVARIANCE + 3 * a + b] = covariance[3 + a][3 + b];
+            v[FORCE_MOMENT_COVARIANCE + 3 * a + b] = covariance[a][3 + b];
+        }
+    }
+}
+
+static void put_limits(Component *component) {
+    double *v = component->v;
+    v[CONTACT] = 0.0;
+    for (int i = 0; i < JOINTS; i++) {
+        const double half = sqrt(component->own[SQUARE + i]);
+        v[TAU_EXT_LOWER + i] = v[TAU_EXT + i] - half;
+        v[TAU_EXT_UPPER + i] = v[TAU_EXT + i] + half;
+        v[CONTACT_THRESHOLD + i] = v[CONTACT_FACTOR] * half;
+        if (fabs(v[TAU_EXT + i]) > v[CONTACT_THRESHOLD + i]) {
+            v[CONTACT] = 1.0;
+        }
+    }
+    if (WRENCH) {
+        put_wrench(v, &component->own[SQUARE]);
+    }
+}
+
+/* Observe the sample in the inputs; a step of 0 is the first one. */
+static void observe_sample(Component *component, double step) {
+    double *v = component->v, *own = component->own, mass[JOINTS][JOINTS], bias[JOINTS];
+    const bool begins = step == 0.0;
+    const double share = begins ? 1.0 : -expm1(-6.283185307179586 * v[BANDWIDTH] * step);
+    if (begins || component->changed != 0.0) {
+        regroup(component);
+    }
+    dynamics(&own[TABLE], &v[ROTORS], &v[SPRINGS], &v[GRAVITY], &v[Q], &v[DQ], mass, bias);
+    for (int i = 0; i < JOINTS; i++) {
+        double inertial = 0.0;
+        for (int j = 0; j < JOINTS && !begins; j++) {
+            const double now = i < j ? mass[j][i] : mass[i][j];
+            const double before = own[MASS + (i < j ? j * JOINTS + i : i * JOINTS + j)];
+            inertial += 0.5 * (now + before) * (v[DQ + j] - own[SPEED + j]) / step;
+        }
+        own[INERTIAL + i] += share * (inertial - own[INERTIAL + i]);
+        const double load = bias[i] + own[INERTIAL + i];
+        v[TAU_FRICTION + i] = friction(component, i, load, step, begins);
+        const double rest =
+            bias[i] + v[TAU_FRICTION + i] - v[TORQUE_CONSTANT + i] * v[TAU_MOTOR + i];
+        const double external = inertial + 0.5 * (rest + own[OTHERS + i]);
+        v[TAU_EXT + i] = begins ? 0.0 : v[TAU_EXT + i] + share * (external - v[TAU_EXT + i]);
+        own[OTHERS + i] = rest;
+        own[SQUARE + i] += share * (half_squared(v, i) - own[SQUARE + i]);
+    }
+    memcpy(&own[SPEED], &v[DQ], JOINTS * sizeof *v);
+    memcpy(&own[MASS], mass, sizeof mass);
+    put_limits(component);
+}
+
+static bool component_initialise(Component *component, void *workspace, Message *why) {
+    (void)workspace, (void)why;
+    observe_sample(component, 0.0);
+    component->own[STARTED] = 1.0;
+    return true;
+}
+
+/* Before the first step, outputs follow the inputs; then they are those of the last step. */
+static bool component_output(Component *component, void *workspace, Message *why) {
+    (void)workspace, (void)why;
+    if (component->own[STARTED] == 0.0) {
+        observe_sample(component, 0.0);
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        const Joint *joint = &joints[i];
+        double u[MAX_INPUTS], *v = component->v, *x = &v[joint->first_state];
+        for (int j = 0; j < joint->inputs; j++) {
+            u[j] = v[joint->input[j]];
+        }
+        const double *k = joint->constants ? joint->constants : &v[joint->first_parameter];
+        joint->solved_derivatives(k, u, x, x + joint->states);
+    }
+    return true;
+}
+
+static bool component_step(Component *component, void *workspace, double step, Message *why) {
+    (void)workspace, (void)why;
+    observe_sample(component, step);
+    component->event = 0.0;
+    component->done = step;
+    return true;
+}

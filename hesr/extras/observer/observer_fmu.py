@@ -1,0 +1,187 @@
+"""Observer FMU: motion and motor torque in, external torque with its limits out."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fmu_src.blocks.block import places, vector
+from fmu_src.equations.header import SOLVER, equations_header
+from fmu_src.export import package
+from fmu_src.export.interface import ArrayVariable, Interface, Variable
+from fmu_src.friction import friction_component
+from fmu_src.friction.embedded_model import embedding
+from fmu_src.friction.friction_fmu import description_of
+from fmu_src.friction.validity import require_exportable
+from fmu_src.pages.drive_page import law_entries
+from fmu_src.pages.friction_page import title
+from fmu_src.pages.html import TEMPLATES, rendered
+from fmu_src.plant.dynamics import dynamics_header, jacobian_header
+from fmu_src.plant.plant_fmu import PlantBody, at_joint, inertial_parameters, require_fitting
+from fmu_src.run.reference_results import Stimuli, waves
+from hesr.extras.observer.limits import NAMES, ObserverLimits
+from hesr_model.errors import ExportError
+from hesr_model.friction.inputs import TAU_LOAD, TORQUE
+from hesr_model.friction.model import FrictionModel
+from hesr_model.robots.robot import Robot
+
+BANDWIDTH = 15.0  # default cut-off of the observer [Hz]
+HERE = Path(__file__).parent
+_INPUTS = (
+    ("q", "rad", "position"),
+    ("dq", "rad/s", "speed"),
+    ("tau_motor", "N.m", "torque of the motor on the joint"),
+)
+_OUTPUTS = (
+    ("tau_ext", "N.m", "external torque, positive if it drives towards positive positions"),
+    ("tau_ext_lower", "N.m", "lower limit of the external torque at 95 %"),
+    ("tau_ext_upper", "N.m", "upper limit of the external torque at 95 %"),
+    ("contact_threshold", "N.m", "absolute external torque that counts as contact"),
+    ("tau_friction", "N.m", "friction torque of the law"),
+    (TAU_LOAD.name, "N.m", "torque that the rigid bodies need"),
+)
+_WRENCH = (
+    ("force", "N", (3,), "external force on the flange, in axes of the base"),
+    ("moment", "N.m", (3,), "external moment about the origin of the last joint, in base axes"),
+    ("force_covariance", "N2", (3, 3), "covariance of the force"),
+    ("moment_covariance", "N2.m2", (3, 3), "covariance of the moment"),
+    ("force_moment_covariance", "N2.m", (3, 3), "covariance of the force (rows) and the moment"),
+)
+
+
+def has_wrench(robot: Robot) -> bool:
+    """Whether the Jacobian of the last joint's frame has full rank at random postures."""
+    tree = robot.tree
+    if robot.follow or [joint.parent for joint in tree] != list(range(-1, robot.n - 1)):
+        return False
+    low, high, _ = robot.reach
+    for q in np.random.default_rng(0).uniform(low, high, (8, robot.n)):
+        poses, columns = robot.places(q), []
+        for (turned, place), joint in zip(poses, tree, strict=True):
+            axis = turned @ joint.axis
+            arm = 0.0 * axis if joint.prismatic else np.cross(axis, poses[-1][1] - place)
+            columns.append([*axis, *arm] if joint.prismatic else [*arm, *axis])
+        if np.linalg.matrix_rank(np.array(columns), tol=1e-6) < 6:
+            return False
+    return True
+
+
+def _parameters(
+    model: FrictionModel,
+    limits: ObserverLimits,
+    bandwidth: float,
+    constants: Sequence[float] | None,
+) -> Iterator[Variable]:
+    text = "cut-off of the observer; limits and threshold hold for its start value"
+    cutoff = Variable("bandwidth", "tunable", text, unit="1/s", start=bandwidth)
+    yield replace(cutoff, least=1e-3, limited=True)
+    text = "contact threshold over the half-width of the limits"
+    yield Variable("contact_factor", "tunable", text, unit="1", start=limits.factor, least=0.0)
+    unit, text = ("N.m/A", "torque per current") if constants else ("1", "factor on tau_motor")
+    each = constants or np.ones(len(model.joints))
+    yield from vector("torque_constant", "tunable", unit, text, each)
+    for quantity, row in zip(NAMES, limits.numbers, strict=True):
+        for i, x in enumerate(row, start=1):
+            yield friction_component.of_joint(model, quantity, i, "tunable", start=x, least=0.0)
+
+
+def _interface(
+    model: FrictionModel, body: PlantBody, own: Sequence[Variable], current: bool
+) -> Interface:
+    laws = friction_component.joints_of(model, names={TORQUE: "tau_friction"})
+    zeros = (0.0,) * len(laws)
+    rows = [*_INPUTS[:2], ("tau_motor", "A", "current of the motor") if current else _INPUTS[2]]
+    found = [v for n, unit, text in rows for v in vector(n, "input", unit, text, zeros)]
+    inputs = tuple(v.name for v in found)
+    parameters = [*own, *inertial_parameters(body), *friction_component.scales(model)]
+    of_laws = [
+        v
+        for i, (law, one) in enumerate(zip(model.laws, laws, strict=True), start=1)
+        for v in friction_component.law_variables(law, i, one, {TAU_LOAD.name: ()})
+    ]
+    states = (v.name for v in of_laws if not v.derivative_of)
+    made_of = (*inputs, *(v.name for v in parameters), *states)
+    for name, unit, text in _OUTPUTS:
+        found += vector(name, "output", unit, text, zeros, made_of)
+    text = "whether the external torque of a joint is beyond its threshold"
+    found.append(Variable("contact", "output", text, boolean=True, dependencies=made_of))
+    for name, unit, shape, text in _WRENCH if has_wrench(body.robot) else ():
+        for place in np.ndindex(*shape):
+            index = ",".join(str(k + 1) for k in place)
+            element = Variable(f"{name}[{index}]", "output", text, unit=unit, dependencies=made_of)
+            found.append(element)
+    text = "how the states of the friction are relaxed"
+    found += [*parameters, friction_component.discretisation(model, text)]
+    found += [friction_component.start_mode(), *of_laws]
+    turned = (at_joint(v, model.slides) for v in found)
+    return Interface(
+        variables=tuple(friction_component.of_the_last_step(v, inputs) for v in turned),
+        own=1 + len(laws) * (len(laws) + 4) + 10 * body.robot.links,
+        model_exchange=False,
+        directional_derivatives=False,
+    )
+
+
+def outputs_of(table: Interface) -> list[ArrayVariable]:
+    """Return the outputs other than the contact."""
+    return [a for a in table.arrays if a.elements[0].role == "output" and a.name != "contact"]
+
+
+def content(
+    model: FrictionModel,
+    body: PlantBody,
+    limits: ObserverLimits,
+    *,
+    bandwidth: float = BANDWIDTH,
+    constants: Sequence[float] | None = None,
+    bare: bool = False,
+) -> package.Content:
+    """Return the FMU of an observer before compilation; with `constants` [N.m/A] for currents."""
+    require_exportable(model, "an observer", coupled=False)
+    require_fitting(model, body.robot)
+    if not 0.0 < bandwidth < np.inf:
+        raise ExportError(f"observer: 'bandwidth' is {bandwidth:g} Hz; it must be positive.")
+    own = list(_parameters(model, limits, bandwidth, constants))
+    table = _interface(model, body, own, bool(constants))
+    at = {a.name: a.elements[0].name for a in table.arrays}
+    wrench = "force" in at
+    first = {n.upper(): at[n] for n in ("q", "dq", "tau_motor", "contact", "start_mode")}
+    first |= {n.upper(): at[n] for n in ("gravity", "discretisation", *(o[0] for o in _OUTPUTS))}
+    first |= {a.upper(): at[a] for a in dict.fromkeys(v.name.split("[")[0] for v in own)}
+    first |= {"PARAMETERS": "link[1].m", "ROTORS": "rotor[1]", "PAYLOAD_M": "payload.m"}
+    first |= {"PAYLOAD_COM": "payload.com[1]", "PAYLOAD_INERTIA": "payload.Ixx"}
+    first["SPRINGS"] = next((n for n in table.places if n.startswith("spring[")), "gravity[1]")
+    ours = {name.upper(): at.get(name, "contact") for name, *_ in _WRENCH}
+    laws = friction_component.joints_of(model, names={TORQUE: "tau_friction"})
+    names = ("coupling.h", "law_math.h", "regroup.h")
+    sources = {name: package.own_source(name) for name in names} | {
+        "observer.c": (HERE / "observer.c").read_text(encoding="utf-8"),
+        "observer_places.h": places(table, "PLACES_H", ours, WRENCH=int(wrench)),
+        "dynamics.h": dynamics_header(body.robot),
+        "jacobian.h": jacobian_header(body.robot),
+        "equations.h": equations_header(laws, table, first, wanted=SOLVER),
+    }
+    about = description_of(
+        model,
+        name=f"Observer of {body.robot.name} with {model.law}",
+        identifier=f"observer_{model.law}",
+        text=f"External torque of {len(laws)} joints from their motion and motors. {limits.text}",
+        step=model.sample_time,
+    )
+    if bare:
+        return package.Content(table=table, about=about, sources=sources, members={})
+    joints, refused = law_entries(model)
+    titles = list(dict.fromkeys(map(title, model.laws)))
+    sheet = {"about": about, "model": model, "titles": titles, "joints": joints, "limits": limits}
+    sheet |= {"refused": refused, "names": [number.name for number in NAMES], "wrench": wrench}
+    sheet |= {"bandwidth": bandwidth, "constants": constants}
+    page = rendered("observer.html.j2", folders=(HERE / "templates", TEMPLATES), **sheet)
+    inputs = waves({v.name: 1.0 for v in table.variables if v.role == "input"})
+    return package.Content(
+        table=table,
+        about=about,
+        sources=sources,
+        members={"documentation/index.html": page.encode(), **embedding(model)},
+        stimuli=Stimuli(step=model.sample_time, inputs=inputs),
+    )

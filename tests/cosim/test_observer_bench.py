@@ -1,0 +1,58 @@
+"""Observer on the twin: false alarms in free motion, coverage of its limits, and pushes found."""
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+from observer_bench import LATE, STEP, TRUTHS, arm, bench, moved, pushed, pushes, seeds_within
+
+from hesr.extras.observer.calibration import ObservedLog, calibrate, observed_logs
+
+CALIBRATION = 20  # motions of half a minute
+
+
+def cases() -> Iterator[object]:
+    """Yield truth, minutes of free motion, and motions with pushes."""
+    yield pytest.param(None, 10, 10, marks=pytest.mark.ci, id="ten minutes")
+    for truth in TRUTHS:
+        yield pytest.param(truth, 60, 20, marks=pytest.mark.soak, id=f"an hour of {truth}")
+
+
+def alarms(run: ObservedLog) -> int:
+    return int(np.count_nonzero(run.contact[1:] & ~run.contact[:-1]))
+
+
+@pytest.mark.parametrize(("truth", "minutes", "pushed_motions"), list(cases()))
+def test_contacts_are_found_without_false_alarms(
+    truth: str | None, minutes: int, pushed_motions: int, tmp_path: Path
+) -> None:
+    own = bench(tmp_path / "arm", truth, "parfam_s")
+    found, tried = Counter[str](), Counter[str]()
+    with ExitStack() as cleanup:
+        fmu = cleanup.enter_context(arm(own))
+        unseen = [moved(fmu, seed)[0] for seed in seeds_within(own, 1000, CALIBRATION)]
+        limits = calibrate(own.law, own.plant, unseen)
+        seeds = seeds_within(own, 2000, 2 * minutes)
+        free = [moved(fmu, seed) for seed in seeds]
+        runs = observed_logs(own.law, own.plant, limits, [log for log, _ in free])
+        assert sum(map(alarms, runs)) <= 1
+        for j in range(3):
+            inside = np.concatenate([
+                (run.outputs["tau_ext_lower"][:, j] <= 0.0)
+                & (run.outputs["tau_ext_upper"][:, j] >= 0.0) for run in runs
+            ])  # fmt: skip
+            assert 0.93 <= inside.mean() <= 0.97, inside.mean()
+        rng, plans, logs = np.random.default_rng(5), [], []
+        for seed, (log, dq), run in list(zip(seeds, free, runs, strict=True))[:pushed_motions]:
+            plans.append(pushes(rng, dq, run.outputs["contact_threshold"]))
+            logs.append(moved(fmu, seed, pushed(plans[-1], len(log.t) - 1))[0])
+    for plan, run in zip(plans, observed_logs(own.law, own.plant, limits, logs), strict=True):
+        for one in plan:
+            tried[one.kind] += 1
+            found[one.kind] += bool(run.contact[one.row + 1 :][: round(LATE / STEP)].any())
+    assert min(tried["motion"], tried["rest"], tried["reversal"]) >= 10, tried
+    assert found.total() >= 0.95 * tried.total(), (found, tried)
+    assert found["reversal"] >= 0.95 * tried["reversal"], (found, tried)
