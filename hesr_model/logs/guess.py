@@ -17,13 +17,19 @@ def _words(text: str) -> frozenset[str]:
 
 _WORDS: Mapping[str, frozenset[str]] = {
     "temperature": _words("temperature temperatures temp temps"),
-    "dq": _words("dq qd qdot dqdt vel velocity velocities speed speeds omega qp"),
-    "q": _words("q pos position positions angle angles theta qm encoder enc displacement"),
-    "tau": _words("tau torque torques trq effort efforts moment moments tq nm force forces"),
-    "current": _words("i im cur curr current currents amp amps ampere iq"),
+    "dq": _words(
+        "dq qd qdot dqdt vel velocity velocities speed speeds omega qp geschwindigkeit drehzahl"
+    ),
+    "q": _words(
+        "q pos position positions angle angles theta qm encoder enc displacement winkel weg"
+    ),
+    "tau": _words(
+        "tau torque torques trq effort efforts moment moments drehmoment tq nm force forces kraft"
+    ),
+    "current": _words("i im cur curr current currents amp amps ampere iq strom motorstrom"),
 }
 """Words in column names; the first match wins."""
-_FORCES = _words("force forces")  # torques of sliding joints, unless a torque is logged
+_FORCES = _words("force forces kraft")  # torques of sliding joints, unless a torque is logged
 _PLACES = _words("joint axis")  # positions, unless another quantity matches
 _OTHERS = _words(
     "target desired des ref reference cmd command setpoint goal acc acceleration ddq qdd error err "
@@ -31,7 +37,7 @@ _OTHERS = _words(
 )  # ignored columns
 _MOTORS = _words("qm motor motors")
 _MEASURED = _words("actual act meas measured msr")
-_TIME = _words("t time timestamp stamp timestamps clock unix secs seconds sec zeit")
+_TIME = _words("t time timestamp stamp timestamps datetime date clock unix secs seconds sec zeit")
 _UNITS: Mapping[str, Mapping[str, str]] = {
     "q": {"deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "mm": "mm", "rev": "rev"},
     "dq": {"deg": "deg/s", "degs": "deg/s", "dps": "deg/s", "rpm": "rpm", "degrees": "deg/s"},
@@ -100,7 +106,7 @@ def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) ->
         columns["t"] = _time(table)
         units["t"], reasons["t"] = _time_unit(table, str(columns["t"]))
     if "q" not in columns:
-        wanted = "one joint" if count == 1 else f"{count or 'several'} joints"
+        wanted = "a joint" if count < 2 else f"all {count} joints"
         raise LogError(
             f"{table.path}: no columns look like positions of {wanted}; it has "
             f"{table.listing}; name them under 'log.columns' of a robot file."
@@ -135,8 +141,10 @@ def _tokens(name: str) -> list[str]:
 
 def _quantity(name: str) -> str:
     tokens = set(_tokens(name))
-    if tokens & _OTHERS:
+    if tokens & _OTHERS or {"i", "d"} <= tokens:  # i_d is a current without torque
         return ""
+    if {"i", "q"} <= tokens:
+        return "current"
     found = next((quantity for quantity, words in _WORDS.items() if tokens & words), "")
     return found or ("q" if tokens & _PLACES else "")
 

@@ -16,6 +16,8 @@ def doubts_of_model(path: Path, model: Any) -> Iterator[Finding]:
     urdf = path.suffix.lower() != ".xml"
     for name, joint, link in list(zip(model.names, model.joints, model.inertias, strict=True))[1:]:
         if joint.nv != 1:
+            found = "has several degrees of freedom and is held at its reference position"
+            yield _doubt("held-joint", path, name, found, "leave it out if it moves", "advice")
             continue
         low, high = position_limits(model, joint, valid=False)
         if urdf and not link.mass > 0.0:

@@ -34,12 +34,17 @@ class Urdf:
     doubts: tuple[Finding, ...]
 
 
+_XACRO = "/xacro}"  # end of the namespace of its elements
+
+
 def read_urdf(path: Path, text: str | bytes) -> Urdf:
     """Read a URDF; RobotError if a number cannot be read, or an axis or a mass cannot be."""
     try:
         root = ElementTree.fromstring(text.strip())
     except (ElementTree.ParseError, LookupError, ValueError) as error:  # or an encoding
         raise RobotError(f"{path}: cannot be parsed as a URDF ({error}).") from error
+    if any(_XACRO in element.tag for element in root.iter() if isinstance(element.tag, str)):
+        raise RobotError(f"{path}: is a xacro template; expand it first: xacro FILE > robot.urdf.")
     plain = Element("robot", name=root.get("name", "robot"))
     followers, parents = {}, {}
     doubts: list[Finding] = []

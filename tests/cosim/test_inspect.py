@@ -556,7 +556,7 @@ def test_a_table_without_positions_is_refused(tmp_path: Path, hesr: Hesr) -> Non
     path.write_text("time,a,b\n" + "".join(f"{k},1,2\n" for k in range(9)), encoding="utf-8")
     said = hesr("inspect", path)
     assert said.code == 2
-    assert "no columns look like positions of several joints; it has time, a, b" in said.err
+    assert "no columns look like positions of a joint; it has time, a, b" in said.err
 
 
 def test_a_number_of_5000_digits_in_a_name_is_not_a_joint(tmp_path: Path, hesr: Hesr) -> None:

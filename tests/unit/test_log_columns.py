@@ -231,3 +231,30 @@ def test_an_odd_rate_suggests_another_time_unit(read: Read) -> None:
         read(written(values), LogFormat(sample_rate=100.0))
     log = read(written(values), LogFormat(sample_rate=100.0, units=LogUnits(t="ms")))
     assert log.period == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(
+    ("header", "columns"),
+    [
+        ("t,pos,i_q,i_d", {"t": "t", "q": ("pos",), "current": ("i_q",)}),
+        ("time,angle,iq", {"t": "time", "q": ("angle",), "current": ("iq",)}),
+        (
+            "Zeit,Winkel,Drehzahl,Drehmoment",
+            {"t": "Zeit", "q": ("Winkel",), "dq": ("Drehzahl",), "tau": ("Drehmoment",)},
+        ),
+    ],
+)
+def test_names_of_single_motors_are_guessed(
+    header: str, columns: dict[str, object], tmp_path: Path
+) -> None:
+    path = tmp_path / "motor.csv"
+    rows = [",".join([f"{0.01 * k:.2f}", *["0.5"] * header.count(",")]) for k in range(20)]
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    assert guess(read_table(path)).columns == columns
+
+
+def test_a_column_of_dates_is_the_time(tmp_path: Path) -> None:
+    path = tmp_path / "motor.csv"
+    rows = [f"2026-01-02T03:04:{k:02d}.5,0.1,0.2" for k in range(20)]
+    path.write_text("\n".join(["datetime,q,tau", *rows]), encoding="utf-8")
+    assert guess(read_table(path)).columns["t"] == "datetime"

@@ -6,6 +6,7 @@ import pytest
 
 from hesr_model.errors import RobotError
 from hesr_model.robots.model_file import driven_joints, joints_of
+from hesr_model.robots.robot import Robot
 
 LINK = """<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0"
   ixz="0" iyz="0"/></inertial></link>"""
@@ -74,3 +75,8 @@ def test_a_name_that_is_not_text_is_refused(tmp_path: Path) -> None:
         RobotError, match=r"chain\.urdf: cannot be parsed as a URDF \(not well-formed"
     ):
         joints_of(path)
+
+
+def test_joints_with_several_degrees_of_freedom_are_held(chain: Path) -> None:
+    held = [doubt.joints for doubt in Robot(chain).doubts if doubt.check == "held-joint"]
+    assert held == [("float",)]

@@ -199,3 +199,17 @@ def test_unknown_encodings_are_refused(encoding: str, tmp_path: Path) -> None:
     path.write_text(head + path.read_text(encoding="utf-8"), encoding="utf-8")
     with pytest.raises(RobotError, match=r"arm\.urdf: cannot be parsed as a URDF \("):
         model_file.load(path)
+
+
+def test_a_template_is_not_read_as_a_robot(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="a"/>'
+        "</robot>",
+        encoding="utf-8",
+    )
+    with pytest.raises(RobotError) as caught:
+        Robot(path)
+    assert str(caught.value) == (
+        f"{path}: is a xacro template; expand it first: xacro FILE > robot.urdf."
+    )

@@ -152,7 +152,8 @@ class Guess {
   quantity(name) {
     const { words } = this, tokens = this.tokens(name);
     const has = (list) => tokens.some((token) => list.includes(token));
-    if (has(words.others)) return "";
+    if (has(words.others) || (has(["i"]) && has(["d"]))) return "";
+    if (has(["i"]) && has(["q"])) return "current";
     if (has(words.load)) return "tau_load";
     if (has(words.friction)) return "friction";
     const found = Object.keys(words.quantities).find((key) => has(words.quantities[key]));
