@@ -48,6 +48,7 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
     | {"nanoseconds": "ns", "milliseconds": "ms"},
 }
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
+_AXES = re.compile(r"(?<![A-Za-z])[iI]_([dq])(?![A-Za-z])")  # i_q is no position
 _NUMBER = re.compile(r"(?<!\d)\d{1,9}(?!\d)")  # a joint number; longer ones are slow to parse
 _RATES = (5.0, 20_000.0)  # plausible sample rates [Hz]
 
@@ -136,15 +137,13 @@ def _groups(names: Sequence[str], joints: Sequence[str]) -> Iterator[tuple[str, 
 
 
 def _tokens(name: str) -> list[str]:
-    return [token.lower() for token in _TOKEN.findall(name)]
+    return [token.lower() for token in _TOKEN.findall(_AXES.sub(r"i\1", name))]
 
 
 def _quantity(name: str) -> str:
     tokens = set(_tokens(name))
-    if tokens & _OTHERS or {"i", "d"} <= tokens:  # i_d is a current without torque
+    if tokens & _OTHERS:
         return ""
-    if {"i", "q"} <= tokens:
-        return "current"
     found = next((quantity for quantity, words in _WORDS.items() if tokens & words), "")
     return found or ("q" if tokens & _PLACES else "")
 

@@ -123,7 +123,8 @@ class Guess {
   }
 
   tokens(name) {
-    return (name.match(/[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°/g) ?? []).map((s) => s.toLowerCase());
+    const one = name.replace(/(?<![A-Za-z])[iI]_([dq])(?![A-Za-z])/, "i$1");
+    return (one.match(/[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°/g) ?? []).map((s) => s.toLowerCase());
   }
 
   /* Columns that differ only in a number or joint name, by joint. */
@@ -150,10 +151,8 @@ class Guess {
   }
 
   quantity(name) {
-    const { words } = this, tokens = this.tokens(name);
-    const has = (list) => tokens.some((token) => list.includes(token));
-    if (has(words.others) || (has(["i"]) && has(["d"]))) return "";
-    if (has(["i"]) && has(["q"])) return "current";
+    const { words } = this, has = (list) => this.tokens(name).some((t) => list.includes(t));
+    if (has(words.others)) return "";
     if (has(words.load)) return "tau_load";
     if (has(words.friction)) return "friction";
     const found = Object.keys(words.quantities).find((key) => has(words.quantities[key]));
