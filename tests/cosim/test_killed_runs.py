@@ -20,6 +20,7 @@ from hesr_model.support.files import folder_written_whole, settle, written_whole
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 
 FILES = 60
+KILLS = int(os.environ.get("KILLS", "200"))
 
 WRITER = f"""
 import os, sys
@@ -121,8 +122,8 @@ def test_files_of_killed_processes_are_removed_and_others_are_left_alone(
 @pytest.mark.parametrize(
     "kills",
     [
-        pytest.param(3, marks=pytest.mark.ci),
-        pytest.param(200, marks=[pytest.mark.soak, pytest.mark.timeout(0)]),
+        pytest.param(6, marks=pytest.mark.ci),
+        pytest.param(KILLS, marks=[pytest.mark.soak, pytest.mark.timeout(0)]),
     ],
 )
 def test_a_killed_run_leaves_the_old_result_or_the_new_one(tmp_path: Path, kills: int) -> None:

@@ -7,9 +7,12 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from fmpy import read_model_description
+from fmpy.model_description import ValidationError
 from fmu_files import MODEL, changed, texts
+from lxml import etree
 
-from fmu_src.check import external
+from fmu_src.check import external, readers
 from fmu_src.check.run import check
 from hesr_model.errors import ConfigError
 
@@ -173,3 +176,32 @@ def test_validators_get_only_checked_xml(content, source_fmu, vdmcheck, tmp_path
         assert seen.namelist() == original.namelist()
         full = {name for name in seen.namelist() if seen.read(name)}
     assert full == ({MODEL} if content == BOMB else {MODEL, terminals})
+
+
+ODD = ("1 a", "a b", "a[1", "a[x]", "a.", "der(a", "der(a,x)", "a..b", "ä", "a[1]b", "a\n")
+PLAIN = ("a", "_b1", "a.b[1,2].c", "der(a.b[3])", "der(a,2)", "'a b'.c", "a[12]")
+
+
+@pytest.mark.parametrize("convention", ["structured", "flat"])
+def test_fmpy_parses_only_names_that_are_not_plainly_legal(table1_fmu, tmp_path, convention):
+    with zipfile.ZipFile(table1_fmu) as archive:
+        text = archive.read(MODEL)
+    for names in (ODD, PLAIN):
+        root = etree.fromstring(text)
+        root.set("variableNamingConvention", convention)
+        for name in names:
+            variable = etree.SubElement(
+                root.find("ModelVariables"), "ScalarVariable", name=name, valueReference="99999",
+                causality="parameter", variability="fixed", initial="exact",
+            )  # fmt: skip
+            etree.SubElement(variable, "Real", start="0")
+        file = tmp_path / "modelDescription.xml"
+        file.write_bytes(etree.tostring(root))
+        try:  # all names
+            read_model_description(str(file), validate_variable_names=True)
+            expected = []
+        except ValidationError as error:
+            expected = error.problems
+        assert readers.validate(str(file)) == (expected, "")
+        wrong = len(ODD) if convention == "structured" else 1
+        assert len(expected) == (wrong if names is ODD else 0)
