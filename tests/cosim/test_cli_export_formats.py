@@ -130,7 +130,8 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         (["--fmi", "4", "-o", "F.fmu"], "Invalid value for '--fmi': '4' is not one of '2', '3'."),
         (
             ["--fmi", "3", "--format", "modelica", "-o", "F.mo"],
-            "--fmi needs --format adaptive or drive or fmu or observer or plant, but the format is 'modelica'.",
+            "--fmi needs --format adaptive or drive or fmu or observer or plant, but the format is "
+            "'modelica'.",
         ),
         (
             ["--inertia", "3", "-o", "F.fmu"],
@@ -139,8 +140,8 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         (["--project", "-o", "F.fmu"], "--project needs --format mjcf, but the format is 'fmu'."),
         (
             ["--format", "mjcf", "--platform", "win64", "-o", "f.xml"],
-            "--platform needs --format adaptive or drive or fmu or observer or plant, but the format is "
-            "'mjcf'.",
+            "--platform needs --format adaptive or drive or fmu or observer or plant, but the "
+            "format is 'mjcf'.",
         ),
         (
             ["--format", "modelica", "--properties", "-o", "F.mo"],
@@ -186,7 +187,10 @@ def test_the_rigid_body_is_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monk
     )
     assert [path.name for path in tmp_path.iterdir()] == ["others.json"]
     for arguments, sentence in (
-        (["--format", "drive"], "--robot needs --format fmu or observer or plant, but the format is 'drive'."),
+        (
+            ["--format", "drive"],
+            "--robot needs --format fmu or observer or plant, but the format is 'drive'.",
+        ),
         (
             ["--format", "adaptive"],
             "--robot needs --format fmu or observer or plant, but the format is 'adaptive'.",
