@@ -13,7 +13,7 @@ from hesr_model.motions.excitation import design as design_excitation
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import written_whole
+from hesr_model.support.files import written_together
 from hesr_model.support.progress import Progress, silent
 
 _COMPARED = 200
@@ -59,9 +59,10 @@ def design(
     backward = output.with_stem(f"{output.stem}_reversed")
     picture = output.with_suffix(".png")
     t, q, dq, ddq = found.setpoints()
-    _write(output, t, q, dq, ddq)
-    _write(backward, t, q[::-1], -dq[::-1], ddq[::-1])
-    excitation(picture, found, model.description.joints)
+    with written_together(output) as file:
+        _write(file(output), t, q, dq, ddq)
+        _write(file(backward), t, q[::-1], -dq[::-1], ddq[::-1])
+        excitation(file(picture), found, model.description.joints)
     return ExcitationDesign(
         excitation=found,
         random_condition=float(np.median(conditions)),
@@ -75,5 +76,4 @@ def _write(path: Path, t: Array, q: Array, dq: Array, ddq: Array) -> None:
     columns = {"t": t}
     for name, values in (("q", q), ("dq", dq), ("ddq", ddq)):
         columns |= {f"{name}{k}": column for k, column in enumerate(values.T, start=1)}
-    with written_whole(path) as temporary:
-        write_table(temporary, columns)
+    write_table(path, columns)

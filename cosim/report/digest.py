@@ -16,7 +16,7 @@ from cosim.report.tables.text import markdown
 from cosim.study.scores import ORACLE, REFERENCE
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.friction.registry import papers_law
-from hesr_model.support.files import written_whole
+from hesr_model.support.files import written_together
 
 _INTRODUCTION = (
     "Written by `hesr report` from the runs below; the CSV files have all laws and tests. "
@@ -30,15 +30,15 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
     runs = [Results.read(folder) for folder in folders]
     data = output.with_name(f"{output.stem}_tables")  # not the name of a folder of results
     parts = ["# Results\n", _INTRODUCTION]
-    with written_whole(output) as temporary:
+    with written_together(output) as file:
         for results in runs:
-            tables = Tables(data / results.run.study)
+            tables = Tables(data / results.run.study, file)
             for name, table in _data(results).items():
                 tables.csv(table, name)
             where = f"{data.name}/{results.run.study}"
             files = ", ".join(f"[{Path(file).stem}]({where}/{file})" for file in tables.written)
             parts += [*_run(results), f"All laws: {files}.\n"]
-        temporary.write_text("\n".join(parts), encoding="utf-8")
+        file(output).write_text("\n".join(parts), encoding="utf-8")
     return output
 
 

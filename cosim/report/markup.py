@@ -91,12 +91,13 @@ class Tables:
     """Tables of a page, all written as CSV; caption and note by file name."""
 
     folder: Path
+    place: Callable[[Path], Path] = lambda path: path  # of temporary files
     written: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def csv(self, shown: ResultTable, name: str) -> str:
         """Write a table as CSV only."""
         file = f"{name}.csv"
-        with written_whole(self.folder / file) as temporary:
+        with written_whole(self.place(self.folder / file)) as temporary:
             temporary.write_text(csv_text(shown), encoding="utf-8")
         self.written[file] = shown.caption, shown.note
         return ""

@@ -9,7 +9,7 @@ import re
 import shutil
 import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -253,6 +253,26 @@ def written_whole(path: Path) -> Iterator[Path]:
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
         temporary.replace(path)
+
+
+@contextmanager
+def written_together(main: Path) -> Iterator[Callable[[Path], Path]]:
+    """Yield a function from paths to temporary ones, which become files when the block succeeds.
+
+    `main` is replaced last; a process that is killed meanwhile leaves none. See `written_whole`.
+    """
+    with ExitStack() as cleanup:
+        made = {main: cleanup.enter_context(written_whole(main))}
+
+        def temporary(path: Path) -> Path:
+            if path not in made:
+                made[path] = cleanup.enter_context(written_whole(path))
+            return made[path]
+
+        yield temporary
+        with interrupts.deferred():
+            main.unlink(missing_ok=True)
+            cleanup.close()
 
 
 def _unwritable(path: Path, error: OSError) -> ArtifactError:

@@ -14,8 +14,15 @@ import pytest
 from processes import assert_nothing_runs, started, wait_for
 from small_study import contents, write_study
 
+from fmu_src import model_file
 from hesr_model.errors import ArtifactError
-from hesr_model.support.files import folder_written_whole, settle, written_whole
+from hesr_model.support.files import (
+    folder_written_whole,
+    models_folder,
+    settle,
+    written_together,
+    written_whole,
+)
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 
@@ -83,6 +90,21 @@ def test_a_result_that_does_not_fit_into_the_folder_changes_nothing(tmp_path: Pa
     with pytest.raises(ArtifactError, match=r"z: cannot be written there \(Is a directory\)"):
         write()
     assert contents(tmp_path) == {"a": b"old"}
+
+
+def test_files_that_belong_together_are_written_together(tmp_path: Path) -> None:
+    names = [tmp_path / name for name in ("main", "a", "b")]
+    for text in ("old", "new"):
+        with written_together(names[0]) as file:
+            for name in (names[1], names[0], names[2], names[1]):
+                file(name).write_text(f"{text} {name.name}")
+        assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+            name.name: f"{text} {name.name}" for name in names
+        }
+    with pytest.raises(ZeroDivisionError), written_together(names[0]) as file:  # noqa: PT012
+        file(names[1]).write_text("newer")
+        raise ZeroDivisionError
+    assert sorted(path.read_text() for path in tmp_path.iterdir()) == ["new a", "new b", "new main"]
 
 
 HALF = """
@@ -185,3 +207,68 @@ def hashes(folder: Path) -> dict[str, str]:
         for file in sorted(folder.rglob("*"))
         if file.is_file()
     }
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+
+number, replace, *sys.argv[1:] = sys.argv[1:2], Path.replace, *sys.argv[2:]
+left = [int(number[0])]
+
+def killed(path, target):
+    left[0] -= 1
+    if left[0] < 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return replace(path, target)
+
+Path.replace = killed
+from hesr.cli import main
+main()
+"""
+LAW = ("export", "law.json", "--format", "c", "-o", "out/law.h")
+MOTION = ("excite", "robot.toml", "--settings", "settings.toml", "-o", "out/law.csv")
+
+
+@pytest.mark.parametrize(
+    "command", [LAW, pytest.param(MOTION, marks=pytest.mark.ci)], ids=["code", "motion"]
+)
+def test_a_killed_writer_of_several_files_leaves_no_mix(
+    tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    """Its main file is absent while the others are replaced."""
+    law = json.loads(model_file("uf850-table1").read_text(encoding="utf-8"))
+    settings = "seed = {}\nharmonics = 2\nperiod = [4.0, 4.0]\nstarts = 1\n[limits]\n"
+    settings += "velocity = [2.0, 2.0, 2.0]\ntorque = [80.0, 80.0, 80.0]\n"
+    robot = models_folder() / "uf850" / "robot.toml"
+    (tmp_path / "robot.toml").write_bytes(robot.read_bytes())
+    (tmp_path / "uf850.xml").write_bytes(robot.with_name("uf850.xml").read_bytes())
+    out, versions = tmp_path / "out", []
+    for seed in (1, 2):
+        law["joints"][0]["coefficients"]["c_0"]["value"] = float(seed)
+        (tmp_path / "law.json").write_text(json.dumps(law), encoding="utf-8")
+        (tmp_path / "settings.toml").write_text(settings.format(seed), encoding="utf-8")
+        if versions:
+            break
+        with started(*command, folder=tmp_path) as process:
+            assert process.communicate()
+            assert process.returncode == 0
+        versions.append(contents(out))
+    main, killed = Path(command[-1]).name, True
+    for number in range(10):
+        shutil.rmtree(out)
+        out.mkdir()
+        for name, content in versions[0].items():
+            (out / name).write_bytes(content)
+        with started(str(number), *command, folder=tmp_path, program=("-c", KILLED)) as process:
+            process.communicate()
+            killed = process.returncode == -signal.SIGKILL
+        found = {name: file for name, file in contents(out).items() if not name.startswith(".")}
+        if not killed:
+            versions.append(found)
+            break
+        assert main not in found or found == versions[0]
+    assert not killed
+    assert number > 1
+    assert versions[0].keys() == versions[1].keys()
+    assert all(versions[1][name] != content for name, content in versions[0].items())

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from hesr.extras.fleet.result import BODY, Fleet, JointResult
-from hesr_model.support.files import written_whole
 
 _NUMBERS = ("logs", "rows")
 _TRENDS = ("level", "offset", "error")
@@ -30,9 +29,8 @@ def write_table(path: Path, fleet: Fleet) -> None:
             ("failure", text),
         ]
     )
-    with written_whole(path) as temporary:
-        table = pa.Table.from_pylist(list(_rows(fleet)), schema=schema)
-        parquet.write_table(table, temporary, compression="zstd")
+    table = pa.Table.from_pylist(list(_rows(fleet)), schema=schema)
+    parquet.write_table(table, path, compression="zstd")
 
 
 def _rows(fleet: Fleet) -> Iterator[dict[str, Any]]:

@@ -26,6 +26,7 @@ from hesr_model.health.examine import CHECKS
 from hesr_model.health.findings import require_known
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel
+from hesr_model.support.files import written_together
 from hesr_model.support.progress import Stages, counted, silent
 
 ABOUT, TABLE, PAGE = "fleet.json", "fleet.parquet", "fleet.html"
@@ -62,8 +63,9 @@ def run_fleet(
             folder=output,
             reused=reused,
         )
-        write_table(output / TABLE, found)
-        _write_page(found, output / PAGE)
+        with written_together(output / PAGE) as file:
+            write_table(file(output / TABLE), found)
+            _write_page(found, file(output / PAGE))
     return found
 
 

@@ -9,7 +9,7 @@ from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import ReferenceMotion, torques
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.support.files import written_whole
+from hesr_model.support.files import written_together
 
 TEMPLATES = Path(__file__).parent / "templates"
 _ROWS = 1000
@@ -21,9 +21,9 @@ _HALVINGS = 12
 def write_beside(path: Path, text: str, model: FrictionModel) -> Path:
     """Write a code file and its test data (.csv); both or none."""
     rows = reference_rows(model)
-    with written_whole(path) as code, written_whole(path.with_suffix(".csv")) as data:
-        code.write_text(text, encoding="utf-8", newline="\n")
-        data.write_text(rows, encoding="utf-8", newline="\n")
+    with written_together(path) as file:
+        for own, content in ((path, text), (path.with_suffix(".csv"), rows)):
+            file(own).write_text(content, encoding="utf-8", newline="\n")
     return path
 
 

@@ -1,6 +1,6 @@
 """Results of the study: judged claims, tables, and pages in HTML and Markdown."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from hesr.extras.paper import measures
 from hesr.extras.paper.evidence import LUGRE, TWIN, Evidence, Number
 from hesr.extras.paper.study import Claim, Limit
 from hesr_model.errors import ArgumentError
-from hesr_model.support.files import written_whole
+from hesr_model.support.files import written_together
 from hesr_model.support.typed_json import from_json, read_json
 
 FORMAT, FILE = "hesr-paper-1", "paper.json"
@@ -175,8 +175,13 @@ def write_page(folder: Path, output: Path | None = None, **_: Any) -> None:
     result = from_json(PaperResult, data, folder / FILE, "results of the paper's study")
     if path.suffix not in (".md", ".html"):
         raise ArgumentError(f"{path}: reports of a study of claims are .html and .md.")
+    with written_together(path) as file:
+        _write(result, path, file)
+
+
+def _write(result: PaperResult, path: Path, file: Callable[[Path], Path]) -> None:
     plain, shown = path.suffix == ".md", tables(result)
-    files = Tables(path.parent / (f"{path.stem}_tables" if plain else TABLES))
+    files = Tables(path.parent / (f"{path.stem}_tables" if plain else TABLES), file)
     for heading, one in shown.items():
         files.csv(one, heading.lower().replace(" ", "_"))
     if plain:
@@ -189,11 +194,10 @@ def write_page(folder: Path, output: Path | None = None, **_: Any) -> None:
             parts={heading: markdown(one) for heading, one in shown.items()},
             files=[f"{files.folder.name}/{file}" for file in files.written],
         )
-        with written_whole(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        file(path).write_text(text, encoding="utf-8")
     else:
         write_sections(
-            path,
+            file(path),
             title="HESR: claims of the paper",
             heading="Claims of the paper on the digital twin",
             summary=paragraph(" ".join(opening(result))),
