@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from cosim.workflow.answer import Answer, Written
 from hesr_model.support.progress import Stages, silent
@@ -13,16 +13,24 @@ if TYPE_CHECKING:
     from hesr_model.support.files import PathArg
 
 
+Purpose = Literal["body", "friction", "test", "all"]
+
+
 def excite(
     robot: PathArg,
     *,
     output: PathArg = "motion.csv",
     settings: PathArg | None = None,
+    purpose: Purpose = "body",
+    time: float | None = None,
+    format: str | None = None,  # noqa: A002 - name of the option
     progress: Stages = silent,
-) -> ExcitationDesign:
-    """Design the motion that identifies a robot best.
+) -> ExcitationDesign | Answer:
+    """Design motions to measure: for the rigid body, for friction, and for tests.
 
-    It stays within the limits of the robot's model and of the settings.
+    They stay within the limits of the robot's model and of the settings. Without 'time' and
+    'format', the motion for the body is the one that identifies a robot best, without checks
+    of collisions. Other motions start and end at rest in one pose, and collisions are checked.
 
     Parameters
     ----------
@@ -31,14 +39,21 @@ def excite(
     output : path
         CSV or Parquet file to write; default: motion.csv.
     settings : path, optional
-        TOML file with limits, harmonics and periods.
+        TOML file with limits, harmonics and periods; also start pose, floor and walls.
+    purpose : {"body", "friction", "test", "all"}
+        What the motion is for; 'all' writes one file for each.
+    time : float, s, optional
+        Total time of the motions; default: 30 s for the body, 60 s for friction, 45 s for tests.
+    format : str, optional
+        Format of the files: csv, parquet, urscript, ros2; default: that of the suffix.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
     Returns
     -------
-    ExcitationDesign
-        Motion (positions in rad, time in s), its condition number and the files.
+    ExcitationDesign or Answer
+        Motion (positions in rad, time in s), its condition number and the files; or the parts of
+        planned motions and their files.
 
     Raises
     ------
@@ -50,6 +65,7 @@ def excite(
     On the command line::
 
         $ hesr excite robot.toml -o motion.csv
+        $ hesr excite robot.toml --for all --time 120 -o motion.csv
 
     In Python:
 
@@ -62,6 +78,19 @@ def excite(
 
     path = path_of(output, "a motion")
     chosen = None if settings is None else path_of(settings, "a file of settings")
+    if purpose != "body" or time is not None or format:
+        from hesr_model.support.plugins import find
+
+        planned: Answer = find("hesr.motions", "plan")(
+            path_of(robot, "a robot"),
+            path,
+            purpose=purpose,
+            time=time,
+            format=format,
+            settings=chosen,
+            progress=progress,
+        )
+        return planned
     stages = partial(progress, "designing the motion")
     return design(path_of(robot, "a robot"), path, chosen, progress=stages)
 

@@ -57,6 +57,8 @@ _FORMS = {
     "only": Form(metavar="N", least=0),
     "seeds": Form(metavar="N", least=1),
     "workers": Form(metavar="N", least=1),
+    "excite.purpose": Form(names=("--for",)),
+    "excite.format": Form(metavar="NAME", complete="hesr.setpoints"),
     "fit.law": Form(metavar="NAME", complete="hesr.laws"),
     "format": Form(metavar="NAME", complete="hesr.exports"),
     "platform": Form(metavar="NAME", complete="platforms"),

@@ -53,8 +53,30 @@ class RobotModel:
             )
         return found
 
-    def reduced(self, joints: Sequence[str], locked: Mapping[str, float], root: str | None) -> Any:
-        """Return the model without the joints that neither move nor follow one that does."""
+    def geometry(self, joints: Sequence[str], locked: Mapping[str, float], root: str | None) -> Any:
+        """Return Pinocchio's collision geometry of the reduced model; None if it is incomplete."""
+        import pinocchio as pin  # slow to import
+
+        folders = [str(folder) for folder in self.path.resolve().parents]
+        try:
+            if self.path.suffix.lower() == ".xml":
+                found = pin.buildGeomFromMJCF(self.model, str(self.path), pin.COLLISION)
+            else:
+                found = pin.buildGeomFromUrdf(
+                    self.model, str(self.path), pin.COLLISION, package_dirs=folders
+                )
+        except Exception:  # of many kinds: meshes or packages are missing, or names differ
+            return None
+        return self.reduced(joints, locked, root, found) if found.ngeoms else None
+
+    def reduced(
+        self,
+        joints: Sequence[str],
+        locked: Mapping[str, float],
+        root: str | None,
+        geometry: Any = None,
+    ) -> Any:
+        """Return the model, or its `geometry`, without the joints that neither move nor follow."""
         import pinocchio as pin  # slow to import
 
         model, path, known = self.model, self.path, self._below(root)
@@ -85,6 +107,8 @@ class RobotModel:
             set_joint(joint, neutral, np.array(value))
         self._require_open(moving)
         others = [k for k, name in enumerate(model.names) if k and name not in moving]
+        if geometry is not None:
+            return pin.buildReducedModel(model, geometry, others, neutral)[1]
         reduced = pin.buildReducedModel(model, others, neutral) if others else model
         for joint, name in zip(list(reduced.joints)[1:], list(reduced.names)[1:], strict=True):
             require_one_axis(name, joint.nv, path)

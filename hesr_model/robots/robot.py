@@ -185,6 +185,17 @@ class Robot:
         """Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) [kg.m2] of each link."""
         return [(one.mass, one.lever, one.inertia) for one in list(self._model.inertias)[1:]]
 
+    @property
+    def kinematics(self) -> tuple[Any, Any, Any, Callable[[Array], Array]]:
+        """Pinocchio, its model and data, and the map of positions (N, n) to configurations."""
+        return self._pin, self._model, self._data, self._configurations
+
+    @cached_property
+    def geometry(self) -> Any:
+        """Pinocchio's collision geometry of the model file; None if it cannot be read."""
+        about = self.description
+        return self._file.geometry(about.joints, about.locked, about.root)
+
     def places(self, q: Array) -> list[tuple[Array, Array]]:
         """Return rotation (3, 3) and origin (3,) [m] of each joint's frame at a position (n,)."""
         self._pin.forwardKinematics(self._model, self._data, self._configurations(q[None])[0])

@@ -15,6 +15,8 @@ GROUPS = {
     "hesr.tests": "test",  # function of laws and logs
     "hesr.refinements": "refinement",  # function of a fitted law and its records
     "hesr.jobs": "job",  # object with `key`, `read` and `run`
+    "hesr.motions": "planner",  # function (robot, output, *, purpose, time, ..)
+    "hesr.setpoints": "motion format",  # function (path, motion, joints), and its suffix
     "hesr.reports": "report",  # writer of a suffix or view
     "hesr.commands": "command",  # workflow function of a verb
 }

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from cosim.report.figures.chart import Line, legend, plot
 from cosim.report.figures.style import SERIES, styled
 from hesr_model.motions.excitation import Excitation
+from hesr_model.motions.limits import Limits
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
 
@@ -91,20 +92,37 @@ def _note(axis: Axes, why: str) -> None:
 def excitation(path: Path, motion: Excitation, joints: Sequence[str]) -> None:
     """Write a picture of a designed motion with its limits."""
     t, q, dq, _ = motion.setpoints()
-    limits = motion.limits
-    figure = Figure(figsize=(_WIDTH, _DESIGN_ROW * len(joints)), layout="constrained")
-    axes = figure.subplots(len(joints), 2, sharex=True, squeeze=False)
-    for k, (joint, (position, velocity)) in enumerate(zip(joints, axes, strict=True)):
-        _limited(position, t, q[:, k], (limits.lower[k], limits.upper[k]))
-        _limited(velocity, t, dq[:, k], (-limits.velocity[k], limits.velocity[k]))
-        position.set_ylabel(joint)
-    axes[0, 0].set_title("position [rad; m where prismatic]")
-    axes[0, 1].set_title("velocity [rad/s; m/s where prismatic]")
-    for axis in axes[-1]:
-        axis.set_xlabel("t [s]")
+    figure = limited_motion(t, q, dq, motion.limits, joints)
     with written_whole(path) as temporary:
         # The version of the library would change the bytes.
         figure.savefig(temporary, dpi=_DPI, metadata={"Software": None})
+
+
+def limited_motion(
+    t: Array, q: Array, dq: Array, limits: Limits, joints: Sequence[str], *, speeds: bool = False
+) -> Figure:
+    """Draw positions and velocities (N, n) with their limits, and the time at each of the speeds.
+
+    Speeds of either direction are on a logarithmic axis.
+    """
+    figure = Figure(figsize=(_WIDTH, _DESIGN_ROW * len(joints)), layout="constrained")
+    axes = figure.subplots(len(joints), 3 if speeds else 2, sharex="col", squeeze=False)
+    for k, (joint, row) in enumerate(zip(joints, axes, strict=True)):
+        _limited(row[0], t, q[:, k], (limits.lower[k], limits.upper[k]))
+        _limited(row[1], t, dq[:, k], (-limits.velocity[k], limits.velocity[k]))
+        row[0].set_ylabel(joint)
+        if speeds:
+            edges = np.geomspace(1e-3, 1.0, _BINS // 2) * limits.velocity.max()
+            for sign, colour in ((1.0, SERIES[0]), (-1.0, SERIES[1])):
+                counts, _ = np.histogram(sign * dq[:, k], edges)
+                row[2].stairs(sign * counts * (t[1] - t[0]), edges, color=colour, fill=True)
+            row[2].set_xscale("log")
+    titles = "position [rad; m where prismatic]", "velocity [rad/s; m/s where prismatic]"
+    for axis, title in zip(axes[0], (*titles, "s at each speed, + and -"), strict=False):
+        axis.set_title(title)
+    for axis, label in zip(axes[-1], ("t [s]", "t [s]", "speed [rad/s; m/s]"), strict=False):
+        axis.set_xlabel(label)
+    return figure
 
 
 def _limited(axis: Axes, t: Array, values: Array, limits: tuple[float, float]) -> None:

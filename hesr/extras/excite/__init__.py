@@ -1,0 +1,1 @@
+"""Motions that separate friction laws, ready for the controller."""

@@ -1,0 +1,82 @@
+"""Planned motions for `hesr excite`: files, page, and answer."""
+
+from functools import partial
+from pathlib import Path
+
+from cosim.report.figures.motions import limited_motion
+from cosim.report.figures.style import styled
+from cosim.report.markup import Pictures, Section, joined, paragraph, write_sections
+from cosim.workflow.answer import Written
+from hesr.extras.excite.guard import Guard, MotionSettings
+from hesr.extras.excite.planner import Planner
+from hesr.extras.excite.setpoints import HEAD, write_motion
+from hesr_model.errors import ConfigError, HesrError
+from hesr_model.robots.robot import Robot
+from hesr_model.support.progress import Stages, silent
+
+TIMES = {"body": 30.0, "friction": 60.0, "test": 45.0}  # default durations [s]
+_PURPOSES = {
+    "body": "masses and inertias: all joints move at once",
+    "friction": "laws: speeds in both directions, nested reversals, rests and slow break-away",
+    "test": "scores: motions that no law is trained on",
+}
+_UR_RATE = 500.0  # [Hz] of the controllers that need a position per period
+_LEAST, _MOST = 10.0, 1e4  # [s] of a motion
+
+
+def plan_motions(
+    robot: Path,
+    output: Path,
+    *,
+    purpose: str,
+    time: float | None = None,
+    format: str | None = None,  # noqa: A002  # the option's name
+    settings: Path | None = None,
+    progress: Stages = silent,
+) -> Written:
+    """Plan motions of a purpose and write them with a page; see `hesr.excite`."""
+    model = Robot(robot)
+    chosen = MotionSettings.read(settings) if settings else MotionSettings()
+    if format == "urscript" and not chosen.sample_rate:
+        chosen = chosen.model_copy(update={"sample_rate": _UR_RATE})
+    times = {name: own for name, own in TIMES.items() if purpose in (name, "all")}
+    factor = 1.0 if time is None else time / sum(times.values())
+    for name, own in times.items():
+        if not _LEAST <= factor * own <= _MOST:
+            raise ConfigError(
+                f"'time' gives the motion for {name} {factor * own:.3g} s; it needs {_LEAST:g} to "
+                f"{_MOST:g} s."
+            )
+    stages = partial(progress, "planning the motion")
+    try:
+        planner = Planner(guard := Guard(model, chosen), chosen)
+        motions = {n: planner.plan(n, factor * t, progress=stages) for n, t in times.items()}
+    except HesrError as error:
+        raise type(error)(f"{settings or robot}: {error}") from error
+    lines = [
+        f"{name}, {part}: {first:.1f} to {last:.1f} s, for {_PURPOSES[name]}."
+        for name, motion in motions.items()
+        for part, first, last in motion.parts
+    ]
+    kind, page, files = format or output.suffix.lower().lstrip("."), output.with_suffix(".html"), []
+    sections, pictures = [], Pictures(folder=page.parent)
+    for name, motion in motions.items():
+        path = output if len(motions) == 1 else output.with_stem(f"{output.stem}_{name}")
+        files.append(write_motion(path, motion, model.joints, kind))
+        with styled():
+            t, q, dq, _ = motion.setpoints()
+            figure = limited_motion(t, q, dq, guard.stated, model.joints, speeds=True)
+        caption = "Dashed: limits. Right: time at each speed, forwards up, backwards down."
+        drawn = pictures.shown(name, figure, caption, alt="Position, velocity and speeds by joint.")
+        sections.append(Section(key=f"{name}-motion", title=f"Motion for {name}", html=drawn))
+    checked = "the model's geometry" if guard.clearance.exact else "capsules around the links"
+    write_sections(
+        page,
+        title=f"HESR: motions for {model.name}",
+        heading=f"Motions for {model.name}",
+        summary=joined(*map(paragraph, [*lines, f"{HEAD} Contacts were checked with {checked}."])),
+        sections=sections,
+    )
+    data = {"start": planner.start.tolist(), "parts": {n: m.parts for n, m in motions.items()}}
+    files.append(page)
+    return Written(format="hesr-motions-1", lines=[*lines, HEAD], data=data, files=files)

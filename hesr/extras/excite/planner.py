@@ -1,0 +1,241 @@
+"""Planner of safe motions for the body, for friction, and for tests."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise
+
+import numpy as np
+
+from hesr.extras.excite.guard import Guard, MotionSettings
+from hesr.extras.excite.motion import PlannedMotion, Pulse, faded_chirp, moved, pulses
+from hesr_model.errors import FitError
+from hesr_model.motions.excitation import design, random_motions
+from hesr_model.motions.limits import MotionLimits
+from hesr_model.support.arrays import Array
+from hesr_model.support.progress import Progress, silent
+
+_USUAL_RATE = 200.0
+_POSES, _PAIRS, _SHRINKS, _SHRINK = 400, 12, 12, 0.75
+_NEIGHBOURS = 0.05  # free surroundings of the start pose over the ranges
+_ROOM = 0.3  # largest stroke over the range of a joint
+_PAUSE, _HOLD = 0.2, 0.4  # [s] at rest before a part; least time at a constant speed
+_LEVELS, _NESTED, _RESTS = 10, 8, 4  # largest numbers of speeds, reversals and rests
+_SET, _RAMP = 6.0, 0.1  # [s] of a set of reversals; shortest ramp of a velocity
+_FINEST = 1.0 / 300.0  # smallest of the nested amplitudes over the largest
+_BREAK_AWAY = 0.03  # speed after a slow break-away over the limit
+_NO_LIMIT = 1e12  # [N.m] of a motion without torque limits
+_NEAR = 1.5  # [s] at full speed: how far Fourier motions go from the start pose
+_SHORTEST = 6.0  # [s] of the strokes in a pose
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mix:
+    """Shares of time of steady speeds, nested reversals and rests; range of speeds over the limit.
+
+    `why` says what they are for.
+    """
+
+    steady: float = 0.85
+    nested: float = 0.1
+    rests: float = 0.05
+    low: float = 0.1
+    high: float = 1.0
+    why: str = "all speeds, reversals and rests"
+
+
+class Planner:
+    """Plans motions from and to a `start` pose (n,) [rad] at a `rate` [Hz].
+
+    Raises FitError if no start pose is free.
+    """
+
+    def __init__(self, guard: Guard, settings: MotionSettings) -> None:
+        self.guard, self.settings, robot = guard, settings, guard.robot
+        self.rate = settings.sample_rate or robot.description.log.sample_rate or _USUAL_RATE
+        low, high = guard.limits.lower, guard.limits.upper
+        rng = np.random.default_rng(settings.seed)
+        self._drawn = rng.uniform(low, high, (_POSES, robot.n))
+        far = np.abs((self._drawn - 0.5 * (low + high)) / (high - low)).max(axis=1)
+        free = [0.5 * (low + high), *self._drawn[np.argsort(far)]]
+        around = _NEIGHBOURS * (high - low) * rng.uniform(-1.0, 1.0, (_PAIRS, robot.n))
+        fault = ""
+        for pose in [np.array(settings.start)] if settings.start else free:
+            found = guard.fault(self._motion(np.tile(pose, (8, 1))), self.rate)
+            if not found and (settings.start or not guard.clearance.contact(pose + around)):
+                self.start = pose
+                return
+            fault = fault or found or "other poses near it are not"
+        raise FitError(f"robot '{robot.name}': no start pose is free: {fault}; state 'start'.")
+
+    def _motion(self, rows: Array, *parts: tuple[str, int, int]) -> PlannedMotion:
+        timed = tuple((name, a / self.rate, b / self.rate) for name, a, b in parts)
+        return PlannedMotion(rate=self.rate, rows=rows, parts=timed)
+
+    def plan(self, purpose: str, time: float, *, progress: Progress = silent) -> PlannedMotion:
+        """Plan a safe motion of `time` [s]; raise FitError naming the limit that forbids it."""
+        if purpose == "friction":
+            return self.friction(time, [Mix()] * self.guard.robot.n)
+        count, chirp = round(time * self.rate) + 1, self.start[None]
+        if purpose == "test":
+            t = np.arange(round(0.4 * count)) / self.rate
+            chirp = faded_chirp(self.start, self.guard.limits, t)
+        of_seed = None if purpose == "body" else self.settings.seed + 1
+        rows = np.concatenate([chirp, self._fourier(count - len(chirp), of_seed, progress)])
+        rows[[0, -1]] = self.start
+        parts = ("chirp", 0, len(chirp)), ("Fourier motion", len(chirp), count)
+        return self._safe([self._motion(rows, *parts[len(chirp) == 1 :])])
+
+    def friction(self, time: float, mixes: Sequence[Mix]) -> PlannedMotion:
+        """Plan strokes of each joint in two poses; see `plan`."""
+        return self._safe(self.strokes(time, mixes))
+
+    def _safe(self, motions: Iterable[PlannedMotion]) -> PlannedMotion:
+        for motion in motions:
+            if not (fault := self.guard.fault(motion, self.rate)):
+                return motion
+        for k in range(1, _SHRINKS):
+            rows = self.start + _SHRINK**k * (motion.rows - self.start)
+            if not (fault := self.guard.fault(smaller := replace(motion, rows=rows), self.rate)):
+                return smaller
+        raise FitError(f"robot '{self.guard.robot.name}': the limits allow no motion: {fault}.")
+
+    def strokes(self, time: float, mixes: Sequence[Mix]) -> Iterator[PlannedMotion]:
+        """Yield motions with strokes in two poses, the ones with different gravity first."""
+        limits, count = self.guard.limits, round(time * self.rate) + 1
+        full = np.minimum(
+            _ROOM * (limits.upper - limits.lower), 1.6 * limits.velocity**2 / limits.acceleration
+        )
+        for number, poses in enumerate([*self._poses(full), (self.start, self.start)]):
+            path = pairwise((self.start, *poses, self.start))
+            moves = [moved(a, b, limits, self.rate) for a, b in path]
+            each = (count - 1 - sum(map(len, moves))) // 2
+            budget = each / self.rate - 2.0 * _PAUSE
+            if budget < _SHORTEST:
+                raise FitError(
+                    f"robot '{self.guard.robot.name}': {time:g} s are too short for strokes in two "
+                    f"poses; they need at least {time - 2.0 * (budget - _SHORTEST):.0f} s."
+                )
+            t, room = np.arange(each) / self.rate - _PAUSE, full * _SHRINK ** (number // 3)
+            pieces = [
+                pose
+                + np.column_stack(
+                    [
+                        pulses(self._program(m, budget, room[j], j, k), t)
+                        for j, m in enumerate(mixes)
+                    ]
+                )
+                for k, pose in enumerate(poses)
+            ]
+            rows = np.concatenate(
+                [self.start[None], moves[0], pieces[0], moves[1], pieces[1], moves[2]]
+            )
+            rest = np.tile(self.start, (count - len(rows), 1))
+            first, second = 1 + len(moves[0]), 1 + len(moves[0]) + each + len(moves[1])
+            parts = ("pose 1", first, first + each), ("pose 2", second, second + each)
+            yield self._motion(np.concatenate([rows, rest]), *parts)
+
+    def _poses(self, room: Array) -> Iterator[tuple[Array, Array]]:
+        """Yield free pairs of poses, far apart in gravity and near in position first."""
+        guard, limits = self.guard, self.guard.limits
+        drawn = np.clip([self.start, *self._drawn], limits.lower + room, limits.upper - room)
+        still = np.zeros_like(drawn)
+        gravity = guard.torque(drawn, still, still)
+        held = np.all(np.abs(gravity) <= limits.torque, axis=1)
+        held &= [guard.clearance.contact(q[None]) is None for q in drawn]
+        drawn, gravity = drawn[held], gravity[held]
+        if not len(drawn):
+            return
+        size = 0.5 * np.ptp(gravity, axis=0)
+        loaded = size > 1e-6 * max(1.0, float(size.max()))
+        apart = np.abs(gravity[:, None] - gravity)[:, :, loaded] / size[loaded]
+        place = (drawn - self.start) / (limits.upper - limits.lower)
+        near = np.abs(place).max(axis=1)
+        far = np.abs(place[:, None] - place).max(axis=2)
+        worth = np.minimum(apart, 1.0).sum(axis=2) - far - near[:, None] - near
+        for k in np.argsort(-worth, axis=None)[:_PAIRS]:
+            a, b = np.unravel_index(k, worth.shape)
+            yield drawn[a], drawn[b]
+
+    def _program(self, mix: Mix, budget: float, room: float, joint: int, pose: int) -> list[Pulse]:
+        """Return the strokes of a joint; joints and poses differ in order and direction."""
+        limits = self.guard.limits
+        reach = room, 0.98 * float(limits.velocity[joint]), 0.98 * float(limits.acceleration[joint])
+        order, placed = np.random.default_rng([self.settings.seed, joint, pose]), []
+        # Every stretch of time has something of each kind: blocks of time are alike.
+        for groups in (
+            _steady(mix, mix.steady * budget, *reach),
+            _nested(mix.nested * budget, *reach),
+            _rests(mix.rests * budget, *reach),
+        ):
+            order.shuffle(groups)
+            shift = order.uniform()
+            placed += [((k + shift) / len(groups), group) for k, group in enumerate(groups)]
+        sign = -1.0 if (joint + pose) % 2 else 1.0
+        ordered = chain.from_iterable(group for _, group in sorted(placed, key=lambda one: one[0]))
+        return [(sign * speed, ramp, hold, rest) for speed, ramp, hold, rest in ordered]
+
+    def _fourier(self, count: int, seed: int | None, progress: Progress) -> Array:
+        """Return `count` rows of the best Fourier motion, or of a random one, from the start."""
+        limits, robot, near = (
+            self.guard.limits,
+            self.guard.robot,
+            _NEAR * self.guard.limits.velocity,
+        )
+        low, high = np.maximum(limits.lower, self.start - near), self.start + near
+        period = count / self.rate
+        allowed = MotionLimits(
+            position=tuple(zip(low.tolist(), np.minimum(limits.upper, high).tolist(), strict=True)),
+            velocity=tuple(limits.velocity.tolist()),
+            acceleration=tuple(limits.acceleration.tolist()),
+            torque=tuple(np.minimum(limits.torque, _NO_LIMIT).tolist()),
+        )
+        given = self.settings.model_copy(
+            update={"period": (period, period), "sample_rate": self.rate, "limits": allowed}
+        )
+        if seed is None:
+            motion = design(robot, given, progress=progress).motion
+        else:
+            (motion,) = random_motions(robot, given, 1, seed)
+        q, _, _ = motion.sample(np.arange(1, count + 1) / self.rate)
+        return np.asarray(q + self.start - motion.sample(np.zeros(1))[0])
+
+
+def _steady(
+    mix: Mix, time: float, room: float, speed: float, acceleration: float
+) -> list[list[Pulse]]:
+    """Return strokes there and back at speeds that rise by equal factors."""
+    high = min(mix.high * speed, float(np.sqrt(room * acceleration / 1.5)))
+    while high > 1e-3 * speed:
+        for levels in range(_LEVELS, 1, -1):
+            speeds = np.geomspace(min(mix.low * speed, 0.5 * high), high, levels)
+            ramps = np.maximum(1.5 * speeds / acceleration, _RAMP)
+            hold = (time - 4.0 * ramps.sum()) / (2.0 * levels)
+            if hold < _HOLD:
+                continue
+            held = np.clip(room / speeds - ramps, 0.0, hold)
+            rows = np.column_stack([speeds, ramps, held, hold - held])
+            rows[1::2, 0] *= -1.0
+            return [[(v, *times), (-v, *times)] for v, *times in rows.tolist()]
+        high *= 0.7
+    return []
+
+
+def _nested(time: float, room: float, speed: float, acceleration: float) -> list[list[Pulse]]:
+    """Return sets of strokes with decreasing way, each within the one before, and one back."""
+    sets = max(1, round(time / _SET))
+    count = int(np.clip(time / sets / 0.6, 3, _NESTED))
+    ramp = 0.5 * time / sets / (count + 1)
+    largest = min(0.5 * room, acceleration * ramp**2 / 1.5, speed * ramp)
+    ways = largest * np.geomspace(1.0, _FINEST, count) * (-1.0) ** np.arange(count)
+    return [[(way / ramp, ramp, 0.0, 0.0) for way in [*ways.tolist(), -float(ways.sum())]]] * sets
+
+
+def _rests(time: float, room: float, speed: float, acceleration: float) -> list[list[Pulse]]:
+    """Return rests of lengths that rise by equal factors, each after a slow break-away."""
+    count = int(np.clip(time / 2.0, 1, _RESTS))
+    ramp = min(1.0, time / (8.0 * count))
+    lengths = np.geomspace(0.1, 1.0, 2 * count)
+    waits = ((time - 4.0 * ramp * count) * lengths / lengths.sum()).tolist()
+    v = min(_BREAK_AWAY * speed, acceleration * ramp / 1.5, room / ramp)
+    pairs = zip(waits[::2], waits[1::2], strict=True)
+    return [[(v, ramp, 0.0, short), (-v, ramp, 0.0, long)] for short, long in pairs]
