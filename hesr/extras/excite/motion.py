@@ -1,4 +1,4 @@
-"""Planned motions through setpoints, and the pieces that they consist of."""
+"""Planned motions through setpoints, and their pieces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -32,7 +32,7 @@ _SHORTEST = 6.0  # [s] of the strokes in a pose
 class Mix:
     """Shares of time of steady speeds, nested reversals and rests; range of speeds over the limit.
 
-    `why` says what they are for.
+    `why` states their purpose.
     """
 
     steady: float = 0.85
