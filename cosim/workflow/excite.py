@@ -26,7 +26,7 @@ def excite(
     format: str | None = None,  # noqa: A002 - name of the option
     progress: Stages = silent,
 ) -> ExcitationDesign | Answer:
-    """Design motions that identify the body, separate laws, or test them.
+    """Design motions for the body, friction, and tests.
 
     They stay within the limits of the robot's model and of the settings. Without 'time' and
     'format', the motion for the body is the one that identifies a robot best, without checks

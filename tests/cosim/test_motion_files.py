@@ -257,8 +257,8 @@ def test_the_command_writes_motions_for_all_purposes_and_a_page(tmp_path: Path) 
     for text in ("not run on a controller", "capsules around the links", 'id="friction-motion"'):
         assert text in page
     for more, message in (
-        (["--for", "friction", "--time", "9"], "9 s are too short for strokes in two poses"),
-        (["--for", "test", "--time", "0"], "'time' is 0 s; it must be positive"),
+        (["--for", "friction", "--time", "12"], "s are too short for strokes in two poses"),
+        (["--for", "test", "--time", "0"], "'time' gives the motion for test 0 s"),
         (["--for", "test", "--format", "kuka"], "motion format 'kuka' is unknown; known are csv"),
     ):
         done = CliRunner().invoke(app, [*command[:-1], str(tmp_path / "no" / "m.csv"), *more])
