@@ -10,12 +10,12 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # Maximum lines of Python, C and headers: 59,000, plus 1,800 for evidence, robots and logs, and
 # 1,600 for the plant, 1,180 for FMUs and SSPs of other tools, and 230 for the sandbox of systems.
 BUDGET = {
-    "hesr_model": 22_441,
+    "hesr_model": 22_573,
     "fmu_src": 20_009,
-    "cosim": 14_639,
-    "hesr": 820,
-    "hesr.extras": 8_053,
-    "all": 65_962,
+    "cosim": 14_686,
+    "hesr": 822,
+    "hesr.extras": 8_657,
+    "all": 66_747,
 }
 
 TEMPLATES = 3_572  # lines of templates, styles and scripts, without those of project folders
