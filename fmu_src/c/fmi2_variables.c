@@ -237,8 +237,15 @@ FMI2_STATUS(fmi2GetString)
 
 FMI2_STATUS(fmi2SetBoolean)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Boolean value[]) {
-    (void)vr, (void)value;
-    return none(c, MAY_SET, "fmi2SetBoolean", n);
+    static const char function[] = "fmi2SetBoolean";
+    if (BOOLEANS == 0) {
+        return none(c, MAY_SET, function, n);
+    }
+    Instance *instance = settable_in(c, function, BOOLEAN, vr, n, value);
+    for (size_t i = 0; instance && i < n; i++) {
+        set_one(&instance->memory, vr[i], value[i] != fmi2False);
+    }
+    return instance ? fmi2OK : fmi2Error;
 }
 
 FMI2_STATUS(fmi2SetString)

@@ -9,20 +9,18 @@ static fmi3Status without(fmi3Instance c, const char *function, size_t n) {
     return c && n == 0 ? fmi3OK : fmi3Error;
 }
 
-#define NO_WRITING(name)                                                                           \
-    FMI3_STATUS(fmi3Set##name)                                                                     \
-    (fmi3Instance c, const fmi3ValueReference vr[], size_t n, const void *value,                   \
-     size_t n_values) {                                                                            \
-        (void)vr, (void)value, (void)n_values;                                                     \
-        return without(c, "fmi3Set" #name, n);                                                     \
-    }
 #define NO_VARIABLES(name)                                                                         \
     FMI3_STATUS(fmi3Get##name)                                                                     \
     (fmi3Instance c, const fmi3ValueReference vr[], size_t n, void *value, size_t n_values) {      \
         (void)vr, (void)value, (void)n_values;                                                     \
         return without(c, "fmi3Get" #name, n);                                                     \
     }                                                                                              \
-    NO_WRITING(name)
+    FMI3_STATUS(fmi3Set##name)                                                                     \
+    (fmi3Instance c, const fmi3ValueReference vr[], size_t n, const void *value,                   \
+     size_t n_values) {                                                                            \
+        (void)vr, (void)value, (void)n_values;                                                     \
+        return without(c, "fmi3Set" #name, n);                                                     \
+    }
 
 NO_VARIABLES(Float32)
 NO_VARIABLES(Int8)
@@ -32,7 +30,6 @@ NO_VARIABLES(UInt16)
 NO_VARIABLES(UInt32)
 NO_VARIABLES(Int64)
 NO_VARIABLES(UInt64)
-NO_WRITING(Boolean)
 NO_VARIABLES(String)
 
 #define NO_BINARIES(name)                                                                          \

@@ -123,6 +123,23 @@ FMI3_STATUS(fmi3GetBoolean)
     return STATUS(status);
 }
 
+FMI3_STATUS(fmi3SetBoolean)
+(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Boolean value[],
+ size_t n_values) {
+    static const char function[] = "fmi3SetBoolean";
+    fmi2Boolean whole[VARIABLES];
+    if (BOOLEANS == 0) {
+        return without(c, function, n);
+    }
+    if (!fits(c, function, vr, n, value, n_values)) {
+        return fmi3Error;
+    }
+    for (size_t i = 0; i < n; i++) {
+        whole[i] = value[i];
+    }
+    return STATUS(fmi2SetBoolean(INNER(c), vr, n, whole));
+}
+
 FMI3_STATUS(fmi3GetDirectionalDerivative)
 (fmi3Instance c, const fmi3ValueReference unknowns[], size_t n_unknowns,
  const fmi3ValueReference knowns[], size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,

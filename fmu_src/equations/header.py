@@ -57,7 +57,8 @@ def own_size(joints: Sequence[Joint]) -> int:
     sizes = _sizes(joints)
     of_joint = ("INPUTS", "STATES", "REMEMBERED", "REMEMBERED", "INVARIANTS")
     own = sum(sizes[f"MAX_{name}"] for name in of_joint)
-    return sizes["OWN_FIXED"] + len(joints) * own + indicators(joints)
+    signs = sum(len(Functions(j.component, "").jumps.expressions) for j in joints)
+    return sizes["OWN_FIXED"] + len(joints) * own + signs
 
 
 def indicators(joints: Sequence[Joint]) -> int:

@@ -245,7 +245,10 @@ def values(elements: Sequence[Variable]) -> dict[str, str]:
         return {"min": "1", "max": str(count), "start": str(int(first.start))}
     found = {}
     if not (first.computed or first.role == "state"):
-        found["start"] = " ".join(repr(float(v.start)) for v in elements)
+        texts = (
+            str(v.start != 0.0).lower() if v.boolean else repr(float(v.start)) for v in elements
+        )
+        found["start"] = " ".join(texts)
     least = [v.least for v in elements if v.least is not None]
     greatest = [v.greatest for v in elements if v.greatest is not None]
     found |= {"min": repr(float(max(least)))} if least else {}
@@ -261,7 +264,7 @@ def _scalar(variable: Variable, place: int, table: Interface) -> ET.Element:
         ET.SubElement(element, "Integer", declared | values([variable]))
         return element
     if variable.boolean:
-        ET.SubElement(element, "Boolean")
+        ET.SubElement(element, "Boolean", values([variable]))
         return element
     unit = variable.unit or "1"
     real = {"unit": unit} | shown_as(unit) | values([variable])

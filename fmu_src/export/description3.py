@@ -113,7 +113,7 @@ def _variable(array: ArrayVariable, arrays: Arrays) -> ET.Element:
     if first.enumeration:
         return ET.Element("Int32", attributes | values(array.elements))
     if first.boolean:
-        return ET.Element("Boolean", attributes)
+        return ET.Element("Boolean", attributes | values(array.elements))
     attributes["declaredType"] = _type_of(first.unit or "1", first.nominal)
     attributes |= values(array.elements)
     if first.derivative_of:

@@ -47,7 +47,7 @@ class Variable:
 
     The unit, in FMI's spelling, is None only for an enumeration and a `boolean`. Solvers scale the
     tolerance of a state by its nominal value. `least` and `greatest` are recommended limits, values
-    outside which are refused if `limited`. Hosts must not interpolate a `switch`.
+    outside which are refused if `limited`.
 
     Initial dependencies count in addition until initialisation ends; for a state they are those of
     its initial value.
@@ -64,7 +64,6 @@ class Variable:
     least: float | None = None
     greatest: float | None = None
     limited: bool = False
-    switch: bool = False
     boolean: bool = False
     derivative_of: str | None = None
     dependencies: tuple[str, ...] = ()
@@ -74,8 +73,7 @@ class Variable:
     def attributes(self) -> tuple[str, str, str | None]:
         """Causality, variability and initial (None if not written)."""
         causality, variability, initial = _ATTRIBUTES[self.role]
-        discrete = self.switch or self.boolean
-        return causality, "discrete" if discrete else variability, initial
+        return causality, "discrete" if self.boolean else variability, initial
 
     @property
     def computed(self) -> bool:

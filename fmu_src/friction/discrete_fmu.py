@@ -63,7 +63,7 @@ def _signals(
     for quantity in own.inputs:
         if quantity in switches:
             text = quantity.description
-            yield Variable(quantity.name, "input", text, unit="1", start=1.0, switch=True)
+            yield Variable(quantity.name, "input", text, start=1.0, boolean=True)
             continue
         for i, _ in enumerate(joints, start=1):
             # The factors of temperature are 1 at the reference.

@@ -118,8 +118,8 @@ def test_the_fmu_is_valid(fmu: Path) -> None:
     assert check(fmu).problems == ()
     description = read_model_description(fmu)
     assert description.modelExchange is None
-    # A switch: hosts must not interpolate between its values.
-    assert [v.variability for v in description.modelVariables if v.name == "adapt"] == ["discrete"]
+    [adapt] = [v for v in description.modelVariables if v.name == "adapt"]
+    assert (adapt.type, adapt.variability, adapt.start) == ("Boolean", "discrete", "true")
     assert {v.name for v in description.modelVariables if v.causality == "input"} == {
         "adapt", *(f"{n}[{i}]" for n in ("dq", "q", "tau_load", "tau_meas", "tau_rigid",
                                          "temperature")

@@ -33,7 +33,7 @@ RIGID = Quantity(
     unit="N.m",
     description="rigid-body {effort} on {joint}, acceleration included",
 )
-ADAPT = Quantity(name="adapt", unit="1", description="1: factors adapt, 0: they are held")
+ADAPT = Quantity(name="adapt", unit="1", description="whether factors adapt; else they are held")
 
 INPUTS = (MEASURED, RIGID, ADAPT)  # inputs of an adaptive law in addition to those of every law
 _FACTORS = (
