@@ -15,7 +15,7 @@ from cosim.workflow.simulate import simulate as simulate
 from cosim.workflow.test import test as test
 from fmu_src.run.fmu_file import Fmu as Fmu
 from hesr.extras.adaptive.workflow import monitor as monitor
-from hesr.extras.observer.workflow import observe as observe
+from hesr.extras.observer.observation import observe as observe
 from hesr_model.errors import HesrError as HesrError
 from hesr_model.friction.model import FrictionModel as FrictionModel
 from hesr_model.logs.robot_log import Log as Log

@@ -108,12 +108,11 @@ FMI3_STATUS(fmi3SetInt32)
 
 FMI3_STATUS(fmi3GetBoolean)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Boolean value[], size_t n_values) {
-    static const char function[] = "fmi3GetBoolean";
     fmi2Boolean whole[VARIABLES];
     if (BOOLEANS == 0) {
-        return without(c, function, n);
+        return without(c, "fmi3GetBoolean", n);
     }
-    if (!fits(c, function, vr, n, value, n_values)) {
+    if (!fits(c, "fmi3GetBoolean", vr, n, value, n_values)) {
         return fmi3Error;
     }
     const fmi2Status status = fmi2GetBoolean(INNER(c), vr, n, whole);

@@ -315,7 +315,18 @@ def _angles(arm: _Arm) -> str:
         for i, link in enumerate(arm.links)
         if not link.prismatic
     }
-    return "\n".join(f"    {line}" for line in arm.graph.to_c(angles))
+    return _ANGLES.format("\n".join(f"    {line}" for line in arm.graph.to_c(angles)))
+
+
+_ANGLES = """\
+    double angle[LINKS] = {{0.0}}, sine[LINKS], cosine[LINKS];
+    {{
+{}
+    }}
+    for (int i = 0; i < LINKS; i++) {{
+        sine[i] = even_sin(angle[i]);
+        cosine[i] = even_cos(angle[i]);
+    }}"""
 
 
 def jacobian_header(robot: Robot) -> str:
@@ -382,14 +393,7 @@ static void dynamics(const double *restrict p, const double *restrict rotor,
                      const double *restrict spring, const double *restrict gravity,
                      const double *restrict q, const double *restrict dq,
                      double mass[restrict][JOINTS], double *restrict bias) {{
-    double angle[LINKS] = {{0.0}}, sine[LINKS], cosine[LINKS];
-    {{
 {angles}
-    }}
-    for (int i = 0; i < LINKS; i++) {{
-        sine[i] = even_sin(angle[i]);
-        cosine[i] = even_cos(angle[i]);
-    }}
     (void)p, (void)rotor, (void)spring, (void)gravity, (void)dq; /* a robot need not use all */
 {statements}
 }}
@@ -405,14 +409,7 @@ _JACOBIAN = """\
 #include "dynamics.h"
 
 static void flange_jacobian(const double *restrict q, double jacobian[restrict][JOINTS]) {{
-    double angle[LINKS] = {{0.0}}, sine[LINKS], cosine[LINKS];
-    {{
 {angles}
-    }}
-    for (int i = 0; i < LINKS; i++) {{
-        sine[i] = even_sin(angle[i]);
-        cosine[i] = even_cos(angle[i]);
-    }}
 {statements}
 }}
 

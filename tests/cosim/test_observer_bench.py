@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from observer_bench import LATE, STEP, TRUTHS, arm, bench, moved, pushed, pushes, seeds_within
 
-from hesr.extras.observer.calibration import ObservedLog, calibrate, observed_logs
+from hesr.extras.observer.observation import ObservedLog, limits_of, observed_logs
 
 CALIBRATION = 20  # motions of half a minute
 
@@ -34,7 +34,7 @@ def test_contacts_are_found_without_false_alarms(
     with ExitStack() as cleanup:
         fmu = cleanup.enter_context(arm(own))
         unseen = [moved(fmu, seed)[0] for seed in seeds_within(own, 1000, CALIBRATION)]
-        limits = calibrate(own.law, own.plant, unseen)
+        limits = limits_of(own.law, own.plant, unseen)
         seeds = seeds_within(own, 2000, 2 * minutes)
         free = [moved(fmu, seed) for seed in seeds]
         runs = observed_logs(own.law, own.plant, limits, [log for log, _ in free])

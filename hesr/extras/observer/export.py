@@ -6,9 +6,8 @@ from pathlib import Path
 
 from fmu_src.export import package
 from fmu_src.pages.html import code_templates
-from fmu_src.plant.plant_fmu import PlantBody, require_fitting
-from hesr.extras.observer.calibration import calibrate
-from hesr.extras.observer.limits import law_limits
+from fmu_src.plant.plant_fmu import PlantBody
+from hesr.extras.observer.observation import limits_of
 from hesr.extras.observer.observer_fmu import BANDWIDTH, HERE, content, outputs_of
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
@@ -39,13 +38,10 @@ def export_observer(
         package.check_request(path, platforms)
     elif not re.fullmatch(r"[A-Za-z_]\w*", path.stem, re.ASCII):
         raise ExportError(f"{path}: '{path.stem}' is not a valid C name.")
-    require_fitting(model, body.robot)
-    if calibration:
-        limits = calibrate(model, body, calibration, bandwidth=bandwidth)
-    else:
-        limits = law_limits(model)
-    options = {"bandwidth": bandwidth, "constants": torque_constants, "bare": alone}
-    whole = content(model, body, limits, **options)  # type: ignore[arg-type]
+    limits = limits_of(model, body, calibration or (), bandwidth)
+    whole = content(
+        model, body, limits, bandwidth=bandwidth, constants=torque_constants, bare=alone
+    )
     if not alone:
         return package.write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
     with written_whole(path) as temporary:

@@ -12,15 +12,13 @@ from hesr_model.friction.model import FrictionModel
 
 HOUR = 3600.0  # time in which one false alarm is allowed [s]
 NAMES = NUMBERS[:6]
-_LONG = 3.0 * HOUR  # of logs that show this rate
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverLimits:
-    """Numbers of the half-widths (6, n) in the order of `NAMES`.
+    """Numbers of the half-widths (6, n) in the order of `NAMES`, and threshold over half-width.
 
-    `factor` is the threshold of a contact over the half-width; `duration` [s] and `logs` are those
-    of the calibration, 0 and none if the numbers are those of the law's bands.
+    `duration` [s] and `logs` are those of the calibration, 0 and none for those of a law's bands.
     """
 
     numbers: tuple[tuple[float, ...], ...]
@@ -31,16 +29,12 @@ class ObserverLimits:
     @property
     def text(self) -> str:
         """Statement on the origin of the limits."""
-        if not self.logs:
+        if self.logs:
             return (
-                "Limits and threshold are those of the bands of the law, without a log of free "
-                "motion: the rate of false alarms is unknown."
+                f"Limits contain {100 * LEVEL:g} % of the errors in {self.duration / 60.0:.1f} min "
+                "of free motion; the stated rate of false alarms is 1 per hour, from their maxima."
             )
-        how = "observed" if self.duration >= _LONG else "extrapolated"
-        return (
-            f"Limits contain {100 * LEVEL:g} % of the errors in {self.duration / 60.0:.1f} min of "
-            f"free motion; the stated rate of false alarms is 1 per hour ({how})."
-        )
+        return "Limits are those of the bands of the law; the rate of false alarms is unknown."
 
 
 def law_limits(model: FrictionModel) -> ObserverLimits:
@@ -49,10 +43,7 @@ def law_limits(model: FrictionModel) -> ObserverLimits:
     tries = HOUR / model.sample_time * len(model.laws)
     for law in model.laws:
         if law.band is None:
-            raise ExportError(
-                f"friction model '{model.law}' has no band; give 'calibration', logs without "
-                "contact."
-            )
+            raise ExportError(f"friction model '{model.law}' has no band; give 'calibration'.")
         own = list(astuple(law.band)[: len(NAMES)])
         if law.band.envelope:  # without measured rests friction is anywhere between both directions
             own[3] = max(own[3], 2.0 * holding_torque(law))

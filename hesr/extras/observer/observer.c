@@ -2,53 +2,48 @@
  *
  *     (M dq)' = tau_motor - friction - b(q, dq) + M' dq + tau_ext,  r' = K (tau_ext - r)
  *
- * r is the estimate. Between two samples M' dq needs no derivative and M dq no acceleration, for
+ * r is the estimate. Between two samples M dq and M' dq need no accelerations and derivatives, for
  *
  *     M+ dq+ - M dq - (M+ - M) (dq+ + dq) / 2 = (M+ + M) (dq+ - dq) / 2
  *
- * holds exactly; the other torques are the means of both samples. The low pass is exact over a
- * step, so that the observer is stable at any step. De Luca and Mattone, Sensorless robot collision
- * detection and hybrid force/motion control, ICRA (2005).
- *
- * The square of the half-width of the limits passes the same low pass as the errors it bounds. */
+ * Other torques are means of both samples, and the low pass is exact, hence stable at any step. The
+ * squares of half-widths pass it as well. De Luca and Mattone, ICRA (2005). */
 #include <math.h>
 #include <string.h>
 
 #include "component_alone.h"
 #include "component_plain.h"
 #include "equations.h"
-#include "observer_places.h"
 
-/* Own memory: whether initialisation has ended; of the last sample, the mass matrix, speeds, and
- * torques at zero acceleration that are not external; filtered inertial torques and squares of
- * half-widths; parameters of dynamics.h. */
+/* Own memory: whether initialisation has ended; mass matrix, speeds and other torques of the last
+ * sample; filtered inertial torques and squares of half-widths; parameters of dynamics.h. */
 enum { STARTED = 0, MASS = 1, SPEED = MASS + JOINTS * JOINTS, OTHERS = SPEED + JOINTS };
 enum { INERTIAL = OTHERS + JOINTS, SQUARE = INERTIAL + JOINTS, TABLE = SQUARE + JOINTS };
 
 #include "jacobian.h"
 #include "regroup.h"
 
-/* Speed that ends the width of rest [rad/s, m/s]; hesr_model/friction/band.py has the same. */
-#define END_OF_REST 0.005
+#define END_OF_REST 0.005 /* speed of hesr_model/friction/band.py [rad/s, m/s] */
+#define DEVIATIONS 1.96   /* half-width at 95 % in standard deviations */
 
-/* Half-width at 95 % in standard deviations. */
-#define DEVIATIONS 1.96
-
-/* Standard deviation of force and moment without any measurement [N, N.m]: directions that a
- * singular posture does not show are zero, with this uncertainty. */
+/* Standard deviation of force and moment in a direction that a singular posture hides [N, N.m]. */
 #define UNKNOWN 1e4
 
-static double friction(Component *component, int i, double load, double step, bool begins) {
+/* Fill the inputs of a law and return its coefficients. */
+static const double *see_law(const double *v, int i, double *u) {
+    for (int j = 0; j < joints[i].inputs; j++) {
+        u[j] = v[joints[i].input[j]];
+    }
+    return joints[i].constants ? joints[i].constants : &v[joints[i].first_parameter];
+}
+
+static double friction(double *v, int i, double step) {
     static const double still[MAX_INPUTS] = {0.0};
     const Joint *joint = &joints[i];
-    double *v = component->v, *x = &v[joint->first_state];
     double u[MAX_INPUTS], moved[MAX_STATES], torque[MAX_OUTPUTS], slope[MAX_OUTPUTS];
-    const double *k = joint->constants ? joint->constants : &v[joint->first_parameter];
-    v[TAU_LOAD + i] = load;
-    for (int j = 0; j < joint->inputs; j++) {
-        u[j] = v[joint->input[j]];
-    }
-    if (begins) {
+    const double *k = see_law(v, i, u);
+    double *x = &v[joint->first_state];
+    if (step == 0.0) {
         memcpy(x, &v[joint->first_start], (size_t)joint->states * sizeof *x);
         if (joint->states > 0 && v[START_MODE] == STEADY) {
             joint->begin(k, u, x);
@@ -63,32 +58,26 @@ static double friction(Component *component, int i, double load, double step, bo
 static double half_squared(const double *v, int i) {
     const double dq = v[DQ + i], slow = dq / fmax(v[BAND_SLOW_SPEED + i], 1e-9);
     const double resting = 1.0 - fmin(dq * dq / (END_OF_REST * END_OF_REST), 1.0);
-    const double parts[] = {v[BAND_FLOOR + i], v[BAND_SLOW + i] / sqrt(1.0 + slow * slow),
-                            v[BAND_REST + i] * resting, v[BAND_FAST + i] * dq,
-                            v[BAND_LOAD + i] * v[TAU_LOAD + i]};
-    double sum = 0.0;
-    for (int k = 0; k < (int)(sizeof parts / sizeof parts[0]); k++) {
-        sum += parts[k] * parts[k];
-    }
-    return sum;
+    const double floor = v[BAND_FLOOR + i], slowly = v[BAND_SLOW + i];
+    const double rest = v[BAND_REST + i] * resting, fast = v[BAND_FAST + i] * dq;
+    const double load = v[BAND_LOAD + i] * v[TAU_LOAD + i];
+    return floor * floor + slowly * slowly / (1.0 + slow * slow) + rest * rest + fast * fast +
+           load * load;
 }
 
-/* Invert a symmetric positive definite matrix. */
+/* Invert a symmetric positive definite matrix by sweeps, without pivots. */
 static void invert(double a[6][6]) {
     for (int k = 0; k < 6; k++) {
-        const double pivot = 1.0 / a[k][k];
-        a[k][k] = 1.0;
-        for (int j = 0; j < 6; j++) {
-            a[k][j] *= pivot;
+        const double pivot = a[k][k];
+        for (int i = 0; i < 36; i++) {
+            const int row = i / 6, column = i % 6;
+            if (row != k && column != k) {
+                a[row][column] -= a[row][k] * a[k][column] / pivot;
+            }
         }
         for (int i = 0; i < 6; i++) {
-            const double factor = a[i][k];
-            if (i != k) {
-                a[i][k] = 0.0;
-                for (int j = 0; j < 6; j++) {
-                    a[i][j] -= factor * a[k][j];
-                }
-            }
+            a[i][k] = i == k ? 1.0 / pivot : -a[i][k] / pivot;
+            a[k][i] = i == k ? a[k][k] : a[k][i] / pivot;
         }
     }
 }
@@ -108,16 +97,12 @@ static void put_wrench(double *v, const double *squares) {
         }
     }
     invert(covariance);
-    for (int a = 0; a < 3; a++) {
-        v[FORCE + a] = v[MOMENT + a] = 0.0;
+    memcpy(&v[WRENCH_COVARIANCE], covariance, sizeof covariance);
+    for (int a = 0; a < 6; a++) {
+        double *one = a < 3 ? &v[FORCE + a] : &v[MOMENT + a - 3];
+        *one = 0.0;
         for (int b = 0; b < 6; b++) {
-            v[FORCE + a] += covariance[a][b] * sum[b];
-            v[MOMENT + a] += covariance[3 + a][b] * sum[b];
-        }
-        for (int b = 0; b < 3; b++) {
-            v[FORCE_COVARIANCE + 3 * a + b] = covariance[a][b];
-            v[MOMENT_COVARIANCE + 3 * a + b] = covariance[3 + a][3 + b];
-            v[FORCE_MOMENT_COVARIANCE + 3 * a + b] = covariance[a][3 + b];
+            *one += covariance[a][b] * sum[b];
         }
     }
 }
@@ -134,7 +119,7 @@ static void put_limits(Component *component) {
             v[CONTACT] = 1.0;
         }
     }
-    if (WRENCH) {
+    if (FORCE != CONTACT) {
         put_wrench(v, &component->own[SQUARE]);
     }
 }
@@ -156,8 +141,8 @@ static void observe_sample(Component *component, double step) {
             inertial += 0.5 * (now + before) * (v[DQ + j] - own[SPEED + j]) / step;
         }
         own[INERTIAL + i] += share * (inertial - own[INERTIAL + i]);
-        const double load = bias[i] + own[INERTIAL + i];
-        v[TAU_FRICTION + i] = friction(component, i, load, step, begins);
+        v[TAU_LOAD + i] = bias[i] + own[INERTIAL + i];
+        v[TAU_FRICTION + i] = friction(v, i, step);
         const double rest =
             bias[i] + v[TAU_FRICTION + i] - v[TORQUE_CONSTANT + i] * v[TAU_MOTOR + i];
         const double external = inertial + 0.5 * (rest + own[OTHERS + i]);
@@ -184,13 +169,9 @@ static bool component_output(Component *component, void *workspace, Message *why
         observe_sample(component, 0.0);
     }
     for (int i = 0; i < JOINTS; i++) {
-        const Joint *joint = &joints[i];
-        double u[MAX_INPUTS], *v = component->v, *x = &v[joint->first_state];
-        for (int j = 0; j < joint->inputs; j++) {
-            u[j] = v[joint->input[j]];
-        }
-        const double *k = joint->constants ? joint->constants : &v[joint->first_parameter];
-        joint->solved_derivatives(k, u, x, x + joint->states);
+        double u[MAX_INPUTS], *v = component->v, *x = &v[joints[i].first_state];
+        const double *k = see_law(v, i, u);
+        joints[i].solved_derivatives(k, u, x, x + joints[i].states);
     }
     return true;
 }
@@ -198,7 +179,5 @@ static bool component_output(Component *component, void *workspace, Message *why
 static bool component_step(Component *component, void *workspace, double step, Message *why) {
     (void)workspace, (void)why;
     observe_sample(component, step);
-    component->event = 0.0;
-    component->done = step;
     return true;
 }

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu_src.blocks.block import places, vector
+from fmu_src.blocks.block import vector
 from fmu_src.equations.header import SOLVER, equations_header
 from fmu_src.export import package
 from fmu_src.export.interface import ArrayVariable, Interface, Variable
@@ -44,27 +44,14 @@ _OUTPUTS = (
 _WRENCH = (
     ("force", "N", (3,), "external force on the flange, in axes of the base"),
     ("moment", "N.m", (3,), "external moment about the origin of the last joint, in base axes"),
-    ("force_covariance", "N2", (3, 3), "covariance of the force"),
-    ("moment_covariance", "N2.m2", (3, 3), "covariance of the moment"),
-    ("force_moment_covariance", "N2.m", (3, 3), "covariance of the force (rows) and the moment"),
+    ("wrench_covariance", "1", (6, 6), "covariance of force and moment in N2, N2.m and N2.m2"),
 )
 
 
 def has_wrench(robot: Robot) -> bool:
-    """Whether the Jacobian of the last joint's frame has full rank at random postures."""
-    tree = robot.tree
-    if robot.follow or [joint.parent for joint in tree] != list(range(-1, robot.n - 1)):
-        return False
-    low, high, _ = robot.reach
-    for q in np.random.default_rng(0).uniform(low, high, (8, robot.n)):
-        poses, columns = robot.places(q), []
-        for (turned, place), joint in zip(poses, tree, strict=True):
-            axis = turned @ joint.axis
-            arm = 0.0 * axis if joint.prismatic else np.cross(axis, poses[-1][1] - place)
-            columns.append([*axis, *arm] if joint.prismatic else [*arm, *axis])
-        if np.linalg.matrix_rank(np.array(columns), tol=1e-6) < 6:
-            return False
-    return True
+    """Whether a robot is a chain whose joints can show all of force and moment."""
+    parents = [joint.parent for joint in robot.tree]
+    return robot.n >= 6 and parents == list(range(-1, robot.n - 1))
 
 
 def _parameters(
@@ -109,11 +96,10 @@ def _interface(
     for name, unit, shape, text in _WRENCH if has_wrench(body.robot) else ():
         for place in np.ndindex(*shape):
             index = ",".join(str(k + 1) for k in place)
-            element = Variable(f"{name}[{index}]", "output", text, unit=unit, dependencies=made_of)
-            found.append(element)
-    text = "how the states of the friction are relaxed"
-    found += [*parameters, friction_component.discretisation(model, text)]
-    found += [friction_component.start_mode(), *of_laws]
+            one = Variable(f"{name}[{index}]", "output", text, unit=unit, dependencies=made_of)
+            found.append(one)
+    relaxing = friction_component.discretisation(model, "how the states of friction are relaxed")
+    found += [*parameters, relaxing, friction_component.start_mode(), *of_laws]
     turned = (at_joint(v, model.slides) for v in found)
     return Interface(
         variables=tuple(friction_component.of_the_last_step(v, inputs) for v in turned),
@@ -144,20 +130,16 @@ def content(
         raise ExportError(f"observer: 'bandwidth' is {bandwidth:g} Hz; it must be positive.")
     own = list(_parameters(model, limits, bandwidth, constants))
     table = _interface(model, body, own, bool(constants))
-    at = {a.name: a.elements[0].name for a in table.arrays}
-    wrench = "force" in at
-    first = {n.upper(): at[n] for n in ("q", "dq", "tau_motor", "contact", "start_mode")}
-    first |= {n.upper(): at[n] for n in ("gravity", "discretisation", *(o[0] for o in _OUTPUTS))}
-    first |= {a.upper(): at[a] for a in dict.fromkeys(v.name.split("[")[0] for v in own)}
+    first = {name.upper(): "contact" for name, *_ in _WRENCH}  # that of a robot without these
+    named = [a for a in table.arrays if a.name.isidentifier() and a.elements[0].role != "state"]
+    first |= {a.name.upper(): a.elements[0].name for a in named}
     first |= {"PARAMETERS": "link[1].m", "ROTORS": "rotor[1]", "PAYLOAD_M": "payload.m"}
     first |= {"PAYLOAD_COM": "payload.com[1]", "PAYLOAD_INERTIA": "payload.Ixx"}
     first["SPRINGS"] = next((n for n in table.places if n.startswith("spring[")), "gravity[1]")
-    ours = {name.upper(): at.get(name, "contact") for name, *_ in _WRENCH}
     laws = friction_component.joints_of(model, names={TORQUE: "tau_friction"})
     names = ("coupling.h", "law_math.h", "regroup.h")
     sources = {name: package.own_source(name) for name in names} | {
         "observer.c": (HERE / "observer.c").read_text(encoding="utf-8"),
-        "observer_places.h": places(table, "PLACES_H", ours, WRENCH=int(wrench)),
         "dynamics.h": dynamics_header(body.robot),
         "jacobian.h": jacobian_header(body.robot),
         "equations.h": equations_header(laws, table, first, wanted=SOLVER),
@@ -174,8 +156,8 @@ def content(
     joints, refused = law_entries(model)
     titles = list(dict.fromkeys(map(title, model.laws)))
     sheet = {"about": about, "model": model, "titles": titles, "joints": joints, "limits": limits}
-    sheet |= {"refused": refused, "names": [number.name for number in NAMES], "wrench": wrench}
-    sheet |= {"bandwidth": bandwidth, "constants": constants}
+    sheet |= {"refused": refused, "bandwidth": bandwidth, "constants": constants}
+    sheet |= {"names": [number.name for number in NAMES], "wrench": has_wrench(body.robot)}
     page = rendered("observer.html.j2", folders=(HERE / "templates", TEMPLATES), **sheet)
     inputs = waves({v.name: 1.0 for v in table.variables if v.role == "input"})
     return package.Content(

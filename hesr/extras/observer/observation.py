@@ -1,15 +1,17 @@
-"""Observation of logs by the FMU, and limits calibrated on logs without contact."""
+"""External torque over logs by the FMU, and limits calibrated on logs without contact."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from cosim.workflow import arguments
+from cosim.workflow.arguments import BodyArg, LawArg, Logs, RobotArg
 from fmu_src.export.package import write_fmu
 from fmu_src.plant.plant_fmu import PlantBody
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
-from hesr.extras.observer.limits import HOUR, NAMES, ObserverLimits
+from hesr.extras.observer.limits import HOUR, NAMES, ObserverLimits, law_limits
 from hesr.extras.observer.observer_fmu import BANDWIDTH, content, outputs_of
 from hesr_model.equations.low_pass import low_passed
 from hesr_model.errors import LogError
@@ -22,7 +24,6 @@ from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.files import PathArg, scratch_folder
 
 _BEGINNING = 0.1  # [s] whose mean speed is that of the first sample, if none is logged
-_SETTLING = 0.5  # [s] at the start of a log without calibration
 _BLOCK = 1.0  # duration of the blocks whose maxima give the rate of false alarms [s]
 _TOP = 0.2  # share of the largest maxima that determine their tail
 _ENOUGH = 20_000  # rows for the shares; quantiles use all
@@ -41,8 +42,8 @@ class ObservedLog:
     @property
     def contact(self) -> Mask:
         """Whether the external torque of a joint is beyond its threshold (N,)."""
-        beyond = np.abs(self.outputs["tau_ext"]) > self.outputs["contact_threshold"]
-        return np.asarray(np.any(beyond, axis=1))
+        size = np.abs(self.outputs["tau_ext"])
+        return np.asarray((size > self.outputs["contact_threshold"]).any(axis=1))
 
 
 def observed_logs(
@@ -86,42 +87,40 @@ def _speed(log: Log, body: PlantBody) -> Array:
     return low_passed(log.t, speed, body.robot.description.log.filter_cutoff)
 
 
-def calibrate(
+def limits_of(
     model: FrictionModel,
     body: PlantBody,
     calibration: Sequence[PathArg | Log],
     bandwidth: float = BANDWIDTH,
 ) -> ObserverLimits:
-    """Return the limits that hold for logs without contact.
+    """Return the limits that hold for logs without contact, or those of the law without logs.
 
-    The half-widths are those of normal errors with the shapes of `band.shapes`, behind the low pass
-    of the observer, by maximum likelihood, scaled to contain 95 % of the errors. The threshold is
-    exceeded once an hour if the maxima over seconds have an exponential tail, one standard error
-    above its estimate. Raises LogError if the logs last less than a minute.
+    The half-widths are those of normal errors with the shapes of `band.shapes` behind the low pass,
+    by maximum likelihood, scaled to contain 95 %. The threshold is exceeded once an hour if maxima
+    over seconds have an exponential tail, one standard error above its estimate. Raises LogError
+    for less than a minute.
     """
-    robot = body.robot
-    logs = [one if isinstance(one, Log) else Log.read(one, robot) for one in calibration]
-    nothing = ObserverLimits(numbers=((0.0,) * robot.n,) * len(NAMES), factor=1.0)
+    if not calibration:
+        return law_limits(model)
+    joints = range(body.robot.n)
+    logs = [one if isinstance(one, Log) else Log.read(one, body.robot) for one in calibration]
+    nothing = ObserverLimits(numbers=((0.0,) * len(joints),) * len(NAMES), factor=1.0)
     runs = observed_logs(model, body, nothing, logs, bandwidth)
-    kept = [run.t - run.t[0] >= _SETTLING for run in runs]
-    blocks, count = [], 0
-    for run, rows in zip(runs, kept, strict=True):
-        blocks.append(count + (run.t[rows] - run.t[0]) // _BLOCK)
-        count = 1 + int(np.max(blocks[-1], initial=count))
-    if count < _LEAST:
+    blocks = [(k, second) for k, run in enumerate(runs) for second in run.t // _BLOCK]
+    _, starts = np.unique(blocks, axis=0, return_index=True)
+    if len(starts) < _LEAST:
         raise LogError(
-            f"'calibration': the logs without contact last {count * _BLOCK:g} s; at least "
+            f"'calibration': the logs without contact last {len(starts) * _BLOCK:g} s; at least "
             f"{_LEAST * _BLOCK:g} s are needed."
         )
-    joints = [_of_joint(runs, kept, j, bandwidth) for j in range(robot.n)]
-    worst = np.max([errors for _, errors in joints], axis=0)
-    _, starts = np.unique(np.concatenate(blocks), return_index=True)
+    found = [_of_joint(runs, j, bandwidth) for j in joints]
+    worst = np.max([errors for _, errors in found], axis=0)
     maxima = np.sort(np.maximum.reduceat(worst, starts))
     tail = maxima[-max(10, int(_TOP * len(maxima))) :]
     rising = np.mean(tail - tail[0]) * (1.0 + 1.0 / np.sqrt(len(tail)))
     tries = len(tail) / len(maxima) * HOUR / _BLOCK
     return ObserverLimits(
-        numbers=tuple(zip(*(numbers for numbers, _ in joints), strict=True)),
+        numbers=tuple(zip(*(numbers for numbers, _ in found), strict=True)),
         factor=float(tail[0] + rising * np.log(tries)),
         duration=float(sum(np.ptp(run.t) for run in runs)),
         logs=tuple(log.name for log in logs),
@@ -129,21 +128,19 @@ def calibrate(
 
 
 def _of_joint(
-    runs: Sequence[ObservedLog], kept: Sequence[Mask], j: int, bandwidth: float
+    runs: Sequence[ObservedLog], j: int, bandwidth: float
 ) -> tuple[tuple[float, ...], Array]:
-    """Return a joint's numbers, and its errors over the half-width at the kept rows."""
-    pairs = list(zip(runs, kept, strict=True))
-    errors = np.concatenate([run.outputs["tau_ext"][rows, j] for run, rows in pairs])
+    """Return a joint's numbers, and its errors over the half-width."""
+    errors = np.concatenate([run.outputs["tau_ext"][:, j] for run in runs])
     best, some = (
         (np.inf, (0.0,) * len(NAMES), errors),
         slice(None, None, -(-len(errors) // _ENOUGH)),
     )
     for speed in SLOW_SPEEDS:
         parts = []
-        for run, rows in pairs:
-            load = run.outputs["tau_load"][:, j]
-            raw = np.stack(shapes(run.dq[:, j], load, speed), axis=1)
-            parts.append(low_passed(run.t, raw, bandwidth)[rows])
+        for run in runs:
+            raw = shapes(run.dq[:, j], run.outputs["tau_load"][:, j], speed)
+            parts.append(low_passed(run.t, np.stack(raw, axis=1), bandwidth))
         columns = np.concatenate(parts)
         found = variance_shares(columns[some], errors[some] ** 2, np.zeros_like(errors[some]))
         variance = columns @ found + 1e-30
@@ -154,3 +151,55 @@ def _of_joint(
             floor, slow, *others = (level * np.sqrt(found)).tolist()
             best = (loss, (floor, slow, speed, *others), standard / level)
     return best[1], best[2]
+
+
+def observe(
+    logs: Logs,
+    *,
+    law: LawArg,
+    robot: RobotArg | None = None,
+    rigid_body: BodyArg | None = None,
+    calibration: Logs | None = None,
+    bandwidth: float = BANDWIDTH,
+    accept: Sequence[str] = (),
+) -> list[ObservedLog]:
+    """Compute the external torque over logs, with the numbers of the observer's FMU.
+
+    Parameters
+    ----------
+    logs : log or sequence of logs
+        Logs of one robot.
+    law : path or law
+        Friction model fitted to other logs of the robot.
+    robot : robot or path, optional
+        Robot file (.toml), URDF or MJCF; by default the robot of the logs.
+    rigid_body : body or path, optional
+        Result of 'hesr identify'; by default the parameters of the model file.
+    calibration : log or sequence of logs, optional
+        Logs without contact, not of the fit; by default the bands of the law give the limits.
+    bandwidth : float, Hz
+        Cut-off of the external torque.
+    accept : sequence of str, optional
+        Names of checks whose errors only warn.
+
+    Returns
+    -------
+    list of ObservedLog
+        `outputs` of each part of a log, such as tau_ext (N, n) [N.m; N], and `contact` (N,).
+
+    Raises
+    ------
+    HesrError
+        If a log, the robot, the law or the calibration is unusable.
+
+    Examples
+    --------
+    >>> import hesr
+    >>> [found] = hesr.observe("pushed.csv", law="law.json", robot="robot.toml",
+    ...                        rigid_body="rigid_body.json", calibration=["free.csv"])
+    """
+    model, read = arguments.model_given(law), arguments.checked_logs(logs, robot, accept)
+    body = arguments.plant_body(read.robot, rigid_body)
+    free = [] if calibration is None else arguments.logs_of(calibration, read.robot)
+    limits = limits_of(model, body, free, bandwidth)
+    return observed_logs(model, body, limits, read.logs, bandwidth)

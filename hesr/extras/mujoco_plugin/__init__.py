@@ -1,0 +1,1 @@
+"""Friction laws as passive forces of MuJoCo."""

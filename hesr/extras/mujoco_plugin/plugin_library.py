@@ -1,0 +1,58 @@
+"""Export of a law as a shared library for MuJoCo, with the MJCF that uses it."""
+
+from importlib.metadata import version
+from pathlib import Path
+
+from markupsafe import escape
+
+from fmu_src.arm.library import library
+from fmu_src.export.interface import to_c
+from fmu_src.export.package import own_source
+from fmu_src.export.toolchain import TARGETS, build
+from fmu_src.friction.friction_component import friction_equations
+from fmu_src.friction.validity import discretisation_of, require_exportable
+from fmu_src.pages.html import code_templates
+from fmu_src.run.instance import PLATFORM
+from hesr_model.errors import ExportError
+from hesr_model.friction.inputs import TAU_LOAD
+from hesr_model.friction.model import FrictionModel
+from hesr_model.support.files import scratch_folder, written_whole
+
+
+def export_mujoco_plugin(model: FrictionModel, path: Path) -> Path:
+    """Write the library NAME.so for the installed MuJoCo and this platform, and NAME.xml.
+
+    The MJCF has one instance of the plug-in `hesr.NAME` per joint, for the joint of the same name.
+    """
+    if path.suffix != ".so" or PLATFORM not in ("linux64", "aarch64-linux"):
+        raise ExportError(f"{path}: a plug-in of MuJoCo is a library (.so) for Linux.")
+    require_exportable(model, "a plug-in of MuJoCo", coupled=False)
+    table, header = friction_equations(model)
+    name = f"hesr.{path.stem}"
+    text = (
+        code_templates(Path(__file__).parent / "templates")
+        .get_template("plugin.c.j2")
+        .render(
+            name=name,
+            version=version("mujoco-core"),
+            loaded=", ".join(str(int(TAU_LOAD in law.form.inputs)) for law in model.laws),
+            euler=float(discretisation_of(model) == "euler"),
+        )
+    )
+    files = {"interface.h": to_c(table, "", model.sample_time), "equations.h": header}
+    files |= {"plugin.c": text, **{n: own_source(n) for n in ("law_math.h", "variable.h")}}
+    with scratch_folder() as home:
+        for file, content in files.items():
+            (home / file).write_text(content, encoding="utf-8")
+        flags = (*library(PLATFORM).flags, "-std=c11", "-ldl")  # as MuJoCo's headers
+        binary = build(home / "plugin.c", path.stem, TARGETS[PLATFORM], flags)
+    instances = "".join(
+        f'      <instance name="{name}.{i}"><config key="joint" value="{escape(joint)}"/>'
+        f'<config key="law" value="{i}"/></instance>\n'
+        for i, joint in enumerate(model.joints, start=1)
+    )
+    mjcf = f'<mujoco>\n  <extension>\n    <plugin plugin="{name}">\n{instances}'
+    with written_whole(path) as own, written_whole(path.with_suffix(".xml")) as scene:
+        own.write_bytes(binary)
+        scene.write_text(mjcf + "    </plugin>\n  </extension>\n</mujoco>\n", encoding="utf-8")
+    return path

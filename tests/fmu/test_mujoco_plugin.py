@@ -1,0 +1,197 @@
+"""Friction laws as plug-ins of MuJoCo: the FMU's torques, states, threads and versions."""
+
+import copy
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco import rollout
+
+from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.native import through
+from hesr.extras.mujoco_plugin import plugin_library
+from hesr.extras.mujoco_plugin.plugin_library import export_mujoco_plugin
+from hesr_model.errors import ExportError
+from hesr_model.friction.model import FrictionModel
+
+STEP = 0.002
+FULL = mujoco.mjtState.mjSTATE_INTEGRATION
+LOADED: dict[str, Path] = {}
+
+BODY = """<body pos="0 0 {z}"><joint name="{name}" axis="0 1 0" armature="0.5"/>
+<geom size=".05 .2" type="capsule" pos=".1 0 .1" mass="2"/>"""
+
+
+def scene(plugin: Path, joints: tuple[str, ...], *, include: str = "") -> mujoco.MjModel:
+    """Return a chain of joints in gravity under a plug-in."""
+    bodies = "".join(BODY.format(z=0.3, name=name) for name in joints) + "</body>" * len(joints)
+    include = include or f'<include file="{plugin.with_suffix(".xml")}"/>'
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{STEP}"/>{include}<worldbody>{bodies}</worldbody></mujoco>'
+    )
+
+
+def plugin_of(model: FrictionModel, name: str, folder: Path) -> Path:
+    """Load a law's plug-in, once per process, for names are unique in one."""
+    if name not in LOADED:
+        LOADED[name] = export_mujoco_plugin(model, folder / f"{name}.so")
+        mujoco.mj_loadPluginLibrary(str(LOADED[name]))
+    return LOADED[name]
+
+
+@pytest.fixture(scope="module")
+def plugins(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("plugins")
+
+
+def largest_difference(model: FrictionModel, folder: Path, count: int) -> float:
+    """Return the largest difference of torques over random steps, relative to the largest."""
+    plugin = plugin_of(model, f"random_{model.law}", folder)
+    m, rng, joints = scene(plugin, model.joints), np.random.default_rng(7), len(model.joints)
+    d = mujoco.MjData(m)
+    # Speeds of all sizes, reversals and rests.
+    dq = rng.normal(size=(count, joints)) * 10.0 ** rng.uniform(-5.0, 0.5, (count, 1))
+    dq[rng.random(count) < 0.05] = 0.0
+    q = np.cumsum(dq, axis=0) * STEP
+    torque, load = np.empty_like(dq), np.empty_like(dq)
+    for k in range(count):
+        d.qpos[:], d.qvel[:] = q[k], dq[k]
+        mujoco.mj_step(m, d)
+        torque[k], load[k] = -d.qfrc_passive, d.qfrc_bias
+    names = [f"{name}[{i}]" for name in ("dq", "q", "tau_load") for i in range(1, joints + 1)]
+    with FmuInstance(export_bare(model, folder / f"{model.law}.fmu")) as fmu:
+        inputs = fmu.buffer(names)
+        outputs = fmu.buffer([f"tau[{i}]" for i in range(1, joints + 1)])
+        fmu.initialise(start={"start_mode": 2.0})
+        rows = np.hstack([dq, q, load])
+        known = through(fmu, inputs, outputs, STEP * np.arange(count), np.full(count, STEP), rows)
+    assert np.ptp(known) > 0.0
+    return float(np.abs(torque - known).max() / np.abs(known).max())
+
+
+def test_torques_are_those_of_the_fmu(
+    registry_models: dict[str, FrictionModel], plugins: Path
+) -> None:
+    for law in ("stribeck", "lugre_load_ripple", "parfam_s_load"):
+        assert largest_difference(registry_models[law], plugins, 5000) <= 1e-12
+
+
+@pytest.mark.ci
+def test_torques_of_every_law_are_those_of_the_fmu(
+    registry_models: dict[str, FrictionModel], tmp_path: Path
+) -> None:
+    for law, model in registry_models.items():
+        named = FrictionModel(**{**vars(model), "law": f"{law}_long"})
+        assert largest_difference(named, tmp_path, 100_000) <= 1e-12, law
+
+
+def test_states_are_restored_bit_for_bit(table1: FrictionModel, plugins: Path) -> None:
+    m = scene(plugin_of(table1, "restored", plugins), table1.joints)
+    d, size = mujoco.MjData(m), mujoco.mj_stateSize(m, FULL)
+    assert m.npluginstate == sum(len(law.form.memory) for law in table1.laws)
+    state, later, again = (np.empty(size) for _ in range(3))
+    d.qvel[:] = (1.0, -0.5, 0.3)
+    mujoco.mj_step(m, d, 300)
+    mujoco.mj_getState(m, d, state, FULL)
+    assert np.abs(d.plugin_state).min() > 0.0
+    other = copy.copy(d)
+    mujoco.mj_step(m, d, 500)
+    mujoco.mj_getState(m, d, later, FULL)
+    mujoco.mj_step(m, other, 500)
+    mujoco.mj_getState(m, other, again, FULL)
+    np.testing.assert_array_equal(again, later)
+    mujoco.mj_resetData(m, d)
+    assert not d.plugin_state.any()
+    mujoco.mj_step(m, d, 20)
+    mujoco.mj_setState(m, d, state, FULL)
+    mujoco.mj_step(m, d, 500)
+    mujoco.mj_getState(m, d, again, FULL)
+    np.testing.assert_array_equal(again, later)
+
+
+def test_eight_threads_agree_with_one(table1: FrictionModel, plugins: Path) -> None:
+    m = scene(plugin_of(table1, "threads", plugins), table1.joints)
+    d, rng = mujoco.MjData(m), np.random.default_rng(1)
+    states = np.empty((32, mujoco.mj_stateSize(m, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
+    for row in states:
+        mujoco.mj_resetData(m, d)
+        d.qvel[:] = rng.normal(size=3)
+        mujoco.mj_step(m, d, 10)
+        mujoco.mj_getState(m, d, row, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    one, _ = rollout.rollout(m, [d], states, nstep=400)
+    many, _ = rollout.rollout(m, [mujoco.MjData(m) for _ in range(8)], states, nstep=400)
+    np.testing.assert_array_equal(many, one)
+    assert np.ptp(one[:, -1], axis=0).max() > 0.1
+
+
+@pytest.mark.parametrize("integrator", ["EULER", "IMPLICITFAST", "RK4"])
+def test_friction_brings_a_joint_to_rest(
+    integrator: str, registry_models: dict[str, FrictionModel], plugins: Path
+) -> None:
+    m = scene(plugin_of(registry_models["parfam_s"], "energy", plugins), ("j1",))
+    m.opt.gravity[:], m.dof_armature[:] = 0.0, 5.0
+    m.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
+    d = mujoco.MjData(m)
+    d.qvel[:] = 3.0
+    speeds = []
+    for _ in range(5000):
+        mujoco.mj_step(m, d)
+        speeds.append(d.qvel[0])
+    assert np.abs(speeds[-1000:]).max() < 1e-3
+    # About 6 N.m of Coulomb friction stop 5 kg.m2 within 3 s.
+    assert 1.0 < 0.002 * int(np.argmax(np.array(speeds) < 0.01)) < 3.0
+
+
+def loading(plugin: Path, code: str = "mujoco.mj_loadPluginLibrary(p)") -> str:
+    """Return what a process prints that loads a plug-in."""
+    text = f"import mujoco; p = {str(plugin)!r}; {code}"
+    ended = subprocess.run(
+        [sys.executable, "-c", text], capture_output=True, text=True, check=False
+    )
+    return ended.stdout + ended.stderr
+
+
+def test_another_or_no_mujoco_gets_one_sentence(
+    table1: FrictionModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plugin_library, "version", lambda _: "9.8.7")
+    other = export_mujoco_plugin(table1, tmp_path / "other.so")
+    found = mujoco.mj_versionString()
+    sentence = f"hesr.other: this plug-in is for MuJoCo 9.8.7, but the program has {found}; export"
+    printed = loading(other)
+    assert printed.startswith(sentence)
+    assert len(printed.splitlines()) == 1
+    text = f"import ctypes; ctypes.CDLL({str(other)!r})"
+    alone = subprocess.run(
+        [sys.executable, "-c", text], capture_output=True, text=True, check=False
+    )
+    assert alone.stderr.startswith(sentence.replace(found, "none"))
+
+
+def test_instances_with_a_wrong_joint_or_law_are_refused(
+    table1: FrictionModel, plugins: Path
+) -> None:
+    plugin = plugin_of(table1, "wrong", plugins)
+    for joint, law, word in (("nowhere", "1", "'nowhere'"), ("joint1", "4", "from 1 to 3")):
+        text = plugin.with_suffix(".xml").read_text(encoding="utf-8")
+        bad = text.replace('value="joint1"', f'value="{joint}"').replace(
+            'value="1"', f'value="{law}"'
+        )
+        file = plugins / f"bad_{law}.xml"
+        file.write_text(bad, encoding="utf-8")
+        bodies = "".join(BODY.format(z=0.3, name=f"joint{i}") for i in (1, 2, 3)) + "</body>" * 3
+        xml = f'<mujoco><include file="{file}"/><worldbody>{bodies}</worldbody></mujoco>'
+        code = f"mujoco.mj_loadPluginLibrary(p); m = mujoco.MjModel.from_xml_string('''{xml}'''); "
+        printed = loading(plugin, code + "mujoco.MjData(m)")
+        assert word in printed
+        assert "Error" in printed
+
+
+def test_other_suffixes_are_refused(table1: FrictionModel, tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match=r"a plug-in of MuJoCo is a library \(\.so\) for Linux"):
+        export_mujoco_plugin(table1, tmp_path / "friction.dll")
+    assert list(tmp_path.iterdir()) == []
