@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from sources import LAYERS, MODULES, ROOT, layer, tree
 
 # Maximum lines of Python, C and headers: 59,000, plus 1,800 for evidence, robots and logs, and
-# 1,600 for the plant, 1,180 for FMUs and SSPs of other tools, 230 for the sandbox of systems, and 850
-# for the observer and the plug-in of MuJoCo.
+# 1,600 for the plant, 1,180 for FMUs and SSPs of other tools, 230 for the sandbox of systems, and
+# 850 for the observer and the plug-in of MuJoCo.
 BUDGET = {
     "hesr_model": 22_573,
     "fmu_src": 20_032,
