@@ -9,7 +9,7 @@ from typing import Any
 
 MOST_SYMBOLS = 10_000
 MOST_ERRORS = 10_000
-MOST_NAMES = 1000
+MOST_NAMES = 1000  # parsed by FMPy in a millisecond each
 
 _SCHEMAS = {
     "1.0": "schema/fmi1/fmiModelDescription.xsd",
@@ -26,10 +26,7 @@ _SCHEMAS = {
 
 
 def validate(file: str) -> tuple[list[str], str]:
-    """Return the problems that FMPy finds in a file that fits the schema, or why it cannot read it.
-
-    FMPy parses a name in about a millisecond: it gets only names that are not plainly legal.
-    """
+    """Return the problems that FMPy finds beyond the schema, or why it cannot read the file."""
     from fmpy import read_model_description
     from fmpy.validation import validate_model_description
 

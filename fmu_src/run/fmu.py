@@ -345,10 +345,7 @@ class FmuPool:
     def lend(
         self, fmu: Path, *, name: str, system: "SystemSandbox | None" = None
     ) -> Iterator[FmuInstance]:
-        """Yield a new or kept instance; afterwards it is reset and kept unless a call failed.
-
-        One in the sandbox of a system ends with it.
-        """
+        """Yield a new or kept instance; keep it unless a call failed or it ends with `system`."""
         key = _key(fmu, name)
         instance = self._idle.pop(key, None) if key else None
         if instance is None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property, partialmethod
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -208,23 +208,17 @@ def run_in_sandbox(function: str, *arguments: Any, folder: Path, seconds: float)
             sandbox.kill()
 
 
-class SystemSandbox:
+class SystemSandbox(ExitStack):
     """Folder and process of the untrusted FMUs of a system, made when the first one is loaded."""
 
     def __init__(self, seconds: float, total: float = TOTAL) -> None:
+        super().__init__()
         self._seconds, self._total = seconds, total
-        self._cleanup = ExitStack()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *ended: Any) -> None:
-        self._cleanup.close()
 
     @cached_property
     def folder(self) -> Path:
         """Folder that the process may read."""
-        return self._cleanup.enter_context(scratch_folder())
+        return self.enter_context(scratch_folder())
 
     @cached_property
     def sandbox(self) -> Sandbox:
@@ -232,7 +226,7 @@ class SystemSandbox:
         own = self.folder / "process"
         own.mkdir()
         sandbox = Sandbox(own, self._seconds, self.folder, "fmu_src.run.native", total=self._total)
-        self._cleanup.callback(sandbox.kill)
+        self.callback(sandbox.kill)
         return sandbox
 
 
@@ -261,7 +255,7 @@ class SandboxedInstance:
         self._asked.clear()
         self._call(self._functions["step"], "step", time, size, ahead=ahead)
 
-    def buffer(self, references: Sequence[int], values: Array | None = None) -> "SandboxedBuffer":
+    def buffer(self, references: Sequence[int], values: Array | None = None) -> "_SandboxedBuffer":
         """Return a buffer of Real variables; see `Instance`."""
         key = tuple(references)
         if key not in self._numbers:
@@ -270,15 +264,15 @@ class SandboxedInstance:
             self._sizes[self.sandbox.buffers] = 8 * len(key)
             self.sandbox.buffers += 1
         own = np.zeros(len(key)) if values is None else values
-        return SandboxedBuffer(self, self._numbers[key], key, own)
+        return _SandboxedBuffer(self, self._numbers[key], key, own)
 
-    def write(self, buffer: "SandboxedBuffer") -> None:
+    def write(self, buffer: "_SandboxedBuffer") -> None:
         """Set the variables of a buffer with the next message."""
         text = base64.b64encode(buffer.values.tobytes()).decode()
         self._written.append((self._functions["write"], ("write", buffer.number, text)))
         self._known.clear()
 
-    def read(self, buffer: "SandboxedBuffer") -> None:
+    def read(self, buffer: "_SandboxedBuffer") -> None:
         """Read the variables of a buffer."""
         self._asked[buffer.number] = None
         if buffer.number not in self._known:
@@ -366,20 +360,16 @@ class SandboxedInstance:
 
 
 @dataclass
-class SandboxedBuffer:
-    """Values of Real variables of a `SandboxedInstance`; see `Buffer`."""
-
+class _SandboxedBuffer:
     instance: SandboxedInstance
     number: int
     references: tuple[int, ...]
     values: Array
 
     def write(self) -> None:
-        """Set the variables with the next message."""
         self.instance.write(self)
 
     def read(self) -> Array:
-        """Read and return the variables."""
         self.instance.read(self)
         return self.values
 
@@ -390,7 +380,7 @@ def sandbox_stepper(layout: Layout) -> "SandboxStepper | None":
         buffer
         for station in layout.stations
         for buffer in (station.inputs, station.outputs)
-        if isinstance(buffer, SandboxedBuffer) and not station.conversions
+        if isinstance(buffer, _SandboxedBuffer) and not station.conversions
     ]
     if layout.scheme.refreshed != "none" or len(own) != 2 * len(layout.stations):
         return None
@@ -402,7 +392,10 @@ class SandboxStepper:
     """Steps of a system within the process of its FMUs, which shares a file of recorded rows."""
 
     def __init__(
-        self, layout: Layout, inputs: Sequence[SandboxedBuffer], outputs: Sequence[SandboxedBuffer]
+        self,
+        layout: Layout,
+        inputs: Sequence[_SandboxedBuffer],
+        outputs: Sequence[_SandboxedBuffer],
     ) -> None:
         self._layout, self._inputs, self._outputs = layout, inputs, outputs
         self._sandbox = inputs[0].instance.sandbox

@@ -257,10 +257,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def written_together(main: Path) -> Iterator[Callable[[Path], Path]]:
-    """Yield a function from paths to temporary ones, which become files when the block succeeds.
-
-    `main` is replaced last; a process that is killed meanwhile leaves none. See `written_whole`.
-    """
+    """Yield `written_whole` for several paths; a killed process leaves no new files with `main`."""
     with ExitStack() as cleanup:
         made = {main: cleanup.enter_context(written_whole(main))}
 

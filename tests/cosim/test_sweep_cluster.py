@@ -1,6 +1,7 @@
 """A sweep on two real workers of dask.distributed, one of them killed during the sweep."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,12 +22,14 @@ pytestmark = pytest.mark.ci
 
 LOCAL = """
 import sys
-from distributed import LocalCluster
+from distributed import LocalCluster, Security
 
 if __name__ == "__main__":
-    workers = int(sys.argv[1])
+    workers, protocol = int(sys.argv[1]), sys.argv[2]
+    encrypted = Security(require_encryption=True) if protocol == "tls" else None
     with LocalCluster(
-        n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=50
+        n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=50,
+        security=encrypted, protocol=protocol,
     ) as local:
         print(local.scheduler_address, *(w.pid for w in local.workers.values()), flush=True)
         sys.stdin.read()
@@ -34,13 +37,20 @@ if __name__ == "__main__":
 
 
 @contextmanager
-def local(folder: Path, workers: int) -> Iterator[tuple[str, list[int]]]:
+def local(
+    folder: Path, workers: int, protocol: str = "tcp", **environment: str
+) -> Iterator[tuple[str, list[int]]]:
     """A scheduler with workers: its address and the PIDs of the workers."""
     pytest.importorskip("distributed", reason="dask.distributed is not installed")
     script = written(folder, LOCAL, "local.py")
-    command = (sys.executable, script, str(workers))
+    command = (sys.executable, script, str(workers), protocol)
     with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env=os.environ | environment,
     ) as process:
         assert process.stdout is not None
         address, *numbers = process.stdout.readline().split()
@@ -97,6 +107,51 @@ def test_workers_that_keep_dying_end_the_sweep(
         "workers of the cluster died 0 times; 40 chunks of runs are left; repeat the command "
         "to continue."
     )
+
+
+def tls_settings(folder: Path) -> dict[str, str]:
+    """Settings of Dask with a new certificate of this machine, for all roles."""
+    if (openssl := shutil.which("openssl")) is None:
+        pytest.skip("needs openssl")
+    key, certificate = folder / "key.pem", folder / "certificate.pem"
+    command = (openssl, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2")
+    names = ("-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1")
+    subprocess.run(
+        [*command, "-keyout", key, "-out", certificate, *names], check=True, capture_output=True
+    )
+    files = {"CA_FILE": certificate}
+    for role in ("CLIENT", "SCHEDULER", "WORKER"):
+        files |= {f"{role}__CERT": certificate, f"{role}__KEY": key}
+    return {f"DASK_DISTRIBUTED__COMM__TLS__{name}": str(file) for name, file in files.items()}
+
+
+def swept(*arguments: object, **environment: str) -> "subprocess.CompletedProcess[str]":
+    """Run `hesr simulate`, which reads the settings of Dask at its start."""
+    command = (sys.executable, "-c", "from hesr.cli import main; main()", "simulate")
+    own = {name: text for name, text in os.environ.items() if not name.startswith("DASK_")}
+    return subprocess.run(
+        [*command, *map(str, arguments)], env=own | environment, capture_output=True, text=True
+    )
+
+
+def test_a_sweep_runs_on_an_encrypted_cluster(study: Path, tmp_path: Path):
+    settings = tls_settings(tmp_path)
+    with local(tmp_path, 1, "tls", **settings) as (address, _):
+        assert address.startswith("tls://")
+        out = tmp_path / "cluster"
+        done = swept(study, "-o", out, "--cluster", address, **settings)
+        assert done.returncode == 0, done.stderr
+        for changed, sentence in (
+            ({}, "--cluster: Dask's TLS settings are not usable (no 'ca-file', 'client.cert' and "),
+            (settings | {next(iter(settings)): "none.pem"}, "Dask's TLS settings are not usable ("),
+            (settings | {next(iter(settings)): str(study)}, "Dask's TLS settings are not usable ("),
+        ):
+            refused = swept(study, "-o", tmp_path / "x", "--cluster", address, **changed)
+            assert refused.returncode == 2
+            assert sentence in refused.stderr
+            assert len(refused.stderr.splitlines()) == 1
+    run_sweep(study, tmp_path / "here", workers=1)
+    assert files(out) == files(tmp_path / "here")
 
 
 @pytest.mark.parametrize(

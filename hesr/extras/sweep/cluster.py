@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 _ROUNDS = 5
+_ENCRYPTED = ("tls", "wss")
 _SECONDS = 20  # time limit for the scheduler to answer and to have a worker [s]
 
 
@@ -33,11 +34,18 @@ def results_of(
     Raises ConfigError without dask.distributed or scheduler; the iterator raises WorkerError.
     """
     try:
-        from distributed import Client
+        from distributed import Client, Security
     except ImportError as error:
         raise ConfigError("--cluster needs: pip install 'hesr[cluster]'.") from error
+    security = Security()
     try:
-        client = Client(address, timeout=_SECONDS, set_as_default=False)
+        context = security.get_connection_args("client")["ssl_context"]
+        if context is None and urlsplit(address).scheme in _ENCRYPTED:
+            raise OSError("no 'ca-file', 'client.cert' and 'client.key' in distributed.comm.tls")
+    except OSError as error:  # errors of OpenSSL included
+        raise ConfigError(f"--cluster: Dask's TLS settings are not usable ({error}).") from error
+    try:
+        client = Client(address, timeout=_SECONDS, set_as_default=False, security=security)
     except (OSError, ValueError) as error:
         raise ConfigError(f"--cluster: found no scheduler at {address}.") from error
     with client:
@@ -51,7 +59,7 @@ def results_of(
 def require_encryption(address: str, *, insecure: bool) -> None:
     """Raise ConfigError for an unencrypted address of another machine unless `insecure`."""
     parts = urlsplit(address)
-    if insecure or parts.scheme in ("tls", "wss", "inproc"):
+    if insecure or parts.scheme in (*_ENCRYPTED, "inproc"):
         return
     host = parts.hostname or ""
     with suppress(ValueError):
