@@ -1,5 +1,6 @@
 """Damage to files, as from bad disks, cut transfers and malice."""
 
+import gzip
 import io
 import re
 import struct
@@ -119,6 +120,13 @@ _KINDS = (
 )
 
 
+def damaged_gzip(content: bytes, rng: np.random.Generator) -> bytes:
+    """Return a damaged file of gzip, or the damaged content in a correct one."""
+    if rng.random() < 1 / 2:
+        return damaged(content, rng)
+    return gzip.compress(damaged(gzip.decompress(content), rng), compresslevel=1)
+
+
 _ODD_NAMES = (
     *("../evil", "/evil", "C:/evil", "a\\..\\..\\evil", "x" * 5000),
     *("é/\u202e", "binaries", ".", "a//b"),
@@ -134,7 +142,7 @@ def damaged_archive(content: bytes, rng: np.random.Generator) -> bytes:
         members = {name: archive.read(name) for name in archive.namelist()}
     # Files that are parsed: mainly XML and JSON.
     texts = [name for name in members if name.endswith((".xml", ".ssd", ".ssv", ".json"))]
-    victim = str(rng.choice(texts if rng.random() < 3 / 4 else list(members)))
+    victim = str(rng.choice(texts if texts and rng.random() < 3 / 4 else list(members)))
     members[victim] = damaged(members[victim], rng)
     if rng.random() < 0.1:
         members[str(rng.choice(_ODD_NAMES))] = members.pop(str(rng.choice(list(members))))

@@ -1,11 +1,14 @@
 """Logs and model files of robots."""
 
+import gzip
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from reader import UF850, Reader, copy_of, text
+
+from damage import damaged_archive, damaged_gzip  # isort: skip
 
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -44,6 +47,60 @@ def _table(path: Path, *, separator: str = ",") -> None:
     if separator != ",":
         text = path.read_text(encoding="utf-8").replace(",", separator).replace(".", ",")
         path.write_text(text, encoding="utf-8")
+
+
+def _columns() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(7)
+    values = rng.normal(size=(60, 6))
+    names = ("q1", "q2", "dq1", "dq2", "tau1", "tau2")
+    return {"t": 0.01 * np.arange(60), **dict(zip(names, values.T, strict=True))}
+
+
+def _npy(path: Path) -> None:
+    columns = _columns()
+    table = np.zeros(60, dtype=[(name, float) for name in columns])
+    for name, values in columns.items():
+        table[name] = values
+    np.save(path, table)
+
+
+def _feather(path: Path) -> None:
+    import pyarrow
+    from pyarrow import feather
+
+    feather.write_feather(pyarrow.table(_columns()), path)
+
+
+def _excel(path: Path) -> None:
+    import openpyxl
+
+    book = openpyxl.Workbook(write_only=True)
+    sheet, columns = book.create_sheet("log"), _columns()
+    sheet.append(list(columns))
+    for row in np.column_stack(list(columns.values())).tolist():
+        sheet.append(row)
+    book.save(path)
+
+
+def _hdf5(path: Path) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for name, values in _columns().items():
+            file.create_dataset(name, data=values)
+
+
+def _encoded(encoding: str) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        _table(path)
+        path.write_bytes(path.read_text(encoding="utf-8").encode(encoding))
+
+    return write
+
+
+def _packed(path: Path) -> None:
+    _table(path.with_suffix(""))
+    path.write_bytes(gzip.compress(path.with_suffix("").read_bytes()))
 
 
 def _recording(path: Path) -> None:
@@ -119,6 +176,22 @@ LOGS_AND_ROBOTS = {
     "rtde": Reader(suffix=".csv", write=_recording, read=_inspected),
     "csv of a stranger": Reader(suffix=".csv", write=_table, read=_inspected),
     "parquet": Reader(suffix=".parquet", write=_table, read=_log),
+    "csv, packed": Reader(suffix=".csv.gz", write=_packed, read=_log, damage=damaged_gzip),
+    "csv in UTF-16": Reader(suffix=".csv", write=_encoded("utf-16"), read=_log),
+    "csv in UTF-16 of a stranger": Reader(
+        suffix=".csv", write=_encoded("utf-16-be"), read=_inspected
+    ),
+    "npy": Reader(suffix=".npy", write=_npy, read=_log),
+    "npz": Reader(
+        suffix=".npz",
+        write=lambda path: np.savez_compressed(path, **_columns()),
+        read=_log,
+        damage=damaged_archive,
+    ),
+    "excel": Reader(suffix=".xlsx", write=_excel, read=_log, damage=damaged_archive),
+    "feather": Reader(suffix=".feather", write=_feather, read=_log),
+    "hdf5": Reader(suffix=".h5", write=_hdf5, read=_log),
+    "hdf5 of a stranger": Reader(suffix=".h5", write=_hdf5, read=_inspected),
     "matlab": Reader(suffix=".mat", write=_matlab("save_classic"), read=_log),
     "matlab 4": Reader(suffix=".mat", write=_matlab_4, read=_log),
     "matlab, packed": Reader(suffix=".mat", write=_matlab("save_compressed"), read=_log),

@@ -262,7 +262,28 @@ def _fmu(path: Path) -> object:
     return told
 
 
+def _write_ssp(path: Path) -> None:
+    from small_fmus import LAGS, lag
+
+    from cosim.systems.contents import read_contents
+    from cosim.systems.ssp import write_ssp
+    from cosim.systems.system import SystemSpec
+
+    file = path.with_name("lags.toml")
+    file.write_text(LAGS.replace("FMU", str(lag(path.parent))), encoding="utf-8")
+    write_ssp(read_contents(SystemSpec.read(file), file), path)
+
+
+def _ssp(path: Path) -> object:
+    from cosim.systems.contents import read_contents
+    from cosim.systems.ssp_reader import opened_system
+
+    with opened_system(path) as spec:
+        return read_contents(spec, path)
+
+
 RESULTS = {
+    "ssp": Reader(suffix=".ssp", write=_write_ssp, read=_ssp, damage=damaged_archive),
     "friction model": Reader(suffix=".json", write=copy_of(UF850 / "table1.json"), read=_model),
     "rigid body": Reader(suffix=".json", write=_write_body, read=_body),
     "run": Reader(suffix=".json", write=_results("run.json"), read=_run),

@@ -5,6 +5,7 @@ Damage k of a reader has the seed k, so a failure is reproduced by
 """
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +17,16 @@ CHILD = Path(__file__).with_name("read_damaged.py")
 MOST_MEMORY = (20, 500 * 2**20)
 """Memory limit: multiple of the input, plus bytes."""
 
-NEEDS = {".mat": "h5py", ".bag": "rosbags", ".db3": "rosbags", ".mcap": "rosbags"}
+MANY = int(os.environ.get("DAMAGED", "2000"))  # files of each kind
+
+NEEDS = {
+    ".xlsx": "openpyxl",
+    ".h5": "h5py",
+    ".mat": "h5py",
+    ".bag": "rosbags",
+    ".db3": "rosbags",
+    ".mcap": "rosbags",
+}
 
 
 def read_damaged(name: str, first: int, count: int, folder: Path) -> None:
@@ -48,4 +58,4 @@ def test_a_damaged_file_is_read_or_refused(name: str, tmp_path: Path) -> None:
 @pytest.mark.soak
 @pytest.mark.parametrize("name", READERS)
 def test_many_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
-    read_damaged(name, 200, 2000, tmp_path)
+    read_damaged(name, 200, MANY, tmp_path)
