@@ -6,7 +6,7 @@ from pathlib import Path
 from closed_loop import MOTION
 from interop.case import Alone, Case, Together, opened_case
 from interop.drive import driven
-from systems import closed_system, open_system
+from systems import closed_system, observed_system, observer_content, open_system
 
 from fmu_src import export_fmu, model_file
 from fmu_src.blocks.controller import controller
@@ -28,12 +28,12 @@ from hesr_model.support.files import models_folder
 
 NAMES = (
     "friction", "exact", "lugre", "adaptive", "trajectory", "body", "controller", "arm", "open",
-    "closed",
+    "observed", "closed",
 )  # fmt: skip
 
 OF_FMI_3 = (
     "friction", "exact", "lugre", "adaptive", "drive", "trajectory", "body", "controller",
-    "velocity",
+    "velocity", "observer",
 )  # fmt: skip
 """FMUs that are also run in FMI 3.0."""
 
@@ -48,9 +48,9 @@ LUGRE = {
 
 def every_case(folder: Path) -> list[Case]:
     """Build all FMUs and systems in a folder."""
-    files = (open_system(folder / "open"), closed_system(folder / "closed"))
-    systems = [system(file, folder) for file in files]
-    return [*alone(folder, systems[1]), *systems]
+    makers = {"open": open_system, "observed": observed_system, "closed": closed_system}
+    systems = [system(make(folder / name), folder) for name, make in makers.items()]
+    return [*alone(folder, systems[-1]), *systems]
 
 
 def system(path: Path, folder: Path) -> Together:
@@ -84,6 +84,7 @@ def of_both_versions(folder: Path) -> dict[str, tuple[Alone, Alone]]:
         "body": inverse_dynamics(robot, robot.nominal_parameters),
         "controller": controller(joints),
         "velocity": velocity(joints),
+        "observer": observer_content(),
     }
     frictions = {"friction": table1, "exact": table1, "lugre": lugre()}
     starts = {"exact": EXACT, "trajectory": start_values(MOTION)}

@@ -225,7 +225,8 @@ def read_signals(
         with path.open(newline="", encoding="utf-8") as file:
             header, *lines = csv.reader(file, delimiter=delimiter)
         names = [element for name in header for element in (arrays or {}).get(name, (name,))]
-        rows = [[text for cell in line for text in cell.split()] for line in lines]
+        truth = {"false": "0", "true": "1"}
+        rows = [[truth.get(x, x) for cell in line for x in cell.split()] for line in lines]
         columns = np.array(rows, dtype=float).reshape(-1, len(names)).T
     except (OSError, ValueError) as error:
         raise FailedError(f"it left no result that can be read ({error})") from error

@@ -11,7 +11,7 @@ from interop.engine import Engine, Tools
 from interop.engines import ENGINES
 from interop.matrix import EngineResult
 
-SYSTEMS = ("open", "closed")
+SYSTEMS = ("open", "observed", "closed")
 REASONS = (
     "it runs systems",
     "it runs one FMU only",
