@@ -27,7 +27,7 @@ from hesr_model.support.files import (
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 
 FILES = 60
-KILLS = int(os.environ.get("KILLS", "200"))
+KILLS = int(os.environ.get("KILLS", "200"))  # in the soak test
 
 WRITER = f"""
 import os, sys
