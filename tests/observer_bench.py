@@ -116,14 +116,26 @@ def arm(own: Bench) -> Iterator[FmuInstance]:
         yield fmu
 
 
-def moved(fmu: FmuInstance, seed: int, push: Array | None = None) -> tuple[Log, Array]:
-    """Run the arm along a motion under `push` (N, 3) [N.m]; return its log, and the true speeds."""
+def moved(
+    fmu: FmuInstance,
+    seed: int,
+    push: Array | None = None,
+    *,
+    payload: float = 0.0,
+    noise: float = 1.0,
+) -> tuple[Log, Array]:
+    """Run the arm along a motion under `push` (N, 3) [N.m]; return its log, and the true speeds.
+
+    With a `payload` [kg], and `noise` of torques relative to the usual one.
+    """
     desired = motion(seed)
     commands = np.diff(desired, axis=0) / STEP
     push = np.zeros_like(commands) if push is None else push
     if fmu.used:
         fmu.reset()
-    start = {"q0": tuple(desired[0]), "noise_seed": (seed, 0)}
+    torque_noise = tuple(noise * x for x in (1.5, 1.5, 0.6))
+    start = {"q0": tuple(desired[0]), "noise_seed": (seed, 0), "payload": payload}
+    start |= {"tau_meas_noise": torque_noise}
     fmu.initialise(start=fmu.variables.expanded(start))
     joints = (1, 2, 3)
     inputs = fmu.buffer([f"{name}[{i}]" for name in ("dq_cmd", "push") for i in joints])

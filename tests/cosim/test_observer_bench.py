@@ -56,3 +56,26 @@ def test_contacts_are_found_without_false_alarms(
     assert min(tried["motion"], tried["rest"], tried["reversal"]) >= 10, tried
     assert found.total() >= 0.95 * tried.total(), (found, tried)
     assert found["reversal"] >= 0.95 * tried["reversal"], (found, tried)
+
+
+@pytest.mark.ci
+def test_a_wrong_payload_is_external_and_noise_is_not(tmp_path: Path) -> None:
+    own = bench(tmp_path / "arm", None, "parfam_s")
+    seeds, mass = seeds_within(own, 3000, 4), 3.0
+    with arm(own) as fmu:
+        unseen = [moved(fmu, seed)[0] for seed in seeds_within(own, 1000, CALIBRATION)]
+        limits = limits_of(own.law, own.plant, unseen)
+        loaded = [moved(fmu, seed, payload=mass)[0] for seed in seeds]
+        noisy = [moved(fmu, seed, noise=1.5)[0] for seed in seeds]
+    for run, log in zip(observed_logs(own.law, own.plant, limits, loaded), loaded, strict=True):
+        assert run.contact.mean() > 0.5
+        # Its weight at the end of the arm acts on joints 2 and 3, not on the upright joint 1.
+        moving = np.abs(run.outputs["tau_ext"][200:]).mean(axis=0)
+        assert moving[1] > 10.0 * moving[0]
+        assert np.ptp(log.q[:, 1]) > 0.1
+    for run in observed_logs(own.law, own.plant, limits, noisy):
+        assert alarms(run) <= 1
+        inside = (
+            np.abs(run.outputs["tau_ext"]) <= run.outputs["tau_ext_upper"] - run.outputs["tau_ext"]
+        )
+        assert inside.mean() > 0.75

@@ -11,6 +11,7 @@ import pytest
 from mujoco import rollout
 
 from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.pages.drive_page import holding_torque
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
 from hesr.extras.mujoco_plugin import plugin_library
@@ -144,6 +145,25 @@ def test_friction_brings_a_joint_to_rest(
     assert np.abs(speeds[-1000:]).max() < 1e-3
     # About 6 N.m of Coulomb friction stop 5 kg.m2 within 3 s.
     assert 1.0 < 0.002 * int(np.argmax(np.array(speeds) < 0.01)) < 3.0
+
+
+def test_a_joint_at_rest_holds_small_pushes(
+    registry_models: dict[str, FrictionModel], plugins: Path
+) -> None:
+    model = registry_models["parfam_s"]
+    m = scene(plugin_of(model, "holding", plugins), ("j1",))
+    m.opt.gravity[:], m.dof_armature[:] = 0.0, 1.0
+    held, crept = holding_torque(model.laws[0]), []
+    assert held > 1.0
+    for share in (0.5, -0.5, 3.0):
+        d = mujoco.MjData(m)
+        d.qfrc_applied[:] = share * held
+        mujoco.mj_step(m, d, 2500)
+        middle = d.qpos[0]
+        mujoco.mj_step(m, d, 2500)
+        crept.append(abs(d.qpos[0] - middle))
+    assert max(crept[:2]) < 1e-4
+    assert crept[2] > 100.0 * max(crept[:2])
 
 
 def loading(plugin: Path, code: str = "mujoco.mj_loadPluginLibrary(p)") -> str:
