@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import prod
 
@@ -294,10 +294,10 @@ class _Reader3(_Reader):
         ]
         known = [size for size in parts if size is not None]
         usual = "continuous" if found.kind in FLOATS else "discrete"
-        return replace(
-            found,
-            variability=element.get("variability", usual),
-            own=own,
-            size=prod(known) if len(known) == len(parts) else None,
-            others=names_of(element.findall("Alias")),
-        )
+        more = {
+            "variability": element.get("variability", usual),
+            "own": own,
+            "size": prod(known) if len(known) == len(parts) else None,
+            "others": names_of(element.findall("Alias")),
+        }
+        return ParsedVariable(**(vars(found) | more))  # faster than `replace`

@@ -40,7 +40,8 @@ def validate(file: str) -> tuple[list[str], str]:
     except Exception as error:
         # FMPy raises bare exceptions for violations; others are its own faults.
         said = str(error) or type(error).__name__
-        return ([said], "") if type(error) is Exception else ([], f"{type(error).__name__}: {said}")
+        problems = getattr(error, "problems", [said] if type(error) is Exception else [])
+        return problems, "" if problems else f"{type(error).__name__}: {said}"
     return [problem for problem in dict.fromkeys(found) if not _of_fmi_3(problem, exempt)], ""
 
 

@@ -33,7 +33,8 @@ def _ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
     if v.kind not in ("Real", "Integer", "Enumeration", *about.continuous) and "Int" not in v.kind:
         return
     low, high = (real(v.get(name)) for name in ("min", "max"))
-    starts = [real(text) for text in (v.get("start") or "").split()]
+    bounded = low is not None or high is not None
+    starts = [real(text) for text in (v.get("start") or "").split()] if bounded else []
     if low is not None and high is not None and low > high:
         yield "variable-range", f"has min {low:.15g}, above its max {high:.15g}."
     elif outside := [
@@ -45,8 +46,7 @@ def _ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
         bounds = [f"{k} {x:.15g}" for k, x in (("min", low), ("max", high)) if x is not None]
         text = f"has the start value {outside[0]:.15g}, outside its {' and '.join(bounds)}."
         yield "variable-range", text
-    nominal = real(v.get("nominal"))
-    if nominal is not None and nominal <= 0:
+    if (nominal := real(v.get("nominal"))) is not None and nominal <= 0:
         yield "variable-nominal", f"has the nominal value {nominal:.15g}; it must be positive."
     if v.kind == "Enumeration" and v.type and v.type.kind == "Enumeration":
         value = integer(v.own.get("start"))
