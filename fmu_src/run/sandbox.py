@@ -279,11 +279,6 @@ class SandboxedInstance:
             self._call(self._functions["read"], "read", buffer.number)
         buffer.values[:] = np.frombuffer(self._known[buffer.number])
 
-    def setup(self, time: float, stop: float | None) -> None:
-        """Announce start and end of the experiment [s]."""
-        self.sandbox.begin()
-        self._call(self._functions["setup"], "setup", time, stop)
-
     def close(self, *, stepping: bool) -> None:
         """Terminate and free the instance."""
         self.sandbox.seconds = min(self.sandbox.seconds, _FAREWELL)
@@ -304,9 +299,12 @@ class SandboxedInstance:
         return found
 
     def _do(self, method: str, *arguments: Any) -> Any:
+        if method == "setup":
+            self.sandbox.begin()
         kind = self._fmi.kind(arguments[0], None)[0] if method in ("set", "get") else ""
         return self._call(f"{self._functions[method]}{kind}", method, *arguments)
 
+    setup = partialmethod(_do, "setup")
     enter_initialisation = partialmethod(_do, "enter_initialisation")
     exit_initialisation = partialmethod(_do, "exit_initialisation")
     reset = partialmethod(_do, "reset")
