@@ -19,14 +19,8 @@ class Clearance:
 
     The geometry of a model file counts if all its meshes can be read (`exact`). Links with a common
     joint, and links that touch in nearly all poses, are not checked against each other; neither are
-    planes and links before the second joint that always touch them.
-
-    Parameters
-    ----------
-    robot : robot.
-    planes : unit normal (3,) and offset [m] of each plane in the frame of the base.
-    margin : smallest allowed distance [m].
-    radius : radius of the capsules [m]; default: 4 % of the arm's length.
+    planes and links before the second joint that always touch them. `margin` is the smallest
+    distance [m], `radius` that of the capsules [m], by default 4 % of the arm's length.
     """
 
     def __init__(
@@ -37,10 +31,11 @@ class Clearance:
         self._geometry: Any = robot.geometry or self._capsules(robot, radius)
         links = self._geometry.ngeoms
         for k, (*normal, offset) in enumerate(planes, start=1):
-            wall = self._pin.coal.Halfspace(np.array(normal), offset)
-            place = self._pin.SE3.Identity()
-            body = self._pin.GeometryObject(f"plane {k}", 0, place, wall)
-            self._geometry.addGeometryObject(body)
+            wall, place = (
+                self._pin.coal.Halfspace(np.array(normal), offset),
+                self._pin.SE3.Identity(),
+            )
+            self._geometry.addGeometryObject(self._pin.GeometryObject(f"plane {k}", 0, place, wall))
         parents, of = list(self._model.parents), self._geometry.geometryObjects
         joint = [int(body.parentJoint) for body in of]
         pairs = [

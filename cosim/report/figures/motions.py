@@ -101,10 +101,7 @@ def excitation(path: Path, motion: Excitation, joints: Sequence[str]) -> None:
 def limited_motion(
     t: Array, q: Array, dq: Array, limits: Limits, joints: Sequence[str], *, speeds: bool = False
 ) -> Figure:
-    """Draw positions and velocities (N, n) with their limits, and the time at each of the speeds.
-
-    Speeds of either direction are on a logarithmic axis.
-    """
+    """Draw positions and velocities (N, n) with limits, and the time at `speeds` both ways."""
     figure = Figure(figsize=(_WIDTH, _DESIGN_ROW * len(joints)), layout="constrained")
     axes = figure.subplots(len(joints), 3 if speeds else 2, sharex="col", squeeze=False)
     for k, (joint, row) in enumerate(zip(joints, axes, strict=True)):
@@ -113,15 +110,14 @@ def limited_motion(
         row[0].set_ylabel(joint)
         if speeds:
             edges = np.geomspace(1e-3, 1.0, _BINS // 2) * limits.velocity.max()
-            for sign, colour in ((1.0, SERIES[0]), (-1.0, SERIES[1])):
+            for sign in (1.0, -1.0):
                 counts, _ = np.histogram(sign * dq[:, k], edges)
-                row[2].stairs(sign * counts * (t[1] - t[0]), edges, color=colour, fill=True)
+                row[2].stairs(sign * counts * (t[1] - t[0]), edges, color=SERIES[0], fill=True)
             row[2].set_xscale("log")
-    titles = "position [rad; m where prismatic]", "velocity [rad/s; m/s where prismatic]"
-    for axis, title in zip(axes[0], (*titles, "s at each speed, + and -"), strict=False):
-        axis.set_title(title)
-    for axis, label in zip(axes[-1], ("t [s]", "t [s]", "speed [rad/s; m/s]"), strict=False):
-        axis.set_xlabel(label)
+    titles = "position [rad; m where prismatic]", "velocity [rad/s; m/s where prismatic]", "s spent"
+    for k, axis in enumerate(axes[0]):
+        axis.set_title(titles[k])
+        axes[-1, k].set_xlabel(("t [s]", "t [s]", "speed [rad/s; m/s], both ways")[k])
     return figure
 
 

@@ -20,25 +20,14 @@ _ALLOWED = 0.2  # default friction over the torque limit
 
 
 class MotionSettings(ExcitationSettings):
-    """Settings of planned motions.
+    """Settings of planned motions."""
 
-    Attributes
-    ----------
-    start : start pose (n,) [rad or m]; default: a free pose near the middle of the ranges.
-    planes : floor and walls: unit normal (3,) towards the free space, and offset [m], in the frame
-        of the base.
-    clearance : smallest distance between bodies [m].
-    radius : radius of the capsules around links without geometry [m].
-    friction : friction (n,) [N.m or N] that the torque limit must allow for; default: 20 % of it.
-    margin : share of velocity, acceleration and torque limits that is kept free.
-    """
-
-    start: tuple[float, ...] | None = None
-    planes: tuple[Plane, ...] = ()
-    clearance: float = Field(default=0.03, ge=0)
-    radius: Positive | None = None
-    friction: tuple[float, ...] | None = None
-    margin: float = Field(default=0.05, ge=0, lt=1)
+    start: tuple[float, ...] | None = None  # (n,) [rad or m]; near the middle of the ranges
+    planes: tuple[Plane, ...] = ()  # floor and walls
+    clearance: float = Field(default=0.03, ge=0)  # smallest distance between bodies [m]
+    radius: Positive | None = None  # of the capsules around links without geometry [m]
+    friction: tuple[float, ...] | None = None  # (n,) [N.m or N]; 20 % of the torque limit
+    margin: float = Field(default=0.05, ge=0, lt=1)  # free share of all limits but position
 
 
 class Guard:

@@ -27,13 +27,12 @@ _NO_LIMIT = 1e12  # [N.m] of a motion without torque limits
 _NEAR = 1.5  # [s] at full speed: how far Fourier motions go from the start pose
 _SHORTEST = 6.0  # [s] of the strokes in a pose
 
+Groups = list[list[Pulse]]  # strokes that return to where they began
+
 
 @dataclass(frozen=True, kw_only=True)
 class Mix:
-    """Shares of time of steady speeds, nested reversals and rests; range of speeds over the limit.
-
-    `why` states their purpose.
-    """
+    """Shares of time of steady speeds, reversals and rests; speeds over the limit; reason."""
 
     steady: float = 0.85
     nested: float = 0.1
@@ -106,8 +105,8 @@ class Planner:
             _ROOM * (limits.upper - limits.lower), 1.6 * limits.velocity**2 / limits.acceleration
         )
         for number, poses in enumerate([*self._poses(full), (self.start, self.start)]):
-            path = pairwise((self.start, *poses, self.start))
-            moves = [moved(a, b, limits, self.rate) for a, b in path]
+            path = (self.start, *poses, self.start)
+            moves = [moved(a, b, limits, self.rate) for a, b in pairwise(path)]
             each = (count - 1 - sum(map(len, moves))) // 2
             budget = each / self.rate - 2.0 * _PAUSE
             if budget < _SHORTEST:
@@ -126,13 +125,11 @@ class Planner:
                 )
                 for k, pose in enumerate(poses)
             ]
-            rows = np.concatenate(
-                [self.start[None], moves[0], pieces[0], moves[1], pieces[1], moves[2]]
-            )
+            rows = np.vstack([self.start, moves[0], pieces[0], moves[1], pieces[1], moves[2]])
             rest = np.tile(self.start, (count - len(rows), 1))
             first, second = 1 + len(moves[0]), 1 + len(moves[0]) + each + len(moves[1])
             parts = ("pose 1", first, first + each), ("pose 2", second, second + each)
-            yield self._motion(np.concatenate([rows, rest]), *parts)
+            yield self._motion(np.vstack([rows, rest]), *parts)
 
     def _poses(self, room: Array) -> Iterator[tuple[Array, Array]]:
         """Yield free pairs of poses, far apart in gravity and near in position first."""
@@ -200,9 +197,7 @@ class Planner:
         return np.asarray(q + self.start - motion.sample(np.zeros(1))[0])
 
 
-def _steady(
-    mix: Mix, time: float, room: float, speed: float, acceleration: float
-) -> list[list[Pulse]]:
+def _steady(mix: Mix, time: float, room: float, speed: float, acceleration: float) -> Groups:
     """Return strokes there and back at speeds that rise by equal factors."""
     high = min(mix.high * speed, float(np.sqrt(room * acceleration / 1.5)))
     while high > 1e-3 * speed:
@@ -220,7 +215,7 @@ def _steady(
     return []
 
 
-def _nested(time: float, room: float, speed: float, acceleration: float) -> list[list[Pulse]]:
+def _nested(time: float, room: float, speed: float, acceleration: float) -> Groups:
     """Return sets of strokes with decreasing way, each within the one before, and one back."""
     sets = max(1, round(time / _SET))
     count = int(np.clip(time / sets / 0.6, 3, _NESTED))
@@ -230,7 +225,7 @@ def _nested(time: float, room: float, speed: float, acceleration: float) -> list
     return [[(way / ramp, ramp, 0.0, 0.0) for way in [*ways.tolist(), -float(ways.sum())]]] * sets
 
 
-def _rests(time: float, room: float, speed: float, acceleration: float) -> list[list[Pulse]]:
+def _rests(time: float, room: float, speed: float, acceleration: float) -> Groups:
     """Return rests of lengths that rise by equal factors, each after a slow break-away."""
     count = int(np.clip(time / 2.0, 1, _RESTS))
     ramp = min(1.0, time / (8.0 * count))

@@ -27,10 +27,8 @@ def write_csv(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> None:
 def write_columns(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> None:
     """Write t, q1.., dq1.., ddq1.. as a table."""
     t, *values = motion.setpoints()
-    columns = {"t": t}
-    for name, of_joints in zip(("q", "dq", "ddq"), values, strict=True):
-        columns |= {f"{name}{k}": of_joints[:, k - 1] for k in range(1, len(joints) + 1)}
-    write_table(path, columns)
+    names = [f"{name}{k}" for name in ("q", "dq", "ddq") for k in range(1, len(joints) + 1)]
+    write_table(path, {"t": t} | dict(zip(names, np.hstack(values).T, strict=True)))
 
 
 def write_urscript(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> None:
