@@ -186,8 +186,7 @@ class FrictionRegressor:
             found = found.reshape(len(found), -1)
             wanted = torques(y, len(found))
         spread = np.std(wanted, axis=0)
-        errors = [rmse(e) for e in (found - wanted).T]
-        pairs = zip(errors, spread, strict=True)
+        pairs = zip([rmse(e) for e in (found - wanted).T], spread, strict=True)
         return float(np.mean([1.0 - (e / s) ** 2 if s else float(e == 0.0) for e, s in pairs]))
 
     def equation(self) -> str:

@@ -60,8 +60,7 @@ def require_reachable(tracking: closed_loop.Tracking, robot: Robot) -> None:
     t = np.linspace(0.0, tracking.duration, 2001)
     for seed in tracking.seeds:
         q = _fourier(tracking, seed).sample(t)[0]
-        what = f"tracking: the motion of seed {seed}"
-        require_within(limits, q, robot.description.joints, what)
+        require_within(limits, q, robot.description.joints, f"tracking: the motion of seed {seed}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,8 +225,7 @@ def run_tracking(loop: StudyLoop, *, quick: bool = False) -> tuple[list[Tracked]
     if quick:
         desired = (row for row in loop.rows() if row.scheme.source == "desired")
         rows = [row for row in desired if not row.scheme.Kx]
-        found = loop.track(rows, motions(tracking), tracking.duration, "tracking", traced=True)
-        return found, []
+        return loop.track(rows, motions(tracking), tracking.duration, "tracking", traced=True), []
     long = motions(tracking, int(np.ceil(tracking.drift / tracking.duration)))[:1]
     return (
         loop.track(loop.rows(), motions(tracking), tracking.duration, "tracking", traced=True),

@@ -46,8 +46,7 @@ def run_sweeps(
             few = replace(t, scheme=scheme, rmse=rmse[:_MOTIONS], last=last[:_MOTIONS], trace=None)
             found[scheme, t.law] = few
     left = [row for row in rows if (row.scheme, row.law) not in found]
-    some = motions(loop.tracking)[:_MOTIONS]
-    run = loop.track(left, some, loop.tracking.duration, "robustness")
+    run = loop.track(left, motions(loop.tracking)[:_MOTIONS], loop.tracking.duration, "robustness")
     found |= {(t.scheme, t.law): t for t in run}
     return [found[row.scheme, row.law] for row in rows]
 

@@ -62,8 +62,7 @@ def run_loop(
     findings = write_loops(loop, robot, body, models, folder)
     progress("building the loop", 1, 1)
     tables, long = run_tracking(loop, quick=quick)
-    runs = [(t.scheme, t.law, t.trace) for t in tables if t.trace]
-    write_traces(folder / TRACES, runs)
+    write_traces(folder / TRACES, [(t.scheme, t.law, t.trace) for t in tables if t.trace])
     return LoopOutcome(
         tracking=tables,
         long=long,

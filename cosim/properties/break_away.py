@@ -101,8 +101,7 @@ def hold(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     bench.start(load=load, torque=scale.offset)
     _put_on(bench, scale, load)
     dt = np.full(600, MINUTE / 600)
-    q = bench.run(dt)[0]
-    return _drifting(np.concatenate([[0.0], np.cumsum(dt[1:])]), q)
+    return _drifting(np.concatenate([[0.0], np.cumsum(dt[1:])]), bench.run(dt)[0])
 
 
 def dither(bench: DriveBench, scale: Scale) -> list[PropertyResult]:

@@ -172,8 +172,7 @@ def _with_moving_load(bench: FrictionBench, trained: list[TrainedRange]) -> list
             np.column_stack([getattr(m, part) for m in motions]) for part in ("dq", "q", "load")
         )
         bench.start(load=load[0], exact=False, dq=dq[0])
-        dt = np.full(len(dq), trained[0].sample_time)
-        tau = bench.move(dt, dq, q, load)
+        tau = bench.move(np.full(len(dq), trained[0].sample_time), dq, q, load)
         for joint, motion in enumerate(motions):
             rows = slice(-motion.rows, None)
             power = np.abs(tau[rows, joint] * motion.dq[rows]).sum() * trained[0].sample_time

@@ -30,8 +30,7 @@ def write_junit(path: Path, reports: Sequence[Report]) -> None:
             case = ET.SubElement(suite, "testcase", name=name, classname=str(report.path))
             text = "\n".join(f"{finding.severity}: {finding.found}" for finding in found)
             if _failing(found):
-                failure = ET.SubElement(case, "failure", message=found[0].found, type=name)
-                failure.text = text
+                ET.SubElement(case, "failure", message=found[0].found, type=name).text = text
             elif found:
                 ET.SubElement(case, "system-out").text = text
     ET.indent(root)

@@ -108,8 +108,7 @@ def short(results: Results) -> ResultTable:
     test, best = results.tests[0], results.best
     scores = results.comparisons[test]
     references = [scores.ratios.of(best, k) for k in range(len(scores.joints))]
-    whole = errors(test, scores, sliding=results.sliding)
-    return _rows(whole, [*references, papers_law(), best])
+    return _rows(errors(test, scores, sliding=results.sliding), [*references, papers_law(), best])
 
 
 def _rows(table: ResultTable, laws: Sequence[str]) -> ResultTable:

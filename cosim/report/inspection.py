@@ -128,8 +128,7 @@ def _line(name: str, x: Array, y: Array, stroke: Stroke) -> Line:
 
 def _velocities(part: Motionwise, j: int) -> Sequence[Line]:
     raw = part.log
-    stroke = Stroke(colour=SERIES[1], width=0.9)
-    own = _line("from the position", part.t, part.v[:, j], stroke)
+    own = _line("from the position", part.t, part.v[:, j], Stroke(colour=SERIES[1], width=0.9))
     return (own,) if raw.dq is None else (_line("logged", raw.t, raw.dq[:, j], MEASURED), own)
 
 
@@ -141,5 +140,4 @@ def _friction(examination: Examination, k: int, j: int) -> Line | None:
     for estimate, torque in ((fit.gravity, of_model.gravity), (fit.inertia, of_model.inertial)):
         if np.isfinite(estimate.error):
             left -= estimate.value * torque[:, j]
-    stroke = Stroke(colour=SERIES[0], width=0.6)
-    return _line("friction", part.v[:, j], left - left.mean(), stroke)
+    return _line("friction", part.v[:, j], left - left.mean(), Stroke(colour=SERIES[0], width=0.6))

@@ -102,8 +102,7 @@ class Results:
     def key_laws(self) -> list[str]:
         """Laws of figures."""
         paper, *others = laws_of_paper()
-        named = dict.fromkeys((paper, self.best, *others))
-        return [law for law in named if law in self.models]
+        return [law for law in dict.fromkeys((paper, self.best, *others)) if law in self.models]
 
     @cached_property
     def audits(self) -> Mapping[str, ModelAudit]:
@@ -123,8 +122,7 @@ class Results:
 
     def log_of(self, role: str) -> SavedLog | None:
         """Return the first log of a role whose torques are saved."""
-        logs = (log for log in self.run.logs if role in log.roles and log.trace)
-        return next(logs, None)
+        return next((log for log in self.run.logs if role in log.roles and log.trace), None)
 
     def torques(self, log: SavedLog) -> dict[str, Array]:
         """Return the torques of a log over time; see `write_torques`."""

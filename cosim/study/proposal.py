@@ -58,8 +58,7 @@ def split(logs: Sequence[Log]) -> Split:
     whole = sum(durations)
     moved = np.array([np.ptp(log.q, axis=0) > LEAST_TRAVEL for log in logs])
     sums = {k: sum(durations[-k:]) for k in range(1, len(logs))}
-    long = (k for k, tested in sums.items() if tested >= LEAST_SECONDS)
-    tested = next(long, 1)
+    tested = next((k for k, tested in sums.items() if tested >= LEAST_SECONDS), 1)
     tested = tested if whole - sums.get(tested, 0.0) >= _LEAST_TRAINED * whole else 1
     if len(logs) > 1 and np.array_equal(moved[:-tested].any(axis=0), moved.any(axis=0)):
         return Split(tested=tested, seconds=sums[tested])

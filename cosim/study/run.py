@@ -182,8 +182,7 @@ def score_study(
     if study.twin is None:  # the twin's logs are new in each run
         source |= {"created": newest([files[name] for name in job.trained_on])}
     replace(rigid_body, provenance=source).write(folder / "rigid_body.json")
-    decouple = partial(friction_records, model=model, rigid_body=rigid_body)
-    runs = _runs(job, files, logs, decouple)
+    runs = _runs(job, files, logs, partial(friction_records, model=model, rigid_body=rigid_body))
     records = {
         name: [
             [run.rows(slice(-len(part.t), None)) for run in of_joints]

@@ -253,8 +253,7 @@ def _against_best(
     tied = [law for law in others if adjusted[law] >= SIGNIFICANCE]
     detectable = {law: x for law in others if (x := found[law].detectable) is not None}
     durations = [table.seconds_for(law, best, RECORDED, len(others)) for law in tied or others]
-    seconds = float(np.median(durations))
-    return (best, *tied), detectable, seconds
+    return (best, *tied), detectable, float(np.median(durations))
 
 
 def _band_scores(

@@ -160,8 +160,7 @@ class Job:
         part = self.study.logs.parts.get(name)
         if part is None or part.start == 0.0:
             return None
-        whole = part.model_copy(update={"start": 0.0})
-        return self._part(Log.read(file, self.robot), name, whole)
+        return self._part(Log.read(file, self.robot), name, part.model_copy(update={"start": 0.0}))
 
     def _part(self, log: Log, name: str, part: Part) -> Log:
         since = log.t - log.t[0]
@@ -246,8 +245,7 @@ class Job:
             }
             friction = self.fit(records, (law,), "refining the rigid body", {})[law]
             if refinement.kind == "output_error":
-                moved = smoothed(list(training.values()), model)
-                together = refine(model, found, friction, moved)
+                together = refine(model, found, friction, smoothed(list(training.values()), model))
                 found, refined = together.body, {law: together.friction}
             else:
                 found = identify_again(forward, model, found, friction, reversed_logs=backward)
@@ -294,8 +292,7 @@ class Job:
             reasons[law] = str(error)
             _log.warning("law '%s' is left out: %s", law, error)
 
-        models = self.fit(records, self.laws, "fitting laws", source, left_out=leave_out)
-        return models, reasons
+        return self.fit(records, self.laws, "fitting laws", source, left_out=leave_out), reasons
 
     def compare(
         self,

@@ -100,8 +100,7 @@ def verdict(
     law = laws[0] if len(set(laws)) == 1 else MIXED
     shares = scores.unexplained(scores.of(laws).rmse)
     percent = {joint: 100.0 * share for joint, share in zip(scores.joints, shares, strict=True)}
-    pairs = zip(separation(scores), laws, strict=True)
-    joints = tuple(replace(one, law=own) for one, own in pairs)
+    joints = tuple(replace(one, law=own) for one, own in zip(separation(scores), laws, strict=True))
     return Verdict(
         law=law,
         fmu=f"fmus/{law}.fmu",

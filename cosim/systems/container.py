@@ -217,8 +217,7 @@ def _connections(contents: SystemContents, place: Mapping[str, int]) -> Iterator
 
     def known(output: Element) -> bool:
         name, variable = output
-        needed = variables[name].feedthrough[variable]
-        return not any((name, into) in waiting for into in needed)
+        return not any((name, into) in waiting for into in variables[name].feedthrough[variable])
 
     def kind_of(into: Element) -> str:
         kinds = {variables[name][own].type for name, own in (into, sources[into])}

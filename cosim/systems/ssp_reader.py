@@ -291,8 +291,7 @@ class _Reader:
                 units = read_units(_all(values, "ssv:Units/ssc:Unit"), f"{self.path}: {where}")
                 for parameter in _all(values, "ssv:Parameters/ssv:Parameter"):
                     name = self.attribute(parameter, "name", f"{where}: a parameter")
-                    about = f"{where}: parameter '{name}'"
-                    value = self.value(parameter, units, about)
+                    value = self.value(parameter, units, f"{where}: parameter '{name}'")
                     if mapping is None:
                         self.assign(place, prefix + name, value)
                         continue

@@ -115,8 +115,7 @@ def fit(
             raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
     fitted = _fitted_law(law, add, options)
     read = checked_logs(logs, robot, accept, progress)
-    body = body_of(rigid_body, read.logs, read.robot)
-    records = read.records(body)
+    records = read.records(body_of(rigid_body, read.logs, read.robot))
     if fitted is None:
         model = _fit(str(law), records, read, rigid_body, seed, options or {}, progress)
     else:

@@ -183,8 +183,7 @@ def _exports(
 
 
 def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[Problem]:
-    required = functions.REQUIRED[kind.element]
-    missing = [name for name in required if name not in exports]
+    missing = [name for name in functions.REQUIRED[kind.element] if name not in exports]
     prefixed = [name for name in missing if f"{kind.identifier}_{name}" in exports]
     if prefixed:
         yield (

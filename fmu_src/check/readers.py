@@ -96,8 +96,7 @@ def inspect(file: str) -> dict[str, Any]:
     if lief.is_pe(file):
         return _answer("PE", [_pe(lief.PE.parse(file))])
     if lief.is_macho(file):
-        parts = lief.MachO.parse(file)
-        return _answer("Mach-O", [_mach_o(part) for part in parts or ()])
+        return _answer("Mach-O", [_mach_o(part) for part in lief.MachO.parse(file) or ()])
     return _answer(None, [])
 
 

@@ -113,8 +113,7 @@ class _Found:
             self.skipped.append(f"All other checks: {_MODEL} could not be read.")
             return
         version = str(root.get("fmiVersion", ""))
-        problems = markup.schema_problems(_MODEL, contents.files[_MODEL], self._folder)
-        invalid = self._add(problems)
+        invalid = self._add(markup.schema_problems(_MODEL, contents.files[_MODEL], self._folder))
         file = contents.files.get(_BUILD)
         about = read_description(root, markup.parse(_BUILD, file)[0] if file else None)
         if version != "1.0":

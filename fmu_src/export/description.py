@@ -289,8 +289,7 @@ def _unknowns(
     for variable in unknowns:
         names = table.made_of(variable, known, initially=initially)
         numbers = " ".join(map(str, sorted({table.places[name] + 1 for name in names})))
-        index = _index(table, variable.name)
-        ET.SubElement(parent, "Unknown", index=index, dependencies=numbers)
+        ET.SubElement(parent, "Unknown", index=_index(table, variable.name), dependencies=numbers)
 
 
 def _index(table: Interface, name: str) -> str:

@@ -98,5 +98,4 @@ def _own(
             if not isinstance(parameter, Parameter):
                 raise TypeError(f"'{parameter.name}' has no start value")
             unit = unit_of_joint(parameter.unit, slides=slides)
-            text = parameter.description
-            yield Variable(name, "tunable", text, unit=unit, start=parameter.start)
+            yield Variable(name, "tunable", parameter.description, unit=unit, start=parameter.start)

@@ -89,8 +89,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         return self._text(self._readable(expression))
 
     def _readable(self, expression: sympy.Expr) -> sympy.Expr:
-        shown = expression.xreplace(self._values).xreplace(self._replaced)
-        return shown.replace(sympy.exp, _EXP)
+        return expression.xreplace(self._values).xreplace(self._replaced).replace(sympy.exp, _EXP)
 
     def _text(self, expression: sympy.Expr) -> str:
         written: str = self._print(expression).toxml()

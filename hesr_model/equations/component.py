@@ -210,8 +210,7 @@ def in_order(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> Iterator[sympy.S
             )
         if symbol in done:
             return
-        used = sorted(expressions[symbol].free_symbols & expressions.keys(), key=str)
-        for other in used:
+        for other in sorted(expressions[symbol].free_symbols & expressions.keys(), key=str):
             yield from visit(other, (*path, symbol))
         done.add(symbol)
         yield symbol

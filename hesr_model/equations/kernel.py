@@ -94,8 +94,7 @@ class KernelRun(ProgramRun):
         if settled and start is not None:
             self.starts[:] = start if start.ndim > 1 else start[:, None]
         elif len(self.starts):
-            at_rest = self._start if start is None else start
-            self._first.on(np.concatenate([numbers, at_rest]))
+            self._first.on(np.concatenate([numbers, self._start if start is None else start]))
             self.starts[:] = self._first.found.T
         return self.starts
 

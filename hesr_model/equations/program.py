@@ -192,8 +192,7 @@ def straight_line(
 def sampled(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
     """Return the assignments of a step: `moved` states, then readings."""
     after = {m.state: moved(m) for m in component.memory}
-    own = step(component.memory)
-    return own | {s: e.xreplace(after) for s, e in readings(component).items()}
+    return step(component.memory) | {s: e.xreplace(after) for s, e in readings(component).items()}
 
 
 @dataclass(frozen=True, kw_only=True)

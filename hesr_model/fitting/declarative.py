@@ -39,8 +39,7 @@ class Described(Estimator):
     @classmethod
     def form(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions of a structure; {"ripple": ...} adds harmonics."""
-        own = {key: value for key, value in structure.items() if key != "ripple"}
-        core = cls.core(own)
+        core = cls.core({key: value for key, value in structure.items() if key != "ripple"})
         if "ripple" not in structure:
             return core
         return Ripple.of_structure(structure["ripple"]).extend(core)
@@ -60,8 +59,7 @@ class Described(Estimator):
                 (problem.settled(problem.point(numbers | at)) for at in ripple.starts(times)),
                 key=lambda trial: problem.solve(trial)[1],
             )
-        law = problem.law(point, self.name, complete)
-        return replace(law, start_samples=self.start_samples)
+        return replace(problem.law(point, self.name, complete), start_samples=self.start_samples)
 
 
 class OneForm(Described):
@@ -81,8 +79,7 @@ class OneForm(Described):
         form = self.core({})
         samples = JointRows.of(records, coefficients=len(form.coefficients))
         problem = Separable(form, self.space(), samples)
-        point = problem.settled(problem.search(rng))
-        return self.finish({}, problem, point)
+        return self.finish({}, problem, problem.settled(problem.search(rng)))
 
 
 def no_structure(name: str, structure: Mapping[str, Any]) -> None:

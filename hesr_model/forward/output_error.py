@@ -59,8 +59,7 @@ def refine(
     SimulationError if a log is too short.
     """
     problem = _Problem(robot, body, friction, motions)
-    rng = np.random.default_rng(seed)
-    moved = rng.normal(scale=_SPREAD, size=(starts - 1, problem.size))
+    moved = np.random.default_rng(seed).normal(scale=_SPREAD, size=(starts - 1, problem.size))
     # Only friction varies: least squares determine the body much better.
     moved[:, : len(problem.columns)] = 0.0
     theta = np.vstack([np.zeros((1, problem.size)), moved])
@@ -111,8 +110,7 @@ class _Problem:
         return np.where(np.isfinite(found), found, np.inf)
 
     def linearised(self, theta: Array) -> tuple[Array, Array]:
-        moved = np.vstack([theta, theta + _STEP * np.eye(self.size)])
-        rows = np.array(self._rows(moved))
+        rows = np.array(self._rows(np.vstack([theta, theta + _STEP * np.eye(self.size)])))
         return rows[0], (rows[1:] - rows[0]).T / _STEP
 
     def accepted(self, theta: Array) -> Refined:
@@ -164,8 +162,7 @@ class _Problem:
         for log, loads in zip(self._logs, self._loads, strict=True):
             more = loads @ theta[: len(self.columns)]
             own = [replace(r, tau_load=r.tau_load + more[:, k]) for k, r in enumerate(log)]
-            measured = np.column_stack([r.tau for r in log])
-            found.append(friction.predict(own) + more - measured)
+            found.append(friction.predict(own) + more - np.column_stack([r.tau for r in log]))
         return np.concatenate(found)
 
     def _moved_body(self, theta: Array) -> RigidBody:

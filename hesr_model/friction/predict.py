@@ -26,8 +26,7 @@ _PIECE = 2048  # rows run for all joints before the next ones, to stay in the pr
 @lru_cache(maxsize=256)
 def _moving(form: LawForm, *, states: bool = False) -> Kernel:
     wanted = tuple(m.state for m in form.memory) if states else (form.output,)
-    settling = form.component.settling
-    return Kernel(form.memory, _symbols(form), INPUTS, wanted, settling, once=True)
+    return Kernel(form.memory, _symbols(form), INPUTS, wanted, form.component.settling, once=True)
 
 
 @lru_cache(maxsize=64)

@@ -67,8 +67,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
         findings += of_log(part.log, positions.check_columns(part, robot))
     if model and not hopeless(findings):
         for part, (own, torque), fit in zip(parts, logged, fits, strict=True):
-            seen = [j for j in fit if fit[j].r2 > NO_SIGNAL]
-            clocks, late = check_clocks(part, seen, model)
+            clocks, late = check_clocks(part, [j for j in fit if fit[j].r2 > NO_SIGNAL], model)
             blurred = {*late, *(j for j in fit if robot.joints[j] in coarse)}
             found = (*clocks, *check_torque(own, fit, model, blurred))
             findings += of_log(part.log, (*found, *check_loss(own, torque, model)))

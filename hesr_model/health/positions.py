@@ -78,8 +78,7 @@ def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
 
 def check_jumps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
     """Check raw positions for lost turns and single outliers."""
-    steps = np.diff(log.t)
-    near = steps <= 3.0 * log.period
+    near = np.diff(log.t) <= 3.0 * log.period
     for j, joint in enumerate(robot.joints):
         leaps = np.where(near, np.diff(log.q[:, j]), 0.0)
         turned = np.flatnonzero(np.abs(np.abs(leaps) - _TURN) < 0.1 * _TURN)

@@ -24,8 +24,7 @@ def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:
     """Check raw signals for held, stuck and outlying values."""
     if len(log.t) < 2 * _STUCK_ROWS:
         return
-    speed = _speeds(log)
-    moves = np.abs(speed) > _MOVES
+    moves = np.abs(_speeds(log)) > _MOVES
     fine = np.array([len(np.unique(column)) > _LEVELS for column in log.tau.T])
     yield from _repeated(log, moves, fine)
     for j, joint in enumerate(robot.joints):

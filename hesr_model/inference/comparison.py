@@ -160,8 +160,7 @@ class LawErrors:
         apart = (self.rows - self.rows[:, [other]])[self.between]
         if not len(apart):
             return None
-        t = stdtrit(len(apart), 0.975)
-        between = t * np.sqrt((apart**2).mean(axis=0) / self.bins)
+        between = stdtrit(len(apart), 0.975) * np.sqrt((apart**2).mean(axis=0) / self.bins)
         return np.asarray(np.exp(_BOTH_SETS * np.maximum(np.log(wide), between)))
 
     def _level(self, family: int | None, degrees: float) -> float:

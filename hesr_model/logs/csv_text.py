@@ -96,8 +96,7 @@ def _content(path: Path) -> bytes | None:
     if not encoding:
         return content
     try:
-        whole = path.read_bytes() if content is None else content
-        return whole.decode(encoding).encode()
+        return (path.read_bytes() if content is None else content).decode(encoding).encode()
     except UnicodeDecodeError as error:
         raise _no_csv(path) from error
 

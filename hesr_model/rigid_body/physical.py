@@ -66,8 +66,7 @@ def pseudo_inertia(parameters: Array) -> Array:
 def link_parameters(pseudo: Array) -> Array:
     """Return a link's ten parameters from its pseudo-inertia."""
     sigma, (mx, my, mz), m = pseudo[:3, :3], pseudo[:3, 3], pseudo[3, 3]
-    inertia = np.trace(sigma) * np.eye(3) - sigma
-    (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia
+    (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = np.trace(sigma) * np.eye(3) - sigma
     return np.array([m, mx, my, mz, ixx, ixy, iyy, ixz, iyz, izz])
 
 

@@ -65,8 +65,7 @@ def results_of(
         else:
             cleanup.push(_sharing.stop_on_error)
             pool = _sharing.pool()
-        futures = pool.submit(jobs, costs, names)
-        yield (_result(future) for future in futures)
+        yield (_result(future) for future in pool.submit(jobs, costs, names))
 
 
 @contextmanager

@@ -27,8 +27,7 @@ def sheets(panels: Sequence[tuple[str, Panel]]) -> Figure:
     """Draw panels of closed lines over named axes next to each other, with a legend below each."""
     with styled():
         figure = Figure(figsize=(9.0, 2.95), layout="constrained")
-        axes = figure.subplots(1, len(panels))
-        for axis, (x, panel) in zip(axes, panels, strict=True):
+        for axis, (x, panel) in zip(figure.subplots(1, len(panels)), panels, strict=True):
             for line in panel.lines:
                 plot(axis, line)
             axis.set_title(panel.title)

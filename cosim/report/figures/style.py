@@ -129,8 +129,7 @@ def svg(figure: Figure, key: str) -> str:
 def write_svg(figure: Figure, path: Path) -> None:
     """Write a figure as a standalone SVG with reproducible bytes."""
     with written_whole(path) as temporary:
-        drawn = _short(_drawn(figure, path.stem, facecolor="white"))
-        temporary.write_text(drawn, encoding="utf-8")
+        temporary.write_text(_short(_drawn(figure, path.stem, facecolor="white")), encoding="utf-8")
 
 
 def write(figure: Figure, stem: Path) -> None:

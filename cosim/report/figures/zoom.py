@@ -70,8 +70,7 @@ def _draw(plot: Any, line: "Line", sources: dict[int, Any], every: int) -> None:
     from bokeh.models import ColumnDataSource
 
     if id(line.x) not in sources:
-        x = line.x[::every].astype(np.float32)
-        sources[id(line.x)] = ColumnDataSource({"x": x})
+        sources[id(line.x)] = ColumnDataSource({"x": line.x[::every].astype(np.float32)})
     source = sources[id(line.x)]
     name = f"y{len(source.data)}"
     y = line.y[::every].astype(np.float32).view(np.uint32) & _ROUNDING

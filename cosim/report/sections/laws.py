@@ -125,8 +125,7 @@ def _loop(law: FrictionLaw, speed: float, name: str, styles: Mapping[str, Stroke
     only = replace(law, form=replace(law.form, output=relaxation.state), discretisation="exact")
     t = np.linspace(0.0, 2.0 / _FREQUENCY, 2 * _ROWS - 1)
     dq = speed * np.sin(2.0 * np.pi * _FREQUENCY * t)
-    h = predict(only, t=t, dq=dq)
-    return Line(name=name, x=dq[-_ROWS:], y=h[-_ROWS:], stroke=styles[name])
+    return Line(name=name, x=dq[-_ROWS:], y=predict(only, t=t, dq=dq)[-_ROWS:], stroke=styles[name])
 
 
 def ablation(results: Results) -> dict[str, Any] | None:

@@ -49,8 +49,7 @@ def reasons(found: Mapping[str, Properties]) -> ResultTable:
         rows.append(row_of(title(name)))
         for key, expectation in EXPECTATIONS.items():
             by_reason: dict[str, list[str]] = {}
-            names = joints(len(of_law.joints))
-            for short, joint in zip(names, of_law.joints, strict=True):
+            for short, joint in zip(joints(len(of_law.joints)), of_law.joints, strict=True):
                 if said := joint.findings[key].reason:
                     by_reason.setdefault(said, []).append(short)
             rows += [

@@ -23,8 +23,7 @@ def export_adaptive(
 ) -> Path:
     """Write a friction model with stops or bristles as an adaptive FMU, without pages."""
     check_request(path, platforms)
-    content = adaptive_content(model)
-    return write_fmu(content, path, platforms=platforms, progress=progress, fmi=fmi)
+    return write_fmu(adaptive_content(model), path, platforms=platforms, progress=progress, fmi=fmi)
 
 
 def adaptive_content(model: FrictionModel) -> Content:

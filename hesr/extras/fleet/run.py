@@ -49,8 +49,7 @@ def run_fleet(
         jobs = [partial(look_at, robot, study, output / ROBOTS / robot.name) for robot in robots]
         names = [robot.name for robot in robots]
         with parallel.results_of(jobs, workers, names=names) as done_before:
-            each = counted(jobs, partial(progress, study.name))
-            reused = sum(next(done_before) for _ in each)
+            reused = sum(next(done_before) for _ in counted(jobs, partial(progress, study.name)))
         results = tuple(read_result(output / ROBOTS / robot.name) for robot in robots)
         z, deviants = compared(results, study.level)
         found = Fleet(
@@ -114,8 +113,7 @@ def write_types(
     fmus: dict[tuple[str, str, str], Path] = {}
     for done, kind in enumerate(sorted(groups, key=lambda k: (-len(groups[k]), k))):
         progress("FMUs of the types", done, len(groups))
-        of = groups[kind]
-        typical = _typical(kind, of, output)
+        typical = _typical(kind, groups[kind], output)
         if not all(map(exposed, typical.laws)):
             continue
         numbers[kind.type, kind.law] += 1

@@ -102,8 +102,7 @@ def read_grounds(rules: BoardFile) -> dict[str, Ground]:
         logs = []
         for log in rules.logs:
             if log.robot in ("", robot.name):
-                whence = f" Its source is {log.source} ({log.licence})."
-                _require_same(log.file, log.sha256, whence)
+                _require_same(log.file, log.sha256, f" Its source is {log.source} ({log.licence}).")
                 logs.append(Log.read(log.file, model.description))
         examined(logs, model, rules.accept)
         records = [friction_records(part, model, body) for part in parts_of(logs)]

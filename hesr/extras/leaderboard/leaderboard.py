@@ -111,8 +111,7 @@ def run_leaderboard(
     grounds = read_grounds(rules)
     wanted = "properties" in rules.scores
     jobs = [partial(tried, e, grounds[e.robot], properties=wanted) for e in entries]
-    names = [entry.name for entry in entries]
-    with parallel.results_of(jobs, workers, names=names) as results:
+    with parallel.results_of(jobs, workers, names=[entry.name for entry in entries]) as results:
         done = [next(results) for _ in counted(jobs, progress)]
     judges = {
         name: Judge(ground, warm_up=rules.warm_up, block=rules.block)

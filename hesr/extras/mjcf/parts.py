@@ -134,8 +134,7 @@ class _Motion:
                 f"{own} relaxes at the rate {shown(rate)}, a bristle in proportion to the speed "
                 "with one Stribeck peak at most"
             )
-        peak = peaks[0] if peaks else None
-        return cls(scale=scale, rate=slope, peak=peak, stribeck=stribeck)
+        return cls(scale=scale, rate=slope, peak=peaks[0] if peaks else None, stribeck=stribeck)
 
 
 _PEAK = sympy.Symbol("_peak", positive=True)  # exp(-(v / v_s)^2): 1 at rest, 0 at speed

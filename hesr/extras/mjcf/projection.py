@@ -57,8 +57,7 @@ def projected(
     """
     seen, unseen = records(law, trained, sample_time)
     form, space = _family(_poles(law))
-    samples = JointRows.of([seen], coefficients=len(form.coefficients))
-    problem = Separable(form, space, samples)
+    problem = Separable(form, space, JointRows.of([seen], coefficients=len(form.coefficients)))
     with threadpool_limits(1):
         point = problem.polish(problem.search(np.random.default_rng(0)))
         unknowns, _ = problem.solve(point)

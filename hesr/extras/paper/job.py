@@ -31,8 +31,7 @@ class PaperJob:
         folder = output or Path("results") / study.name
         command = f"hesr run {path.stem if path.is_absolute() else path.as_posix()}"
         with folder_written_whole(folder) as temporary, parallel.one_pool("hesr_model.fitting.fit"):
-            evidence = gather(study, path, temporary / "fmus", progress)
-            result = PaperResult.of(evidence, command)
+            result = PaperResult.of(gather(study, path, temporary / "fmus", progress), command)
             write_json(temporary / FILE, {"format": FORMAT, **to_json(result)})
             write_page(temporary)
         return Written(

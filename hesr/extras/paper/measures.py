@@ -145,8 +145,7 @@ def explained(e: Evidence, joint: int, *, log: str, by: str) -> float:
 @_of_cases
 def euler_factor(e: Evidence, case: Case, joint: int) -> float:
     """Return 1 - alpha dt of the literal law."""
-    law = _law(e, case, joint)
-    return 1.0 - law.values["alpha"] * case.models[e.study.literal].sample_time
+    return 1.0 - _law(e, case, joint).values["alpha"] * case.models[e.study.literal].sample_time
 
 
 @_of_cases
@@ -170,8 +169,7 @@ def audited(e: Evidence, case: Case, joint: int, *, what: str) -> float:
 def published(e: Evidence, joint: int) -> float:
     """Return the largest energy [J] that a cycle of the law of Table I generates."""
     trained = next(iter(e.cases[TWIN].values())).models[e.study.literal].trained[joint]
-    law = FrictionModel.read(model_file("uf850-table1")).laws[joint]
-    return audit(law, trained).generated
+    return audit(FrictionModel.read(model_file("uf850-table1")).laws[joint], trained).generated
 
 
 @_of_cases

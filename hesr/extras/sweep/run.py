@@ -30,8 +30,7 @@ def run_sweep(
     """Do all missing runs of a sweep file, and write the page; 1 worker is this process."""
     try:
         plan = planned(path)
-        outputs = tuple(one.name for one in plan.study.outputs)
-        store = Store(output, plan.study.names, outputs)
+        store = Store(output, plan.study.names, tuple(one.name for one in plan.study.outputs))
         with taken(output, RUNS, ABOUT, plan.about()):
             left = [k for k in plan.firsts if not store.has(k, plan.chunk(k))]
             count = len(plan.values)

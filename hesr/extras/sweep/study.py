@@ -69,8 +69,7 @@ class Correlated(Config):
     @model_validator(mode="after")
     def _is_a_covariance(self) -> Self:
         n = len(self.variables)
-        rows = [len(row) for row in self.covariance]
-        if len(self.mean) != n or rows != [n] * n:
+        if len(self.mean) != n or [len(row) for row in self.covariance] != [n] * n:
             raise ValueError(
                 f"{n} correlated variables need {n} means and a covariance of {n} x {n}"
             )
@@ -130,8 +129,7 @@ class SweepStudy(Config):
         variables += [name for group in self.correlated for name in group.variables]
         if not variables:
             raise ValueError("nothing is varied: give 'inputs' or 'correlated'")
-        measured = [output.name for output in self.outputs]
-        for name, count in Counter((*variables, *measured)).items():
+        for name, count in Counter((*variables, *[output.name for output in self.outputs])).items():
             if count > 1:
                 raise ValueError(f"'{name}' is varied or measured twice")
         self._fits_design()

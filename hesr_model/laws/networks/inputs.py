@@ -80,8 +80,7 @@ class NetworkEstimator(Estimator):
         largest = self.form({self.key: max(self.tried)})
         samples = JointRows.of(records, coefficients=len(largest.coefficients))
         features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
-        inputs = candidates(features, self.cells)
-        return first_tame(self._best_first(inputs, samples, rng), records)
+        return first_tame(self._best_first(candidates(features, self.cells), samples, rng), records)
 
     def _best_first(
         self, inputs: Sequence[Inputs], samples: JointRows, rng: np.random.Generator

@@ -23,8 +23,7 @@ class Network:
 
     def output(self, z: Array) -> Array:
         """Return the (N,) output for inputs z, (N, 3), all standardised."""
-        hidden = np.tanh(z @ self.theta[1:] + self.theta[0])
-        return np.asarray(hidden @ self.gains + self.bias)
+        return np.asarray(np.tanh(z @ self.theta[1:] + self.theta[0]) @ self.gains + self.bias)
 
 
 def path(z: Array, y: Array, theta: Array, decays: Sequence[float]) -> list[Network]:
@@ -69,8 +68,7 @@ class _Problem:
         cost = self._cost(point, shrinkage)
         gram, gradient = self._normal_equations(point, shrinkage)
         for _ in range(ITERATIONS):
-            damped = gram + np.diag(damping * np.diag(gram))
-            trial = point - np.linalg.solve(damped, gradient)
+            trial = point - np.linalg.solve(gram + np.diag(damping * np.diag(gram)), gradient)
             trial_cost = self._cost(trial, shrinkage)
             if trial_cost < cost:
                 converged = cost - trial_cost < CONVERGED * cost

@@ -26,8 +26,7 @@ class Cell:
 
 def bounds(features: HysteresisFeatures) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the bounds of alpha [1/s] and beta [s/rad] that the data can resolve."""
-    s = features.samples
-    speed = float(np.sqrt(np.mean(s.dq**2)))
+    speed = float(np.sqrt(np.mean(features.samples.dq**2)))
     return ((1.0 / MEMORY, features.alpha_limit), (STEEPNESS[0] / speed, STEEPNESS[1] / speed))
 
 
@@ -40,8 +39,7 @@ def profile(features: HysteresisFeatures) -> list[Cell]:
     for alpha in np.geomspace(alpha_low, alpha_high, GRID[0] + 1)[:-1]:
         for beta in np.geomspace(beta_low, beta_high, GRID[1]):
             columns = _cubic(features.columns(alpha, beta))
-            gram = columns.T @ columns
-            solution = np.linalg.lstsq(gram, columns.T @ tau, rcond=1e-12)[0]
+            solution = np.linalg.lstsq(columns.T @ columns, columns.T @ tau, rcond=1e-12)[0]
             cost = float(np.sum((tau - columns @ solution) ** 2))
             cells.append(Cell(alpha=float(alpha), beta=float(beta), cost=cost))
     return sorted(cells, key=lambda cell: cell.cost)

@@ -47,8 +47,7 @@ def arguments(
     of the linear law. `starts` (S, F) and `limit` are for standardised features.
     """
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
-    problem = _Projected(g, features / scale, linear, tau, limit)
-    theta, cost = problem.minimise(starts.T.copy())
+    theta, cost = _Projected(g, features / scale, linear, tau, limit).minimise(starts.T.copy())
     chosen: list[int] = []
     for i in np.argsort(cost):
         if len(chosen) == keep or not np.isfinite(cost[i]):
@@ -60,8 +59,7 @@ def arguments(
 
 def starting_points(rng: np.random.Generator, count: int, features: int) -> Array:
     """Return random starts of theta, shape (count, features), for standardised features."""
-    starts = rng.normal(size=(count, features))
-    return np.asarray(starts * rng.uniform(0.3, 2.0, size=(count, 1)))
+    return np.asarray(rng.normal(size=(count, features)) * rng.uniform(0.3, 2.0, size=(count, 1)))
 
 
 def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Array) -> Candidate:
@@ -104,8 +102,7 @@ class _Projected:
         value = self.g(argument)
         outside = self._reject(value)
         norm = np.maximum(np.einsum("ms,ms->s", outside, outside), 1e-9 * len(self.x))
-        gain = (self.y.T @ outside)[0] / norm
-        return argument, value, outside, gain
+        return argument, value, outside, (self.y.T @ outside)[0] / norm
 
     def cost(self, theta: Array) -> Array:
         """Return the (S,) mean squared residuals."""

@@ -24,8 +24,7 @@ class HysteresisFeatures:
 
     def columns(self, alpha: float, beta: float) -> Array:
         """Return the (N, 4) features 1, dq [rad/s], h [1], dh [1/s]."""
-        target = np.tanh(beta * self.samples.dq)
-        return self._columns(alpha, target, self._decay(alpha))
+        return self._columns(alpha, np.tanh(beta * self.samples.dq), self._decay(alpha))
 
     def with_derivatives(self, alpha: float, beta: float) -> tuple[Array, Array, Array]:
         """Return (N, 4) features and (N, 2) derivatives of h and dh by (alpha, beta), SI units."""

@@ -75,8 +75,7 @@ class ParFamHX(Described):
         moving = [bare.structure["linear"].index(x) for x in ("dq", "h", "dh")]
         features = np.column_stack([np.ones(len(columns)), columns[:, moving]])
         trained = TrainedRange.of(records)
-        more = with_unit(bare, features, self.functions, self.starts, rng)
-        best = extended(bare, more, trained)
+        best = extended(bare, with_unit(bare, features, self.functions, self.starts, rng), trained)
         return self.finish(best.structure, best.problem, best.problem.polish(best.point))
 
     def _bare(self, state: str, samples: JointRows, rng: np.random.Generator) -> Trial:

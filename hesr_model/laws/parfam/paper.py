@@ -85,5 +85,4 @@ def search(cell: Cell, g: str, features: Array, tau: Array, rng: np.random.Gener
         theta_active=active[5:] & has_unit,
         cost=0.0,
     )
-    cost = float(np.mean((candidate.torque(features) - tau) ** 2))
-    return replace(candidate, cost=cost)
+    return replace(candidate, cost=float(np.mean((candidate.torque(features) - tau) ** 2)))

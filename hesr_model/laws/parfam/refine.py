@@ -178,8 +178,7 @@ class Refinement:
         """Return the candidate of a search vector."""
         full = np.zeros(11)
         full[self.active] = point
-        place = expit(full[:2])
-        alpha, beta = np.exp(self.low + self.span * place)
+        alpha, beta = np.exp(self.low + self.span * expit(full[:2]))
         return replace(
             self.start,
             alpha=float(alpha),

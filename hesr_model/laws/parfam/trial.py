@@ -108,8 +108,7 @@ def left_out(trial: Trial) -> float:
 def search_space(structure: Mapping[str, Any], samples: JointRows) -> SearchSpace:
     """Return the search space of a structure."""
     state = structure.get("state", "paper")
-    features = HysteresisFeatures(samples=samples, discretisation="exact")
-    alpha, beta = calibrate.bounds(features)
+    alpha, beta = calibrate.bounds(HysteresisFeatures(samples=samples, discretisation="exact"))
     bounds: list[tuple[str, tuple[float, float]]] = []
     values: list[tuple[str, sympy.Expr]] = []
     if state == "bristle":

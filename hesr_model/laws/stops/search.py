@@ -109,8 +109,7 @@ class Terms:
     def _of(self, kind: str) -> Array:
         if kind not in self.cache:
             own = Structure(viscous=VISCOUS) if kind == "viscous" else every(kind)
-            found = columns(own, self.numbers, self.samples)
-            self.cache[kind] = self.weights[:, None] * found
+            self.cache[kind] = self.weights[:, None] * columns(own, self.numbers, self.samples)
         return self.cache[kind]
 
     @property

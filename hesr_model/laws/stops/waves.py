@@ -72,8 +72,7 @@ class _Problem:
 
     def residual(self, chosen: Waves) -> Array:
         columns, tau = self.weights[:, None] * self.columns(chosen), self.weights * self.samples.tau
-        gram = columns.T @ columns
-        x = np.linalg.lstsq(gram, columns.T @ tau, rcond=1e-12)[0]
+        x = np.linalg.lstsq(columns.T @ columns, columns.T @ tau, rcond=1e-12)[0]
         return np.asarray(tau - columns @ x)
 
     def in_phase(self, chosen: Waves, *, reach: float) -> Waves:

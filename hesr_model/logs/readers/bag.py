@@ -142,8 +142,7 @@ def _groups(
 
 
 def _joined(series: Sequence[_Series], field: str, t: NDArray[np.int64]) -> Array | None:
-    parts = [s.at(field, t) for s in series]
-    whole = [part for part in parts if part is not None]
+    whole = [part for part in [s.at(field, t) for s in series] if part is not None]
     return np.column_stack(whole) if len(whole) == len(series) else None
 
 

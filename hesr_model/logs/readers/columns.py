@@ -37,8 +37,7 @@ def samples_of(table: LogTable, robot: RobotDescription) -> LogSamples:
 def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array:
     if isinstance(columns, str) and "{name}" not in columns:
         _require_joint_count(table, columns, len(robot.joints))
-    missing = robot.log.missing == "drop"
-    return table.numbers(column_names(columns, robot.joints), missing=missing)
+    return table.numbers(column_names(columns, robot.joints), missing=robot.log.missing == "drop")
 
 
 def _temperature(table: LogTable, robot: RobotDescription) -> Array | None:

@@ -35,8 +35,7 @@ def arrays_of_hdf5(path: Path, kind: str, *, transposed: bool = False) -> dict[s
             if left < 0:
                 raise LogError(f"{path}: claims more data than fits into the file.")
             array = np.asarray(item)
-            named = numeric(array.T if transposed else array, name.replace("/", "."))
-            found.update(named)
+            found.update(numeric(array.T if transposed else array, name.replace("/", ".")))
 
     try:
         with h5py.File(path, "r") as file:

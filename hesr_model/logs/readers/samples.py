@@ -32,5 +32,4 @@ class LogSamples:
             rows = rows[np.argsort(self.t[rows], kind="stable")]
         if drop or first:
             rows = rows[np.diff(self.t[rows], prepend=-np.inf) != 0.0]
-        arranged = some_rows(self, columns, rows)
-        return replace(arranged, place=lambda k: self.place(int(rows[k])))
+        return replace(some_rows(self, columns, rows), place=lambda k: self.place(int(rows[k])))
