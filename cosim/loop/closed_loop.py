@@ -99,8 +99,7 @@ class Scheme:
     @classmethod
     def of_name(cls, name: str) -> Self:
         """Return the scheme of a `name`, or raise ValueError."""
-        found = _NAME.fullmatch(name)
-        if found is None:
+        if (found := _NAME.fullmatch(name)) is None:
             raise ValueError(f"'{name}' is not a scheme")
         parts = {key: text for key, text in found.groupdict().items() if text}
         return TypeAdapter(cls).validate_python(parts)

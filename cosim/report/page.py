@@ -135,8 +135,7 @@ def _link_from(place: Path, folder: Path) -> str:
 
 def _made(part: Chapter, results: Results, folder: Path, home: str) -> Made | None:
     pictures, tables = Pictures(folder / FIGURES), Tables(folder / TABLES)
-    values = part.values(results)
-    if values is None:
+    if (values := part.values(results)) is None:
         return None
     values |= {"home": home, "unit": results.unit, "table": tables.table, "csv": tables.csv}
     values |= {"figure": pictures.figure, "chart": pictures.chart, "drawing": pictures.drawing}

@@ -98,8 +98,7 @@ def run_study(
             tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
             simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
             write_json(folder / SIMULATION, {test: to_json(s) for test, s in simulated.items()})
-            truths = job.other_truths([law for law in models if law not in study.variants])
-            if truths:
+            if truths := job.other_truths([law for law in models if law not in study.variants]):
                 write_json(folder / TRUTHS, truths)
             loop = job.closed_loop(run, folder, quick=quick)
             complete_loops(folder)

@@ -224,8 +224,7 @@ def _weak(
     own: LawScores, percent: Mapping[str, float], checks: "Properties | None"
 ) -> Iterable[str]:
     short = short_names(len(percent))
-    much = [name for name, share in zip(short, percent.values(), strict=True) if share > _MUCH]
-    if much:
+    if much := [name for name, share in zip(short, percent.values(), strict=True) if share > _MUCH]:
         yield f"Poorly modelled: {', '.join(much)} (more than {_MUCH:g} % of friction unexplained)."
     pairs = zip(short, own.rmse_reversal, own.rmse, strict=True)
     turning = [name for name, at, over in pairs if at is not None and at > _AT_REVERSALS * over]

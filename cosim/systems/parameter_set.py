@@ -64,8 +64,7 @@ def to_ssv(model: FrictionModel) -> bytes:
             for unit, base in bases.items()
         },
     )
-    joints = _covariances(model)
-    if joints:
+    if joints := _covariances(model):
         annotations = ET.SubElement(root, "ssv:Annotations")
         annotation = ET.SubElement(annotations, "ssc:Annotation", type=ANNOTATION)
         ET.SubElement(annotation, "hesr:Covariance").extend(joints)

@@ -130,8 +130,7 @@ def _component(
         source=resource(name, ".fmu"),
         implementation="CoSimulation",
     )
-    own = [variable for owner, variable in connectors if owner == name]
-    if own:
+    if own := [variable for owner, variable in connectors if owner == name]:
         table = ET.SubElement(node, "ssd:Connectors")
         for variable in own:
             causality = contents.variables[name][variable].causality

@@ -88,8 +88,7 @@ class _Reader:
         # Sources are URIs, but some tools write plain names.
         names = self.archive.names
         candidates = (str(PurePosixPath(n)) for n in (unquote(name), name))
-        member = next((n for n in candidates if n in names), None)
-        if member is None:
+        if (member := next((n for n in candidates if n in names), None)) is None:
             raise self.error(f"{where}{name} is missing.")
         return self.archive.read(member, most)
 
@@ -100,8 +99,7 @@ class _Reader:
             raise self.error(f"{where}{name} is not valid XML ({error}).") from error
 
     def attribute(self, node: ET.Element, name: str, where: str) -> str:
-        value = node.get(name)
-        if value is None:
+        if (value := node.get(name)) is None:
             raise self.error(f"{where}: attribute '{name}' is missing.")
         return value
 
@@ -112,8 +110,7 @@ class _Reader:
         self, times: Mapping[str, float | None], values: Mapping[str, Any]
     ) -> dict[str, Any]:
         root = self.parsed(SSD)
-        system = _one(root, "ssd:System")
-        if system is None:
+        if (system := _one(root, "ssd:System")) is None:
             raise self.error(f"{SSD} contains no system.")
         where = f"{self.path}: {SSD}"
         self.elements(system, (), read_units(_all(root, "ssd:Units/ssc:Unit"), where))
@@ -149,8 +146,7 @@ class _Reader:
         if stop is None and own.get("stopTime") is None:
             raise self.error("the default experiment has no stopTime; give --stop.")
         stop = number(own, "stopTime", 0.0, SSD) if stop is None else stop
-        step = given.get("step")
-        if step is not None:
+        if (step := given.get("step")) is not None:
             return {"begin": begin, "stop": stop, "step": step}
         for tag, key in _STEPS:
             node = root.find(tag)
@@ -301,8 +297,7 @@ class _Reader:
     def mapping(
         self, binding: ET.Element, where: str
     ) -> dict[str, list[tuple[str, dict[str, Any]]]] | None:
-        node = _one(binding, "ssd:ParameterMapping")
-        if node is None:
+        if (node := _one(binding, "ssd:ParameterMapping")) is None:
             return None
         source = node.get("source")
         found: dict[str, list[tuple[str, dict[str, Any]]]] = {}

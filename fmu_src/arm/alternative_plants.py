@@ -87,8 +87,7 @@ def write_truth(
     root = tree.getroot()
     gone = _without_elements(root, compiled_model)
     for i, name in enumerate(joints):
-        joint = root.find(f".//worldbody//joint[@name='{name}']")
-        if joint is None:
+        if (joint := root.find(f".//worldbody//joint[@name='{name}']")) is None:
             raise ConfigError(f"{model}: has no joint '{name}', or another file has it.")
         if truth.transmission:
             joint = _divided(root, joint, compiled_model.joint(name), i, truth.transmission)

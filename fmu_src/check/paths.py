@@ -60,8 +60,7 @@ def problems(contents: Contents) -> Iterator[Problem]:
     for name, file in contents.files.items():
         if _built_elsewhere(name, file):
             continue
-        found = list(dict.fromkeys(islice(_paths(_code(name, file)), MOST_PATHS)))
-        if found:
+        if found := list(dict.fromkeys(islice(_paths(_code(name, file)), MOST_PATHS))):
             more = f" and {len(found) - 1} more of its kind" if len(found) > 1 else ""
             yield (
                 "machine-path",

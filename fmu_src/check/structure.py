@@ -59,8 +59,7 @@ def _dependencies(about: ParsedDescription) -> Iterator[Problem]:
     inputs = any(v.causality == "input" and v.kind != "Clock" for v in about.variables)
     for name in STRUCTURE:
         unknowns = about.structure[name]
-        silent = [_named(about, u) for u in unknowns if u.dependencies is None and inputs]
-        if silent:
+        if silent := [_named(about, u) for u in unknowns if u.dependencies is None and inputs]:
             yield (
                 "structure-loops",
                 f"{about.lists[name]} gives no dependencies for {listed(silent)}, "
@@ -69,8 +68,7 @@ def _dependencies(about: ParsedDescription) -> Iterator[Problem]:
         for unknown in unknowns:
             who = f"{about.lists[name]} gives {quoted(_named(about, unknown))}"
             known = unknown.dependencies or ()
-            missing = [i for i in known if about.variable(i) is None]
-            if missing:
+            if missing := [i for i in known if about.variable(i) is None]:
                 text = f"{who} a dependency on {about.shown(missing[0])}, which does not exist."
                 yield "structure-dependency", text
             elif about.fmi == 2 and any(a >= b for a, b in pairwise(known)):

@@ -87,8 +87,7 @@ def _own(
         known = replace(joint, parameters=joint.parameters[:count])
         elements = dict(zip(joint.derivatives, component.memory, strict=True))
         for variable in friction_component.law_variables(law, i, known):
-            element = elements.get(variable.name)
-            if element is not None:
+            if (element := elements.get(variable.name)) is not None:
                 at_start = friction_component.dependencies(joint, element.derivative, starting=True)
                 variable = replace(variable, initial_dependencies=at_start)
             yield variable

@@ -110,8 +110,7 @@ def trained_speed(trained: TrainedRange | None) -> float:
 
 def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     """Return the members of an FMU's folder `extra/`, by their paths in the archive."""
-    found = _co_simulation(model)
-    if found is None:
+    if (found := _co_simulation(model)) is None:
         return {"extra/README.txt": _NONE.encode()}
     step, motion, torque = found
     shown = torques(model, motion, SHOWN)

@@ -64,8 +64,7 @@ class PropertyResult:
     def at_joint(self, *, slides: bool) -> "PropertyResult":
         """Return the result in the units of its joint, from those of a revolute one."""
         figures = (replace(f, unit=unit_of_joint(f.unit, slides=slides)) for f in self.figures)
-        plot = self.plot
-        if plot:
+        if plot := self.plot:
             x, y = (unit_of_joint(unit, slides=slides) for unit in plot.units)
             plot = replace(plot, units=(x, y))
         return replace(self, figures=tuple(figures), plot=plot)

@@ -110,8 +110,7 @@ class Separable:
     def solve(self, point: Array) -> tuple[Array, float]:
         """Return (len(linear),) unknowns at a point and the sum of squared residuals [N^2.m^2]."""
         own = self.space.non_negative
-        found = self._run.solved(self.numbers(point), non_negative=own)
-        if found is not None:
+        if (found := self._run.solved(self.numbers(point), non_negative=own)) is not None:
             return found
         return non_negative_least_squares(self.columns(point), self.samples.tau, non_negative=own)
 

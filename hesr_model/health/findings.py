@@ -52,8 +52,7 @@ def _merged(findings: Iterable[Finding], key: Callable[[Finding], object]) -> li
 
 def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> list[Finding]:
     """Return all findings, or raise HealthError with errors not accepted."""
-    refused = [f for f in findings if f.severity == "error" and f.check not in accepted]
-    if refused:
+    if refused := [f for f in findings if f.severity == "error" and f.check not in accepted]:
         raise HealthError(_said(refused), refused)
     return list(findings)
 

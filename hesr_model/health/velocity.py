@@ -41,9 +41,7 @@ def match(v: Array, dq: Array, period: float) -> Match:
 
 
 def _correlation(a: Array, b: Array) -> float:
-    if np.std(a) < 1e-12 or np.std(b) < 1e-12:
-        return 0.0
-    return float(np.corrcoef(a, b)[0, 1])
+    return 0.0 if np.std(a) < 1e-12 or np.std(b) < 1e-12 else float(np.corrcoef(a, b)[0, 1])
 
 
 def _lag(v: Array, dq: Array, period: float) -> float:

@@ -182,8 +182,7 @@ def _time_unit(table: LogTable, name: str) -> tuple[str, str]:
     step = float(np.median(np.diff(stamps[np.isfinite(stamps)])))
     low, high = _RATES
     possible = [u for u, f in OTHERS["t"].items() if low <= 1.0 / max(step * f, 1e-300) <= high]
-    said = _unit("t", name)
-    if said in possible:
+    if (said := _unit("t", name)) in possible:
         return said, f"named so: {name}"
     if not possible:
         return "s", "no unit gives a plausible sample rate"

@@ -77,8 +77,7 @@ def stacked(
         for name in ("q", "dq", "ddq", "tau")
     )
     rigid = model.regressor(q, dq, ddq)[:, :, list(base)]
-    coupling = model.description.coupling
-    if coupling is not None:
+    if (coupling := model.description.coupling) is not None:
         dq, tau, rigid = coupling.motion(dq), coupling.torque(tau), coupling.torque(rigid)
     slow = slow_speeds(peak_speeds(motions, model)) if slow is None else slow
     blocks = []
@@ -108,8 +107,7 @@ def averaged(
     matrix = np.concatenate([0.5 * (_regressor(model, a) + _regressor(model, b)) for a, b in pairs])
     matrix = matrix[:, :, list(base)]
     target = np.concatenate([0.5 * (a.tau + b.tau) for a, b in pairs])
-    coupling = model.description.coupling
-    if coupling is not None:
+    if (coupling := model.description.coupling) is not None:
         matrix, target = coupling.torque(matrix), coupling.torque(target)
     forward, backward = (rubbing_speeds(each, model) for each in zip(*pairs, strict=True))
     slow = slow_speeds(peak_speeds([*motions, *counterparts], model))

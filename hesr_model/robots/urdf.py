@@ -94,8 +94,7 @@ def _complete(path: Path, joint: Element) -> None:
         )
     if kind not in ("revolute", "prismatic"):
         return
-    limit = joint.find("limit")
-    if limit is None:
+    if (limit := joint.find("limit")) is None:
         limit = SubElement(joint, "limit", lower=f"{-UNLIMITED:g}", upper=f"{UNLIMITED:g}")
     for key in ("lower", "upper", "effort", "velocity"):
         value = np.clip(float(limit.get(key, "0")), -UNLIMITED, UNLIMITED)

@@ -44,8 +44,7 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
     try:
         for place in (shelf.parent, shelf):
             _make_private(place)
-        found = _read(shelf / name)
-        if found is None:
+        if (found := _read(shelf / name)) is None:
             lock.acquire()
     except OSError:
         return make()

@@ -80,8 +80,7 @@ def _shown(value: object) -> str:
 def _holder(schema: type[BaseModel], location: tuple[Any, ...]) -> type[BaseModel] | None:
     holders = [schema]
     for part in location[:-1]:
-        fields = [h.model_fields[part] for h in holders if part in h.model_fields]
-        if fields:
+        if fields := [h.model_fields[part] for h in holders if part in h.model_fields]:
             holders = [inner for field in fields for inner in _schemas_in(field.annotation)]
         else:  # an index, a user's name, or a kind of schema
             holders = [h for h in holders if _is_of_kind(h, part)] or holders

@@ -162,8 +162,7 @@ def band(results: Results, law: str, joint: int, torques: Mapping[str, Array]) -
 def loops(results: Results) -> dict[str, Any] | None:
     """Draw torque over velocity by joint: key laws in the page, all laws in files."""
     test = results.tests[0]
-    log = results.log_of(test)
-    if log is None:
+    if (log := results.log_of(test)) is None:
         return None
     torques = results.torques(log)
     rows = torques["t"] - torques["t"][0] <= _LOOPS

@@ -55,8 +55,7 @@ def _about(mjcf: Path, table: Path | SignalTable | None) -> dict[str, Any]:
     )
     content = hashlib.sha256(to_xml(shown, about, "") + mjcf.read_bytes()).hexdigest()
     root = ET.fromstring(to_xml(shown, about, content))
-    kind = root.find("CoSimulation")
-    if kind is None:
+    if (kind := root.find("CoSimulation")) is None:
         raise ValueError("the description is not one of co-simulation")
     kind.set("needsExecutionTool", "true")
     kind.set("canInterpolateInputs", "false")

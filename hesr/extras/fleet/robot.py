@@ -186,8 +186,7 @@ class _Robot:
     def _check(self, log: Log) -> None:
         accept = self._member.kind.accept
         found = examine([log], self._description, self._model).findings
-        wrong = [f for f in found if f.severity == "error" and f.check not in accept]
-        if wrong:
+        if wrong := [f for f in found if f.severity == "error" and f.check not in accept]:
             raise LogError("; ".join(f"{f.sentence.removesuffix('.')} [{f.check}]" for f in wrong))
         self._findings = merged([*self._findings, *found])
 

@@ -13,8 +13,7 @@ from hesr.extras.leaderboard.leaderboard import Leaderboard
 def write_page(board: Leaderboard, path: Path) -> None:
     """Write the page."""
     sections = [Section(key="standings", title="Standings", html=_standings(board))]
-    found = {s.name: s.properties for s in board.standings if s.properties is not None}
-    if found:
+    if found := {s.name: s.properties for s in board.standings if s.properties is not None}:
         sliding = [slides for robot in board.robots for slides in robot.sliding]
         html = joined(table(properties(found, full=True)), table(legend(sliding)))
         sections.append(Section(key="properties", title="Properties", html=html))

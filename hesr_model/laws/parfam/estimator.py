@@ -49,8 +49,7 @@ class ParFamH(Estimator):
     denominator: bool = False  # slow and rarely helps
 
     def __post_init__(self) -> None:
-        unknown = sorted(set(self.functions) - set(family.FUNCTIONS))
-        if unknown:
+        if unknown := sorted(set(self.functions) - set(family.FUNCTIONS)):
             known = ", ".join(family.FUNCTIONS)
             raise FitError(f"ParFam function '{unknown[0]}' is unknown; known are {known}.")
         if self.search == "paper" and not self.functions:
