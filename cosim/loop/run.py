@@ -1,4 +1,4 @@
-"""Closed-loop part of a study, and comparison of the masters."""
+"""Closed-loop part of a study, also on the generated plant, and comparison of the masters."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.loop.closed_loop import ARM, Tracking
+from cosim.loop.closed_loop import ARM, Gains, Tracking
 from cosim.loop.loops import StudyLoop, assemble, build, example, require_reachable, run_tracking
-from cosim.loop.plant_loop import PLANT, build_plant, on_plant
 from cosim.loop.robustness import run_overcompensation, run_sweeps
 from cosim.loop.traces import TRACES, LoopOutcome, write_traces
 from cosim.systems.simulation import Master
-from cosim.systems.system import write_system
+from cosim.systems.system import ComponentSpec, SystemSpec, write_system
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_arm.export import export_python_arm
 from fmu_src.arm.table import SignalTable
 from fmu_src.arm.truth import true_friction
+from fmu_src.plant.plant_fmu import PlantBody, export_plant
 from hesr_model.errors import ConfigError, ExportError
 from hesr_model.findings import Finding, caution
 from hesr_model.friction.model import FrictionModel
@@ -28,6 +28,48 @@ from hesr_model.support.progress import Stages
 _SECONDS = 2.0  # [s] length of the runs that compare the masters
 _AGREEMENT = 1e-9  # allowed difference, relative to the largest value
 _DERIVATIVE = 5e-4  # [s] Kd / Kp there for joints without Kd
+PLANT = "Plant.fmu"
+
+# Signals of the plant by those of the twin's arm.
+_SIGNALS = {"arm.q_true": "arm.q", "arm.tau_meas": "arm.tau_motor"}
+
+
+def build_plant(
+    path: Path,
+    models: Mapping[str, FrictionModel],
+    robot: Robot,
+    body: RigidBody,
+    gains: Gains,
+) -> Path:
+    """Write the generated plant with the assumed servo and the first law with memory, if any.
+
+    Raises ExportError if the identified masses give no positive definite mass matrix.
+    """
+    known = list(models.values())
+    law = next((one for one in known if one.laws[0].form.memory), known[0])
+    return export_plant(law, path, body=PlantBody.of(robot, body), kv=gains.Kv, ki=gains.Ki)
+
+
+def on_plant(spec: SystemSpec, plant: Path, gains: Gains) -> SystemSpec:
+    """Return a loop with the generated plant instead of the arm."""
+
+    def moved(component: ComponentSpec) -> ComponentSpec:
+        if component.name != "arm":
+            return component
+        start = {"q_start": component.start["q0"], "latency": gains.latency, "tau": 0.0}
+        return component.model_copy(update={"fmu": plant, "start": start})
+
+    def named(signal: str) -> str:
+        return _SIGNALS.get(signal, signal)
+
+    return spec.model_copy(
+        update={
+            "components": tuple(map(moved, spec.components)),
+            "connections": {into: named(out) for into, out in spec.connections.items()},
+            "observe": tuple(map(named, spec.observe)),
+            "limits": {named(signal): bounds for signal, bounds in spec.limits.items()},
+        }
+    )
 
 
 def run_loop(

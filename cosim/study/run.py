@@ -40,9 +40,8 @@ from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.cache import USED, since
-from hesr_model.support.files import folder_written_whole, models_folder
+from hesr_model.support.files import folder_written_whole, models_folder, newest, provenance
 from hesr_model.support.progress import Progress, Stages, counted, silent
-from hesr_model.support.provenance import newest, provenance
 from hesr_model.support.typed_json import to_json, write_json
 
 if TYPE_CHECKING:

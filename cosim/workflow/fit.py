@@ -163,7 +163,7 @@ def _fit(
     from hesr_model.fitting.fit import fit_models
     from hesr_model.health.fit_checks import check_laws
     from hesr_model.rigid_body.identification import RigidBody
-    from hesr_model.support.provenance import newest, provenance
+    from hesr_model.support.files import newest, provenance
     from hesr_model.support.typed_json import to_json
 
     logs = [log.path for log in read.logs if log.path]

@@ -91,8 +91,7 @@ def identify(
     from hesr_model.rigid_body.identification import identify as identify_body
     from hesr_model.rigid_body.payload import identify_payload, loaded
     from hesr_model.rigid_body.refinement import identify_again
-    from hesr_model.support.files import path_of
-    from hesr_model.support.provenance import provenance
+    from hesr_model.support.files import path_of, provenance
     from hesr_model.support.typed_json import to_json
 
     if (friction is None) != (rigid_body is None):

@@ -1,8 +1,12 @@
-"""Fit laws to all joints of a robot, with one process per joint and law."""
+"""Fit laws to all joints of a robot, with one process and one checkpoint per joint and law."""
 
+import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
+from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -12,7 +16,6 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.fitting.calibration import calibrated
-from hesr_model.fitting.checkpoint import key_of, read_checkpoint, write_checkpoint
 from hesr_model.fitting.day_offsets import Nuisance, own_of_logs, without_own
 from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.uncertainty import with_pooled_errors, with_standard_errors
@@ -23,11 +26,48 @@ from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support import parallel
+from hesr_model.support.files import provenance as source_of
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Progress, into_file, silent, steps_told, watched
-from hesr_model.support.provenance import provenance as source_of
 
 _LEAST_TORQUE = 1e-100  # [N.m]; squares of smaller ones vanish, of its inverse overflow
+_COLUMNS = ("t", "dq", "q", "tau_load", "tau")
+_VERSIONED = ("hesr", "numpy", "scipy", "sympy")
+
+
+def key_of(
+    law: str, records: Sequence[FrictionRecord], seed: int, options: Mapping[str, Any] | None
+) -> str:
+    """Return the hash of law, options, seed, versions and every row."""
+    about = [law, dict(options or {}), seed, [version(name) for name in _VERSIONED]]
+    key = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode())
+    for record in records:
+        key.update(repr((record.joint, record.gear_ratio, record.sliding)).encode())
+        for name in _COLUMNS:
+            key.update(getattr(record, name).tobytes())
+    return key.hexdigest()[:24]
+
+
+def read_checkpoint(path: Path) -> FrictionLaw | None:
+    """Return the law; None if missing or incomplete."""
+    if path.is_file():
+        with suppress(ArtifactError):
+            return FrictionModel.read(path).laws[0]
+    return None
+
+
+def write_checkpoint(
+    path: Path, law: FrictionLaw, record: FrictionRecord, sample_time: float
+) -> None:
+    """Write the law of one joint, sampled at `sample_time` [s], as a model."""
+    FrictionModel(
+        law=law.name,
+        robot="robot",
+        joints=(record.joint,),
+        laws=(law,),
+        sliding=(record.sliding,),
+        sample_time=sample_time,
+    ).write(path)
 
 
 def fit_joint(

@@ -11,8 +11,7 @@ import numpy as np
 
 from hesr_model.errors import RobotError
 from hesr_model.findings import Finding
-from hesr_model.robots.doubts import doubts_of_model
-from hesr_model.robots.limits import position_limits
+from hesr_model.robots.limits import doubts_of_model, position_limits
 from hesr_model.robots.mjcf import compiled_robot, torques_of_urdf
 from hesr_model.robots.urdf import read_urdf
 from hesr_model.support.arrays import Array

@@ -1,4 +1,4 @@
-"""Files: shipped models, hashes, and atomic writing."""
+"""Files: shipped models, hashes, provenance of results, and atomic writing."""
 
 import errno
 import hashlib
@@ -9,11 +9,14 @@ import re
 import shutil
 import tempfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from datetime import UTC, datetime
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from secrets import token_hex
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -32,6 +35,23 @@ _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 PathArg = str | os.PathLike[str]
 
 _log = logging.getLogger(__name__)
+_VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
+
+
+def provenance(*, files: Sequence[Path], seed: int | None = None, **more: Any) -> dict[str, Any]:
+    """Return the provenance of a result as JSON data."""
+    return {
+        "files": [{"name": file.name, "sha256": sha256(file)} for file in files],
+        "seed": seed,
+        "versions": {"python": platform.python_version(), **{p: version(p) for p in _VERSIONED}},
+        **more,
+    }
+
+
+def newest(files: Sequence[Path]) -> str:
+    """Return the modification time of the newest file, ISO 8601 in UTC."""
+    seconds = max(int(file.stat().st_mtime) for file in files)
+    return datetime.fromtimestamp(seconds, tz=UTC).isoformat()
 
 
 def path_of(value: object, what: str) -> Path:

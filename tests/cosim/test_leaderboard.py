@@ -24,8 +24,7 @@ from fmu_src.arm.plant import Plant
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.predictions import predict_model
 from hesr.extras.leaderboard.board_file import BoardFile, read_grounds
-from hesr.extras.leaderboard.entry import Entry, tried
-from hesr.extras.leaderboard.leaderboard import Leaderboard, run_leaderboard
+from hesr.extras.leaderboard.leaderboard import Entry, Leaderboard, run_leaderboard, tried
 from hesr.extras.leaderboard.page import write_page
 from hesr.extras.leaderboard.score import Judge
 from hesr_model.errors import ConfigError, HesrError, SimulationError
@@ -212,7 +211,7 @@ def test_properties_are_those_of_the_physics_checks(
 ) -> None:
     (ground,) = read_grounds(BoardFile.read(laid / "board.toml")).values()
     asked = []
-    monkeypatch.setattr("hesr.extras.leaderboard.entry.measure", asked.append)
+    monkeypatch.setattr("hesr.extras.leaderboard.leaderboard.measure", asked.append)
     entry = Entry(name="Friction", fmu=table1_fmu, robot="uf850")
     tried(entry, ground, properties=True)
     tried(replace(entry, fmu=laid / "Coulomb.fmu"), ground, properties=True)

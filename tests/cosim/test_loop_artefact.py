@@ -19,8 +19,7 @@ from small_twin import MOTIONS
 import hesr
 from cosim.loop.closed_loop import Scheme
 from cosim.loop.loops import assemble
-from cosim.loop.plant_loop import on_plant
-from cosim.loop.run import write_loops
+from cosim.loop.run import on_plant, write_loops
 from cosim.study.study import Study
 from cosim.systems.simulation import Master
 from cosim.systems.system_file import System

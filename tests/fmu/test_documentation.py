@@ -17,7 +17,7 @@ from fmu_src.pages.datasheet import EULER, RK4, fastest, figure
 from fmu_src.pages.friction_page import to_html
 from fmu_src.pages.html import TEMPLATES
 from fmu_src.pages.mathml import equations
-from hesr.extras.modelica.annotations import TEMPLATES as MODELICA
+from hesr.extras.modelica.modelica_package import TEMPLATES as MODELICA
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry

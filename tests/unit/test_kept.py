@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hesr_model.fitting.checkpoint import key_of
-from hesr_model.fitting.fit import fit_models
+from hesr_model.fitting.fit import fit_models, key_of
 from hesr_model.rigid_body.residual import FrictionRecord
 
 LAWS = ("stribeck", "lugre")

@@ -1,25 +1,31 @@
-"""Modelica export of a friction model."""
+"""Modelica export of a friction model.
+
+Browsers in modelling tools are often old: its documentation is plain HTML in ASCII.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fmu_src.friction.friction_component import nominal
-from fmu_src.friction.reference import reference_motion
+from fmu_src.friction.friction_component import exposed, nominal
+from fmu_src.friction.reference import UNKNOWN_SPEED, reference_motion
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages import datasheet
-from fmu_src.pages.friction_page import title
-from fmu_src.pages.html import code_templates
-from hesr.extras.modelica.annotations import TEMPLATES, joint_html, package_html
+from fmu_src.pages.datasheet import figure, spelled
+from fmu_src.pages.friction_page import title, training
+from fmu_src.pages.html import code_templates, rendered
 from hesr.extras.modelica.printer import FUNCTIONS, Equations, equations, start_of
 from hesr_model.audit.audit import Audit
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.memory import DT
 from hesr_model.errors import ExportError
-from hesr_model.friction.inputs import INPUTS, MOVING, TAU_LOAD
+from hesr_model.friction.equation import coefficient_lines
+from hesr_model.friction.equation import equations as equations_with_numbers
+from hesr_model.friction.inputs import INPUT_UNITS, INPUTS, MOVING, TAU_LOAD
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole
@@ -40,6 +46,50 @@ _FREQUENCY = 0.25  # frequency of the motions in the examples and of the referen
 
 
 _STEADY = "steadyStart"  # parameter that starts states in the steady state of the first inputs
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def package_html(
+    model: FrictionModel, joints: Sequence[Mapping[str, Any]], audits: Sequence[Audit], refused: str
+) -> str:
+    """Return the documentation of the package; without audits, `refused` is the reason."""
+    return _page(
+        "modelica.html.j2",
+        model=model,
+        joints=joints,
+        version=version("hesr"),
+        euler=any(law.discretisation == "euler" for law in model.laws),
+        jumps=[joint["name"] for joint in joints if joint["jumps"]],
+        training=training(model.provenance),
+        speed=UNKNOWN_SPEED,
+        audit=datasheet.audit_rows(audits),
+        refused=refused,
+    )
+
+
+def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
+    """Return the documentation of the law of joint `index`, from 0."""
+    law = model.laws[index]
+    seen = model.trained[index] if model.trained else None
+    return _page(
+        "modelica_joint.html.j2",
+        joint=model.joints[index],
+        title=title(law, ""),
+        numbers=equations_with_numbers(law) if exposed(law) else [],
+        intervals=coefficient_lines(law) if law.standard_errors else [],
+        start_samples=law.start_samples,
+        seen=[
+            f"{name} {spelled(getattr(seen, name))} {unit}"
+            for name, unit in (INPUT_UNITS if seen else {}).items()
+        ],
+        rmse=figure(model.training_rmse[index], 3) if model.training_rmse else None,
+        verdict=datasheet.verdict(audit, known=bool(model.trained)) if audit else "",
+    )
+
+
+def _page(template: str, **values: Any) -> str:
+    page = rendered(template, (TEMPLATES,), **values)
+    return f"<html>\n{page}</html>".encode("ascii", "xmlcharrefreplace").decode("ascii")
 
 
 def export_modelica(model: FrictionModel, path: Path) -> Path:

@@ -1,21 +1,156 @@
-"""Tensor export for PyTorch or JAX."""
+"""Tensor export for PyTorch or JAX; the module `xp` has the functions of the same name in both."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from math import frexp, ldexp
 from pathlib import Path
 from typing import Any, Literal
 
+import sympy
+from sympy.printing.precedence import PRECEDENCE
+
+from fmu_src.equations.printer import LanguagePrinter
 from fmu_src.friction.validity import discretisation_of, require_exportable
 from fmu_src.pages.html import code_templates
 from hesr.extras.one_file.reference import TEMPLATES, write_beside
-from hesr.extras.one_file.tensor_printer import begin_function, law_function
+from hesr_model.equations.component import Component
+from hesr_model.equations.memory import DT, EULER
+from hesr_model.equations.program import (
+    Assignments,
+    initial_state,
+    initial_symbol,
+    moved,
+    sampled,
+    straight_line,
+)
 from hesr_model.errors import ExportError
+from hesr_model.friction.inputs import INPUTS, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 
 Library = Literal["torch", "jax"]
 
 _TITLES: Mapping[Library, str] = {"torch": "PyTorch", "jax": "JAX"}
+_SHARED = ("exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt")
+_ARCS = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}
+_OWN = ("positive", "larger", "clip", "exceeds", "over")
+
+_HALF = sympy.Rational(1, 2)
+_HIGH_BITS = 12
+"""High bits of a factor on the position, half of single precision, so that products are exact."""
+_DIGITS = 40
+
+
+class _turned(sympy.Function):  # type: ignore[misc] # noqa: N801 - SymPy is not typed
+    """factor * position minus whole turns, without loss of precision."""
+
+    nargs = 2
+
+
+class _Printer(LanguagePrinter):
+    language = "Python"
+
+    def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
+        super().__init__(names)
+        self.known_functions = {name: f"xp.{name}" for name in _SHARED}
+        self.known_functions |= {name: f"xp.{other}" for name, other in _ARCS.items()}
+        self.known_functions |= {name: f"_{name}" for name in _OWN}
+        self.known_functions |= {"sgn": "xp.sign", "absolute": "xp.abs", "Abs": "xp.abs"}
+
+    def _print_Pow(self, expr: sympy.Pow) -> str:
+        if expr.is_number:
+            return self._print_Float(expr)
+        if expr.exp == _HALF:
+            return f"xp.sqrt({self._print(expr.base)})"
+        if expr.exp.could_extract_minus_sign():
+            return f"1.0/{self.parenthesize(expr.base**-expr.exp, PRECEDENCE['Mul'])}"
+        base = self.parenthesize(expr.base, PRECEDENCE["Pow"])
+        return f"{base}**{self.parenthesize(expr.exp, PRECEDENCE['Pow'])}"
+
+    def _print_Function(self, expr: sympy.Function) -> str:
+        if expr.is_number:
+            return self._print_Float(expr)
+        name = expr.func.__name__
+        if name not in self.known_functions:
+            raise ExportError(f"friction law: '{expr}' has no counterpart in tensor code.")
+        arguments = ", ".join(map(self._print, expr.args))
+        return f"{self.known_functions[name]}({arguments})"
+
+    _print_exp = _print_Function
+    _print_Abs = _print_Function
+
+    def _print_decay(self, expr: sympy.Function) -> str:
+        return f"_decay({self._print(expr.args[0])})"
+
+    def _print_share(self, expr: sympy.Function) -> str:
+        z, e, _ = map(self._print, expr.args)
+        return f"_share({z}, {e})"
+
+    def _print__turned(self, expr: sympy.Function) -> str:
+        factor, position = expr.args
+        # Use more digits than those of a double, because whole turns are dropped.
+        turns = (sympy.Rational(float(factor)) / (2 * sympy.pi)).evalf(_DIGITS)
+        mantissa, exponent = frexp(float(turns))
+        high = ldexp(round(ldexp(mantissa, _HIGH_BITS)), exponent - _HIGH_BITS)
+        return f"_wrapped({self._print(position)}, {high!r}, {float(turns - high)!r})"
+
+
+def law_function(form: LawForm, name: str) -> str:
+    """Return the text of `name(c, dq, q, tau_load, dt, x_0, ..)`: torque and moved states."""
+    component: Component = form.component
+    torque = component.outputs[0].symbol
+    ends = [moved(m) for m in form.memory]
+    return _function(form, name, sampled(component), (DT,), (torque,), ends)
+
+
+def begin_function(form: LawForm, name: str) -> str:
+    """Return the text of `name(c, dq, q, tau_load, x_0, ..)`: the initial states."""
+    program = initial_state(form.memory, form.component.settling)
+    return _function(form, name, program, (), (), [initial_symbol(m) for m in form.memory])
+
+
+def _function(
+    form: LawForm,
+    name: str,
+    program: Assignments,
+    more: Sequence[sympy.Symbol],
+    read: Sequence[sympy.Symbol],
+    ends: Sequence[sympy.Symbol],
+) -> str:
+    program = {symbol: _wrapped(e) for symbol, e in program.items()}
+    lines, names = straight_line(program, (*read, *ends))
+    states = [f"x_{i}" for i, _ in enumerate(form.memory)]
+    known = {c.symbol: f'c["{c.name}"]' for c in form.coefficients}
+    known |= {m.state: x for m, x in zip(form.memory, states, strict=True)}
+    known |= {symbol: symbol.name for symbol in (*INPUTS, DT, EULER)}
+    printer = _Printer(known | names)
+
+    def text(expression: sympy.Expr) -> str:
+        try:
+            return str(printer.parenthesize(expression, 0))
+        except NotImplementedError as error:
+            raise ExportError(
+                f"friction law: '{expression}' has no counterpart in tensor code."
+            ) from error
+
+    body = [f"{names.get(symbol, str(symbol))} = {text(e)}" for symbol, e in lines.items()]
+    ended = "".join(f"{names[symbol]}, " for symbol in ends)
+    arguments = ", ".join(("c", *(symbol.name for symbol in (*INPUTS, *more)), *states))
+    first = "".join(f"{names[symbol]}, " for symbol in read)
+    result = f"return {first}({ended.rstrip(' ')})"
+    return "\n".join([f"def {name}({arguments}):", *(f"    {line}" for line in (*body, result))])
+
+
+def _wrapped(expression: sympy.Expr) -> sympy.Expr:
+    def wave(node: sympy.Expr) -> sympy.Expr:
+        angle = sympy.expand(node.args[0])
+        factor = angle.coeff(Q, 1)
+        rest = sympy.expand(angle - factor * Q)
+        if not factor.is_number or factor == 0 or Q in rest.free_symbols:
+            return node
+        return node.func(_turned(sympy.Float(factor), Q) + rest)
+
+    return expression.replace(lambda node: isinstance(node, sympy.cos | sympy.sin), wave)
 
 
 def export_torch(model: FrictionModel, path: Path) -> Path:

@@ -1,6 +1,15 @@
-"""MATLAB files; version 7.3 is HDF5 with transposed matrices and needs h5py."""
+"""MATLAB files; version 7.3 is HDF5 with transposed matrices and needs h5py.
 
+Elements of earlier versions are checked because SciPy may crash or unpack a bomb. Format:
+MathWorks, "MAT-File Format", chapter on level 5.
+"""
+
+import struct
+import zlib
 from pathlib import Path
+from typing import Literal
+
+import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import LogFormat
@@ -8,10 +17,98 @@ from hesr_model.logs.log_table import LogTable, most_bytes
 from hesr_model.logs.readers.arrays import numeric, table_of_arrays
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.readers.hdf5 import arrays_of_hdf5
-from hesr_model.logs.readers.matlab_elements import require_sound
 from hesr_model.support.arrays import Array
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"  # after a header of 512 bytes
+Order = Literal["<", ">"]
+
+_HEADER = 128  # [B]
+_FLAGS, _MATRIX, _PACKED = 6, 14, 15
+_KNOWN = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18}
+_SIZES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # [B] per number in version 4
+_CLASSES = range(1, 18)
+_DEEPEST = 50  # nesting of matrices in structs and cells
+
+
+def require_sound(path: Path, most: int) -> None:
+    """Check a file; raises ValueError, or OverflowError above `most` [B] of packed data."""
+    if path.stat().st_size < _HEADER:
+        return
+    content = np.memmap(path, dtype=np.uint8, mode="r").data
+    if 0 in bytes(content[:4]):
+        _require_version_4(content)
+        return
+    order: Order = "<" if bytes(content[126:128]) == b"IM" else ">"
+    place = _HEADER
+    while place + 8 <= len(content):
+        kind, length = struct.unpack_from(f"{order}II", content, place)
+        end = place + 8 + length
+        if kind != _PACKED:
+            end = _require_element(content, place, order, 0)
+        else:
+            unpacked = _unpacked(content[place + 8 : end], most)
+            most -= len(unpacked)
+            _require_element(memoryview(unpacked), 0, order, 0)
+        place = end
+
+
+def _require_version_4(content: memoryview) -> None:
+    place = 0
+    while place < len(content):
+        if place + 20 > len(content):
+            raise ValueError("a matrix is truncated")
+        little = struct.unpack_from("<I", content, place)[0] < 5000  # the byte order
+        header = struct.unpack_from(f"{'<' if little else '>'}IiiII", content, place)
+        digits, rows, columns, imaginary, name = header
+        size = _SIZES.get(digits // 10 % 10)
+        if size is None or rows < 0 or columns < 0 or imaginary > 1 or name == 0:
+            raise ValueError("a matrix is malformed")
+        place += 20 + name + rows * columns * size * (1 + imaginary)
+    if place > len(content):
+        raise ValueError("a matrix extends past the file")
+
+
+def _unpacked(packed: memoryview, most: int) -> bytes:
+    unpacker = zlib.decompressobj()
+    try:
+        unpacked = unpacker.decompress(packed, max(most, 1))
+    except zlib.error as error:
+        raise ValueError("its compressed data are corrupt") from error
+    if unpacker.unconsumed_tail:
+        raise OverflowError
+    return unpacked
+
+
+def _require_element(content: memoryview, place: int, order: Order, depth: int) -> int:
+    if place + 8 > len(content):
+        raise ValueError("an element is truncated")
+    kind, length = struct.unpack_from(f"{order}II", content, place)
+    if kind >> 16:  # short: length in the upper half, data in the tag
+        kind, length, start, after = kind & 0xFFFF, kind >> 16, place + 4, place + 8
+        if length > 4:
+            raise ValueError("a short element has too many bytes")
+    else:
+        start = place + 8
+        after = start + length + -length % 8
+    if kind not in _KNOWN:
+        raise ValueError(f"an element is of the unknown type {kind}")
+    if start + length > len(content):
+        raise ValueError("an element extends past its container")
+    if kind == _MATRIX and length:
+        _require_matrix(content[start : start + length], order, depth + 1)
+    return after
+
+
+def _require_matrix(content: memoryview, order: Order, depth: int) -> None:
+    if depth > _DEEPEST:
+        raise ValueError("it is nested too deeply")
+    if len(content) < 16 or struct.unpack_from(f"{order}II", content) != (_FLAGS, 8):
+        raise ValueError("a matrix lacks its flags")
+    if struct.unpack_from(f"{order}I", content, 8)[0] & 0xFF not in _CLASSES:
+        raise ValueError("a matrix has an unknown class")
+    place = 16
+    while place < len(content):
+        place = _require_element(content, place, order, depth)
 
 
 def read_matlab(path: Path, *, time: str) -> LogTable:
