@@ -85,13 +85,12 @@ def _broken(peaks: Array, ways: Array, level: float) -> PropertyResult:
             if fall > 1e-3
             else "The break-away torque does not fall with the rate."
         )
-    rates = level / np.array(RAMPS)
     return judged(
         ("fall of the break-away torque", fall, "1"),
         ("break-away torque on the slowest ramp", float(peaks[0]), "N.m"),
         ("break-away torque on the fastest ramp", float(peaks[-1]), "N.m"),
         wrong=wrong,
-        plot=plot("log10 rate", "break-away", curve("", np.log10(rates), peaks)),
+        plot=plot("log10 rate", "break-away", curve("", np.log10(level / np.array(RAMPS)), peaks)),
     )
 
 

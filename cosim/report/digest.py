@@ -146,10 +146,9 @@ def _physics(results: Results) -> Iterator[str]:
         f"{', '.join(map(title, laws))}: {most} of {len(EXPECTATIONS)} checks passed on all "
         f"joints, the most of {len(found)} laws.\n"
     )
-    wanted = dict.fromkeys([REFERENCE, papers_law(), *results.recommended, *laws])
     rows = [
         row_of(title(law), str(found[law].passed), "; ".join(found[law].failed) or "–")
-        for law in wanted
+        for law in dict.fromkeys([REFERENCE, papers_law(), *results.recommended, *laws])
         if law in found
     ]
     head = ("law", "passed", "fails on at least one joint")

@@ -63,11 +63,14 @@ class Bench:
 
     def urdf(self) -> str:
         """Return a model with one link per joint."""
-        template = environment().get_template("bench.urdf.j2")
-        return template.render(
-            joints=[self._body(k) for k in range(len(self.joints))],
-            type="continuous" if self.kind == "rotary" else "prismatic",
-            axis=_AXES[self.kind][self.hangs],
+        return (
+            environment()
+            .get_template("bench.urdf.j2")
+            .render(
+                joints=[self._body(k) for k in range(len(self.joints))],
+                type="continuous" if self.kind == "rotary" else "prismatic",
+                axis=_AXES[self.kind][self.hangs],
+            )
         )
 
     def _body(self, k: int) -> Mapping[str, Any]:

@@ -183,10 +183,9 @@ def under_truths(
     The twin's bristles favour bristle laws.
     """
     twin = study.twin
-    names = twin.truths if twin else ()
     return {
         truth: _under(study, twin.model_copy(update={"truth": truth}), path, laws)
-        for truth in counted(names, progress, str)
+        for truth in counted(twin.truths if twin else (), progress, str)
         if twin
     }
 

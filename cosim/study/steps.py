@@ -179,9 +179,8 @@ class Job:
         from hesr_model.audit.properties import write_properties
 
         inertia = partial(standing_inertia, run.robot, run.rigid_body)
-        subjects = [Subject(name=n, model=m, inertia=inertia(m)) for n, m in run.models.items()]
         listed = run_battery(
-            subjects,
+            [Subject(name=n, model=m, inertia=inertia(m)) for n, m in run.models.items()],
             progress=partial(self.progress, "testing the laws"),
             kept=self.kept and self.kept / "properties",
         )

@@ -89,12 +89,11 @@ def block(
         model_exchange=free,
         directional_derivatives=free,
     )
-    header = equations_header(own, table, {})
     return content(
         table,
         name=name,
         text=text,
-        sources=equation_sources(header),
+        sources=equation_sources(equations_header(own, table, {})),
         step=step,
         example={joint.names[of]: value for of, value in example.items() for joint in own},
     )

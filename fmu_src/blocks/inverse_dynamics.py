@@ -49,14 +49,13 @@ def inverse_dynamics(
     )
     first = {"POSITION": "q", "VELOCITY": "dq", "ACCELERATION": "ddq", "TORQUE": "tau"}
     first |= {"PARAMETERS": "link[1].m", "ROTORS": "link[1].Ir"}
-    header = places(table, "PLACES_H", first, JOINTS=n, LINKS=robot.links)
     return content(
         table,
         name="InverseDynamics",
         text="Rigid-body torque of a motion, by the recursive Newton-Euler algorithm.",
         sources={
             "inverse_dynamics.c": own_source("inverse_dynamics.c"),
-            "places.h": header,
+            "places.h": places(table, "PLACES_H", first, JOINTS=n, LINKS=robot.links),
             "tree.h": _tree(robot),
         },
         step=step,

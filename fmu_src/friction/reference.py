@@ -75,10 +75,9 @@ def reference_motion(
     count = round(periods / (frequency * model.sample_time)) if rows is None else rows
     step = model.sample_time if rows is None else periods / (frequency * rows)
     t = np.round(step * np.arange(count), 12)
-    trained = model.trained or (None,) * len(model.joints)
     columns = [
         _of_joint(t, seen, 2.0 * np.pi * frequency, i * phase, lead_in)
-        for i, seen in enumerate(trained, start=1)
+        for i, seen in enumerate(model.trained or (None,) * len(model.joints), start=1)
     ]
     dq, q, load = (np.column_stack(part) for part in zip(*columns, strict=True))
     return ReferenceMotion(t=t, dq=dq, q=q, tau_load=load)

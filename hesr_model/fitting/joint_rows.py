@@ -48,13 +48,12 @@ class JointRows:
         begins = np.concatenate([np.arange(len(r.t)) == 0 for r in records])
         logs = log_of_rows(records)
         names = ("dq", "q", "tau_load", "tau")
-        joined = {n: np.concatenate([getattr(r, n) for r in records]) for n in names}
         return cls(
             dt=np.concatenate([np.diff(r.t, prepend=r.t[0]) for r in records]),
             begins=begins,
             record=logs if logs.any() else np.cumsum(begins) - 1,
             gear_ratio=records[0].gear_ratio,
-            **joined,
+            **{n: np.concatenate([getattr(r, n) for r in records]) for n in names},
         )
 
     @cached_property

@@ -33,7 +33,6 @@ class MotionTable:
                 f"y has {friction.shape[1]} columns, but X is the motion of {n} joints; expected "
                 "one column for each joint."
             )
-        joints = robot_joints or [f"joint{k}" for k in range(1, n + 1)]
         return [
             FrictionRecord(
                 log="table",
@@ -44,7 +43,7 @@ class MotionTable:
                 tau_load=np.ascontiguousarray(self.load[:, k]),
                 tau=np.ascontiguousarray(friction[:, k]),
             )
-            for k, joint in enumerate(joints)
+            for k, joint in enumerate(robot_joints or [f"joint{k}" for k in range(1, n + 1)])
         ]
 
 

@@ -58,7 +58,6 @@ def motionwise(log: Log, cutoff: float) -> list[Motionwise]:
             if len(log.gaps):
                 continue
             raise
-        logged = None if part.dq is None else smooth(part, cutoff).dq
         made.append(
             Motionwise(
                 log=part,
@@ -66,7 +65,7 @@ def motionwise(log: Log, cutoff: float) -> list[Motionwise]:
                 q=derived.q,
                 v=derived.dq,
                 a=derived.ddq,
-                dq=logged,
+                dq=None if part.dq is None else smooth(part, cutoff).dq,
                 tau=part.tau,
             ).thinned(_ROWS)
         )

@@ -120,7 +120,6 @@ class RobotDescription(Config):
     @property
     def lists(self) -> dict[str, Any]:
         """Return values by key, which may be lists with an entry per joint."""
-        columns = {f"log.columns.{k}": v for k, v in self.log.columns if k != "names"}
         return {
             "transmission.matrix": self.transmission and self.transmission.matrix,
             "gear_ratio": self.gear_ratio,
@@ -128,6 +127,6 @@ class RobotDescription(Config):
             "log.zero": self.log.zero,
             "sources.torque_per_ampere": self.sources.torque_per_ampere,
             "log.bag.joints": self.log.bag.joints,
-            **columns,
+            **{f"log.columns.{k}": v for k, v in self.log.columns if k != "names"},
             **{f"log.units.{key}": entries for key, entries in self.log.units},
         }

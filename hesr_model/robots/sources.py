@@ -51,11 +51,10 @@ def sourced(
     sources: Sequence[SourceKind],
 ) -> dict[str, Any]:
     """Return the entry of a provenance for a constant of each joint."""
-    rows = zip(joints, values, sources, strict=True)
     return {
         _KEY: [
             to_json(SourcedConstant(name=name, joint=joint, value=value, unit=unit, source=source))
-            for joint, value, source in rows
+            for joint, value, source in zip(joints, values, sources, strict=True)
         ]
     }
 

@@ -110,11 +110,10 @@ def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str
             low, high = np.array(
                 [[f.value if end is None else end for end in (f.low, f.high)] for f in found]
             ).T
-            spread = np.array([values - low, high - values])
             axis.errorbar(
                 values,
                 np.arange(len(found)) + offset,
-                xerr=np.maximum(spread, 0.0),
+                xerr=np.maximum(np.array([values - low, high - values]), 0.0),
                 fmt=_MARKERS[k % len(_MARKERS)],
                 color=SERIES[k % len(SERIES)],
                 markersize=4.0,

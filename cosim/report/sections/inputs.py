@@ -109,12 +109,11 @@ def provenance(results: Results) -> dict[str, Any]:
         if file["sha256"] not in logs:
             files[file["name"], file["sha256"]] = None
     fmus = dict.fromkeys((results.fmu, *(f"fmus/{law}.fmu" for law in results.models)))
-    written = [*fmus, *_FILES]
     return {
         "run": run,
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
         "bokeh": version("bokeh"),
-        "files": [file for file in written if (results.folder / file).is_file()],
+        "files": [file for file in [*fmus, *_FILES] if (results.folder / file).is_file()],
         "hashes": ResultTable(
             caption="SHA-256 of the input files",
             head=("file", "SHA-256"),

@@ -33,11 +33,10 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
     found = results.comparisons[test].ratios
     reference = "its reference" if found.fair else title(found.reference)
     laws = {title(law): row for law, row in found.laws.items()}
-    axis = f"RMSE / RMSE of {reference}"
     return {
         "test": test,
         "reference": reference,
-        "ratios": ratios(laws, results.joints, x=axis) if laws else None,
+        "ratios": ratios(laws, results.joints, x=f"RMSE / RMSE of {reference}") if laws else None,
         "moving": f"{MOVING:g}",
         "window": f"{WINDOW:g}",
         "tests": [_test(results, test) for test in results.tests],

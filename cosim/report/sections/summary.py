@@ -118,10 +118,9 @@ def _plot(results: Results, laws: Sequence[str]) -> dict[str, Any] | None:
     (k, short, name), law = results.numbered[worst], laws[worst]
     torques = results.torques(log)
     t, predicted = torques["t"], torques[f"{law}.tau_f{k}"]
-    measured = torques[f"tau{k}"] - torques[f"tau_rb{k}"]
     lines = (
         *(replace(line, name="95 % band") for line in band(results, law, k, torques)),
-        Line(name="measured", x=t, y=measured, stroke=MEASURED),
+        Line(name="measured", x=t, y=torques[f"tau{k}"] - torques[f"tau_rb{k}"], stroke=MEASURED),
         Line(name="predicted", x=t, y=predicted, stroke=Stroke(colour=SERIES[0])),
     )
     unit = results.unit("N.m", k - 1)

@@ -120,10 +120,9 @@ def left_out(
         return None
     columns = list(zip(*(model.left_out_rmse for model in known.values()), strict=True))
     places = list(map(decimals, columns))
-    coordinates = any(model.coupling for model in known.values())
     return ResultTable(
         caption=f"RMSE on training logs left out in turn [{unit_of_joints('N.m', sliding)}]"
-        + ", of friction coordinates" * coordinates,
+        + ", of friction coordinates" * any(model.coupling for model in known.values()),
         head=("law", *joints(len(columns))),
         rows=[
             row_of(title(law), *map(fixed, model.left_out_rmse, places))

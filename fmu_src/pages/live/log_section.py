@@ -29,7 +29,6 @@ def _data(model: FrictionModel, body: PageBody | None) -> dict[str, Any]:
     trained = model.trained if own and model.trained else (None,) * count
     noise = model.training_rmse if own and model.training_rmse else (None,) * count
     used = {s.name for law in model.laws for s in law.form.inputs}
-    rows = zip(model.joints, model.laws, trained, noise, strict=True)
     return {
         "words": {**vocabulary(), "load": _LOAD, "friction": _FRICTION},
         "units": {"t": OTHERS["t"], **_units(model)},
@@ -44,7 +43,7 @@ def _data(model: FrictionModel, body: PageBody | None) -> dict[str, Any]:
                 "speeds": seen.dq if seen else None,
                 "noise": error,
             }
-            for name, law, seen, error in rows
+            for name, law, seen, error in zip(model.joints, model.laws, trained, noise, strict=True)
         ],
     }
 

@@ -34,12 +34,11 @@ def types(fleet: "Fleet") -> ResultTable:
     ]
     counts = [Counter(type_of[name] for name in names) for names in columns]
     few = [t for t in sorted(counts[0]) if counts[0][t] < ENOUGH]
-    note = f"Fewer than {ENOUGH} robots are not compared: {', '.join(few)}." if few else ""
     return ResultTable(
         caption=f"Fleet {fleet.name}",
         head=("type", "robots", "deviate", "got worse", "with findings", "not all used"),
         rows=[row_of(t, *(fixed(c[t], 0) for c in counts)) for t in sorted(counts[0])],
-        note=note,
+        note=f"Fewer than {ENOUGH} robots are not compared: {', '.join(few)}." if few else "",
     )
 
 

@@ -52,19 +52,22 @@ def header(model: FrictionModel, name: str) -> str:
         texts += [own.begin()] if memory else []
         texts += [own.switches()] if own.jumps.expressions else []
         texts += [own.rates()] if euler and memory else []
-    template = code_templates(TEMPLATES).get_template("law.h.j2")
-    text = template.render(
-        name=name,
-        title=_comment(f"Friction of {model.robot} by {model.law}"),
-        version=version("hesr"),
-        sample_time=literal(model.sample_time),
-        law_math=own_source("law_math.h"),
-        functions=texts,
-        joints=_rows(model, joints, {f.component: f for f in functions}, euler=euler),
-        slides=model.slides,
-        lanes=_LANES,
-        shared=max(len(joint.component.shared) for joint in joints),
-        coefficients=sum(len(law.values) for law in model.laws),
+    text = (
+        code_templates(TEMPLATES)
+        .get_template("law.h.j2")
+        .render(
+            name=name,
+            title=_comment(f"Friction of {model.robot} by {model.law}"),
+            version=version("hesr"),
+            sample_time=literal(model.sample_time),
+            law_math=own_source("law_math.h"),
+            functions=texts,
+            joints=_rows(model, joints, {f.component: f for f in functions}, euler=euler),
+            slides=model.slides,
+            lanes=_LANES,
+            shared=max(len(joint.component.shared) for joint in joints),
+            coefficients=sum(len(law.values) for law in model.laws),
+        )
     )
     return _with_prefix(text, name)
 

@@ -85,10 +85,9 @@ def write_page(swept: "SweepRuns", path: Path, study: Path) -> None:
 
 
 def _outputs(swept: "SweepRuns", pictures: Pictures) -> Markup:
-    names = [output.name for output in swept.plan.study.outputs]
     drawn = pictures.shown(
         "distributions",
-        distributions(names, swept.table.outputs),
+        distributions([output.name for output in swept.plan.study.outputs], swept.table.outputs),
         "Distribution of each output over the runs; dashed: 5, 50 and 95 % quantiles.",
         alt="A histogram of each output.",
     )
@@ -96,10 +95,9 @@ def _outputs(swept: "SweepRuns", pictures: Pictures) -> Markup:
 
 
 def _worst(swept: "SweepRuns", study: Path) -> Markup:
-    count = len(swept.plan.study.outputs)
     return joined(
         paragraph("Largest magnitude first, failed runs before all others."),
-        *(table(tables.worst(swept, k, study)) for k in range(count)),
+        *(table(tables.worst(swept, k, study)) for k in range(len(swept.plan.study.outputs))),
     )
 
 
@@ -113,10 +111,9 @@ def _sensitivities(swept: "SweepRuns", pictures: Pictures) -> Markup:
     found = zip(swept.sensitivities, tables.sensitivities(swept), strict=True)
     for k, (one, listed) in enumerate(found):
         intervals = np.stack([one.first_interval, one.total_interval])
-        figure = shares(swept.plan.study.names, one.first, one.total, intervals)
         drawn = pictures.shown(
             f"shares-{k}",
-            figure,
+            shares(swept.plan.study.names, one.first, one.total, intervals),
             f"Shares of the variance of {one.output}.",
             alt="Two bars for each input.",
         )

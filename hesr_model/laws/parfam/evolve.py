@@ -66,7 +66,6 @@ def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Ar
     unit = [UNIT_FUNCTIONS[g][0](features @ theta)] if g else []
     columns = np.column_stack([features, *unit])
     solution = least_squares(columns, tau)
-    cost = float(np.mean((tau - columns @ solution) ** 2))
     return Candidate(
         g=g,
         alpha=cell.alpha,
@@ -76,7 +75,7 @@ def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Ar
         gain=float(solution[4]) if g else 0.0,
         c_active=np.ones(4, bool),
         theta_active=np.full(4, bool(g)),
-        cost=cost,
+        cost=float(np.mean((tau - columns @ solution) ** 2)),
     )
 
 

@@ -57,9 +57,8 @@ def search(cell: Cell, g: str, features: Array, tau: Array, rng: np.random.Gener
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
     level = max(float(tau.std()), 1e-12)
     x, y = features / scale, tau / level
-    everything = np.ones(9, bool)
     hopped = basinhopping(
-        Objective(g, x, y, GAMMA, everything),
+        Objective(g, x, y, GAMMA, np.ones(9, bool)),
         rng.normal(size=9),
         niter=HOPS,
         stepsize=STEP,
