@@ -9,7 +9,6 @@ from hesr_model.audit.attack import loaded_motions
 from hesr_model.audit.cycles import (
     AMPLITUDES,
     FREQUENCIES,
-    ClosedMotions,
     Cycle,
     closed_motions,
     cycles,
@@ -155,7 +154,12 @@ def work(
         motions = [closed_motions(r, np.multiply(AMPLITUDES, r.speed), wanted) for r in trained]
         for k in range(max(map(len, loads))):
             held = np.array([of_joint[min(k, len(of_joint) - 1)] for of_joint in loads])
-            tau = _run(bench, motions, held, trained[0].sample_time)
+            dq, q = (
+                np.column_stack([getattr(m, part).ravel() for m in motions]) for part in ("dq", "q")
+            )
+            bench.start(load=held, exact=False, dq=dq[0])
+            tau = bench.move(np.full(len(dq) - 1, trained[0].sample_time), dq[1:], q[1:])
+            tau = np.concatenate([tau[:1], tau]).reshape(*motions[0].dq.shape, -1)
             for joint, motion in enumerate(motions):
                 found[joint] += cycles(motion, float(held[joint]), tau[:, :, joint])
     if any(len(of_joint) > 1 for of_joint in loads):
@@ -188,15 +192,6 @@ def _with_moving_load(bench: FrictionBench, trained: list[TrainedRange]) -> list
                 )
             )
     return found
-
-
-def _run(bench: FrictionBench, motions: list[ClosedMotions], load: Array, sample: float) -> Array:
-    """Return the torque (A, K, n) of consecutive motions, as in the audit."""
-    dq, q = (np.column_stack([getattr(m, part).ravel() for m in motions]) for part in ("dq", "q"))
-    bench.start(load=load, exact=False, dq=dq[0])
-    tau = bench.move(np.full(len(dq) - 1, sample), dq[1:], q[1:])
-    first = tau[:1]  # not measured
-    return np.concatenate([first, tau]).reshape(*motions[0].dq.shape, -1)
 
 
 def _worked(found: list[Cycle]) -> PropertyResult:

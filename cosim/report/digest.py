@@ -78,15 +78,30 @@ def _run(results: Results) -> Iterator[str]:
     yield markdown(short(results))
     if results.truths:
         yield "### Does the order of the laws depend on the true friction?\n"
-        leaders = [title(leading(of_plant)) for of_plant in results.truths.values()]
-        pairs = zip(results.truths, leaders, strict=True)
-        led = ", ".join(f"{law} with {plant}" for plant, law in pairs)
+        led = ", ".join(
+            f"{title(leading(of))} with {plant}" for plant, of in results.truths.items()
+        )
         yield f"{own_friction(results.run.truth)} Lowest error: {led}.\n"
         table = other_truths(results.comparisons, results.truths, results.run.truth)
         yield markdown(_rows(table, [REFERENCE, papers_law(), results.best, ORACLE]))
     if results.loop:
         yield "### Does friction compensation improve tracking?\n"
-        yield from _tracking(results)
+        wanted = {*StandIn, REFERENCE, papers_law(), *results.recommended}
+        desired = (row for row in results.loop.tracking if row.scheme.source == "desired")
+        rows = [row for row in desired if row.law in wanted]
+        laws = [row for row in rows if row.law not in set(StandIn)]
+        body = [row for row in rows if row.law == StandIn.BODY_ONLY]
+        if laws and body:
+            best = min(laws, key=lambda row: float(row.mean.mean()))
+            alone = next((row for row in body if row.scheme == best.scheme), body[0])
+            yield (
+                f"Yes: {best.scheme.title} with {title(best.law)} tracks to "
+                f"{1e3 * best.mean.mean():.2f} mrad, averaged over joints; "
+                f"{title(alone.law)} to {1e3 * alone.mean.mean():.2f} mrad.\n"
+                if best.mean.mean() < alone.mean.mean()
+                else "No.\n"
+            )
+        yield markdown(tracking("RMSE of tracking [mrad], mean over the motions", rows))
     if results.properties:
         yield "### Which laws behave as friction in physics checks?\n"
         yield from _physics(results)
@@ -117,26 +132,6 @@ def _rows(table: ResultTable, laws: Sequence[str]) -> ResultTable:
     shown: list[TableRow] = [row for row in table.rows if row.quiet]
     shown += [rows[head] for head in wanted if head in rows]
     return ResultTable(caption=table.caption, head=table.head, rows=shown)
-
-
-def _tracking(results: Results) -> Iterator[str]:
-    assert results.loop
-    wanted = {*StandIn, REFERENCE, papers_law(), *results.recommended}
-    desired = (row for row in results.loop.tracking if row.scheme.source == "desired")
-    rows = [row for row in desired if row.law in wanted]
-    laws = [row for row in rows if row.law not in set(StandIn)]
-    body = [row for row in rows if row.law == StandIn.BODY_ONLY]
-    if laws and body:
-        best = min(laws, key=lambda row: float(row.mean.mean()))
-        alone = next((row for row in body if row.scheme == best.scheme), body[0])
-        yield (
-            f"Yes: {best.scheme.title} with {title(best.law)} tracks to "
-            f"{1e3 * best.mean.mean():.2f} mrad, averaged over joints; "
-            f"{title(alone.law)} to {1e3 * alone.mean.mean():.2f} mrad.\n"
-            if best.mean.mean() < alone.mean.mean()
-            else "No.\n"
-        )
-    yield markdown(tracking("RMSE of tracking [mrad], mean over the motions", rows))
 
 
 def _physics(results: Results) -> Iterator[str]:

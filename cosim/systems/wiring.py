@@ -40,7 +40,12 @@ class Wiring:
         for signal, bounds in spec.limits.items():
             self.limited += self._bounds(signal, bounds, f"limits of '{signal}'")
         if not spec.open_inputs:
-            self._require_inputs()
+            for name, slave in self._slaves.items():
+                for variable in slave.needed:
+                    if (name, variable) not in self.sources and variable not in self.start[name]:
+                        raise self._error(
+                            f"input '{name}.{variable}' is not connected and has no start value."
+                        )
         self.order = self._sorted()
 
     def started(self, more: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, float | str]]:
@@ -120,14 +125,6 @@ class Wiring:
         alike = taken[0] == given[0] or (taken[1] is not None and taken[1] == given[1])
         if taken[0] and given[0] and not alike:
             raise self._error(f"{where}: the input is in {taken[0]}, the output in {given[0]}.")
-
-    def _require_inputs(self) -> None:
-        for name, slave in self._slaves.items():
-            for variable in slave.needed:
-                if (name, variable) not in self.sources and variable not in self.start[name]:
-                    raise self._error(
-                        f"input '{name}.{variable}' is not connected and has no start value."
-                    )
 
     def _sorted(self) -> tuple[Element, ...]:
         # Lists, not sets, for a reproducible order.

@@ -112,7 +112,11 @@ def _interface(model: FrictionModel, laws: Sequence[Joint], own: Motors) -> Inte
     for joint, (name, law, own_law) in enumerate(
         zip(model.joints, model.laws, laws, strict=True), start=1
     ):
-        sources = _sources(joint, model.coupling)
+        sources = {
+            "dq": (f"dq_start[{joint}]", f"ratio[{joint}]"),
+            "q": (f"q_start[{joint}]", f"ratio[{joint}]"),
+            "tau_load": friction_component.mixed("tau_load", joint, model.coupling),
+        }
         made_of = friction_component.dependencies(own_law, torque, sources)
         text = f"friction torque of {name} over the last inner step, on its side of the gear"
         friction.append(
@@ -151,14 +155,6 @@ def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
 
 
 _WORDS = {"torque": "force", "angle": "position", "inertia": "mass", "flexspline": "spring"}
-
-
-def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]]:
-    return {
-        "dq": (f"dq_start[{joint}]", f"ratio[{joint}]"),
-        "q": (f"q_start[{joint}]", f"ratio[{joint}]"),
-        "tau_load": friction_component.mixed("tau_load", joint, coupling),
-    }
 
 
 def _coupled(coupling: Coupling | None, outputs: Sequence[Variable]) -> Iterator[Variable]:

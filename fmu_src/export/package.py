@@ -149,7 +149,14 @@ def write_fmu(
 def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str, str]]:
     """Return the GUID of an FMU and its C files by name; all.c includes the others."""
     table, about = content.table, content.about
-    sources = _sources(content.sources, fmi)
+    own = content.sources
+    patterns = (*_GLUE, "fmi3*.[ch]") if fmi == 3 else _GLUE
+    glue = [file.name for pattern in patterns for file in sorted(_C.glob(pattern))]
+    text = "".join(own.values())
+    sources = {n: own_source(n) for n in glue if n not in _OPTIONAL or f'"{n}"' in text}
+    sources |= own
+    includes = "".join(f'#include "{name}"\n' for name in sources if name.endswith(".c"))
+    sources["all.c"] = (_INSIDE if fmi == 3 else "") + _ALL_C + includes
     if fmi == 3:
         sources["extents.h"] = description3.Arrays(table).to_c()
     guid = _guid(table, about, sources)
@@ -182,16 +189,6 @@ def _built(source: Path, identifier: str, target: Target, own: Binary | None) ->
         file.write_bytes(own.content)
         flags += (str(file), *own.link)
     return build(source, identifier, target, flags)
-
-
-def _sources(own: Mapping[str, str], fmi: Version) -> dict[str, str]:
-    patterns = (*_GLUE, "fmi3*.[ch]") if fmi == 3 else _GLUE
-    glue = [file.name for pattern in patterns for file in sorted(_C.glob(pattern))]
-    text = "".join(own.values())
-    files = {n: own_source(n) for n in glue if n not in _OPTIONAL or f'"{n}"' in text} | dict(own)
-    includes = "".join(f'#include "{name}"\n' for name in files if name.endswith(".c"))
-    files["all.c"] = (_INSIDE if fmi == 3 else "") + _ALL_C + includes
-    return files
 
 
 def _guid(table: Interface, about: Description, sources: Mapping[str, str]) -> str:

@@ -60,7 +60,12 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
             f"{log.gaps[0] + 1} of its data; its 'parts()' can be used one by one."
         )
     period = log.period
-    _require_rate(log, period, cutoff)
+    highest = _HIGHEST_SHARE_OF_NYQUIST * 0.5 / period
+    if cutoff > highest:
+        raise LogError(
+            f"{log.where}: its rows are {period:.3g} s apart ({1 / period:.4g} Hz); at this rate "
+            f"filter_cutoff can be at most {highest:.3g} Hz."
+        )
     steps = max(int(np.ceil((log.t[-1] - log.t[0]) / period)), 1)
     grid = np.linspace(log.t[0], log.t[-1], steps + 1)
     sos = butter(_ORDER, cutoff, fs=steps / (grid[-1] - grid[0]), output="sos")
@@ -120,12 +125,3 @@ def _before(values: Array, rows: int) -> Array:
     weights = 3.0 * (3 * n * n - 3 * n + 2) - 18.0 * (2 * n - 1) * k + 30.0 * k * k
     first = weights / (n * (n + 1) * (n + 2)) @ values[:n]
     return np.asarray(2.0 * first - values[rows:0:-1])
-
-
-def _require_rate(log: Log, period: float, cutoff: float) -> None:
-    highest = _HIGHEST_SHARE_OF_NYQUIST * 0.5 / period
-    if cutoff > highest:
-        raise LogError(
-            f"{log.where}: its rows are {period:.3g} s apart ({1 / period:.4g} Hz); at this rate "
-            f"filter_cutoff can be at most {highest:.3g} Hz."
-        )

@@ -116,7 +116,12 @@ def identify_payload_motions(
         rows=len(segments),
         logs=tuple(motion.name for motion in motions),
     )
-    _require_mass(name, payload)
+    error = float(payload.standard_errors[0])
+    if not payload.mass > _SIGNIFICANT * error:
+        raise FitError(
+            f"{name}: no significant payload; its mass is {payload.mass:.3g} kg with a standard "
+            f"error of {error:.2g} kg (at least {_SIGNIFICANT:g} standard errors needed)."
+        )
     return payload
 
 
@@ -139,15 +144,6 @@ def loaded(unloaded: RigidBody, payload: Payload, model: Robot) -> RigidBody:
         rows=payload.rows,
         logs=(*unloaded.logs, *payload.logs),
     )
-
-
-def _require_mass(name: str, payload: Payload) -> None:
-    error = float(payload.standard_errors[0])
-    if not payload.mass > _SIGNIFICANT * error:
-        raise FitError(
-            f"{name}: no significant payload; its mass is {payload.mass:.3g} kg with a standard "
-            f"error of {error:.2g} kg (at least {_SIGNIFICANT:g} standard errors needed)."
-        )
 
 
 def _last_link(model: Robot) -> tuple[int, ...]:

@@ -244,7 +244,10 @@ def joint_frames(model: Any, neutral: Array) -> Iterator[JointFrame]:
     """Yield the frames of a model's joints, from base to tip."""
     for k, name in enumerate(list(model.names)[1:], start=1):
         placement = model.jointPlacements[k]
-        subspace = _motion_subspace(model.joints[k], neutral)
+        joint = model.joints[k]
+        data = joint.createData()
+        joint.calc(data, neutral)
+        subspace = np.asarray(data.S, dtype=float).ravel()
         prismatic = bool(np.any(subspace[:3]))
         yield JointFrame(
             name=name,
@@ -355,10 +358,3 @@ def set_joint(joint: Any, states: Array, position: Array) -> None:
         states[joint.idx_q] = position
     else:
         states[joint.idx_q], states[joint.idx_q + 1] = np.cos(position), np.sin(position)
-
-
-def _motion_subspace(joint: Any, state: Array) -> Array:
-    """Return the motion subspace (6,) at a state (nq,): linear, angular."""
-    data = joint.createData()
-    joint.calc(data, state)
-    return np.asarray(data.S, dtype=float).ravel()

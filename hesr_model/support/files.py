@@ -98,7 +98,11 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
         temporary = cleanup.enter_context(scratch_folder(path, _TEMPORARY))
         yield temporary
         with interrupts.deferred():
-            _require_places(temporary, path)
+            for file in temporary.rglob("*"):
+                target = path / file.relative_to(temporary)
+                if target.exists() and target.is_dir() != file.is_dir():
+                    code = errno.EISDIR if target.is_dir() else errno.ENOTDIR
+                    raise _unwritable(target, OSError(code, os.strerror(code)))
             temporary.rename(path / _WHOLE)  # from here on all files, even if killed
             _move(path)
 
@@ -185,14 +189,6 @@ def _runs(process: int) -> bool:
 def _remove_empty(folder: Path) -> None:
     with suppress(OSError):  # not empty, or never made
         folder.rmdir()
-
-
-def _require_places(temporary: Path, path: Path) -> None:
-    for file in temporary.rglob("*"):
-        target = path / file.relative_to(temporary)
-        if target.exists() and target.is_dir() != file.is_dir():
-            code = errno.EISDIR if target.is_dir() else errno.ENOTDIR
-            raise _unwritable(target, OSError(code, os.strerror(code)))
 
 
 def _move(path: Path) -> None:

@@ -231,7 +231,13 @@ class Simulation:
         model.dof_damping[[loss.dof for loss in signals.losses]] *= scale
         self._losses = LossState(signals.losses, scale)
         for actuator in signals.delay.actuators if signals.delay else ():
-            model.actuator_delay[actuator] = _delay(model, actuator, given[LATENCY])
+            step = float(model.opt.timestep)
+            interpolated = model.actuator_history[actuator, 1] > 0
+            model.actuator_delay[actuator] = (
+                given[LATENCY]
+                if interpolated
+                else max(np.ceil(given[LATENCY] / step - 1e-6) - 0.5, 0.0) * step
+            )
         self._data = mujoco.MjData(model)
         if signals.payload is not None:
             model.body_mass[signals.payload] += given[PAYLOAD]
@@ -254,13 +260,6 @@ class Simulation:
         extremes = (data.qpos.max(), -data.qpos.min(), data.qvel.max(), -data.qvel.min())
         bounded = all(extreme <= _MAX for extreme in extremes)  # false for NaN
         return not bounded or bool(data.warning.number[first:].any())
-
-
-def _delay(model: Any, actuator: int, latency: float) -> float:
-    """Return the delay to write into the model [s]; see `Delay`."""
-    step = float(model.opt.timestep)
-    interpolated = model.actuator_history[actuator, 1] > 0
-    return latency if interpolated else max(np.ceil(latency / step - 1e-6) - 0.5, 0.0) * step
 
 
 @contextmanager

@@ -98,7 +98,13 @@ def export_modelica(model: FrictionModel, path: Path) -> Path:
     It has a block and a bearing per joint and examples, and needs the Modelica Standard Library
     4.0.
     """
-    _check_name(path)
+    if path.suffix != ".mo":
+        raise ExportError(f"{path}: a Modelica package ends in .mo, found '{path.suffix}'.")
+    if odd := _oddity(path.stem, _WORDS | _LIBRARIES):
+        raise ExportError(
+            f"{path}: the package name '{path.stem}' is {odd}; start with a letter, then use "
+            "letters, digits and underscores."
+        )
     text = package(model, path.stem)
     with written_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
@@ -136,16 +142,6 @@ def package(model: FrictionModel, name: str) -> str:
         frequency=_FREQUENCY,
         info=package_html(model, joints, audits, refused),
     )
-
-
-def _check_name(path: Path) -> None:
-    if path.suffix != ".mo":
-        raise ExportError(f"{path}: a Modelica package ends in .mo, found '{path.suffix}'.")
-    if odd := _oddity(path.stem, _WORDS | _LIBRARIES):
-        raise ExportError(
-            f"{path}: the package name '{path.stem}' is {odd}; start with a letter, then use "
-            "letters, digits and underscores."
-        )
 
 
 def _oddity(name: str, taken: frozenset[str]) -> str:

@@ -1,17 +1,14 @@
-"""Page and figures of a sweep."""
+"""Page of a sweep."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
-from cosim.report.figures.style import SERIES, SOFT, styled
 from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
 from hesr.extras.sweep import tables
-from hesr_model.support.arrays import Array
+from hesr.extras.sweep.figures import distributions, shares
 
 if TYPE_CHECKING:
     from hesr.extras.sweep.plan import SweepRuns
@@ -22,41 +19,6 @@ _DESIGNS = {
     "monte_carlo": "random points",
     "sobol": "Saltelli's design of Sobol points",
 }
-_BINS = 40
-_WIDTH = 7.2  # [in]
-
-
-def distributions(names: Sequence[str], values: Array) -> Figure:
-    """Draw a histogram of each output (runs, m); failed runs are NaN."""
-    with styled():
-        figure = Figure(figsize=(_WIDTH, 1.7 * len(names)), layout="constrained")
-        axes = figure.subplots(len(names), squeeze=False)[:, 0]
-        for axis, name, column in zip(axes, names, values.T, strict=True):
-            found = column[np.isfinite(column)]
-            axis.hist(found, bins=_BINS, color=SERIES[0])
-            for place in np.quantile(found, (0.05, 0.5, 0.95)) if len(found) else ():
-                axis.axvline(place, color=SOFT, linewidth=1.0, dashes=(4.0, 2.0))
-            axis.set_title(name)
-            axis.set_ylabel("runs")
-    return figure
-
-
-def shares(inputs: Sequence[str], first: Array, total: Array, intervals: Array) -> Figure:
-    """Draw first- and total-order sensitivities (d,) of an output, with intervals (2, d, 2)."""
-    places = np.arange(len(inputs), dtype=float)
-    with styled():
-        figure = Figure(figsize=(_WIDTH, 0.5 * len(inputs) + 0.9), layout="constrained")
-        axis = figure.subplots()
-        for k, (label, values) in enumerate((("first order", first), ("total", total))):
-            at = places + 0.36 * (k - 0.5)
-            spread = np.abs(intervals[k].T - values)
-            axis.barh(at, values, 0.34, color=SERIES[k], label=label)
-            axis.errorbar(values, at, xerr=spread, fmt="none", ecolor=SOFT, elinewidth=1.0)
-        axis.set_yticks(places, inputs)
-        axis.invert_yaxis()
-        axis.set_xlabel("share of the variance")
-        axis.legend(loc="lower right")
-    return figure
 
 
 def write_page(swept: "SweepRuns", path: Path, study: Path) -> None:
@@ -85,9 +47,10 @@ def write_page(swept: "SweepRuns", path: Path, study: Path) -> None:
 
 
 def _outputs(swept: "SweepRuns", pictures: Pictures) -> Markup:
+    names = [output.name for output in swept.plan.study.outputs]
     drawn = pictures.shown(
         "distributions",
-        distributions([output.name for output in swept.plan.study.outputs], swept.table.outputs),
+        distributions(names, swept.table.outputs),
         "Distribution of each output over the runs; dashed: 5, 50 and 95 % quantiles.",
         alt="A histogram of each output.",
     )
@@ -95,9 +58,10 @@ def _outputs(swept: "SweepRuns", pictures: Pictures) -> Markup:
 
 
 def _worst(swept: "SweepRuns", study: Path) -> Markup:
+    count = len(swept.plan.study.outputs)
     return joined(
         paragraph("Largest magnitude first, failed runs before all others."),
-        *(table(tables.worst(swept, k, study)) for k in range(len(swept.plan.study.outputs))),
+        *(table(tables.worst(swept, k, study)) for k in range(count)),
     )
 
 
@@ -111,9 +75,10 @@ def _sensitivities(swept: "SweepRuns", pictures: Pictures) -> Markup:
     found = zip(swept.sensitivities, tables.sensitivities(swept), strict=True)
     for k, (one, listed) in enumerate(found):
         intervals = np.stack([one.first_interval, one.total_interval])
+        figure = shares(swept.plan.study.names, one.first, one.total, intervals)
         drawn = pictures.shown(
             f"shares-{k}",
-            shares(swept.plan.study.names, one.first, one.total, intervals),
+            figure,
             f"Shares of the variance of {one.output}.",
             alt="Two bars for each input.",
         )

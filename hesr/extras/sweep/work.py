@@ -87,7 +87,11 @@ def run_rows(task: Task, values: Array) -> RunOutputs:
     """Do the runs with these varied numbers (n, d)."""
     outputs, failures = np.empty((len(values), len(task.outputs))), []
     with _LOCK:  # a worker of a cluster may have several threads
-        master = _master(task)
+        global _held
+        if _held is None or _held[0] != task.key:
+            release()
+            _held = task.key, Master(task.spec, loaded=POOL).__enter__()
+        master = _held[1]
         for k, row in enumerate(values):
             result = master.run(start=task.start(row))
             outputs[k] = task.measured(result)
@@ -102,11 +106,3 @@ def release() -> None:
         held, _held = _held, None
         held[1].__exit__(None, None, None)
     POOL.clear()
-
-
-def _master(task: Task) -> Master:
-    global _held
-    if _held is None or _held[0] != task.key:
-        release()
-        _held = task.key, Master(task.spec, loaded=POOL).__enter__()
-    return _held[1]

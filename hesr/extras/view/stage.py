@@ -118,7 +118,9 @@ class Stage:
                 for a, b in pairwise(rows):
                     _line(scene, path[a, side], path[b, side], pixels, colour)
             for line, text in enumerate(one.label):
-                _text(scene, one.above - np.array([0.0, 0.0, _LINE * line]), text)
+                place = one.above - np.array([0.0, 0.0, _LINE * line])
+                if geom := _added(scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, place, _TEXT):
+                    geom.label = text[:99]  # MuJoCo's limit is 100 characters
 
     def legend(self, t: float) -> tuple[str, str]:
         """Return the two-column legend at time t [s]."""
@@ -220,11 +222,6 @@ def _line(scene: mujoco.MjvScene, start: Array, end: Array, pixels: float, colou
     kind = mujoco.mjtGeom.mjGEOM_LINE  # four times as fast as tubes in software rendering
     if geom := _added(scene, kind, 0.0, np.zeros(3), colour):
         mujoco.mjv_connector(geom, kind, pixels, start, end)
-
-
-def _text(scene: mujoco.MjvScene, place: Array, text: str) -> None:
-    if geom := _added(scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, place, _TEXT):
-        geom.label = text[:99]  # MuJoCo's limit is 100 characters
 
 
 def _added(

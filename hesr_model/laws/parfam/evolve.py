@@ -125,18 +125,7 @@ class _Projected:
         return theta, cost
 
     def _step(self, theta: Array, damping: Array) -> Array:
-        gram, gradient = self._normal_equations(theta)
-        diagonal = np.einsum("sii->si", gram)
-        shift = damping[:, None] * (diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True))
-        damped = gram + np.eye(len(theta)) * (shift + 1e-300)[:, None, :]
-        return np.asarray(np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T)
-
-    def _normal_equations(self, theta: Array) -> tuple[Array, Array]:
-        """Return the (S, F, F) Gram matrices and (S, F) gradients of theta.
-
-        The residual is orthogonal to the linear span, so the projected Jacobian enters by its Gram
-        matrix.
-        """
+        # The residual is orthogonal to the linear span, so the Gram matrix is all of the Jacobian.
         argument, value, outside, gain = self.evaluate(theta)
         slope = gain * self.dg(argument, value)
         norm = np.maximum(np.einsum("ms,ms->s", outside, outside), 1e-9 * len(self.x))
@@ -147,4 +136,8 @@ class _Projected:
         residual = self.x.T @ ((self.y - gain * outside) * slope)
         gram = whole - np.einsum("lis,ljs->ijs", inside, inside) - along[:, None] * along / norm
         left = np.einsum("ms,ms->s", outside, self.y - gain * outside)
-        return gram.transpose(2, 0, 1), (residual - along * left / norm).T
+        gram, gradient = gram.transpose(2, 0, 1), (residual - along * left / norm).T
+        diagonal = np.einsum("sii->si", gram)
+        shift = damping[:, None] * (diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True))
+        damped = gram + np.eye(len(theta)) * (shift + 1e-300)[:, None, :]
+        return np.asarray(np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T)

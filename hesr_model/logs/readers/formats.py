@@ -46,7 +46,21 @@ def samples_of(table: LogTable, robot: RobotDescription) -> LogSamples:
 
 def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array:
     if isinstance(columns, str) and "{name}" not in columns:
-        _require_joint_count(table, columns, len(robot.joints))
+        n = len(robot.joints)
+        # One joint more than the file can have, numbered.
+        names = column_names(columns, [""] * (len(table.names) + n + 1))
+        there = set(table.names)
+        found = next(k for k, name in enumerate(names) if name not in there)
+        if found > n:
+            raise LogError(
+                f"{table.path}: has column '{names[n]}', but the robot has {n} joints; name the "
+                "columns to use under 'log.columns' of the robot file."
+            )
+        if 0 < found < n and names[n - 1] not in table.names:
+            raise LogError(
+                f"{table.path}: column '{names[found]}' is missing; it has {found} "
+                f"joints, but the robot has {n}."
+            )
     return table.numbers(column_names(columns, robot.joints), missing=robot.log.missing == "drop")
 
 
@@ -54,23 +68,6 @@ def _temperature(table: LogTable, robot: RobotDescription) -> Array | None:
     columns = robot.log.columns.temperature
     there = set(column_names(columns, robot.joints)) & set(table.names)
     return None if columns == TEMPERATURES and not there else _joints(table, columns, robot)
-
-
-def _require_joint_count(table: LogTable, pattern: str, n: int) -> None:
-    # One joint more than the file can have, numbered.
-    names = column_names(pattern, [""] * (len(table.names) + n + 1))
-    there = set(table.names)
-    found = next(k for k, name in enumerate(names) if name not in there)
-    if found > n:
-        raise LogError(
-            f"{table.path}: has column '{names[n]}', but the robot has {n} joints; name the "
-            "columns to use under 'log.columns' of the robot file."
-        )
-    if 0 < found < n and names[n - 1] not in table.names:
-        raise LogError(
-            f"{table.path}: column '{names[found]}' is missing; it has {found} "
-            f"joints, but the robot has {n}."
-        )
 
 
 def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:

@@ -46,7 +46,14 @@ def require_sound(path: Path, most: int) -> None:
         if kind != _PACKED:
             end = _require_element(content, place, order, 0)
         else:
-            unpacked = _unpacked(content[place + 8 : end], most)
+            packed = content[place + 8 : end]
+            unpacker = zlib.decompressobj()
+            try:
+                unpacked = unpacker.decompress(packed, max(most, 1))
+            except zlib.error as error:
+                raise ValueError("its compressed data are corrupt") from error
+            if unpacker.unconsumed_tail:
+                raise OverflowError
             most -= len(unpacked)
             _require_element(memoryview(unpacked), 0, order, 0)
         place = end
@@ -66,17 +73,6 @@ def _require_version_4(content: memoryview) -> None:
         place += 20 + name + rows * columns * size * (1 + imaginary)
     if place > len(content):
         raise ValueError("a matrix extends past the file")
-
-
-def _unpacked(packed: memoryview, most: int) -> bytes:
-    unpacker = zlib.decompressobj()
-    try:
-        unpacked = unpacker.decompress(packed, max(most, 1))
-    except zlib.error as error:
-        raise ValueError("its compressed data are corrupt") from error
-    if unpacker.unconsumed_tail:
-        raise OverflowError
-    return unpacked
 
 
 def _require_element(content: memoryview, place: int, order: Order, depth: int) -> int:

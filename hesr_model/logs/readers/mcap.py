@@ -29,7 +29,10 @@ def complete(path: Path) -> Iterator[Path]:
         with path.open("rb") as file, copy.open("wb") as whole:
             size = path.stat().st_size
             end = _last_record(file, len(_MAGIC), size)
-            inner = _in_chunk(file, end)
+            file.seek(end)
+            head = file.read(9 + 28 + 4 + 8)
+            uncompressed = len(head) == 49 and head[:1] == b"\x06" and not any(head[37:41])
+            inner = end + len(head) if uncompressed else end
             last = _last_record(file, inner, size)
             for start, stop, place in ((0, end, 0), (inner, last, end)):
                 file.seek(start)
@@ -61,11 +64,3 @@ def _last_record(file: BinaryIO, start: int, size: int) -> int:
             break
         end += 9 + length
     return end
-
-
-def _in_chunk(file: BinaryIO, start: int) -> int:
-    """Return where the records of an uncompressed chunk at `start` begin; else `start`."""
-    file.seek(start)
-    head = file.read(9 + 28 + 4 + 8)
-    uncompressed = len(head) == 49 and head[:1] == b"\x06" and not any(head[37:41])
-    return start + len(head) if uncompressed else start
