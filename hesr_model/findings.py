@@ -56,3 +56,11 @@ def reaching(findings: Iterable[Finding], severity: str) -> list[Finding]:
     """Return findings at or above a severity; none for ``"never"``."""
     counted = SEVERITIES[: SEVERITIES.index(severity) + 1] if severity in SEVERITIES else ()
     return [finding for finding in findings if finding.severity in counted]
+
+
+def of_joint(
+    check: str, joint: str, found: str, remedy: str, severity: Severity = "error", **more: Any
+) -> Finding:
+    """Return a finding on a joint, or without joints if it is empty."""
+    of = (joint,) if joint else ()
+    return Finding(check=check, severity=severity, joints=of, found=found, remedy=remedy, **more)

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from hesr_model.findings import Finding
+from hesr_model.findings import Finding, of_joint
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.rigid_body.identification import RigidBody
@@ -36,13 +36,9 @@ def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
         )
     for name, (coulomb, _, _), rmse in zip(joints, body.friction, body.rmse, strict=True):
         if -coulomb > _NEGATIVE * rmse:
-            yield Finding(
-                check="negative-friction",
-                severity="warning",
-                joints=(name,),
-                found=f"its Coulomb friction is identified as {coulomb:.3g} N.m",
-                remedy="torque or velocity count backwards, or lag each other",
-            )
+            found = f"its Coulomb friction is identified as {coulomb:.3g} N.m"
+            remedy = "torque or velocity count backwards, or lag each other"
+            yield of_joint("negative-friction", name, found, remedy, "warning")
 
 
 def _least_inertia(body: RigidBody, model: Robot) -> tuple[float, Array, int]:
@@ -65,14 +61,12 @@ def check_laws(
         for j, joint in enumerate(model.joints):
             deviation = float(np.std(np.concatenate([record.tau for record in records[j]])))
             if len(model.training_rmse) and model.training_rmse[j] >= _NOTHING * deviation:
-                yield Finding(
-                    check="no-better-than-nothing",
-                    severity="warning",
-                    joints=(joint,),
-                    found=f"the error of the law {name}, {model.training_rmse[j]:.3g}, is no "
-                    f"smaller than friction itself, {deviation:.3g}",
-                    remedy="the torque contains no friction to be fitted; see 'hesr inspect'",
+                found = (
+                    f"the error of the law {name}, {model.training_rmse[j]:.3g}, is no "
+                    f"smaller than friction itself, {deviation:.3g}"
                 )
+                remedy = "the torque contains no friction to be fitted; see 'hesr inspect'"
+                yield of_joint("no-better-than-nothing", joint, found, remedy, "warning")
             values = model.laws[j].values
             if {"F_c", "F_s"} <= set(values) and values["F_c"] != 0:
                 ratio = values["F_s"] / values["F_c"]
@@ -92,10 +86,7 @@ def check_owner(model: FrictionModel, robot: Robot) -> Iterator[Finding]:
     """Check that a law belongs to the robot."""
     own = robot.description
     if model.robot != own.name and model.joints == own.joints:  # else refused elsewhere
-        yield Finding(
-            check="other-robot",
-            severity="warning",
-            found=f"the law {model.law} was fitted to '{model.robot}' and is evaluated on "
-            f"'{own.name}'",
-            remedy="one of the files is of another robot",
+        found = (
+            f"the law {model.law} was fitted to '{model.robot}' and is evaluated on '{own.name}'"
         )
+        yield of_joint("other-robot", "", found, "one of the files is of another robot", "warning")

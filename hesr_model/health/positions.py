@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hesr_model.findings import Finding
+from hesr_model.findings import Finding, of_joint
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.loss import loses_rows, share_of_long_steps
 from hesr_model.logs.guess import is_of_motor
@@ -39,33 +39,25 @@ def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
             if units
             else ("the unit of time is wrong; see [log.units] t")
         )
-        yield Finding(
-            check="time-unit",
-            found=f"its rows are {period:.3g} s apart",
-            remedy=mend,
-            changes={"log.units.t": units[0]} if units else {},
+        found = f"its rows are {period:.3g} s apart"
+        yield of_joint(
+            "time-unit", "", found, mend, changes={"log.units.t": units[0]} if units else {}
         )
         return
     if len(log.gaps):
         longest, parts = float(np.max(steps)), len(log.parts())
-        yield Finding(
-            check="gaps",
-            severity="warning",
-            found=f"{len(log.gaps)} gap{'s' * (len(log.gaps) > 1)}, the longest of {longest:.3g} s",
-            remedy="rows are missing; "
-            + (
-                f"its {parts} parts are filtered and fitted separately"
-                if parts > 1
-                else "only one of its parts is long enough to use"
-            ),
+        what = f"{len(log.gaps)} gap{'s' * (len(log.gaps) > 1)}, the longest of {longest:.3g} s"
+        remedy = "rows are missing; " + (
+            f"its {parts} parts are filtered and fitted separately"
+            if parts > 1
+            else "only one of its parts is long enough to use"
         )
+        yield of_joint("gaps", "", what, remedy, "warning")
     if loses_rows(log):
         share = share_of_long_steps(log)
-        yield Finding(
-            check="missing-rows",
-            severity="warning",
-            found=f"{100 * share:.0f} % of its steps are longer than 1.8 periods of {period:.4g} s",
-            remedy="rows are missing, which blurs reversals",
+        said = f"{100 * share:.0f} % of its steps are longer than 1.8 periods of {period:.4g} s"
+        yield of_joint(
+            "missing-rows", "", said, "rows are missing, which blurs reversals", "warning"
         )
     if log.dropped:
         yield Finding(
@@ -84,23 +76,16 @@ def check_jumps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         turned = np.flatnonzero(np.abs(np.abs(leaps) - _TURN) < 0.1 * _TURN)
         usual = np.median(np.abs(leaps[leaps != 0.0])) if np.any(leaps) else 0.0
         if len(turned) and usual < 0.05 * _TURN:
-            yield Finding(
-                check="wrap",
-                joints=(joint,),
-                found=f"its position jumps by a full turn at t = {log.t[turned[0] + 1]:.4g} s",
-                remedy="the log wraps angles; unwrap them first (numpy.unwrap)",
-            )
+            found = f"its position jumps by a full turn at t = {log.t[turned[0] + 1]:.4g} s"
+            remedy = "the log wraps angles; unwrap them first (numpy.unwrap)"
+            yield of_joint("wrap", joint, found, remedy)
             continue
         bends = np.abs(leaps[1:] - leaps[:-1])
         level = max(_SPIKE * float(np.quantile(bends, 0.99)), _LEAST_SPIKE) if len(bends) else 0.0
         if len(bends) and float(bends.max()) > level:
             k = int(np.argmax(bends)) + 1
-            yield Finding(
-                check="spikes",
-                joints=(joint,),
-                found=f"its position is {float(bends.max()):.3g} off at t = {log.t[k]:.4g} s",
-                remedy="a row is wrong, or rows were lost; leave it out",
-            )
+            what = f"its position is {float(bends.max()):.3g} off at t = {log.t[k]:.4g} s"
+            yield of_joint("spikes", joint, what, "a row is wrong, or rows were lost; leave it out")
 
 
 def check_steps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
@@ -113,14 +98,12 @@ def check_steps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         # Distances of values are random with a fine encoder, equal with a coarse one.
         alike = np.mean(np.abs(np.diff(values) / step - 1.0) < 0.01)
         if step > _COARSE and alike > 0.5:
-            yield Finding(
-                check="coarse",
-                severity="warning",
-                joints=(joint,),
-                found=f"its position comes in steps of {step:.2g}",
-                remedy="it was rounded, or the encoder is coarse; log more digits to get sharper "
-                "velocities",
+            found = f"its position comes in steps of {step:.2g}"
+            remedy = (
+                "it was rounded, or the encoder is coarse; log more digits to get sharper "
+                "velocities"
             )
+            yield of_joint("coarse", joint, found, remedy, "warning")
 
 
 def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
@@ -182,12 +165,9 @@ def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Findi
     for j in joints:
         tau = motion.log.tau[:, j]
         if np.ptp(tau) == 0.0:
-            yield Finding(
-                check="torque-constant",
-                joints=(robot.joints[j],),
-                found=f"it moves while its torque stays at {tau[0]:.4g}",
-                remedy="its torque is not logged, or another column is",
-            )
+            found = f"it moves while its torque stays at {tau[0]:.4g}"
+            remedy = "its torque is not logged, or another column is"
+            yield of_joint("torque-constant", robot.joints[j], found, remedy)
         elif (share := _saturated(tau)) > _SATURATED:
             yield Finding(
                 check="saturation",

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hesr_model.findings import Finding
+from hesr_model.findings import Finding, of_joint
 from hesr_model.health.evidence import Motionwise
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -42,13 +42,8 @@ def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         alone = np.abs(log.tau[2:, j] - log.tau[:-2, j]) < 0.2 * off
         k = int(np.argmax(np.where(alone, off, 0.0)))
         if alone[k] and off[k] > _SPIKE * (high - low) > 0.0:
-            yield Finding(
-                check="torque-spikes",
-                joints=(joint,),
-                found=f"its torque is {off[k]:.3g} off in a single row, at t = {log.t[k + 1]:.4g} "
-                "s",
-                remedy="that row is wrong; leave it out",
-            )
+            found = f"its torque is {off[k]:.3g} off in a single row, at t = {log.t[k + 1]:.4g} s"
+            yield of_joint("torque-spikes", joint, found, "that row is wrong; leave it out")
 
 
 def _speeds(log: Log) -> Array:
@@ -68,12 +63,9 @@ def _repeated(log: Log, moves: Mask, fine: Mask) -> Iterator[Finding]:
     same = np.all(np.diff(log.tau[:, fine], axis=0) == 0.0, axis=1)
     share = float(np.mean(same[rows]))
     if share > _HELD:
-        yield Finding(
-            check="held-samples",
-            severity="warning",
-            found=f"{100 * share:.0f} % of the rows in motion repeat the torques of the row before",
-            remedy="the log is faster than the robot's data; log at the robot's own rate",
-        )
+        found = f"{100 * share:.0f} % of the rows in motion repeat the torques of the row before"
+        remedy = "the log is faster than the robot's data; log at the robot's own rate"
+        yield of_joint("held-samples", "", found, remedy, "warning")
 
 
 def _stands_still(log: Log, values: Array, moves: Mask) -> int | None:
@@ -90,12 +82,9 @@ def _stands_still(log: Log, values: Array, moves: Mask) -> int | None:
 
 
 def _stuck(log: Log, joint: str, what: str, row: int, while_: str) -> Finding:
-    return Finding(
-        check="stuck",
-        joints=(joint,),
-        found=f"its {what} is constant from t = {log.t[row]:.4g} s, while {while_}",
-        remedy="the sensor or its connection failed there; cut these rows out",
-    )
+    found = f"its {what} is constant from t = {log.t[row]:.4g} s, while {while_}"
+    remedy = "the sensor or its connection failed there; cut these rows out"
+    return of_joint("stuck", joint, found, remedy)
 
 
 def check_speed(motion: Motionwise, model: Robot) -> Iterator[Finding]:

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 
-from hesr_model.findings import Finding
+from hesr_model.findings import Finding, of_joint
 from hesr_model.health.evidence import JointTorque, Motionwise, Torques, explain
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.units import backwards, unit_of_joint
@@ -50,14 +50,12 @@ def check_torque(
             )
         if fit.r2 < NO_SIGNAL:
             levels = len(np.unique(motion.tau[:, j]))
-            yield Finding(
-                check="torque-signal",
-                severity="warning",
-                joints=(model.description.joints[j],),
-                found=f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
-                f"which takes {levels} values",
-                remedy="it contains almost no signal, or belongs to another joint",
+            what = (
+                f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
+                f"which takes {levels} values"
             )
+            remedy = "it contains almost no signal, or belongs to another joint"
+            yield of_joint("torque-signal", model.description.joints[j], what, remedy, "warning")
     yield from _no_friction(found, model)
     yield from _against_limits(motion, found, model)
 
@@ -71,15 +69,13 @@ def _sign(fit: JointTorque, j: int, model: Robot) -> Iterator[Finding]:
     key, changes = sign_change(robot, j, position=follows)
     unit = unit_of_joint("N.m", slides=model.slides[j])
     beside = "" if fit.bears_gravity else ", or its position and velocity do"
-    yield Finding(
-        check="torque-sign",
-        joints=(robot.joints[j],),
-        found="its torque drives the motion where friction should brake it "
+    found = (
+        "its torque drives the motion where friction should brake it "
         f"({fit.friction.value:.3g} {unit} along the velocity, {abs(fit.friction.t):.0f} "
-        "standard errors)",
-        remedy=f"its {what} backwards{beside}; set {key}",
-        changes=changes,
+        "standard errors)"
     )
+    remedy = f"its {what} backwards{beside}; set {key}"
+    yield of_joint("torque-sign", robot.joints[j], found, remedy, changes=changes)
 
 
 def sign_change(
@@ -187,23 +183,17 @@ def _against_limits(motion: Motionwise, found: Explained, model: Robot) -> Itera
     for j, share in used.items():
         name = model.description.joints[j]
         if share > _ABOVE_LIMIT:
-            yield Finding(
-                check="torque-limit",
-                joints=(name,),
-                found=f"its torque reaches {peaks[j]:.3g}, {share:.2g} times the model's limit",
-                remedy="its unit or its torque_per_ampere is wrong",
-            )
+            what = f"its torque reaches {peaks[j]:.3g}, {share:.2g} times the model's limit"
+            yield of_joint("torque-limit", name, what, "its unit or its torque_per_ampere is wrong")
         others = [s for k, s in used.items() if k != j]
         if (
             len(others) > 1
             and share * _BELOW_OTHERS < np.median(others)
             and found[j].r2 > _EXPLAINED
         ):
-            yield Finding(
-                check="torque-small",
-                severity="warning",
-                joints=(name,),
-                found=f"its torque reaches {100 * share:.2g} % of the model's limit, the other "
-                f"joints' {100 * np.median(others):.2g} %",
-                remedy="its unit or its torque_per_ampere may be wrong",
+            said = (
+                f"its torque reaches {100 * share:.2g} % of the model's limit, the other "
+                f"joints' {100 * np.median(others):.2g} %"
             )
+            remedy = "its unit or its torque_per_ampere may be wrong"
+            yield of_joint("torque-small", name, said, remedy, "warning")

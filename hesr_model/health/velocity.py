@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hesr_model.findings import Finding
+from hesr_model.findings import Finding, of_joint
 from hesr_model.health.evidence import Motionwise
 from hesr_model.inference.correlation import standard_errors
 from hesr_model.logs.log_format import LogUnits, column_names
@@ -68,14 +68,12 @@ def check_velocity(
     for j, found in matches.items():
         name = robot.joints[j]
         if np.ptp(dq[:, j]) < 1e-9:
-            yield Finding(
-                check="velocity-constant",
-                joints=(name,),
-                found="its position moves while its velocity never changes",
-                remedy='the velocity is not logged; set [log.columns] dq = "" to derive it from '
-                "the position",
-                changes={"log.columns.dq": ""},
+            what = "its position moves while its velocity never changes"
+            remedy = (
+                'the velocity is not logged; set [log.columns] dq = "" to derive it from '
+                "the position"
             )
+            yield of_joint("velocity-constant", name, what, remedy, changes={"log.columns.dq": ""})
         elif abs(found.correlation) < _ALIKE:
             yield _unlike(robot, j, found, places)
         else:
@@ -117,27 +115,21 @@ def _unlike(robot: RobotDescription, j: int, found: Match, places: dict[int, int
             changes={"log.columns.dq": tuple(order)},
         )
     late = f", and is {found.lag * 1e3:.0f} ms late" if abs(found.lag) > _LATE else ""
-    return Finding(
-        check="velocity-match",
-        joints=(name,),
-        found=what + late,
-        remedy='the column contains another signal or a filtered one; set [log.columns] dq = "" '
-        "to derive it from the position",
-        changes={"log.columns.dq": ""},
+    remedy = (
+        'the column contains another signal or a filtered one; set [log.columns] dq = "" '
+        "to derive it from the position"
     )
+    return of_joint("velocity-match", name, what + late, remedy, changes={"log.columns.dq": ""})
 
 
 def _late(name: str, lag: float) -> Finding:
     way = "late" if lag > 0 else "early"
-    return Finding(
-        check="velocity-lag",
-        severity="warning",
-        joints=(name,),
-        found=f"its velocity is {abs(lag) * 1e3:.0f} ms {way} relative to its position",
-        remedy='it was filtered or comes from another clock; set [log.columns] dq = "" to '
-        "derive it from the position",
-        changes={"log.columns.dq": ""},
+    found = f"its velocity is {abs(lag) * 1e3:.0f} ms {way} relative to its position"
+    remedy = (
+        'it was filtered or comes from another clock; set [log.columns] dq = "" to '
+        "derive it from the position"
     )
+    return of_joint("velocity-lag", name, found, remedy, "warning", changes={"log.columns.dq": ""})
 
 
 def _scale(
@@ -151,14 +143,12 @@ def _scale(
         declared = enumerate(robot.log.units.each("dq", len(robot.joints)))
         against = {k for k, other in matches.items() if other.correlation < -_ALIKE}
         units = [backwards(unit) if k in against else unit for k, unit in declared]
-        yield Finding(
-            check="velocity-sign",
-            joints=(name,),
-            found=f"its position falls where its velocity is positive (slope {found.slope:.2f})",
-            remedy=f"velocity or position counts backwards; set [log.units] dq = {_listed(units)}, "
-            "or q accordingly",
-            changes={"log.units.dq": tuple(units)},
+        what = f"its position falls where its velocity is positive (slope {found.slope:.2f})"
+        remedy = (
+            f"velocity or position counts backwards; set [log.units] dq = {_listed(units)}, "
+            "or q accordingly"
         )
+        yield of_joint("velocity-sign", name, what, remedy, changes={"log.units.dq": tuple(units)})
     ratio = abs(found.slope)
     sure = abs(ratio - 1.0) > _SURE * found.error
     if not sure or abs(np.log(ratio)) < _ODD:
