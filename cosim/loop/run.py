@@ -34,22 +34,6 @@ PLANT = "Plant.fmu"
 _SIGNALS = {"arm.q_true": "arm.q", "arm.tau_meas": "arm.tau_motor"}
 
 
-def build_plant(
-    path: Path,
-    models: Mapping[str, FrictionModel],
-    robot: Robot,
-    body: RigidBody,
-    gains: Gains,
-) -> Path:
-    """Write the generated plant with the assumed servo and the first law with memory, if any.
-
-    Raises ExportError if the identified masses give no positive definite mass matrix.
-    """
-    known = list(models.values())
-    law = next((one for one in known if one.laws[0].form.memory), known[0])
-    return export_plant(law, path, body=PlantBody.of(robot, body), kv=gains.Kv, ki=gains.Ki)
-
-
 def on_plant(spec: SystemSpec, plant: Path, gains: Gains) -> SystemSpec:
     """Return a loop with the generated plant instead of the arm."""
 
@@ -125,7 +109,15 @@ def write_loops(
     spec, gains = example(loop), loop.tracking.gains
     write_system(spec, folder / "closed_loop.toml")
     try:
-        plant = build_plant(folder / "fmus" / PLANT, models, robot, body, gains)
+        known = list(models.values())
+        law = next((one for one in known if one.laws[0].form.memory), known[0])
+        plant = export_plant(
+            law,
+            folder / "fmus" / PLANT,
+            body=PlantBody.of(robot, body),
+            kv=gains.Kv,
+            ki=gains.Ki,
+        )
     except ExportError as error:
         reason = str(error).rstrip(".")
         found = f"the loop was not written with a generated plant ({reason})"

@@ -62,18 +62,14 @@ def library(platform: str) -> Binary:
     wheel = _WHEELS[platform]
     own = installed() if platform == _own_platform() else []
     name, content = (own[-1].name, own[-1].read_bytes()) if own else _downloaded(platform, wheel)
-    include = (f"-isystem{_package() / 'include'}",)
+    include = (f"-isystem{Path(mujoco.__file__).parent / 'include'}",)
     return Binary(name=wheel.place + name, content=content, flags=include, link=wheel.flags)
 
 
 def installed() -> list[Path]:
     """Return the library files of this machine in MuJoCo's package, normally one."""
     platform = _own_platform()
-    return sorted(_package().glob(_WHEELS[platform].pattern)) if platform else []
-
-
-def _package() -> Path:
-    return Path(mujoco.__file__).parent
+    return sorted(Path(mujoco.__file__).parent.glob(_WHEELS[platform].pattern)) if platform else []
 
 
 def _own_platform() -> str:

@@ -271,7 +271,7 @@ def _scalar(variable: Variable, place: int, table: Interface) -> ET.Element:
     if variable.nominal != 1.0:
         real["nominal"] = repr(variable.nominal)
     if variable.derivative_of:
-        real["derivative"] = _index(table, variable.derivative_of)
+        real["derivative"] = str(table.places[variable.derivative_of] + 1)
     ET.SubElement(element, "Real", real)
     return element
 
@@ -289,9 +289,6 @@ def _unknowns(
     for variable in unknowns:
         names = table.made_of(variable, known, initially=initially)
         numbers = " ".join(map(str, sorted({table.places[name] + 1 for name in names})))
-        ET.SubElement(parent, "Unknown", index=_index(table, variable.name), dependencies=numbers)
-
-
-def _index(table: Interface, name: str) -> str:
-    """FMI counts ScalarVariables from 1."""
-    return str(table.places[name] + 1)
+        ET.SubElement(
+            parent, "Unknown", index=str(table.places[variable.name] + 1), dependencies=numbers
+        )

@@ -35,7 +35,7 @@ def own_of_logs(
     logs = list(dict.fromkeys(record.log for record in records))
     own = [OwnOfLog() for _ in logs]
     if len(logs) > 1 and wanted:
-        log, torque = log_of_rows(records), _torque(records)
+        log, torque = log_of_rows(records), np.concatenate([r.tau for r in records])
         dq = np.concatenate([r.dq for r in records])
         columns = np.column_stack([np.tanh(dq / MOVING), dq, np.ones_like(dq)])
         for _ in range(_ROUNDS):
@@ -60,14 +60,10 @@ def with_own(
 ) -> list[Array]:
     """Return predictions (N,) [N.m] with fitted nuisances of each log; these are not blind."""
     log, whole = log_of_rows(records), np.concatenate(predicted)
-    own = _fitted(whole, _torque(records), log, wanted)
+    own = _fitted(whole, np.concatenate([r.tau for r in records]), log, wanted)
     ends = np.cumsum([len(torque) for torque in predicted])
     level, offset = _of_rows(own, log)
     return np.split(level * whole + offset, ends[:-1])
-
-
-def _torque(records: Sequence[FrictionRecord]) -> Array:
-    return np.concatenate([r.tau for r in records])
 
 
 def _of_rows(own: Sequence[OwnOfLog], log: Integers) -> Array:

@@ -56,20 +56,6 @@ def read_checkpoint(path: Path) -> FrictionLaw | None:
     return None
 
 
-def write_checkpoint(
-    path: Path, law: FrictionLaw, record: FrictionRecord, sample_time: float
-) -> None:
-    """Write the law of one joint, sampled at `sample_time` [s], as a model."""
-    FrictionModel(
-        law=law.name,
-        robot="robot",
-        joints=(record.joint,),
-        laws=(law,),
-        sliding=(record.sliding,),
-        sample_time=sample_time,
-    ).write(path)
-
-
 def fit_joint(
     law: str,
     records: Sequence[FrictionRecord],
@@ -267,6 +253,13 @@ def _fitted(
             return error
         if path:
             period = float(np.median(np.concatenate([np.diff(r.t) for r in records])))
-            write_checkpoint(path, fitted, records[0], round(period, 9))
+            FrictionModel(
+                law=fitted.name,
+                robot="robot",
+                joints=(records[0].joint,),
+                laws=(fitted,),
+                sliding=(records[0].sliding,),
+                sample_time=round(period, 9),
+            ).write(path)
     report(1, 1)
     return fitted

@@ -1,6 +1,5 @@
 """Proposal of a robot file: guessed from column names, corrected until the checks pass."""
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os.path import relpath
@@ -30,6 +29,7 @@ from hesr_model.logs.readers.formats import format_of
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.torque_constants import Constant
 from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, description_of
+from hesr_model.support.text import toml
 
 _ROUNDS = 4
 _CUTOFF_SHARE = 0.3  # low pass over the sample rate
@@ -183,13 +183,9 @@ def _read(
         said = str(error)
         for words, key, value in _REMEDIES:
             if words in said and key not in reasons:
-                reasons[key] = f"sure: {_tail(said)}"
+                reasons[key] = f"sure: {said.split(': ', 1)[-1].rstrip('.')}"
                 return _read(paths, changed(robot, {key: value}), reasons)
         raise
-
-
-def _tail(sentence: str) -> str:
-    return sentence.split(": ", 1)[-1].rstrip(".")
 
 
 def _with_cutoff(
@@ -325,15 +321,7 @@ def robot_text(
 
 def _line(key: str, value: Any, reason: str) -> str:
     comment = f"# {key}: {reason}\n" if reason else ""
-    return f"{comment}{key} = {_toml(value)}"
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, tuple | list):
-        return f"[{', '.join(map(_toml, value))}]"
-    return json.dumps(value, ensure_ascii=False)  # as in TOML
+    return f"{comment}{key} = {toml(value)}"
 
 
 def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:

@@ -50,7 +50,7 @@ def errors(
         notes = ratio_notes(ratios[law][k]) if law in ratios else ()
         return fixed(value, places[k], best=law == best[k], notes=notes)
 
-    ranked = sorted(values, key=lambda law: _relative(scores, law))
+    ranked = sorted(values, key=lambda law: (law == ORACLE, scores.size(law)))
     for label, laws in _by_inputs(ranked, inputs).items():
         if label is not None:
             rows.append(row_of(f"inputs {label}" if label else "for comparison"))
@@ -143,7 +143,7 @@ def bands(name: str, scores: Comparison) -> ResultTable:
         width = "–" if band.width is None else f"× {band.width:.2f}"
         return fixed(100.0 * band.held, 1, notes=(*notes, width))
 
-    ranked = sorted(scores.bands, key=lambda law: _relative(scores, law))
+    ranked = sorted(scores.bands, key=lambda law: (law == ORACLE, scores.size(law)))
     return ResultTable(
         caption=f"{name}: rows within the 95\u00a0% band [%]; small: moving, near reversals, and "
         "width over that of a constant band of the same coverage",
@@ -249,10 +249,6 @@ def _fitted(per_log: Sequence[str] | None) -> str:
     if not per_log:
         return "; blind: no parameter was fitted to these logs"
     return f"; not blind: {' and '.join(per_log)} of each log were fitted to it"
-
-
-def _relative(scores: Comparison, law: str) -> tuple[bool, float]:
-    return law == ORACLE, scores.size(law)
 
 
 def ratio_notes(ratio: Ratio) -> tuple[str, ...]:

@@ -185,7 +185,7 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
     ]
     template = code_templates(TEMPLATES).get_template(f"law_{library}.py.j2")
     rendered: str = template.render(
-        title=_text(f"Friction of {model.robot} by {model.law}"),
+        title=f"Friction of {model.robot} by {model.law}".replace("\\", "/").replace('"', "'"),
         library=_TITLES[library],
         version=version("hesr"),
         joints=tuple(model.joints),
@@ -207,7 +207,3 @@ def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -
         "units": {c.name: c.unit for c in form.coefficients},
         "starts": {m.name: tuple(law.start[i] for law in laws) for i, m in enumerate(form.memory)},
     }
-
-
-def _text(text: str) -> str:
-    return text.replace("\\", "/").replace('"', "'")

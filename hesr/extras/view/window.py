@@ -18,7 +18,10 @@ _RATE = 60.0  # [Hz], update rate of the viewer
 
 def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None:
     """Show the motion until the viewer is closed, or `turns` times."""
-    require_screen()
+    if sys.platform == "linux" and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        raise ConfigError("no screen found; write a video (-o FILE.mp4).")
     from mujoco import viewer  # fails without a screen
 
     stage = Stage(shown, choice)
@@ -52,11 +55,3 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
             window.set_texts((None, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT, *stage.legend(t)))
             window.sync()
             time.sleep(1.0 / _RATE)
-
-
-def require_screen() -> None:
-    """Raise ConfigError without a screen."""
-    if sys.platform == "linux" and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    ):
-        raise ConfigError("no screen found; write a video (-o FILE.mp4).")
