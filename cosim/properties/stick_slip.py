@@ -20,11 +20,10 @@ _LASTS = 0.8  # ratio of the last two quarters' amplitudes
 
 def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     """Pull the joints by springs at the speed where their steady curve falls most."""
-    stiffness = scale.level / STRETCH
     pulls, falls = zip(*(_weakest(scale, j) for j in range(bench.joints)), strict=True)
     pull = np.array(pulls)
     seconds = _TIMES * STRETCH / float(np.min(pull))
-    bench.start(load=scale.load, torque=scale.offset, stiffness=stiffness)
+    bench.start(load=scale.load, torque=scale.offset, stiffness=scale.level / STRETCH)
     rows = int(np.ceil(seconds / _STEP))
     ahead = 0.5 * STRETCH
     t = _STEP * np.arange(1, rows + 1, dtype=float)

@@ -228,9 +228,8 @@ def _wanted(function: str, own: Functions) -> bool:
 
 
 def _arrays(joint: Joint, i: int, own: Functions, table: Interface) -> list[str]:
-    component = joint.component
     reads = [table.places[joint.names[q.name]] for q in own.gathers]
-    writes = [table.places[joint.names[e.name]] for e in component.outputs]
+    writes = [table.places[joint.names[e.name]] for e in joint.component.outputs]
     lines = [_array("int", f"inputs_{i}", reads), _array("int", f"outputs_{i}", writes)]
     if joint.constants:
         lines.append(_array("double", f"constants_{i}", map(literal, joint.constants)))

@@ -71,9 +71,8 @@ def built(folder: Path, host: tuple[str, str]) -> Path:
     for name in _SOURCES:
         Path(folder, name).write_bytes(Path(__file__).with_name(name).read_bytes())
     numbers = [f"-D{name}={i}" for i, name in enumerate(NAMES)]
-    position = () if suffix == ".dll" else ("-fPIC",)
     file = Path(folder, f"rows{suffix}")
-    flags = ("-target", triple, *_FLAGS, *position, *numbers)
+    flags = ("-target", triple, *_FLAGS, *(() if suffix == ".dll" else ("-fPIC",)), *numbers)
     compile_c(Path(folder, "rows.c"), flags, file, _LIBRARIES[suffix])
     return file
 

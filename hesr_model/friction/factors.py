@@ -59,7 +59,6 @@ def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -
         )
     states = {s: sympy.Integer(0) for m in form.memory for s in (m.state, m.derivative)}
     still = form.output.subs(states)
-    hysteresis = sympy.expand_mul(form.output - still)
     terms = sympy.Add.make_args(sympy.expand_mul(still))
     viscous = [t for t in terms if DQ in t.free_symbols and not {Q, TAU_LOAD} & t.free_symbols]
     bound = {m: f"along_{m.name}" for m in carrying if isinstance(m, Stop)}
@@ -73,7 +72,7 @@ def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -
         along += form.output.diff(element.state).subs({m.derivative: 0 for m in form.memory}) * own
     return Parts(
         memory=scaled,
-        hysteresis=hysteresis,
+        hysteresis=sympy.expand_mul(form.output - still),
         viscous=sympy.Add(*viscous),
         rest=sympy.Add(*(t for t in terms if t not in viscous)),
         along=along,

@@ -194,9 +194,8 @@ def _with_cutoff(
     slowest = 1.0 / max(log.period for log in logs)
     if robot.log.filter_cutoff <= 0.4 * slowest or slowest < 1.0:
         return robot
-    cutoff = float(f"{_CUTOFF_SHARE * slowest:.2g}")
     reasons["log.filter_cutoff"] = f"sure: the sample rate is only {slowest:.4g} Hz"
-    return changed(robot, {"log.filter_cutoff": cutoff})
+    return changed(robot, {"log.filter_cutoff": float(f"{_CUTOFF_SHARE * slowest:.2g}")})
 
 
 def _changes(

@@ -148,9 +148,8 @@ def _parts(near: NDArray[np.bool_], x: Array, y: Array, every: int = 1) -> tuple
     shown = near.copy()
     shown[:-1] |= near[1:]
     shown[1:] |= near[:-1]
-    broken = np.where(shown, y, np.nan)
     rows = np.flatnonzero(shown | np.roll(shown, 1))[::every]
-    return x[rows], broken[rows]
+    return x[rows], np.where(shown, y, np.nan)[rows]
 
 
 def _span(tau: Array) -> tuple[float, float]:

@@ -133,7 +133,6 @@ def _family(poles: list[float]) -> tuple[LawForm, SearchSpace]:
     )
     torque += SIGMA_2.symbol * DQ + TAU_0.symbol + sum(c.symbol * wave for c, wave in waves)
     linear = (*_FORCES, SIGMA_2, TAU_0, *(c for c, _ in waves))
-    form = LawForm(coefficients=(*linear, RATIO, V_S, TIME), memory=bristles, output=torque)
     space = SearchSpace(
         bounds=(
             (RATIO.name, STATIC_RATIO_BOUNDS),
@@ -143,4 +142,4 @@ def _family(poles: list[float]) -> tuple[LawForm, SearchSpace]:
         linear=tuple(c.name for c in linear),
         non_negative=len(_FORCES) + 1,
     )
-    return form, space
+    return LawForm(coefficients=(*linear, RATIO, V_S, TIME), memory=bristles, output=torque), space

@@ -38,9 +38,8 @@ class HysteresisFeatures:
         a_by_alpha = -s.dt * a if self.discretisation == "exact" else -s.dt
         by_alpha = s.recurrence(a, a_by_alpha * (before - target), np.zeros_like(a))
         by_beta = s.recurrence(a, (1.0 - a) * slope, slope)
-        dh = np.stack([by_alpha, by_beta], axis=1)
         ddh = np.stack([target - h - alpha * by_alpha, alpha * (slope - by_beta)], axis=1)
-        return features, dh, ddh
+        return features, np.stack([by_alpha, by_beta], axis=1), ddh
 
     def _decay(self, alpha: float) -> Array:
         """Return the (N,) factor a of h+ = a h + (1 - a) tanh(beta dq)."""

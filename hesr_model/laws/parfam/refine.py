@@ -229,8 +229,7 @@ class Refinement:
             gtol=1e-15,
             x_scale="jac",
         )
-        cost = float(np.mean(solution.fun**2))
         statistics = np.zeros(11)
         errors = standard_errors(solution.jac, solution.fun)
         statistics[self.active] = np.abs(solution.x) / np.maximum(errors, 1e-300)
-        return self.unpack(solution.x, cost), statistics
+        return self.unpack(solution.x, float(np.mean(solution.fun**2))), statistics
