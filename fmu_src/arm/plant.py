@@ -9,18 +9,12 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from fmu_src.arm.alternative_plants import Truth, TruthName
 from fmu_src.arm.parts import ArmSignals
-from fmu_src.arm.signals import named_signals, passive_motors
+from fmu_src.arm.signals import SENSORS_OF_JOINT, named_signals, passive_motors
 from fmu_src.arm.table import InputTable, OutputTable, SignalTable, StartTable, require_entries
 from hesr_model.errors import ConfigError
 from hesr_model.robots.mjcf import compiled
 from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config, RelativePath
-
-_SENSORS = {
-    "q": mujoco.mjtSensor.mjSENS_JOINTPOS,
-    "dq": mujoco.mjtSensor.mjSENS_JOINTVEL,
-    "tau": mujoco.mjtSensor.mjSENS_JOINTACTFRC,
-}
 
 
 class Servo(Config):
@@ -94,7 +88,7 @@ def servo_signals(
         spec.add_sensor(name=f"/{own}", type=force, objtype=of.mjOBJ_ACTUATOR, objname=own)
     for joint in plant.joints:
         spec.joint(joint).actgravcomp = True
-        for suffix, kind in _SENSORS.items():
+        for suffix, kind in SENSORS_OF_JOINT.items():
             name = f"/{joint}/{suffix}"
             spec.add_sensor(name=name, type=kind, objtype=of.mjOBJ_JOINT, objname=joint)
     model = spec.compile()

@@ -35,7 +35,7 @@ _UNITS_AT_JOINT = {
     _S.mjSENS_JOINTVEL: ("rad/s", "m/s"),
     _S.mjSENS_JOINTACTFRC: ("N.m", "N"),
 }
-_SENSORS_OF_JOINT = {
+SENSORS_OF_JOINT = {
     "q": _S.mjSENS_JOINTPOS,
     "dq": _S.mjSENS_JOINTVEL,
     "tau": _S.mjSENS_JOINTACTFRC,
@@ -84,7 +84,7 @@ def _add_joint_signals(spec: Any) -> None:
     for number, joint in enumerate(spec.joints, start=1):
         if joint.type in SINGLE:
             joint.name = joint.name or f"joint{number}"
-            for stem, kind in _SENSORS_OF_JOINT.items():
+            for stem, kind in SENSORS_OF_JOINT.items():
                 name = f"{stem}_{joint.name}"
                 spec.add_sensor(name=name, type=kind, objtype=of_joint, objname=joint.name)
             if passive:

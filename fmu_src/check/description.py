@@ -116,11 +116,6 @@ class ParsedDescription:
         """Whether it is for model exchange."""
         return any(kind.element == "ModelExchange" for kind in self.kinds)
 
-    @cached_property
-    def display_units(self) -> dict[str, frozenset[str]]:
-        """Names of the display units of each unit."""
-        return {name: frozenset(displays) for name, displays in self.units}
-
     def shown(self, index: int) -> str:
         """Return the text for a variable that does not exist."""
         return f"variable number {index}" if self.fmi == 2 else f"value reference {-1 - index}"

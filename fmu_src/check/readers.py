@@ -96,7 +96,8 @@ def inspect(file: str) -> dict[str, Any]:
     if lief.is_pe(file):
         return _answer("PE", [_pe(lief.PE.parse(file))])
     if lief.is_macho(file):
-        return _answer("Mach-O", [_mach_o(part) for part in lief.MachO.parse(file) or ()])
+        parts = lief.MachO.parse(file)  # keep it: LIEF's parts do not keep the file alive
+        return _answer("Mach-O", [_mach_o(part) for part in parts or ()])
     return _answer(None, [])
 
 

@@ -49,17 +49,7 @@ def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
     findings: list[Finding] = []
     now = _unexplained(rows, model, moves)
     for _ in range(_MOST):
-        best, left, most = None, now, 0.0
-        for mistake in mistakes(rows, model, moves):
-            then = _unexplained(mistake.mended, model, moves)
-            gain = np.log(now / then)
-            good = (gain > np.log(_BETTER)) & (1.0 - then**2 > _EXPLAINED)
-            if not np.any(good) or np.min(gain) < -np.log(_NO_WORSE):
-                continue
-            if float(gain.sum()) > most * _CLEARLY:
-                best, left, most = mistake, then, float(gain.sum())
-            elif best and best.joint == mistake.joint and float(gain.sum()) * _CLEARLY > most:
-                best = replace(best, remedy=_either(best))
+        best, left = _best(rows, now, model, moves)
         if best is None:
             break
         helped = int(np.argmax(now / left))
@@ -77,6 +67,23 @@ def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
         )
         rows, now = best.mended, left
     return findings
+
+
+def _best(
+    rows: CandidateRows, now: Array, model: Robot, moves: Mask
+) -> tuple[Mistake | None, Array]:
+    best, left, most = None, now, 0.0
+    for mistake in mistakes(rows, model, moves):
+        then = _unexplained(mistake.mended, model, moves)
+        gain = np.log(now / then)
+        good = (gain > np.log(_BETTER)) & (1.0 - then**2 > _EXPLAINED)
+        if not np.any(good) or np.min(gain) < -np.log(_NO_WORSE):
+            continue
+        if float(gain.sum()) > most * _CLEARLY:
+            best, left, most = mistake, then, float(gain.sum())
+        elif best and best.joint == mistake.joint and float(gain.sum()) * _CLEARLY > most:
+            best = replace(best, remedy=_either(best))
+    return best, left
 
 
 def _either(best: Mistake) -> str:

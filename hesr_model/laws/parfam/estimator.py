@@ -81,6 +81,15 @@ class ParFamH(Estimator):
         trained = TrainedRange.of(records)
         chosen = refine.select(features, search(features, rng), samples.folds, trained)
         law = chosen.canonical().law(self.name, self.discretisation)
+        return self._enlarged(law, features, trained, rng)
+
+    def _enlarged(
+        self,
+        law: FrictionLaw,
+        features: HysteresisFeatures,
+        trained: TrainedRange,
+        rng: np.random.Generator,
+    ) -> FrictionLaw:
         # A law without a state has no (alpha, beta).
         if (self.units < 2 and not self.denominator) or "alpha" not in law.values:
             return law
