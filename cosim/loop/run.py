@@ -112,11 +112,7 @@ def write_loops(
         known = list(models.values())
         law = next((one for one in known if one.laws[0].form.memory), known[0])
         plant = export_plant(
-            law,
-            folder / "fmus" / PLANT,
-            body=PlantBody.of(robot, body),
-            kv=gains.Kv,
-            ki=gains.Ki,
+            law, folder / "fmus" / PLANT, body=PlantBody.of(robot, body), kv=gains.Kv, ki=gains.Ki
         )
     except ExportError as error:
         reason = str(error).rstrip(".")

@@ -73,12 +73,7 @@ SECTIONS = {
 _SUMMARY = Chapter("summary", "Summary", summary)
 
 
-def write_report(
-    folder: Path,
-    output: Path | None = None,
-    *,
-    progress: Stages = silent,
-) -> Path:
+def write_report(folder: Path, output: Path | None = None, *, progress: Stages = silent) -> Path:
     """Write the page, by default report.html in `folder`, figures and tables; return its path.
 
     A killed process leaves all files of the folder as they were, or all new ones.

@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from cosim.loop.artefact import complete_loops
 from cosim.loop.traces import LoopOutcome
 from cosim.study.position_errors import SIMULATION, simulate_tests
-from cosim.study.results import (
-    TRUTHS,
-    Scored,
-    log_findings,
-    record_files,
-    save_run,
-    write_findings,
-)
+from cosim.study.results import TRUTHS, Scored, log_findings, record_files, save_run, write_findings
 from cosim.study.scores import Comparison, Errors, LogRecords, records_of
 from cosim.study.steps import Job
 from cosim.study.study import Study

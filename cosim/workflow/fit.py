@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, Written, health_of, written_files
@@ -157,8 +158,6 @@ def _fit(
     options: Mapping[str, Any],
     progress: Stages,
 ) -> FrictionModel:
-    from pathlib import Path
-
     from cosim.study.scores import by_joint
     from hesr_model.fitting.fit import fit_models
     from hesr_model.health.fit_checks import check_laws

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.workflow.answer import Answer, Written, health_of, written_files
@@ -133,9 +135,6 @@ def identify(
 
 def _paths(*given: object) -> list[Any]:
     """Return the arguments that are paths."""
-    from os import PathLike
-    from pathlib import Path
-
     return [Path(one) for one in given if isinstance(one, str | PathLike)]
 
 

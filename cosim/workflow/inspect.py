@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, finding_lines, shortened
-from hesr_model.errors import ArgumentError
+from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -224,7 +224,6 @@ def _write(
 
     A study that fails in a dry run is not written; the text says why.
     """
-    from hesr_model.errors import HesrError
     from hesr_model.health.proposal import robot_file
     from hesr_model.support.files import path_of, written_whole
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cosim.workflow.answer import Answer, Written
 from hesr_model.errors import ArgumentError
 from hesr_model.support.progress import Stages, silent
+from hesr_model.support.text import few
 
 if TYPE_CHECKING:
     from cosim.study.starter import NewProject
@@ -120,8 +121,6 @@ def new(
 
 def answer(made: NewProject, _: PathArg | None) -> Answer:
     """Return the answer of a new project: its joints and the next command."""
-    from hesr_model.support.text import few
-
     if made.bench:
         file, study = made.folder / "robot.toml", made.folder / "study.toml"
         lines = [

@@ -35,11 +35,7 @@ _UNITS_AT_JOINT = {
     _S.mjSENS_JOINTVEL: ("rad/s", "m/s"),
     _S.mjSENS_JOINTACTFRC: ("N.m", "N"),
 }
-SENSORS_OF_JOINT = {
-    "q": _S.mjSENS_JOINTPOS,
-    "dq": _S.mjSENS_JOINTVEL,
-    "tau": _S.mjSENS_JOINTACTFRC,
-}
+SENSORS_OF_JOINT = {"q": _S.mjSENS_JOINTPOS, "dq": _S.mjSENS_JOINTVEL, "tau": _S.mjSENS_JOINTACTFRC}
 
 
 def passive_motors(model: Any, joint: str | None = None) -> list[int]:

@@ -183,10 +183,7 @@ FLANGE = Terminal(
     name="flange",
     kind="org.modelica.Modelica.Mechanics.Rotational.Interfaces.Flange_b",
     description="towards the link: its angle in, the torque on it out",
-    members={
-        "phi": ("q_link", "signal"),
-        "tau": ("tau_link", "outflow"),
-    },
+    members={"phi": ("q_link", "signal"), "tau": ("tau_link", "outflow")},
 )
 """Terminal of each joint, on the joint side of the gear."""
 

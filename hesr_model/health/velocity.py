@@ -133,10 +133,7 @@ def _late(name: str, lag: float) -> Finding:
 
 
 def _scale(
-    robot: RobotDescription,
-    j: int,
-    matches: dict[int, Match],
-    motion: Motionwise,
+    robot: RobotDescription, j: int, matches: dict[int, Match], motion: Motionwise
 ) -> Iterator[Finding]:
     found, name = matches[j], robot.joints[j]
     if found.slope < 0:

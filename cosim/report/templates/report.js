@@ -73,15 +73,12 @@
   }
 
   let library = null;
-  function loaded() {
-    library ??= unpacked("zoom-library").then((code) => {
-      const script = document.createElement("script");
-      script.textContent = code;
-      document.head.append(script);
-      Bokeh.logger.set_level("error");
-    });
-    return library;
-  }
+  const loaded = () => library ??= unpacked("zoom-library").then((code) => {
+    const script = document.createElement("script");
+    script.textContent = code;
+    document.head.append(script);
+    Bokeh.logger.set_level("error");
+  });
 
   const palette = JSON.parse(document.getElementById("palette").textContent);
 
