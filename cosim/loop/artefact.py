@@ -28,8 +28,7 @@ def _loops(folder: Path) -> list[Path]:
 
 def copy_loops(results: Path, output: Path) -> Path:
     """Copy the loops of results with all their FMUs into a folder that needs nothing else."""
-    loops = _loops(results)
-    if not loops:
+    if not (loops := _loops(results)):
         raise ArtifactError(
             f"{results}: has no {_LOOPS[0]}; 'hesr run' writes it for a study with [twin] and "
             "[tracking]."

@@ -106,8 +106,7 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
     """
     model = subject.model and replace(subject.model, coupling=None, thermal=())
     with scratch_folder() as folder:
-        fmu = subject.fmu
-        if fmu is None:
+        if (fmu := subject.fmu) is None:
             if model is None:
                 raise ConfigError(f"{subject.name}: model and FMU are both missing.")
             fmu = export_bare(model, Path(folder, "friction.fmu"))

@@ -111,8 +111,7 @@ def _prediction(results: Results) -> str:
     scores, best = results.comparisons[results.tests[0]], results.best
     left = 100.0 * scores.size(best)
     text = f"{title(best)} leaves {left:.0f} % of the friction unexplained, averaged over joints"
-    ratios = scores.ratios.laws.get(best, ())
-    if not ratios:
+    if not (ratios := scores.ratios.laws.get(best, ())):
         return f"{text}."
     mean = exp(fsum(log(ratio.value) for ratio in ratios) / len(ratios))
     return f"{text}; its error is {mean:.2f} times that of its reference (geometric mean)."

@@ -106,8 +106,7 @@ class Wiring:
 
     def _require_fit(self, into: Element, out: Element, where: str) -> None:
         for (name, variable), wanted in ((into, "input"), (out, "output")):
-            found = self._slaves[name][variable].causality
-            if found != wanted:
+            if (found := self._slaves[name][variable].causality) != wanted:
                 raise self._error(
                     f"{where}: the causality of '{name}.{variable}' is {found}; it must be "
                     f"{wanted}."

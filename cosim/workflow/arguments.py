@@ -162,8 +162,7 @@ def _law(law: LawArg) -> tuple[FrictionModel | None, Path | None]:
     if isinstance(law, FrictionModel):
         return law, None
     path = path_of(law, "a law")
-    suffix = path.suffix.lower()
-    if suffix == ".fmu":
+    if (suffix := path.suffix.lower()) == ".fmu":
         from fmu_src.friction.embedded_model import embedded_model
 
         return embedded_model(path), path

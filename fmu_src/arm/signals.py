@@ -268,8 +268,7 @@ def _index(k: int, size: int) -> str:
 
 
 def _unit(model: Any, sensor: int) -> str:
-    kind = _S(model.sensor_type[sensor])
-    if kind in _UNITS_AT_JOINT:
+    if (kind := _S(model.sensor_type[sensor])) in _UNITS_AT_JOINT:
         hinge = _J(model.jnt_type[model.sensor_objid[sensor]]) == _J.mjJNT_HINGE
         return _UNITS_AT_JOINT[kind][0 if hinge else 1]
     return _UNITS.get(kind, "1")

@@ -116,8 +116,7 @@ def start_values(motion: Trajectory) -> dict[str, float | str | tuple[float, ...
 
 
 def _series(motion: Fourier) -> dict[str, float]:
-    harmonics = motion.a.shape[1]
-    if harmonics > HARMONICS:
+    if (harmonics := motion.a.shape[1]) > HARMONICS:
         raise ExportError(
             f"a Fourier motion of {harmonics} harmonics cannot be made by the FMU, which has "
             f"{HARMONICS}."

@@ -224,8 +224,7 @@ class _Reader:
 
     def _unknowns(self, place: str) -> Iterator[Unknown]:
         for element in self.root.findall(place + self.unknown):
-            index = self.number(element.get(self.reference))
-            if index is None:
+            if (index := self.number(element.get(self.reference))) is None:
                 continue
             known = element.get("dependencies")
             numbers = map(self.number, (known or "").split())

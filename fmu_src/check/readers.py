@@ -63,8 +63,7 @@ def compare(file: str) -> list[tuple[int, str, str]]:
     from lxml import etree
 
     root = etree.parse(file, etree.XMLParser(resolve_entities=False, no_network=True)).getroot()
-    place = schema_of(root.tag, root.attrib)
-    if place is None:
+    if (place := schema_of(root.tag, root.attrib)) is None:
         return []
     schema = etree.XMLSchema(file=str(place))
     schema.validate(root)

@@ -46,8 +46,7 @@ def _order(about: ParsedDescription) -> Iterator[Problem]:
 def _indices(about: ParsedDescription) -> Iterator[Problem]:
     for name in STRUCTURE:
         for index, times in Counter(u.index for u in about.structure[name]).items():
-            variable = about.variable(index)
-            if variable is None:
+            if (variable := about.variable(index)) is None:
                 text = f"{about.lists[name]} lists {about.shown(index)}, which does not exist."
                 yield "structure-index", text
             elif times > 1:

@@ -30,8 +30,7 @@ def problems(
         nested = names_of(terminal.findall("Terminal"))
         yield from repeated("terminal-twice", f"nested terminal of the {who},", nested, "there")
         for member in members:
-            variable = member.get("variableName", "")
-            if variable not in known:
+            if (variable := member.get("variableName", "")) not in known:
                 yield (
                     "terminal-member",
                     f"the {who} has the member {quoted(variable)}, which is not a variable.",

@@ -110,8 +110,7 @@ class Simulator:
         return np.asarray(np.linalg.inv(mass), dtype=np.float64), bias
 
     def _at_friction(self, load: Array) -> tuple[Array, Array]:
-        coupling = self.friction.coupling
-        if coupling is None:
+        if (coupling := self.friction.coupling) is None:
             return np.eye(load.shape[1]), load
         return coupling.forward, coupling.torque(load)
 

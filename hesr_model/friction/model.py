@@ -360,8 +360,7 @@ class FrictionModel:
         return rows
 
     def _require_joints(self, records: Sequence[FrictionRecord]) -> None:
-        found = tuple(record.joint for record in records)
-        if found != self.joints:
+        if (found := tuple(record.joint for record in records)) != self.joints:
             raise SimulationError(
                 f"friction model '{self.law}': the records are of the joints "
                 f"{', '.join(found) or 'none'}; expected one record each of "

@@ -61,8 +61,7 @@ def _repeated(log: Log, moves: Mask, fine: Mask) -> Iterator[Finding]:
     if rows.sum() < _STUCK_ROWS:
         return
     same = np.all(np.diff(log.tau[:, fine], axis=0) == 0.0, axis=1)
-    share = float(np.mean(same[rows]))
-    if share > _HELD:
+    if (share := float(np.mean(same[rows]))) > _HELD:
         found = f"{100 * share:.0f} % of the rows in motion repeat the torques of the row before"
         remedy = "the log is faster than the robot's data; log at the robot's own rate"
         yield of_joint("held-samples", "", found, remedy, "warning")

@@ -93,8 +93,7 @@ def sign_change(
     if position:
         changes: dict[str, object] = {f"log.units.{k}": turned(k) for k in ("q", "dq")}
         return f"[log.units] q and dq{whose} with a '-', as {turned('q')[first]!r}", changes
-    gains = robot.log.torque_per_ampere
-    if gains is None:
+    if (gains := robot.log.torque_per_ampere) is None:
         units = turned("tau")
         return f"[log.units] tau{whose} to {units[first]!r}", {"log.units.tau": units}
     mended = tuple(-gain if j in (k, None) else gain for k, gain in enumerate(gains))
@@ -138,8 +137,7 @@ def _far_too_large(fit: JointTorque) -> bool:
 
 
 def _why_scaled(robot: RobotDescription, scale: float, *, everywhere: bool) -> str:
-    gains = robot.log.torque_per_ampere
-    if gains is not None:
+    if robot.log.torque_per_ampere is not None:
         if scale <= 0:
             return "its torque_per_ampere is far too small, or the column holds another signal"
         off = max(scale, 1.0 / scale)

@@ -175,8 +175,7 @@ def _content(file: Path) -> bytes | None:
 
 
 def _read(entry: Path) -> bytes | None:
-    data = _content(entry)
-    if data is None:
+    if (data := _content(entry)) is None:
         return None
     content = data[_DIGEST:]
     if not hmac.compare_digest(data[:_DIGEST], _digest(entry, content)):

@@ -55,8 +55,7 @@ def results_of(
     per core by default, or those of `one_pool`. One worker is this process. The iterator raises
     WorkerError if a process ended before its job was done.
     """
-    count = min(workers or os.cpu_count() or 1, len(jobs))
-    if count <= 1:
+    if (count := min(workers or os.cpu_count() or 1, len(jobs))) <= 1:
         yield _here(jobs, names)
         return
     with ExitStack() as cleanup:

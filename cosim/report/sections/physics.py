@@ -18,8 +18,7 @@ _ROUNDING = 1e-6  # energy of round-off [J]
 
 def audit(results: Results) -> dict[str, Any] | None:
     """Return the figures of the audit of every law."""
-    found = results.audits
-    if not found:
+    if not (found := results.audits):
         return None
     energy = table.ResultTable(
         caption="Maximum energy of a law over a closed cycle [J], and chatter of its torque at "

@@ -69,8 +69,7 @@ class Follower:
 
     def follow(self, records: Sequence[FrictionRecord], *, adapt: bool = True) -> list[Followed]:
         """Follow the records of all joints in one log; `tau` may hold NaN."""
-        found = tuple(r.joint for r in records)
-        if found != self._model.joints:
+        if (found := tuple(r.joint for r in records)) != self._model.joints:
             raise SimulationError(
                 f"friction model '{self._model.law}': the records are of the joints "
                 f"{', '.join(found) or 'none'}, not {', '.join(self._model.joints)}."

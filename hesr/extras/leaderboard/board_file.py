@@ -107,8 +107,7 @@ def read_grounds(rules: BoardFile) -> dict[str, Ground]:
         examined(logs, model, rules.accept)
         records = [friction_records(part, model, body) for part in parts_of(logs)]
         for part in records:
-            seconds = part[0].t[-1] - part[0].t[0]
-            if seconds <= rules.warm_up:
+            if (seconds := part[0].t[-1] - part[0].t[0]) <= rules.warm_up:
                 raise ConfigError(
                     f"log '{part[0].log}' lasts {seconds:.3g} s, not longer than the warm-up of "
                     f"{rules.warm_up:g} s."

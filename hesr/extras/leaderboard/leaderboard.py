@@ -60,8 +60,7 @@ def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
     """Replay an entry over all logs of its robot."""
     ours = is_ours(entry.fmu) if entry.fmu.is_file() else False
     with FmuInstance(entry.fmu) as component:
-        joints = FrictionBench(component).joints
-        if joints != ground.model.n:
+        if (joints := FrictionBench(component).joints) != ground.model.n:
             raise SimulationError(
                 f"{entry.fmu}: is for {joints} joints; the robot '{entry.robot}' has "
                 f"{ground.model.n}."

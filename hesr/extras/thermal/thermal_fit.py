@@ -115,8 +115,7 @@ def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit
         start = Thermal(coulomb=0.0, viscous=0.0, reference=round(float(np.mean(every)), 1))
         fitted = problem.solved(start, lambda _: measured)
         return replace(fitted, thermal=problem.heated(fitted.thermal, measured))
-    longest = max(float(np.ptp(r.t)) for r in records)
-    if longest < LEAST_TIME:
+    if (longest := max(float(np.ptp(r.t)) for r in records)) < LEAST_TIME:
         raise FitError(
             f"joint '{records[0].joint}': the longest log takes {longest:.3g} s; without "
             f"temperatures it must last {LEAST_TIME:g} s from a cold start."

@@ -34,8 +34,7 @@ def write_video(
     path: Path, shown: Shown, choice: ViewOptions, *, progress: Progress = silent
 ) -> float:
     """Write a video (.mp4) or an animation (.webp); return its length [s]."""
-    kind = path.suffix.lower()
-    if kind not in (".mp4", ".webp"):
+    if (kind := path.suffix.lower()) not in (".mp4", ".webp"):
         raise ConfigError(f"{path}: a video ends in .mp4 or .webp.")
     rate = RATE if kind == ".mp4" else RATE / _PAGE
     encoding = partial(_encoding, _encoder()) if kind == ".mp4" else _animating

@@ -44,8 +44,7 @@ def select(base: Array, samples: JointRows, weights: Array, gear_ratio: float) -
     chosen = Waves(frequencies=(), lag=0.0)
     errors = problem.left_out(chosen)
     while len(chosen.frequencies) < MOST:
-        trial = _next(problem, chosen, gear_ratio)
-        if trial is None:
+        if (trial := _next(problem, chosen, gear_ratio)) is None:
             break
         trial = problem.in_phase(trial, reach=_PHASE / max(trial.frequencies))
         left = problem.left_out(trial)

@@ -166,8 +166,7 @@ class _Series:
 
     def at(self, field: str, t: NDArray[np.int64]) -> Array | None:
         """Return a field at times [ns], interpolated where no message has them."""
-        values = self.values[field]
-        if values is None:
+        if (values := self.values[field]) is None:
             return None
         if np.array_equal(t, self.t):
             return values
