@@ -79,7 +79,9 @@ class Planner:
             t = np.arange(round(0.4 * count)) / self.rate
             chirp = faded_chirp(self.start, self.guard.limits, t)
         of_seed = None if purpose == "body" else self.settings.seed + 1
-        rows = np.concatenate([chirp, self._fourier(count - len(chirp), of_seed, progress)])
+        fourier = self._fourier(count - len(chirp), of_seed, progress)
+        pieces = [self._safe([self._motion(x)]).rows if len(x) > 1 else x for x in (chirp, fourier)]
+        rows = np.concatenate(pieces)
         rows[[0, -1]] = self.start
         parts = ("chirp", 0, len(chirp)), ("Fourier motion", len(chirp), count)
         return self._safe([self._motion(rows, *parts[len(chirp) == 1 :])])
