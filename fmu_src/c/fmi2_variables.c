@@ -222,7 +222,7 @@ FMI2_STATUS(fmi2GetBoolean)
     if (BOOLEANS == 0) {
         return none(c, MAY_GET, function, n);
     }
-    const fmi2Status status = read(c, function, BOOLEAN, vr, n, value);
+    const fmi2Status status = read(c, function, LOGICAL, vr, n, value);
     for (size_t i = 0; status == fmi2OK && i < n; i++) {
         value[i] = ((const Instance *)c)->memory.component.v[first_of(vr[i])] != 0.0;
     }
@@ -241,7 +241,7 @@ FMI2_STATUS(fmi2SetBoolean)
     if (BOOLEANS == 0) {
         return none(c, MAY_SET, function, n);
     }
-    Instance *instance = settable_in(c, function, BOOLEAN, vr, n, value);
+    Instance *instance = settable_in(c, function, LOGICAL, vr, n, value);
     for (size_t i = 0; instance && i < n; i++) {
         set_one(&instance->memory, vr[i], value[i] != fmi2False);
     }

@@ -19,7 +19,7 @@ typedef enum {
 typedef enum {
     REAL,
     INTEGER, /* or an enumeration */
-    BOOLEAN, /* 0 or 1 */
+    LOGICAL, /* 0 or 1 */
 } Type;
 
 typedef struct {

@@ -207,7 +207,7 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
     rows, inputs, watched = [], [0], []
     for i, v in enumerate(variables):
         kind = f"INTEGER, 1, {len(v.enumeration.items)}" if v.enumeration else _bounds(v)
-        kind = "BOOLEAN, 0, 1" if v.boolean else kind
+        kind = "LOGICAL, 0, 1" if v.boolean else kind
         counts = int(v.role != "input" or v.name in used)
         role = "DERIVATIVE" if v.derivative_of else v.role.upper()
         rows.append(f'    {{"{v.name}", {literal(v.start)}, {role}, {kind}, {counts}}},')
