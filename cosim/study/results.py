@@ -102,7 +102,7 @@ class _Findings:
 
 
 def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
-    """Write `run.json`, and the torques of the first log of each role."""
+    """Write `run.json`, and the torques of training logs and of the first log of each role."""
     study, robot, files = run.study, run.robot.description, run.files
     traces = _save_torques(folder / TRACES, run)
     stems = Counter(log.name for log in run.logs.values())
@@ -164,7 +164,9 @@ def _file(name: str, file: Path) -> str:
 
 def _save_torques(folder: Path, run: Scored) -> dict[str, str]:
     logs = run.study.logs
-    first: dict[str, dict[str, list[Array]]] = {logs.identification[0]: {}}
+    first: dict[str, dict[str, list[Array]]] = {
+        name: {} for name in (logs.identification[0], *logs.training)
+    }
     for test, names in logs.test.items():
         first[names[0]] = {
             law: [of_joint[0] for of_joint in predicted]

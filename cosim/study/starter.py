@@ -30,7 +30,7 @@ class NewProject:
     followers: tuple[str, ...]
     locked: Mapping[str, float]  # positions of other joints [rad or m]
     doubts: tuple[Finding, ...]
-    bench: str = ""  # kind of a bench, whose folder has no logs and no study
+    bench: str = ""  # kind of a bench, or "twin"; its folder has no logs and no study
 
 
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
@@ -87,6 +87,20 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
         followers=tuple(joint.name for joint in others if not joint.freedom),
         locked=rest,
         doubts=tuple(replace(doubt, where=str(folder / model.name)) for doubt in robot.doubts),
+    )
+
+
+def start_twin(folder: Path) -> NewProject:
+    """Create the folder of a digital twin, whose motions `hesr simulate` logs."""
+    require_new(folder)
+    arm = models_folder() / "uf850"
+    with folder_written_whole(folder) as temporary:
+        shipped = [arm / name for name in ("uf850.xml", "robot.toml", "plant.toml", "arm.toml")]
+        for file in (*shipped, *(models_folder() / "new" / "twin").iterdir()):
+            (temporary / file.name).write_bytes(file.read_bytes())
+        joints = RobotDescription.read(temporary / "robot.toml").joints
+    return NewProject(
+        folder=folder, joints=joints, followers=(), locked={}, doubts=(), bench="twin"
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from cosim.report.tables.table import joints as short_names
 from cosim.report.tables.table import on_joints
+from cosim.study.expectation import Expectation
 from cosim.study.scores import RECORDED, Comparison, LawScores
 from fmu_src.friction.predictions import Records
 from hesr_model.audit.properties import combined
@@ -63,6 +64,7 @@ class Verdict:
     joints: tuple[Separation, ...] = ()  # empty in earlier versions
     limits: tuple[str, ...] = ()  # of the test
     constants: tuple[str, ...] = ()  # of the robot, with sources
+    planned: str = ""  # comparison with the plan of the motion
 
     @property
     def laws(self) -> tuple[str, ...]:
@@ -82,6 +84,7 @@ class Verdict:
             f"Unexplained friction on '{self.test}': {left}.",
             *self.weak,
             *self.improve,
+            *filter(None, [self.planned]),
         )
 
 
@@ -93,6 +96,7 @@ def verdict(
     properties: "Mapping[str, Properties]",
     *,
     gear_ratio: bool,
+    expected: Expectation | None = None,
 ) -> Verdict:
     """Judge a run by its first test set; records are [joint][log]."""
     test, scores = next(iter(comparisons.items()))
@@ -101,8 +105,11 @@ def verdict(
     shares = scores.unexplained(scores.of(laws).rmse)
     percent = {joint: 100.0 * share for joint, share in zip(scores.joints, shares, strict=True)}
     joints = tuple(replace(one, law=own) for one, own in zip(separation(scores), laws, strict=True))
+    named = zip(scores.joints, joints, strict=True)
+    shown = {name: one.detectable[1] for name, one in named if one.detectable}
     return Verdict(
         law=law,
+        planned=expected.sentence(models, shown) if expected else "",
         fmu=f"fmus/{law}.fmu",
         test=test,
         why=why,

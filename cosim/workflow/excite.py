@@ -23,13 +23,14 @@ def excite(
     settings: PathArg | None = None,
     purpose: Purpose = "body",
     time: float | None = None,
+    after: PathArg | None = None,
     format: str | None = None,  # noqa: A002 - name of the option
     progress: Stages = silent,
 ) -> ExcitationDesign | Answer:
     """Design motions for the body, friction, and tests.
 
-    They stay within the limits of the robot's model and of the settings. Without 'time' and
-    'format', the motion for the body is the one that identifies a robot best, without checks
+    They stay within the limits of the robot's model and of the settings. Without 'time', 'after'
+    and 'format', the motion for the body is the one that identifies a robot best, without checks
     of collisions. Other motions start and end at rest in one pose, and collisions are checked.
 
     Parameters
@@ -44,6 +45,8 @@ def excite(
         What the motion is for; 'all' writes one file for each.
     time : float, s, optional
         Total time of the motions; default: 30 s for the body, 60 s for friction, 45 s for tests.
+    after : path, optional
+        Results of 'hesr run': plan the motion that resolves most of what they leave open.
     format : str, optional
         Format of the files: csv, parquet, urscript, ros2; default: that of the suffix.
     progress : callable, optional
@@ -66,6 +69,7 @@ def excite(
 
         $ hesr excite robot.toml -o motion.csv
         $ hesr excite robot.toml --for all --time 120 -o motion.csv
+        $ hesr excite robot.toml --after results/my_arm --format urscript -o next.script
 
     In Python:
 
@@ -78,7 +82,7 @@ def excite(
 
     path = path_of(output, "a motion")
     chosen = None if settings is None else path_of(settings, "a file of settings")
-    if purpose != "body" or time is not None or format:
+    if purpose != "body" or time is not None or after is not None or format:
         from hesr_model.support.plugins import find
 
         planned: Answer = find("hesr.motions", "plan")(
@@ -86,6 +90,7 @@ def excite(
             path,
             purpose=purpose,
             time=time,
+            after=None if after is None else path_of(after, "the results of a run"),
             format=format,
             settings=chosen,
             progress=progress,

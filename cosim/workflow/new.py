@@ -26,6 +26,7 @@ def new(
     *,
     joints: Sequence[str] = (),
     bench: BenchKind | None = None,
+    twin: bool = False,
     inertia: PerJoint | None = None,
     gravity: bool = False,
     moment: PerJoint | None = None,
@@ -51,6 +52,8 @@ def new(
         fingers; 'motor' or 'axis' of a bench.
     bench : {"rotary", "sliding"}, optional
         Kind of a bench: motors or sliding axes without a model file.
+    twin : bool
+        A digital twin instead of a robot: 'hesr simulate' makes the logs of its motions.
     inertia : float or sequence of float, kg m2 or kg, optional
         Bench: inertia, or mass of a sliding axis, one for all or one per joint; default:
         identified.
@@ -94,12 +97,16 @@ def new(
     ('j1', 'j2', 'j3')
     """
     from cosim.study.bench import Bench, start_bench
-    from cosim.study.starter import start
+    from cosim.study.starter import start, start_twin
     from cosim.workflow.arguments import joint_names, per_joint
     from hesr_model.support.files import path_of
 
     place, names = path_of(folder, "a folder"), tuple(joint_names(joints))
     numbers = {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
+    if twin:
+        if robot is not None or bench is not None:
+            raise ArgumentError("'twin' excludes 'robot' and 'bench'; it has a robot of its own.")
+        return start_twin(place)
     if bench is None:
         options = {**numbers, "log": log, "source": source, "gravity": gravity or None}
         for name in (name for name, value in options.items() if value is not None):

@@ -58,6 +58,7 @@ _FORMS = {
     "seeds": Form(metavar="N", least=1),
     "workers": Form(metavar="N", least=1),
     "excite.purpose": Form(names=("--for",)),
+    "excite.after": Form(metavar="RESULTS"),
     "excite.format": Form(metavar="NAME", complete="hesr.setpoints"),
     "fit.law": Form(metavar="NAME", complete="hesr.laws"),
     "format": Form(metavar="NAME", complete="hesr.exports"),

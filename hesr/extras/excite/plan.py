@@ -6,13 +6,16 @@ from pathlib import Path
 from cosim.report.figures.motions import limited_motion
 from cosim.report.figures.style import styled
 from cosim.report.markup import Pictures, Section, joined, paragraph, write_sections
+from cosim.study.expectation import FORMAT, SUFFIX
 from cosim.workflow.answer import Written
 from hesr.extras.excite.guard import Guard, MotionSettings
 from hesr.extras.excite.planner import Planner
+from hesr.extras.excite.sequel import plan_sequel
 from hesr.extras.excite.setpoints import HEAD, write_motion
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.robots.robot import Robot
 from hesr_model.support.progress import Stages, silent
+from hesr_model.support.typed_json import to_json, write_json
 
 TIMES = {"body": 30.0, "friction": 60.0, "test": 45.0}  # default durations [s]
 _PURPOSES = {
@@ -30,6 +33,7 @@ def plan_motions(
     *,
     purpose: str,
     time: float | None = None,
+    after: Path | None = None,
     format: str | None = None,  # noqa: A002  # the option's name
     settings: Path | None = None,
     progress: Stages = silent,
@@ -37,9 +41,12 @@ def plan_motions(
     """Plan motions of a purpose and write them with a page; see `hesr.excite`."""
     model = Robot(robot)
     chosen = MotionSettings.read(settings) if settings else MotionSettings()
+    if after:  # new poses and tests
+        chosen = chosen.model_copy(update={"seed": chosen.seed + 1000})
     if format == "urscript" and not chosen.sample_rate:
         chosen = chosen.model_copy(update={"sample_rate": _UR_RATE})
-    times = {name: own for name, own in TIMES.items() if purpose in (name, "all")}
+    wanted = "friction" if after else purpose
+    times = {name: own for name, own in TIMES.items() if wanted in (name, "all")}
     factor = 1.0 if time is None else time / sum(times.values())
     for name, own in times.items():
         if not _LEAST <= factor * own <= _MOST:
@@ -47,13 +54,17 @@ def plan_motions(
                 f"'time' gives the motion for {name} {factor * own:.3g} s; it needs {_LEAST:g} to "
                 f"{_MOST:g} s."
             )
+    lines: list[str] = []
     stages = partial(progress, "planning the motion")
     try:
         planner = Planner(guard := Guard(model, chosen), chosen)
-        motions = {n: planner.plan(n, factor * t, progress=stages) for n, t in times.items()}
+        if after:
+            motions, expected, lines = plan_sequel(planner, after, sum(times.values()) * factor)
+        else:
+            motions = {n: planner.plan(n, factor * t, progress=stages) for n, t in times.items()}
     except HesrError as error:
         raise type(error)(f"{settings or robot}: {error}") from error
-    lines = [
+    lines += [
         f"{name}, {part}: {first:.1f} to {last:.1f} s, for {_PURPOSES[name]}."
         for name, motion in motions.items()
         for part, first, last in motion.parts
@@ -63,6 +74,9 @@ def plan_motions(
     for name, motion in motions.items():
         path = output if len(motions) == 1 else output.with_stem(f"{output.stem}_{name}")
         files.append(write_motion(path, motion, model.joints, kind))
+        if after and name == "friction":
+            files.append(files[-1].with_suffix(SUFFIX))
+            write_json(files[-1], {"format": FORMAT, **to_json(expected)})
         with styled():
             t, q, dq, _ = motion.setpoints()
             figure = limited_motion(t, q, dq, guard.stated, model.joints, speeds=True)

@@ -1,0 +1,54 @@
+"""What a planned motion expects of the next run: standard errors and detectable differences."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hesr_model.friction.model import FrictionModel
+from hesr_model.support.typed_json import from_json, read_json
+
+SUFFIX, FORMAT = ".plan.json", "hesr-plan-1"  # of the file next to a log of the planned motion
+_NEAR = 0.25  # difference of widths that agree
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expectation:
+    """Standard errors by law, joint and coefficient [SI], and detectable ratios by joint."""
+
+    widths: Mapping[str, Mapping[str, Mapping[str, float]]]
+    detectable: Mapping[str, float]
+
+    @classmethod
+    def of(cls, logs: Iterable[Path]) -> "Expectation | None":
+        """Read the plan next to the last log that has one."""
+        paths = [path for log in logs if (path := log.with_suffix(SUFFIX)).is_file()]
+        return from_json(cls, read_json(paths[-1], FORMAT), paths[-1], "a plan") if paths else None
+
+    def ratios(self, models: Mapping[str, FrictionModel]) -> dict[tuple[str, str, str], float]:
+        """Return the standard errors of fits over the expected ones, by law, joint, coefficient."""
+        found = {}
+        for law, joints in self.widths.items():
+            model = models.get(law)
+            for joint, own in zip(model.joints, model.laws, strict=True) if model else ():
+                for name, error in own.standard_errors.items():
+                    if (expected := joints.get(joint, {}).get(name)) and error > 0.0:
+                        found[law, joint, name] = error / expected
+        return found
+
+    def sentence(self, models: Mapping[str, FrictionModel], shown: Mapping[str, float]) -> str:
+        """Compare with fits, and with the detectable ratios that a test has `shown` by joint."""
+        parts, ratios = [], np.array(list(self.ratios(models).values()))
+        if len(ratios):
+            near = 100 * np.mean(np.abs(ratios - 1.0) < _NEAR)
+            parts.append(
+                f"standard errors are {np.median(ratios):.2f} of the expected ones in the median, "
+                f"{near:.0f} % of them within 25 %"
+            )
+        if both := [
+            (shown[joint], own) for joint, own in self.detectable.items() if joint in shown
+        ]:
+            found, planned = 100 * np.expm1(np.log(both).mean(axis=0))
+            parts.append(f"differences of {found:.0f} % show ({planned:.0f} % expected)")
+        return f"Planned motion: {'; '.join(parts)}." if parts else ""

@@ -1,0 +1,175 @@
+"""The next measurement: the motion that resolves most of what the results of a run leave open."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.report.results import Results
+from cosim.study.expectation import Expectation
+from hesr.extras.excite.guard import Guard
+from hesr.extras.excite.motion import PlannedMotion
+from hesr.extras.excite.planner import Mix, Planner
+from hesr_model.errors import ConfigError
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.predict import predict
+from hesr_model.inference import comparison
+from hesr_model.support.arrays import Array
+
+MIXES = (
+    Mix(),
+    Mix(steady=0.94, nested=0.05, rests=0.01, low=0.3, why="fast motion"),
+    Mix(low=0.03, why="slow and fast motion"),
+    Mix(steady=0.7, nested=0.25, why="reversals within reversals"),
+    Mix(steady=0.8, nested=0.08, rests=0.12, why="rests and slow break-away"),
+)
+_LAWS = 3  # recommended, and tied with it
+_STEP = 1e-4  # relative step of a coefficient
+_BINS, _SEEN = np.geomspace(0.003, 1.0, 9), 0.3  # speeds over the limit; [s] that show one
+
+Rows = Mapping[str, Any]  # t [s], dq [rad/s], q [rad], tau_load [N.m] of a log, (N,) each
+
+
+@dataclass(frozen=True, kw_only=True)
+class Knowledge:
+    """What a run knows of a joint: its law and those tied with it, and the logs of its training.
+
+    `rmse` is that of the law [N.m], `speed` the limit [rad/s].
+    """
+
+    laws: Mapping[str, FrictionLaw]
+    rmse: float
+    logs: Sequence[Rows]
+    speed: float
+
+    def score(self, new: Rows) -> float:
+        """Return what rows would resolve: log widths, difference of laws, and unseen speeds."""
+        ratios = [r for law in self.laws.values() for r in self.shrinking(law, new).values()]
+        gained = -np.mean(np.log(ratios or [1.0]))
+        torques = [predict(law, **new) for law in self.laws.values()]
+        apart = np.mean([np.mean((torque - torques[0]) ** 2) for torque in torques]) / self.rmse**2
+        unseen = (self._times(self.logs) < _SEEN) & (self._times([new]) >= _SEEN)
+        return float(gained + 0.25 * np.log1p(apart) + np.mean(unseen))
+
+    def shrinking(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
+        """Return the expected standard error of each coefficient with further rows, over today's.
+
+        Noise and misfit per row remain those of the covariance.
+        """
+        if law.covariance is None:
+            return {}
+        before = sum((_information(law, rows) for rows in self.logs), start=np.zeros(()))
+        size = np.sqrt(np.maximum(np.diag(before), 1e-300))
+        both = [x / np.outer(size, size) for x in (before, before + _information(law, new))]
+        now, then = (np.diag(np.linalg.pinv(x, rcond=1e-10, hermitian=True)) for x in both)
+        ratios = np.sqrt(np.clip(then / np.maximum(now, 1e-300), 1e-12, 1.0))
+        return dict(zip(law.covariance.names, ratios.tolist(), strict=True))
+
+    def _times(self, logs: Sequence[Rows]) -> Array:
+        """Return the time [s] at each speed, forwards and backwards."""
+        times = np.zeros((2, len(_BINS) - 1))
+        for rows in logs:
+            step = float(np.median(np.diff(rows["t"])))
+            for time, sign in zip(times, (1.0, -1.0), strict=True):
+                time += step * np.histogram(sign * rows["dq"] / self.speed, _BINS)[0]
+        return times
+
+
+def _information(law: FrictionLaw, rows: Rows) -> Array:
+    """Return J' J (P, P) of the torque's derivatives by the coefficients of the covariance."""
+    columns = []
+    for name in law.covariance.names if law.covariance else ():
+        value, step = law.values[name], _STEP * max(abs(law.values[name]), 1e-6)
+        up, down = (
+            predict(replace(law, values={**law.values, name: x}), **rows)
+            for x in (value + step, value - step)
+        )
+        columns.append((up - down) / (2.0 * step))
+    return np.asarray(np.array(columns) @ np.array(columns).T)
+
+
+def knowledge(results: Results, guard: Guard) -> list[Knowledge]:
+    """Return what results know of each joint; raise ConfigError if they lack what is needed."""
+    verdict, models, folder = results.verdict, results.models, results.folder
+    logs = [log for log in results.run.logs if "training" in log.roles and log.trace]
+    if results.run.joints != guard.robot.joints or verdict is None or not logs:
+        raise ConfigError(f"{folder}: these are not results of this version for this robot.")
+    if any(model.coupling for model in models.values()):
+        raise ConfigError(f"{folder}: motions after results need joints without coupling.")
+    traces, found = [results.torques(log) for log in logs], []
+    for j, (law, of_joint) in enumerate(zip(results.recommended, verdict.joints, strict=True), 1):
+        names = dict.fromkeys((law, of_joint.best, *of_joint.tied))
+        columns = {"t": "t", "dq": f"dq{j}", "q": f"q{j}", "tau_load": f"tau_rb{j}"}
+        found.append(
+            Knowledge(
+                laws={n: models[n].laws[j - 1] for n in list(names)[:_LAWS] if n in models},
+                rmse=max(models[law].training_rmse[j - 1], 1e-9),
+                logs=[{n: trace[c].astype(float) for n, c in columns.items()} for trace in traces],
+                speed=float(guard.stated.velocity[j - 1]),
+            )
+        )
+    return found
+
+
+def rows_of(motion: PlannedMotion, guard: Guard) -> list[Rows]:
+    """Return the rows of each joint along a motion."""
+    t, q, dq, ddq = motion.setpoints()
+    load = guard.torque(q, dq, ddq)
+    each = range(guard.robot.n)
+    return [{"t": t, "dq": dq[:, j], "q": q[:, j], "tau_load": load[:, j]} for j in each]
+
+
+def plan_sequel(
+    planner: Planner, folder: Path, time: float
+) -> tuple[dict[str, PlannedMotion], Expectation, list[str]]:
+    """Plan motions of `time` [s] in total after results: for friction, and a test if it helps.
+
+    Returns motions by purpose, what the next run is expected to find, and sentences.
+    """
+    results, guard = Results.read(folder), planner.guard
+    known, joints = knowledge(results, guard), guard.robot.joints
+    assert results.verdict is not None
+    open_ = any(joint.tied for joint in results.verdict.joints)
+    tested = 0.4 * time if open_ and 0.4 * time >= comparison.LEAST_SECONDS else 0.0
+    candidates = []
+    for mix in MIXES:
+        motion = next(planner.strokes(time - tested, [mix] * len(joints)))
+        candidates.append((mix, rows_of(motion, guard)))
+    scores = [[joint.score(rows[j]) for _, rows in candidates] for j, joint in enumerate(known)]
+    best = [MIXES[int(np.argmax(of_joint))] for of_joint in scores]
+    motions = {"friction": planner.friction(time - tested, best)}
+    if tested:
+        motions["test"] = planner.plan("test", tested)
+    widths: dict[str, dict[str, dict[str, float]]] = {}
+    shown, lines = {}, []
+    for j, (joint, rows) in enumerate(zip(known, rows_of(motions["friction"], guard), strict=True)):
+        line = f"{joints[j]}: {best[j].why}"
+        for name, law in joint.laws.items():
+            now, ratios = law.standard_errors, joint.shrinking(law, rows)
+            then = {n: error * ratios[n] for n, error in now.items() if n in ratios}
+            widths.setdefault(name, {})[joints[j]] = then
+            if then and name == next(iter(joint.laws)):
+                n = max(then, key=lambda n: now[n] / max(abs(law.values[n]), 1e-300))
+                line += f", {n} of {name} from +-{now[n]:.2g} to +-{then[n]:.2g}"
+        if tested and (was := results.verdict.joints[j].detectable):
+            shown[joints[j]] = _detectable(results, j, was[1], tested)
+            line += f", differences of {100 * (shown[joints[j]] - 1):.0f} % between laws"
+        lines.append(f"{line}.")
+    return motions, Expectation(widths=widths, detectable=shown), lines
+
+
+def _detectable(results: Results, joint: int, ratio: float, seconds: float) -> float:
+    """Return the smallest ratio of errors that a test of the same kind of `seconds` would show."""
+    assert results.verdict is not None
+    test = results.verdict.test
+    before = sum(log.duration for log in results.run.logs if test in log.roles)
+    count = max(1, len(results.comparisons[test].detectable[joint]))
+
+    def error(time: float) -> float:
+        degrees = time / comparison.SECONDS_PER_DEGREE
+        level = comparison.SIGNIFICANCE / comparison.calibration(count, degrees) / count
+        return float(comparison.detection_factor(degrees, level) / np.sqrt(time))
+
+    return float(ratio ** (error(seconds) / error(before)))
