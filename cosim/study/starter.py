@@ -30,7 +30,7 @@ class NewProject:
     followers: tuple[str, ...]
     locked: Mapping[str, float]  # positions of other joints [rad or m]
     doubts: tuple[Finding, ...]
-    bench: str = ""  # kind of a bench, or "twin"; its folder has no logs and no study
+    bench: str = ""  # kind of a bench, or "twin", whose folder has no logs and no study
 
 
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:

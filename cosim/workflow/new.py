@@ -130,9 +130,12 @@ def answer(made: NewProject, _: PathArg | None) -> Answer:
     """Return the answer of a new project: its joints and the next command."""
     if made.bench:
         file, study = made.folder / "robot.toml", made.folder / "study.toml"
+        next_ = f"hesr inspect LOG --robot {file} --write {file} --study {study}"
+        if made.bench == "twin":
+            next_ = f"the commands in {made.folder / 'README.txt'}"
         lines = [
             f"{file}: a {made.bench} bench with the joints {', '.join(made.joints)}.",
-            f"Next: hesr inspect LOG --robot {file} --write {file} --study {study}",
+            f"Next: {next_}",
         ]
         return Written(format="hesr-project-1", lines=lines, data={"joints": list(made.joints)})
     lines = [f"{made.folder}: a study of the joints {', '.join(made.joints)}."]

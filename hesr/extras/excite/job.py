@@ -20,9 +20,9 @@ from hesr_model.support.progress import Stages, counted, silent
 
 
 class TwinFile(Config):
-    """Twin, and the motions that it runs: a pattern of CSV files next to the file."""
+    """Twin, and the motions that it runs."""
 
-    plays: str
+    plays: str  # pattern of CSV files next to the file
     plant: RelativePath
     signals: RelativePath
     truth: str | None = None
@@ -55,7 +55,8 @@ class TwinJob:
             with loaded_arm(plant, fmu=export_twin(plant, folder, signals)) as arm:
                 for motion in counted(left, lambda *of: progress("running the arm", *of)):
                     table = read_table(motion)
-                    t, *q = (table.numbers([n])[:, 0] for n in ["t", *_positions(plant.joints)])
+                    names = ["t", *(f"q{k + 1}" for k in range(len(plant.joints)))]
+                    t, *q = table.numbers(names).T
                     rate = float(1.0 / np.median(np.diff(t)))
                     planned = PlannedMotion(rate=rate, rows=np.column_stack(q))
                     files.append(logs / f"{motion.stem}.csv")
@@ -63,10 +64,6 @@ class TwinJob:
                     if (plan := motion.with_suffix(SUFFIX)).is_file():
                         shutil.copyfile(plan, files[-1].with_suffix(SUFFIX))
         return Written(lines=[f"{len(files)} motions on the twin."], files=files)
-
-
-def _positions(joints: tuple[str, ...]) -> list[str]:
-    return [f"q{k}" for k in range(1, len(joints) + 1)]
 
 
 JOB = TwinJob()
