@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from cosim.loop.artefact import complete_loops
 from cosim.loop.traces import LoopOutcome
-from cosim.study.expectation import Expectation
+from cosim.study.forecast import Forecast
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.results import TRUTHS, Scored, log_findings, record_files, save_run, write_findings
 from cosim.study.scores import Comparison, Errors, LogRecords, records_of
@@ -110,7 +110,7 @@ def run_study(
                 next(iter(tested.values())),
                 found,
                 gear_ratio=job.robot.gear_ratio is not None,
-                expected=Expectation.of(run.files[name] for name in study.logs.training),
+                expected=Forecast.of(run.files[name] for name in study.logs.training),
             )
             write_verdict(folder, words)
             made = dict(models) | recommended(

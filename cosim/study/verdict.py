@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.report.tables.table import joints as short_names
 from cosim.report.tables.table import on_joints
-from cosim.study.expectation import Expectation
+from cosim.study.forecast import Forecast
 from cosim.study.scores import RECORDED, Comparison, LawScores
 from fmu_src.friction.predictions import Records
 from hesr_model.audit.properties import combined
@@ -96,7 +96,7 @@ def verdict(
     properties: "Mapping[str, Properties]",
     *,
     gear_ratio: bool,
-    expected: Expectation | None = None,
+    expected: Forecast | None = None,
 ) -> Verdict:
     """Judge a run by its first test set; records are [joint][log]."""
     test, scores = next(iter(comparisons.items()))

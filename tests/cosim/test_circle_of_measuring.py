@@ -12,7 +12,7 @@ import pytest
 from documents import ROOT
 
 import hesr
-from cosim.study.expectation import FORMAT, SUFFIX, Expectation
+from cosim.study.forecast import FORMAT, SUFFIX, Forecast
 from cosim.study.verdict import read_verdict
 from hesr.extras.excite.sequel import Knowledge
 from hesr_model.errors import ArgumentError, ConfigError
@@ -54,7 +54,7 @@ def test_the_circle_closes_without_an_edit(tmp_path: Path) -> None:
         assert done.returncode == 0, f"{words}: {done.stderr}"
     plan = folder / "logs" / f"next_friction{SUFFIX}"
     assert plan.read_bytes() == (folder / f"next_friction{SUFFIX}").read_bytes()
-    expected = Expectation.of([folder / "logs" / "next_friction.csv"])
+    expected = Forecast.of([folder / "logs" / "next_friction.csv"])
     assert expected is not None
     verdict = read_verdict(folder / "results" / "next")
     assert verdict is not None
@@ -136,11 +136,11 @@ def test_unseen_speeds_and_laws_that_differ_are_worth_more() -> None:
 
 def test_a_run_is_compared_with_its_plan(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
-    assert Expectation.of([log]) is None
+    assert Forecast.of([log]) is None
     widths = {"lugre": {"j": {"F_c": 2.0, "sigma_2": 1.0}}, "dahl": {"j": {"F_c": 1.0}}}
     data = {"format": FORMAT, "widths": widths, "detectable": {"j": 1.1}}
     log.with_suffix(SUFFIX).write_text(json.dumps(data), encoding="utf-8")
-    plan = Expectation.of([tmp_path / "other.csv", log])
+    plan = Forecast.of([tmp_path / "other.csv", log])
     assert plan is not None
     law = replace(lugre(), standard_errors={"F_c": 2.2, "sigma_2": 3.0})
     model = FrictionModel(law="lugre", robot="r", joints=("j",), laws=(law,), sample_time=0.005)

@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.loop.excite import record
 from cosim.loop.twin import export_twin, loaded_arm, twin_plant
-from cosim.study.expectation import SUFFIX
+from cosim.study.forecast import SUFFIX
 from cosim.study.study import Twin
 from cosim.workflow.answer import Written
 from hesr.extras.excite.motion import PlannedMotion

@@ -6,7 +6,7 @@ from pathlib import Path
 from cosim.report.figures.motions import limited_motion
 from cosim.report.figures.style import styled
 from cosim.report.markup import Pictures, Section, joined, paragraph, write_sections
-from cosim.study.expectation import FORMAT, SUFFIX
+from cosim.study.forecast import FORMAT, SUFFIX
 from cosim.workflow.answer import Written
 from hesr.extras.excite.guard import Guard, MotionSettings
 from hesr.extras.excite.planner import Planner

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cosim.report.results import Results
-from cosim.study.expectation import Expectation
+from cosim.study.forecast import Forecast
 from hesr.extras.excite.guard import Guard
 from hesr.extras.excite.motion import PlannedMotion
 from hesr.extras.excite.planner import Mix, Planner
@@ -123,7 +123,7 @@ def rows_of(motion: PlannedMotion, guard: Guard) -> list[Rows]:
 
 def plan_sequel(
     planner: Planner, folder: Path, time: float
-) -> tuple[dict[str, PlannedMotion], Expectation, list[str]]:
+) -> tuple[dict[str, PlannedMotion], Forecast, list[str]]:
     """Plan motions of `time` [s] in total after results: for friction, and a test if it helps.
 
     Returns motions by purpose, what the next run is expected to find, and sentences.
@@ -157,7 +157,7 @@ def plan_sequel(
             shown[joints[j]] = _detectable(results, j, was[1], tested)
             line += f", differences of {100 * (shown[joints[j]] - 1):.0f} % between laws"
         lines.append(f"{line}.")
-    return motions, Expectation(widths=widths, detectable=shown), lines
+    return motions, Forecast(widths=widths, detectable=shown), lines
 
 
 def _detectable(results: Results, joint: int, ratio: float, seconds: float) -> float:

@@ -14,14 +14,14 @@ _NEAR = 0.25  # difference of widths that agree
 
 
 @dataclass(frozen=True, kw_only=True)
-class Expectation:
+class Forecast:
     """Standard errors by law, joint and coefficient [SI], and detectable ratios by joint."""
 
     widths: Mapping[str, Mapping[str, Mapping[str, float]]]
     detectable: Mapping[str, float]
 
     @classmethod
-    def of(cls, logs: Iterable[Path]) -> "Expectation | None":
+    def of(cls, logs: Iterable[Path]) -> "Forecast | None":
         """Read the plan next to the last log that has one."""
         paths = [path for log in logs if (path := log.with_suffix(SUFFIX)).is_file()]
         return from_json(cls, read_json(paths[-1], FORMAT), paths[-1], "a plan") if paths else None
