@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, overload
 
 from cosim.workflow.answer import Answer, Written
 from hesr_model.support.progress import Stages, silent
@@ -16,6 +16,30 @@ if TYPE_CHECKING:
 Purpose = Literal["body", "friction", "test", "all"]
 
 
+@overload
+def excite(
+    robot: PathArg,
+    *,
+    output: PathArg = ...,
+    settings: PathArg | None = ...,
+    purpose: Literal["body"] = ...,
+    time: None = ...,
+    after: None = ...,
+    format: None = ...,
+    progress: Stages = ...,
+) -> ExcitationDesign: ...
+@overload
+def excite(
+    robot: PathArg,
+    *,
+    output: PathArg = ...,
+    settings: PathArg | None = ...,
+    purpose: Purpose = ...,
+    time: float | None = ...,
+    after: PathArg | None = ...,
+    format: str | None = ...,
+    progress: Stages = ...,
+) -> ExcitationDesign | Answer: ...
 def excite(
     robot: PathArg,
     *,

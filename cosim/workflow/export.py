@@ -112,8 +112,8 @@ def export(
     low_pass : float, Hz
         FMU: cut-off of a causal low pass of the velocity; by default none.
     no_events : bool
-        FMU: no events in model exchange where a law jumps at reversals; below 0.001 rad/s the jump
-        is a steep line.
+        FMU: no event indicators in model exchange; where a law jumps at reversals, the jump is a
+        steep line below 0.001 rad/s.
     robot : robot or path
         Plant and observer: the robot of the law. FMU: with --rigid-body, its page computes the
         friction in a dropped log.

@@ -106,12 +106,11 @@ def component(
     more: Iterable[Equation] = (),
     *,
     band: bool = False,
-    events: bool | None = True,
+    events: bool = True,
 ) -> Component:
     """Return the equations of a joint: its law with `SCALES`, further outputs and the band.
 
-    Reversals are solver events if `events`, with None only where the law jumps; without events a
-    jump becomes steep.
+    Reversals are solver events if `events`, else jumps become steep.
     """
     form = scaled(law.form)
     shared: tuple[Quantity, ...] = SCALES
@@ -122,9 +121,9 @@ def component(
     own = replace(
         form.component, parameters=law.form.coefficients, shared=shared, equations=equations
     )
-    jumps = Jumps(replace(own, reversing=())).expressions
-    if events or (events is None and jumps):
+    if events:
         return own
+    jumps = Jumps(replace(own, reversing=())).expressions
     steep = {sgn(e): clip(e / STEEP, 1) for e in jumps}
     return replace(
         own,
@@ -145,7 +144,7 @@ def friction_equations(
     more: tuple[Equation, ...] = (),
     *,
     band: bool = False,
-    events: bool | None = None,
+    events: bool = True,
 ) -> tuple[Interface, str]:
     """Return the variables of a friction FMU, and its equations.h.
 
@@ -282,7 +281,7 @@ def joints_of(
     names: dict[str, str] | None = None,
     *,
     band: bool = False,
-    events: bool | None = True,
+    events: bool = True,
 ) -> tuple[Joint, ...]:
     """Return each joint with the names of its variables; `names` has stems that differ."""
     found = []

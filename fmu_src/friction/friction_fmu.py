@@ -59,7 +59,7 @@ def export_fmu(
     computed) are for documentation. `power` and `band` add outputs: dissipated power,
     `tau_lower[i]` and `tau_upper[i]`; `low_pass` is the cut-off [Hz] of a causal low pass of dq in
     the FMU. With `body`, the FMU's page accepts logs of measured torques. With `no_events`,
-    model exchange has no events even where the law jumps, see `STEEP`; bends never are events.
+    model exchange has no event indicators, and jumps are steep, see `STEEP`.
 
     The same model gives the same bytes. For the date see `date_of`. Raises ExportError if C or FMI
     cannot express the model or a thermal model gets options; SimulationError if it has no band.
@@ -141,8 +141,7 @@ def _component(
     if band:
         model.require_band()
     about = about_model(model, "friction", "from their motion")
-    events = False if no_events else None
-    equations = friction_equations(_as_run(model, low_pass), more, band=band, events=events)
+    equations = friction_equations(_as_run(model, low_pass), more, band=band, events=not no_events)
     return bare_content(model, about, *equations)
 
 

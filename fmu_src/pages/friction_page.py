@@ -1,7 +1,6 @@
 """documentation/index.html of a friction FMU: its data sheet."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import count
 from pathlib import PurePosixPath
 from typing import Any
@@ -96,21 +95,20 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
         "states": [m.name for m in law.form.memory],
         "starts": [figure(value, 6) for value in law.start],
         "start_samples": law.start_samples,
-        "bends": bool(Jumps(law.form.component).expressions),
-        "jumps": {
+        "switches": {
             str(z).replace("absolute(", "abs("): figure(_half_jump(law, z))
-            for z in Jumps(replace(law.form.component, reversing=())).expressions
+            for z in Jumps(law.form.component).expressions
         },
     }
 
 
 def _half_jump(law: FrictionLaw, z: sympy.Expr) -> float:
-    """Return half of the jump of the torque at z = 0, without load and memory."""
-    numbers = {c.symbol: law.values[c.name] for c in law.form.coefficients}
-    numbers |= dict.fromkeys((*INPUTS, *(m.state for m in law.form.memory)), 0.0)
+    """Return half of the jump of the torque at z = 0, without load and memory; 0 for a bend."""
+    output = law.form.output
+    numbers = dict.fromkeys(output.free_symbols, 0.0)
+    numbers |= {c.symbol: law.values[c.name] for c in law.form.coefficients}
     ahead, back = (
-        float(law.form.output.xreplace({sgn(z): sympy.Integer(way)}).subs(numbers))
-        for way in (1, -1)
+        float(output.xreplace({sgn(z): sympy.Integer(way)}).subs(numbers)) for way in (1, -1)
     )
     return abs(ahead - back) / 2.0
 

@@ -82,8 +82,24 @@ def calibrated(
 def _left_out(law: FrictionLaw, records: Sequence[FrictionRecord]) -> tuple[Array, Array]:
     """Return the (N,) errors of fits without the row's log, and their predicted variance."""
     errors = np.concatenate([r.tau for r in records]) - _predicted(law, records)
-    if (covariance := law.covariance) is None:
+    if law.covariance is None:
         return errors, np.zeros_like(errors)
+    jacobian = _sensitivities(law, records)
+    labels = blocks_of_time(log_of_rows(records))
+    hessian, found = jacobian.T @ jacobian, errors.copy()
+    for k in range(int(labels[-1]) + 1):
+        rows = labels == k
+        own = jacobian[rows]
+        rest = np.linalg.pinv(hessian - own.T @ own, hermitian=True, rcond=_RANK)
+        found[rows] += own @ (rest @ (own.T @ errors[rows]))
+    return found, np.sum(jacobian**2, axis=1)
+
+
+def _sensitivities(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:
+    """Return the changes of torque (N, r) [N.m] by one standard deviation of independent errors."""
+    covariance = law.covariance
+    if covariance is None:
+        raise TypeError("a law without a covariance has no sensitivities")
     deviations = np.sqrt(np.maximum(np.diag(covariance.matrix), _NONE))
     sizes, ways = np.linalg.eigh(covariance.matrix / np.outer(deviations, deviations))
     free = sizes > _RANK * max(float(sizes[-1]), _NONE)
@@ -97,15 +113,7 @@ def _left_out(law: FrictionLaw, records: Sequence[FrictionRecord]) -> tuple[Arra
             for moved in (value + step, value - step)
         )
         columns.append((after - before) / (2.0 * step))
-    jacobian = np.asarray(np.stack(columns, axis=1) @ ways)
-    labels = blocks_of_time(log_of_rows(records))
-    hessian, found = jacobian.T @ jacobian, errors.copy()
-    for k in range(int(labels[-1]) + 1):
-        rows = labels == k
-        own = jacobian[rows]
-        rest = np.linalg.pinv(hessian - own.T @ own, hermitian=True, rcond=_RANK)
-        found[rows] += own @ (rest @ (own.T @ errors[rows]))
-    return found, np.sum(jacobian**2, axis=1)
+    return np.asarray(np.stack(columns, axis=1) @ ways)
 
 
 def _predicted(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:

@@ -99,7 +99,7 @@ def test_python_hosts_get_the_same_arm(hesr, mjcf, tmp_path):
         (["swing.urdf", "-o", "A.fmu"], "swing.urdf: cannot be compiled as a URDF ("),
         (["uf850-table1", "-o", "A.fmu", "--format", "python-arm"],
          "--format is python-arm; allowed are adaptive, c, drive, fmu, jax, mjcf, modelica, "
-         "plant, ssv, "),
+         "mujoco-plugin, observer, plant, ssv, "),
         (["swing.xml", "-o", "A.fmu", "--platform", "vms"], "platform 'vms' is unknown"),
         (["uf850-table1", "-o", "A.fmu", "--signals", "table.toml"],
          "--signals is for an MJCF (.xml)."),

@@ -120,7 +120,7 @@ def test_unusable_arguments_are_refused(
         (lambda: hesr.export(table1, "a", robot="r"), "'robot' and 'rigid_body' must be given"),
         (
             lambda: hesr.export(table1, "a", format="c", robot="r", rigid_body="b"),
-            "'robot' needs 'format' fmu or plant, but the format is 'c'.",
+            "'robot' needs 'format' fmu or observer or plant, but the format is 'c'.",
         ),
         (
             lambda: hesr.export(table1, "a", stiffness=[1.0]),

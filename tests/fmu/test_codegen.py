@@ -181,7 +181,7 @@ def test_value_references_map_to_scalars_or_arrays():
     assert (table.places["a"], table.places["a[2,1]"]) == (1, 4)
     assert "references[REFERENCES] = {{0, 1}, {1, 1}, " in to_c(table, "", 0.1)
     text = to_c(table, "", 0.1, arrays=True)
-    assert "REFERENCES = 7 }" in text
+    assert "REFERENCES = 7, BOOLEANS = 0 }" in text
     assert "references[REFERENCES] = {{0, 1}, {1, 6}, {7, 1}, {8, 1}," in text
 
 

@@ -47,7 +47,8 @@ def arguments(
     of the linear law. `starts` (S, F) and `limit` are for standardised features.
     """
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
-    theta, cost = _Projected(g, features / scale, linear, tau, limit).minimise(starts.T.copy())
+    problem = _Projected(g, features / scale, linear, tau, limit)
+    theta, cost = problem.minimise(starts.T.copy())
     chosen: list[int] = []
     for i in np.argsort(cost):
         if len(chosen) == keep or not np.isfinite(cost[i]):
@@ -59,13 +60,15 @@ def arguments(
 
 def starting_points(rng: np.random.Generator, count: int, features: int) -> Array:
     """Return random starts of theta, shape (count, features), for standardised features."""
-    return np.asarray(rng.normal(size=(count, features)) * rng.uniform(0.3, 2.0, size=(count, 1)))
+    starts = rng.normal(size=(count, features))
+    return np.asarray(starts * rng.uniform(0.3, 2.0, size=(count, 1)))
 
 
 def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Array) -> Candidate:
     unit = [UNIT_FUNCTIONS[g][0](features @ theta)] if g else []
     columns = np.column_stack([features, *unit])
     solution = least_squares(columns, tau)
+    cost = float(np.mean((tau - columns @ solution) ** 2))
     return Candidate(
         g=g,
         alpha=cell.alpha,
@@ -75,7 +78,7 @@ def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Ar
         gain=float(solution[4]) if g else 0.0,
         c_active=np.ones(4, bool),
         theta_active=np.full(4, bool(g)),
-        cost=float(np.mean((tau - columns @ solution) ** 2)),
+        cost=cost,
     )
 
 
@@ -101,7 +104,8 @@ class _Projected:
         value = self.g(argument)
         outside = self._reject(value)
         norm = np.maximum(np.einsum("ms,ms->s", outside, outside), 1e-9 * len(self.x))
-        return argument, value, outside, (self.y.T @ outside)[0] / norm
+        gain = (self.y.T @ outside)[0] / norm
+        return argument, value, outside, gain
 
     def cost(self, theta: Array) -> Array:
         """Return the (S,) mean squared residuals."""
@@ -125,7 +129,18 @@ class _Projected:
         return theta, cost
 
     def _step(self, theta: Array, damping: Array) -> Array:
-        # The residual is orthogonal to the linear span, so the Gram matrix is all of the Jacobian.
+        gram, gradient = self._normal_equations(theta)
+        diagonal = np.einsum("sii->si", gram)
+        shift = damping[:, None] * (diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True))
+        damped = gram + np.eye(len(theta)) * (shift + 1e-300)[:, None, :]
+        return np.asarray(np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T)
+
+    def _normal_equations(self, theta: Array) -> tuple[Array, Array]:
+        """Return the (S, F, F) Gram matrices and (S, F) gradients of theta.
+
+        The residual is orthogonal to the linear span, so the projected Jacobian enters by its Gram
+        matrix.
+        """
         argument, value, outside, gain = self.evaluate(theta)
         slope = gain * self.dg(argument, value)
         norm = np.maximum(np.einsum("ms,ms->s", outside, outside), 1e-9 * len(self.x))
@@ -136,8 +151,4 @@ class _Projected:
         residual = self.x.T @ ((self.y - gain * outside) * slope)
         gram = whole - np.einsum("lis,ljs->ijs", inside, inside) - along[:, None] * along / norm
         left = np.einsum("ms,ms->s", outside, self.y - gain * outside)
-        gram, gradient = gram.transpose(2, 0, 1), (residual - along * left / norm).T
-        diagonal = np.einsum("sii->si", gram)
-        shift = damping[:, None] * (diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True))
-        damped = gram + np.eye(len(theta)) * (shift + 1e-300)[:, None, :]
-        return np.asarray(np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T)
+        return gram.transpose(2, 0, 1), (residual - along * left / norm).T
