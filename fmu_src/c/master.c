@@ -34,7 +34,8 @@ typedef struct {
 /* How the steps ended. */
 typedef enum { DONE, NOT_FINITE, OUTSIDE, SET_FAILED, STEP_FAILED, GET_FAILED } End;
 
-/* Recorded rows, and the station and the function that is called, as `End`. Other processes may read it. */
+/* Recorded rows, and the station and the function that is called, as `End`. Other processes may
+ * read it. */
 typedef struct {
     int64_t done, station, call;
 } StepRecord;

@@ -365,7 +365,7 @@ def test_a_folder_without_results_is_refused(hesr: Hesr, tmp_path: Path) -> None
         ("part", "laws/parfam_h.json", "{path}: no such file."),
         whole("closed_loop.json", "{path}: no such file."),
         whole("closed_loop.parquet", "{path}: no such file; "),
-        whole("traces/torques_2.parquet", "{path}: no such log file."),
+        whole("traces/torques_3.parquet", "{path}: no such log file."),
     ],
     indirect=["results"],
 )
