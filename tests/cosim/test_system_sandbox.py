@@ -160,7 +160,7 @@ def test_nonsense_ends_a_system(
     hostile_lag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, deed: str
 ) -> None:
     monkeypatch.setenv("DEED", f"fmi2DoStep {deed}")
-    monkeypatch.setattr("cosim.systems.simulation.SECONDS", 2.0)
+    monkeypatch.setattr("cosim.systems.simulation.SECONDS", 5.0)
     own, before = spec(hostile_lag, hostile_lag, tmp_path), children()
     failure = str(run(own).failure or "")
     assert children() == before
