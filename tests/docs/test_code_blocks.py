@@ -88,9 +88,9 @@ def test_toml_blocks_are_valid(block: Block) -> None:
 def commands() -> list[tuple[str, str]]:
     """Lines of the pages that call hesr, with their continuation lines."""
     return [
-        (page.name, line)
+        (page.name, line.replace("\\\n", ""))
         for page in PAGES
-        for line in re.findall(r"(?m)^ {4}(hesr .*)", page.read_text(encoding="utf-8"))
+        for line in re.findall(r"(?m)^ {4}(hesr (?:.*\\\n)*.*)", page.read_text(encoding="utf-8"))
     ]
 
 
