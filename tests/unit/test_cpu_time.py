@@ -15,12 +15,12 @@ from cpu_time import probe
 def test_of_one_probe():
     probe()
 
-def test_of_six_probes():
-    [probe() for _ in range(6)]
+def test_of_twelve_probes():
+    [probe() for _ in range(12)]
 
 @pytest.mark.ci
-def test_of_six_probes_in_ci():
-    [probe() for _ in range(6)]
+def test_of_twelve_probes_in_ci():
+    [probe() for _ in range(12)]
 """
 
 PROBE = cpu_time.PROBE_ON_REFERENCE / 5
@@ -53,7 +53,7 @@ def test_a_slow_test_fails_by_the_cost_of_the_probe(tmp_path: Path) -> None:
     said, code = failures(tmp_path, PROBE)
     assert code == pytest.ExitCode.TESTS_FAILED, said
     assert "1 failed, 2 passed" in said
-    assert "FAILED test_it.py::test_of_six_probes - Failed: took" in said
+    assert "FAILED test_it.py::test_of_twelve_probes - Failed: took" in said
     assert "share a fixture or mark it ci" in said
 
 
