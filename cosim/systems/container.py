@@ -55,7 +55,7 @@ def write_container(contents: SystemContents, path: Path) -> Path:
     for name, files in nested.items():
         members |= {f"resources/{name}/{file}": content for file, content in files.items()}
         if not any(file.startswith("resources/") for file in files):
-            # The runtime passes NULL for a missing folder, on which FMUs of other tools fail.
+            # The runtime passes NULL for a missing folder, and FMUs of other tools then fail.
             members[f"resources/{name}/resources/empty.txt"] = b""
     exposed = list(exposed_variables(contents))
     described = to_description(contents, exposed, identifier, "")

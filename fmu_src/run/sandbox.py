@@ -126,7 +126,7 @@ class Sandbox:
             raise self.died(NONSENSE) from error
 
     def died(self, how: str) -> DiedError:
-        """End the process and return the error; what it has shared is kept."""
+        """End the process and return the error; keep the rows that it has shared."""
         self._left = self.shared(0, self._size)
         self.kill()
         return DiedError(how)

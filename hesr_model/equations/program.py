@@ -108,7 +108,7 @@ def change_of(symbol: sympy.Symbol) -> sympy.Symbol:
 class Jumps:
     """Solver events: sign changes that make a component jump; signs are held in between.
 
-    Bends of magnitudes, as of |v| sgn(v), are events for reversing inputs only. Signs of states
+    Bends, for example of |v| or |v| sgn(v), are events for reversing inputs only. Signs of states
     alone are not held, since only outputs depend on them.
     """
 
@@ -147,7 +147,7 @@ class Jumps:
 
 
 def _jumps(expression: sympy.Expr, z: sympy.Expr) -> bool:
-    """Return whether an expression differs on the two sides of z = 0, as far as can be told."""
+    """Return whether an expression differs on the two sides of z = 0; True if z is no symbol."""
     ahead, back = (
         expression.xreplace({sgn(z): sympy.Integer(way)}).xreplace({z: sympy.S.Zero})
         for way in (1, -1)

@@ -48,7 +48,7 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
     | {"nanoseconds": "ns", "milliseconds": "ms"},
 }
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
-_AXES = re.compile(r"(?<![A-Za-z])[iI]_([dq])(?![A-Za-z])")  # i_q is no position
+_AXES = re.compile(r"(?<![A-Za-z])[iI]_([dq])(?![A-Za-z])")  # i_q is a current, not a position
 _NUMBER = re.compile(r"(?<!\d)\d{1,9}(?!\d)")  # a joint number; longer ones are slow to parse
 _RATES = (5.0, 20_000.0)  # plausible sample rates [Hz]
 

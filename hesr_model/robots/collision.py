@@ -10,7 +10,7 @@ from hesr_model.support.arrays import Array
 
 Plane = tuple[float, float, float, float]  # unit normal n and offset d [m]: n x >= d is free
 
-_POSES, _ALWAYS = 200, 0.95  # random poses, and share of them in which joined links touch
+_POSES, _ALWAYS = 200, 0.95  # random poses; links that touch in this share are not checked
 _WIDTH = 0.04  # default radius of a capsule over the length of the arm
 
 

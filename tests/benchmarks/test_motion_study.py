@@ -145,10 +145,10 @@ def test_friction_motions_against_the_sweep(tmp_path: Path) -> None:
             error = float(
                 np.exp(np.mean(np.log(twin.errors(after[law]) / twin.errors(before[law]))))
             )
-            print(f"{truth} {law}: widths {wide:.2f}, errors {error:.3f}")  # noqa: T201
+            print(f"{truth} {law}: widths {wide:.2f}, errors {error:.3f}")  # noqa: T201  # the study's table
             ratios["widths"].append(wide)
             ratios["errors"].append(error)
     found = {what: float(np.exp(np.mean(np.log(of)))) for what, of in ratios.items()}
-    print(found)  # noqa: T201
+    print(found)  # noqa: T201  # its summary
     assert found["widths"] <= 0.8
     assert found["errors"] <= 0.95

@@ -89,11 +89,11 @@ def test_the_next_motion_pays_more_than_the_first_one_again(tmp_path: Path) -> N
                 ]
             gains.append((before - after) / max(before - again, 1e-3 * before))
             widths.append(float(np.median(found)))
-            print(  # noqa: T201
+            print(  # noqa: T201  # the study's table
                 f"{truth} seed {seed}: {', '.join(mix.why for mix in best)}; error {before:.3f}, "
                 f"again {again:.3f}, planned {after:.3f} N.m; widths {widths[-1]:.2f}",
                 flush=True,
             )
-    print(f"gain {np.median(gains):.2f}, widths {np.median(widths):.2f}")  # noqa: T201
+    print(f"gain {np.median(gains):.2f}, widths {np.median(widths):.2f}")  # noqa: T201  # its summary
     assert np.median(gains) >= 1.5
     assert abs(np.median(widths) - 1.0) <= 0.25

@@ -160,7 +160,7 @@ class Planner:
         limits = self.guard.limits
         reach = room, 0.98 * float(limits.velocity[joint]), 0.98 * float(limits.acceleration[joint])
         order, placed = np.random.default_rng([self.settings.seed, joint, pose]), []
-        # Every stretch of time has something of each kind: blocks of time are alike.
+        # Every stretch of time has something of each kind, so that blocks of time can be compared.
         for groups in (
             _steady(mix, mix.steady * budget, *reach),
             _nested(mix.nested * budget, *reach),
