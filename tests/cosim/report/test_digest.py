@@ -73,7 +73,7 @@ def test_results_next_to_the_page_are_kept(results: Path, tmp_path: Path) -> Non
     """The page results.md of results/small, written where that folder is."""
     folder = tmp_path / "results" / Results.read(results).run.study
     # Another test may be writing its page there.
-    shutil.copytree(results, folder, ignore=shutil.ignore_patterns(".hesr-*-*"))
+    shutil.copytree(results, folder, ignore=shutil.ignore_patterns(".hesr-*"))
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
     write_digest([folder], tmp_path / "results.md")
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before

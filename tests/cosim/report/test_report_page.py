@@ -88,7 +88,7 @@ of_a_whole_study = pytest.mark.parametrize("results", [whole()], indirect=True)
 
 @pytest.fixture
 def copied(results: Path, tmp_path: Path) -> Path:
-    unfinished = shutil.ignore_patterns(".hesr-*-*")  # of another test
+    unfinished = shutil.ignore_patterns(".hesr-*")  # of another test
     return shutil.copytree(results, tmp_path / "copied", ignore=unfinished)
 
 
