@@ -15,13 +15,14 @@ from hesr_model.friction.registry import laws_with, registry
 from hesr_model.health.evidence import LEAST_TRAVEL
 from hesr_model.health.examine import checked
 from hesr_model.health.excitation_gaps import bears_load
-from hesr_model.health.proposal import Proposal
+from hesr_model.health.proposal import Proposal, robot_file
 from hesr_model.inference.comparison import LEAST_SECONDS
 from hesr_model.logs.phases import reversals
 from hesr_model.logs.robot_log import Log, parts_of
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import silent
 
 _TRAINED, _MOST_TRAINED = 0.6, 0.8
@@ -119,10 +120,14 @@ def laws_of(proposal: Proposal) -> list[str]:
     ]
 
 
-def dry_run(path: Path) -> None:
-    """Read, split and check the logs of a study, and fit a small law; raises HesrError."""
-    job = Job(study=Study.read(path), path=path, progress=silent)
-    logs = {name: job.read(name, file) for name, file in job.log_files(path.parent).items()}
+def dry_run(proposal: Proposal) -> None:
+    """Read, split and check the logs of the proposed study, fit a small law; raises HesrError."""
+    with scratch_folder() as folder:
+        robot_path, path = folder / "robot.toml", folder / "study.toml"
+        robot_path.write_text(robot_file(proposal, robot_path), encoding="utf-8")
+        path.write_text(study_file(proposal, robot_path, path), encoding="utf-8")
+        job = Job(study=Study.read(path), path=path, progress=silent)
+        logs = {name: job.read(name, file) for name, file in job.log_files(folder).items()}
     robot = Robot(job.robot)
     checked(list(logs.values()), robot)
     trained = [logs[name] for name in job.trained_on]

@@ -225,7 +225,7 @@ def _write(
     A study that fails in a dry run is not written; the text says why.
     """
     from hesr_model.health.proposal import robot_file
-    from hesr_model.support.files import path_of, written_whole
+    from hesr_model.support.files import path_of, written_together
 
     page, robot, plan = (
         None if file is None else path_of(file, "an output") for file in (output, write, study)
@@ -235,18 +235,18 @@ def _write(
         from cosim.report.inspection import write_inspection
 
         write_inspection(page, proposal)
-    if robot:
-        with written_whole(robot) as temporary:
-            temporary.write_text(robot_file(proposal, robot), encoding="utf-8")
     if robot and plan:
         from cosim.study.proposal import dry_run, study_file
 
         try:
-            with written_whole(plan) as temporary:
-                temporary.write_text(study_file(proposal, robot, plan), encoding="utf-8")
-                dry_run(temporary)
+            dry_run(proposal)
         except HesrError as error:
             plan, failure = None, str(error)
+    if robot:
+        with written_together(plan or robot) as file:
+            file(robot).write_text(robot_file(proposal, robot), encoding="utf-8")
+            if plan:
+                file(plan).write_text(study_file(proposal, robot, plan), encoding="utf-8")
     return [file for file in (page, robot, plan) if file], failure
 
 

@@ -2,20 +2,27 @@
 
 import hashlib
 import json
+import math
 import os
 import random
 import shutil
 import signal
+import subprocess
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
+import psutil
 import pytest
 from processes import assert_nothing_runs, started, wait_for
 from small_study import contents, write_study
 
 from fmu_src import model_file
 from hesr_model.errors import ArtifactError
+from hesr_model.logs.signals import Motion
+from hesr_model.logs.tables import write_table
 from hesr_model.support.files import (
     folder_written_whole,
     models_folder,
@@ -149,7 +156,7 @@ def test_files_of_killed_processes_are_removed_and_others_are_left_alone(
     ],
 )
 def test_a_killed_run_leaves_the_old_result_or_the_new_one(tmp_path: Path, kills: int) -> None:
-    """A third of the kills are in the last tenth; each tenth run is resumed to its end."""
+    """A third of the kills are in the last tenth of CPU time; each tenth run is resumed."""
     study, rng = write_study(tmp_path), random.Random(kills)
     results, texts = tmp_path / "results", {}
     texts["new"] = study.read_text(encoding="utf-8")
@@ -159,11 +166,10 @@ def test_a_killed_run_leaves_the_old_result_or_the_new_one(tmp_path: Path, kills
     seconds, whole = 0.0, {}
     for name, text in sorted(texts.items(), reverse=True):  # the new one last
         study.write_text(text, encoding="utf-8")
-        begin = time.monotonic()
         with started(*command, folder=tmp_path, **date) as process:
+            seconds = used_until(process, math.inf)
             assert process.communicate()
             assert process.returncode == 0
-        seconds = time.monotonic() - begin
         results.rename(tmp_path / name)
         whole[name] = hashes(tmp_path / name)
     study.write_text(texts["new"], encoding="utf-8")
@@ -172,11 +178,8 @@ def test_a_killed_run_leaves_the_old_result_or_the_new_one(tmp_path: Path, kills
         shutil.rmtree(results, ignore_errors=True)
         shutil.copytree(tmp_path / "old", results)
         late = rng.random() < 1 / 3 or k == 1
-        begin = time.monotonic()
         with started(*command, folder=tmp_path, **date) as process:
-            wait = seconds * (0.9 + 0.1 * rng.random() if late else rng.random())
-            while process.poll() is None and time.monotonic() < begin + wait:
-                time.sleep(0.01)
+            used_until(process, seconds * (0.9 + 0.1 * rng.random() if late else rng.random()))
             process.send_signal(signal.SIGKILL)
             process.communicate()
         assert_nothing_runs(process.pid)
@@ -198,6 +201,20 @@ def test_a_killed_run_leaves_the_old_result_or_the_new_one(tmp_path: Path, kills
     assert "new" in seen
     if kills > 20:  # few may all come after the end, or all before it
         assert seen == {"old", "new"}
+
+
+def used_until(process: "subprocess.Popen[str]", seconds: float) -> float:
+    """Wait for the end or that much CPU time of the process and its children; return the time.
+
+    Other load changes the length of a run, but hardly its CPU time.
+    """
+    now, running = 0.0, psutil.Process(process.pid)
+    while now < seconds and process.poll() is None:
+        with suppress(psutil.Error):
+            tree = (running, *running.children(recursive=True))
+            now = max(now, sum(sum(one.cpu_times()[:4]) for one in tree))
+        time.sleep(0.01)
+    return now
 
 
 def hashes(folder: Path) -> dict[str, str]:
@@ -228,13 +245,17 @@ main()
 """
 LAW = ("export", "law.json", "--format", "c", "-o", "out/law.h")
 MOTION = ("excite", "robot.toml", "--settings", "settings.toml", "-o", "out/law.csv")
+READ = ("inspect", "log.csv", "--robot", "arm.xml")
+INSPECT = (*READ, "--write", "out/robot.toml", "--study", "out/study.toml")
 
 
 @pytest.mark.parametrize(
-    "command", [LAW, pytest.param(MOTION, marks=pytest.mark.ci)], ids=["code", "motion"]
+    "command",
+    [LAW, *(pytest.param(words, marks=pytest.mark.ci) for words in (MOTION, INSPECT))],
+    ids=["code", "motion", "robot and study"],
 )
 def test_a_killed_writer_of_several_files_leaves_no_mix(
-    tmp_path: Path, command: tuple[str, ...]
+    tmp_path: Path, command: tuple[str, ...], make_motion: Callable[..., Motion]
 ) -> None:
     """Its main file is absent while the others are replaced."""
     law = json.loads(model_file("uf850-table1").read_text(encoding="utf-8"))
@@ -248,6 +269,14 @@ def test_a_killed_writer_of_several_files_leaves_no_mix(
         law["joints"][0]["coefficients"]["c_0"]["value"] = float(seed)
         (tmp_path / "law.json").write_text(json.dumps(law), encoding="utf-8")
         (tmp_path / "settings.toml").write_text(settings.format(seed), encoding="utf-8")
+        motion = make_motion(seconds=10.0 * seed, friction=0.8)
+        columns = {"t": motion.t[::2]}
+        degrees = 180.0 / math.pi if seed == 2 else 1.0
+        for name, values in (
+            ("q", degrees * motion.q), ("dq", degrees * motion.dq), ("tau", motion.tau)
+        ):  # fmt: skip
+            columns |= {f"{name}{k}": column[::2] for k, column in enumerate(values.T, start=1)}
+        write_table(tmp_path / "log.csv", columns)
         if versions:
             break
         with started(*command, folder=tmp_path) as process:
