@@ -195,24 +195,31 @@ static bool solved(const Solver *solver, const double *more, double *right) {
     return true;
 }
 
-/* Impulse that accelerates axis i, without the share of its own speed if `others`. */
-static double impulse(const Solver *solver, int i, bool others) {
+/* Change of an axis's speed over the whole step. */
+static double change_of(const Axis *axis) {
+    return (axis->trial.v - axis->from.dq) / axis->weight;
+}
+
+/* Impulse of axis i for these changes of the speeds. */
+static double impulse(const Solver *solver, int i, const double *change) {
     double sum = 0.0;
     for (int j = 0; j < JOINTS; j++) {
-        const Axis *axis = &solver->axis[j];
-        if (j != i || !others) {
-            sum += solver->mass[i][j] * (axis->trial.v - axis->from.dq) / axis->weight;
-        }
+        sum += solver->mass[i][j] * change[j];
     }
     return sum;
 }
 
 /* Solve the balance of each axis in turn with the speeds of the others. */
 static bool sweep(Solver *solver, Message *why) {
+    double change[JOINTS];
+    for (int i = 0; i < JOINTS; i++) {
+        change[i] = change_of(&solver->axis[i]);
+    }
     for (int i = 0; i < JOINTS; i++) {
         Axis *axis = &solver->axis[i];
+        change[i] = 0.0;
         axis->step.inertia = solver->mass[i][i] / axis->weight;
-        axis->step.tau_motor = axis->applied - impulse(solver, i, true) / solver->h;
+        axis->step.tau_motor = axis->applied - impulse(solver, i, change) / solver->h;
         if (!solve(&axis->step, &axis->from, &axis->trial, variables[DQ + i].name, why)) {
             return false;
         }
@@ -220,6 +227,7 @@ static bool sweep(Solver *solver, Message *why) {
         /* The solver states friction that differs from the law's only if it holds. */
         axis->held = jumps(axis) && axis->trial.v == 0.0;
         axis->slope = axis->held ? NEVER_SMOOTH : axis->trial.slope - rate;
+        change[i] = change_of(axis);
     }
     return true;
 }
@@ -264,9 +272,13 @@ static bool newton(Solver *solver, double *residual) {
 }
 
 static void balance_all(const Solver *solver, double *residual) {
+    double change[JOINTS];
+    for (int i = 0; i < JOINTS; i++) {
+        change[i] = change_of(&solver->axis[i]);
+    }
     for (int i = 0; i < JOINTS; i++) {
         const Axis *axis = &solver->axis[i];
-        residual[i] = impulse(solver, i, false) + solver->h * (torque_of(axis) - axis->applied);
+        residual[i] = impulse(solver, i, change) + solver->h * (torque_of(axis) - axis->applied);
     }
 }
 

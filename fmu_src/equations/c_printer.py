@@ -112,6 +112,10 @@ def printed(
     silence = [f"{', '.join(f'(void){a}' for a in unused)};"] if unused else []
     seldom = any(f"_{name}(" in signature for name in _SELDOM)
     kind = "SELDOM static" if seldom else "static"
+    wide = re.fullmatch(r"(\w+_attempts)(\(.*\))", signature)
+    after = f"IN_WIDTHS({wide[1]}, {wide[2]}, ({', '.join(arguments)}))\n" if wide else ""
+    if wide:
+        kind, signature = "INLINED", f"{wide[1]}_inlined{wide[2]}"
     content: Iterable[str] = (*reads, *body, *writes)
     if lanes:
         kinds = tuple(_OF_ANGLES.values())
@@ -126,9 +130,8 @@ def printed(
         )
     content = (*silence, *content)
     result = "bool" if lanes else "void"
-    return "\n".join(
-        [f"{kind} {result} {signature}", "{", *(f"    {line}" for line in content), "}", ""]
-    )
+    lines = [f"{kind} {result} {signature}", "{", *(f"    {line}" for line in content), "}"]
+    return "\n".join([*lines, after])
 
 
 def declared(arguments: str) -> str:

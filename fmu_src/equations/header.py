@@ -109,9 +109,11 @@ def equations_header(
         "COUPLED": int(coupling is not None),
         **{name: table.places[variable] for name, variable in places.items()},
     }
-    if "attempts" in wanted:  # an even number, for vectors of two
-        constants["LANES"] = len(joints) + len(joints) % 2
+    if "attempts" in wanted:  # whole vectors of two or four
+        length = 4 if len(joints) > 2 else 2
+        constants["LANES"] = -(-len(joints) // length) * length
     return _HEADER.format(
+        widths='#include "wide.h"\n' if "attempts" in wanted else "",
         constants=",\n".join(f"    {name} = {value}" for name, value in constants.items()),
         members="\n".join(map(_member, wanted)),
         functions="\n".join(texts),
@@ -254,7 +256,7 @@ _HEADER = """\
 #include <stddef.h>
 
 #include "law_math.h"
-
+{widths}
 enum {{
 {constants},
 }};

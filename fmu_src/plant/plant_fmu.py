@@ -351,6 +351,7 @@ def content(
         "plant_solver.h",
         "regroup.h",
         "root.h",
+        "wide.h",
     )
     sources = {name: own_source(name) for name in names}
     found = _PLACES_OF_SERVO if servo else dict.fromkeys(_PLACES_OF_SERVO, "tau[1]")

@@ -25,6 +25,37 @@ FASTER = 1.2  # highest speed of a light wrist over that of short steps
 WITHOUT_BOUND = ("parfam_h",)
 """Laws whose friction falls exponentially at the high speeds of a light wrist: it runs away."""
 
+WIDTHS = """
+#include "plant.c"
+#include <stdio.h>
+#include <stdlib.h>
+
+static double k[MAX_PARAMETERS][LANES], u[MAX_INPUTS][LANES], x[MAX_STATES][LANES];
+static double found[2][3][MAX_STATES + MAX_OUTPUTS][LANES];
+
+static void fill(double *to, size_t bytes, double low, double high) {
+    for (size_t i = 0; i < bytes / sizeof *to; i++) {
+        to[i] = low + (high - low) * rand() / RAND_MAX;
+    }
+}
+
+int main(void) {
+    int differ = 0;
+    if (!has_wide_vectors()) {
+        return 77;
+    }
+    for (int n = 0; n < 10000; n++) {
+        fill(k[0], sizeof k, 0.1, 1e4);
+        fill(u[0], sizeof u, -5.0, 5.0);
+        fill(x[0], sizeof x, -1e-3, 1e-3);
+        law_1_attempts_wide(k, u, x, 1e-3, 0.0, found[0][0], found[0][1], found[0][2]);
+        law_1_attempts_inlined(k, u, x, 1e-3, 0.0, found[1][0], found[1][1], found[1][2]);
+        differ += memcmp(found[0], found[1], sizeof found[0]) != 0;
+    }
+    return differ > 0;
+}
+"""
+
 Host = Callable[..., tuple[int, float, str]]
 
 
@@ -74,3 +105,17 @@ def test_a_light_wrist_is_no_faster_than_with_short_steps(name: str, fitted, hos
 @pytest.mark.parametrize("name", list(everyday()))
 def test_a_million_random_states_have_a_solution(name: str, fitted, host) -> None:
     assert host(fitted[name])(100_000, 10)[::2] == (0, "")
+
+
+@pytest.mark.parametrize("name", ["lugre", "parfam_s"])
+def test_wide_vectors_give_the_same_bits(name: str, fitted, tmp_path: Path) -> None:
+    robot = Robot(ur_like(tmp_path))
+    sources = translation_unit(content_of(robot, [fitted[name]] * robot.n))[1]
+    for file, text in {**sources, "widths.c": WIDTHS}.items():
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    flags = (*LINUX, "-std=gnu99", "-w", "-ffp-contract=off")
+    compile_c(tmp_path / "widths.c", flags, tmp_path / "widths", ("-lm",))
+    code = subprocess.run([tmp_path / "widths"], check=False).returncode
+    if code == 77:
+        pytest.skip("this processor has no vectors of four doubles")
+    assert code == 0

@@ -1,0 +1,39 @@
+/* Functions compiled twice for x86-64: also for vectors of four doubles, where the processor has
+ * them. Both give the same bits, since no multiplication is fused with an addition. */
+#ifndef WIDE_H
+#define WIDE_H
+
+#if defined(__GNUC__) && defined(__x86_64__)
+#include <cpuid.h>
+
+/* Whether processor and operating system support AVX2; asking them is slow. */
+static int has_wide_vectors(void) {
+    static volatile int known = -1;
+    unsigned a, b, c, d, saved = 0;
+    if (known < 0) {
+        const bool saves = __get_cpuid(1, &a, &b, &c, &d) && (c & bit_OSXSAVE);
+        if (saves) {
+            __asm__("xgetbv" : "=a"(saved), "=d"(d) : "c"(0));
+        }
+        known = (saved & 6) == 6 && __get_cpuid_count(7, 0, &a, &b, &c, &d) && (b & bit_AVX2);
+    }
+    return known;
+}
+
+#define INLINED static inline __attribute__((always_inline))
+#define IN_WIDTHS(name, signature, arguments)                                                      \
+    __attribute__((target("avx2"))) static bool name##_wide signature {                            \
+        return name##_inlined arguments;                                                           \
+    }                                                                                              \
+    static bool name signature {                                                                   \
+        return has_wide_vectors() ? name##_wide arguments : name##_inlined arguments;              \
+    }
+#else
+#define INLINED static
+#define IN_WIDTHS(name, signature, arguments)                                                      \
+    static bool name signature {                                                                   \
+        return name##_inlined arguments;                                                           \
+    }
+#endif
+
+#endif
