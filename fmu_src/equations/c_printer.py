@@ -130,8 +130,8 @@ def printed(
         )
     content = (*silence, *content)
     result = "bool" if lanes else "void"
-    lines = [f"{kind} {result} {signature}", "{", *(f"    {line}" for line in content), "}"]
-    return "\n".join([*lines, after])
+    head = f"{kind} {result} {signature}"
+    return "\n".join([head, "{", *(f"    {line}" for line in content), "}", after])
 
 
 def declared(arguments: str) -> str:
