@@ -102,9 +102,5 @@ def in_unit_of(variables: Variables, name: str, given: ValueWithUnit, where: str
             f"{where} is in {given.unit}, which cannot be converted into {unit}, the unit of its "
             "variable."
         )
-    about = variables[name]
-    kind = about.declaredType
-    # FMI: the offset does not apply to differences.
-    relative = kind.relativeQuantity if about.relativeQuantity is None and kind else None
-    apart = 0.0 if about.relativeQuantity or relative else given.base[-1] - base[-1]
+    apart = 0.0 if variables.relative(name) else given.base[-1] - base[-1]
     return (given.value * factor + apart) / into

@@ -10,10 +10,15 @@ from cosim.systems.system import Conversion
 from fmu_src.run.variables import SI, Variables
 from hesr_model.errors import ConfigError, SimulationError
 
+TRUE = ("true", "1")
+
 ElementPath = tuple[str, ...]  # names of elements from the root system on
 ConnectorName = tuple[ElementPath, str]  # a connector
 Unit = tuple[str, UnitExponents | None]
 _EXPONENTS = len(SI) - 2
+_TAKEN = {"Linear": ("Real",), "Boolean": ("Boolean",), "Enumeration": ("Integer", "Enumeration")}
+_TAKEN |= {"Integer": ("Real", "Integer", "Enumeration")}  # FMI 3: Enumerations are Integers here
+"""Types that transformations give."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,19 +28,19 @@ class Transformation:
     kind: str
     factor: float = 1.0
     offset: float = 0.0
-    table: Mapping[str, str] = field(default_factory=dict)
+    table: Mapping[str, Any] = field(default_factory=dict)  # targets by texts of sources
 
-    def applied(self, value: Any) -> Any:
+    def applied(self, value: Any, where: str) -> Any:
         """Return a transformed parameter; values outside the table keep theirs."""
-        if self.kind == "Linear":
-            return self.factor * value + self.offset
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        if text not in self.table:
+        try:
+            if self.kind == "Linear":
+                return self.factor * value + self.offset
+            found = self.table[str(value)]
+            return found if self.kind in ("Boolean", "Enumeration") else int(found)
+        except KeyError:
             return value
-        found = self.table[text]
-        if self.kind == "Boolean":
-            return found in ("true", "1")
-        return found if self.kind == "Enumeration" else int(found)
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"{where}: its transformation does not fit {value!r}.") from error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,12 +97,14 @@ class ConnectorGraph:
     def unit(self, node: ConnectorName) -> Unit | None:
         """Return the unit of a connector, that of the variable by default."""
         own = self.units.get(node)
-        if own is not None or node[0] not in self.variables:
+        if (variables := self.variables.get(node[0])) is None:
             return own
         try:
-            name, base = self.variables[node[0]].unit(node[1])
+            name, base = own or variables.unit(node[1])
+            if base and variables.relative(node[1]):
+                base = (*base[:-1], 0.0)
         except SimulationError:
-            return None
+            return own
         return None if name is None else (name, base)
 
     def conversions(
@@ -122,9 +129,12 @@ class ConnectorGraph:
         target: ConnectorName,
         where: str,
     ) -> Conversion:
-        if transformation.kind == "Linear":
+        kind, into = transformation.kind, self.variables[target[0]][target[1]].type
+        if into not in _TAKEN.get(kind, ()):
+            raise ConfigError(f"{where}: its transformation does not fit the type {into}.")
+        if kind == "Linear":
             return Conversion(factor=transformation.factor, offset=transformation.offset)
-        table, kind = dict[float, float](), transformation.kind
+        table = dict[float, float]()
         for before, after in transformation.table.items():
             try:
                 table[self._number(kind, before, source)] = self._number(kind, after, target)
@@ -134,9 +144,9 @@ class ConnectorGraph:
                 ) from error
         return Conversion(table=table)
 
-    def _number(self, kind: str, text: str, end: ConnectorName) -> float:
+    def _number(self, kind: str, text: Any, end: ConnectorName) -> float:
         if kind == "Boolean":
-            return float(text in ("true", "1"))
+            return float(str(text) == "True")
         if kind == "Integer":
             return float(int(text))
         items = self.variables[end[0]][end[1]].declaredType.items
@@ -148,7 +158,7 @@ def between(unit: Unit, into: Unit, where: str) -> Conversion:
     if unit[0] == into[0] or unit[1] == into[1] is not None:
         return Conversion()
     one, other = unit[1], into[1]
-    if one is None or other is None or one[:_EXPONENTS] != other[:_EXPONENTS]:
+    if not (one and other and one[:_EXPONENTS] == other[:_EXPONENTS] and other[_EXPONENTS]):
         raise ConfigError(
             f"{where}: the input is in {into[0]}, the output in {unit[0]}, which cannot be "
             "converted; define both in SI base units."
@@ -191,10 +201,13 @@ def transformation_of(node: ET.Element, where: str) -> Transformation | None:
         kind, found, _ = child.tag.rpartition("}")[2].partition("Transformation")
         if found:
             kind = kind.removesuffix("Mapping")
+            table: dict[str, Any] = {e.get("source", ""): e.get("target", "") for e in child}
+            if kind == "Boolean":
+                table = {str(s in TRUE): t in TRUE for s, t in table.items()}
             return Transformation(
                 kind=kind,
                 factor=number(child, "factor", 1.0, where),
                 offset=number(child, "offset", 0.0, where),
-                table={e.get("source", ""): e.get("target", "") for e in child},
+                table=table,
             )
     return None

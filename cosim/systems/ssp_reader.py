@@ -5,18 +5,21 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from math import ceil
-from pathlib import Path, PurePosixPath
+from pathlib import Path
+from posixpath import normpath
 from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from cosim.systems.markup import NAMESPACES, SSD, ValueWithUnit, in_unit_of, read_units
 from cosim.systems.ssp_graph import (
+    TRUE,
     ConnectorGraph,
     ConnectorName,
     ElementPath,
     Hop,
     ParameterValue,
+    between,
     number,
     shown,
     transformation_of,
@@ -33,7 +36,6 @@ _PREFIXES["ssm"] = _PREFIXES["ssv"].replace("Values", "Mapping")
 # Steps in annotations of the engines, in any namespace because tools differ.
 _STEPS = ((".//{*}FixedStepAlgorithm", "baseStepSize"), (".//{*}FixedStepMaster", "stepSize"))
 
-_TRUE = ("true", "1")
 _LONGEST = 100  # characters of a file name
 _ROWS = 500  # by default, if neither the SSP nor its FMUs name a step
 _GIVES = ("output", "local", "calculatedParameter", "constant")
@@ -87,7 +89,7 @@ class _Reader:
     def member(self, name: str, where: str = "", most: int = MOST_BYTES) -> bytes:
         # Sources are URIs, but some tools write plain names.
         names = self.archive.names
-        candidates = (str(PurePosixPath(n)) for n in (unquote(name), name))
+        candidates = (normpath(n) for n in (unquote(name), name))
         if (member := next((n for n in candidates if n in names), None)) is None:
             raise self.error(f"{where}{name} is missing.")
         return self.archive.read(member, most)
@@ -118,8 +120,8 @@ class _Reader:
         for name, value in values.items():
             if not self.assign((), name, ParameterValue(value=value)):
                 raise self.error(f"--set '{name}' is no variable of the system.")
-        names = safe_names(shown_place(place) for place in self.fmus)
-        of = {place: names[shown_place(place)] for place in self.fmus}
+        names = safe_names("\0".join(place) for place in self.fmus)  # names may contain dots
+        of = {place: names["\0".join(place)] for place in self.fmus}
         connections, conversions = {}, {}
         for into, out, steps in sorted(self.sources(), key=lambda s: self.graph.order[s[0]]):
             target, source = (self.signal(of[place], own) for place, own in (into, out))
@@ -168,7 +170,8 @@ class _Reader:
         for node in _all(system, "ssd:Elements/*"):
             name = self.attribute(node, "name", "an element")
             kind = node.tag.rpartition("}")[2]
-            own = (*place, name)
+            if (own := (*place, name)) in self.places:
+                raise self.error(f"two elements are named '{shown_place(own)}'.")
             if kind == "System":
                 self.elements(node, own, units)
                 self.parameters(node, own)
@@ -242,7 +245,7 @@ class _Reader:
         where = f"connection '{shown(target)}' = '{shown(source)}'"
         hop = Hop(
             target=target,
-            suppressed=node.get("suppressUnitConversion") in _TRUE,
+            suppressed=node.get("suppressUnitConversion") in TRUE,
             transformation=transformation_of(node, where),
         )
         self.graph.add(source, hop)
@@ -308,7 +311,7 @@ class _Reader:
             )
             more = {
                 "after": transformation_of(entry, f"{where}: mapping of '{name}'"),
-                "suppressed": entry.get("suppressUnitConversion") in _TRUE,
+                "suppressed": entry.get("suppressUnitConversion") in TRUE,
             }
             found.setdefault(name, []).append((target, more))
         return found
@@ -316,12 +319,12 @@ class _Reader:
     def value(self, parameter: ET.Element, units: Mapping[str, Any], where: str) -> ParameterValue:
         for node in parameter:
             kind = node.tag.rpartition("}")[2]
-            if kind == "Dimension" or (text := node.get("value")) is None:
+            if kind in ("Dimension", "Binary") or (text := node.get("value")) is None:
                 raise self.refuse(f"{where} is an array or of type {kind}, which is")
             if kind in ("String", "Enumeration"):
                 return ParameterValue(value=text)
             if kind == "Boolean":
-                return ParameterValue(value=text in _TRUE)
+                return ParameterValue(value=text in TRUE)
             try:
                 number = int(text) if "Int" in kind else float(text)
             except ValueError as error:
@@ -361,16 +364,23 @@ class _Reader:
             return False
         where = f"{self.path}: component '{shown_place(place)}': parameter '{name}'"
         for element in elements:
-            value, unit = parameter.value, parameter.unit
-            if connector is not None and not isinstance(value, str | bool):
-                unit = unit or self.graph.unit(connector)
-                for step in self.graph.conversions(connector, way, unit):
-                    value = step(value)
-            elif unit and not parameter.suppressed:
+            value, unit = parameter.value, None if parameter.suppressed else parameter.unit
+            into = connector and self.graph.unit(connector)
+            if unit and not connector:
                 given = ValueWithUnit(value=value, unit=unit[0], base=unit[1])
                 value = in_unit_of(variables, element, given, where)
+            elif unit and into:
+                value = between(unit, into, where)(value)
             if parameter.after:
-                value = parameter.after.applied(value)
+                value = parameter.after.applied(value, where)
+            if isinstance(value, str | bool):
+                for hop in way:
+                    value = (
+                        hop.transformation.applied(value, where) if hop.transformation else value
+                    )
+            elif connector:
+                for step in self.graph.conversions(connector, way, into or unit):
+                    value = step(value)
             self.start.setdefault(place, {})[element] = value
         return True
 

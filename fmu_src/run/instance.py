@@ -153,6 +153,8 @@ class Instance:
             shown = [v.encode() if kind == "String" else int(v) for v in held]
             function = self.fmi.functions["set"] + name
             pointer = (own * len(held))(*shown)
+            if kind != "String" and list(pointer) != shown:
+                raise self._failure(CallError(f"{value} does not fit the type {name}"))
             self.call(function, (c_uint * 1)(array), 1, *self.fmi.values(pointer, len(held)))
 
     def get(self, kind: str, references: Sequence[int]) -> list[Any]:

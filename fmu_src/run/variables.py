@@ -218,6 +218,12 @@ class Variables:
         """Names of all inputs."""
         return [n for n, v in self._by_name.items() if v.causality == "input"]
 
+    def relative(self, name: str) -> bool:
+        """Return whether a variable is a difference, which the offset of a unit does not affect."""
+        about = self[name]
+        kind = about.declaredType if about.relativeQuantity is None else None
+        return bool(kind.relativeQuantity if kind else about.relativeQuantity)
+
     @property
     def feedthrough(self) -> dict[str, list[str]]:
         """Inputs with direct feedthrough to each output; all inputs if none are declared."""

@@ -12,11 +12,12 @@ from pythonfmu.builder import FmuBuilder
 import hesr
 from cosim.systems.ssp_check import check_ssp
 from fmu_src.check.run import check
-from hesr_model.errors import ConfigError
+from hesr_model.errors import ConfigError, SimulationError
 
 UNITS = """<ssd:Units><ssc:Unit name="1"><ssc:BaseUnit/></ssc:Unit>
 <ssc:Unit name="%"><ssc:BaseUnit factor="0.01"/></ssc:Unit>
-<ssc:Unit name="s"><ssc:BaseUnit s="1"/></ssc:Unit></ssd:Units>"""
+<ssc:Unit name="s"><ssc:BaseUnit s="1"/></ssc:Unit>
+<ssc:Unit name="none"><ssc:BaseUnit factor="0"/></ssc:Unit></ssd:Units>"""
 HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <ssd:SystemStructureDescription version="1.0" name="made"
   xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"
@@ -253,22 +254,154 @@ def test_enumerations_are_mapped_by_name(ssp: Any, typed_fmu: Path, tmp_path: Pa
         f'<SimpleType name="T"><Enumeration>{items.format(*names)}</Enumeration></SimpleType>'
         for names in [("low", "high")]
     )
-    changed = tmp_path / "Typed.fmu"
-    with zipfile.ZipFile(typed_fmu) as old, zipfile.ZipFile(changed, "w") as new:
-        for name in old.namelist():
-            data = old.read(name)
-            if name == "modelDescription.xml":
-                text = data.decode().replace("<ModelVariables>", (
-                    f"<TypeDefinitions>{types}</TypeDefinitions><ModelVariables>"))  # fmt: skip
-                assert text.count("<Integer") == 2
-                data = text.replace("<Integer", '<Enumeration declaredType="T"').encode()
-            new.writestr(name, data)
+    changed = rewritten(
+        typed_fmu,
+        tmp_path / "Typed.fmu",
+        ("<ModelVariables>", f"<TypeDefinitions>{types}</TypeDefinitions><ModelVariables>"),
+        ("<Integer", '<Enumeration declaredType="T"'),
+    )
     value = '<ssv:Parameter name="i"><ssv:Enumeration value="low"/></ssv:Parameter>'
     own = typed("a", bindings(binding(more=inline(value))))
     path = ssp(system(own, typed("b"), wires=wire("a.io", "b.i", TABLE.format(
         "Enumeration", "low", "high"))), {"resources/Typed.fmu": changed})  # fmt: skip
     found = hesr.simulate(path, step=0.5).signals
     assert (found["a.io"][-1], found["b.io"][-1]) == (1, 2)
+
+
+def one(name: str, kind: str, value: str, unit: str = "") -> str:
+    unit = f' unit="{unit}"' * bool(unit)
+    return f'<ssv:Parameter name="{name}"><ssv:{kind} value="{value}"{unit}/></ssv:Parameter>'
+
+
+def mapping(source: str, target: str, more: str) -> str:
+    entry = f'<ssm:MappingEntry source="{source}" target="{target}">{more}</ssm:MappingEntry>'
+    body = MAPPING.partition("?>")[2] + entry + "</ssm:ParameterMapping>"
+    return f"<ssd:ParameterMapping>{body}</ssd:ParameterMapping>"
+
+
+def test_parameters_of_systems_are_transformed_like_signals(ssp: Any, typed_fmu: Path) -> None:
+    """Boolean sources may be 1 and 0; values outside a table are kept."""
+    ends = {"flag": "Boolean", "kept": "Boolean", "n": "Integer", "text": "String"}
+    wires = (
+        wire("flag", "a.b", TABLE.format("Boolean", "1", "0"))
+        + wire("kept", "b.b", TABLE.format("Boolean", "false", "true"))
+        + wire("n", "a.i", TABLE.format("Integer", "3", "-7"))
+        + wire("text", "a.s")
+    )
+    values = (
+        one("flag", "Boolean", "true")
+        + one("kept", "Boolean", "1")
+        + one("n", "Integer", "3")
+        + one("text", "String", "3")
+    )
+    path = ssp(
+        system(
+            typed("a"),
+            typed("b"),
+            ends="".join(connector(n, "parameter", datatype=t) for n, t in ends.items()),
+            wires=wires,
+            more=bindings(binding(more=inline(values))),
+        ),
+        {"resources/Typed.fmu": typed_fmu},
+    )
+    found = hesr.simulate(path, step=0.5).signals
+    last = {name: found[name][-1] for name in ("a.bo", "b.bo", "a.io", "a.so")}
+    assert last == {"a.bo": False, "b.bo": True, "a.io": -7, "a.so": "3"}
+
+
+def test_a_mapping_is_applied_before_the_connections_of_its_target(ssp: Any, wired: Any) -> None:
+    """200 ms are .2 s, with the mapping .6 s; the connection doubles that."""
+    linear = '<ssc:LinearTransformation factor="{}" offset="{}"/>'
+    own = binding(more=inline(one("t", "Real", "200", "ms"))
+                  + mapping("t", "lag", linear.format(2, 0.2)))  # fmt: skip
+    path = ssp(system(lag("a", bindings(binding(more=inline(U)))), lag("b"),
+                      ends=connector("lag", "parameter", "s"), more=bindings(own),
+                      wires=wire("a.y", "b.u") + wire("lag", "b.T", linear.format(2, 0)))
+               )  # fmt: skip
+    compared(hesr.simulate(path, step=0.01).signals, wired({"u": 2.0}, {"T": 1.2}))
+
+
+def test_names_with_dots_and_relative_sources(ssp: Any) -> None:
+    """The standard sets all variables of one hierarchical name."""
+    dotted = lag("b.c", fmu="./resources/x/../Lag.fmu")
+    value = bindings(binding(more=inline(one("b.c.T", "Real", "0.25"))))
+    path = ssp(system(system(lag("c"), name="b"), dotted, lag("d"), more=value))
+    found = hesr.simulate(path, step=0.01).signals
+    assert list(found) == ["b_c.y", "b_c_2.y", "d.y"]
+    np.testing.assert_array_equal(found["b_c.y"], found["b_c_2.y"])
+    assert not np.array_equal(found["b_c.y"], found["d.y"])
+
+
+def rewritten(fmu: Path, path: Path, *changes: tuple[str, str]) -> Path:
+    """A copy of an FMU with other text in its description."""
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(path, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                for before, after in changes:
+                    assert before.encode() in data
+                    data = data.replace(before.encode(), after.encode())
+            new.writestr(name, data)
+    return path
+
+
+@pytest.mark.parametrize("relative", ["false", "true"])
+def test_differences_are_converted_without_offset(
+    relative: str, ssp: Any, wired: Any, lag_fmu: Path, tmp_path: Path
+) -> None:
+    """FMPy reads the attribute of types only."""
+    unit = ('<Unit name="1">', '<Unit name="K"><BaseUnit K="1"/></Unit><Unit name="degC"><BaseUnit '
+            'K="1" offset="273.15"/></Unit><Unit name="1">')  # fmt: skip
+    end = "</UnitDefinitions>"
+    kind = f'<TypeDefinitions><SimpleType name="D"><Real relativeQuantity="{relative}"/>'
+    types = (end, f"{end}{kind}</SimpleType></TypeDefinitions>")
+    files = {}
+    for name, variable, own in (("A", "y", "K"), ("B", "u", "degC")):
+        text = f'<ScalarVariable name="{variable}"'
+        with zipfile.ZipFile(lag_fmu) as archive:
+            description = archive.read("modelDescription.xml").decode()
+        begin = description.index(text)
+        element = description[begin : description.index("</ScalarVariable>", begin)]
+        other = element.replace('unit="1"', f'unit="{own}" declaredType="D"')
+        assert other != element
+        made = rewritten(lag_fmu, tmp_path / f"{name}.fmu", (element, other), unit, types)
+        files[f"resources/{name}.fmu"] = made
+    value = bindings(binding(more=inline(U)))
+    parts = (
+        lag(name, more, fmu=f"resources/{name.upper()}.fmu").replace(' unit="1"', "")
+        for name, more in (("a", value), ("b", ""))
+    )
+    found = hesr.simulate(ssp(system(*parts, wires=wire("a.y", "b.u")), files), step=0.01)
+    offset = 0.0 if relative == "true" else -273.15
+    compared(found.signals, wired({"u": 2.0}, {}, (1.0, offset)))
+
+
+def test_integers_that_do_not_fit_are_refused(ssp: Any, typed_fmu: Path) -> None:
+    value = bindings(binding(more=inline(one("i", "Integer", "99999999999"))))
+    path = ssp(system(typed("a", value)), {"resources/Typed.fmu": typed_fmu})
+    with pytest.raises(SimulationError, match=r"99999999999 does not fit the type Integer"):
+        hesr.simulate(path)
+
+
+def test_transformations_that_do_not_fit_are_refused(ssp: Any, typed_fmu: Path) -> None:
+    linear = '<ssc:LinearTransformation factor="2"/>'
+    text = binding(more=inline(one("t", "String", "x")) + mapping("t", "a.s", linear))
+    number = TABLE.format("Integer", "3", "x")
+    table = binding(more=inline(one("n", "Integer", "3")) + mapping("n", "a.i", number))
+    for root, said in (
+        (system(typed("a"), typed("b"), wires=wire("a.so", "b.s", linear)),
+         "connection 'b.s' = 'a.so': its transformation does not fit the type String."),
+        (system(typed("a"), typed("b"), wires=wire("a.io", "b.i", linear)),
+         "connection 'b.i' = 'a.io': its transformation does not fit the type Integer."),
+        (system(typed("a"), more=bindings(text)),
+         "component 'a': parameter 's': its transformation does not fit 'x'."),
+        (system(typed("a"), more=bindings(table)),
+         "component 'a': parameter 'i': its transformation does not fit 3."),
+    ):  # fmt: skip
+        path = ssp(root, {"resources/Typed.fmu": typed_fmu})
+        with pytest.raises(ConfigError) as error:
+            hesr.simulate(path)
+        assert str(error.value) == f"{path}: {said}"
 
 
 def test_times_default_to_those_of_the_file(ssp: Any) -> None:
@@ -296,12 +429,19 @@ REFUSED = {
     "value": (system(lag("a", bindings(binding(more=inline(U.replace("Real value", "Binary x")))))),
               "component 'a': parameter 'u' is an array or of type Binary, which is not "
               "supported."),
+    "binary": (system(lag("a", bindings(binding(more=inline(U.replace("Real", "Binary")))))),
+               "component 'a': parameter 'u' is an array or of type Binary, which is not "
+               "supported."),
+    "names": (system(lag("a"), lag("a")), "two elements are named 'a'."),
     "end": (system(lag("a"), wires=wire("c.y", "a.u")),
             "connection of 'c.y': 'c' is not a component of the system."),
     "twice": (system(lag("a"), lag("b"), wires=wire("a.y", "b.u") + wire("b.y", "b.u")),
               "'b.u' is connected to 'a.y' and to 'b.y'."),
     "unit": (system(lag("a"), lag("b", unit="s"), wires=wire("a.y", "b.u")),
              "connection 'b.u' = 'a.y': the input is in s, the output in 1, which cannot be "
+             "converted; define both in SI base units."),
+    "zero": (system(lag("a"), lag("b", unit="none"), wires=wire("a.y", "b.u")),
+             "connection 'b.u' = 'a.y': the input is in none, the output in 1, which cannot be "
              "converted; define both in SI base units."),
     "table": (system(lag("a"), lag("b"),
                      wires=wire("a.y", "b.u", TABLE.format("Integer", "x", "1"))),
