@@ -3,7 +3,7 @@
 Torques of three further actuators push the joints of the arm; measured torques do not contain them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +45,7 @@ class Bench:
     robot: Robot
     body: RigidBody
     law: FrictionModel
+    logs: Mapping[str, Log]  # of the identification and the fit
 
     @property
     def plant(self) -> PlantBody:
@@ -95,7 +96,7 @@ def bench(folder: Path, truth: str | None, law: str) -> Bench:
     robot = Robot(MODELS / "uf850" / "robot.toml")
     body = identify([logs["excitation"]], robot, reversed_logs=[logs["excitation_reversed"]])
     records = [friction_records(logs["sweep"], robot, body)]
-    return Bench(fmu, robot, body, fit(law, *records, robot=robot.name))
+    return Bench(fmu, robot, body, fit(law, *records, robot=robot.name), logs)
 
 
 def motion(seed: int) -> Array:

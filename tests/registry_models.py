@@ -1,6 +1,6 @@
 """Models of every registered law."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,8 @@ def everyday() -> dict[str, type[Estimator]]:
     return {name: law for name, law in laws if law.everyday or name in _ONE_OF_EACH_KIND}
 
 
-def models_of_registry() -> Iterator[FrictionModel]:
-    """A model of each law of everyday tests, fitted to a motion with a rest and some noise."""
+def models_of_registry(laws: Iterable[str] | None = None) -> Iterator[FrictionModel]:
+    """A model of each law, by default of everyday tests, fitted to a noisy motion with a rest."""
     t = 0.01 * np.arange(900)
     dq = np.sin(2.0 * t) * np.sin(0.7 * t)
     q = np.cumsum(dq) * 0.01
@@ -41,7 +41,7 @@ def models_of_registry() -> Iterator[FrictionModel]:
     record = FrictionRecord(
         log="made", joint="j1", t=t, dq=dq, q=q, tau_load=load, tau=tau, gear_ratio=101.0
     )
-    for name in everyday():
+    for name in everyday() if laws is None else laws:
         yield FrictionModel(
             law=name,
             robot="bench",

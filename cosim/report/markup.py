@@ -81,9 +81,10 @@ class Pictures:
         caller: Callable[[], str] = str,
     ) -> Markup:
         """Return the HTML of a figure in SVG; a template's call block is its caption."""
-        texts = {"caption": caption or caller().strip(), "alt": alt, "number": _NUMBER}
+        texts: dict[str, Any] = {"caption": caption or caller().strip(), "alt": alt}
         zoom = key in self.zooms
-        return render("figure.html.j2", key=key, svg=svg, zoom=zoom, small=small, **texts)
+        texts |= {"number": _NUMBER, "small": small}
+        return render("figure.html.j2", key=key, svg=svg, zoom=zoom, **texts)
 
 
 @dataclass
@@ -108,9 +109,9 @@ class Tables:
         return table(shown, brief=brief)
 
 
-def render(template: str, **values: Any) -> Markup:
-    """Return HTML from a template; values except markup are escaped."""
-    return Markup(rendered(template, _FOLDERS, **values))
+def render(template: str, *, folder: Path | None = None, **values: Any) -> Markup:
+    """Return HTML from a template, also in `folder`; values except markup are escaped."""
+    return Markup(rendered(template, (*filter(None, [folder]), *_FOLDERS), **values))
 
 
 def write_sections(

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from cosim.report.sections import inputs, laws, loop, physics, prediction
 from cosim.report.sections.summary import summary
 from cosim.report.tables.table import ResultTable, row_of
 from cosim.study.results import record_files
-from hesr_model.support import parallel
+from hesr_model.support import parallel, plugins
 from hesr_model.support.files import folder_written_whole
 from hesr_model.support.progress import Stages, counted, silent
 
@@ -26,11 +26,15 @@ REPORT, FIGURES = "report.html", "figures"
 
 @dataclass(frozen=True)
 class Chapter:
-    """Part of a section: `values` for template ``sections/KEY.html.j2``, None without data."""
+    """Part of a section: `values` for template ``sections/KEY.html.j2``, None without data.
+
+    Plug-ins of the group hesr.chapters have their template in `folder`.
+    """
 
     key: str
     title: str
     values: Callable[[Results], dict[str, Any] | None]
+    folder: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -91,7 +95,10 @@ def compose_report(
     results: Results, folder: Path, page: Path, place: Path, *, progress: Stages = silent
 ) -> None:
     """Write the page of results, which is read at `place`, and figures and tables to a folder."""
-    parts = [part for of_section in SECTIONS.values() for part in of_section]
+    *first, last = SECTIONS.items()
+    further = [plugin.load() for plugin in plugins.load("hesr.chapters").values()]
+    folded = dict([*first, *(((f.key, f.title), (replace(f, title=""),)) for f in further), last])
+    parts = [part for of_section in folded.values() for part in of_section]
     home = _link_from(place.resolve(), results.folder.resolve())
     jobs = [partial(_made, part, results, folder, home) for part in parts]
     made: list[Made] = []
@@ -104,7 +111,7 @@ def compose_report(
     zooms = {key: data for one in made for key, data in one.zooms.items()}
     sections = [
         _section(*names, [one for one in made if one.part in of_section], home)
-        for names, of_section in SECTIONS.items()
+        for names, of_section in folded.items()
     ]
     rows = [row_of(file, *texts) for one in made for file, texts in one.tables.items()]
     index = ResultTable(caption="", head=("file", "caption", "note"), rows=rows)
@@ -134,7 +141,7 @@ def _made(part: Chapter, results: Results, folder: Path, home: str) -> Made | No
         return None
     values |= {"home": home, "unit": results.unit, "table": tables.table, "csv": tables.csv}
     values |= {"figure": pictures.figure, "chart": pictures.chart, "drawing": pictures.drawing}
-    html = render(f"sections/{part.key}.html.j2", **values)
+    html = render(f"sections/{part.key}.html.j2", folder=part.folder, **values)
     return Made(part, html, pictures.zooms, tables.written)
 
 

@@ -125,8 +125,9 @@ def export(
     ki : float or sequence of float, N.m/rad
         Plant: integral gains of the servo; by default 0.
     calibration : sequence of path
-        Observer: logs without contact that the law was not fitted to, which determine limits and
-        threshold; repeatable; by default those follow from the bands of the law.
+        Observer: logs without contact that the law was not fitted to, or results of 'hesr run' for
+        its test logs, which determine limits and threshold; repeatable; by default those follow
+        from the bands of the law.
     bandwidth : float, Hz
         Observer: cut-off of the external torque; by default 15.
     torque_constants : float or sequence of float, N.m/A

@@ -27,17 +27,19 @@ def require_numbers(model: FrictionModel) -> None:
             )
 
 
-def require_exportable(model: FrictionModel, form: str, *, coupled: bool = True) -> None:
+def require_exportable(
+    model: FrictionModel, form: str, *, coupled: bool = True, thermal: bool = False
+) -> None:
     """Reject a model that `form`, another format than an FMU, cannot express.
 
-    No such format supports temperature; `coupled` ones support coupled motors.
+    `coupled` formats support coupled motors, `thermal` ones temperature.
     """
     if model.coupling and not coupled:
         raise ExportError(
             f"law '{model.law}': motors of '{model.robot}' turn with several joints, which {form} "
             "does not support; use --format fmu or drive."
         )
-    if model.thermal:
+    if model.thermal and not thermal:
         raise ExportError(
             f"law '{model.law}' depends on temperature, which {form} does not support; use "
             "--format fmu, or a model without temperature."

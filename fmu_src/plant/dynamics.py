@@ -167,14 +167,15 @@ class _Joint:
 
 
 class _Arm:
-    """Symbolic dynamics of a robot in the coordinates of its friction."""
+    """Symbolic dynamics of a robot in the coordinates of its friction, or of its joints."""
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, *, of_joints: bool) -> None:
         self.robot, self.graph = robot, Expressions()
         self.links, _ = _aligned(robot.tree)
         slopes, self.offsets = robot.follow or (np.eye(robot.n), np.zeros(robot.n))
-        coupling = robot.description.coupling
-        self.slopes = slopes if coupling is None else slopes @ np.linalg.inv(coupling.forward)
+        coupling = None if of_joints else robot.description.coupling
+        self.mixing = np.eye(robot.n) if coupling is None else np.linalg.inv(coupling.forward)
+        self.slopes = slopes @ self.mixing
         used = np.any(table(robot) != 0.0, axis=1)
         zero = self.graph.constant(0.0)
         self.parameters = [
@@ -284,9 +285,12 @@ class _Arm:
         return m + own, _plus(h, _plus(first, _scaled(t, own))), _plus(inertia, moved_up)
 
 
-def dynamics_header(robot: Robot) -> str:
-    """Return dynamics.h: the function `dynamics`, and the map to its parameters."""
-    arm = _Arm(robot)
+def dynamics_header(robot: Robot, *, of_joints: bool = False) -> str:
+    """Return dynamics.h: the function `dynamics`, and the map to its parameters.
+
+    With a transmission, coordinates are those of the friction unless `of_joints`.
+    """
+    arm = _Arm(robot, of_joints=of_joints)
     n = range(robot.n)
     bias, mass = _plus(arm.bias(), arm.spring_torques()), arm.mass_matrix()
     half = [[arm.on_joints(row, j) for j in n] for row in mass]  # M G
@@ -334,7 +338,7 @@ def jacobian_header(robot: Robot) -> str:
 
     Its rows are those of the linear and of the angular velocity.
     """
-    arm = _Arm(robot)
+    arm = _Arm(robot, of_joints=True)
     zero, one = arm.graph.constant(0.0), arm.graph.constant(1.0)
     columns = [[zero] * 6 for _ in arm.links]
     at = [joint.name for joint in robot.tree].index(robot.joints[-1])
@@ -358,10 +362,9 @@ def jacobian_header(robot: Robot) -> str:
 
 
 def _rotors(arm: _Arm, i: int, j: int) -> Expression:
-    """Return an entry of the rotors' mass matrix in the coordinates of the friction."""
-    motors, coupling = arm.robot.description.motors, arm.robot.description.coupling
-    turns = np.eye(arm.robot.n) if motors is None else motors.forward
-    turns = turns if coupling is None else turns @ np.linalg.inv(coupling.forward)
+    """Return an entry of the rotors' mass matrix."""
+    motors = arm.robot.description.motors
+    turns = (np.eye(arm.robot.n) if motors is None else motors.forward) @ arm.mixing
     inertia = (arm.graph.name(f"rotor[{k}]") for k in range(arm.robot.n))
     pairs = zip(inertia, _rounded(turns[:, i] * turns[:, j]), strict=True)
     return _sum(arm.graph, (x * float(f) for x, f in pairs))

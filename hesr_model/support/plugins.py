@@ -18,6 +18,7 @@ GROUPS = {
     "hesr.motions": "planner",  # function (robot, output, *, purpose, time, ..)
     "hesr.setpoints": "motion format",  # function (path, motion, joints), and its suffix
     "hesr.reports": "report",  # writer of a suffix or view
+    "hesr.chapters": "chapter",  # Chapter of a run's report
     "hesr.commands": "command",  # workflow function of a verb
 }
 """Groups of entry points, with the word for one plug-in in messages."""

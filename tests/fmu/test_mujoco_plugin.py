@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco import rollout
+from registry_models import models_of_registry
 
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.pages.drive_page import holding_torque
@@ -18,6 +19,7 @@ from hesr.extras.mujoco_plugin import plugin_library
 from hesr.extras.mujoco_plugin.plugin_library import export_mujoco_plugin
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
 
 STEP = 0.002
 FULL = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -27,9 +29,13 @@ BODY = """<body pos="0 0 {z}"><joint name="{name}" axis="0 1 0" armature="0.5"/>
 <geom size=".05 .2" type="capsule" pos=".1 0 .1" mass="2"/>"""
 
 
-def scene(plugin: Path, joints: tuple[str, ...], *, include: str = "") -> mujoco.MjModel:
-    """Return a chain of joints in gravity under a plug-in."""
-    bodies = "".join(BODY.format(z=0.3, name=name) for name in joints) + "</body>" * len(joints)
+def scene(
+    plugin: Path, joints: tuple[str, ...], *, include: str = "", apart: bool = False
+) -> mujoco.MjModel:
+    """Return a chain of joints in gravity under a plug-in, or joints apart."""
+    end = "</body>" if apart else ""
+    bodies = "".join(BODY.format(z=0.3, name=name) + end for name in joints)
+    bodies += "" if apart else "</body>" * len(joints)
     include = include or f'<include file="{plugin.with_suffix(".xml")}"/>'
     return mujoco.MjModel.from_xml_string(
         f'<mujoco><option timestep="{STEP}"/>{include}<worldbody>{bodies}</worldbody></mujoco>'
@@ -49,10 +55,11 @@ def plugins(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("plugins")
 
 
-def largest_difference(model: FrictionModel, folder: Path, count: int) -> float:
-    """Return the largest difference of torques over random steps, relative to the largest."""
+def differences(model: FrictionModel, folder: Path, count: int) -> np.ndarray:
+    """Return the largest difference of each torque over random steps, relative to the largest."""
     plugin = plugin_of(model, f"random_{model.law}", folder)
-    m, rng, joints = scene(plugin, model.joints), np.random.default_rng(7), len(model.joints)
+    m, rng = scene(plugin, model.joints, apart=True), np.random.default_rng(7)
+    joints = len(model.joints)
     d = mujoco.MjData(m)
     # Speeds of all sizes, reversals and rests.
     dq = rng.normal(size=(count, joints)) * 10.0 ** rng.uniform(-5.0, 0.5, (count, 1))
@@ -70,35 +77,64 @@ def largest_difference(model: FrictionModel, folder: Path, count: int) -> float:
         fmu.initialise(start={"start_mode": 2.0})
         rows = np.hstack([dq, q, load])
         known = through(fmu, inputs, outputs, STEP * np.arange(count), np.full(count, STEP), rows)
-    assert np.ptp(known) > 0.0
-    return float(np.abs(torque - known).max() / np.abs(known).max())
+    assert np.ptp(known, axis=0).min() > 0.0
+    return np.asarray(np.abs(torque - known).max(axis=0) / np.abs(known).max(axis=0))
 
 
 def test_torques_are_those_of_the_fmu(
     registry_models: dict[str, FrictionModel], plugins: Path
 ) -> None:
     for law in ("stribeck", "lugre_load_ripple", "parfam_s_load"):
-        assert largest_difference(registry_models[law], plugins, 5000) <= 1e-12
+        assert differences(registry_models[law], plugins, 5000).max() <= 1e-12
+
+
+@pytest.fixture(scope="module")
+def every_law() -> list[FrictionModel]:
+    """Models with one joint for each registered law, one of each discretisation."""
+    laws = {model.law: model.laws[0] for model in models_of_registry(registry())}
+    assert laws.keys() == registry().keys()
+    kinds = {name: law.discretisation if law.form.relaxations else "exact"
+             for name, law in laws.items()}  # fmt: skip
+    found = []
+    for kind in sorted(set(kinds.values())):
+        names = tuple(name for name in laws if kinds[name] == kind)
+        own = tuple(laws[name] for name in names)
+        found.append(
+            FrictionModel(
+                law=f"every_{kind}", robot="bench", joints=names, laws=own, sample_time=STEP
+            )
+        )
+    return found
 
 
 @pytest.mark.ci
 def test_torques_of_every_law_are_those_of_the_fmu(
-    registry_models: dict[str, FrictionModel], tmp_path: Path
+    every_law: list[FrictionModel], plugins: Path
 ) -> None:
-    for law, model in registry_models.items():
-        named = FrictionModel(**{**vars(model), "law": f"{law}_long"})
-        assert largest_difference(named, tmp_path, 100_000) <= 1e-12, law
+    for model in every_law:
+        found = dict(zip(model.joints, differences(model, plugins, 100_000), strict=True))
+        assert max(found.values()) <= 1e-12, found
 
 
-def test_states_are_restored_bit_for_bit(table1: FrictionModel, plugins: Path) -> None:
-    m = scene(plugin_of(table1, "restored", plugins), table1.joints)
+@pytest.mark.ci
+def test_states_of_every_law_are_restored_and_equal_in_threads(
+    every_law: list[FrictionModel], plugins: Path
+) -> None:
+    for model in every_law:
+        plugin = plugin_of(model, f"random_{model.law}", plugins)
+        m = scene(plugin, model.joints, apart=True)
+        restored(m, [1.0, -0.5, 0.3])
+        in_threads(m)
+
+
+def restored(m: mujoco.MjModel, speeds: list[float]) -> None:
+    """Check that a saved state continues bit for bit in a copy, and after a reset."""
     d, size = mujoco.MjData(m), mujoco.mj_stateSize(m, FULL)
-    assert m.npluginstate == sum(len(law.form.memory) for law in table1.laws)
     state, later, again = (np.empty(size) for _ in range(3))
-    d.qvel[:] = (1.0, -0.5, 0.3)
+    d.qvel[:] = np.resize(speeds, m.nv)
     mujoco.mj_step(m, d, 300)
     mujoco.mj_getState(m, d, state, FULL)
-    assert np.abs(d.plugin_state).min() > 0.0
+    assert np.count_nonzero(d.plugin_state) > 0.5 * m.npluginstate
     other = copy.copy(d)
     mujoco.mj_step(m, d, 500)
     mujoco.mj_getState(m, d, later, FULL)
@@ -106,7 +142,6 @@ def test_states_are_restored_bit_for_bit(table1: FrictionModel, plugins: Path) -
     mujoco.mj_getState(m, other, again, FULL)
     np.testing.assert_array_equal(again, later)
     mujoco.mj_resetData(m, d)
-    assert not d.plugin_state.any()
     mujoco.mj_step(m, d, 20)
     mujoco.mj_setState(m, d, state, FULL)
     mujoco.mj_step(m, d, 500)
@@ -114,19 +149,34 @@ def test_states_are_restored_bit_for_bit(table1: FrictionModel, plugins: Path) -
     np.testing.assert_array_equal(again, later)
 
 
-def test_eight_threads_agree_with_one(table1: FrictionModel, plugins: Path) -> None:
-    m = scene(plugin_of(table1, "threads", plugins), table1.joints)
+def in_threads(m: mujoco.MjModel) -> None:
+    """Check that eight threads of rollouts agree with one."""
     d, rng = mujoco.MjData(m), np.random.default_rng(1)
     states = np.empty((32, mujoco.mj_stateSize(m, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
     for row in states:
         mujoco.mj_resetData(m, d)
-        d.qvel[:] = rng.normal(size=3)
+        d.qvel[:] = rng.normal(size=m.nv)
         mujoco.mj_step(m, d, 10)
         mujoco.mj_getState(m, d, row, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     one, _ = rollout.rollout(m, [d], states, nstep=400)
     many, _ = rollout.rollout(m, [mujoco.MjData(m) for _ in range(8)], states, nstep=400)
     np.testing.assert_array_equal(many, one)
     assert np.ptp(one[:, -1], axis=0).max() > 0.1
+
+
+def test_states_are_restored_bit_for_bit(table1: FrictionModel, plugins: Path) -> None:
+    m = scene(plugin_of(table1, "restored", plugins), table1.joints)
+    assert m.npluginstate == sum(len(law.form.memory) for law in table1.laws)
+    restored(m, [1.0, -0.5, 0.3])
+    d = mujoco.MjData(m)
+    mujoco.mj_step(m, d, 20)
+    assert d.plugin_state.any()
+    mujoco.mj_resetData(m, d)
+    assert not d.plugin_state.any()
+
+
+def test_eight_threads_agree_with_one(table1: FrictionModel, plugins: Path) -> None:
+    in_threads(scene(plugin_of(table1, "threads", plugins), table1.joints))
 
 
 @pytest.mark.parametrize("integrator", ["EULER", "IMPLICITFAST", "RK4"])

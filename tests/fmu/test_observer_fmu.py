@@ -4,6 +4,8 @@ import ctypes
 import shutil
 import sys
 import zipfile
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent / "plant"))
 
+from adaptive_models import lugre, stops
 from fmpy.validation import validate_fmu
 from plant_robots import UF850, coupled, ur_like
 from plant_runs import Run, at, plant
@@ -19,19 +22,22 @@ from pure_c import compiled, function
 import hesr
 from fmu_src.check.run import check
 from fmu_src.export.package import write_fmu
+from fmu_src.friction.friction_fmu import export_fmu
 from fmu_src.plant.plant_fmu import PlantBody
 from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.replay import replay
 from hesr.extras.observer.export import export_observer, header_of
 from hesr.extras.observer.limits import ObserverLimits, law_limits
 from hesr.extras.observer.observation import observed_logs
 from hesr.extras.observer.observer_fmu import content, has_wrench
-from hesr_model.errors import ExportError, HesrError
+from hesr_model.errors import ExportError, HesrError, LogError
 from hesr_model.friction.band import Band
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.thermal import Thermal
 from hesr_model.logs.robot_log import Log
-from hesr_model.robots.robot import Robot
+from hesr_model.robots.robot import Robot, RobotDescription
 
 VDMCHECK2 = Path(__file__).parents[2] / ".tools" / "vdmcheck2"
 ACCEPTED = ["velocity-match", "no-friction", "torque-small", "coarse", "stuck", "torque-signal"]
@@ -58,7 +64,8 @@ def viscous(robot: Robot, value: float = 2.0) -> FrictionModel:
     law = FrictionLaw(name="viscous", form=LawForm(coefficients=(c,), output=c.symbol * DQ),
                       values={"d": value})  # fmt: skip
     return FrictionModel(law="viscous", robot=robot.name, joints=robot.joints,
-                         laws=(law,) * robot.n, sample_time=0.004)  # fmt: skip
+                         laws=(law,) * robot.n, sample_time=0.004,
+                         coupling=robot.description.coupling)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -135,9 +142,11 @@ EXPORT int sample(const double *u, double step, double *y) {
         np.testing.assert_array_equal(y, known[k])
 
 
-@pytest.mark.parametrize("step", [0.001, 0.01])
-def test_the_observer_finds_what_pushes_a_plant(step: float, tmp_path: Path) -> None:
-    robot = Robot(ur_like(tmp_path))
+@pytest.mark.parametrize(("step", "kind"), [(0.001, ur_like), (0.01, ur_like), (0.001, coupled)])
+def test_the_observer_finds_what_pushes_a_plant(
+    step: float, kind: Callable[[Path], Path | RobotDescription], tmp_path: Path
+) -> None:
+    robot = Robot(kind(tmp_path))
     model, count = viscous(robot, 30.0), round(2.0 / step)
     t, every = step * np.arange(count), round(step / 0.001)
     push = np.zeros((count, 6))
@@ -183,6 +192,32 @@ def test_force_and_moment_at_the_flange(tmp_path: Path) -> None:
         np.testing.assert_allclose(last["wrench_covariance"], inverse, rtol=1e-3, atol=1e-3)
 
 
+def thermal(*, measured: bool = True) -> FrictionModel:
+    robot = Robot(UF850)
+    warm = Thermal(coulomb=0.004, viscous=0.02, coulomb_scale=1.1, viscous_scale=0.9,
+                   reference=25.0, measured=measured)  # fmt: skip
+    return FrictionModel(law="warm", robot=robot.name, joints=robot.joints,
+                         laws=(lugre(), stops(), lugre()), sample_time=0.004,
+                         thermal=(warm, replace(warm, coulomb=0.008), warm))  # fmt: skip
+
+
+def test_friction_follows_the_temperature(tmp_path: Path) -> None:
+    model, log = thermal(), motion()
+    temperature = np.stack([20.0 + k * log.t + 5.0 * np.sin(log.t) for k in (1, 2, 3)], axis=1)
+    warm = replace(log, temperature=temperature)
+    [found] = observed_logs(model, PlantBody.of(Robot(UF850)), limits(3), [warm])
+    torque, load = found.outputs["tau_friction"], found.outputs["tau_load"]
+    alone = export_fmu(model, tmp_path / "Warm.fmu")
+    known = replay(alone, log.t, log.dq, log.q, load, temperature=temperature)
+    np.testing.assert_allclose(torque, known, rtol=0.0, atol=1e-9 * np.abs(known).max())
+    cold = replace(log, temperature=np.full_like(temperature, 25.0))
+    [other] = observed_logs(model, PlantBody.of(Robot(UF850)), limits(3), [cold])
+    assert np.abs(other.outputs["tau_friction"] - torque).max(axis=0).min() > 0.5
+    path = write_fmu(content(model, PlantBody.of(Robot(UF850)), limits(3)), tmp_path / "O.fmu")
+    assert check(path).problems == ()
+    assert validate_fmu(str(path)) == []
+
+
 def test_currents_replace_torques(table1: FrictionModel, tmp_path: Path) -> None:
     body, log, constants = PlantBody.of(Robot(UF850)), motion(300), (10.0, 12.0, 8.0)
     whole = content(table1, body, limits(3), constants=constants, bare=True)
@@ -222,11 +257,13 @@ def test_bad_requests_are_refused(table1: FrictionModel, tmp_path: Path) -> None
     with pytest.raises(ExportError, match="'2b' is not a valid C name"):
         export_observer(table1, tmp_path / "2b.h", body=body)
     turned = Robot(coupled(tmp_path))
-    several = FrictionModel(law="viscous", robot="coupled", joints=turned.joints,
-                            laws=viscous(Robot(UF850)).laws[:1] * 6, sample_time=0.004,
-                            coupling=turned.description.coupling)  # fmt: skip
-    with pytest.raises(ExportError, match="turn with several joints"):
-        content(several, PlantBody.of(turned), limits(6))
+    with pytest.raises(ExportError, match="has no band; give 'calibration'"):
+        export_observer(viscous(turned), tmp_path / "O.fmu", body=PlantBody.of(turned))
+    heated = thermal(measured=False)
+    with pytest.raises(ExportError, match="takes the temperature from the heat of friction"):
+        content(heated, body, limits(3))
+    with pytest.raises(LogError, match="log 'made': has no temperatures, which the law needs"):
+        observed_logs(thermal(), body, limits(3), [motion()])
     short = motion(500)
     with pytest.raises(HesrError, match=r"last 2 s; at least 60 s are needed"):
         hesr.observe(short, law=table1, robot=UF850, calibration=short, accept=ACCEPTED)

@@ -42,7 +42,7 @@ def law_limits(model: FrictionModel) -> ObserverLimits:
     rows, factors = [], []
     tries = HOUR / model.sample_time * len(model.laws)
     for law in model.laws:
-        if law.band is None:
+        if law.band is None or model.coupling:  # bands are those of motors
             raise ExportError(f"friction model '{model.law}' has no band; give 'calibration'.")
         own = list(astuple(law.band)[: len(NAMES)])
         if law.band.envelope:  # without measured rests friction is anywhere between both directions

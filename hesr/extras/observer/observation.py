@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from cosim.study.results import RUN, SavedRun
 from cosim.workflow import arguments
 from cosim.workflow.arguments import BodyArg, LawArg, Logs, RobotArg
 from fmu_src.export.package import write_fmu
@@ -20,14 +22,16 @@ from hesr_model.friction.band import LEVEL, shapes
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log, parts_of
 from hesr_model.logs.signals import measured_velocity
+from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask
-from hesr_model.support.files import PathArg, scratch_folder
+from hesr_model.support.files import PathArg, scratch_folder, sha256
 
 _BEGINNING = 0.1  # [s] whose mean speed is that of the first sample, if none is logged
 _BLOCK = 1.0  # duration of the blocks whose maxima give the rate of false alarms [s]
 _TOP = 0.2  # share of the largest maxima that determine their tail
 _ENOUGH = 20_000  # rows for the shares; quantiles use all
 _LEAST = 60  # blocks
+_REST = 2  # column of rest in `band.shapes`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,6 +70,10 @@ def observed_logs(
         for log in parts_of(logs):
             dq = _speed(log, body)
             rows = np.hstack([log.q, dq, log.tau])
+            if model.thermal:
+                if log.temperature is None:
+                    raise LogError(f"log '{log.name}': has no temperatures, which the law needs.")
+                rows = np.hstack([rows, log.temperature])
             if fmu.used:
                 fmu.reset()
             inputs.values[:] = rows[0]
@@ -96,14 +104,14 @@ def limits_of(
     """Return the limits that hold for logs without contact, or those of the law without logs.
 
     The half-widths are those of normal errors with the shapes of `band.shapes` behind the low pass,
-    by maximum likelihood, scaled to contain 95 %. The threshold is exceeded once an hour if maxima
-    over seconds have an exponential tail, one standard error above its estimate. Raises LogError
-    for less than a minute.
+    by maximum likelihood, scaled to contain 95 % in motion and at rest. The threshold is exceeded
+    once an hour if maxima over seconds have an exponential tail, one standard error above its
+    estimate. Raises LogError for less than a minute.
     """
     if not calibration:
         return law_limits(model)
     joints = range(body.robot.n)
-    logs = [one if isinstance(one, Log) else Log.read(one, body.robot) for one in calibration]
+    logs = calibration_logs(calibration, body.robot)
     nothing = ObserverLimits(numbers=((0.0,) * len(joints),) * len(NAMES), factor=1.0)
     runs = observed_logs(model, body, nothing, logs, bandwidth)
     blocks = [(k, second) for k, run in enumerate(runs) for second in run.t // _BLOCK]
@@ -127,6 +135,42 @@ def limits_of(
     )
 
 
+def calibration_logs(given: Sequence[PathArg | Log], robot: Robot) -> list[Log]:
+    """Return logs, reading those that are paths; a folder of results stands for its test logs."""
+    logs: list[Log] = []
+    for one in given:
+        if isinstance(one, Log):
+            logs.append(one)
+        elif (Path(one) / RUN).is_file():
+            logs += [Log.read(file, robot) for file in _left_out_files(Path(one))]
+        else:
+            logs.append(Log.read(one, robot))
+    return logs
+
+
+def _left_out_files(folder: Path) -> list[Path]:
+    """Return the logs of a run that no law was fitted to, unchanged, near the folder."""
+    run = SavedRun.read(folder / RUN)
+    trained = {log.sha256 for log in run.logs if {"identification", "training"} & {*log.roles}}
+    study = next((Path(w).parent for w in run.command.split() if w.endswith(".toml")), Path())
+    above = [place / way for place in folder.resolve().parents for way in (study, Path())]
+    found: dict[str, Path] = {}
+    for log in run.logs:
+        if log.sha256 in trained:
+            continue
+        places = [place / log.file for place in (folder / "logs", *above)]
+        same = (file for file in places if file.exists() and sha256(file) == log.sha256)
+        if (file := next(same, None)) is None:
+            raise LogError(
+                f"{folder}: its log '{log.file}' is not in a folder above it, or has changed; give "
+                "'calibration' the log itself."
+            )
+        found[log.sha256] = file
+    if not found:
+        raise LogError(f"{folder}: no log was left out of the fit; give 'calibration' other logs.")
+    return list(found.values())
+
+
 def _of_joint(
     runs: Sequence[ObservedLog], j: int, bandwidth: float
 ) -> tuple[tuple[float, ...], Array]:
@@ -146,11 +190,26 @@ def _of_joint(
         variance = columns @ found + 1e-30
         loss = float(np.mean(np.log(variance) + errors**2 / variance))
         if loss < best[0]:
-            standard = np.abs(errors) / np.sqrt(variance)
-            level = float(np.quantile(standard, LEVEL))
-            floor, slow, *others = (level * np.sqrt(found)).tolist()
-            best = (loss, (floor, slow, speed, *others), standard / level)
+            found, squares = _scaled(columns, found, errors**2)
+            floor, slow, *others = np.sqrt(found).tolist()
+            best = (loss, (floor, slow, speed, *others), np.sqrt(errors**2 / squares))
     return best[1], best[2]
+
+
+def _scaled(columns: Array, shares: Array, squares: Array) -> tuple[Array, Array]:
+    """Scale shares to contain 95 % of squared errors in motion, and at rest if they do not yet.
+
+    One scale for both would contain more than 95 % at rest and less in motion. Returns the shares
+    and the squares of the half-widths (N,).
+    """
+    moving = columns[:, _REST] < 0.5
+    moving |= not moving.any()
+    variance = columns @ shares + 1e-30
+    found = shares * float(np.quantile(squares[moving] / variance[moving], LEVEL))
+    found[_REST] = 0.0
+    more = (squares - columns @ found)[~moving] / columns[~moving, _REST]
+    found[_REST] = max(0.0, float(np.quantile(more, LEVEL))) if len(more) else 0.0
+    return found, columns @ found + 1e-30
 
 
 def observe(
@@ -175,8 +234,9 @@ def observe(
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     rigid_body : body or path, optional
         Result of 'hesr identify'; by default the parameters of the model file.
-    calibration : log or sequence of logs, optional
-        Logs without contact, not of the fit; by default the bands of the law give the limits.
+    calibration : log, path or sequence of these, optional
+        Logs without contact, not of the fit, or a folder of 'hesr run' for its test logs; by
+        default the bands of the law give the limits.
     bandwidth : float, Hz
         Cut-off of the external torque.
     accept : sequence of str, optional
@@ -200,6 +260,6 @@ def observe(
     """
     model, read = arguments.model_given(law), arguments.checked_logs(logs, robot, accept)
     body = arguments.plant_body(read.robot, rigid_body)
-    free = [] if calibration is None else arguments.logs_of(calibration, read.robot)
+    free = [] if calibration is None else arguments.listed(calibration)
     limits = limits_of(model, body, free, bandwidth)
     return observed_logs(model, body, limits, read.logs, bandwidth)

@@ -13,6 +13,7 @@
 
 #include "component_alone.h"
 #include "component_plain.h"
+#include "coupling.h"
 #include "equations.h"
 
 /* Own memory: whether initialisation has ended; mass matrix, speeds and other torques of the last
@@ -29,10 +30,20 @@ enum { INERTIAL = OTHERS + JOINTS, SQUARE = INERTIAL + JOINTS, TABLE = SQUARE + 
 /* Standard deviation of force and moment in a direction that a singular posture hides [N, N.m]. */
 #define UNKNOWN 1e4
 
+/* Factors on Coulomb and viscous friction at a temperature, as hesr_model/friction/thermal.py. */
+static double warmth(const double *v, int i, bool viscous) {
+    const double over = v[TEMPERATURE + i] - v[THERMAL_REFERENCE + i];
+    return viscous ? v[THERMAL_VISCOUS_SCALE + i] * exp(-clip(v[THERMAL_VISCOUS + i] * over, 1.5))
+                   : v[THERMAL_COULOMB_SCALE + i] * (1.0 - clip(v[THERMAL_COULOMB + i] * over, 0.5));
+}
+
 /* Fill the inputs of a law and return its coefficients. */
 static const double *see_law(const double *v, int i, double *u) {
     for (int j = 0; j < joints[i].inputs; j++) {
-        u[j] = v[joints[i].input[j]];
+        u[j] = input_of(v, i, j);
+        if (TEMPERATURE != CONTACT && j >= MIXED) {
+            u[j] *= warmth(v, i, joints[i].input[j] == VISCOUS_SCALE + i);
+        }
     }
     return joints[i].constants ? joints[i].constants : &v[joints[i].first_parameter];
 }
@@ -126,7 +137,8 @@ static void put_limits(Component *component) {
 
 /* Observe the sample in the inputs; a step of 0 is the first one. */
 static void observe_sample(Component *component, double step) {
-    double *v = component->v, *own = component->own, mass[JOINTS][JOINTS], bias[JOINTS];
+    double *v = component->v, *own = component->own;
+    double mass[JOINTS][JOINTS], bias[JOINTS], moving[JOINTS];
     const bool begins = step == 0.0;
     const double share = begins ? 1.0 : -expm1(-6.283185307179586 * v[BANDWIDTH] * step);
     if (begins || component->changed != 0.0) {
@@ -142,10 +154,16 @@ static void observe_sample(Component *component, double step) {
         }
         own[INERTIAL + i] += share * (inertial - own[INERTIAL + i]);
         v[TAU_LOAD + i] = bias[i] + own[INERTIAL + i];
-        v[TAU_FRICTION + i] = friction(v, i, step);
+        v[TAU_FRICTION + i] = 0.0;
+        moving[i] = inertial;
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        add_torque(v, TAU_FRICTION, i, friction(v, i, step));
+    }
+    for (int i = 0; i < JOINTS; i++) {
         const double rest =
             bias[i] + v[TAU_FRICTION + i] - v[TORQUE_CONSTANT + i] * v[TAU_MOTOR + i];
-        const double external = inertial + 0.5 * (rest + own[OTHERS + i]);
+        const double external = moving[i] + 0.5 * (rest + own[OTHERS + i]);
         v[TAU_EXT + i] = begins ? 0.0 : v[TAU_EXT + i] + share * (external - v[TAU_EXT + i]);
         own[OTHERS + i] = rest;
         own[SQUARE + i] += share * (half_squared(v, i) - own[SQUARE + i]);

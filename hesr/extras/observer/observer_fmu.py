@@ -1,7 +1,7 @@
 """Observer FMU: motion and motor torque in, external torque with its limits out."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +24,10 @@ from hesr.extras.observer.limits import NAMES, ObserverLimits
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import TAU_LOAD, TORQUE
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters
 from hesr_model.robots.robot import Robot
 
+_THERMAL = 5  # parameters of a thermal model with measured temperatures, the leading ones
 BANDWIDTH = 15.0  # default cut-off of the observer [Hz]
 HERE = Path(__file__).parent
 _INPUTS = (
@@ -71,6 +73,9 @@ def _parameters(
     for quantity, row in zip(NAMES, limits.numbers, strict=True):
         for i, x in enumerate(row, start=1):
             yield friction_component.of_joint(model, quantity, i, "tunable", start=x, least=0.0)
+    for ones in zip(*(thermal_parameters(t)[:_THERMAL] for t in model.thermal), strict=True):
+        for i, one in enumerate(ones, start=1):
+            yield friction_component.of_joint(model, one, i, "tunable", start=one.start)
 
 
 def _interface(
@@ -80,12 +85,20 @@ def _interface(
     zeros = (0.0,) * len(laws)
     rows = [*_INPUTS[:2], ("tau_motor", "A", "current of the motor") if current else _INPUTS[2]]
     found = [v for n, unit, text in rows for v in vector(n, "input", unit, text, zeros)]
+    for i, thermal in enumerate(model.thermal, start=1):
+        of_joint = friction_component.of_joint(model, TEMPERATURE, i, "input")
+        found.append(replace(of_joint, start=thermal.reference))
     inputs = tuple(v.name for v in found)
+
+    def mixed_inputs(i: int) -> dict[str, tuple[str, ...]]:
+        moving = {n: friction_component.mixed(n, i, model.coupling) for n in ("dq", "q")}
+        return {**moving, TAU_LOAD.name: ()}
+
     parameters = [*own, *inertial_parameters(body), *friction_component.scales(model)]
     of_laws = [
         v
         for i, (law, one) in enumerate(zip(model.laws, laws, strict=True), start=1)
-        for v in friction_component.law_variables(law, i, one, {TAU_LOAD.name: ()})
+        for v in friction_component.law_variables(law, i, one, mixed_inputs(i))
     ]
     states = (v.name for v in of_laws if not v.derivative_of)
     made_of = (*inputs, *(v.name for v in parameters), *states)
@@ -124,13 +137,20 @@ def content(
     bare: bool = False,
 ) -> package.Content:
     """Return the FMU of an observer before compilation; with `constants` [N.m/A] for currents."""
-    require_exportable(model, "an observer", coupled=False)
+    require_exportable(model, "an observer", thermal=True)
+    if not all(thermal.measured for thermal in model.thermal):
+        raise ExportError(
+            f"law '{model.law}' takes the temperature from the heat of friction, which an observer "
+            "does not support; fit it to logs with temperatures."
+        )
     require_fitting(model, body.robot)
     if not 0.0 < bandwidth < np.inf:
         raise ExportError(f"observer: 'bandwidth' is {bandwidth:g} Hz; it must be positive.")
     own = list(_parameters(model, limits, bandwidth, constants))
     table = _interface(model, body, own, bool(constants))
-    first = {name.upper(): "contact" for name, *_ in _WRENCH}  # that of a robot without these
+    thermal = (f"thermal_{f.name}" for f in fields(Thermal)[:_THERMAL])
+    absent = (*(name for name, *_ in _WRENCH), TEMPERATURE.name, *thermal)
+    first = {name.upper(): "contact" for name in absent}  # of an observer without these
     named = [a for a in table.arrays if a.name.isidentifier() and a.elements[0].role != "state"]
     first |= {a.name.upper(): a.elements[0].name for a in named}
     first |= {"PARAMETERS": "link[1].m", "ROTORS": "rotor[1]", "PAYLOAD_M": "payload.m"}
@@ -140,9 +160,9 @@ def content(
     names = ("coupling.h", "law_math.h", "regroup.h")
     sources = {name: package.own_source(name) for name in names} | {
         "observer.c": (HERE / "observer.c").read_text(encoding="utf-8"),
-        "dynamics.h": dynamics_header(body.robot),
+        "dynamics.h": dynamics_header(body.robot, of_joints=True),
         "jacobian.h": jacobian_header(body.robot),
-        "equations.h": equations_header(laws, table, first, wanted=SOLVER),
+        "equations.h": equations_header(laws, table, first, wanted=SOLVER, coupling=model.coupling),
     }
     about = description_of(
         model,
