@@ -14,21 +14,29 @@ from hesr_model.support.cache import folder as cache_folder
 from hesr_model.support.cache import kept
 from hesr_model.support.files import scratch_folder
 
+PREBUILT = Path(__file__).with_name("binaries")
+"""Compiled kernels that come with a wheel, named by `digest`."""
+
 
 def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> None:
     """Compile one source file, or reuse the result for the same texts and flags.
 
     In the flags `last`, `{compiler}` is replaced by the folder of the compiler. Raises ExportError.
     """
-    inputs = (
-        f"ziglang {version('ziglang')}",
-        source.name,
-        output.name,
-        *(f"flag {flag}" for flag in (*flags, "|", *last)),
-        *_contents(source, (*flags, *last)),
-    )
-    output.write_bytes(kept("binaries", inputs, lambda: _compiled(source, flags, output, last)))
+    name = digest(source, flags, output, last)
+    if (prebuilt := PREBUILT / name).is_file():
+        output.write_bytes(prebuilt.read_bytes())
+    else:
+        key = f"ziglang {version('ziglang')}", name
+        output.write_bytes(kept("binaries", key, lambda: _compiled(source, flags, output, last)))
     output.chmod(0o755)
+
+
+def digest(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> str:
+    """Return a hash of all that determines a binary, except for the version of the compiler."""
+    named = [source.name, output.name, *(f"flag {flag}" for flag in (*flags, "|", *last))]
+    text = "\n".join([*named, *_contents(source, (*flags, *last))])
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 _INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*[\"<]([^\">]+)", re.MULTILINE)

@@ -20,6 +20,32 @@ def built(source: Path, folder: Path, *switches: str) -> list[Path]:
     return sorted(folder.iterdir())
 
 
+FIRST = """
+import sys
+import hesr
+from hesr_model.equations.rows import library
+from hesr_model.support import compiler
+from fmu_src.run.native import write_library
+from pathlib import Path
+assert compiler.__file__.startswith(sys.argv[1]), compiler.__file__
+library()
+assert write_library(Path(sys.argv[2])) is not None
+assert len(list(compiler.PREBUILT.iterdir())) == 7
+"""
+
+
+def require_prebuilt(wheel: Path, folder: Path) -> None:
+    """Check that an installed wheel loads its kernels without compiling."""
+    site, cache = folder / "site", folder / "cache"
+    with zipfile.ZipFile(wheel) as packed:
+        packed.extractall(site)
+    cache.mkdir()
+    environment = os.environ | {"PYTHONPATH": str(site), "XDG_CACHE_HOME": str(cache)}
+    command = [sys.executable, "-c", FIRST, str(site), str(folder)]
+    subprocess.run(command, check=True, env=environment, cwd=folder)
+    assert not list(cache.rglob("binaries"))
+
+
 @pytest.mark.ci
 def test_a_release_is_complete_and_reproducible(tmp_path: Path) -> None:
     pytest.importorskip("hatchling", reason="hatchling is not installed")
@@ -39,5 +65,6 @@ def test_a_release_is_complete_and_reproducible(tmp_path: Path) -> None:
     needed = ("hesr/py.typed", "hesr/__init__.pyi", "fmu_src/c/component.h")
     assert names.issuperset(needed)
     assert any(name.startswith("hesr_model/_models/uf850/") for name in names)
+    require_prebuilt(wheels[0], tmp_path)
     twine = [sys.executable, "-m", "twine", "check", "--strict", str(archive), str(wheels[0])]
     subprocess.run(twine, check=True, stdout=subprocess.DEVNULL)
