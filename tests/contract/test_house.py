@@ -11,15 +11,15 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # 1,600 for the plant, 1,180 for FMUs and SSPs of other tools, 230 for the sandbox of systems, and
 # 850 for the observer and the plug-in of MuJoCo.
 BUDGET = {
-    "hesr_model": 22_339,
-    "fmu_src": 20_007,
-    "cosim": 14_709,
+    "hesr_model": 22_348,
+    "fmu_src": 20_012,
+    "cosim": 14_718,
     "hesr": 823,
-    "hesr.extras": 8_799,
-    "all": 66_677,
+    "hesr.extras": 8_994,
+    "all": 66_895,
 }
 
-TEMPLATES = 3_768  # lines of templates, styles and scripts, without those of project folders
+TEMPLATES = 3_773  # lines of templates, styles and scripts, without those of project folders
 
 FMT_SKIPS = 20  # lines that `ruff format` must skip
 
