@@ -42,12 +42,14 @@ class ExportOptions(TypedDict, total=False):
     ssp: Ssp
     kv: PerJoint
     ki: PerJoint
+    kp: PerJoint
+    tool: bool
     calibration: Sequence[PathArg]
     bandwidth: float
     torque_constants: PerJoint
 
 
-_PER_JOINT = ("inertia", "stiffness", "damping", "ratio", "kv", "ki", "torque_constants")
+_PER_JOINT = ("inertia", "stiffness", "damping", "ratio", "kv", "ki", "kp", "torque_constants")
 _OF_ROBOTS = ("plant", "observer")  # formats with the dynamics of the robot
 _OF_ARMS, _OF_SYSTEMS = ("signals",), ("ssp",)
 _log = logging.getLogger(__name__)
@@ -124,6 +126,10 @@ def export(
         Plant: proportional gains of a servo with a speed command; by default no servo.
     ki : float or sequence of float, N.m/rad
         Plant: integral gains of the servo; by default 0.
+    kp : float or sequence of float, 1/s
+        Plant: gains of a position command of the servo; by default it has only a speed command.
+    tool : bool
+        Plant: add the pose of the last joint's frame as outputs.
     calibration : sequence of path
         Observer: logs without contact that the law was not fitted to, or results of 'hesr run' for
         its test logs, which determine limits and threshold; repeatable; by default those follow

@@ -10,7 +10,8 @@
  * and ends at v + (u - v) / w. A weight w_i is 1/2 (midpoint) where friction is smooth and 1
  * (implicit Euler) where it is stiff or holds. If motors turn several joints, all of this is in the
  * coordinates of the friction (coupling.h), except for the stops. With a SERVO, G includes minus
- * its torque kv (dq_cmd - u) + ki (integral of dq_cmd - q - h u). */
+ * its torque kv (dq_cmd - u) + ki (integral of dq_cmd - q - h u), where a controller of the
+ * POSITION adds kp (q_cmd - q - h u) to dq_cmd. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -21,6 +22,7 @@
 #include "equations.h"
 #include "plant_servo.h"
 #include "regroup.h"
+#include "tool.h"
 
 /* Maximum number of inner steps in a step. */
 #define MOST_PARTS 1e7
@@ -116,6 +118,7 @@ static void store(Component *component, const Solver *solver) {
     if (SERVO) {
         mixed(forward, true, motor, &v[TAU_MOTOR]);
     }
+    store_tool(v, q);
     mixed(backward, true, q, &v[Q]);
     mixed(backward, true, dq, &v[DQ]);
     mixed(backward, true, ddq, &v[DDQ]);
@@ -164,7 +167,8 @@ static bool inner_step(const Component *component, Solver *solver, double time, 
     }
     if (advance(solver, why)) {
         for (int i = 0; SERVO && i < JOINTS; i++) {
-            solver->axis[i].command += h * commanded(component, i, time - h);
+            Axis *axis = &solver->axis[i]; /* at the end of the step */
+            axis->command += h * commanded(component, i, time - h, axis);
         }
         return true;
     }
@@ -247,8 +251,8 @@ static bool component_initialise(Component *component, void *workspace, Message 
             !sound(most, v[most], v[most] >= v[Q_MIN + i], "not be below the lower limit", why)) {
             return false;
         }
-        const int own[] = {KV + i, KI + i, TORQUE_LIMIT + i, LATENCY};
-        for (int n = 0; SERVO && n < 4; n++) {
+        const int own[] = {KV + i, KI + i, TORQUE_LIMIT + i, LATENCY, KP + i};
+        for (int n = 0; SERVO && n < 4 + POSITION; n++) {
             if (!sound(own[n], v[own[n]], v[own[n]] >= 0.0, "not be negative", why)) {
                 return false;
             }

@@ -9,9 +9,9 @@
  * parameters of dynamics.h. A servo's follows. */
 enum { STARTED = 0, SLOPE = 1, INERTIAL = SLOPE + JOINTS, TABLE = INERTIAL + JOINTS };
 
-/* Memory of a servo: integrals of its commands, and earlier commands, each with its time. */
+/* Memory of a servo: integrals of its commands, and earlier commands: time, speeds, positions. */
 enum { INTEGRAL = TABLE + 10 * LINKS, COMMANDS = INTEGRAL + JOINTS, FIRST_COMMAND = COMMANDS + 1 };
-enum { ROW = 1 + JOINTS };
+enum { SPEEDS = 1, POSITIONS = SPEEDS + JOINTS, ROW = POSITIONS + (POSITION ? JOINTS : 0) };
 
 /* Greatest number of commands within the latency. */
 enum { MOST_COMMANDS = 64 };
@@ -32,18 +32,30 @@ static void evaluate(const Component *component, Solver *solver, const double *q
     }
 }
 
-/* Speed command that acts at `time` [s] after the start of the step. */
-static double commanded(const Component *component, int i, double time) {
+/* Command of a kind that acts at `time` [s] after the start of the step; before the first one,
+ * `otherwise`. */
+static double acting(const Component *component, int i, double time, int kind, double otherwise) {
     const double *own = component->own, *row = &own[FIRST_COMMAND];
     const double at = time - component->v[LATENCY];
     if (at > -ROUNDING) {
-        return mixed_at(component, false, DQ_CMD, i, 0.0);
+        return mixed_at(component, false, kind == SPEEDS ? DQ_CMD : Q_CMD, i, 0.0);
     }
-    double found = 0.0; /* before the first command */
     for (int n = 0; n < (int)own[COMMANDS]; n++, row += ROW) {
-        found = row[0] <= component->time + at + ROUNDING ? row[1 + i] : found;
+        otherwise = row[0] <= component->time + at + ROUNDING ? row[kind + i] : otherwise;
     }
-    return found;
+    return otherwise;
+}
+
+/* Speed command of an axis, with that of the controller of its position, `time` [s] after the start
+ * of the step. */
+static double commanded(const Component *component, int i, double time, const Axis *axis) {
+    const double speed = acting(component, i, time, SPEEDS, 0.0);
+    if (!POSITION) {
+        return speed;
+    }
+    const double start = mixed_at(component, false, Q_START, i, 0.0);
+    const double q_cmd = acting(component, i, time, POSITIONS, start);
+    return speed + component->v[KP + i] * (q_cmd - axis->from.q);
 }
 
 /* Forget commands that no longer act `later` [s] after the start of the step; whether there is room
@@ -63,7 +75,10 @@ static void remember(Component *component, double step) {
     double *row = &own[FIRST_COMMAND + (int)*count * ROW];
     row[0] = component->time;
     for (int i = 0; i < JOINTS; i++) {
-        row[1 + i] = mixed_at(component, false, DQ_CMD, i, 0.0);
+        row[SPEEDS + i] = mixed_at(component, false, DQ_CMD, i, 0.0);
+        if (POSITION) {
+            row[POSITIONS + i] = mixed_at(component, false, Q_CMD, i, 0.0);
+        }
     }
     *count += 1.0;
     forget(component, step);
@@ -80,10 +95,11 @@ static void weigh(const Component *component, Solver *solver, const double *q) {
 
 /* Set an axis's servo to the command at `time`, and add what supports the axis. */
 static void drive(const Component *component, int i, double time, Axis *axis) {
-    const double *v = component->v, command = commanded(component, i, time), h = axis->step.h;
+    const double *v = component->v, h = axis->step.h;
+    const double command = commanded(component, i, time, axis);
     const double behind = axis->command + h * command - axis->from.q;
     axis->step.servo = v[KV + i] * command + v[KI + i] * behind;
-    axis->step.gain = v[KV + i] + h * v[KI + i];
+    axis->step.gain = (v[KV + i] + h * v[KI + i]) * (POSITION ? 1.0 + h * v[KP + i] : 1.0);
     axis->step.most = v[TORQUE_LIMIT + i];
     axis->applied += axis->support;
     axis->support += mixed_at(component, true, TAU, i, time + 0.5 * h);

@@ -193,7 +193,7 @@ _SIZE = "100"  # in the coordinates of the picture
 
 @dataclass(frozen=True, kw_only=True)
 class Terminal:
-    """Connected variables of a joint; `kind` is a class of the Modelica Standard Library."""
+    """Connected variables, of one joint if they are scalars; `kind` may be a Modelica class."""
 
     name: str
     kind: str
@@ -217,7 +217,7 @@ def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool)
         for terminal in terminals:
             first, _ = next(iter(terminal.members.values()))
             for name in names:
-                if name.startswith(f"{first}["):
+                if name.partition("[")[0] == first:
                     _add(parent, terminal, name.removeprefix(first))
     return to_bytes(root)
 

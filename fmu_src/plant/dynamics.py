@@ -361,6 +361,30 @@ def jacobian_header(robot: Robot) -> str:
     return _JACOBIAN.format(angles=_angles(arm), statements=statements)
 
 
+def tool_header(robot: Robot, place: int | None) -> str:
+    """Return tool.h, which stores the pose of the last joint's frame at a place of the variables.
+
+    Its origin and, row by row, its rotation are in axes of the base. Without a place it stores
+    nothing.
+    """
+    if place is None:
+        return _TOOL.format(angles="", statements="    (void)v, (void)q;")
+    arm = _Arm(robot)
+    zero = arm.graph.constant(0.0)
+    at = [joint.name for joint in robot.tree].index(robot.joints[-1])
+    origin = [zero] * 3
+    axes = [[arm.graph.constant(x) for x in row] for row in _aligned(robot.tree)[1][at].tolist()]
+    while at >= 0:
+        joint = arm.joints[at]
+        origin, axes = _plus(joint.arm, joint.up(origin)), [joint.up(axis) for axis in axes]
+        at = joint.link.parent
+    stores = dict(enumerate([*origin, *(axes[c][r] for r in range(3) for c in range(3))], place))
+    statements = arm.graph.to_c({f"v[{k}]": value for k, value in stores.items()})
+    return _TOOL.format(
+        angles=_angles(arm), statements="\n".join(f"    {line}" for line in statements)
+    )
+
+
 def _rotors(arm: _Arm, i: int, j: int) -> Expression:
     """Return an entry of the rotors' mass matrix."""
     motors = arm.robot.description.motors
@@ -412,6 +436,21 @@ _JACOBIAN = """\
 #include "dynamics.h"
 
 static void flange_jacobian(const double *restrict q, double jacobian[restrict][JOINTS]) {{
+{angles}
+{statements}
+}}
+
+#endif
+"""
+
+_TOOL = """\
+/* Generated: pose of the last joint's frame, in axes of the base. */
+#ifndef TOOL_H
+#define TOOL_H
+
+#include "dynamics.h"
+
+static void store_tool(double *v, const double *q) {{
 {angles}
 {statements}
 }}

@@ -11,6 +11,7 @@ import sympy
 
 from fmu_src.blocks.block import places, vector
 from fmu_src.equations.header import SOLVER_OF_ALL, equations_header
+from fmu_src.export.description3 import Terminal
 from fmu_src.export.interface import Interface, Variable
 from fmu_src.export.package import Content, Version, check_request, own_source, write_fmu
 from fmu_src.friction.embedded_model import embedding
@@ -29,7 +30,7 @@ from fmu_src.friction.friction_component import (
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.drive_page import to_html
-from fmu_src.plant.dynamics import dynamics_header
+from fmu_src.plant.dynamics import dynamics_header, tool_header
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import TAU_LOAD, TORQUE
@@ -46,6 +47,12 @@ _UNLIMITED = 1e6  # limit of a joint without stops [rad or m]
 COMMANDS = 64  # greatest number of commands within the latency of a servo, as in plant_servo.h
 _POSTURES = 100  # random postures in the check of the mass matrix
 
+_JOINTS = Terminal(
+    name="joints",
+    kind="hesr.joints",
+    description="all joints: torques in, motion out",
+    members={name: (name, "inflow" if name == "tau" else "signal") for name in ("tau", "q", "dq")},
+)
 _UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
 
 
@@ -104,18 +111,26 @@ _OUTPUTS = (
     ("tau_stop", "N.m", "torque of the stops at the limits of the joint"),
 )
 _OF_SERVO = (("tau_motor", "N.m", "torque of the motor: servo, compensated gravity, and tau"),)
+_OF_TOOL = (
+    ("tool_position", "m", "position of the last joint's frame, in axes of the base", 3),
+    ("tool_rotation", "1", "rotation of that frame, row by row", 9),
+)
 _START = ("q_start", "dq_start")
 
 
 def _inputs(servo: "ServoGains | None") -> dict[str, tuple[str, str]]:
     tau = {"tau": ("N.m", "torque of the motor" + (" in addition to the servo's" if servo else ""))}
-    return tau | ({"dq_cmd": ("rad/s", "speed command of the servo")} if servo else {})
+    if servo is None:
+        return tau
+    more = {"q_cmd": ("rad", "position command of the servo")} if servo.kp else {}
+    return tau | {"dq_cmd": ("rad/s", "speed command of the servo")} | more
 
 
 def _memory(joints: int, links: int, servo: "ServoGains | None") -> int:
     """Return the number of doubles in the own memory of plant.c."""
     plant = 1 + 2 * joints + 10 * links
-    return plant + (joints + 1 + COMMANDS * (1 + joints) if servo else 0)
+    kinds = 0 if servo is None else 2 if servo.kp else 1
+    return plant + (joints + 1 + COMMANDS * (1 + kinds * joints) if kinds else 0)
 
 
 def _parameters(body: PlantBody) -> Iterator[Variable]:
@@ -165,13 +180,14 @@ def inertial_parameters(body: PlantBody) -> Iterator[Variable]:
 
 @dataclass(frozen=True, kw_only=True)
 class ServoGains:
-    """Gains (n,) of a servo per joint: proportional [N.m.s/rad] and integral [N.m/rad]."""
+    """Gains (n,) of a servo: of speed [N.m.s/rad], its integral [N.m/rad], and position [1/s]."""
 
     kv: tuple[float, ...]
     ki: tuple[float, ...]
+    kp: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, gains in (("kv", self.kv), ("ki", self.ki)):
+        for name, gains in (("kv", self.kv), ("ki", self.ki), ("kp", self.kp)):
             for joint, gain in enumerate(gains, start=1):
                 if not (np.isfinite(gain) and gain >= 0.0):
                     raise ExportError(
@@ -184,6 +200,7 @@ class ServoGains:
         text = "gain of the servo"
         yield from vector("servo_kv", "tunable", "N.m.s/rad", f"proportional {text}", self.kv)
         yield from vector("servo_ki", "tunable", "N.m/rad", f"integral {text}", self.ki)
+        yield from vector("servo_kp", "tunable", "1/s", "gain of the position", self.kp)
         text = "limit of the servo's torque"
         yield from vector("torque_limit", "tunable", "N.m", text, _UNLIMITED * each)
         text = "share of gravity and springs that the servo compensates"
@@ -201,9 +218,12 @@ _PLACES_OF_SERVO = {
     "GRAVITY_SHARE": "gravity_share[1]",
     "LATENCY": "latency",
 }
+_PLACES_OF_POSITION = {"Q_CMD": "q_cmd[1]", "KP": "servo_kp[1]"}
 
 
-def _interface(model: FrictionModel, body: PlantBody, servo: ServoGains | None) -> Interface:
+def _interface(
+    model: FrictionModel, body: PlantBody, servo: ServoGains | None, *, tool: bool
+) -> Interface:
     laws = joints_of(model, names={TORQUE: "tau_friction"})
     numbers = range(1, len(laws) + 1)
     zeros = (0.0,) * len(laws)
@@ -223,10 +243,11 @@ def _interface(model: FrictionModel, body: PlantBody, servo: ServoGains | None) 
     commands = tuple(f"{name}[{i}]" for name in _inputs(servo) for i in numbers)
     gains = tuple(v.name for v in own_servo)
     everything = (*commands, *stops, *inertial, *gains, *(n for one in friction for n in one))
+    at_start = {"q_cmd": [v.start for v in starts[: len(laws)]]}
     found = [
         v
         for name, (unit, text) in _inputs(servo).items()
-        for v in vector(name, "input", unit, text, zeros)
+        for v in vector(name, "input", unit, text, at_start.get(name, zeros))
     ]
     for name, unit, text in (*_OUTPUTS, *(_OF_SERVO if servo else ())):
         for i, one in enumerate(vector(name, "output", unit, text, zeros), start=1):
@@ -242,6 +263,9 @@ def _interface(model: FrictionModel, body: PlantBody, servo: ServoGains | None) 
                 "tau_motor": everything,
             }[name]
             found.append(replace(one, dependencies=tuple(dict.fromkeys(made_of))))
+    for name, unit, text, size in _OF_TOOL if tool else ():
+        own_pose = vector(name, "output", unit, text, (0.0,) * size)
+        found += [replace(v, dependencies=start[: len(laws)]) for v in own_pose]
     found += starts + own_servo
     found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
     how = "how the states of the friction are relaxed over an inner step"
@@ -287,6 +311,8 @@ def export_plant(
     body: PlantBody,
     kv: Sequence[float] | None = None,
     ki: Sequence[float] | None = None,
+    kp: Sequence[float] | None = None,
+    tool: bool = False,
     platforms: Sequence[str] = ("linux64",),
     progress: Progress = silent,
     fmi: Version = 2,
@@ -294,16 +320,18 @@ def export_plant(
 ) -> Path:
     """Write a robot under a friction model as an FMU for co-simulation.
 
-    With `kv` (n,) it includes a servo with a speed command. Raises ExportError if the friction
-    model belongs to another robot, or a gain is negative.
+    With `kv` (n,) it includes a servo with a speed command, with `kp` (n,) also a position command.
+    With `tool` it has the pose of the last joint's frame. Raises ExportError if the friction model
+    belongs to another robot, or a gain is negative.
     """
     check_request(path, platforms)
     require_exportable(model, "a plant")
     require_fitting(model, body.robot)
-    if kv is None and ki is not None:
-        raise ExportError("plant: 'ki' needs 'kv', the proportional gain of the servo.")
-    servo = kv and ServoGains(kv=tuple(kv), ki=tuple(ki or (0.0,) * len(kv)))
-    whole = content(model, body, servo=servo or None, bare=bare)
+    for name, gains in (("ki", ki), ("kp", kp)):
+        if kv is None and gains is not None:
+            raise ExportError(f"plant: '{name}' needs 'kv', the proportional gain of the servo.")
+    servo = kv and ServoGains(kv=tuple(kv), ki=tuple(ki or (0.0,) * len(kv)), kp=tuple(kp or ()))
+    whole = content(model, body, servo=servo or None, tool=tool, bare=bare)
     return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
@@ -326,11 +354,16 @@ def require_fitting(model: FrictionModel, robot: Robot) -> None:
 
 
 def content(
-    model: FrictionModel, body: PlantBody, *, servo: ServoGains | None = None, bare: bool = False
+    model: FrictionModel,
+    body: PlantBody,
+    *,
+    servo: ServoGains | None = None,
+    tool: bool = False,
+    bare: bool = False,
 ) -> Content:
     """Return the FMU of a plant before compilation."""
     joints = joints_of(model, names={TORQUE: "tau_friction"})
-    table = _interface(model, body, servo)
+    table = _interface(model, body, servo, tool=tool)
     springs = next((n for n in table.places if n.startswith("spring[")), "gravity[1]")
     header = equations_header(
         joints, table, _PLACES | {"SPRINGS": springs}, wanted=SOLVER_OF_ALL, coupling=model.coupling
@@ -354,9 +387,13 @@ def content(
         "wide.h",
     )
     sources = {name: own_source(name) for name in names}
-    found = _PLACES_OF_SERVO if servo else dict.fromkeys(_PLACES_OF_SERVO, "tau[1]")
+    position = servo is not None and bool(servo.kp)
+    found = dict.fromkeys(_PLACES_OF_SERVO | _PLACES_OF_POSITION, "tau[1]")
+    found |= (_PLACES_OF_SERVO if servo else {}) | (_PLACES_OF_POSITION if position else {})
+    kinds = {"SERVO": int(servo is not None), "POSITION": int(position)}
     sources |= {"dynamics.h": dynamics_header(body.robot), "equations.h": header}
-    sources |= {"servo.h": places(table, "SERVO_H", found, SERVO=int(servo is not None))}
+    sources |= {"servo.h": places(table, "SERVO_H", found, **kinds)}
+    sources |= {"tool.h": tool_header(body.robot, table.places.get("tool_position[1]"))}
     members = {}
     if not bare:
         page = to_html(model, table, about, template="plant.html.j2").encode()
@@ -370,4 +407,5 @@ def content(
         sources=sources,
         members=members,
         stimuli=Stimuli(step=SUBSTEP, inputs=inputs),
+        terminals=(_JOINTS,),
     )

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from plant_robots import UF850, coupled
 from plant_runs import content_of
+from scipy.spatial.transform import Rotation
 
 from fmu_src.check.run import check
 from fmu_src.export.package import write_fmu
-from fmu_src.plant.plant_fmu import COMMANDS, PlantBody, ServoGains, content, export_plant
+from fmu_src.plant.plant_fmu import COMMANDS, SUBSTEP, PlantBody, ServoGains, content, export_plant
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.model import FrictionModel
@@ -84,6 +85,79 @@ def test_commands_act_after_the_latency(servo_arm: Path) -> None:
     assert 1e-4 < np.abs(part - late).max() < 0.01
 
 
+KP = (12.0, 10.0, 15.0)
+
+
+@pytest.fixture(scope="module")
+def position_arm(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("position") / "Arm.fmu"
+    body = PlantBody.of(Robot(UF850))
+    return export_plant(table1, path, body=body, kv=KV, ki=KI, kp=KP, tool=True)
+
+
+def followed(fmu: Path, goals: Array, step: float = STEP, **start: float) -> Array:
+    """Return positions, speeds and motor torques (K, 9) under position commands (K, 3)."""
+    rows = []
+    with FmuInstance(fmu) as arm:
+        zeros = {f"{name}[{i}]": 0.0 for name in ("tau", "dq_cmd") for i in (1, 2, 3)}
+        first = {f"q_cmd[{i}]": POSTURE[f"q_start[{i}]"] for i in (1, 2, 3)}
+        arm.initialise(start=zeros | POSTURE | first | start)
+        names = [f"{name}[{i}]" for name in ("q", "dq", "tau_motor") for i in (1, 2, 3)]
+        for k, goal in enumerate(goals):
+            arm.set({f"q_cmd[{i + 1}]": float(x) for i, x in enumerate(goal)})
+            arm.step(k * step, step)
+            rows.append(arm.get(names))
+    return np.array(rows)
+
+
+def test_position_commands_are_followed(position_arm: Path) -> None:
+    home = np.array(list(POSTURE.values()))
+    rest = followed(position_arm, np.tile(home, (100, 1)))
+    np.testing.assert_allclose(rest[:, :3], np.tile(home, (100, 1)), atol=1e-12)
+    goals = np.tile(home + 0.1, (800, 1))
+    late = followed(position_arm, goals, latency=2 * STEP)
+    shifted = followed(position_arm, np.vstack([home, home, goals[:-2]]))
+    np.testing.assert_allclose(late, shifted, atol=1e-9)
+    found = followed(position_arm, goals)
+    np.testing.assert_allclose(found[-1, :3], home + 0.1, atol=2e-3)  # friction holds it there
+
+
+def test_the_torque_is_that_of_all_gains(position_arm: Path) -> None:
+    home = np.array(list(POSTURE.values()))
+    goals = home + 0.3 * (1.0 - np.cos(np.pi * SUBSTEP * np.arange(2000)))[:, None]
+    share = {f"gravity_share[{i}]": 0.0 for i in (1, 2, 3)}
+    q, dq, motor = np.split(followed(position_arm, goals, SUBSTEP, **share), 3, axis=1)
+    speed = KP * (goals - q)
+    behind = SUBSTEP * np.cumsum(speed, axis=0) - q
+    expected = KV * (speed - dq) + KI * behind
+    found, expected = motor[50:] - motor[50], expected[50:] - expected[50]
+    assert np.median(np.abs(found - expected)) < 0.01 * np.abs(expected).max()
+    assert np.abs(KV * speed).max() > 50.0
+
+
+def test_the_tool_is_the_last_frame(position_arm: Path) -> None:
+    robot = Robot(UF850)
+    with FmuInstance(position_arm) as arm:
+        arm.initialise(start=POSTURE)
+        for k in range(20):
+            arm.set({"dq_cmd[1]": 0.5, "dq_cmd[3]": -0.5})
+            arm.step(k * STEP, STEP)
+        q = np.array(arm.get([f"q[{i}]" for i in (1, 2, 3)]))
+        origin = arm.get([f"tool_position[{k}]" for k in (1, 2, 3)])
+        rotation = arm.get([f"tool_rotation[{k}]" for k in range(1, 10)])
+    assert abs(q[0] - POSTURE["q_start[1]"]) > 1e-3
+    at, turned = np.zeros(3), np.eye(3)
+    for joint, angle in zip(robot.tree, q, strict=True):
+        at, turned = at + turned @ joint.translation, turned @ joint.rotation
+        turned = turned @ Rotation.from_rotvec(angle * np.asarray(joint.axis)).as_matrix()
+    np.testing.assert_allclose(origin, at, atol=1e-12)
+    np.testing.assert_allclose(np.reshape(rotation, (3, 3)), turned, atol=1e-12)
+
+
+def test_a_position_servo_is_valid(position_arm: Path) -> None:
+    assert check(position_arm).problems == ()
+
+
 def test_torque_stays_within_its_limit(servo_arm: Path) -> None:
     limit = {f"torque_limit[{i}]": 20.0 for i in (1, 2, 3)}
     shares = {f"gravity_share[{i}]": 0.0 for i in (1, 2, 3)}
@@ -114,6 +188,9 @@ def test_bad_gains_are_refused(table1: FrictionModel, tmp_path: Path) -> None:
     sentence = "plant: 'ki' needs 'kv', the proportional gain of the servo."
     with pytest.raises(ExportError, match=re.escape(sentence)):
         export_plant(table1, path, body=body, ki=KI)
+    sentence = "plant: 'kp' needs 'kv', the proportional gain of the servo."
+    with pytest.raises(ExportError, match=re.escape(sentence)):
+        export_plant(table1, path, body=body, kp=KP)
 
 
 def test_the_file_is_valid(servo_arm: Path) -> None:
@@ -130,8 +207,8 @@ def test_servos_turn_coupled_motors(fmi, make_law, tmp_path: Path) -> None:
         law="by_hand", robot=robot.name, joints=robot.joints, laws=(make_law("lugre"),) * 6,
         sample_time=STEP, coupling=robot.description.coupling,
     )  # fmt: skip
-    servo = ServoGains(kv=(100.0,) * 6, ki=(1000.0,) * 6)
-    whole = content(laws, PlantBody.of(robot), servo=servo, bare=True)
+    servo = ServoGains(kv=(100.0,) * 6, ki=(1000.0,) * 6, kp=(5.0,) * 6)
+    whole = content(laws, PlantBody.of(robot), servo=servo, tool=True, bare=True)
     path = write_fmu(whole, tmp_path / "Arm.fmu", fmi=fmi)
     assert check(path).problems == ()
     with FmuInstance(path) as arm:
@@ -139,6 +216,7 @@ def test_servos_turn_coupled_motors(fmi, make_law, tmp_path: Path) -> None:
         arm.initialise(start=dict.fromkeys(names, 0.0))
         arm.set({"dq_cmd[5]": 0.3})
         for k in range(400):
+            arm.set({"q_cmd[5]": 0.3 * (k + 1) * STEP})
             arm.step(k * STEP, STEP)
         found = arm.get([f"dq[{i}]" for i in range(1, 7)])
     np.testing.assert_allclose(found, [0.0, 0.0, 0.0, 0.0, 0.3, 0.0], atol=0.01)
