@@ -1,5 +1,6 @@
 """Arguments of workflow functions: text, paths and objects become logs, robots, bodies and laws."""
 
+import logging
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -7,6 +8,8 @@ from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from cosim.study.results import log_findings
 from fmu_src import BUILT_IN, model_file
@@ -24,6 +27,8 @@ from hesr_model.support.progress import Progress, Stages, counted, silent
 if TYPE_CHECKING:
     from fmu_src.pages.live.body import PageBody
     from fmu_src.plant.plant_fmu import PlantBody
+
+_log = logging.getLogger(__name__)
 
 RobotArg = RobotLike
 LogArg = Log | PathArg
@@ -119,11 +124,34 @@ def page_body(robot: RobotArg, body: BodyArg) -> "PageBody":
 
 
 def plant_body(robot: RobotArg, body: BodyArg | None) -> "PlantBody":
-    """Return a robot for a plant, with a rigid body or the parameters of its model file."""
+    """Return a robot with a rigid body or the parameters of its model file."""
     from fmu_src.plant.plant_fmu import PlantBody
 
     model = model_of(robot)
     return PlantBody.of(model, None if body is None else body_of(body, (), model))
+
+
+def possible_body(robot: RobotArg, body: BodyArg | None) -> "PlantBody":
+    """Return a robot for a plant; of base parameters, the closest that bodies can have."""
+    from fmu_src.plant.plant_fmu import PlantBody
+    from hesr_model.rigid_body.physical import is_possible, nearest
+
+    model = model_of(robot)
+    identified = None if body is None else body_of(body, (), model)
+    if identified is None or is_possible(model, own := identified.parameters_for(model)):
+        return PlantBody.of(model, identified)
+    found, off, largest = nearest(model, own)
+    k = int(np.argmax(off / np.maximum(largest, 1e-12)))
+    _log.warning(
+        "The rigid body has base parameters; the plant has the closest ones that bodies can have. "
+        "Their torque differs by up to %.2g N.m on %s, %.1f %% of its largest, at random states.",
+        off[k],
+        model.joints[k],
+        100.0 * off[k] / largest[k],
+    )
+    possible = PlantBody(robot=model, parameters=found)
+    possible.require_inertia("the rigid body")
+    return possible
 
 
 def model_given(model: LawArg) -> FrictionModel:
@@ -183,6 +211,12 @@ def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
         if len(set(names)) == len(names):
             return names
     raise ConfigError(f"'{Counter(namings[-1]).most_common(1)[0][0]}' is {what} twice.")
+
+
+def require_choice(name: str, value: object, allowed: Iterable[object]) -> None:
+    """Raise ArgumentError unless an option has an allowed value."""
+    if value not in (known := tuple(allowed)):
+        raise ArgumentError(f"'{name}' is {value}; allowed are {', '.join(map(str, known))}.")
 
 
 def per_joint(name: str, values: PerJoint | None, joints: int) -> tuple[float, ...] | None:

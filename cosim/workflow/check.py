@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from cosim.workflow.answer import Answer, finding_lines, shortened
 from hesr_model.errors import ArgumentError, HesrError
@@ -140,12 +140,14 @@ def check(
     """
     from cosim.report.check_files import write_junit, write_sarif
     from cosim.systems.ssp_check import check_ssp
-    from cosim.workflow.arguments import paths_of, remember_trust
+    from cosim.workflow.arguments import paths_of, remember_trust, require_choice
     from fmu_src.check.convention import judge, measure
     from fmu_src.check.run import check as check_fmu
     from fmu_src.run.archive import opened
     from hesr_model.support.files import path_of
 
+    for one in kind:
+        require_choice("kind", one, get_args(Kind))
     paths = paths_of(fmus, "an FMU")
     systems = [path for path in paths if path.suffix.lower() == ".ssp"]
     if systems and set(kind) - {"static", "references"}:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Literal, get_args, overload
 
 from cosim.workflow.answer import Answer, Written
 from hesr_model.support.progress import Stages, silent
@@ -102,8 +102,10 @@ def excite(
     'motion.csv'
     """
     from cosim.loop.design import design
+    from cosim.workflow.arguments import require_choice
     from hesr_model.support.files import path_of
 
+    require_choice("purpose", purpose, get_args(Purpose))
     path = path_of(output, "a motion")
     chosen = None if settings is None else path_of(settings, "a file of settings")
     if purpose != "body" or time is not None or after is not None or format:

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, get_args
 
 from cosim.workflow.answer import Answer, Written, written_files
 from hesr_model.errors import ArgumentError
@@ -173,9 +173,13 @@ def export(
     >>> hesr.export("uf850-table1", "Table1.h", format="c").name
     'Table1.h'
     """
+    from cosim.workflow.arguments import require_choice
     from hesr_model.support.files import path_of
 
     path = path_of(output, "an output")
+    for option, choices in (("fmi", Fmi), ("ssp", Ssp)):
+        if options.get(option) is not None:
+            require_choice(option, options.get(option), get_args(choices))
     given: dict[str, Any] = {k: v for k, v in options.items() if v is not None and v is not False}
     alone = format in _OF_ROBOTS and "robot" in given
     if ("robot" in given) != ("rigid_body" in given) and not alone:
@@ -290,15 +294,20 @@ def _write_law(
 ) -> None:
     """Write a friction law, or copy the cached FMU of the same file."""
     from cosim.systems.parameter_set import export_ssv
-    from cosim.workflow.arguments import model_given, page_body, plant_body
+    from cosim.workflow.arguments import (
+        model_given,
+        page_body,
+        plant_body,
+        possible_body,
+        require_choice,
+    )
     from fmu_src import model_file
     from fmu_src.export.cache import exported
     from hesr_model.friction.model import FrictionModel
     from hesr_model.support import plugins
 
     formats = plugins.load("hesr.exports")
-    if format not in formats:
-        raise ArgumentError(f"'format' is {format}; allowed are {', '.join(formats)}.")
+    require_choice("format", format, formats)
     _refuse_others({k: v for k, v in given.items() if k in _OF_ARMS}, (), "an MJCF (.xml)")
     _refuse_others({k: v for k, v in given.items() if k in _OF_SYSTEMS}, (), "a system")
     writer = formats[format].load()
@@ -312,7 +321,7 @@ def _write_law(
     if format in _OF_ROBOTS and "robot" not in given:
         raise ArgumentError(f"'format' {format} needs 'robot', the robot of the law.")
     if "body" in taken and "robot" in given:
-        body_of = plant_body if format in _OF_ROBOTS else page_body
+        body_of = {"plant": possible_body, "observer": plant_body}.get(format, page_body)
         given["body"] = body_of(given.pop("robot"), given.pop("rigid_body", None))
     if "progress" in taken:
         given["progress"] = partial(progress, f"building {output.name}")

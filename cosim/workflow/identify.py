@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from cosim.workflow.answer import Answer, Written, health_of, written_files
 from hesr_model.errors import ArgumentError
@@ -88,7 +88,13 @@ def identify(
     RigidBody('arm', 3 joints, 16 base parameters, condition number ...)
     """
     from cosim.study.results import log_findings
-    from cosim.workflow.arguments import body_of, checked_logs, listed, model_given
+    from cosim.workflow.arguments import (
+        body_of,
+        checked_logs,
+        listed,
+        model_given,
+        require_choice,
+    )
     from hesr_model.health.fit_checks import check_body
     from hesr_model.rigid_body.identification import identify as identify_body
     from hesr_model.rigid_body.payload import identify_payload, loaded
@@ -96,6 +102,7 @@ def identify(
     from hesr_model.support.files import path_of, provenance
     from hesr_model.support.typed_json import to_json
 
+    require_choice("method", method, get_args(Method))
     if (friction is None) != (rigid_body is None):
         raise ArgumentError("'friction' and 'rigid_body' must be given together.")
     if payload is not None and (physical or friction is not None or method != "stacked"):

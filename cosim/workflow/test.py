@@ -208,7 +208,7 @@ def test(
     >>> hesr.test("uf850-table1").passed  # the paper's law generates energy
     False
     """
-    from cosim.workflow.arguments import laws_of, listed, remember_trust
+    from cosim.workflow.arguments import laws_of, listed, remember_trust, require_choice
     from cosim.workflow.jobs import find_job
     from hesr_model.support import plugins
     from hesr_model.support.files import path_of
@@ -226,8 +226,7 @@ def test(
     plugged = plugins.load("hesr.tests")
     kinds = tuple(listed(kind)) or (("prediction", "passivity") if logs else ("passivity",))
     for name in kinds:
-        if name not in (*KINDS, *plugged):
-            raise ArgumentError(f"'kind' is {name}; allowed are {', '.join((*KINDS, *plugged))}.")
+        require_choice("kind", name, (*KINDS, *plugged))
     if not isfinite(load):
         raise ArgumentError(f"'load' is {load}; expected a number.")
     tested = laws_of(laws)

@@ -85,7 +85,7 @@ class PlantBody:
             raise ExportError(
                 f"{source} gives the mass matrix of '{self.robot.name}' the eigenvalue "
                 f"{np.min(least):.2g} kg.m2, where a plant needs positive ones; use a model file "
-                "with inertias, or identify with method physical."
+                "with inertias, or identify with --physical."
             )
 
     @cached_property

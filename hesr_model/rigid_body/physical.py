@@ -19,7 +19,7 @@ from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
 
 from hesr_model.inference.covariance import Covariance
-from hesr_model.rigid_body.base_parameters import dependence
+from hesr_model.rigid_body.base_parameters import at_random_states, dependence
 from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers
@@ -30,6 +30,8 @@ _PULL = 0.2
 Chosen on measured identification logs, each left out in turn: 0.1 to 0.3 is equally good.
 """
 
+_WEAK = 1e-2  # share of the pull that chooses among equal torques
+_TINY, _ROUNDING = 1e-12, 1e-9
 _LEAST_PULL = 1e-4  # pull of unknown rotors, which makes them unique
 _REWEIGHTINGS = 2
 _SMALLEST_RADIUS = 5e-3  # radius of gyration [m] at the start
@@ -124,6 +126,34 @@ def fit(
         covariance=covariance.mapped([model.parameter_names[k] for k in base], to_base),
         rmse=rmse,
     )
+
+
+def is_possible(model: Robot, parameters: Array) -> bool:
+    """Return whether bodies can have these parameters (P,), without mass included."""
+    links = parameters[: 10 * model.links].reshape(-1, 10)
+    least = [np.linalg.eigvalsh(p)[0] / max(np.trace(p), _TINY) for p in map(pseudo_inertia, links)]
+    rotors = parameters[10 * model.links : model.inertial]
+    return min(least) > -_ROUNDING and bool(np.all(rotors >= 0.0))
+
+
+def nearest(model: Robot, parameters: Array) -> tuple[Array, Array, Array]:
+    """Return the physically consistent parameters (P,) with torques closest to those of others.
+
+    Also returns the largest difference and the largest torque per joint, (n,) [N.m], at random
+    states.
+    """
+    size, rows = model.inertial, at_random_states(model)
+    torque = (rows @ parameters).reshape(-1, model.n)
+    weights = np.tile(1.0 / np.maximum(np.std(torque, axis=0), _TINY), len(torque))[:, None]
+    own = rows[:, :size]
+    (factor,) = qr(weights * np.column_stack([own, own @ parameters[:size]]), mode="r")
+    chart = _Chart.of(model)
+    scaled = factor[: size + 1] / np.sqrt(len(rows))
+    problem = _Problem(chart=chart, rows=scaled, pull=_WEAK * chart.pull)
+    x = least_squares(problem.residuals, chart.start, jac=problem.slopes, method="lm").x
+    found = np.concatenate([chart.parameters(x), parameters[size:]])
+    off = np.abs((rows @ found).reshape(-1, model.n) - torque)
+    return found, off.max(axis=0), np.abs(torque).max(axis=0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,9 +10,15 @@ import pinocchio as pin
 import pytest
 
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body.base_parameters import dependence
+from hesr_model.rigid_body.base_parameters import at_random_states, dependence
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
-from hesr_model.rigid_body.physical import _Chart, link_parameters, pseudo_inertia
+from hesr_model.rigid_body.physical import (
+    _Chart,
+    is_possible,
+    link_parameters,
+    nearest,
+    pseudo_inertia,
+)
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.typed_json import from_json, to_json
 
@@ -177,3 +183,29 @@ def test_it_survives_json_and_is_reproducible(arm_model: Robot, make_motion: Mak
     np.testing.assert_array_equal(back.parameters, body.parameters)
     older = {key: value for key, value in to_json(body).items() if key != "physical"}
     assert not from_json(RigidBody, older, Path("x.json"), "a rigid body").physical
+
+
+def test_base_parameters_become_bodies_of_the_same_torque(arm_model: Robot) -> None:
+    """The least-squares solution of smallest norm has the torque of bodies, and is none."""
+    rows = at_random_states(arm_model)
+    torque = rows @ arm_model.nominal_parameters
+    base = np.linalg.lstsq(rows, torque, rcond=None)[0]
+    assert is_possible(arm_model, arm_model.nominal_parameters)
+    assert not is_possible(arm_model, base)
+    found, off, largest = nearest(arm_model, base)
+    assert is_possible(arm_model, found)
+    np.testing.assert_allclose(rows @ found, torque, atol=2e-3 * np.abs(torque).max())
+    assert np.all(off < 2e-3 * largest)
+
+
+def test_impossible_torques_are_approximated(arm_model: Robot) -> None:
+    light = arm_model.nominal_parameters.copy()
+    light[arm_model.inertial - 3 : arm_model.inertial] = -0.2  # rotors
+    light[10:20] *= -0.1
+    assert not is_possible(arm_model, light)
+    found, off, _ = nearest(arm_model, light)
+    assert is_possible(arm_model, found)
+    rows = at_random_states(arm_model)
+    expected = np.abs((rows @ (found - light)).reshape(-1, arm_model.n)).max(axis=0)
+    np.testing.assert_allclose(off, expected)
+    assert np.all(off > 0.1)

@@ -13,6 +13,7 @@ from fmpy.validation import validate_fmu
 from plant_robots import UF850, coupled, sprung, tree
 from plant_runs import content_of, plant
 
+import hesr
 from fmu_src.check.run import check
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.embedded_model import embedded_model
@@ -20,6 +21,8 @@ from fmu_src.plant.plant_fmu import PlantBody, export_plant
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.base_parameters import at_random_states, unknown_columns
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 
 VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"
@@ -150,6 +153,32 @@ def test_a_robot_without_inertia_is_refused() -> None:
     sentence = "the body gives the mass matrix of 'uf850' the eigenvalue 0 kg.m2, where a plant"
     with pytest.raises(ExportError, match=re.escape(sentence)):
         body.require_inertia("the body")
+
+
+def test_base_parameters_become_those_of_bodies(
+    table1: FrictionModel, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A body of base parameters is exported with masses that exist, and the difference is said."""
+    robot = Robot(UF850)
+    rows = at_random_states(robot)
+    base = np.linalg.lstsq(rows, rows @ robot.nominal_parameters, rcond=None)[0]
+    columns, none = unknown_columns(robot), np.zeros(robot.n)
+    body = RigidBody(
+        robot=robot.name, joints=robot.joints, names=robot.parameter_names, parameters=base,
+        base=columns, standard_errors=np.zeros(len(columns)), condition=1.0, ridge=0.0,
+        friction=none, rmse=none, rows=1, logs=("made",), method="stacked", weighting="wls",
+    )  # fmt: skip
+    hesr.export(table1, tmp_path / "Arm.fmu", format="plant", robot=UF850, rigid_body=body)
+    [said] = caplog.messages
+    assert re.fullmatch(
+        r"The rigid body has base parameters; the plant has the closest ones that bodies can "
+        r"have. Their torque differs by up to \S+ N.m on joint\d, 0.\d % of its largest, at random "
+        r"states.",
+        said,
+    )
+    with FmuInstance(tmp_path / "Arm.fmu") as arm:
+        arm.initialise()
+        assert all(m > 0.0 for m in arm.get([f"link[{k}].m" for k in (1, 2, 3)]))
 
 
 @pytest.mark.parametrize(
