@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from cases import every_case, of_both_versions
 from interop.case import Alone, Case
+from interop.control import controls
 from interop.engine import Engine, SkippedError, Tools
 from interop.engines import ENGINES
 from interop.matrix import (
@@ -14,6 +15,8 @@ from interop.matrix import (
     EngineResult,
     EngineRow,
     Expected,
+    Fault,
+    control_faults,
     reference,
     run_cell,
 )
@@ -70,10 +73,17 @@ def references() -> Expected:
     return cache(reference)
 
 
+@pytest.fixture(scope="session")
+def fault(tmp_path_factory: pytest.TempPathFactory) -> Fault:
+    """Faults of harnesses, by a control that needs no code of ours."""
+    return control_faults(controls(tmp_path_factory.mktemp("control")))
+
+
 @pytest.fixture
 def cell(
     tools: Tools,
     references: Expected,
+    fault: Fault,
     request: pytest.FixtureRequest,
 ) -> Callable[[Engine, str | Case], EngineResult]:
     """Run an available engine on a case and keep the result for the table."""
@@ -83,7 +93,7 @@ def cell(
             case = request.getfixturevalue("cases")[case]
         elif case not in _cases:
             _cases.append(case)
-        found = run_cell(engine, case, tools, references)
+        found = run_cell(engine, case, tools, references, fault)
         _cells.setdefault(engine.name, {})[case.name] = found
         return found
 

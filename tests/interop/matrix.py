@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 
 from interop.case import Alone, Case, Run, Together, deviation
+from interop.control import TOLERANCE, Control
 from interop.engine import Engine, SkippedError, Tools
 from interop.engines import ENGINES
 from interop.reference import alone, together
@@ -25,6 +26,7 @@ class EngineResult:
     deviation : largest difference of a signal relative to its largest value, None if not run.
     tolerance : largest deviation that counts as equal.
     skipped : why it was not run, otherwise empty.
+    harness : fault of our harness, found by the control, otherwise empty; the case is not run.
     failure : error, otherwise empty.
     seconds : duration of the steps, None if unknown.
     """
@@ -32,13 +34,14 @@ class EngineResult:
     deviation: float | None = None
     tolerance: float = 0.0
     skipped: str = ""
+    harness: str = ""
     failure: str = ""
     seconds: float | None = None
 
     @property
     def fails(self) -> bool:
-        """Whether the engine failed or its results differ."""
-        return bool(self.failure) or (
+        """Whether the engine or its harness failed, or its results differ."""
+        return bool(self.failure or self.harness) or (
             self.deviation is not None and not self.deviation <= self.tolerance
         )
 
@@ -78,11 +81,33 @@ class EngineMatrix:
         ]
 
 
+Fault = Callable[[Engine, Tools, Case], str]
+"""Fault of an engine's harness for cases of a kind, as the control shows it; empty if none."""
+
+
+def control_faults(controls: tuple[Control, Control]) -> Fault:
+    """Return a function that runs each engine on the controls, alone and together, once."""
+
+    @cache
+    def fault(engine: Engine, tools: Tools, together: bool) -> str:
+        control = controls[together]
+        try:
+            found = deviation(_run(engine, control.case, tools), control.expected)
+        except SkippedError:
+            return ""
+        except FailedError as error:
+            return str(error)
+        return "" if found <= TOLERANCE else f"it deviates by {found:.1e}"
+
+    return lambda engine, tools, case: fault(engine, tools, isinstance(case, Together))
+
+
 def compare(
     cases: Sequence[Case],
     tools: Tools,
     *,
     engines: Sequence[Engine] = ENGINES,
+    fault: Fault = lambda *_: "",
     progress: Progress = silent,
 ) -> EngineMatrix:
     """Run all available engines on all cases.
@@ -93,7 +118,7 @@ def compare(
         If our own code cannot run a case.
     """
     expected = cache(reference)
-    rows = [_row(engine, cases, tools, expected) for engine in counted(engines, progress)]
+    rows = [_row(engine, cases, tools, expected, fault) for engine in counted(engines, progress)]
     return EngineMatrix(cases=cases, rows=rows)
 
 
@@ -106,17 +131,23 @@ def reference(case: Case, coupling: ExchangeScheme) -> Mapping[str, Array]:
     return alone(case) if isinstance(case, Alone) else together(case, coupling)
 
 
-def _row(engine: Engine, cases: Sequence[Case], tools: Tools, expected: Expected) -> EngineRow:
+def _row(
+    engine: Engine, cases: Sequence[Case], tools: Tools, expected: Expected, fault: Fault
+) -> EngineRow:
     try:
         version = engine.find(tools)
     except (SkippedError, FailedError) as error:
         return EngineRow(engine=engine, missing=f"{error}: {engine.install}", cells={})
-    cells = {case.name: run_cell(engine, case, tools, expected) for case in cases}
+    cells = {case.name: run_cell(engine, case, tools, expected, fault) for case in cases}
     return EngineRow(engine=engine, version=version, cells=cells)
 
 
-def run_cell(engine: Engine, case: Case, tools: Tools, expected: Expected) -> EngineResult:
-    """Run an engine on a case and compare it with the expected results."""
+def run_cell(
+    engine: Engine, case: Case, tools: Tools, expected: Expected, fault: Fault
+) -> EngineResult:
+    """Run an engine on its control, then on a case, and compare it with the expected results."""
+    if said := fault(engine, tools, case):
+        return EngineResult(harness=said)
     # Our code runs first: a case that cannot be run is not an engine's fault, and some never end.
     ours = expected(case, engine.coupling if isinstance(case, Together) else ExchangeScheme())
     try:

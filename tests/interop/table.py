@@ -45,13 +45,17 @@ def notes(matrix: EngineMatrix) -> Iterator[str]:
         for reason, cases in reasons.items():
             yield f"{name}: {', '.join(cases)} not run: {reason}."
         for case, cell in row.cells.items():
-            if cell.fails:
+            if cell.harness:
+                yield f"{name}: {case} not run: our harness fails on its control: {cell.harness}."
+            elif cell.fails:
                 yield f"{name}: {case} fails: {cell.failure or 'it gives something else'}."
 
 
 def _text(cell: EngineResult | None) -> str:
     if cell is None or cell.skipped:
         return "-"
+    if cell.harness:
+        return "HARNESS"
     if cell.failure:
         return "FAILS"
     return f"{cell.deviation:.1e}{' FAILS' if cell.fails else ''}"

@@ -39,6 +39,7 @@ def test_each_engine_matches(
     if found.skipped:
         assert found.skipped in REASONS
         pytest.skip(found.skipped)
+    assert not found.harness, f"the harness fails on its control: {found.harness}"
     assert not found.failure, found.failure
     assert found.deviation is not None
     assert found.deviation <= found.tolerance
@@ -71,6 +72,7 @@ def test_fmi_3_matches_fmi_2(
     if found.skipped:
         assert found.skipped in REASONS
         pytest.skip(found.skipped)
+    assert not found.harness, f"the harness fails on its control: {found.harness}"
     assert not found.failure, found.failure
     assert found.deviation is not None
     assert found.deviation <= found.tolerance

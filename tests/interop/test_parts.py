@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from cases import lugre, system
 from interop.case import Alone, Case, Run, Together, deviation
+from interop.control import controls
 from interop.drive import driven
 from interop.engine import Engine, SkippedError, Tools, describe
 from interop.engines import ENGINES
-from interop.matrix import compare
+from interop.matrix import compare, control_faults
 from interop.reference import alone, together
 from interop.table import notes, table
 from small_fmus import lag
@@ -21,6 +22,7 @@ from cosim.systems.system import ComponentSpec, SystemSpec, write_system
 from fmu_src import export_fmu
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.export.package import write_fmu
+from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.run.master import ExchangeScheme
 from hesr_model.errors import SimulationError
 from hesr_model.friction.predict import predict
@@ -181,6 +183,72 @@ def test_another_library_is_not_run(small: Alone, tmp_path: Path) -> None:
     [row] = compare([small], Tools(folder=tmp_path), engines=chosen).rows
     assert row.missing.startswith("it ended with code 1 and said '")
     assert "libOMSimulator.so" in row.missing
+
+
+SUMS_STEPS = """
+#include <string.h>
+#pragma GCC visibility push(default)
+static double h, stop, now;
+const char *oms_getVersion(void) { return "stand-in"; }
+int oms_setTempDirectory(const char *f) { return 0; }
+int oms_importFile(const char *f, char **name) { *name = "model"; return 0; }
+int oms_setResultFile(const char *m, const char *f, int n) { return 0; }
+int oms_setStopTime(const char *m, double t) { stop = t; return strcmp(m, "model") ? 3 : 0; }
+int oms_setFixedStepSize(const char *m, double t) { h = t; return strcmp(m, "model.two") ? 3 : 0; }
+int oms_instantiate(const char *m) { return 0; }
+int oms_initialize(const char *m) { return 0; }
+int oms_doStep(const char *m) { now = now + h > stop ? stop : now + h; return STATUS; }
+int oms_getTime(const char *m, double *t) { *t = now; return 0; }
+int oms_getReal(const char *s, double *x) { *x = now; return strcmp(s, "model.two.a.y") ? 3 : 0; }
+int oms_terminate(const char *m) { return 0; }
+int oms_delete(const char *m) { return 0; }
+"""
+
+
+@pytest.mark.parametrize("status", [0, 3])
+def test_omsimulator_is_driven_step_by_step(small: Alone, status: int, tmp_path: Path) -> None:
+    """A library with its documented functions, whose sum of steps differs from their multiples."""
+    (tmp_path / "lib").mkdir()
+    source = tmp_path / "oms.c"
+    source.write_text(SUMS_STEPS, encoding="utf-8")
+    flags = ("-Wno-unused-parameter", f"-DSTATUS={status}")
+    library = build(source, "oms", TARGETS["linux64"], flags)
+    (tmp_path / "lib" / "libOMSimulator.so").write_bytes(library)
+    spec = SystemSpec(name="two", step=0.001, stop=1.0,
+                      components=(ComponentSpec(name="a", fmu=small.fmu, start={"u": 1.0}),),
+                      observe=("a.y",))  # fmt: skip
+    case = Together(name="two", spec=spec, ssp=tmp_path / "none.ssp", signals=("a.y",))
+    [chosen] = [e for e in ENGINES if e.name == "OMSimulator"]
+    assert chosen.together is not None
+    folder = tmp_path / "run"
+    folder.mkdir()
+    if status:
+        with pytest.raises(FailedError, match="oms_doStep ended with status 3"):
+            chosen.together(Tools(folder=tmp_path), case, folder)
+        return
+    found = chosen.together(Tools(folder=tmp_path), case, folder).signals["a.y"]
+    steps = np.arange(1001) / 1000
+    assert not np.array_equal(found, steps)
+    assert np.abs(found - steps).max() < 1e-12
+
+
+def test_a_fault_of_the_harness_is_none_of_the_engine(small: Alone, tmp_path: Path) -> None:
+    """An engine that steps too far fails its control, and its cases are not judged."""
+    fault = control_faults(controls(tmp_path))
+
+    def ahead(_tools: Tools, case: Alone, _folder: Path) -> Run:
+        return Run(signals=dict.fromkeys(case.outputs, case.times + case.step))
+
+    def right(_tools: Tools, case: Alone, _folder: Path) -> Run:
+        return Run(signals=alone(case))
+
+    wrong = compare([small], Tools(), engines=[engine(ahead)], fault=fault)
+    assert wrong.failing == [("made up", "lag")]
+    (note,) = notes(wrong)
+    assert note.startswith("made up: lag not run: our harness fails on its control: it deviates by")
+    assert table(wrong).rows[0].cells[-1].text == "HARNESS"
+    assert not compare([small], Tools(), engines=[engine(right, coupling=ExchangeScheme(
+        refreshed="all"))], fault=fault).failing  # fmt: skip
 
 
 def test_every_engine_states_its_purpose_and_origin() -> None:

@@ -20,11 +20,12 @@ def loaded(path: str) -> ctypes.CDLL:
     library = ctypes.CDLL(path)
     library.oms_getVersion.restype = Text
     library.oms_importFile.argtypes = [Text, ctypes.POINTER(Text)]
-    library.oms_setStopTime.argtypes = library.oms_stepUntil.argtypes = [Text, ctypes.c_double]
-    library.oms_setFixedStepSize.argtypes = [Text, ctypes.c_double]
-    library.oms_getReal.argtypes = [Text, ctypes.POINTER(ctypes.c_double)]
+    for name in ("setStopTime", "setFixedStepSize"):
+        getattr(library, f"oms_{name}").argtypes = [Text, ctypes.c_double]
+    for name in ("getReal", "getTime"):
+        getattr(library, f"oms_{name}").argtypes = [Text, ctypes.POINTER(ctypes.c_double)]
     library.oms_setResultFile.argtypes = [Text, Text, ctypes.c_int]
-    for name in ("setTempDirectory", "instantiate", "initialize", "terminate", "delete"):
+    for name in ("setTempDirectory", "instantiate", "initialize", "doStep", "terminate", "delete"):
         getattr(library, f"oms_{name}").argtypes = [Text]
     return library
 
@@ -51,6 +52,18 @@ class Model:
         """Call a function of one of its systems."""
         self._require(function, self.name + b"." + system.encode(), *arguments)
 
+    def step_to(self, time: float, step: float) -> None:
+        """Take one step, which must end at this time [s].
+
+        `oms_stepUntil` would take another one where round-off leaves the sum of all steps below
+        the requested time, or a tiny one in older versions.
+        """
+        self.do("doStep")
+        reached = ctypes.c_double()
+        self.do("getTime", ctypes.byref(reached))
+        if abs(reached.value - time) > 1e-6 * step:
+            raise SystemExit(f"oms_doStep ended at {reached.value!r} s instead of {time!r} s")
+
     def real(self, signal: str) -> float:
         """Return the value of `system.component.variable`."""
         value = ctypes.c_double()
@@ -75,7 +88,7 @@ def main() -> None:
     rows = [[0.0, *map(model.real, signals)]]
     begin = time.perf_counter()
     for k in range(1, steps + 1):
-        model.do("stepUntil", k * step)
+        model.step_to(k * step, step)
         rows.append([k * step, *map(model.real, signals)])
     seconds = time.perf_counter() - begin
     model.do("terminate")
