@@ -80,8 +80,8 @@ def parse(name: str, file: Path) -> tuple[etree._Element | None, list[Problem]]:
     except etree.XMLSyntaxError as error:
         text = f"{name}: it cannot be read as XML ({plain(str(error))})."
         return None, [("xml-unreadable", text)]
-    if guard.encoding is None and root.get("fmiVersion") == "2.0":
-        text = f"{name}: its first line declares no encoding; FMI 2 asks for UTF-8."
+    if guard.encoding is None and root.get("fmiVersion"):
+        text = f"{name}: its first line declares no encoding; FMI asks for UTF-8."
         return root, [("xml-undeclared", text)]
     if guard.encoding is not None and not _UTF8.fullmatch(guard.encoding):
         text = f"{name}: its first line declares '{plain(guard.encoding)}'; FMI needs UTF-8."

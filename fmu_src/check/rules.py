@@ -21,16 +21,29 @@ class Rule:
 
     @property
     def link(self) -> str:
-        """Address of the standard."""
-        return "https://ssp-standard.org/" if "SSP" in self.clause else "https://fmi-standard.org/"
+        """Address of the standard; with FMI 3, of its clause."""
+        if "FMI 3" not in self.clause:
+            return f"https://{'ssp' if 'SSP' in self.clause else 'fmi'}-standard.org/"
+        last = self.clause.rpartition(" ")[2]
+        return f"https://fmi-standard.org/docs/3.0.1/#{_ANCHORS[last]}"
+
+
+_ANCHORS = {
+    "2.2": "general-mechanisms", "2.4": "modelDescription.xml", "2.4.1": "fmiModelDescription",
+    "2.4.2": "common-capability-flags", "2.4.3": "figure-schema-UnitDefinitions",
+    "2.4.4": "definition-of-types", "2.4.5": "definition-of-log-categories",
+    "2.4.6": "DefaultExperiment", "2.4.7": "ModelVariables", "2.4.8": "ModelStructure",
+    "2.4.9": "fmiTerminalsAndIcons", "2.5": "fmu-distribution",
+    "2.5.1.3": "sources-directory", "2.5.1.4": "binaries-directory",
+}  # fmt: skip
 
 
 _ARCHIVE, _XML = "FMI 2: 2.3; FMI 3: 2.5", "FMI 2: 2.2; FMI 3: 2.4"
 _TYPES, _ROOT = "FMI 2: 2.2.3; FMI 3: 2.4.4", "FMI 2: 2.2.1; FMI 3: 2.4.1"
 _UNITS, _EXPERIMENT = "FMI 2: 2.2.2; FMI 3: 2.4.3", "FMI 2: 2.2.5; FMI 3: 2.4.6"
 _VARIABLES, _STRUCTURE = "FMI 2: 2.2.7; FMI 3: 2.4.7", "FMI 2: 2.2.8; FMI 3: 2.4.8"
-_KINDS, _SOURCES = "FMI 2: 3.3.1, 4.3.1; FMI 3: 3.4, 4.4", "FMI 2: 2.3; FMI 3: 2.5.1.4"
-_BINARIES, _TERMINALS = "FMI 2: 2.1.1, 2.3; FMI 3: 2.2, 2.5.1.3", "FMI 3: 2.4.9"
+_KINDS, _SOURCES = "FMI 2: 3.3.1, 4.3.1; FMI 3: 2.4.2", "FMI 2: 2.3; FMI 3: 2.5.1.3"
+_BINARIES, _TERMINALS = "FMI 2: 2.1.1, 2.3; FMI 3: 2.2, 2.5.1.4", "FMI 3: 2.4.9"
 
 RULES: Mapping[str, Rule] = {
     "archive-damaged": Rule("error", "archives or entries that cannot be read", _ARCHIVE),
@@ -41,7 +54,7 @@ RULES: Mapping[str, Rule] = {
     "archive-large": Rule("warning", "entries too large to be checked", _ARCHIVE),
     "xml-unreadable": Rule("error", "missing, malformed or oversized XML, wrong root", _XML),
     "xml-encoding": Rule("error", "XML in another encoding than UTF-8", _XML),
-    "xml-undeclared": Rule("advice", "XML of FMI 2 that does not declare its encoding", _XML),
+    "xml-undeclared": Rule("advice", "XML of FMI that does not declare its encoding", _XML),
     "fmi-version": Rule("error", "unknown versions of FMI", _ROOT),
     "xsd": Rule("error", "violations of the schema, named by libxml2", "XSD of FMI and SSP"),
     "fmpy": Rule("error", "findings of FMPy", "FMPy"),
@@ -95,7 +108,7 @@ RULES: Mapping[str, Rule] = {
     "binary-runtime": Rule("advice", "libraries that need a runtime of Visual C++", _BINARIES),
     "binary-path": Rule("warning", "libraries that do not find others next to them", _BINARIES),
     "machine-path": Rule("advice", "paths of the build machine, except in comments", "privacy"),
-    "hostile": Rule("error", "failures under --kind hostile", "FMI 2: 2.1, 3.2, 4.2"),
+    "hostile": Rule("error", "failures under --kind hostile", "FMI 2: 2.1, 3.2, 4.2; FMI 3: 2.2"),
     "references": Rule("error", "results other than those in the file", "FMI-LS-REF"),
     "ssp-structure": Rule("error", "parts that are missing or contradict FMUs", "SSP: 5 to 7"),
     "ssp-support": Rule("advice", "parts that 'hesr simulate' does not support", "SSP: 5"),

@@ -160,6 +160,16 @@ def test_the_page_lists_every_rule():
     assert rows == [(name, rule.severity, rule.finds, rule.clause) for name, rule in RULES.items()]
 
 
+def test_rules_link_to_their_clause():
+    """In the text of FMI 3, whose sections have names; FMI 2 is one document without any."""
+    links = {rule.clause: rule.link for rule in RULES.values()}
+    base = "https://fmi-standard.org/docs/3.0.1/#"
+    assert links["FMI 2: 2.1.1, 2.3; FMI 3: 2.2, 2.5.1.4"] == f"{base}binaries-directory"
+    assert links["FMI 2: 2.2.7; FMI 3: 2.4.7"] == f"{base}ModelVariables"
+    assert links["SSP: 5 to 7"] == "https://ssp-standard.org/"
+    assert all(link.startswith(base) for clause, link in links.items() if "FMI 3" in clause)
+
+
 def test_findings_are_written_for_other_programs(source_fmu, tmp_path):
     bad = changed(source_fmu, tmp_path / "F.fmu", both(
         put(".", guid=" "), put("CoSimulation", needsExecutionTool="true")))  # fmt: skip

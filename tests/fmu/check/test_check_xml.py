@@ -84,7 +84,7 @@ def test_a_missing_declaration_of_the_encoding_is_advice(of_xml):
         (found,) = (p for p in report.problems if p.check.startswith("xml"))
         assert (found.check, found.severity) == ("xml-undeclared", "advice")
         assert found.found == (
-            "modelDescription.xml: its first line declares no encoding; FMI 2 asks for UTF-8."
+            "modelDescription.xml: its first line declares no encoding; FMI asks for UTF-8."
         )
 
 
