@@ -282,7 +282,7 @@ class FrictionRegressor:
     def _whole(self, friction: Array, records: Record) -> Array:
         if self.target == "friction":
             return friction
-        return friction + np.column_stack([record.tau_load for record in records])
+        return friction + np.column_stack([record.of_bodies for record in records])
 
     def _fitted(self) -> FrictionModel:
         if hasattr(self, "model_"):

@@ -108,7 +108,7 @@ def _errors(
 def _weightless(logs: Logs, robot: Robot, body: RigidBody) -> bool:
     q = np.concatenate([np.column_stack([r.q for r in log]) for log in logs])
     weight = robot.torque(body.parameters, q, np.zeros_like(q), np.zeros_like(q))
-    largest = max(np.abs(r.tau + r.tau_load).max() for log in logs for r in log)
+    largest = max(np.abs(r.measured).max() for log in logs for r in log)
     return bool(np.abs(weight).max() <= _WEIGHTLESS * largest)
 
 

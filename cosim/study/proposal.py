@@ -110,7 +110,9 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
 
 def laws_of(proposal: Proposal) -> list[str]:
     """Return the proposed laws whose inputs the logs show: load needs a change of load."""
-    loaded = any(map(bears_load, proposal.examination.explained))
+    loaded = bool(proposal.robot.log.cylinder) or any(
+        map(bears_load, proposal.examination.explained)
+    )
     found = {name: registry()[name] for name in laws_with("proposed")}
     return [
         name

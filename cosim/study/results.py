@@ -184,7 +184,8 @@ def write_torques(
 ) -> None:
     """Write the torques [N.m] of one log to Parquet: measured, rigid body, and every law.
 
-    Columns are t, and for joint k of 1..n q{k}, dq{k}, tau{k}, tau_rb{k} and {law}.tau_f{k}.
+    Columns are t, and for joint k of 1..n q{k}, dq{k}, tau{k}, tau_rb{k} and {law}.tau_f{k}; of a
+    cylinder also tau_load{k}.
     """
     rows = slice(0, MOST_ROWS)
     columns: dict[str, Array] = {"t": records[0].t[rows] - records[0].t[0]}
@@ -192,9 +193,11 @@ def write_torques(
         columns |= {
             f"q{k}": record.q[rows],
             f"dq{k}": record.dq[rows],
-            f"tau{k}": (record.tau + record.tau_load)[rows],
-            f"tau_rb{k}": record.tau_load[rows],
+            f"tau{k}": record.measured[rows],
+            f"tau_rb{k}": record.of_bodies[rows],
         }
+        if record.tau_body is not None:
+            columns[f"tau_load{k}"] = record.tau_load[rows]
         for law, torques in predicted.items():
             columns[f"{law}.tau_f{k}"] = torques[k - 1][rows]
     path.parent.mkdir(parents=True, exist_ok=True)

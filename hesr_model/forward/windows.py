@@ -78,10 +78,15 @@ def whole(log: Sequence[FrictionRecord]) -> Windows:
 
 
 def _cut(logs: Logs, places: Sequence[tuple[int, int]], steps: int) -> Windows:
+    if logs[0][0].tau_body is not None:
+        raise SimulationError(
+            f"log '{logs[0][0].log}': the load of its friction is a pressure, which a simulation "
+            "of motion does not know."
+        )
     signals = {
         "q": [np.column_stack([r.q for r in log]) for log in logs],
         "dq": [np.column_stack([r.dq for r in log]) for log in logs],
-        "tau": [np.column_stack([r.tau + r.tau_load for r in log]) for log in logs],
+        "tau": [np.column_stack([r.measured for r in log]) for log in logs],
         "t": [log[0].t for log in logs],
     }
     cut = {

@@ -158,7 +158,8 @@ def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) 
     reasons |= {
         f"log.columns.{k}": f"likely: {found.reasons.get(k, 'it rises')}" for k in found.columns
     }
-    if "tau" not in found.columns and robot.log.torque_per_ampere is None:
+    log = robot.log
+    if "tau" not in found.columns and log.torque_per_ampere is log.cylinder is None:
         changes["log.torque_per_ampere"] = (1.0,) * len(robot.joints)
         changes["sources.torque_per_ampere"] = "guessed"
         reasons["log.torque_per_ampere"] = "guess: only currents are logged"
@@ -168,8 +169,9 @@ def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) 
 def _has_columns(table: LogTable, robot: RobotDescription) -> bool:
     columns, log = robot.log.columns, robot.log
     wanted = [*([] if log.rate else [columns.t]), *column_names(columns.q, robot.joints)]
-    effort = columns.tau if log.torque_per_ampere is None else columns.current
-    wanted += column_names(effort, robot.joints)
+    if log.cylinder is None:
+        effort = columns.tau if log.torque_per_ampere is None else columns.current
+        wanted += column_names(effort, robot.joints)
     wanted += column_names(columns.dq, robot.joints) if columns.dq else []
     return set(wanted) <= set(table.names)
 
@@ -308,11 +310,11 @@ def robot_text(
     tables = {"log": {k: v for k, v in log.items() if not isinstance(v, dict)}}
     tables |= {f"log.{k}": v for k, v in log.items() if isinstance(v, dict)}
     for table, values in tables.items():
-        own = usual_log if table == "log" else usual_log[table.removeprefix("log.")]
+        own = usual_log if table == "log" else usual_log[table.removeprefix("log.")] or {}
         told = [
             _line(key, value, reasons.get(f"{table}.{key}", ""))
             for key, value in values.items()
-            if value is not None and value != own[key]
+            if value is not None and value != own.get(key)
         ]
         lines += ["", f"[{table}]", *told] if told else []
     return "\n".join(lines) + "\n"

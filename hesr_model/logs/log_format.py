@@ -141,6 +141,30 @@ class LogBag(Config):
         return (self.topic,) if isinstance(self.topic, str) else self.topic
 
 
+class LogCylinder(Config):
+    """Hydraulic or pneumatic cylinders: `areas` [m2] and `pressures`, two columns per joint.
+
+    The force is A1 p1 - A2 p2. The load of the friction is the force of p1 - p2 on the mean area.
+    """
+
+    pressures: tuple[tuple[str, str], ...]
+    areas: tuple[tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]], ...]
+    unit: Literal["Pa", "kPa", "bar", "MPa"] = "Pa"
+
+    @field_validator("pressures", "areas", mode="before")
+    @classmethod
+    def _pair_of_one_joint(cls, value: Any) -> Any:
+        several = isinstance(value, list | tuple) and value and isinstance(value[0], list | tuple)
+        return value if several else (value,)
+
+    def forces(self, pressures: Array) -> tuple[Array, Array]:
+        """Return forces and loads (N, n) [N] for p1 and p2 of each joint in turn, (N, 2 n)."""
+        scale = {"Pa": 1.0, "kPa": 1e3, "bar": 1e5, "MPa": 1e6}[self.unit]
+        first, second = scale * pressures[:, ::2], scale * pressures[:, 1::2]
+        one, other = np.array(self.areas).T
+        return one * first - other * second, 0.5 * (one + other) * (first - second)
+
+
 class LogFormat(Config):
     """Format of a robot's logs.
 
@@ -162,3 +186,4 @@ class LogFormat(Config):
     bag: LogBag = LogBag()
     zero: tuple[float, ...] | None = None
     torque_per_ampere: tuple[float, ...] | None = None
+    cylinder: LogCylinder | None = None

@@ -36,6 +36,7 @@ class Log:
     q : (N, n) [rad; m for prismatic joints].
     dq : (N, n) [rad/s; m/s]; None if not logged.
     tau : (N, n) [N.m; N].
+    load : (N, n) [N], load of the friction in cylinders; None if it is that of the bodies.
     temperature : (N, n) [degC]; None if not logged.
     path, sha256 : file of the log, and its hash.
     dropped : number of rows left out, by `LogFormat.missing`.
@@ -47,6 +48,7 @@ class Log:
     q: Array
     dq: Array | None
     tau: Array
+    load: Array | None = None
     temperature: Array | None = None
     path: Path | None = None
     sha256: str = ""
@@ -114,7 +116,7 @@ class Log:
 
     def rows(self, rows: slice | Integers) -> "Log":
         """Return the log of some rows, a slice or (K,) indices."""
-        return some_rows(self, ("t", "q", "dq", "tau", "temperature"), rows)
+        return some_rows(self, ("t", "q", "dq", "tau", "load", "temperature"), rows)
 
     def parts(self) -> "tuple[Log, ...]":
         """Return the parts between gaps that last at least 1 s.
@@ -169,12 +171,18 @@ class Log:
         units, n = robot.log.units, len(robot.joints)
         _require_reasonable(path, samples, robot.joints)
         dq = None if samples.dq is None else samples.dq * units.factors("dq", n)
+        load = None
+        if robot.log.cylinder is None:
+            tau = _torque(path, samples, robot)
+        else:
+            tau, load = robot.log.cylinder.forces(samples.effort)
         log = cls(
             name=path.stem,
             t=samples.t,
             q=_of_joints(samples.q * units.factors("q", n), robot) + (robot.log.zero or 0.0),
             dq=None if dq is None else _of_joints(dq, robot),
-            tau=_torque(path, samples, robot),
+            tau=tau,
+            load=load,
             temperature=None
             if samples.temperature is None
             else samples.temperature - units.zero_of_temperature,
@@ -290,7 +298,8 @@ def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) 
         if values is not None and not np.all(usable := np.abs(values) <= _LARGEST):
             k, joint = np.argwhere(~usable)[0]
             raise LogError(
-                f"{path}: {samples.place(k)}: {what} of joint '{joints[joint]}' is "
+                f"{path}: {samples.place(k)}: {what} of joint "
+                f"'{joints[joint * len(joints) // values.shape[1]]}' is "
                 f"{values[k, joint]:g}; numbers up to {_LARGEST:g} can be used."
             )
     if not np.all(usable := np.abs(samples.t) <= _LARGEST):

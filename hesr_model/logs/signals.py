@@ -21,7 +21,7 @@ class Motion:
     """The smoothed motion of a log, at its own time stamps.
 
     q, dq, ddq (N, n) [rad, rad/s, rad/s2] are low-passed without lag, dq_causal [rad/s] with it, as
-    users of FMUs have it. tau [N.m], q_raw [rad] and temperature [degC] are raw.
+    users of FMUs have it. tau [N.m], q_raw [rad], load [N] and temperature [degC] are raw.
     """
 
     name: str
@@ -31,6 +31,7 @@ class Motion:
     ddq: Array
     tau: Array
     q_raw: Array
+    load: Array | None = None
     temperature: Array | None = None
     dq_causal: Array | None = None
 
@@ -94,6 +95,7 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
         ddq=velocity.derivative()(log.t),
         tau=log.tau,
         q_raw=log.q,
+        load=log.load,
         temperature=log.temperature,
         dq_causal=low_passed(log.t, measured_velocity(log), cutoff),
     )

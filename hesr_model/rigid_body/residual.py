@@ -25,7 +25,8 @@ class FrictionRecord:
     `tau_load_spread` (N, r) is the error of `tau_load` for one standard deviation of each
     independent error of the rigid body. `gear_ratio` is turns of the motor per turn of the joint. A
     `sliding` joint has m and N. `temperature` is in degC. `coupling` is None if uncoupled, and
-    after `at_friction`. `dq_causal` is the velocity behind a causal low pass.
+    after `at_friction`. `dq_causal` is the velocity behind a causal low pass. In a cylinder, whose
+    `tau_load` is that of its pressures, `tau_body` is the force on the bodies.
     """
 
     log: str
@@ -41,6 +42,17 @@ class FrictionRecord:
     temperature: Array | None = None
     coupling: Coupling | None = None
     dq_causal: Array | None = None
+    tau_body: Array | None = None
+
+    @property
+    def measured(self) -> Array:
+        """The whole torque (N,) [N.m]."""
+        return self.tau + self.of_bodies
+
+    @property
+    def of_bodies(self) -> Array:
+        """The torque that the rigid bodies need, (N,) [N.m]."""
+        return self.tau_load if self.tau_body is None else self.tau_body
 
     @property
     def causal(self) -> "FrictionRecord":
@@ -55,7 +67,7 @@ class FrictionRecord:
     def rows(self, rows: slice | Mask) -> "FrictionRecord":
         """Return some of the rows."""
         columns = ("t", "dq", "dq_causal", "q", "tau_load", "tau", "tau_load_spread", "temperature")
-        return some_rows(self, columns, rows)
+        return some_rows(self, (*columns, "tau_body"), rows)
 
 
 def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
@@ -102,8 +114,9 @@ def friction_records(log: Log, model: Robot, rigid_body: RigidBody) -> list[Fric
 
 def motion_records(motion: Motion, model: Robot, rigid_body: RigidBody) -> list[FrictionRecord]:
     """Return the friction records of a smoothed log."""
-    load = rigid_body.torque(model, motion)
-    spread = rigid_body.torque_spread(model, motion)
+    torque = rigid_body.torque(model, motion)
+    load = torque if motion.load is None else motion.load
+    spread = None if motion.load is not None else rigid_body.torque_spread(model, motion)
     ratios = model.description.gear_ratio or (None,) * model.n
     coupling = model.description.coupling
     return [
@@ -114,7 +127,8 @@ def motion_records(motion: Motion, model: Robot, rigid_body: RigidBody) -> list[
             dq=np.ascontiguousarray(motion.dq[:, k]),
             q=np.ascontiguousarray(motion.q_raw[:, k]),
             tau_load=np.ascontiguousarray(load[:, k]),
-            tau=motion.tau[:, k] - load[:, k],
+            tau=motion.tau[:, k] - torque[:, k],
+            tau_body=None if motion.load is None else torque[:, k],
             tau_load_spread=None if spread is None else spread[:, k],
             gear_ratio=ratios[k],
             sliding=model.slides[k],

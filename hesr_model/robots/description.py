@@ -125,6 +125,7 @@ class RobotDescription(Config):
             "gear_ratio": self.gear_ratio,
             "log.torque_per_ampere": self.log.torque_per_ampere,
             "log.zero": self.log.zero,
+            **{f"log.cylinder.{k}": v for k, v in self.log.cylinder or () if k != "unit"},
             "sources.torque_per_ampere": self.sources.torque_per_ampere,
             "log.bag.joints": self.log.bag.joints,
             **{f"log.columns.{k}": v for k, v in self.log.columns if k != "names"},

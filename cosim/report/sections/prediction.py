@@ -151,7 +151,7 @@ def band(results: Results, law: str, joint: int, torques: Mapping[str, Array]) -
         t=torques["t"],
         dq=torques[f"dq{joint}"],
         q=torques[f"q{joint}"],
-        tau_load=torques[f"tau_rb{joint}"],
+        tau_load=torques.get(f"tau_load{joint}", torques[f"tau_rb{joint}"]),
         torque=torques[f"{law}.tau_f{joint}"],
     )
     name = f"95 % band of {title(law)}"

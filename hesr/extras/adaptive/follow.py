@@ -79,8 +79,8 @@ class Follower:
     def _of_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
         law, steps = self._model.laws[j], self._steps[j]
         columns, more = inputs_over(record)
-        columns["tau_meas"] = record.tau + record.tau_load
-        columns["tau_rigid"] = record.tau_load
+        columns["tau_meas"] = record.measured
+        columns["tau_rigid"] = record.of_bodies
         columns["adapt"] = np.full_like(record.t, float(adapt))
         slow = len(steps.component.memory) - len(law.start)
         start = (*(0.0,) * slow, *law.start)

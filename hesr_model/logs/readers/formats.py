@@ -72,6 +72,9 @@ def _temperature(table: LogTable, robot: RobotDescription) -> Array | None:
 
 def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:
     columns, gains = robot.log.columns, robot.log.torque_per_ampere
+    if robot.log.cylinder is not None:
+        names = [name for pair in robot.log.cylinder.pressures for name in pair]
+        return table.numbers(names, missing=robot.log.missing == "drop"), False
     torque = column_names(columns.tau, robot.joints)[0]
     current = column_names(columns.current, robot.joints)[0]
     if gains is not None and current in table.names:
