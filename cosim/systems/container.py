@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import distribution
 from pathlib import Path
+from posixpath import normpath
 from typing import Any
 
 from cosim.systems.container_description import Exposed, exposed_variables, to_description
@@ -93,10 +94,10 @@ def _members(fmu: Path, description: Any) -> dict[str, bytes]:
         for configuration in description.buildConfigurations
         if configuration.modelIdentifier == description.coSimulation.modelIdentifier
         for of_set in configuration.sourceFileSets
-        for name in of_set.sourceFiles
+        for name in map(normpath, of_set.sourceFiles)
         if f"sources/{name}" in found
     ]
-    if sources and not any(name.startswith("binaries/") for name in found):
+    if sources and not any(name.startswith("binaries/linux64/") for name in found):
         library = f"{description.coSimulation.modelIdentifier}.so"
         found[f"binaries/linux64/{library}"] = _built(found, sources, library)
     return found

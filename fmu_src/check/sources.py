@@ -42,7 +42,7 @@ def problems(about: ParsedDescription, contents: Contents) -> Iterator[Problem]:
         yield "binary-none", "binaries and a list of source files are both missing."
     for kind in about.kinds:
         for source in kind.sources:
-            if _FOLDER + source not in names:
+            if posixpath.normpath(_FOLDER + source) not in names:  # some begin with "./"
                 yield (
                     "source-missing",
                     f"{kind.element} lists the source file {quoted(source)}, which is not in "
@@ -58,7 +58,10 @@ def _includes(about: ParsedDescription, contents: Contents) -> Iterator[Problem]
         if name.startswith(_FOLDER) and name.lower().endswith(SUFFIXES)
     }
     names = frozenset(contents.names)
-    start = {_FOLDER + source for kind in about.kinds for source in kind.sources} & code
+    listed = (source for kind in about.kinds for source in kind.sources)
+    start = {posixpath.normpath(_FOLDER + source) for source in listed} & code
+    # Nothing states the folders of headers for sources that are not listed.
+    others = set[str]() if start else {posixpath.basename(name) for name in names}
     waiting = sorted(start or code, reverse=True)
     seen = set(waiting)
     while waiting:
@@ -71,7 +74,8 @@ def _includes(about: ParsedDescription, contents: Contents) -> Iterator[Problem]
                 for folder in (posixpath.dirname(name), _FOLDER)
             ]
             found = next((p for p in places if p in names), None)
-            supplied = included in _OFFICIAL or included.lower().removesuffix(".h") in _SYSTEM
+            base = posixpath.basename(included)
+            supplied = base in _OFFICIAL | others or base.lower().removesuffix(".h") in _SYSTEM
             if found is None and always and not supplied:
                 text = f"{plain(name)}: includes {quoted(included)}, which is not in the archive."
                 yield "source-include", text

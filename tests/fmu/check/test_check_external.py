@@ -101,6 +101,7 @@ def test_missing_java_is_reported(source_fmu, vdmcheck, monkeypatch):
         ("echo boom; exit 3", [], ["VDMCheck2: it gave no verdict but said 'boom'."]),
         ("true", [], ["VDMCheck2: it gave no verdict but said 'no message'."]),
         ("echo 'Errors found.'", ["it found unnamed errors."], []),
+        ("echo 'validGenerationDateAndTime: bad'; echo 'Errors found.'", [], []),
         (
             "echo 'validX: Warning: odd at modelDescription.xml:3'; echo 'No errors found.'",
             [],

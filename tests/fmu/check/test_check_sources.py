@@ -38,6 +38,25 @@ def test_a_missing_listed_file_is_reported(source_fmu, tmp_path):
     ]
 
 
+def test_paths_of_listed_files_are_normalised(of):
+    """OpenModelica lists './util/list.c'."""
+    files = {"m.c": b"", "util/list.c": b'#include "none.h"\n'}
+    assert of(files, ["m.c", "./util/list.c"]) == [
+        "sources/util/list.c: includes 'none.h', which is not in the archive."
+    ]
+
+
+def test_headers_of_files_that_nothing_lists_may_be_anywhere(of):
+    """As in FMUs of PythonFMU, which ship the code of their library."""
+    files = {
+        "src/lib/a.cpp": b'#include "lib/a.hpp"\n#include "fmi/fmi3Functions.h"\n',
+        "src/lib/a.hpp": b'#include "none.hpp"\n',
+    }
+    missing = "sources/src/lib/a.hpp: includes 'none.hpp', which is not in the archive."
+    assert missing in of(files)
+    assert not any("a.cpp" in text for text in of(files))
+
+
 def test_an_fmu_needs_binaries_or_sources(of):
     assert of({}) == ["binaries and a list of source files are both missing."]
 
