@@ -1,13 +1,11 @@
 """XML of systems: namespaces, values and units."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from math import isfinite
 from typing import Literal
 from xml.etree import ElementTree as ET
 
 from cosim.systems.contents import UnitExponents
-from fmu_src.run.variables import SI, Variables
+from fmu_src.run.variables import SI
 from hesr_model.errors import ConfigError
 
 SSD = "SystemStructure.ssd"
@@ -23,16 +21,6 @@ NAMESPACES = {
 }
 
 _DEFAULTS = {key: 1.0 if key == "factor" else 0.0 for key in SI}
-_EXPONENTS = len(SI) - 2  # factor and offset follow the exponents
-
-
-@dataclass(frozen=True, kw_only=True)
-class ValueWithUnit:
-    """A number with its unit."""
-
-    value: float
-    unit: str
-    base: UnitExponents | None  # None if undefined
 
 
 def text_of(kind: str, value: float | str) -> str:
@@ -78,29 +66,3 @@ def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponen
         if base is not None:
             found[name] = tuple(numbers.values())
     return found
-
-
-def in_unit_of(variables: Variables, name: str, given: ValueWithUnit, where: str) -> float:
-    """Return a number in the unit of an FMU's variable; unchanged if that has none.
-
-    `where` is for messages.
-    """
-    unit, base = variables.unit(name)
-    if unit is None or given.base == base is not None:
-        return given.value
-    if given.base is None or base is None:
-        if given.unit == unit:
-            return given.value
-        owner, unknown = ("SSP", given.unit) if given.base is None else ("FMU", unit)
-        raise ConfigError(
-            f"{where} is in {given.unit}, its variable in {unit}; the {owner} does not define "
-            f"{unknown} in SI base units."
-        )
-    factor, into = given.base[_EXPONENTS], base[_EXPONENTS]
-    if given.base[:_EXPONENTS] != base[:_EXPONENTS] or not (factor and into and isfinite(factor)):
-        raise ConfigError(
-            f"{where} is in {given.unit}, which cannot be converted into {unit}, the unit of its "
-            "variable."
-        )
-    apart = 0.0 if variables.relative(name) else given.base[-1] - base[-1]
-    return (given.value * factor + apart) / into

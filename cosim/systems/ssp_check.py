@@ -14,7 +14,7 @@ from fmu_src.check.rules import Problem, findings
 from fmu_src.check.run import Report, check
 from fmu_src.run.variables import Variables, model_description
 from hesr_model.errors import HesrError
-from hesr_model.findings import Finding, errors_first
+from hesr_model.findings import errors_first
 
 _XML = (".ssd", ".ssv", ".ssm", ".ssb")
 
@@ -33,7 +33,7 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
         for name, file in contents.files.items():
             if name.lower().endswith(".fmu"):
                 inner = check(file, vdmcheck=vdmcheck)
-                found += [_inside(name, finding) for finding in inner.problems]
+                found += [replace(one, found=f"{name}: {one.found}") for one in inner.problems]
                 skipped |= dict.fromkeys(f"{name}: {reason}" for reason in inner.skipped)
     return Report(path=path, problems=tuple(errors_first(found)), skipped=tuple(skipped))
 
@@ -59,7 +59,3 @@ def _structure(path: Path) -> Iterator[Problem]:
         yield "ssp-support", str(error).removeprefix(f"{path}: ")
     except HesrError as error:
         yield "ssp-structure", str(error).removeprefix(f"{path}: ")
-
-
-def _inside(name: str, finding: Finding) -> Finding:
-    return replace(finding, found=f"{name}: {finding.found}")

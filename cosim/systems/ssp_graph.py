@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -101,8 +102,7 @@ class ConnectorGraph:
             return own
         try:
             name, base = own or variables.unit(node[1])
-            if base and variables.relative(node[1]):
-                base = (*base[:-1], 0.0)
+            base = _without_offset(base) if variables.relative(node[1]) else base
         except SimulationError:
             return own
         return None if name is None else (name, base)
@@ -153,15 +153,27 @@ class ConnectorGraph:
         return float({item.name: item.value for item in items}[text])
 
 
+def _without_offset(base: UnitExponents | None) -> UnitExponents | None:
+    return base and (*base[:-1], 0.0)
+
+
+def in_unit_of(variables: Variables, name: str, value: float, unit: Unit, where: str) -> float:
+    """Return a number in the unit of an FMU's variable; unchanged if that has none."""
+    own, base = variables.unit(name)
+    if variables.relative(name):  # FMI: offsets do not apply to differences
+        unit, base = (unit[0], _without_offset(unit[1])), _without_offset(base)
+    return value if own is None else between(unit, (own, base), where)(value)
+
+
 def between(unit: Unit, into: Unit, where: str) -> Conversion:
     """Return the conversion between two units; raise ConfigError if they differ in kind."""
     if unit[0] == into[0] or unit[1] == into[1] is not None:
         return Conversion()
     one, other = unit[1], into[1]
-    if not (one and other and one[:_EXPONENTS] == other[:_EXPONENTS] and other[_EXPONENTS]):
+    alike = one and other and one[:_EXPONENTS] == other[:_EXPONENTS]
+    if not (one and other and alike and other[_EXPONENTS] and isfinite(one[_EXPONENTS])):
         raise ConfigError(
-            f"{where}: the input is in {into[0]}, the output in {unit[0]}, which cannot be "
-            "converted; define both in SI base units."
+            f"{where}: {unit[0]} cannot be converted into {into[0]}; define both in SI base units."
         )
     factor, size = one[_EXPONENTS], other[_EXPONENTS]
     return Conversion(factor=factor / size, offset=(one[-1] - other[-1]) / size)

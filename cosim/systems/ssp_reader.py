@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
-from cosim.systems.markup import NAMESPACES, SSD, ValueWithUnit, in_unit_of, read_units
+from cosim.systems.markup import NAMESPACES, SSD, read_units
 from cosim.systems.ssp_graph import (
     TRUE,
     ConnectorGraph,
@@ -20,6 +20,7 @@ from cosim.systems.ssp_graph import (
     Hop,
     ParameterValue,
     between,
+    in_unit_of,
     number,
     shown,
     transformation_of,
@@ -367,8 +368,7 @@ class _Reader:
             value, unit = parameter.value, None if parameter.suppressed else parameter.unit
             into = connector and self.graph.unit(connector)
             if unit and not connector:
-                given = ValueWithUnit(value=value, unit=unit[0], base=unit[1])
-                value = in_unit_of(variables, element, given, where)
+                value = in_unit_of(variables, element, value, unit, where)
             elif unit and into:
                 value = between(unit, into, where)(value)
             if parameter.after:

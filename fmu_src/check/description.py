@@ -111,11 +111,6 @@ class ParsedDescription:
     variables: tuple[ParsedVariable, ...]
     structure: Mapping[str, tuple[Unknown, ...]]
 
-    @cached_property
-    def exchanges(self) -> bool:
-        """Whether it is for model exchange."""
-        return any(kind.element == "ModelExchange" for kind in self.kinds)
-
     def shown(self, index: int) -> str:
         """Return the text for a variable that does not exist."""
         return f"variable number {index}" if self.fmi == 2 else f"value reference {-1 - index}"

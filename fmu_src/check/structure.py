@@ -10,7 +10,7 @@ from hesr_model.support.text import listed, quoted
 
 
 def _derivatives(about: ParsedDescription) -> Iterator[Problem]:
-    if not about.exchanges:
+    if all(kind.element != "ModelExchange" for kind in about.kinds):
         return
     place, found = about.lists["Derivatives"], {u.index for u in about.structure["Derivatives"]}
     declared = [v for v in about.variables if "derivative" in v.own]

@@ -11,8 +11,9 @@ from fakes import description, variable
 from small_study import Hesr
 
 from cosim.systems.contents import read_contents
-from cosim.systems.markup import SSD, ValueWithUnit, in_unit_of
+from cosim.systems.markup import SSD
 from cosim.systems.ssp import write_ssp
+from cosim.systems.ssp_graph import Unit, in_unit_of
 from cosim.systems.ssp_names import safe_names
 from cosim.systems.ssp_reader import opened_system
 from cosim.systems.system import SystemSpec
@@ -79,57 +80,47 @@ UNITS = {
     "degC": SimpleNamespace(**dict(zip(SI, si(K=1, offset=273.15), strict=True))),
     "turn": None,
 }
-DEGREES = ValueWithUnit(value=180, unit="deg/s", base=si(s=-1, rad=1, factor=np.pi / 180))
-FAHRENHEIT = ValueWithUnit(
-    value=50.0, unit="degF", base=si(K=1, factor=5 / 9, offset=459.67 * 5 / 9)
-)
+DEGREES = "deg/s", si(s=-1, rad=1, factor=np.pi / 180)
+FAHRENHEIT = "degF", si(K=1, factor=5 / 9, offset=459.67 * 5 / 9)
 
 
 @pytest.mark.parametrize(
-    ("unit", "relative", "given", "value"),
+    ("unit", "relative", "given", "of", "value"),
     [
-        ("rad/s", None, DEGREES, np.pi),
-        ("rad/s", None, ValueWithUnit(value=2.0, unit="1/s*rad", base=si(s=-1, rad=1)), 2.0),
-        ("rad/s", None, ValueWithUnit(value=2.0, unit="rad/s", base=None), 2.0),
-        ("degC", None, ValueWithUnit(value=300.0, unit="K", base=si(K=1)), 26.85),
-        ("degC", None, FAHRENHEIT, 10.0),
-        ("degC", True, FAHRENHEIT, 50.0 * 5 / 9),
-        ("turn", None, ValueWithUnit(value=3.0, unit="turn", base=si(rad=1, factor=6.28)), 3.0),
-        (None, None, ValueWithUnit(value=3.0, unit="anything", base=None), 3.0),
+        ("rad/s", None, 180.0, DEGREES, np.pi),
+        ("rad/s", None, 2.0, ("1/s*rad", si(s=-1, rad=1)), 2.0),
+        ("rad/s", None, 2.0, ("rad/s", None), 2.0),
+        ("degC", None, 300.0, ("K", si(K=1)), 26.85),
+        ("degC", None, 50.0, FAHRENHEIT, 10.0),
+        ("degC", True, 50.0, FAHRENHEIT, 50.0 * 5 / 9),
+        ("turn", None, 3.0, ("turn", si(rad=1, factor=6.28)), 3.0),
+        (None, None, 3.0, ("anything", None), 3.0),
     ],
 )  # fmt: skip
 def test_a_number_is_in_the_unit_of_its_variable(
-    unit: str | None, relative: bool | None, given: ValueWithUnit, value: float
+    unit: str | None, relative: bool | None, given: float, of: Unit, value: float
 ) -> None:
     about = description(
         variable("x", "parameter", unit=unit, relativeQuantity=relative), units=UNITS
     )
-    found = in_unit_of(Variables(Path("F.fmu"), about), "x", given, "x")
+    found = in_unit_of(Variables(Path("F.fmu"), about), "x", given, of, "x")
     assert found == pytest.approx(value, rel=1e-12)
 
 
 def test_a_unit_unknown_to_the_fmu_is_refused() -> None:
-    about = description(variable("x", "parameter", unit="turn"), units=UNITS)
+    about = description(variable("x", "parameter", unit="turn", relativeQuantity=None), units=UNITS)
     with pytest.raises(
         ConfigError,
-        match=r"^here is in deg, its variable in turn; the FMU does not define turn in "
-        r"SI base units\.$",
+        match=r"^here: deg cannot be converted into turn; define both in SI base units\.$",
     ):
-        in_unit_of(
-            Variables(Path("F.fmu"), about),
-            "x",
-            ValueWithUnit(value=1.0, unit="deg", base=si(rad=1)),
-            "here",
-        )
+        in_unit_of(Variables(Path("F.fmu"), about), "x", 1.0, ("deg", si(rad=1)), "here")
 
 
 REFUSED: list[tuple[Changes, str]] = [
     ({A: [MS[0]]},
-     "component 'a': parameter 'T' is in ms, its variable in s; the SSP does not define "
-     "ms in SI base units."),
+     "component 'a': parameter 'T': ms cannot be converted into s; define both in SI base units."),
     ({A: [MS[0], (MS[1][0], MS[1][1].replace('s="1"', 'm="1"'))]},
-     "component 'a': parameter 'T' is in ms, which cannot be converted into s, the unit of its "
-     "variable."),
+     "component 'a': parameter 'T': ms cannot be converted into s; define both in SI base units."),
     ({A: [MS[0], (MS[1][0], MS[1][1].replace("1e-3", "tiny"))]},
      "component 'a': factor of unit 'ms' is 'tiny'; it must be a number."),
     ({SSD: [('startElement="a"', 'startElement="c d"')]},

@@ -197,8 +197,8 @@ SSP: list[tuple[dict[str, Any], str]] = [
     ({"changes": [('endConnector="dq[2]"', 'endConnector="dq[1]"')]},
      "'friction.dq[1]' is connected to 'trajectory.dq[1]' and to 'trajectory.dq[2]'."),
     ({"changes": [('startConnector="q[1]"', 'startConnector="dq[1]"')]},
-     "connection 'friction.q[1]' = 'trajectory.dq[1]': the input is in rad, the output in rad/s, "
-     "which cannot be converted; define both in SI base units."),
+     "connection 'friction.q[1]' = 'trajectory.dq[1]': rad/s cannot be converted into rad; define "
+     "both in SI base units."),
     ({"changes": [(' source="resources/friction.fmu"', "")]},
      "component 'friction': attribute 'source' is missing."),
     ({"member": "resources/friction.ssv", "changes": [('value="1.5"', 'value="much"')]},

@@ -438,11 +438,11 @@ REFUSED = {
     "twice": (system(lag("a"), lag("b"), wires=wire("a.y", "b.u") + wire("b.y", "b.u")),
               "'b.u' is connected to 'a.y' and to 'b.y'."),
     "unit": (system(lag("a"), lag("b", unit="s"), wires=wire("a.y", "b.u")),
-             "connection 'b.u' = 'a.y': the input is in s, the output in 1, which cannot be "
-             "converted; define both in SI base units."),
+             "connection 'b.u' = 'a.y': 1 cannot be converted into s; define both in SI base "
+             "units."),
     "zero": (system(lag("a"), lag("b", unit="none"), wires=wire("a.y", "b.u")),
-             "connection 'b.u' = 'a.y': the input is in none, the output in 1, which cannot be "
-             "converted; define both in SI base units."),
+             "connection 'b.u' = 'a.y': 1 cannot be converted into none; define both in SI base "
+             "units."),
     "table": (system(lag("a"), lag("b"),
                      wires=wire("a.y", "b.u", TABLE.format("Integer", "x", "1"))),
               "connection 'b.u' = 'a.y': the map entry 'x' = '1' does not fit the connectors."),
