@@ -12,7 +12,7 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # 850 for the observer and the plug-in of MuJoCo.
 BUDGET = {
     "hesr_model": 22_439,
-    "fmu_src": 20_122,
+    "fmu_src": 20_124,
     "cosim": 14_782,
     "hesr": 823,
     "hesr.extras": 8_994,
