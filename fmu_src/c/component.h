@@ -2,7 +2,7 @@
  *
  * A component is a struct of doubles: one per scalar variable, at its index in the generated table,
  * and its own memory. It holds no pointers, so copying it saves its state. The glue (fmi2*.c) uses
- * only the declarations here; a table maps its value references to indices of first variables.
+ * only the declarations here; value references are indices of variables.
  *
  * The generated interface.h defines MODEL_GUID, PREFERRED_STEP, the numbers of VARIABLES, STATES
  * and INDICATORS, the size of the own memory (OWN), the number of leading variables that may be

@@ -41,18 +41,30 @@ typedef struct {
     double u[MAX_INPUTS];
 } Place;
 
+static const double *parameters_of(const Component *component, int i) {
+    return joints[i].constants ? joints[i].constants : &component->v[joints[i].first_parameter];
+}
+
 static Place place_of(const Component *component, int i) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
     Place at = {
         .joint = joint,
-        .k = joint->constants ? joint->constants : &v[joint->first_parameter],
+        .k = parameters_of(component, i),
         .s = &component->own[HELD + joint->first_switch],
     };
     for (int j = 0; j < joint->inputs; j++) {
         at.u[j] = input_of(v, i, j);
     }
     return at;
+}
+
+static double *signs_of(Component *component, int i) {
+    return &component->own[HELD + joints[i].first_switch];
+}
+
+static double *inputs_before(Component *component, int i) {
+    return &component->own[USED + i * MAX_INPUTS];
 }
 
 static double *states_of(Component *component, int i) {
@@ -151,17 +163,13 @@ static bool can_relax(const Component *component, double step, Message *why) {
     return true;
 }
 
-/* Update the invariants after a change of a parameter or the step length. Non-finite values are not
- * stored, because they could not be saved. */
+/* Non-finite invariants are not stored, because they could not be saved. */
 SELDOM static void update_invariants(Component *component, double step, double euler) {
     double *own = component->own;
     bool finite = true;
-    if (own[INVARIANT_STEP] == step && component->changed == 0.0) {
-        return;
-    }
     for (int i = 0; i < JOINTS; i++) {
         if (joints[i].invariants) {
-            joints[i].invariants(place_of(component, i).k, step, euler,
+            joints[i].invariants(parameters_of(component, i), step, euler,
                                  invariants_of(component, i));
         }
     }
@@ -172,31 +180,42 @@ SELDOM static void update_invariants(Component *component, double step, double e
     component->changed = finite ? 0.0 : 1.0;
 }
 
-static void sample(Component *component, double step) {
-    const double euler = DISCRETISATION >= 0 && component->v[DISCRETISATION] == EULER;
-    update_invariants(component, step, euler);
-    component->own[LAST_STEP] = step;
-    clear_torques(component->v);
-    for (int i = 0; i < JOINTS; i++) {
-        const Place at = place_of(component, i);
-        const Joint *joint = at.joint;
-        double y[MAX_OUTPUTS], *x = states_of(component, i);
-        memcpy(previous_of(component, i), latest_of(component, i),
-               (size_t)joint->remembered * sizeof(double));
-        memcpy(&component->own[USED + i * MAX_INPUTS], at.u,
-               (size_t)joint->inputs * sizeof at.u[0]);
-        memcpy(&component->own[BEFORE + i * MAX_STATES], x, (size_t)joint->states * sizeof *x);
-        joint->step(at.k, at.u, at.s, previous_of(component, i), invariants_of(component, i), step,
-                    euler, x, y, latest_of(component, i));
-        put_outputs(component->v, i, y);
-        if (HOLDS || SAMPLED) { /* component_output does not compute derivatives later */
-            double r[MAX_REMEMBERED + 1];
-            joint->read(at.k, at.u, at.s, x, previous_of(component, i), step, x + joint->states, y,
-                        r);
-        }
+/* Outputs of a joint after a step, when component_output does not compute its derivatives later. */
+QUICK void put_sample(Component *component, int i, double step, double *y) {
+    double r[MAX_REMEMBERED + 1], *x = states_of(component, i);
+    if (HOLDS || SAMPLED) {
+        joints[i].read(parameters_of(component, i), inputs_before(component, i),
+                       signs_of(component, i), x, previous_of(component, i), step,
+                       x + joints[i].states, y, r);
     }
+    put_outputs(component->v, i, y);
+}
+
+/* Step of joint i, with its functions known to the compiler. */
+#define STEP(i, step_of, switches_of, gather)                                                      \
+    {                                                                                              \
+        double *u = inputs_before(component, i), *x = states_of(component, i), y[MAX_OUTPUTS];     \
+        gather;                                                                                    \
+        memcpy(previous_of(component, i), latest_of(component, i),                                 \
+               (size_t)joints[i].remembered * sizeof(double));                                     \
+        memcpy(&own[BEFORE + i * MAX_STATES], x, (size_t)joints[i].states * sizeof(double));       \
+        step_of(parameters_of(component, i), u, signs_of(component, i), previous_of(component, i), \
+                invariants_of(component, i), step, euler, x, y, latest_of(component, i));          \
+        put_sample(component, i, step, y);                                                         \
+    }
+
+static void sample(Component *component, double step) {
+    double *own = component->own;
+    const double *v = component->v;
+    const double euler = DISCRETISATION >= 0 && v[DISCRETISATION] == EULER;
+    if (own[INVARIANT_STEP] != step || component->changed != 0.0) {
+        update_invariants(component, step, euler);
+    }
+    own[LAST_STEP] = step;
+    clear_torques(component->v);
+    EACH_JOINT(STEP)
     if (component->changed > 0.0) {
-        memset(&component->own[INVARIANTS], 0, (HELD - INVARIANTS) * sizeof(double));
+        memset(&own[INVARIANTS], 0, (HELD - INVARIANTS) * sizeof(double));
     }
 }
 
@@ -275,27 +294,35 @@ SELDOM static void component_demand(Component *component) {
     }
 }
 
-static bool component_event(Component *component, double rest, Message *what) {
+/* Hold the signs of joint i; the description of a change is for logs only. */
+QUICK bool hold(Component *component, int i, double rest, const double *z, Message *what) {
+    const Joint *joint = &joints[i];
+    double *held = signs_of(component, i);
     bool changed = false;
-    for (int i = 0; i < JOINTS; i++) {
-        const Joint *joint = &joints[i];
-        double z[MAX_SWITCHES];
-        if (joint->switches_of_joint == 0) {
-            continue;
+    for (int j = 0; j < joint->switches_of_joint; j++) {
+        const double sign = fabs(z[j]) < rest ? 0.0 : sgn(z[j]);
+        if (what && sign != held[j]) {
+            snprintf(what->text, sizeof what->text, "The sign of %s of joint %d becomes %g.",
+                     joint->names[j], i + 1, sign);
         }
-        const Place at = place_of(component, i);
-        double *held = &component->own[HELD + joint->first_switch];
-        joint->switches(at.k, at.u, z);
-        for (int j = 0; j < joint->switches_of_joint; j++) {
-            const double sign = fabs(z[j]) < rest ? 0.0 : sgn(z[j]);
-            if (what && sign != held[j]) {
-                snprintf(what->text, sizeof what->text, "The sign of %s of joint %d becomes %g.",
-                         joint->names[j], i + 1, sign);
-            }
-            changed = changed || sign != held[j];
-            held[j] = sign;
-        }
+        changed = changed || sign != held[j];
+        held[j] = sign;
     }
+    return changed;
+}
+
+#define HOLD(i, step_of, switches_of, gather)                                                      \
+    if (joints[i].switches_of_joint > 0) {                                                         \
+        double u[MAX_INPUTS], z[MAX_SWITCHES];                                                     \
+        gather;                                                                                    \
+        switches_of(parameters_of(component, i), u, z);                                            \
+        changed |= hold(component, i, rest, z, what);                                              \
+    }
+
+static bool component_event(Component *component, double rest, Message *what) {
+    const double *v = component->v;
+    bool changed = false;
+    EACH_JOINT(HOLD)
     return changed;
 }
 

@@ -152,9 +152,25 @@ static fmi2Status failed(Instance *instance) {
     return fmi2Error;
 }
 
+/* Whether sums of values are finite: false if one is not, or if they overflow. */
+static bool sums_finite(const double *v, int count) {
+    double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
+    int i = 0;
+    for (; i + 4 <= count; i += 4) {
+        a += v[watched[i]];
+        b += v[watched[i + 1]];
+        c += v[watched[i + 2]];
+        d += v[watched[i + 3]];
+    }
+    for (; i < count; i++) {
+        a += v[watched[i]];
+    }
+    return isfinite((a + b) + (c + d));
+}
+
 static bool all_finite(const Memory *memory, Message *why) {
-    const bool derived = memory->type == fmi2ModelExchange;
-    for (int i = 0; i < WATCHED + (derived ? STATES : 0); i++) {
+    const int count = WATCHED + (memory->type == fmi2ModelExchange ? STATES : 0);
+    for (int i = sums_finite(memory->component.v, count) ? count : 0; i < count; i++) {
         const double value = memory->component.v[watched[i]];
         if (!isfinite(value)) {
             snprintf(why->text, sizeof why->text, "%s became %g at time %.9g.",

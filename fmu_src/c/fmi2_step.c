@@ -57,7 +57,8 @@ static bool is_rounding(double step) {
 
 /* Whether a step passes the end of the experiment by more than round-off. */
 static bool passes_end(const Memory *memory, double time, double step) {
-    const double rounding = fmax(1e-3 * step, 1e-9 * PREFERRED_STEP) + 1e-15 * fabs(memory->stop);
+    const double least = 1e-9 * PREFERRED_STEP, part = 1e-3 * step;
+    const double rounding = (part > least ? part : least) + 1e-15 * fabs(memory->stop);
     return time + step > memory->stop + rounding;
 }
 

@@ -16,12 +16,21 @@ static int settable(Role role) {
     }
 }
 
-static int first_of(fmi2ValueReference vr) {
-    return references[vr].first;
+static const Variable *variable_of(fmi2ValueReference vr) {
+    return &variables[vr];
 }
 
-static const Variable *variable_of(fmi2ValueReference vr) {
-    return &variables[first_of(vr)];
+/* First of consecutive variables that one check serves, or NULL. */
+static const Variable *first_alike(const fmi2ValueReference vr[], size_t n, const void *value) {
+    if (n == 0 || !vr || !value || vr[0] >= VARIABLES || n > (size_t)variable_of(vr[0])->alike) {
+        return NULL;
+    }
+    for (size_t i = 1; i < n; i++) {
+        if (vr[i] != vr[0] + i) {
+            return NULL;
+        }
+    }
+    return variable_of(vr[0]);
 }
 
 NOINLINE static bool known(const Instance *instance, const char *function, Type type,
@@ -31,7 +40,7 @@ NOINLINE static bool known(const Instance *instance, const char *function, Type 
         return false;
     }
     for (size_t i = 0; i < n; i++) {
-        if (vr[i] >= REFERENCES || variable_of(vr[i])->type != type) {
+        if (vr[i] >= VARIABLES || variable_of(vr[i])->type != type) {
             complain(instance, "%s: there is no variable of this type with value reference %u.",
                      function, vr[i]);
             return false;
@@ -74,7 +83,7 @@ static fmi2Status readable(const Instance *instance, const fmi2ValueReference vr
     const int failure = instance->memory.mode == FAILED;
     for (size_t i = 0; instance->memory.mode != TERMINATED && i < n; i++) {
         const Variable *variable = variable_of(vr[i]);
-        const double value = component->v[first_of(vr[i])];
+        const double value = component->v[vr[i]];
         if ((failure || variable->role == ON_DEMAND || variable->role == DERIVATIVE) &&
             !isfinite(value)) {
             const fmi2Status status = refuse(instance, "%s became %g at time %.9g.", variable->name,
@@ -124,9 +133,14 @@ static fmi2Status read(fmi2Component c, const char *function, Type type,
 
 FMI2_STATUS(fmi2GetReal)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
+    const Memory *memory = c ? &((const Instance *)c)->memory : NULL;
+    if (memory && (memory->mode & RUNNING) && !memory->stale && first_alike(vr, n, value)) {
+        memcpy(value, &memory->component.v[vr[0]], n * sizeof *value);
+        return fmi2OK;
+    }
     const fmi2Status status = read(c, "fmi2GetReal", REAL, vr, n, value);
     for (size_t i = 0; status == fmi2OK && i < n; i++) {
-        value[i] = ((const Instance *)c)->memory.component.v[first_of(vr[i])];
+        value[i] = ((const Instance *)c)->memory.component.v[vr[i]];
     }
     return status;
 }
@@ -135,14 +149,14 @@ FMI2_STATUS(fmi2GetInteger)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value[]) {
     const fmi2Status status = read(c, "fmi2GetInteger", INTEGER, vr, n, value);
     for (size_t i = 0; status == fmi2OK && i < n; i++) {
-        value[i] = (fmi2Integer)((const Instance *)c)->memory.component.v[first_of(vr[i])];
+        value[i] = (fmi2Integer)((const Instance *)c)->memory.component.v[vr[i]];
     }
     return status;
 }
 
 static void set_one(Memory *memory, fmi2ValueReference vr, double value) {
     const Variable *variable = variable_of(vr);
-    memory->component.v[first_of(vr)] = value;
+    memory->component.v[vr] = value;
     memory->component.changed += variable->role != INPUT;
     memory->stale |= variable->used;
 }
@@ -161,6 +175,14 @@ static Instance *settable_in(fmi2Component c, const char *function, Type type,
 FMI2_STATUS(fmi2SetReal)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[]) {
     static const char function[] = "fmi2SetReal";
+    const Variable *all = c ? first_alike(vr, n, value) : NULL;
+    if (all && (settable(all->role) & ((Instance *)c)->memory.mode) && first_odd(value, n) == n) {
+        Memory *memory = &((Instance *)c)->memory;
+        memcpy(&memory->component.v[vr[0]], value, n * sizeof *value);
+        memory->component.changed += all->role != INPUT;
+        memory->stale |= all->used;
+        return fmi2OK;
+    }
     Instance *instance = settable_in(c, function, REAL, vr, n, value);
     if (!instance) {
         return fmi2Error;
@@ -224,7 +246,7 @@ FMI2_STATUS(fmi2GetBoolean)
     }
     const fmi2Status status = read(c, function, LOGICAL, vr, n, value);
     for (size_t i = 0; status == fmi2OK && i < n; i++) {
-        value[i] = ((const Instance *)c)->memory.component.v[first_of(vr[i])] != 0.0;
+        value[i] = ((const Instance *)c)->memory.component.v[vr[i]] != 0.0;
     }
     return status;
 }
@@ -277,7 +299,7 @@ FMI2_STATUS(fmi2SetRealInputDerivatives)
         return refuse_number(instance, function, vr[odd], value[odd]);
     }
     for (size_t i = 0; i < n; i++) {
-        instance->memory.component.slope[first_of(vr[i])] = value[i];
+        instance->memory.component.slope[vr[i]] = value[i];
     }
     instance->memory.sloped = true;
     return fmi2OK;
@@ -343,18 +365,18 @@ FMI2_STATUS(fmi2GetDirectionalDerivative)
         return status;
     }
     for (size_t i = 0; i < n_known; i++) {
-        seed[first_of(knowns[i])] += d_known[i];
+        seed[knowns[i]] += d_known[i];
     }
     component_tangent(&instance->memory.component, seed, tangent);
     for (size_t i = 0; i < n_unknown; i++) {
-        if (!isfinite(tangent[first_of(unknowns[i])])) {
+        if (!isfinite(tangent[unknowns[i]])) {
             return refuse(instance, "%s: the derivative of %s is %g at time %.9g.", function,
-                          variable_of(unknowns[i])->name, tangent[first_of(unknowns[i])],
+                          variable_of(unknowns[i])->name, tangent[unknowns[i]],
                           instance->memory.component.time);
         }
     }
     for (size_t i = 0; i < n_unknown; i++) {
-        d_unknown[i] = tangent[first_of(unknowns[i])];
+        d_unknown[i] = tangent[unknowns[i]];
     }
     return fmi2OK;
 }

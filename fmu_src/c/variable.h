@@ -1,5 +1,5 @@
-/* Scalar variables for glue and component, and the map from value references. The generated
- * interface.h fills in both tables. */
+/* Scalar variables for glue and component, in the order of their value references; the generated
+ * interface.h has the table. */
 #ifndef VARIABLE_H
 #define VARIABLE_H
 
@@ -29,11 +29,7 @@ typedef struct {
     Type type;
     double low, high; /* bounds, maybe infinite */
     int used;         /* whether any result depends directly on it, even if only at the start */
+    int alike; /* reals without bounds from this one on that one check serves, 0 if there is none */
 } Variable;
-
-/* Target of a value reference: `size` consecutive variables, more than one for an array. */
-typedef struct {
-    int first, size;
-} Reference;
 
 #endif

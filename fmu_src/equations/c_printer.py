@@ -20,6 +20,8 @@ _POWERS = {2: "square", 3: "cube"}
 _OF_ANGLES = {"sin": sympy.sin, "cos": sympy.cos, "cardinal_sine": cardinal_sine}
 _SELDOM = ("start", "rates", "invariants", "begin", "begin_tangent", "tangent", "follow")
 """Attribute of functions optimised for size."""
+_ALWAYS = ("step", "switches")
+_SHORT = 60  # statements of a function that is worth inlining for each joint
 
 
 class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
@@ -33,7 +35,7 @@ class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
         if lanes:
             self.known_functions |= {name: f"even_{name}" for name in ("tanh", *_OF_ANGLES)}
         else:
-            self.known_functions |= {name: f"quick_{name}" for name in ("tanh", "decay")}
+            self.known_functions |= {name: f"quick_{name}" for name in ("tanh", "decay", "exp")}
             self.known_functions |= {"sin": "sine", "cos": "cosine"}
 
     def _print_Symbol(self, expr: sympy.Symbol) -> str:
@@ -111,7 +113,8 @@ def printed(
     unused = [a for a in arguments if not re.search(rf"\b{a}\b", text)]
     silence = [f"{', '.join(f'(void){a}' for a in unused)};"] if unused else []
     seldom = any(f"_{name}(" in signature for name in _SELDOM)
-    kind = "SELDOM static" if seldom else "static"
+    always = len(body) <= _SHORT and any(f"_{name}(" in signature for name in _ALWAYS)
+    kind = "SELDOM static" if seldom else "QUICK" if always else "static"
     wide = re.fullmatch(r"(\w+_attempts)(\(.*\))", signature)
     after = f"IN_WIDTHS({wide[1]}, {wide[2]}, ({', '.join(arguments)}))\n" if wide else ""
     if wide:

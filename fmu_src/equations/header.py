@@ -123,7 +123,29 @@ def equations_header(
         arrays="\n".join(arrays),
         rows="\n".join(rows),
         coupling=_coupling(coupling, len(joints)),
+        each=_each(joints, table, functions, names, wanted, coupled=coupling is not None),
     )
+
+
+def _each(
+    joints: Sequence[Joint],
+    table: Interface,
+    functions: Mapping[Component, Functions],
+    names: Mapping[str, Sequence[str]],
+    wanted: Sequence[str],
+    *,
+    coupled: bool,
+) -> str:
+    """Return the macro that repeats code for each joint, with its functions and its inputs."""
+    lines = []
+    for i, joint in enumerate(joints):
+        own = functions[joint.component]
+        called = [names[own.name][1 + wanted.index(n)] for n in ("step", "switches") if n in wanted]
+        places = (table.places[joint.names[q.name]] for q in own.gathers)
+        reads = (f"input_of(v, {i}, {j})" if coupled else f"v[{k}]" for j, k in enumerate(places))
+        gather = ", ".join(f"u[{j}] = {read}" for j, read in enumerate(reads))
+        lines.append(f"    DO({', '.join((str(i), *called))}, ({gather}))")
+    return " \\\n".join(["#define EACH_JOINT(DO)", *lines])
 
 
 def _member(function: str) -> str:
@@ -289,6 +311,9 @@ typedef struct {{
 static const Joint joints[JOINTS] = {{
 {rows}
 }};
+
+/* Repeats code for each joint with its functions and the assignment of its inputs. */
+{each}
 
 /* If COUPLED: coordinates of the equations from motions of the joints, and torques. */
 {coupling}

@@ -190,31 +190,32 @@ def _alike(variable: Variable) -> tuple[str, object]:
     return array, (len(indices), variable.role, *kind)
 
 
-def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) -> str:
-    """Return interface.h: GUID, preferred step [s] and variable tables for the C side.
-
-    With `arrays`, as in FMI 3.0, a value reference denotes a whole array.
-    """
+def to_c(interface: Interface, guid: str, step: float) -> str:
+    """Return interface.h: GUID, preferred step [s] and the table of variables for the C side."""
     variables, places = interface.variables, interface.places
-    shaped = [(a.place, len(a.elements)) for a in interface.arrays]
-    references = shaped if arrays else [(place, 1) for place in range(len(variables))]
     used = {
         name
         for v in variables
         if v.computed or v.role == "state"
         for name in (*v.dependencies, *v.initial_dependencies)
     }
-    rows, inputs, watched = [], [0], []
+    rows: list[str] = []
+    inputs, watched, kinds = [0], [], []
     for i, v in enumerate(variables):
         kind = f"INTEGER, 1, {len(v.enumeration.items)}" if v.enumeration else _bounds(v)
         kind = "LOGICAL, 0, 1" if v.boolean else kind
         counts = int(v.role != "input" or v.name in used)
         role = "DERIVATIVE" if v.derivative_of else v.role.upper()
-        rows.append(f'    {{"{v.name}", {literal(v.start)}, {role}, {kind}, {counts}}},')
+        kinds.append((f"{role}, {kind}, {counts}", f'"{v.name}", {literal(v.start)}'))
         if v.role == "input":
             inputs.append(i)
         elif v.role in ("output", "local", "state") and not v.derivative_of:
             watched.append(i)
+    for kind, group in groupby(kinds, lambda pair: pair[0]):
+        own = [start for _, start in group]
+        alone = "-INFINITY, INFINITY" not in kind or kind.startswith(("ON_DEMAND", "DERIVATIVE"))
+        left = (0 if alone else n for n in range(len(own), 0, -1))
+        rows += (f"    {{{a}, {kind}, {n}}}," for a, n in zip(own, left, strict=True))
     states = [places[v.derivative_of or ""] for v in interface.derivatives]
     derivatives = [places[v.name] for v in interface.derivatives]
     return _INTERFACE.format(
@@ -228,8 +229,6 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
         booleans=sum(v.boolean for v in variables),
         watched=len(watched),
         rows="\n".join(rows),
-        references=len(references),
-        reference_rows=", ".join(f"{{{place}, {size}}}" for place, size in references),
         state_list=_list(states),
         derivative_list=_list(derivatives),
         nominal_list=_list([literal(variables[i].nominal) for i in states]),
@@ -249,7 +248,7 @@ def _list(items: Sequence[object]) -> str:
 
 
 _INTERFACE = """\
-/* Generated: the variables of the FMU and its value references. */
+/* Generated: the variables of the FMU, whose value references are their indices. */
 #ifndef INTERFACE_H
 #define INTERFACE_H
 
@@ -261,13 +260,11 @@ _INTERFACE = """\
 enum {{ VARIABLES = {variables}, STATES = {states}, INDICATORS = {own.indicators} }};
 enum {{ OWN = {own.own}, WATCHED = {watched}, SLOPES = {slopes} }};
 enum {{ MODEL_EXCHANGE = {own.model_exchange:d}, DIRECTIONAL_DERIVATIVES = {derivable:d} }};
-enum {{ INNER_STEPS = {own.inner_steps:d}, REFERENCES = {references}, BOOLEANS = {booleans} }};
+enum {{ INNER_STEPS = {own.inner_steps:d}, BOOLEANS = {booleans} }};
 
 static const Variable variables[VARIABLES] = {{
 {rows}
 }};
-
-static const Reference references[REFERENCES] = {{{reference_rows}}};
 
 /* Continuous states, their derivatives and nominal values; values that must stay finite, with
  * derivatives, which steps omit, behind WATCHED others. An empty list has one element. */

@@ -26,11 +26,17 @@
 #pragma fp_contract(off)
 #endif
 
-/* Shared helpers are not inlined; cold ones are optimised for size. */
+/* Shared helpers are not inlined, short functions of a step always; cold ones are optimised for
+ * size. */
 #if defined(__GNUC__)
 #define IN_ONE_PLACE static __attribute__((noinline, unused))
+#define QUICK static inline __attribute__((always_inline))
+#elif defined(_MSC_VER)
+#define IN_ONE_PLACE static
+#define QUICK static __forceinline
 #else
 #define IN_ONE_PLACE static
+#define QUICK static inline
 #endif
 #if !defined(SELDOM) && defined(__clang__) && !defined(_WIN32)
 #define SELDOM __attribute__((cold, minsize))
@@ -87,6 +93,19 @@ static inline double even_exp(double x) {
     return vanishes ? 0.0 : e * half;
 }
 
+/* For single numbers: the same bits. Clang interleaves joints better without branches, GCC does not
+ * interleave them. */
+QUICK double quick_exp(double x) {
+#ifndef __clang__
+    if (fabs(x) < 700.0) {
+        const double shifted = x * 0x1.71547652b82fep+0 + TO_INTEGER;
+        return twice_short(reduced(x, shifted - TO_INTEGER), 2.0) *
+               power_of_two(bits_of(shifted) - 1);
+    }
+#endif
+    return even_exp(x);
+}
+
 /* exp(x) - 1 for x <= 0. */
 static inline double even_expm1(double x) {
     const double inside = x < -60.0 ? -60.0 : x;
@@ -96,7 +115,7 @@ static inline double even_expm1(double x) {
 }
 
 /* For single numbers: the same bits, faster if saturated. */
-static inline double quick_expm1(double x) {
+QUICK double quick_expm1(double x) {
     return x < -60.0 ? -1.0 : even_expm1(x);
 }
 

@@ -19,7 +19,7 @@ from hesr_model.friction.model import FrictionModel
 
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _LANES = 8  # robots per batch step: two vectors of AVX2, one of AVX-512
-_OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE) \w+ (\w+)\(", re.MULTILINE)
+_OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE|QUICK) \w+ (\w+)\(", re.MULTILINE)
 
 
 def export_c(model: FrictionModel, path: Path) -> Path:
