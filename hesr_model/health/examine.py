@@ -22,6 +22,7 @@ from hesr_model.robots.robot import Robot, RobotDescription
 
 CHECKS = (
     *("time-unit", "gaps", "missing-rows", "dropped-rows", "wrap", "spikes", "coarse", "limits"),
+    "sliding-unit",
     *("stuck", "held-samples", "torque-spikes", "speed-limit", "time-scale", "no-friction"),
     *("same-column", "velocity-constant", "velocity-columns", "velocity-match", "velocity-sign"),
     *("velocity-scale", "velocity-lag", "torque-constant", "saturation", "torque-sign"),
@@ -63,6 +64,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
         findings += of_log(part.log, check_velocity(part, robot, broken))
         if model:
             findings += of_log(part.log, positions.check_limits(part, model))
+            findings += of_log(part.log, positions.check_sliding(part, model))
             findings += of_log(part.log, check_speed(part, model))
         findings += of_log(part.log, positions.check_columns(part, robot))
     if model and not hopeless(findings):

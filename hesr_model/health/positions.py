@@ -20,6 +20,7 @@ _SPIKE = 40.0  # relative distance of a spike
 _LEAST_SPIKE = 0.02  # [rad or m]
 _BEYOND = 0.05  # allowed excess over a limit [rad or m]
 _COARSE, _FEW = 8e-4, 20  # reported step [rad or m], steps needed
+_FAR, _QUICK = 100.0, 20.0  # [m], [m/s] of a sliding joint in other units
 _SATURATED = 0.01  # share of rows at a limit of the drive
 _LEVELS = 200  # distinct values of a finely quantised torque
 _LONG_RUN = 5
@@ -145,6 +146,20 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
             else "the log's zero differs from the model's, or the model's limits are narrow",
             changes={"log.units.q": unit} if mends else {},
         )
+
+
+def check_sliding(motion: Motionwise, model: Robot) -> Iterator[Finding]:
+    """Check that no sliding joint moves as only millimetres can."""
+    units = model.description.log.units
+    travel, speed = np.ptp(motion.q, axis=0), np.max(np.abs(motion.v), axis=0)
+    for j in np.flatnonzero(np.array(model.slides) & ((travel > _FAR) | (speed > _QUICK))):
+        alone = all(model.slides) and units.each("q", model.n)[j] in ("m", "rad")
+        changes = {"log.units.q": "mm"} if alone else {}
+        if changes and motion.dq is not None:
+            changes["log.units.dq"] = "mm/s"
+        found = f"it slides by {travel[j]:.3g} m at up to {speed[j]:.3g} m/s"
+        remedy = "q is in mm; set [log.units] q = 'mm'" if alone else "see the units of q"
+        yield of_joint("sliding-unit", model.joints[j], found, remedy, changes=changes)
 
 
 def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Finding]:

@@ -159,7 +159,7 @@ def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) 
         f"log.columns.{k}": f"likely: {found.reasons.get(k, 'it rises')}" for k in found.columns
     }
     log = robot.log
-    if "tau" not in found.columns and log.torque_per_ampere is log.cylinder is None:
+    if "tau" not in found.columns and log.torque_per_ampere is None and log.cylinder is None:
         changes["log.torque_per_ampere"] = (1.0,) * len(robot.joints)
         changes["sources.torque_per_ampere"] = "guessed"
         reasons["log.torque_per_ampere"] = "guess: only currents are logged"

@@ -342,6 +342,24 @@ def test_a_torque_that_counts_backwards_is_found(tmp_path: Path, hesr: Hesr, nam
     assert proposal.examination.findings == ()
 
 
+@pytest.mark.parametrize("logged", [False, True], ids=["position", "position and velocity"])
+def test_millimetres_are_found(logged: bool, tmp_path: Path) -> None:
+    t = np.arange(0.0, 40.0, 0.005)
+    x, v = 150.0 * np.sin(0.8 * t), 120.0 * np.cos(0.8 * t)  # mm, mm/s
+    force = 80.0 * -0.096 * np.sin(0.8 * t) + 40.0 * np.tanh(v) + 0.1 * v
+    columns = {"time": t, "position": x} | ({"velocity": v} if logged else {}) | {"force": force}
+    path = tmp_path / "axis.csv"
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, "%.9g", ",", header=",".join(columns), comments="")
+    api.new(tmp_path / "axis", bench="sliding")
+    robot = tmp_path / "axis" / "robot.toml"
+    found = api.inspect(path, robot=robot, write=robot)
+    units = RobotDescription.read(robot).log.units
+    assert (units.q, units.dq) == ("mm", "mm/s" if logged else "rad/s")
+    assert not [f for f in found.findings if f.severity == "error"]
+    assert not api.inspect(path, robot=robot).findings
+
+
 def test_a_joint_that_rests_is_locked(tmp_path: Path) -> None:
     api.new(tmp_path / "bench", bench="rotary", joints=["a,b"], inertia=[0.01, 2.0])
     c = SPIN.columns(SPUN)
