@@ -33,7 +33,7 @@ _FLAGS = (
 )
 _LIBRARIES: Mapping[str, tuple[str, ...]] = {
     ".so": ("-lm",),
-    ".dylib": ("-lc",),
+    ".dylib": ("-lc", "-Wl,-install_name,@rpath/rows.dylib"),  # not the path of the build
     # Headers and system library suffice; building the C library of Windows takes minutes.
     ".dll": (
         "-Wl,--no-entry",

@@ -131,10 +131,21 @@ class RobotModel:
         return slopes, offsets
 
 
+def dynamics_engine() -> Any:
+    """Import Pinocchio; raise RobotError if one of its libraries is missing."""
+    try:
+        import pinocchio  # slow to import
+    except ImportError as error:
+        raise RobotError(
+            f"Pinocchio (package 'pin') cannot be loaded: {error}; reinstall it, and add libgomp1 "
+            "to the system if libgomp.so.1 is missing."
+        ) from error
+    return pinocchio
+
+
 def load(path: Path) -> RobotModel:
     """Read a URDF, or an MJCF (``.xml``), and compare its torques with MuJoCo's."""
-    import pinocchio as pin  # slow to import
-
+    pin = dynamics_engine()
     if not path.is_file():
         raise RobotError(f"{path}: no such model file.")
     compiled = compiled_robot(path) if path.suffix.lower() == ".xml" else {}

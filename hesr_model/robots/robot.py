@@ -42,12 +42,10 @@ class Robot:
     """
 
     def __init__(self, source: "RobotLike") -> None:
-        import pinocchio  # slow to import
-
         description = description_of(source)
         description.require_one_per_joint()
         self.description = description
-        self._pin: Any = pinocchio
+        self._pin: Any = model_file.dynamics_engine()
         self._file = model_file.load(description.model)
         self._model: Any = self._file.reduced(
             description.joints, description.locked, description.root

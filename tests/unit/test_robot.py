@@ -1,3 +1,4 @@
+import sys
 from pathlib import Path
 
 import cloudpickle
@@ -308,3 +309,11 @@ def test_a_robot_goes_to_worker_processes() -> None:
     expected = robot.torque(robot.nominal_parameters, q, q, q)
     np.testing.assert_array_equal(copy.torque(copy.nominal_parameters, q, q, q), expected)
     assert [list(limit) for limit in copy.limits] == [list(limit) for limit in robot.limits]
+
+
+def test_a_missing_library_of_pinocchio_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pinocchio", None)
+    with pytest.raises(
+        RobotError, match=r"Pinocchio \(package 'pin'\) cannot be loaded: .*libgomp1"
+    ):
+        Robot(models_folder() / "uf850" / "robot.toml")
