@@ -73,3 +73,21 @@ def test_a_page_fits_its_window_without_a_network(open_page: "OpenPage", page: P
         opened.set_viewport_size({"width": width, "height": 900})
         assert opened.evaluate(OVER) is None, width
         assert opened.evaluate(OVERLAP) == [], width
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(SITE)))
+def test_text_has_contrast(open_page: "OpenPage", page: Path, axe: str) -> None:
+    """Level AA of WCAG 2.2, in light and dark."""
+    opened = open_page(page)
+    opened.evaluate(axe)
+    for scheme in ("light", "dark"):
+        opened.emulate_media(color_scheme=scheme)
+        opened.evaluate("theme => { document.body.dataset.theme = theme; }", scheme)
+        found = opened.evaluate("axe.run({runOnly: ['color-contrast']})")
+        bad = [
+            (n["html"][:90], n["failureSummary"][-160:])
+            for v in found["violations"]
+            for n in v["nodes"]
+        ]
+        assert bad == []
+        assert found["passes"], "no text was checked"

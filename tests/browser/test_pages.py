@@ -1,6 +1,5 @@
 """Every page passes the accessibility checker and is not clipped at any width."""
 
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,12 +39,6 @@ def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
         results: Path = request.getfixturevalue("small_results")
         return results / "report.html"
     return PAGES[request.param](tmp_path_factory.mktemp(request.param))
-
-
-@pytest.fixture(scope="module")
-def axe() -> str:
-    pytest.importorskip("axe_playwright_python", reason="axe-core is not installed")
-    return (files("axe_playwright_python") / "axe.min.js").read_text(encoding="utf-8")
 
 
 def unfold(page: "Page") -> None:

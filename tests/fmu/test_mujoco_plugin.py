@@ -4,6 +4,7 @@ import copy
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -20,6 +21,7 @@ from hesr.extras.mujoco_plugin.plugin_library import export_mujoco_plugin
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
+from hesr_model.support.files import models_folder
 
 STEP = 0.002
 FULL = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -162,6 +164,30 @@ def in_threads(m: mujoco.MjModel) -> None:
     many, _ = rollout.rollout(m, [mujoco.MjData(m) for _ in range(8)], states, nstep=400)
     np.testing.assert_array_equal(many, one)
     assert np.ptp(one[:, -1], axis=0).max() > 0.1
+
+
+def test_the_scene_of_the_twin_moves_under_the_law(table1: FrictionModel, plugins: Path) -> None:
+    """The friction elements of the scene are replaced by the plug-in, as its page says."""
+    plugin = plugin_of(table1, "twin", plugins)
+    tree = ElementTree.parse(models_folder() / "uf850" / "uf850.xml").getroot()
+    actuators, sensors = tree.find("actuator"), tree.find("sensor")
+    for element in actuators.findall("dcmotor"):
+        actuators.remove(element)
+        sensors.remove(sensors.find(f"*[@actuator='{element.get('name')}']"))
+    tree.insert(0, ElementTree.Element("include", file=str(plugin.with_suffix(".xml"))))
+    m = mujoco.MjModel.from_xml_string(ElementTree.tostring(tree, encoding="unicode"))
+    d, count = mujoco.MjData(m), 4000
+    d.qpos[:] = d.act[-3:] = (0.0, 0.3, -1.9)
+    dq, q, load, torque = (np.empty((count, 3)) for _ in range(4))
+    for k in range(count):
+        d.ctrl[:] = np.tile(0.5 * np.sin(1.3 * k * m.opt.timestep) * np.array([1.0, 0.5, 0.8]), 2)
+        dq[k], q[k] = d.qvel, d.qpos
+        mujoco.mj_step(m, d)
+        torque[k], load[k] = -d.qfrc_passive, d.qfrc_bias
+    assert np.ptp(q, axis=0).min() > 0.3
+    assert not d.warning.number.any()
+    known = table1.predict(t=m.opt.timestep * np.arange(count), dq=dq, q=q, tau_load=load)
+    np.testing.assert_allclose(torque[1:], known[1:], rtol=0.0, atol=1e-11 * np.abs(known).max())
 
 
 def test_states_are_restored_bit_for_bit(table1: FrictionModel, plugins: Path) -> None:
