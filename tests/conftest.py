@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from c_hosts import Wine
-from cpu_time import CpuTime
+from cpu_time import CpuTime, slow_tests
 from filelock import FileLock
 from hypothesis import settings
 from plugin_packages import InstallPlugin, lay_package
@@ -54,8 +54,9 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    slow = slow_tests(TESTS / "durations.toml")
     for item in items:
-        if item.path.relative_to(TESTS).parts[0] in CI_FOLDERS:
+        if item.path.relative_to(TESTS).parts[0] in CI_FOLDERS or item.nodeid in slow:
             item.add_marker(pytest.mark.ci)
 
 

@@ -3,6 +3,7 @@
 import json
 import os
 import statistics
+import tomllib
 from collections import defaultdict
 from collections.abc import Generator
 from pathlib import Path
@@ -20,12 +21,13 @@ PROBE_ON_REFERENCE = 0.2
 ROUNDS = 500_000
 """Rounds of `probe`."""
 
-_NAMED = 2.0
-"""Minimum CPU seconds for a test to have its own line in the record."""
+SLOW = 1.0
+"""CPU seconds in the record from which only `make test-all` runs a test."""
 
 _HEAD = """\
 # CPU seconds of each test file and of its slow tests, their processes included.
-# Written by `make durations`; "ci" are the tests that only `make test-all` runs.
+# Written by `make durations`; "ci" are the tests that only `make test-all` runs: those of [ci.tests],
+# and those marked in their files.
 """
 
 _PROPERTY = "cpu"
@@ -57,6 +59,13 @@ def slowness() -> float:
     Another machine, or a core shared with others, needs a multiple of the reference's CPU time.
     """
     return statistics.median(probe() for _ in range(3)) / PROBE_ON_REFERENCE
+
+
+def slow_tests(record: Path) -> frozenset[str]:
+    """Return the tests that a record calls slow."""
+    if not record.is_file():
+        return frozenset()
+    return frozenset(tomllib.loads(record.read_text(encoding="utf-8"))["ci"]["tests"])
 
 
 class CpuTime:
@@ -114,6 +123,7 @@ class CpuTime:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call":
             for kind, own, shared in (v for k, v in report.user_properties if k == _PROPERTY):
+                kind = "ci" if own >= SLOW else kind
                 self.seconds[kind][report.nodeid] = own
                 self.seconds[kind]["shared fixtures"] += shared
 
@@ -128,7 +138,7 @@ def as_toml(seconds: dict[str, dict[str, float]]) -> str:
         files: dict[str, float] = defaultdict(float)
         for test, value in tests.items():
             files[test.partition("::")[0]] += value
-        slow = {test: value for test, value in tests.items() if value >= _NAMED}
+        slow = {test: value for test, value in tests.items() if value >= SLOW}
         lines += [f"[{kind}]", f"total = {round(sum(tests.values()))}", ""]
         for name, table in (("files", files), ("tests", slow)):
             lines += [f"[{kind}.{name}]"]
