@@ -26,8 +26,8 @@ SLOW = 1.0
 
 _HEAD = """\
 # CPU seconds of each test file and of its slow tests, their processes included.
-# Written by `make durations`; "ci" are the tests that only `make test-all` runs: those of [ci.tests],
-# and those marked in their files.
+# Written by `make durations`; only `make test-all` runs the tests of "ci": those of [ci.tests], and
+# those marked in their files.
 """
 
 _PROPERTY = "cpu"

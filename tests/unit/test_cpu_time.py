@@ -67,3 +67,11 @@ def test_the_record_can_be_read_with_any_name_of_a_test() -> None:
     name = "test_it.py::test_refused[unknown key 'log.rates' in \"robot.toml\" \\n]"
     record = tomllib.loads(cpu_time.as_toml({"default": {name: 2.5}}))
     assert record["default"]["tests"] == {name: 2.5}
+
+
+def test_slow_tests_of_a_record_are_left_to_the_complete_run(tmp_path: Path) -> None:
+    record = tmp_path / "durations.toml"
+    assert not cpu_time.slow_tests(record)
+    seconds = {"default": {"a.py::quick": 0.2}, "ci": {"a.py::slow": 2.5, "a.py::marked": 0.1}}
+    record.write_text(cpu_time.as_toml(seconds), encoding="utf-8")
+    assert cpu_time.slow_tests(record) == {"a.py::slow"}
