@@ -1,5 +1,6 @@
 """Findings of checks of logs, laws and FMUs."""
 
+import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -10,6 +11,7 @@ from pydantic import AliasChoices, BeforeValidator, Field
 Severity = Literal["error", "warning", "advice"]
 
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "advice")  # the worst first
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +52,14 @@ caution = partial(Finding, severity="warning")
 def errors_first(findings: Iterable[Finding]) -> list[Finding]:
     """Return findings ordered by severity."""
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
+
+
+def log_findings(findings: Iterable[Finding]) -> list[Finding]:
+    """Log findings as warnings and return them."""
+    listed = list(findings)
+    for finding in listed:
+        _log.warning("warning: %s [%s]", finding.sentence, finding.check)
+    return listed
 
 
 def reaching(findings: Iterable[Finding], severity: str) -> list[Finding]:

@@ -1,8 +1,7 @@
 """Saved results of a run: `run.json`, `health.json` and torque traces."""
 
-import logging
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path, PurePath
@@ -28,8 +27,6 @@ from hesr_model.support.typed_json import from_json, read_json, to_json, write_j
 RUN, TRACES, TRUTHS, HEALTH = "run.json", "traces", "truths.json", "health.json"
 RUN_FORMAT, HEALTH_FORMAT = "hesr-run-1", "hesr-health-1"
 MOST_ROWS = 20_000  # rows per trace
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,14 +206,6 @@ def read_torques(path: Path) -> dict[str, Array]:
     """Read the columns (N,) of `write_torques`."""
     table = read_table(path)
     return dict(zip(table.names, table.numbers(table.names).T, strict=True))
-
-
-def log_findings(findings: Iterable[Finding]) -> list[Finding]:
-    """Log findings as warnings and return them."""
-    listed = list(findings)
-    for finding in listed:
-        _log.warning("warning: %s [%s]", finding.sentence, finding.check)
-    return listed
 
 
 def write_findings(folder: Path, findings: Sequence[Finding]) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.loop.traces import LoopOutcome
-from cosim.study.results import Scored, log_findings, read_findings, write_findings
+from cosim.study.results import Scored, read_findings, write_findings
 from cosim.study.scores import (
     ORACLE,
     Comparison,
@@ -30,6 +30,7 @@ from cosim.study.scores import (
 from cosim.study.study import Part, Study
 from fmu_src.friction.predictions import predict_fmu
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
+from hesr_model.findings import log_findings
 from hesr_model.fitting.day_offsets import with_own
 from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import refine

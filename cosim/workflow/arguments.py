@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.study.results import log_findings
 from fmu_src import BUILT_IN, model_file
 from hesr_model.errors import ArgumentError, ConfigError
-from hesr_model.findings import Finding
+from hesr_model.findings import Finding, log_findings
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import checked
 from hesr_model.logs.robot_log import Log, parts_of, require_different

@@ -293,7 +293,6 @@ def _write_law(
     progress: Stages,
 ) -> None:
     """Write a friction law, or copy the cached FMU of the same file."""
-    from cosim.systems.parameter_set import export_ssv
     from cosim.workflow.arguments import (
         model_given,
         page_body,
@@ -341,6 +340,8 @@ def _write_law(
     else:
         write()
     if given.get("band"):
+        from cosim.systems.parameter_set import export_ssv
+
         export_ssv(model_given(law), output.with_suffix(".ssv"))
 
 
@@ -351,7 +352,6 @@ def _completed(
     progress: Stages,
 ) -> dict[str, Any]:
     """Return the options of a format for a model: one value per joint, physics checks run."""
-    from cosim.properties.battery import Subject, run_battery
     from cosim.workflow.arguments import per_joint
 
     done = dict(given)
@@ -361,6 +361,8 @@ def _completed(
     if format == "drive" and "inertia" not in done:
         raise ArgumentError("'format' drive needs 'inertia', the inertia of the rotors in kg.m2.")
     if done.get("properties"):
+        from cosim.properties.battery import Subject, run_battery
+
         subject = Subject(name=model.law, model=model)
         [done["properties"]] = run_battery([subject], progress=partial(progress, "testing the law"))
     return done

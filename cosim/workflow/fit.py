@@ -105,8 +105,8 @@ def fit(
     >>> hesr.fit("sweep.csv", law="stribeck", robot="robot.toml", rigid_body="rigid_body.json")
     FrictionModel('stribeck' of 'arm', 3 joints)
     """
-    from cosim.study.results import log_findings
     from cosim.workflow.arguments import body_of, checked_logs
+    from hesr_model.findings import log_findings
     from hesr_model.support.files import path_of
     from hesr_model.support.plugins import load
 

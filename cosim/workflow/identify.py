@@ -87,7 +87,6 @@ def identify(
     >>> hesr.identify("excitation.csv", robot="robot.toml")
     RigidBody('arm', 3 joints, 16 base parameters, condition number ...)
     """
-    from cosim.study.results import log_findings
     from cosim.workflow.arguments import (
         body_of,
         checked_logs,
@@ -95,6 +94,7 @@ def identify(
         model_given,
         require_choice,
     )
+    from hesr_model.findings import log_findings
     from hesr_model.health.fit_checks import check_body
     from hesr_model.rigid_body.identification import identify as identify_body
     from hesr_model.rigid_body.payload import identify_payload, loaded

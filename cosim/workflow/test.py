@@ -255,10 +255,10 @@ def _predicted(
 ) -> LawReport:
     """Add the scores of the laws on logs: FMUs are replayed, models computed."""
     from cosim.study.position_errors import simulate_tests
-    from cosim.study.results import log_findings
     from cosim.study.scores import by_joint, causal, compare, input_classes, predict_models
     from cosim.workflow.arguments import body_of, checked_logs
     from fmu_src.friction.predictions import predict_fmu
+    from hesr_model.findings import log_findings
     from hesr_model.health.fit_checks import check_owner
 
     if not logs or rigid_body is None:

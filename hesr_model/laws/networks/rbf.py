@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import sympy
-from scipy.cluster.vq import kmeans2
 from scipy.spatial.distance import cdist
 
 from hesr_model.equations.memory import Discretisation
@@ -122,6 +121,8 @@ def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, fl
     with warnings.catch_warnings():
         # a centre without rows stays in place
         warnings.simplefilter("ignore", UserWarning)
+        from scipy.cluster.vq import kmeans2  # slow to import
+
         centres, _ = kmeans2(points, min(count, len(points)), minit="++", rng=rng)
     distance = cdist(centres, centres)
     np.fill_diagonal(distance, np.inf)
