@@ -3,7 +3,7 @@
 import io
 from collections.abc import Sequence
 from dataclasses import replace
-from math import ceil
+from math import ceil, floor, log10
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,12 +16,15 @@ from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joints
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from PIL.Image import Image
+    from PIL.ImageDraw import ImageDraw
 
 Loop = tuple[Array, Array]  # velocity and torque over one period, each (K,)
 
-_SIZE, _DPI = (4.0, 3.0), 100  # 400 by 300 pixels
+_SIZE = (400, 300)  # [px]
+_FINE = 4  # pixels drawn per pixel of the picture, in each direction
+_EDGES = (20, 2, 2, 20)  # [px] left, top, right and bottom of all panels, for the labels
+_INNER = (28, 6, 8, 16)  # [px] of each panel, for the numbers of its ticks
 _ROW = 3  # maximum panels per row
 _FREQUENCY = 0.25  # [Hz]
 _PERIODS = 3  # the last one is drawn, after the states have settled
@@ -36,35 +39,42 @@ _SHADE = 32  # steps between shades of a colour, of 256
 
 def model_png(model: FrictionModel) -> bytes:
     """Return model.png: torque over velocity of each joint, as loops at three amplitudes."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from PIL import Image, ImageDraw
 
     loops = _loops(model)
     columns = min(len(loops), _ROW)
     rows = ceil(len(loops) / columns)
-    figure = Figure(figsize=_SIZE, dpi=_DPI, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for joint, (panel, of_joint) in enumerate(zip(panels, loops, strict=False), start=1):
-        _draw(panel, of_joint, joint)
-    for panel in panels[len(loops) :]:
-        panel.set_visible(False)
-    figure.supxlabel(f"dq [{unit_of_joints('rad/s', model.sliding)}]", fontsize=9, color=_GREY)
-    figure.supylabel(f"tau [{unit_of_joints('N.m', model.sliding)}]", fontsize=9, color=_GREY)
-    figure.canvas.draw()
+    picture = Image.new("RGB", (_FINE * _SIZE[0], _FINE * _SIZE[1]), "white")
+    drawing = ImageDraw.Draw(picture)
+    left, top, right, bottom = _EDGES
+    width, height = _SIZE[0] - left - right, _SIZE[1] - top - bottom
+    for joint, of_joint in enumerate(loops):
+        row, column = divmod(joint, columns)
+        x, y = left + column * width / columns, top + row * height / rows
+        box = [x, y, x + width / columns, y + height / rows]
+        inner = (n * sign for n, sign in zip(_INNER, (1, 1, -1, -1), strict=True))
+        _draw(drawing, [b + i for b, i in zip(box, inner, strict=True)], of_joint, joint + 1)
+    middle = left + width / 2
+    _text(drawing, middle, _SIZE[1] - 2, f"dq [{unit_of_joints('rad/s', model.sliding)}]", "md", 12)
+    aside = Image.new("RGB", (_FINE * _SIZE[1], _FINE * left), "white")
+    label = f"tau [{unit_of_joints('N.m', model.sliding)}]"
+    _text(ImageDraw.Draw(aside), top + height / 2, 2, label, "ma", 12)
+    picture.paste(aside.transpose(Image.Transpose.ROTATE_90).crop((0, 0, 60, 9999)), (0, 0))
     # Fewer shades halve the size without a visible difference.
-    drawn = canvas.buffer_rgba()  # type: ignore[no-untyped-call] # Matplotlib has not typed it
-    pixels = np.asarray(drawn)[:, :, :3] // _SHADE * _SHADE + (_SHADE - 1)
-    picture = io.BytesIO()
-    _indexed(pixels).save(picture, format="PNG", optimize=True)
-    return picture.getvalue()
+    pixels = np.asarray(picture.resize(_SIZE, Image.Resampling.BOX)) // _SHADE * _SHADE
+    written = io.BytesIO()
+    _indexed(pixels + (_SHADE - 1)).save(written, format="PNG", optimize=True)
+    return written.getvalue()
 
 
 def _indexed(pixels: NDArray[np.uint8]) -> "Image":
     """Return the picture (rows, columns, 3) with a palette, if it has few enough colours."""
     from PIL import Image
 
-    colours, places = np.unique(pixels.reshape(-1, 3), axis=0, return_inverse=True)
+    # Rows of a matrix are sorted ten times slower than numbers.
+    packed = pixels.astype(np.int64) @ (1 << 16, 1 << 8, 1)
+    values, places = np.unique(packed, return_inverse=True)
+    colours = (values[:, None] >> np.array([16, 8, 0]) & 255).astype(np.uint8)
     if len(colours) > _MOST_COLOURS:
         return Image.fromarray(pixels)
     picture = Image.fromarray(places.reshape(pixels.shape[:2]).astype(np.uint8)).convert("P")
@@ -91,14 +101,49 @@ def _loops(model: FrictionModel) -> list[list[Loop]]:
     return found
 
 
-def _draw(panel: "Axes", loops: Sequence[Loop], joint: int) -> None:
-    panel.axhline(0.0, color=_GREY, linewidth=0.6)
-    panel.axvline(0.0, color=_GREY, linewidth=0.6)
-    for (dq, tau), colour in zip(loops, _SHARES.values(), strict=True):
+def _draw(drawing: "ImageDraw", box: Sequence[float], loops: Sequence[Loop], joint: int) -> None:
+    """Draw a panel in a box: left, top, right and bottom [px]."""
+    left, top, right, bottom = box
+    curves = []
+    for dq, tau in loops:
         around = np.flatnonzero(np.abs(tau) < _LARGEST)
-        around = np.append(around, around[:1])
-        panel.plot(dq[around], tau[around], color=colour, linewidth=1.6)
-    panel.text(0.05, 0.95, str(joint), transform=panel.transAxes, va="top", weight="bold")
-    panel.locator_params(nbins=3)
-    panel.tick_params(labelsize=7, length=2, color=_GREY, labelcolor=_GREY)
-    panel.spines[:].set_visible(False)
+        curves.append(np.stack((dq, tau), axis=1)[np.append(around, around[:1])])
+    seen = np.concatenate((*curves, [[-1e-9, -1e-9], [1e-9, 1e-9]]))
+    margin = 0.05 * np.ptp(seen, axis=0)
+    low, high = seen.min(axis=0) - margin, seen.max(axis=0) + margin
+    scale = np.array([right - left, top - bottom]) / (high - low)
+
+    def place(points: Array) -> Array:
+        return np.asarray((points - low) * scale + (left, bottom))
+
+    def line(points: Array, colour: str, width: float) -> None:
+        fine = [tuple(point) for point in (_FINE * place(points)).tolist()]
+        drawing.line(fine, fill=colour, width=round(_FINE * width), joint="curve")
+
+    line(np.array([[low[0], 0.0], [high[0], 0.0]]), _GREY, 0.8)
+    line(np.array([[0.0, low[1]], [0.0, high[1]]]), _GREY, 0.8)
+    for curve, colour in zip(curves, _SHARES.values(), strict=True):
+        if len(curve):
+            line(curve, colour, 2.2)
+    for number in _ticks(low[0], high[0]):
+        _text(drawing, place(np.array([number, 0.0]))[0], bottom + 3, f"{number:g}", "ma", 10)
+    for number in _ticks(low[1], high[1]):
+        _text(drawing, left - 3, place(np.array([0.0, number]))[1], f"{number:g}", "rm", 10)
+    _text(drawing, left + 6, top + 2, str(joint), "la", 14, "black")
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Return at most five round numbers in a range."""
+    least = (high - low) / 4
+    power = 10.0 ** floor(log10(least))
+    step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= least)
+    return [k * step for k in range(ceil(low / step), floor(high / step) + 1)]
+
+
+def _text(
+    drawing: "ImageDraw", x: float, y: float, text: str, anchor: str, size: int, colour: str = _GREY
+) -> None:
+    from PIL import ImageFont
+
+    font = ImageFont.load_default(_FINE * size)
+    drawing.text((_FINE * x, _FINE * y), text, fill=colour, font=font, anchor=anchor)

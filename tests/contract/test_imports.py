@@ -32,7 +32,7 @@ ONLY_IN = {
     "pinocchio": ("hesr_model/robots/*",),
     "mujoco": ("hesr_model/robots/mjcf.py", "fmu_src/arm/*", "hesr/extras/view/*"),
     "pythonfmu": ("fmu_src/arm/*",),
-    "matplotlib": ("fmu_src/pages/picture.py", "cosim/report/figures/*", "hesr/extras/*figures.py"),
+    "matplotlib": ("cosim/report/figures/*", "hesr/extras/*figures.py"),
     "bokeh": ("cosim/report/figures/zoom.py",),
     "fmpy": (
         "fmu_src/run/*",

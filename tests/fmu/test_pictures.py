@@ -81,5 +81,5 @@ def test_non_finite_torques_are_left_out(
 
 
 def test_drawing_is_loaded_only_to_draw() -> None:
-    code = "import sys, fmu_src.pages.picture; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, fmu_src.pages.picture; sys.exit('PIL' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
