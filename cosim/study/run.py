@@ -12,7 +12,7 @@ from cosim.loop.artefact import complete_loops
 from cosim.loop.traces import LoopOutcome
 from cosim.study.forecast import Forecast
 from cosim.study.position_errors import SIMULATION, simulate_tests
-from cosim.study.results import TRUTHS, Scored, log_findings, record_files, save_run, write_findings
+from cosim.study.results import TRUTHS, Scored, record_files, save_run, write_findings
 from cosim.study.scores import Comparison, Errors, LogRecords, records_of
 from cosim.study.steps import Job
 from cosim.study.study import Study
@@ -24,6 +24,7 @@ from fmu_src.pages.live.body import PageBody
 from hesr_model.audit.properties import combined
 from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError
+from hesr_model.findings import log_findings
 from hesr_model.friction.model import MIXED, FrictionModel, mixed
 from hesr_model.friction.registry import laws_with
 from hesr_model.health.examine import checked
