@@ -262,6 +262,10 @@ def test_bad_requests_are_refused(table1: FrictionModel, tmp_path: Path) -> None
     heated = thermal(measured=False)
     with pytest.raises(ExportError, match="takes the temperature from the heat of friction"):
         content(heated, body, limits(3))
+    with pytest.raises(
+        ExportError, match="temperature, which the C header of an observer does not"
+    ):
+        export_observer(thermal(), tmp_path / "own.h", body=body)
     with pytest.raises(LogError, match="log 'made': has no temperatures, which the law needs"):
         observed_logs(thermal(), body, limits(3), [motion()])
     short = motion(500)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fmu_src.export import package
+from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.html import code_templates
 from fmu_src.plant.plant_fmu import PlantBody
 from hesr.extras.observer.observation import limits_of
@@ -38,6 +39,7 @@ def export_observer(
         package.check_request(path, platforms)
     elif not re.fullmatch(r"[A-Za-z_]\w*", path.stem, re.ASCII):
         raise ExportError(f"{path}: '{path.stem}' is not a valid C name.")
+    require_exportable(model, "the C header of an observer", thermal=not alone)
     limits = limits_of(model, body, calibration or (), bandwidth)
     whole = content(
         model, body, limits, bandwidth=bandwidth, constants=torque_constants, bare=alone
