@@ -36,6 +36,7 @@ class ExportOptions(TypedDict, total=False):
     band: bool
     low_pass: float
     no_events: bool
+    no_documentation: bool
     robot: RobotArg
     rigid_body: BodyArg
     signals: PathArg
@@ -116,6 +117,8 @@ def export(
     no_events : bool
         FMU: no event indicators in model exchange; where a law jumps at reversals, the jump is a
         steep line below 0.001 rad/s.
+    no_documentation : bool
+        FMU: no page, picture and reference results, for pipelines: half the time.
     robot : robot or path
         Plant and observer: the robot of the law. FMU: with --rigid-body, its page computes the
         friction in a dropped log.

@@ -52,6 +52,7 @@ def export_fmu(
     progress: Progress = silent,
     fmi: package.Version = 2,
     no_events: bool = False,
+    no_documentation: bool = False,
 ) -> Path:
     """Write a friction model as an FMU of FMI 2.0 or 3.0 for co-simulation and model exchange.
 
@@ -59,12 +60,15 @@ def export_fmu(
     computed) are for documentation. `power` and `band` add outputs: dissipated power,
     `tau_lower[i]` and `tau_upper[i]`; `low_pass` is the cut-off [Hz] of a causal low pass of dq in
     the FMU. With `body`, the FMU's page accepts logs of measured torques. With `no_events`,
-    model exchange has no event indicators, and jumps are steep, see `STEEP`.
+    model exchange has no event indicators, and jumps are steep, see `STEEP`. With
+    `no_documentation` there is neither page, picture nor reference results.
 
     The same model gives the same bytes. For the date see `date_of`. Raises ExportError if C or FMI
     cannot express the model or a thermal model gets options; SimulationError if it has no band.
     """
     package.check_request(path, platforms)
+    if no_documentation and (properties or body):
+        raise ExportError(f"{path}: properties and body are for the page; omit no_documentation.")
     if model.thermal:
         beside = bool(power or band or low_pass or properties or body or no_events)
         whole = thermal_content(model, beside=beside)
@@ -76,6 +80,7 @@ def export_fmu(
             low_pass=low_pass,
             body=body,
             no_events=no_events,
+            documented=not no_documentation,
         )
     return package.write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
@@ -107,10 +112,13 @@ def content(
     low_pass: float | None = None,
     body: PageBody | None = None,
     no_events: bool = False,
+    documented: bool = True,
 ) -> package.Content:
     """Return the FMU of a friction model, before it is compiled."""
     more = (POWER,) if power else ()
     bare = _component(model, more, band=band, low_pass=low_pass, no_events=no_events)
+    if not documented:
+        return bare
     model = _as_run(model, low_pass)
     with ThreadPoolExecutor(max_workers=1) as pool:
         # Draw the picture while the compiler runs.

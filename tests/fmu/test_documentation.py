@@ -18,6 +18,8 @@ from fmu_src.pages.friction_page import to_html
 from fmu_src.pages.html import TEMPLATES
 from fmu_src.pages.mathml import equations
 from hesr.extras.modelica.modelica_package import TEMPLATES as MODELICA
+from hesr_model.audit.properties import Properties
+from hesr_model.errors import ExportError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
@@ -250,3 +252,24 @@ def test_the_page_is_in_the_fmu_and_reproducible(
     check(text.decode(), alive=True)
     with zipfile.ZipFile(export_fmu(table1, tmp_path / "F.fmu")) as archive:
         assert archive.read("documentation/index.html") == text
+
+
+def test_an_fmu_without_documentation_has_the_same_binary(
+    table1: FrictionModel, tmp_path: Path
+) -> None:
+    with (
+        zipfile.ZipFile(export_fmu(table1, tmp_path / "A.fmu")) as full,
+        zipfile.ZipFile(export_fmu(table1, tmp_path / "B.fmu", no_documentation=True)) as bare,
+    ):
+        left = set(full.namelist()) - set(bare.namelist())
+        assert {"model.png", "documentation/index.html"} <= left
+        assert {name.split("/")[0] for name in left} == {"model.png", "documentation", "extra"}
+        assert all(full.read(name) == bare.read(name) for name in bare.namelist())
+
+
+def test_without_documentation_there_is_no_table_of_properties(
+    table1: FrictionModel, tmp_path: Path
+) -> None:
+    none = Properties(law="parfam_h", robot="", tau_load=0.0, joints=())
+    with pytest.raises(ExportError, match="are for the page; omit no_documentation"):
+        export_fmu(table1, tmp_path / "F.fmu", no_documentation=True, properties=none)
