@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
@@ -16,6 +15,8 @@ _LARGEST_MISMATCH = 0.1  # position mismatch [rad]; 20 mrad are harmless
 
 def matched(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:
     """Match a motion with its counterpart at the best mirrored time; raises FitError."""
+    from scipy.interpolate import make_interp_spline  # slow to import
+
     period = float(np.median(np.diff(forward.t)))
     count = int(_LONGEST_SHIFT / period)
     position = make_interp_spline(backward.t, backward.q, k=1)
@@ -47,6 +48,8 @@ def _covered(times: Array, t: Array) -> Mask:
 
 
 def _at(motion: Motion, times: Array) -> Motion:
+    from scipy.interpolate import make_interp_spline
+
     orders = {"q": 3, "dq": 3, "ddq": 3, "tau": 1, "q_raw": 1}
     read: dict[str, Any] = {
         name: make_interp_spline(motion.t, getattr(motion, name), k=order)(times)

@@ -205,9 +205,10 @@ def _digest(entry: Path, content: bytes) -> bytes:
 
 def _prune(kind: Path) -> None:
     files = []
-    for file in kind.glob("*/*"):
-        with suppress(FileNotFoundError):
-            files.append((file.stat(), file))
+    for shelf in kind.iterdir():
+        for entry in os.scandir(shelf):  # quicker than paths, for thousands of entries
+            with suppress(FileNotFoundError):
+                files.append((entry.stat(), Path(entry.path)))
     total = sum(found.st_size for found, _ in files)
     for found, file in sorted(files, key=lambda pair: pair[0].st_mtime):
         if total <= LIMIT:
