@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite
+from math import isfinite, nan
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -202,9 +202,12 @@ def number(node: ET.Element, name: str, default: float, where: str) -> float:
     """Return a number in an attribute; raise ConfigError for other text."""
     text = node.get(name)
     try:
-        return default if text is None else float(text)
-    except ValueError as error:
-        raise ConfigError(f"{where}: {name} is '{text}'; it must be a number.") from error
+        found = default if text is None else float(text)
+    except ValueError:
+        found = nan
+    if not isfinite(found):
+        raise ConfigError(f"{where}: {name} is '{text}'; it must be a number.")
+    return found
 
 
 def transformation_of(node: ET.Element, where: str) -> Transformation | None:
