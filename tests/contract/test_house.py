@@ -19,7 +19,7 @@ BUDGET = {
     "all": 67_334,
 }
 
-TEMPLATES = 3_773  # lines of templates, styles and scripts, without those of project folders
+TEMPLATES = 3_779  # lines of templates, styles and scripts, without those of project folders
 
 FMT_SKIPS = 20  # lines that `ruff format` must skip
 
