@@ -27,8 +27,8 @@ _TEMPORARY = ".hesr-"
 _LOCK = f"{_TEMPORARY}lock"
 _WHOLE = f"{_TEMPORARY}whole"  # folder of a complete result, which is moved into place
 _HERE = f"{zlib.crc32(platform.node().encode()) & 0xFFFF:04x}"
-_OF_A_PROCESS = re.compile(rf"(\..+\.|hesr-){_HERE}-(\d+)-[a-z0-9_]{{8}}(\.\w+)?")
-"""Temporary names, with machine and process."""
+_OF_A_PROCESS = re.compile(rf"(\..+\.|hesr-){_HERE}-(\d+)-\w{{8}}(\.\w+|-\w{{16}})?")
+"""Temporary names, with machine and process, and those of parts during removal."""
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the writer; others may come from files that the block reads."""
 
