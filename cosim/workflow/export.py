@@ -176,12 +176,13 @@ def export(
     >>> hesr.export("uf850-table1", "Table1.h", format="c").name
     'Table1.h'
     """
-    from cosim.workflow.arguments import require_choice
     from hesr_model.support.files import path_of
 
     path = path_of(output, "an output")
     for option, choices in (("fmi", Fmi), ("ssp", Ssp)):
         if options.get(option) is not None:
+            from cosim.workflow.arguments import require_choice  # slow to import
+
             require_choice(option, options.get(option), get_args(choices))
     given: dict[str, Any] = {k: v for k, v in options.items() if v is not None and v is not False}
     alone = format in _OF_ROBOTS and "robot" in given
@@ -296,6 +297,15 @@ def _write_law(
     progress: Stages,
 ) -> None:
     """Write a friction law, or copy the cached FMU of the same file."""
+    from fmu_src import model_file
+    from fmu_src.export.cache import copied, exported
+
+    plain = all(isinstance(value, str | int | float) for value in given.values())
+    if isinstance(law, str | Path) and plain and not ({"robot", "band"} & given.keys()):
+        # Options that are kept were accepted; nothing slow is imported to copy.
+        known = {**given, "platforms": list(platform or ("linux64",))}
+        if copied(model_file(str(law)), {**known, "format": format, "body": None}, output):
+            return
     from cosim.workflow.arguments import (
         model_given,
         page_body,
@@ -303,8 +313,6 @@ def _write_law(
         possible_body,
         require_choice,
     )
-    from fmu_src import model_file
-    from fmu_src.export.cache import exported
     from hesr_model.friction.model import FrictionModel
     from hesr_model.support import plugins
 

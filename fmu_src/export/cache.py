@@ -11,7 +11,7 @@ from pathlib import Path
 from re import match
 
 from hesr_model.support import plugins
-from hesr_model.support.cache import kept
+from hesr_model.support.cache import found, kept
 from hesr_model.support.files import written_whole
 from hesr_model.support.untrusted_text import read_text
 
@@ -35,16 +35,35 @@ def software() -> str:
     return key.hexdigest()
 
 
+def _inputs(model: Path, options: Mapping[str, object], output: Path) -> tuple[str, ...] | None:
+    try:
+        text = read_text(model)
+    except (OSError, ValueError):  # reported by `write`
+        return None
+    # A law of another package can change without a new version.
+    if not all(law.own for law in plugins.load("hesr.laws").values()):
+        return None
+    date = os.environ.get("SOURCE_DATE_EPOCH", "")
+    return text, json.dumps(options, sort_keys=True), output.suffix, date, software()
+
+
+def copied(model: Path, options: Mapping[str, object], output: Path) -> bool:
+    """Copy an FMU that was exported with the same options, if there is one."""
+    inputs = _inputs(model, options, output)
+    data = found("fmus", inputs) if inputs else None
+    if data is None:
+        return False
+    with written_whole(output) as temporary:
+        temporary.write_bytes(data)
+    return True
+
+
 def exported(
     model: Path, options: Mapping[str, object], output: Path, write: Callable[[], None]
 ) -> None:
     """Write an FMU to `output`, or copy it from the cache; `options` are all other settings."""
-    try:
-        text = read_text(model)
-    except (OSError, ValueError):  # reported by `write`
-        text = None
-    # A law of another package can change without a new version.
-    if text is None or not all(law.own for law in plugins.load("hesr.laws").values()):
+    inputs = _inputs(model, options, output)
+    if inputs is None:
         write()
         return
 
@@ -52,8 +71,6 @@ def exported(
         write()
         return output.read_bytes()
 
-    date = os.environ.get("SOURCE_DATE_EPOCH", "")
-    inputs = (text, json.dumps(options, sort_keys=True), output.suffix, date, software())
     data = kept("fmus", inputs, make)
     with written_whole(output) as temporary:
         temporary.write_bytes(data)

@@ -33,11 +33,7 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
     `inputs` have a fixed order. Concurrent calls wait for the first one; a damaged entry is
     rebuilt.
     """
-    key = hashlib.sha256()
-    for part in inputs:
-        data = part.encode() if isinstance(part, str) else part
-        key.update(len(data).to_bytes(8, "little") + data)
-    name = key.hexdigest()
+    name = _name(inputs)
     # Lock files remain, so many entries share one.
     shelf = folder() / kind / name[:2]
     lock = FileLock(shelf / "lock", mode=0o600)
@@ -62,6 +58,20 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
     finally:
         lock.release()
     return found
+
+
+def _name(inputs: Iterable[str | bytes]) -> str:
+    key = hashlib.sha256()
+    for part in inputs:
+        data = part.encode() if isinstance(part, str) else part
+        key.update(len(data).to_bytes(8, "little") + data)
+    return key.hexdigest()
+
+
+def found(kind: str, inputs: Iterable[str | bytes]) -> bytes | None:
+    """Return the result kept for these inputs, if there is one."""
+    name = _name(inputs)
+    return _read(folder() / kind / name[:2] / name)
 
 
 def since(earlier: Counter[tuple[str, bool]]) -> dict[str, tuple[int, int]]:

@@ -1,6 +1,8 @@
 """The command that exports a friction model to other tools, and its refusals."""
 
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from zipfile import ZipFile
 
@@ -252,3 +254,18 @@ def test_a_law_that_divides_by_zero_is_refused(hesr, tmp_path, monkeypatch, argu
         "hesr: law 'lugre' of joint 'hip' cannot be run: 1/F_c in it is not finite with F_c = 0.\n"
     )
     assert [path.name for path in tmp_path.iterdir()] == ["law.json"]
+
+
+def test_an_identical_export_is_copied_without_slow_imports(tmp_path):
+    code = (
+        "import sys, hesr; hesr.export('uf850-table1', sys.argv[1], no_documentation=True); "
+        "print(sorted({'sympy', 'scipy'} & set(sys.modules)))"
+    )
+
+    def run(name: str) -> tuple[str, bytes]:
+        command = [sys.executable, "-c", code, str(tmp_path / name)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        return done.stdout.strip(), (tmp_path / name).read_bytes()
+
+    _, first = run("A.fmu")
+    assert run("B.fmu") == ("[]", first)
