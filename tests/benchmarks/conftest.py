@@ -8,6 +8,7 @@ import pytest
 
 from cosim.study.run import run_study
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
@@ -29,17 +30,24 @@ fourier = ["fourier_test"]
 
 
 @pytest.fixture(scope="session")
-def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[FrictionRecord]]:
-    """Friction of every joint on the sweep and on the Fourier test, by log."""
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of a study of the twin, with its logs."""
     folder = tmp_path_factory.mktemp("records")
     study = folder / "study.toml"
     study.write_text(STUDY.format(models=models_folder()), encoding="utf-8")
-    body = run_study(study, folder / "twin").rigid_body
+    run_study(study, folder / "twin")
+    return folder / "twin"
+
+
+@pytest.fixture(scope="session")
+def records(twin: Path) -> dict[str, list[FrictionRecord]]:
+    """Friction of every joint on the sweep and on the Fourier test, by log."""
+    body = RigidBody.read(twin / "rigid_body.json")
     description = RobotDescription.read(models_folder() / "uf850" / "robot.toml")
     model = Robot(description)
 
     def read(log: str) -> list[FrictionRecord]:
-        file: Path = folder / "twin" / "logs" / f"{log}.csv"
+        file = twin / "logs" / f"{log}.csv"
         return friction_records(Log.read(file, description), model, body)
 
     return {log: read(log) for log in ("sweep", "fourier_test")}

@@ -4,11 +4,15 @@ Run by `make benchmark`; `make test` leaves this folder out.
 """
 
 import json
+import os
+import resource
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from fmu_src import model_file
 from fmu_src.equations.c_functions import Functions
+from fmu_src.export.toolchain import CFLAGS
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.model import FrictionModel
@@ -26,6 +31,7 @@ from hesr_model.laws.parfam import paper, refine
 from hesr_model.laws.parfam.candidate import Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.files import models_folder
 
 STEP, ROWS = 0.005, 4000
 
@@ -153,6 +159,89 @@ def test_help(benchmark: BenchmarkFixture) -> None:
         subprocess.run, args=(command,), kwargs={"capture_output": True}, rounds=5, warmup_rounds=1
     )
     assert result.returncode == 0
+
+
+def ran(*arguments: str | Path, cache: Path) -> dict[str, Any]:
+    """Return what a command in a new process took, with this folder of caches."""
+    command = [sys.executable, "-c", HESR_RUN, *map(str, arguments)]
+    home = {**os.environ, "XDG_CACHE_HOME": str(cache)}
+    done = subprocess.run(command, capture_output=True, text=True, env=home, check=True)
+    measured: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    assert measured["code"] in (None, 0), done.stderr
+    return measured
+
+
+def test_export_compared_with_a_bare_compile(
+    twin: Path, tmp_path: Path, tell: Callable[[str], None]
+) -> None:
+    """Target: 2.3 times a bare compile for new coefficients, .23 times if identical."""
+    law, fmu = tmp_path / "law.json", tmp_path / "F.fmu"
+    text = json.loads((twin / "laws" / "stribeck.json").read_text(encoding="utf-8"))
+    times: dict[str, list[float]] = {}
+
+    def take(name: str, *more: str) -> None:
+        used = ran("export", law, "-o", fmu, *more, cache=tmp_path)["CPU seconds"]
+        times.setdefault(name, []).append(used)
+
+    for run in range(4):
+        for more in ([], ["--no-documentation"]):
+            for joint in text["joints"]:
+                joint["coefficients"]["sigma_2"]["value"] *= 1.0001
+            law.write_text(json.dumps(text), encoding="utf-8")
+            take(" ".join(["new", *more]), *more)
+        take("identical", "--no-documentation")
+        with zipfile.ZipFile(fmu) as archive:
+            archive.extractall(tmp_path / f"{run}")
+        begin = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+        flags = ("-target", "x86_64-linux-gnu.2.17", *CFLAGS, "-shared", "-fPIC", "-s", "-lm")
+        source, library = tmp_path / f"{run}" / "sources" / "all.c", tmp_path / f"{run}.so"
+        command = [sys.executable, "-m", "ziglang", "cc", *flags, "-o", str(library), str(source)]
+        subprocess.run(command, check=True)
+        taken = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - begin
+        times.setdefault("bare", []).append(taken)
+    bare = min(times.pop("bare"))
+    shown = ", ".join(f"{name} {min(taken) / bare:.2f}" for name, taken in times.items())
+    tell(f"export, in times of a bare compile of {bare:.2f} CPU s: {shown}")
+
+
+def test_first_calls_compared_with_second_ones(
+    twin: Path, tmp_path: Path, tell: Callable[[str], None]
+) -> None:
+    """Target: 1.3 times, with empty caches."""
+    robot = models_folder() / "uf850" / "robot.toml"
+    logs, body = twin / "logs", twin / "rigid_body.json"
+    usual = ("--robot", robot)
+    commands: dict[str, tuple[str | Path, ...]] = {
+        "inspect": (logs / "sweep.csv", *usual),
+        "identify": (logs / "excitation.csv", *usual, "-o", tmp_path / "body.json"),
+        "fit": (logs / "sweep.csv", *usual, "--rigid-body", body, "--law", "lugre",
+                "-o", tmp_path / "law.json"),
+    }  # fmt: skip
+    for verb, arguments in commands.items():
+        cache = tmp_path / verb
+        cache.mkdir()
+        first, second = (ran(verb, *arguments, cache=cache)["CPU seconds"] for _ in range(2))
+        tell(f"{verb} with empty caches: {first:.2f} CPU s, {first / second:.2f} of the second")
+
+
+def test_memory_of_identification(twin: Path, tmp_path: Path, tell: Callable[[str], None]) -> None:
+    """Target: 600 MB for 10^7 rows with six joints; here the rise for each row of three joints."""
+    head, *lines = (twin / "logs" / "excitation.csv").read_text(encoding="utf-8").splitlines()
+    rows = np.array([line.split(",") for line in lines], float)
+    robot, body = models_folder() / "uf850" / "robot.toml", tmp_path / "body.json"
+    found: list[tuple[int, float, float]] = []
+    for times in (20, 80):
+        whole = np.tile(rows, (times, 1))
+        whole[:, 0] = STEP * np.arange(len(whole))
+        log = tmp_path / f"{times}.csv"
+        np.savetxt(log, whole, delimiter=",", header=head, comments="", fmt="%.9g")
+        measured = ran("identify", log, "--robot", robot, "-o", body, cache=tmp_path)
+        found.append((len(whole), max(measured["MB"]), measured["CPU seconds"]))
+    (few, low, quick), (many, high, slow) = found
+    tell(
+        f"identify of {many} rows: {high:.0f} MB, {1e3 * (high - low) / (many - few):.1f} kB a "
+        f"row; {slow / quick:.1f} times the time of {few} rows"
+    )
 
 
 def test_whole_default_run(
