@@ -369,7 +369,7 @@ def tool_header(robot: Robot, place: int | None) -> str:
     """
     if place is None:
         return _TOOL.format(angles="", statements="    (void)v, (void)q;")
-    arm = _Arm(robot)
+    arm = _Arm(robot, of_joints=False)
     zero = arm.graph.constant(0.0)
     at = [joint.name for joint in robot.tree].index(robot.joints[-1])
     origin = [zero] * 3
