@@ -294,6 +294,11 @@ SELDOM static void component_demand(Component *component) {
     }
 }
 
+SELDOM static void tell_sign(const Joint *joint, int i, int j, double sign, Message *what) {
+    snprintf(what->text, sizeof what->text, "The sign of %s of joint %d becomes %g.",
+             joint->names[j], i + 1, sign);
+}
+
 /* Hold the signs of joint i; the description of a change is for logs only. */
 QUICK bool hold(Component *component, int i, double rest, const double *z, Message *what) {
     const Joint *joint = &joints[i];
@@ -302,8 +307,7 @@ QUICK bool hold(Component *component, int i, double rest, const double *z, Messa
     for (int j = 0; j < joint->switches_of_joint; j++) {
         const double sign = fabs(z[j]) < rest ? 0.0 : sgn(z[j]);
         if (what && sign != held[j]) {
-            snprintf(what->text, sizeof what->text, "The sign of %s of joint %d becomes %g.",
-                     joint->names[j], i + 1, sign);
+            tell_sign(joint, i, j, sign, what);
         }
         changed = changed || sign != held[j];
         held[j] = sign;

@@ -337,10 +337,11 @@ static bool differentiable(const Instance *instance, const char *function,
     return true;
 }
 
-FMI2_STATUS(fmi2GetDirectionalDerivative)
-(fmi2Component c, const fmi2ValueReference unknowns[], size_t n_unknown,
- const fmi2ValueReference knowns[], size_t n_known, const fmi2Real d_known[],
- fmi2Real d_unknown[]) {
+SELDOM FMI2_STATUS(fmi2GetDirectionalDerivative)(fmi2Component c,
+                                                 const fmi2ValueReference unknowns[],
+                                                 size_t n_unknown,
+                                                 const fmi2ValueReference knowns[], size_t n_known,
+                                                 const fmi2Real d_known[], fmi2Real d_unknown[]) {
     static const char function[] = "fmi2GetDirectionalDerivative";
     Instance *instance = entered(c, MAY_GET, function);
     double seed[VARIABLES] = {0.0}, tangent[VARIABLES] = {0.0};

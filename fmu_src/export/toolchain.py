@@ -13,7 +13,7 @@ from hesr_model.support.files import scratch_folder
 # Contracted multiply-adds would make results differ between targets; short vectors of unlike terms
 # take longer than the terms.
 CFLAGS = (
-    *("-std=c99", "-O2", "-ffp-contract=off", "-fno-slp-vectorize", "-fvisibility=hidden"),
+    *("-std=c99", "-O2", "-ffp-contract=off", "-fno-tree-slp-vectorize", "-fvisibility=hidden"),
     *("-Wall", "-Wextra", "-Wpedantic", "-Werror"),
 )
 _LINK = ("-shared", "-g0", "-s")

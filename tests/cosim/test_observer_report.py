@@ -37,6 +37,7 @@ def push_trace(results: Path, size: float) -> str:
     return log.name
 
 
+@pytest.mark.ci
 def test_the_report_has_the_fold_if_a_log_has_events(copied: Path) -> None:
     assert external_torque(Results.read(copied)) is None
     assert "External torque" not in write_report(copied).read_text(encoding="utf-8")

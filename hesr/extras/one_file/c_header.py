@@ -61,7 +61,7 @@ def header(model: FrictionModel, name: str) -> str:
             version=version("hesr"),
             sample_time=literal(model.sample_time),
             law_math=own_source("law_math.h"),
-            functions=texts,
+            functions=[text.replace("QUICK ", "static ", 1) for text in texts],
             joints=_rows(model, joints, {f.component: f for f in functions}, euler=euler),
             slides=model.slides,
             lanes=_LANES,
