@@ -21,7 +21,7 @@ PROBE_ON_REFERENCE = 0.2
 ROUNDS = 500_000
 """Rounds of `probe`."""
 
-SLOW = 1.0
+SLOW = 0.8
 """CPU seconds in the record from which only `make test-all` runs a test."""
 
 _HEAD = """\
