@@ -22,7 +22,7 @@ ROUNDS = 500_000
 """Rounds of `probe`."""
 
 SLOW = 0.8
-"""CPU seconds in the record from which only `make test-all` runs a test."""
+"""Minimum CPU seconds, as recorded, for a test to run in `make test-all` only."""
 
 _HEAD = """\
 # CPU seconds of each test file and of its slow tests, their processes included.

@@ -29,7 +29,8 @@ typedef struct {
     Type type;
     double low, high; /* bounds, maybe infinite */
     int used;         /* whether any result depends directly on it, even if only at the start */
-    int alike; /* reals without bounds from this one on that one check serves, 0 if there is none */
+    int alike;        /* length of the run of reals without bounds that starts here and needs only
+                         one check, or 0 */
 } Variable;
 
 #endif

@@ -303,7 +303,7 @@ def dynamics_header(robot: Robot, *, of_joints: bool = False) -> str:
     rows, columns = np.nonzero(entries)
     return _HEADER.format(
         links=len(arm.links),
-        last=[joint.name for joint in robot.tree].index(robot.joints[-1]),
+        last=_last(robot),
         angles=_angles(arm),
         statements="\n".join(f"    {line}" for line in arm.graph.to_c(stores)),
         entries="\n".join(
@@ -311,6 +311,11 @@ def dynamics_header(robot: Robot, *, of_joints: bool = False) -> str:
             for i, j in zip(rows, columns, strict=True)
         ),
     )
+
+
+def _last(robot: Robot) -> int:
+    """Return the link that the last joint moves."""
+    return [joint.name for joint in robot.tree].index(robot.joints[-1])
 
 
 def _angles(arm: _Arm) -> str:
@@ -341,7 +346,7 @@ def jacobian_header(robot: Robot) -> str:
     arm = _Arm(robot, of_joints=True)
     zero, one = arm.graph.constant(0.0), arm.graph.constant(1.0)
     columns = [[zero] * 6 for _ in arm.links]
-    at = [joint.name for joint in robot.tree].index(robot.joints[-1])
+    at = _last(robot)
     tip = [zero] * 3  # in the frame of link `at`
     while at >= 0:
         joint, axis = arm.joints[at], [zero, zero, one]
@@ -371,7 +376,7 @@ def tool_header(robot: Robot, place: int | None) -> str:
         return _TOOL.format(angles="", statements="    (void)v, (void)q;")
     arm = _Arm(robot, of_joints=False)
     zero = arm.graph.constant(0.0)
-    at = [joint.name for joint in robot.tree].index(robot.joints[-1])
+    at = _last(robot)
     origin = [zero] * 3
     axes = [[arm.graph.constant(x) for x in row] for row in _aligned(robot.tree)[1][at].tolist()]
     while at >= 0:

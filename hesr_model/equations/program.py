@@ -147,7 +147,7 @@ class Jumps:
 
 
 def _jumps(expression: sympy.Expr, z: sympy.Expr) -> bool:
-    """Return whether an expression differs on the two sides of z = 0; True if z is no symbol."""
+    """Return whether an expression differs on the two sides of z = 0, or z is not a symbol."""
     ahead, back = (
         expression.xreplace({sgn(z): sympy.Integer(way)}).xreplace({z: sympy.S.Zero})
         for way in (1, -1)

@@ -46,7 +46,7 @@ static double limited(double x, double b) {
     return x < -b ? -b : x > b ? b : x;
 }
 
-/* Parallel stops, some of which weaken with the age of their contacts, and viscous terms. */
+/* Parallel stops and viscous terms; some stops weaken with the age of their contacts. */
 static double torque(const double *k, double *x, double v, double h) {
     const double *viscous = k + STOPS + AGED, *age = viscous + 5, r = v / age[0];
     const double fresh = exp(-r * r), speed = fabs(v);

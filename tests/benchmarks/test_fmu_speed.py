@@ -177,7 +177,7 @@ def test_a_step_of_stops_compared_with_lugre(
 
 
 def by_hand(model: FrictionModel, folder: Path, gcc: str) -> Path:
-    """Compile by_hand.c for a model whose joints are alike, and return the library."""
+    """Compile by_hand.c for a model with one law structure, and return the library."""
     law = model.laws[0]
     stops = law.structure.get("stops", [])
     assert law.structure.get("viscous", ["1", "v", "c"]) == ["1", "v", "c"]

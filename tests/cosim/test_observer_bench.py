@@ -55,7 +55,7 @@ def test_contacts_are_found_without_false_alarms(
         for one in plan:
             tried[one.kind] += 1
             found[one.kind] += bool(run.contact[one.row + 1 :][: round(LATE / STEP)].any())
-    print(truth, sum(map(alarms, runs)), np.round(shares, 3), found, tried)  # noqa: T201
+    print(truth, sum(map(alarms, runs)), np.round(shares, 3), found, tried)  # noqa: T201  # the figures
     assert min(tried["motion"], tried["rest"], tried["reversal"]) >= 10, tried
     assert found.total() >= 0.95 * tried.total(), (found, tried)
     assert found["reversal"] >= 0.95 * tried["reversal"], (found, tried)

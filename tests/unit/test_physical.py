@@ -186,7 +186,7 @@ def test_it_survives_json_and_is_reproducible(arm_model: Robot, make_motion: Mak
 
 
 def test_base_parameters_become_bodies_of_the_same_torque(arm_model: Robot) -> None:
-    """The least-squares solution of smallest norm has the torque of bodies, and is none."""
+    """The least-squares solution of smallest norm has possible torques but impossible bodies."""
     rows = at_random_states(arm_model)
     torque = rows @ arm_model.nominal_parameters
     base = np.linalg.lstsq(rows, torque, rcond=None)[0]

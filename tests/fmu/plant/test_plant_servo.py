@@ -31,19 +31,26 @@ def servo_arm(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -
     return export_plant(table1, path, body=PlantBody.of(Robot(UF850)), kv=KV, ki=KI)
 
 
-def run(fmu: Path, commands: Array, outputs: str = "q", **start: float) -> Array:
-    """Return an output (K + 1, 3) under speed commands (K, 3), each held for a step."""
+def driven(
+    fmu: Path, kind: str, commands: Array, outputs: tuple[str, ...], step: float, **start: float
+) -> Array:
+    """Return outputs (K + 1, 3 each) under commands (K, 3) of a kind, each held for a step."""
     rows = []
     with FmuInstance(fmu) as arm:
         zeros = {f"{name}[{i}]": 0.0 for name in ("tau", "dq_cmd") for i in (1, 2, 3)}
         arm.initialise(start=zeros | POSTURE | start)
-        names = [f"{outputs}[{i}]" for i in (1, 2, 3)]
+        names = [f"{name}[{i}]" for name in outputs for i in (1, 2, 3)]
         rows.append(arm.get(names))
         for k, command in enumerate(commands):
-            arm.set({f"dq_cmd[{i + 1}]": float(x) for i, x in enumerate(command)})
-            arm.step(k * STEP, STEP)
+            arm.set({f"{kind}[{i + 1}]": float(x) for i, x in enumerate(command)})
+            arm.step(k * step, step)
             rows.append(arm.get(names))
     return np.array(rows)
+
+
+def run(fmu: Path, commands: Array, outputs: str = "q", **start: float) -> Array:
+    """Return an output (K + 1, 3) under speed commands (K, 3)."""
+    return driven(fmu, "dq_cmd", commands, (outputs,), STEP, **start)
 
 
 def wave(count: int) -> Array:
@@ -97,17 +104,9 @@ def position_arm(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory
 
 def followed(fmu: Path, goals: Array, step: float = STEP, **start: float) -> Array:
     """Return positions, speeds and motor torques (K, 9) under position commands (K, 3)."""
-    rows = []
-    with FmuInstance(fmu) as arm:
-        zeros = {f"{name}[{i}]": 0.0 for name in ("tau", "dq_cmd") for i in (1, 2, 3)}
-        first = {f"q_cmd[{i}]": POSTURE[f"q_start[{i}]"] for i in (1, 2, 3)}
-        arm.initialise(start=zeros | POSTURE | first | start)
-        names = [f"{name}[{i}]" for name in ("q", "dq", "tau_motor") for i in (1, 2, 3)]
-        for k, goal in enumerate(goals):
-            arm.set({f"q_cmd[{i + 1}]": float(x) for i, x in enumerate(goal)})
-            arm.step(k * step, step)
-            rows.append(arm.get(names))
-    return np.array(rows)
+    first = {f"q_cmd[{i}]": POSTURE[f"q_start[{i}]"] for i in (1, 2, 3)}
+    outputs = ("q", "dq", "tau_motor")
+    return driven(fmu, "q_cmd", goals, outputs, step, **first, **start)[1:]
 
 
 def test_position_commands_are_followed(position_arm: Path) -> None:
