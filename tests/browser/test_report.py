@@ -37,6 +37,22 @@ def unfold(page: "Page") -> None:
     page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
 
 
+def until(page: "Page", holds: str, arg: str | None = None) -> None:
+    """Wait until a function of the page holds.
+
+    Playwright's own wait asks again by eval, which the policy of the page forbids.
+    """
+    page.evaluate(
+        f"""arg => new Promise((done, fail) => {{
+            const holds = {holds}, end = Date.now() + 120_000;
+            const ask = () => holds(arg) ? done()
+                : Date.now() > end ? fail(new Error("never held")) : setTimeout(ask, 20);
+            ask();
+        }})""",
+        arg,
+    )
+
+
 def opened(open_page: "OpenPage", report: Path, **options: Any) -> "Page":
     """The page with its sections unfolded."""
     page = open_page(report, **options)
@@ -109,8 +125,8 @@ def test_contents_stay_visible_and_mark_the_section(open_page: "OpenPage", repor
     assert current.all_inner_texts() == ["Summary"]
     for name in ("Physics checks", "Prediction", "Settings"):
         page.get_by_role("navigation").get_by_text(name, exact=True).click()
-        page.wait_for_function(
-            "name => document.querySelector('nav a[aria-current]').textContent === name", arg=name
+        until(
+            page, "name => document.querySelector('nav a[aria-current]').textContent === name", name
         )
         assert current.count() == 1
         box = page.locator("nav").bounding_box()
@@ -143,9 +159,10 @@ def test_a_view_zooms_and_all_panels_follow(open_page: "OpenPage", report: Path)
     page.mouse.down()
     page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.7 * box["height"], steps=8)
     page.mouse.up()
-    page.wait_for_function(
+    until(
+        page,
         "() => { const f = [...Bokeh.documents[0].all_models].find(m => m.type === 'Figure');"
-        " return f.x_range.end - f.x_range.start < 2.5; }"
+        " return f.x_range.end - f.x_range.start < 2.5; }",
     )
     assert all(found == ranges(page)[0] for found in ranges(page))
     assert ranges(page)[0][0] > before[0][0] + 0.5
@@ -173,9 +190,7 @@ def test_every_view_zooms(open_page: "OpenPage", report: Path) -> None:
     assert count == page.locator("script[id^=zoom-]").count() - 1 == 5  # one is the library
     page.evaluate("document.querySelectorAll('.to-zoom').forEach(button => button.click())")
     page.get_by_role("button", name="Back to the picture").nth(count - 1).wait_for()
-    page.wait_for_function(
-        f"globalThis.Bokeh?.documents.flatMap(d => d.roots()).length === {count}"
-    )
+    until(page, f"() => globalThis.Bokeh?.documents.flatMap(d => d.roots()).length === {count}")
 
 
 def test_clicks_while_a_view_opens_are_not_lost(open_page: "OpenPage", report: Path) -> None:
@@ -185,7 +200,7 @@ def test_clicks_while_a_view_opens_are_not_lost(open_page: "OpenPage", report: P
         button.click(); button.click(); }"""
     figure.evaluate(twice)
     figure.get_by_role("button", name="Zoom in").wait_for()
-    page.wait_for_function("globalThis.Bokeh !== undefined")
+    until(page, "() => globalThis.Bokeh !== undefined")
     figure.locator(".drawing").wait_for()
     figure.locator(".zoom").wait_for(state="hidden")
     zoomed(page, "torque_1")
@@ -319,8 +334,9 @@ def test_a_selected_law_is_interactive(live: "Page") -> None:
     assert live.locator(".live-law:visible").count() == 1
     before = law.locator("path.plot-now").get_attribute("d")
     law.locator(".live-coefficients input[type=range]").first.fill("0.9")
-    live.wait_for_function(
+    until(
+        live,
         "before => document.querySelector('.live-law[data-law=parfam_h] path.plot-now')"
         ".getAttribute('d') !== before",
-        arg=before,
+        before,
     )
