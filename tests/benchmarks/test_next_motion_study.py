@@ -57,8 +57,8 @@ def test_the_next_motion_pays_more_than_the_first_one_again(tmp_path: Path) -> N
             known = [
                 Knowledge(
                     laws={law: fits["first"][law].laws[j] for law in LAWS},
-                    rmse=fits["first"]["lugre"].training_rmse[j],
                     logs=[{"t": r.t, "dq": r.dq, "q": r.q, "tau_load": r.tau_load}],
+                    torques=[r.tau],
                     speed=float(guard.stated.velocity[j]),
                 )
                 for j, r in enumerate(logs[0])
@@ -81,11 +81,11 @@ def test_the_next_motion_pays_more_than_the_first_one_again(tmp_path: Path) -> N
             found = []
             for j, one in enumerate(known):
                 law, then = one.laws["lugre"], fits["second"]["lugre"].laws[j].standard_errors
-                shrinking = one.shrinking(law, planned[j])
+                expected = one.expected(law, planned[j])
                 found += [
-                    then[name] / (error * shrinking[name])
+                    then[name] / (error * expected[name])
                     for name, error in law.standard_errors.items()
-                    if then.get(name) and name in shrinking
+                    if then.get(name) and name in expected
                 ]
             gains.append((before - after) / max(before - again, 1e-3 * before))
             widths.append(float(np.median(found)))

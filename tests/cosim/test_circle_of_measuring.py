@@ -18,6 +18,7 @@ from hesr.extras.excite.sequel import Knowledge
 from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
 from hesr_model.inference.covariance import Covariance
 from hesr_model.laws.lugre import LuGre
 from hesr_model.logs.tables import read_table
@@ -114,9 +115,16 @@ def with_covariance(law: FrictionLaw, names: tuple[str, ...]) -> FrictionLaw:
     return replace(law, covariance=covariance, standard_errors=dict.fromkeys(names, 1.0))
 
 
+def known_of(law: FrictionLaw, log: dict[str, np.ndarray]) -> Knowledge:
+    """What a run would know of a law that is right, with noise of 1 N.m."""
+    torque = predict(law, t=log["t"], dq=log["dq"], q=log["q"], tau_load=log["tau_load"])
+    noise = np.random.default_rng(0).normal(size=len(torque))
+    return Knowledge(laws={"lugre": law}, logs=[log], torques=[torque + noise], speed=1.0)
+
+
 def test_the_same_rows_again_shrink_errors_by_the_root_of_two() -> None:
     law = with_covariance(lugre(), ("sigma_2", "F_c", "v_s"))
-    known = Knowledge(laws={"lugre": law}, rmse=1.0, logs=[rows(0.5)], speed=1.0)
+    known = known_of(law, rows(0.5))
     for ratio in known.shrinking(law, rows(0.5)).values():
         assert ratio == pytest.approx(np.sqrt(0.5), rel=1e-6)
     assert known.shrinking(lugre(), rows(0.5)) == {}
@@ -126,12 +134,25 @@ def test_the_same_rows_again_shrink_errors_by_the_root_of_two() -> None:
 
 def test_unseen_speeds_and_laws_that_differ_are_worth_more() -> None:
     law = with_covariance(lugre(), ("F_c", "sigma_2"))
-    known = Knowledge(laws={"lugre": law}, rmse=1.0, logs=[rows(0.1)], speed=1.0)
+    known = known_of(law, rows(0.1))
     assert known.score(rows(0.8)) > known.score(rows(0.1))
     other = with_covariance(lugre(v_s=0.3, F_s=20.0), ("F_c", "sigma_2"))
     both = replace(known, laws={"lugre": law, "other": other})
-    gain = 0.25 * np.log1p(both.rmse) / 100
+    gain = 0.25 * np.log1p(1.0) / 100
     assert both.score(rows(0.1)) > known.score(rows(0.1)) + gain
+
+
+def test_laws_that_differ_at_new_speeds_promise_larger_errors() -> None:
+    law = with_covariance(lugre(), ("F_c", "sigma_2"))
+    known, new = known_of(law, rows(0.1)), rows(0.8)
+    shrinking = known.shrinking(law, new)
+    assert known.expected(law, new) == shrinking  # there is no other law
+    assert known.expected(lugre(), new) == {}
+    same = replace(known, laws={"lugre": law, "other": lugre()}).expected(law, new)
+    other = replace(known, laws={"lugre": law, "other": lugre(sigma_2=25.0)}).expected(law, new)
+    for name, ratio in shrinking.items():
+        assert ratio <= same[name] < 1.3 * ratio
+        assert other[name] > 1.5 * same[name]
 
 
 def test_a_run_is_compared_with_its_plan(tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ from hesr_model.errors import ConfigError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.inference import comparison
-from hesr_model.support.arrays import Array
+from hesr_model.inference.covariance import blocks_of_time, covariance, left_out
+from hesr_model.support.arrays import Array, Integers
 
 MIXES = (
     Mix(),
@@ -36,36 +37,71 @@ Rows = Mapping[str, Any]  # t [s], dq [rad/s], q [rad], tau_load [N.m] of a log,
 class Knowledge:
     """What a run knows of a joint: its law and those tied with it, and the logs of its training.
 
-    `rmse` is that of the law [N.m], `speed` the limit [rad/s].
+    `torques` are the measured friction torques of the logs [N.m], `speed` the limit [rad/s].
     """
 
     laws: Mapping[str, FrictionLaw]
-    rmse: float
     logs: Sequence[Rows]
+    torques: Sequence[Array]
     speed: float
+
+    def residual(self, law: FrictionLaw) -> Array:
+        """Return measured minus predicted torque [N.m] over all logs."""
+        pairs = zip(self.torques, self.logs, strict=True)
+        return np.concatenate([torque - predict(law, **rows) for torque, rows in pairs])
 
     def score(self, new: Rows) -> float:
         """Return what rows would resolve: log widths, difference of laws, and unseen speeds."""
         ratios = [r for law in self.laws.values() for r in self.shrinking(law, new).values()]
         gained = -np.mean(np.log(ratios or [1.0]))
         torques = [predict(law, **new) for law in self.laws.values()]
-        apart = np.mean([np.mean((torque - torques[0]) ** 2) for torque in torques]) / self.rmse**2
+        apart = np.mean([np.mean((torque - torques[0]) ** 2) for torque in torques])
+        apart /= np.mean(self.residual(next(iter(self.laws.values()))) ** 2)
         unseen = (self._times(self.logs) < _SEEN) & (self._times([new]) >= _SEEN)
         return float(gained + 0.25 * np.log1p(apart) + np.mean(unseen))
 
     def shrinking(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
-        """Return the expected standard error of each coefficient with further rows, over today's.
+        """Return the standard error of each coefficient with further rows, over today's.
 
         Noise and misfit per row remain those of the covariance.
         """
         if law.covariance is None:
             return {}
-        before = sum((_information(law, rows) for rows in self.logs), start=np.zeros(()))
-        size = np.sqrt(np.maximum(np.diag(before), 1e-300))
-        both = [x / np.outer(size, size) for x in (before, before + _information(law, new))]
+        slopes, more = self._slopes(law), _slopes(law, new)
+        before, size = slopes.T @ slopes, np.maximum(np.linalg.norm(slopes, axis=0), 1e-150)
+        both = [x / np.outer(size, size) for x in (before, before + more.T @ more)]
         now, then = (np.diag(np.linalg.pinv(x, rcond=1e-10, hermitian=True)) for x in both)
         ratios = np.sqrt(np.clip(then / np.maximum(now, 1e-300), 1e-12, 1.0))
         return dict(zip(law.covariance.names, ratios.tolist(), strict=True))
+
+    def expected(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
+        """Return what a fit with further rows is expected to state of `shrinking`.
+
+        The law misses the new motion at least as it misses the logs, and at most by its difference
+        from the best other law besides. The result is the geometric mean of both cases.
+        """
+        ratios, others = self.shrinking(law, new), [o for o in self.laws.values() if o is not law]
+        if not ratios or not others:
+            return ratios
+        residuals = [self.residual(other) for other in others]
+        least, other = min(zip(residuals, others, strict=True), key=lambda pair: np.std(pair[0]))
+        own, slopes = self.residual(law), self._slopes(law)
+        now = _standard_errors(slopes, own, blocks_of_time(np.zeros(len(own), dtype=int)))
+        apart = predict(other, **new) - predict(law, **new)
+        missed = np.concatenate([own, np.resize([*least, *least[::-1]], len(apart)) + apart])
+        both = np.concatenate([slopes, _slopes(law, new)])
+        size = np.maximum(np.linalg.norm(both, axis=0), 1e-150)
+        missed -= both @ (np.linalg.lstsq(both / size, missed, rcond=1e-6)[0] / size)
+        labels = np.repeat([0, 1], [len(own), len(apart)])
+        then = _standard_errors(both, missed, labels)
+        most = then / np.maximum(now, 1e-300)
+        return {
+            name: float(np.sqrt(ratio * max(ratio, top)))
+            for (name, ratio), top in zip(ratios.items(), most, strict=True)
+        }
+
+    def _slopes(self, law: FrictionLaw) -> Array:
+        return np.concatenate([_slopes(law, rows) for rows in self.logs])
 
     def _times(self, logs: Sequence[Rows]) -> Array:
         """Return the time [s] at each speed, forwards and backwards."""
@@ -77,8 +113,16 @@ class Knowledge:
         return times
 
 
-def _information(law: FrictionLaw, rows: Rows) -> Array:
-    """Return J' J (P, P) of the torque's derivatives by the coefficients of the covariance."""
+def _standard_errors(slopes: Array, residual: Array, labels: Integers) -> Array:
+    each = [slopes[labels == k] for k in range(int(labels[-1]) + 1)]
+    hessians = [own.T @ own for own in each]
+    gradients = slopes * left_out(slopes, residual, np.sum(hessians, axis=0))[:, None]
+    names = [str(k) for k in range(slopes.shape[1])]
+    return covariance(names, gradients, hessians, labels).standard_errors
+
+
+def _slopes(law: FrictionLaw, rows: Rows) -> Array:
+    """Return the torque's derivatives (N, P) by the coefficients of the covariance."""
     columns = []
     for name in law.covariance.names if law.covariance else ():
         value, step = law.values[name], _STEP * max(abs(law.values[name]), 1e-6)
@@ -87,7 +131,7 @@ def _information(law: FrictionLaw, rows: Rows) -> Array:
             for x in (value + step, value - step)
         )
         columns.append((up - down) / (2.0 * step))
-    return np.asarray(np.array(columns) @ np.array(columns).T)
+    return np.stack(columns, axis=1)
 
 
 def knowledge(results: Results, guard: Guard) -> list[Knowledge]:
@@ -98,15 +142,18 @@ def knowledge(results: Results, guard: Guard) -> list[Knowledge]:
         raise ConfigError(f"{folder}: these are not results of this version for this robot.")
     if any(model.coupling for model in models.values()):
         raise ConfigError(f"{folder}: motions after results need joints without coupling.")
-    traces, found = [results.torques(log) for log in logs], []
+    traces = [{n: x.astype(float) for n, x in results.torques(log).items()} for log in logs]
+    found = []
     for j, (law, of_joint) in enumerate(zip(results.recommended, verdict.joints, strict=True), 1):
         names = dict.fromkeys((law, of_joint.best, *of_joint.tied))
         columns = {"t": "t", "dq": f"dq{j}", "q": f"q{j}", "tau_load": f"tau_rb{j}"}
+        if f"tau_load{j}" in traces[0]:
+            columns["tau_load"] = f"tau_load{j}"
         found.append(
             Knowledge(
                 laws={n: models[n].laws[j - 1] for n in list(names)[:_LAWS] if n in models},
-                rmse=max(models[law].training_rmse[j - 1], 1e-9),
-                logs=[{n: trace[c].astype(float) for n, c in columns.items()} for trace in traces],
+                logs=[{n: trace[c] for n, c in columns.items()} for trace in traces],
+                torques=[trace[f"tau{j}"] - trace[f"tau_rb{j}"] for trace in traces],
                 speed=float(guard.stated.velocity[j - 1]),
             )
         )
@@ -147,7 +194,7 @@ def plan_sequel(
     for j, (joint, rows) in enumerate(zip(known, rows_of(motions["friction"], guard), strict=True)):
         line = f"{joints[j]}: {best[j].why}"
         for name, law in joint.laws.items():
-            now, ratios = law.standard_errors, joint.shrinking(law, rows)
+            now, ratios = law.standard_errors, joint.expected(law, rows)
             then = {n: error * ratios[n] for n, error in now.items() if n in ratios}
             widths.setdefault(name, {})[joints[j]] = then
             if then and name == next(iter(joint.laws)):
