@@ -77,17 +77,16 @@ class Knowledge:
     def expected(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
         """Return what a fit with further rows is expected to state of `shrinking`.
 
-        The law misses the new motion at least as it misses the logs, and at most by its difference
-        from the best other law besides. The result is the geometric mean of both cases.
+        The law misses the new motion at least as it misses the logs, and at most also by its
+        difference from the best law. The result is the geometric mean of both cases.
         """
-        ratios, others = self.shrinking(law, new), [o for o in self.laws.values() if o is not law]
-        if not ratios or not others:
+        best = min(self.laws.values(), key=lambda one: np.linalg.norm(self.residual(one)))
+        ratios, least = self.shrinking(law, new), self.residual(best)
+        if not ratios or best is law:
             return ratios
-        residuals = [self.residual(other) for other in others]
-        least, other = min(zip(residuals, others, strict=True), key=lambda pair: np.std(pair[0]))
         own, slopes = self.residual(law), self._slopes(law)
         now = _standard_errors(slopes, own, blocks_of_time(np.zeros(len(own), dtype=int)))
-        apart = predict(other, **new) - predict(law, **new)
+        apart = predict(best, **new) - predict(law, **new)
         missed = np.concatenate([own, np.resize([*least, *least[::-1]], len(apart)) + apart])
         both = np.concatenate([slopes, _slopes(law, new)])
         size = np.maximum(np.linalg.norm(both, axis=0), 1e-150)
