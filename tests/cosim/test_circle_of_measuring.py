@@ -143,15 +143,15 @@ def test_unseen_speeds_and_laws_that_differ_are_worth_more() -> None:
 
 
 def test_a_better_law_promises_larger_errors_of_the_others() -> None:
-    law, truth = with_covariance(lugre(), ("F_c", "sigma_2")), lugre(sigma_2=25.0)
-    new, known = rows(0.8), known_of(law, rows(0.1))
-    shrinking = known.shrinking(law, new)
-    assert known.expected(law, new) == shrinking  # no law is better
-    assert known.expected(lugre(), new) == {}
-    wrong = known_of(truth, rows(0.1))
-    wrong = replace(wrong, laws={"lugre": law, "other": truth})
-    for name, ratio in wrong.expected(law, new).items():
-        assert ratio > 1.5 * shrinking[name]
+    law, truth = with_covariance(lugre(), ("F_c", "sigma_2")), lugre(v_s=0.02)
+    fast, slow = rows(0.8), rows(0.04)  # at which the laws differ hardly and much
+    known = known_of(law, fast)
+    shrinking = known.shrinking(law, slow)
+    assert known.expected(law, slow) == shrinking  # no law is better
+    assert known.expected(lugre(), slow) == {}
+    wrong = replace(known_of(truth, fast), laws={"lugre": law, "other": truth})
+    for name, ratio in wrong.expected(law, slow).items():
+        assert ratio > 2.0 * shrinking[name]
 
 
 def test_a_run_is_compared_with_its_plan(tmp_path: Path) -> None:
