@@ -7,26 +7,40 @@ import gzip
 import io
 import lzma
 import re
+import warnings
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
-from hesr_model.errors import LogError
-from hesr_model.logs.log_table import LogTable, listed, most_bytes, require_columns
+import numpy as np
 
-_MOST_CSV = 2**31 - 2  # bytes of a single block
+from hesr_model.errors import LogError
+from hesr_model.logs.log_table import LogTable, TextCell, listed, most_bytes, require_columns
+from hesr_model.support.arrays import Array
+
+_MOST_CSV = 2**31 - 2  # bytes
 _LONGEST_LINE = 2**24  # characters
 _DELIMITERS = ",;\t "
-_MARKS = "#%"  # marks of comments, sometimes of a header
+_MARKS = ("#", "%")  # marks of comments, sometimes of a header
 _SEARCHED = 500  # lines searched for data
 _HEADERLESS = 20  # rows of data that prove the absence of a header
 _UNIT_CELL = re.compile(r"[(\[].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad/s|deg/s|-|")
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # decimal comma
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d[T ][\d:.]+Z?")
+_TIME = re.compile(
+    r"(1[7-9]|2[01])\d\d-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d(:?\d\d)?)?)?"
+)
+_EMPTY = {"", "#N/A", "#NA", "N/A", "NA", "NULL", "n/a", "null"}
+_TRUTHS = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0, "nan": float("nan")}
+_SWAPPED = str.maketrans(",.", ".,")  # a decimal comma excludes points
+_CHUNK = 2**18  # cells converted at once
+_EXACT = 2.0**53  # larger integers exceed the digits of a float
 _UNPACKERS: Mapping[bytes, Callable[[Path], io.BufferedIOBase]] = {
     b"\x1f\x8b": gzip.GzipFile,
     b"BZh": bz2.BZ2File,
@@ -43,8 +57,7 @@ def read_text(path: Path, names: Sequence[str] = (), content: bytes | None = Non
     content = _content(path) if content is None else content
     length = path.stat().st_size if content is None else len(content)
     _require_length(path, length)
-    text = _dialect(path, content, names)
-    return LogTable.of(path, _arrow(text, length), partial(_row, text), text.decimal)
+    return _table(_dialect(path, content, names))
 
 
 def _require_length(path: Path, length: int) -> None:
@@ -142,7 +155,7 @@ def _table_in(
             cells = _cells(line, delimiter)
             if len(cells) == len(names) and not _is_count(cells):
                 return 0, number, delimiter
-            above = [(k, text.lstrip(_MARKS + " ")) for k, text in reversed(lines[:at])]
+            above = [(k, text.lstrip("#% ")) for k, text in reversed(lines[:at])]
             fitting = [(k, text) for k, text in above if _count(text, delimiter) == len(cells)]
             units = [k for k, text in fitting[:1] if _are_units(text, delimiter)]
             named = fitting[1:] if units and len(fitting) > 1 else fitting
@@ -156,7 +169,7 @@ def _table_in(
         raise _headerless(path, bare[0][1], names)
     number, header = lines[0] if lines else (1, "")
     first = lines[1][1] if len(lines) > 1 else ""
-    header = header.lstrip(_MARKS + " ")
+    header = header.lstrip("#% ")
     there = [d for d in _DELIMITERS if d in header] or [","]
     # Names may contain other delimiters.
     alike = [d for d in there if _count(header, d) == _count(first, d)] or there[:1]
@@ -216,64 +229,141 @@ def _lines(file: TextIO) -> Iterator[str]:
         yield line
 
 
-def _rows(text: _Text) -> Iterator[tuple[int, list[str]]]:
-    """Yield header and rows with their lines from 1."""
-    try:
-        with _as_text(text.path, text.content, newline="") as file:
-            reader = csv.reader(_lines(file), delimiter=text.delimiter)
-            for cells in reader:
-                number = reader.line_num
-                is_row = number >= text.data and not _is_comment(cells)
-                if cells and (number == text.header or is_row):
-                    yield number, cells
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise _no_csv(text.path) from error
-
-
-def _row(text: _Text, index: int) -> int:
-    try:
-        return next(number for number, _ in islice(_rows(text), index + bool(text.header), None))
-    except (LogError, StopIteration):  # Arrow reads more than Python
-        return index + 1 + bool(text.header)
-
-
 def _no_csv(path: Path) -> LogError:
     return LogError(f"{path}: cannot be read as CSV text.")
 
 
-def _is_comment(cells: Sequence[str]) -> bool:
-    return bool(cells) and cells[0].lstrip()[:1] in tuple(_MARKS)
-
-
-def _arrow(text: _Text, length: int) -> Any:
-    import pyarrow
-    import pyarrow.csv
-
-    names = list(text.names) or _names(next(_rows(text), (0, []))[1])
-    if not names:
-        raise LogError(f"{text.path}: is empty; a log needs a header and rows of data.")
-    require_columns(text.path, len(names))
-    options = pyarrow.csv.ReadOptions(
-        column_names=names,
-        skip_rows=text.data - 1,
-        # One block: types follow from all rows, not the first megabyte.
-        block_size=length + 1,
-    )
+def _table(text: _Text) -> LogTable:
     try:
-        with _opened(text.path, text.content) as file:
-            return pyarrow.csv.read_csv(
-                file,
-                options,
-                pyarrow.csv.ParseOptions(
-                    delimiter=text.delimiter,
-                    invalid_row_handler=lambda row: (
-                        "skip" if _is_comment([row.text or ""]) else "error"
-                    ),
-                ),
-                pyarrow.csv.ConvertOptions(decimal_point=text.decimal),
-            )
-    except pyarrow.ArrowInvalid as error:
-        raise _ragged(text, len(names)) from error
+        with _as_text(text.path, text.content, newline="") as file:
+            lines = _lines(file)
+            above = list(islice(lines, text.data - 1))[text.header - 1 :]
+            header = csv.reader(above if text.header else [], delimiter=text.delimiter)
+            names = list(text.names) or _names(next(header, []))
+            if not names:
+                raise LogError(f"{text.path}: is empty; a log needs a header and rows of data.")
+            require_columns(text.path, len(names))
+            columns, numbers = [_Column() for _ in names], array("q")
+            for of_rows, part in _parts(text, lines, len(names)):
+                for column, cells in zip(columns, part, strict=True):
+                    column.add(cells, len(numbers), text.decimal)
+                numbers.extend(of_rows)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise _no_csv(text.path) from error
+    return LogTable(
+        path=text.path,
+        names=tuple(names),
+        rows=len(numbers),
+        arrays=[column.whole() for column in columns].__getitem__,
+        row=numbers.__getitem__,
+    )
+
+
+def _parts(
+    text: _Text, lines: Iterator[str], width: int
+) -> Iterator[tuple[Iterable[int], Iterable[Any]]]:
+    """Yield the line numbers and columns of some rows, as arrays if all cells are numbers."""
+    first = text.data
+    while chunk := list(islice(lines, max(1, _CHUNK // width))):
+        if values := _plain(chunk, text, width):
+            yield range(first, first + len(chunk)), values
+            first += len(chunk)
+            continue
+        rows: dict[int, list[str]] = {}
+        # A quoted cell may continue below the chunk.
+        reader = csv.reader(chain(chunk, lines), delimiter=text.delimiter)
+        while reader.line_num < len(chunk):
+            row, number = next(reader), first + reader.line_num - 1
+            if not row or row[0].lstrip().startswith(_MARKS):
+                continue
+            if len(row) != width:
+                raise LogError(
+                    f"{text.path}: row {number} has {len(row)} cells; the header has {width} "
+                    "columns."
+                )
+            rows[number] = row
+        if rows:
+            yield rows, zip(*rows.values(), strict=True)
+        first += reader.line_num
+
+
+def _plain(lines: list[str], text: _Text, width: int) -> list[Array] | None:
+    """Return the columns of lines with nothing but numbers."""
+    if text.decimal == ",":
+        lines = [line.translate(_SWAPPED) for line in lines]
+    read = partial(np.loadtxt, lines, delimiter=text.delimiter, comments=None, ndmin=2)
+    try:
+        values = read() if lines[0].strip() else np.empty(0)  # NumPy skips blank lines
+    except ValueError:
+        return None
+    if values.shape != (len(lines), width):
+        return None
+    columns = list(values.T)
+    for k in np.flatnonzero(np.any(np.abs(values) >= _EXACT, axis=0)):
+        columns[k] = numbers_of(read(usecols=k, dtype=str)[:, 0].tolist())
+    return columns
+
+
+class _Column:
+    """A growing column, whose type follows from all cells."""
+
+    def __init__(self) -> None:
+        self._parts: list[Array] = []
+        self._text: TextCell | None = None  # first cell that is not a number
+
+    def add(self, cells: Array | Sequence[str], first: int, decimal: str) -> None:
+        """Append numbers, or the text from row `first`."""
+        if self._text and not self._parts:
+            return
+        part = cells if isinstance(cells, np.ndarray) else numbers_of(cells, decimal)
+        if part is None:
+            cells = ["nan" if cell.strip() in _EMPTY else cell for cell in cells]
+            part = numbers_of(cells, decimal)
+        if part is None:
+            if self._text is None:
+                k = next(k for k, cell in enumerate(cells) if numbers_of([cell], decimal) is None)
+                self._text = TextCell(index=first + k, text=cells[k])
+            part = _times_or_truths([cell.strip() for cell in cells])
+        if part is None:
+            self._parts.clear()
+        else:
+            self._parts.append(part)
+
+    def whole(self) -> Array | TextCell:
+        """Return all cells, or the first cell of text, also among times or truth values."""
+        try:
+            column = np.concatenate(self._parts)
+        except (TypeError, ValueError):  # times and numbers; nothing
+            return self._text or np.empty(0)
+        fits = column.dtype.kind == "M" or np.isin(np.nan_to_num(column), (0, 1)).all()
+        return self._text if self._text and not fits else column
+
+
+def numbers_of(cells: Sequence[str], decimal: str = ".") -> Array | None:
+    """Return floats, or integers if a float has too few digits; None for text."""
+    joined = "\0".join(cells)
+    if "_" in joined or not joined.isascii():  # allowed by Python
+        return None
+    if decimal == ",":
+        cells = joined.translate(_SWAPPED).split("\0")
+    try:
+        values: Array = np.fromiter(map(float, cells), np.float64, len(cells))
+    except ValueError:
+        return None
+    if np.any(np.abs(values) >= _EXACT):
+        with suppress(ValueError, OverflowError):
+            return np.fromiter(map(int, cells), np.int64, len(cells))
+    return values
+
+
+def _times_or_truths(cells: Sequence[str]) -> Array | None:
+    with suppress(KeyError):
+        return np.array([_TRUTHS[cell.lower()] for cell in cells])
+    if all(cell == "nan" or _TIME.fullmatch(cell) for cell in cells):
+        with suppress(ValueError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of zones, which NumPy converts to UTC
+            return np.array(["NaT" if cell == "nan" else cell for cell in cells], "M8")
+    return None
 
 
 def _names(header: Sequence[str]) -> list[str]:
@@ -281,13 +371,3 @@ def _names(header: Sequence[str]) -> list[str]:
     if names[:1] == ["#"]:
         return names[1:]
     return [names[0].removeprefix("#").strip(), *names[1:]] if names else []
-
-
-def _ragged(text: _Text, width: int) -> LogError:
-    """Return the error at the first row of another length."""
-    for number, cells in islice(_rows(text), bool(text.header), None):
-        if len(cells) != width:
-            return LogError(
-                f"{text.path}: row {number} has {len(cells)} cells; the header has {width} columns."
-            )
-    return _no_csv(text.path)

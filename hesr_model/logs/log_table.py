@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -14,40 +14,38 @@ from hesr_model.support.arrays import Array
 _MOST_COLUMNS = 10_000
 _MOST_LISTED = 30  # names in a sentence
 _LONGEST_NAME = 60  # characters of a name
+_UNITS = {"D": 86400.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of times [s]
 _SINCE_1970 = 1e8  # [s]; larger stamps count from an epoch
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextCell:
+    """First cell of a column that is not a number."""
+
+    index: int
+    text: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogTable:
-    """An open table file; messages on missing columns mention `others`."""
+    """An open table file; messages on missing columns mention `others`.
+
+    Columns (N,) of `arrays` hold integers, floats (NaN for empty cells), times or durations; a
+    `TextCell` replaces any other column. `row` is the row of a sample; a CSV's header is row 1.
+    """
 
     path: Path
     names: tuple[str, ...]
     others: tuple[str, ...] = ()
-    _arrow: Any
-    _row: Callable[[int], int] = lambda index: index + 1
-    _decimal: str = "."
+    rows: int
+    arrays: Callable[[int], Array | TextCell]
+    row: Callable[[int], int] = lambda index: index + 1
 
-    @classmethod
-    def of(
-        cls,
-        path: Path,
-        arrow: Any,
-        row: Callable[[int], int] = lambda index: index + 1,
-        decimal: str = ".",
-    ) -> Self:
-        """Return the table of a file read by Arrow; raises LogError."""
-        names = tuple(arrow.column_names)
-        if twice := [name for name, count in Counter(names).items() if count > 1]:
-            raise LogError(f"{path}: column '{twice[0]}' occurs twice; names must differ.")
-        if arrow.num_rows == 0:
-            raise LogError(f"{path}: has no rows of data below its header.")
-        return cls(path=path, names=names, _arrow=arrow, _row=row, _decimal=decimal)
-
-    @property
-    def rows(self) -> int:
-        """Number of rows."""
-        return int(self._arrow.num_rows)
+    def __post_init__(self) -> None:
+        if twice := [name for name, count in Counter(self.names).items() if count > 1]:
+            raise LogError(f"{self.path}: column '{twice[0]}' occurs twice; names must differ.")
+        if self.rows == 0:
+            raise LogError(f"{self.path}: has no rows of data below its header.")
 
     def named(self, names: Sequence[str]) -> "LogTable":
         """Return the table with other names of its columns, if any; raises LogError."""
@@ -58,53 +56,47 @@ class LogTable:
                 f"{self.path}: has {len(self.names)} columns, {self.listing}, but 'log.columns' of "
                 f"the robot file names {len(names)}; name them all."
             )
-        return replace(self, names=tuple(names), _arrow=self._arrow.rename_columns(list(names)))
+        return replace(self, names=tuple(names))
 
     @property
     def listing(self) -> str:
         """Columns of the file, for messages."""
         return listed((*self.names, *self.others))
 
-    def row(self, index: int) -> int:
-        """Return the row of sample `index`; a CSV's header is row 1."""
-        return self._row(index)
-
     def numbers(self, names: Sequence[str], *, missing: bool = False) -> Array:
         """Return columns (N, len(names)), `missing` cells as NaN; raises LogError."""
-        for name in names:
-            self._require(name)
-        columns = [self._floats(name, self._arrow.column(name), missing=missing) for name in names]
-        return np.column_stack(columns)
+        columns = [(name, self._column(name)) for name in names]
+        return np.column_stack([self._floats(*column, missing=missing) for column in columns])
 
     def times(self, name: str, unit: float, *, missing: bool = False) -> Array:
         """Return time stamps (N,) [s], given in `unit` [s]; dates from the first one."""
-        import pyarrow
-
-        self._require(name)
-        cells = self._arrow.column(name)
-        kind = cells.type
-        if pyarrow.types.is_timestamp(kind) or pyarrow.types.is_duration(kind):
-            unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
-            cells = cells.cast(pyarrow.int64())
-        whole = pyarrow.types.is_integer(cells.type) and not cells.null_count
+        cells: Any = self._column(name)
+        if _kind(cells) in "mM":
+            unit = _UNITS[np.datetime_data(cells.dtype)[0]]
+            empty, cells = np.isnat(cells), cells.astype(np.int64)
+            cells = np.where(empty, np.nan, cells) if empty.any() else cells
         # Nanoseconds since 1970 exceed the digits of a float: subtract before.
-        stamps = cells.to_numpy() if whole else self._floats(name, cells, missing=missing)
+        whole = _kind(cells) in "iu"
+        stamps = cells if whole else self._floats(name, cells, missing=missing)
         known = stamps[np.isfinite(stamps)]
         since = known[0] if len(known) and abs(float(known[0])) * unit > _SINCE_1970 else 0
         return np.asarray((stamps - since) * unit, dtype=float)
 
-    def _require(self, name: str) -> None:
+    def _column(self, name: str) -> Array | TextCell:
         if name not in self.names:
             raise LogError(f"{self.path}: column '{name}' is missing; it has {self.listing}.")
+        return self.arrays(self.names.index(name))
 
-    def _floats(self, name: str, column: Any, *, missing: bool) -> Array:
-        import pyarrow
-
-        try:
-            cells = column.cast(pyarrow.float64(), safe=False)
-        except pyarrow.ArrowException as error:
-            raise self._first_text(name) from error
-        values = np.asarray(cells.to_numpy(), dtype=float)
+    def _floats(self, name: str, cells: Array | TextCell, *, missing: bool) -> Array:
+        if not isinstance(cells, TextCell) and _kind(cells) in "mM":
+            k = int(np.argmin(np.isnat(cells)))
+            cells = TextCell(index=k, text=str(cells[k]))
+        if isinstance(cells, TextCell):
+            raise LogError(
+                f"{self.path}: column '{name}', row {self.row(cells.index)}: {cells.text!r} where "
+                "a number is needed."
+            )
+        values = np.asarray(cells, dtype=float)
         good = ~np.isinf(values) if missing else np.isfinite(values)
         if not np.all(good):
             k = int(np.argmin(good))
@@ -114,21 +106,6 @@ class LogTable:
                 "is needed."
             )
         return values
-
-    def _first_text(self, name: str) -> LogError:
-        """Return the error at the first cell that is not a number."""
-        column = self._arrow.column(name)
-        try:
-            cells = column.to_pylist()
-        except Exception:  # Arrow cannot show every time stamp
-            return LogError(
-                f"{self.path}: column '{name}' holds {column.type} where numbers are needed."
-            )
-        k = next((k for k, cell in enumerate(cells) if not _is_number(cell, self._decimal)), 0)
-        return LogError(
-            f"{self.path}: column '{name}', row {self.row(k)}: {str(cells[k])!r} where a number "
-            "is needed."
-        )
 
 
 def listed(names: Sequence[str]) -> str:
@@ -145,10 +122,14 @@ def most_bytes(path: Path) -> int:
 
 def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = ()) -> LogTable:
     """Make a table of columns (N,) of another format."""
-    import pyarrow
-
-    arrow = pyarrow.table({name: np.ascontiguousarray(values) for name, values in columns.items()})
-    return LogTable(path=path, names=tuple(columns), others=tuple(others), _arrow=arrow)
+    arrays = list(columns.values())
+    return LogTable(
+        path=path,
+        names=tuple(columns),
+        others=tuple(others),
+        rows=len(arrays[0]) if arrays else 0,
+        arrays=arrays.__getitem__,
+    )
 
 
 def require_columns(path: Path, count: int) -> None:
@@ -157,12 +138,5 @@ def require_columns(path: Path, count: int) -> None:
         raise LogError(f"{path}: has {count} columns; at most {_MOST_COLUMNS} are allowed.")
 
 
-def _is_number(cell: object, point: str) -> bool:
-    import pyarrow
-
-    try:
-        # Python's float accepts "1_000".
-        pyarrow.scalar(str(cell).strip().replace(point, ".")).cast(pyarrow.float64())
-    except pyarrow.ArrowInvalid:
-        return False
-    return True
+def _kind(cells: Array | TextCell) -> str:
+    return "text" if isinstance(cells, TextCell) else cells.dtype.kind

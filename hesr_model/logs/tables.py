@@ -4,9 +4,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hesr_model.errors import LogError
-from hesr_model.logs.csv_text import read_text
-from hesr_model.logs.log_table import LogTable, most_bytes, require_columns, table_of
+from hesr_model.logs.csv_text import numbers_of, read_text
+from hesr_model.logs.log_table import LogTable, TextCell, most_bytes, require_columns
 from hesr_model.support.arrays import Array
 
 _PARQUET, _FEATHER = {".parquet", ".pq"}, {".feather", ".arrow", ".ipc"}
@@ -20,9 +22,16 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
     `names` names its columns.
     """
     require_content(path)
-    if (suffix := path.suffix.lower()) in _PARQUET:
-        return LogTable.of(path, _read_parquet(path))
-    return LogTable.of(path, _read_feather(path)) if suffix in _FEATHER else read_text(path, names)
+    suffix = path.suffix.lower()
+    if suffix not in _PARQUET | _FEATHER:
+        return read_text(path, names)
+    table = _read_parquet(path) if suffix in _PARQUET else _read_feather(path)
+    return LogTable(
+        path=path,
+        names=tuple(table.column_names),
+        rows=table.num_rows,
+        arrays=lambda k: _array(table.column(k)),
+    )
 
 
 def require_content(path: Path) -> None:
@@ -35,22 +44,47 @@ def require_content(path: Path) -> None:
 
 def write_table(path: Path, columns: Mapping[str, Array]) -> None:
     """Write columns (N,) as CSV or Parquet, with all digits."""
-    table = table_of(path, columns)._arrow
     if path.suffix.lower() in _PARQUET:
+        arrays = {name: np.ascontiguousarray(values) for name, values in columns.items()}
+        arrow(path).parquet.write_table(arrow(path).table(arrays), path)
+        return
+    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(",".join(columns) + "\n")
+        file.writelines(",".join(map(repr, row)) + "\n" for row in rows)
+
+
+def arrow(path: Path) -> Any:
+    """Return pyarrow for the file at `path`; raises LogError if it is not installed."""
+    try:
         import pyarrow.parquet
+    except ModuleNotFoundError as error:
+        raise LogError(
+            f"{path}: Parquet and Feather need pyarrow: pip install 'hesr[formats]'."
+        ) from error
+    return pyarrow
 
-        pyarrow.parquet.write_table(table, path)
-    else:
-        import pyarrow.csv
 
-        pyarrow.csv.write_csv(table, path, pyarrow.csv.WriteOptions(quoting_style="none"))
+def _array(cells: Any) -> Array | TextCell:
+    import pyarrow as pa
+
+    kind = cells.type
+    is_time = pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
+    if is_time or (pa.types.is_integer(kind) and not cells.null_count):
+        return np.asarray(cells.to_numpy())
+    try:
+        return np.asarray(cells.cast(pa.float64(), safe=False).to_numpy(), dtype=float)
+    except pa.ArrowException:
+        return next(
+            TextCell(index=k, text=text)
+            for k, text in enumerate(map(str, cells))
+            if numbers_of([text]) is None
+        )
 
 
 def _read_parquet(path: Path) -> Any:
-    import pyarrow.parquet
-
     try:
-        with pyarrow.parquet.ParquetFile(path) as file:
+        with arrow(path).parquet.ParquetFile(path) as file:
             _require_size(path, file.metadata.num_rows, file.metadata.num_columns)
             return file.read()
     except LogError:
@@ -60,16 +94,14 @@ def _read_parquet(path: Path) -> Any:
 
 
 def _read_feather(path: Path) -> Any:
-    import pyarrow
-
     try:
-        with pyarrow.ipc.open_file(path) as file:
+        with arrow(path).ipc.open_file(path) as file:
             batches, rows = [], 0
             for k in range(file.num_record_batches):
                 batches.append(file.get_batch(k))
                 rows += batches[-1].num_rows
                 _require_size(path, rows, len(file.schema))
-            return pyarrow.Table.from_batches(batches, file.schema)
+            return arrow(path).Table.from_batches(batches, file.schema)
     except LogError:
         raise
     except Exception as error:  # many kinds

@@ -312,7 +312,7 @@ def test_invalid_time_stamps_are_refused(refused: Refused, tmp_path: Path) -> No
         pyarrow.parquet.write_table(pyarrow.table(columns(**changed)), log)
         assert "column 'q1'" in refused(*identify(log, robot_file(tmp_path)))
     pyarrow.parquet.write_table(pyarrow.table(columns(q1=stamps)), log)
-    assert "holds timestamp[ns, tz=Nowhere/Never] where numbers are needed." in refused(
+    assert "row 1: '1970-01-01T00:00:00.000000001' where a number is needed." in refused(
         *identify(log, robot_file(tmp_path))
     )
 

@@ -258,3 +258,56 @@ def test_a_column_of_dates_is_the_time(tmp_path: Path) -> None:
     rows = [f"2026-01-02T03:04:{k:02d}.5,0.1,0.2" for k in range(20)]
     path.write_text("\n".join(["datetime,q,tau", *rows]), encoding="utf-8")
     assert guess(read_table(path)).columns["t"] == "datetime"
+
+
+@pytest.mark.parametrize("quoted", [False, True])
+def test_types_follow_from_all_chunks(
+    quoted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stamp, a number with gaps, a truth value, text late in the file, and a quoted line end."""
+    monkeypatch.setattr("hesr_model.logs.csv_text._CHUNK", 25)
+    stamps = 1_700_000_000_123_456_789 + 10_000_000 * np.arange(40)
+    path = tmp_path / "run.csv"
+    rows = [f"{s},{'' if k == 21 else k / 8},{k % 2},{k}" for k, s in enumerate(stamps)]
+    rows[8] = rows[8].replace(",0,", ",false,")
+    rows[33] += "x"
+    rows[17] = rows[17].replace(",17", ',"17\n"') if quoted else rows[17]
+    path.write_text("\n".join(["t,q,on,word", *rows, "# end"]) + "\n", encoding="utf-8")
+    table = read_table(path)
+    assert table.rows == 40
+    np.testing.assert_array_equal(table.times("t", 1e-9), (stamps - stamps[0]) * 1e-9, strict=True)
+    assert table.times("t", 1e-9)[1] == 0.01
+    numbers = np.where(np.arange(40) == 21, np.nan, np.arange(40) / 8)
+    found = table.numbers(["q", "on"], missing=True)
+    np.testing.assert_array_equal(found, np.column_stack([numbers, np.arange(40) % 2]))
+    with pytest.raises(LogError, match=rf"column 'q', row {23 + quoted}: an empty cell or NaN"):
+        table.numbers(["q"])
+    with pytest.raises(LogError, match=rf"'word', row {35 + quoted}: '33x' where a number"):
+        table.numbers(["word"])
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        ["2026-01-01 10:00:00", "2026-01-01 10:00:01", "2026-01-01 10:00:03"],
+        ["2026-01-01T10:00:00.25Z", "2026-01-01T10:00:01.25Z", "2026-01-01T10:00:03.25Z"],
+        ["2026-01-01T10:00+01:00", "2026-01-01T09:00:01Z", "2026-01-01T10:00:03+01"],
+    ],
+)
+def test_dates_may_have_zones_and_gaps(stamps: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    rows = [f"{stamp},1.5,2.5" for stamp in (*stamps[:2], "", stamps[2])]
+    path.write_text("\n".join(["t,q1,dq1", *rows]) + "\n", encoding="utf-8")
+    table = read_table(path)
+    np.testing.assert_array_equal(table.times("t", 1.0, missing=True), [0.0, 1.0, np.nan, 3.0])
+    with pytest.raises(LogError, match="column 't', row 4: an empty cell or NaN"):
+        table.times("t", 1.0)
+    with pytest.raises(LogError, match=r"column 't', row 2: '2026-01-01T.*' where a number"):
+        table.numbers(["t"])
+
+
+def test_only_dates_are_times(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,q1,dq1\nnow,1.5,2.5\ntoday,1.5,2.5\n", encoding="utf-8")
+    with pytest.raises(LogError, match="column 't', row 2: 'now' where a number"):
+        read_table(path).times("t", 1.0)

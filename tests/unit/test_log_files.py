@@ -244,7 +244,10 @@ def test_bombs_are_refused(tmp_path: Path) -> None:
         Log.read(tmp_path / "a.csv.gz", robot())
 
 
-@pytest.mark.parametrize(("name", "library"), [("a.h5", "h5py"), ("a.xlsx", "openpyxl")])
+@pytest.mark.parametrize(
+    ("name", "library"),
+    [("a.h5", "h5py"), ("a.xlsx", "openpyxl"), ("a.pq", "pyarrow"), ("a.feather", "pyarrow")],
+)
 def test_a_missing_library_gives_the_install_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, library: str
 ) -> None:
