@@ -153,7 +153,7 @@ def test_files_of_killed_processes_are_removed_and_others_are_left_alone(
 @pytest.mark.parametrize(
     "kills",
     [
-        pytest.param(6, marks=pytest.mark.ci),
+        pytest.param(2, marks=pytest.mark.ci),
         pytest.param(KILLS, marks=[pytest.mark.soak, pytest.mark.timeout(0)]),
     ],
 )
