@@ -20,7 +20,7 @@ from hesr_model.inference.correlation import correlation_length
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.base_parameters import base_columns
-from hesr_model.robots.robot import Robot, RobotDescription
+from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Mask
 
@@ -29,7 +29,7 @@ _SLOW = 0.5  # share of the peak speed in which friction falls
 _LATEST, _STEP = 0.25, 0.005  # searched delays, search step [s]
 _SMOOTH, _EVERY, _BODY = 0.1, 0.02, 5e-3  # averaging window, time between averages, bodies [s]
 _MOST = 40_000  # rows of a log, its middle ones
-_SYSTEMATIC = 0.003  # error of a joint's lag by friction of other shapes [s]
+_SYSTEMATIC = 0.04  # error of a joint's lag by memory of other shapes, over what memory explains
 _NARROW, _LATE = 0.01, 0.06  # reported: half an interval of a small lag, a larger lag [s]
 _SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)  # factors of inertial torque: squared stamp rates
 _OFF = 1.4  # reported factor of a wrong time-stamp rate
@@ -154,19 +154,18 @@ def check_clocks(
     ]
     rate, sure = stamps_rate(rows, joints)
     if sure > _SURE and max(rate, 1.0 / rate) > _OFF:
-        findings.append(_wrong_rate(rate, model.description))
+        findings.append(_wrong_rate(rate))
     return findings, late
 
 
-def _wrong_rate(rate: float, robot: RobotDescription) -> Finding:
-    unit = float(robot.log.units.factors("t", 1)[0]) * rate
+def _wrong_rate(rate: float) -> Finding:
     way = f"{rate:.2g} times slower" if rate > 1 else f"{1 / rate:.2g} times faster"
     return Finding(
         check="time-scale",
         severity="warning",
         found=f"compared with gravity, its inertial torques are those of a motion that is {way}",
-        remedy="the time stamps come from a wrong sample rate, or their unit is wrong; set "
-        f"[log.units] t to about {unit:.2g}",
+        remedy="the time stamps come from a wrong sample rate, or their unit is wrong; see "
+        "[log.units] t",
     )
 
 
@@ -179,7 +178,8 @@ def lags(rows: LagRows, joints: Sequence[int]) -> dict[int, Estimate]:
     """
     held = {j: delay(rows, j) for j in joints}
     plain = {j: delay(rows, j, memory=False) for j in joints}
-    late, other = common_delay(list(held.values())), common_delay(list(plain.values()))
+    wide = [_SYSTEMATIC * abs(plain[j].value - held[j].value) for j in joints]
+    late, other = (common_delay(list(lags.values()), wide) for lags in (held, plain))
     early = max(late, other, key=lambda lag: lag.value)
     if _told(late) if late.value > 0.0 else (early.value < 0.0 and _told(early)):
         return dict.fromkeys(joints, late)
@@ -199,15 +199,17 @@ def _told(lag: Estimate) -> bool:
     return abs(lag.value) > half + (0.0 if half < _NARROW else _LATE)
 
 
-def common_delay(lags: Sequence[Estimate]) -> Estimate:
-    """Return the weighted median of lags; its standard error includes their spread.
+def common_delay(lags: Sequence[Estimate], systematic: Sequence[float]) -> Estimate:
+    """Return the weighted median of lags with `systematic` errors [s] in addition to their own.
 
-    It is infinite for fewer than three lags, whose spread is unknown.
+    Its standard error includes their spread; it is infinite for fewer than three lags, whose spread
+    is unknown.
     """
-    known = [lag for lag in lags if np.isfinite(lag.error)]
+    both = zip(lags, systematic, strict=True)
+    known = [(lag.value, np.hypot(lag.error, own)) for lag, own in both if np.isfinite(lag.error)]
     if len(known) < 3:
         return Estimate(value=0.0, error=np.inf)
-    values, errors = np.array([(lag.value, np.hypot(lag.error, _SYSTEMATIC)) for lag in known]).T
+    values, errors = np.array(known).T
     order = np.argsort(values)
     values, weights = values[order], errors[order] ** -2.0 / np.sum(errors**-2.0)
     middle = float(np.interp(0.5, np.cumsum(weights) - 0.5 * weights, values))

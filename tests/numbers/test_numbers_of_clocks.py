@@ -88,9 +88,6 @@ def test_clocks(
         },
         rtol=1e-3,
     )  # fmt: skip
-    ms = RobotDescription.model_validate(
-        arm.model_dump() | {"log": {"units": {"t": "ms"}, "sample_rate": 200.0}}
-    )
     data_regression.check(
         {
             "sound": told(part),
@@ -108,6 +105,6 @@ def test_clocks(
             "slowed": told(slowed(1.5)),
             "hurried": told(slowed(0.6)),
             "hardly slowed": told(slowed(1.2)),
-            "rates": said(of_log(log, [_wrong_rate(x, r) for x in (0.5, 1.7) for r in (arm, ms)])),
+            "rates": said(of_log(log, [_wrong_rate(x) for x in (0.5, 1.7)])),
         }
     )  # fmt: skip
