@@ -14,6 +14,7 @@ from hesr_model.fitting.joint_rows import non_negative_least_squares
 from hesr_model.fitting.ties import ROUND_OFF
 from hesr_model.health.evidence import Motionwise, Torques, rubbing
 from hesr_model.health.mistakes import CandidateRows, Mistake, mistakes, torques_of
+from hesr_model.health.positions import BEYOND
 from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Mask
@@ -75,6 +76,8 @@ def _best(
     best, left, most = None, now, 0.0
     for mistake in mistakes(rows, model, moves):
         then = _unexplained(mistake.mended, model, moves)
+        if _beyond(mistake.mended.q, model) > _beyond(rows.q, model) + BEYOND:
+            continue
         gain = np.log(now / then)
         good = (gain > np.log(_BETTER)) & (1.0 - then**2 > _EXPLAINED)
         if not np.any(good) or np.min(gain) < -np.log(_NO_WORSE):
@@ -84,6 +87,12 @@ def _best(
         elif best and best.joint == mistake.joint and float(gain.sum()) * _CLEARLY > most:
             best = replace(best, remedy=_either(best))
     return best, left
+
+
+def _beyond(q: Array, model: Robot) -> float:
+    """Return the largest excess over the model's limits [rad or m]."""
+    lower, upper, _ = model.limits
+    return float(np.max(np.maximum(lower - q, q - upper), initial=0.0))
 
 
 def _either(best: Mistake) -> str:

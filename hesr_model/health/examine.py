@@ -113,7 +113,7 @@ def hopeless(findings: Sequence[Finding]) -> bool:
     )
 
 
-_SYMPTOMS = (
+SYMPTOMS = (
     *("torque-sign", "torque-scale", "torque-signal", "torque-lag", "torque-small", "time-scale"),
     "gravity-sign",
 )
@@ -124,7 +124,7 @@ def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Find
     local = {name for cause in causes if cause.check == "torque-sign" for name in cause.joints}
     everywhere = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
     kept = [
-        f for f in findings if f.check not in _SYMPTOMS or not (everywhere or local & set(f.joints))
+        f for f in findings if f.check not in SYMPTOMS or not (everywhere or local & set(f.joints))
     ]
     signs = {f.joints: f.found for f in findings if f.check == "torque-sign"}
     told = [

@@ -19,7 +19,8 @@ class HealthError(LogError):
 def _said(findings: Sequence[Finding]) -> str:
     lines = [f"{f.sentence} [{f.check}]" for f in findings]
     names = " ".join(f"--accept {name}" for name in dict.fromkeys(f.check for f in findings))
-    told = f"To continue anyway: {names}."
+    tried = "hesr inspect tries the changes on these logs. " * any(f.changes for f in findings)
+    told = f"{tried}To continue anyway: {names}."
     if len(lines) == 1:
         return f"{lines[0]} {told}"
     return "\n  ".join([f"{len(lines)} errors in the data.", *lines, told])
@@ -33,7 +34,7 @@ def of_log(log: Log, findings: Iterable[Finding]) -> list[Finding]:
 def merged(findings: Iterable[Finding]) -> list[Finding]:
     """Merge findings of several logs or joints; errors first."""
     by_log = _merged(findings, lambda f: (f.check, f.joints))
-    return errors_first(_merged(by_log, lambda f: (f.check, f.severity, f.remedy)))
+    return errors_first(_merged(by_log, lambda f: (f.check, f.severity, f.remedy, repr(f.changes))))
 
 
 def _merged(findings: Iterable[Finding], key: Callable[[Finding], object]) -> list[Finding]:

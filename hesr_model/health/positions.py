@@ -18,7 +18,7 @@ _PERIODS = 5e-5, 0.9  # plausible sample periods [s]; 1 s may be 1 ms
 _TURN = 2.0 * np.pi
 _SPIKE = 40.0  # relative distance of a spike
 _LEAST_SPIKE = 0.02  # [rad or m]
-_BEYOND = 0.05  # allowed excess over a limit [rad or m]
+BEYOND = 0.05  # allowed excess over a limit [rad or m]
 _COARSE, _FEW = 8e-4, 20  # reported step [rad or m], steps needed
 _FAR, _QUICK = 100.0, 20.0  # [m], [m/s] of a sliding joint in other units
 _SATURATED = 0.01  # share of rows at a limit of the drive
@@ -117,11 +117,11 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
     factor = np.pi / 180.0
     turning = ~np.array(model.slides)
     in_degrees = bool(np.any(turning & (beyond > 3.0 * width))) and bool(
-        np.all(np.maximum(lower - low * factor, high * factor - upper)[turning] < _BEYOND + 0.1)
+        np.all(np.maximum(lower - low * factor, high * factor - upper)[turning] < BEYOND + 0.1)
     )
     names = column_names(robot.log.columns.q, robot.joints)
     for j, joint in enumerate(robot.joints):
-        if beyond[j] <= _BEYOND:
+        if beyond[j] <= BEYOND:
             continue
         of_motor = beyond[j] > width[j] and robot.logged is None and is_of_motor(names[j])
         mends = in_degrees and turning[j] and not of_motor

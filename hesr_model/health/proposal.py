@@ -10,7 +10,7 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.findings import Finding, errors_first
-from hesr_model.health.examine import Examination, examine, hopeless
+from hesr_model.health.examine import SYMPTOMS, Examination, examine, hopeless
 from hesr_model.health.joints import (
     changed,
     chosen,
@@ -41,6 +41,7 @@ _REMEDIES = (
     ("is nan;", "log.missing", "drop"),
 )
 """Words of a refusal, and the key and value of the robot file that remove it."""
+_HIDDEN = {*SYMPTOMS, "speed-limit", "velocity-lag"}  # warnings that other findings can hide
 _NO_REMEDY = "no change that was tried removes it; check the column, its unit and the model"
 
 
@@ -103,7 +104,8 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
     first = examination.findings
     for _ in range(_ROUNDS):
         found = examination.findings
-        for some in (found, *((one,) for one in found)):
+        some_or_all = [f for f in found if f.check != "velocity-lag"]  # its dq may be wanted
+        for some in (some_or_all, *([one] for one in some_or_all)):
             changes, why = _changes(robot, some)
             tried = looked(changed(robot, changes)) if changes else None
             if tried and _mends(found, some, tried[2].findings):
@@ -116,15 +118,23 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
         if tried is None:
             break
         robot, logs, examination = tried
-        reasons |= why
+        guessed = {k: reasons[k] for k in why if reasons.get(k, "").startswith("guess: ")}
+        reasons |= why | {k: f"{said}; {why[k]}" for k, said in guessed.items()}
     if known and (rest := resting(robot, examination.parts)):
         reasons["locked"] = f"likely: {', '.join(rest)} rest{'s' * (len(rest) == 1)} in all logs"
         heat = any(log.temperature is not None for log in logs)
         robot, logs, examination = looked(without(robot, rest, temperatures=heat))
     slides = enumerate(Robot(robot).slides) if known else ()
+    found = examination.findings
     left = tuple(
-        replace(f, remedy=_NO_REMEDY, changes={}) if _changes(robot, [f])[0] else f
-        for f in examination.findings
+        f
+        if not f.changes
+        or (
+            f.check == "velocity-lag"
+            and _mends(found, [f], looked(changed(robot, _changes(robot, [f])[0]))[2].findings)
+        )
+        else replace(f, remedy=_NO_REMEDY, changes={})
+        for f in found
     )
     examination = replace(examination, findings=left)
     return Proposal(
@@ -207,8 +217,6 @@ def _changes(
     wanted: dict[str, Any] = {}
     reasons: dict[str, dict[str, str]] = {}  # by key and check
     for finding in findings:
-        if finding.check == "velocity-lag" or not finding.changes:
-            continue
         for key, value in finding.changes.items():
             wanted[key] = _combined(_value(robot, key), wanted.get(key), value)
             reasons.setdefault(key, {}).setdefault(finding.check, finding.found)
@@ -219,10 +227,10 @@ def _changes(
 
 
 def _mends(before: Sequence[Finding], mended: Sequence[Finding], after: Sequence[Finding]) -> bool:
-    """Return whether findings with changes are gone, and no error is new unless it was hidden."""
+    """Return whether findings with changes are gone, and none is new unless it was hidden."""
     left, known = _places(after), _places(before)
-    gone = _places(f for f in mended if f.changes and f.check != "velocity-lag")
-    new = _places(f for f in after if f.severity == "error") - known
+    gone = _places(f for f in mended if f.changes)
+    new = _places(f for f in after if f.severity == "error" or f.check not in _HIDDEN) - known
     return not left & gone and (hopeless(before) or not new)
 
 

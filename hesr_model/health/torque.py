@@ -6,6 +6,7 @@ import numpy as np
 
 from hesr_model.findings import Finding, of_joint
 from hesr_model.health.evidence import JointTorque, Motionwise, Torques, explain
+from hesr_model.health.velocity import listed
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.units import backwards, unit_of_joint
 
@@ -36,6 +37,15 @@ def check_torque(
 ) -> Iterator[Finding]:
     """Check torques, but not the scale of `blurred` joints."""
     for j, fit in found.items():
+        if fit.r2 < NO_SIGNAL:
+            levels = len(np.unique(motion.tau[:, j]))
+            what = (
+                f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
+                f"which takes {levels} values"
+            )
+            remedy = "it contains almost no signal, or belongs to another joint"
+            yield of_joint("torque-signal", model.description.joints[j], what, remedy, "warning")
+            continue
         yield from _sign(fit, j, model)
         if j not in blurred:
             yield from _scale(fit, j, found, model)
@@ -48,14 +58,6 @@ def check_torque(
                 remedy="the mounting differs from 'gravity', its zero is off by half a turn, or "
                 "torque or position has the wrong sign",
             )
-        if fit.r2 < NO_SIGNAL:
-            levels = len(np.unique(motion.tau[:, j]))
-            what = (
-                f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
-                f"which takes {levels} values"
-            )
-            remedy = "it contains almost no signal, or belongs to another joint"
-            yield of_joint("torque-signal", model.description.joints[j], what, remedy, "warning")
     yield from _no_friction(found, model)
     yield from _against_limits(motion, found, model)
 
@@ -120,15 +122,17 @@ def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator
     everywhere = len(bearing) > 1 and all(
         abs(f.gravity.value) < 1 / _SCALE or abs(f.gravity.value) > _SCALE for f in bearing
     )
+    remedy, changes = _why_scaled(robot, j, scale, everywhere=everywhere)
+    if scale <= _WEIGHTLESS and weightless and abs(fit.inertia.value) >= 1.0 / _SCALE:
+        remedy, changes = "gravity was removed from it, a spring or counterweight carries the ", {}
+        remedy += "arm, or the file declares another gravity"
     yield Finding(
         check="torque-scale",
         joints=(robot.joints[j],),
         found=f"its torque is {max(scale, 0.0):.2g} (+- {margin:.1g}) times the {of} torque of the "
         "model",
-        remedy=_why_scaled(robot, scale, everywhere=everywhere)
-        if scale > _WEIGHTLESS or not weightless or abs(fit.inertia.value) < 1.0 / _SCALE
-        else "gravity was removed from it, a spring or counterweight carries the arm, or the file "
-        "declares another gravity",
+        remedy=remedy,
+        changes=changes,
     )
 
 
@@ -136,25 +140,25 @@ def _far_too_large(fit: JointTorque) -> bool:
     return fit.gravity_size > 1e-3 and fit.gravity.value - _SURE * fit.gravity.error > 10.0
 
 
-def _why_scaled(robot: RobotDescription, scale: float, *, everywhere: bool) -> str:
+def _why_scaled(
+    robot: RobotDescription, j: int, scale: float, *, everywhere: bool
+) -> tuple[str, dict[str, object]]:
     if robot.log.torque_per_ampere is not None:
         if scale <= 0:
-            return "its torque_per_ampere is far too small, or the column holds another signal"
+            return "its torque_per_ampere is far too small, or the column holds another signal", {}
         off = max(scale, 1.0 / scale)
         about = round(off, 1 - len(str(int(off))))
         way = "small" if scale < 1 else "large"
-        return f"its torque_per_ampere is about {about:g} times too {way}"
+        return f"its torque_per_ampere is about {about:g} times too {way}", {}
     if scale > 100:
-        return "torque is in mN.m; set [log.units] tau = 'mN.m'"
-    gear = robot.gear_ratio and float(np.median(robot.gear_ratio))
-    if gear and 1 / _SCALE < scale * gear < _SCALE:
-        return f"it is the motor torque before the gear; set [log.units] tau = {gear:g}"
+        return "torque is in mN.m; set [log.units] tau = 'mN.m'", {"log.units.tau": "mN.m"}
+    if (gears := robot.gear_ratio) and 1 / _SCALE < scale * gears[j] < _SCALE:
+        what = "it is the motor torque before the gear"
+        return f"{what}; set [log.units] tau = {listed(gears)}", {"log.units.tau": gears}
     if everywhere and scale < 1:
-        return (
-            "the column contains currents [A] or motor torques; name it under [log.columns] "
-            "current and give torque_per_ampere"
-        )
-    return "the unit of the torque is wrong, or the column holds a current; see [log.units] tau"
+        why = "the column contains currents [A] or motor torques; name it under [log.columns] "
+        return f"{why}current and give torque_per_ampere", {}
+    return "the unit of the torque is wrong, or the column holds a current; see [log.units] tau", {}
 
 
 def _no_friction(found: Explained, model: Robot) -> Iterator[Finding]:

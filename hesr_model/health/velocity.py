@@ -142,7 +142,7 @@ def _scale(
         units = [backwards(unit) if k in against else unit for k, unit in declared]
         what = f"its position falls where its velocity is positive (slope {found.slope:.2f})"
         remedy = (
-            f"velocity or position counts backwards; set [log.units] dq = {_listed(units)}, "
+            f"velocity or position counts backwards; set [log.units] dq = {listed(units)}, "
             "or q accordingly"
         )
         yield of_joint("velocity-sign", name, what, remedy, changes={"log.units.dq": tuple(units)})
@@ -180,14 +180,17 @@ def _cause(
                 return told, {f"log.units.{quantity}": unit}
             each = list(units.each(quantity, n))
             each[j] = unit
-            told = f"{quantity} is in {unit}; set [log.units] {quantity} = {_listed(each)}"
+            told = f"{quantity} is in {unit}; set [log.units] {quantity} = {listed(each)}"
             return told, {f"log.units.{quantity}": tuple(each)}
-    gear = robot.gear_ratio[j] if robot.gear_ratio else None
-    if gear and abs(np.log(ratio * gear)) < _SAME:
-        return f"dq belongs to the motor; set [log.units] dq = {1 / gear:.6g}", {}
-    if gear and abs(np.log(ratio / gear)) < _SAME:
-        return f"q belongs to the motor; set [log.units] q = {1 / gear:.6g}", {}
+    gear = robot.gear_ratio[j] if robot.gear_ratio else 1.0
+    for quantity, geared in (("dq", ratio * gear), ("q", ratio / gear)) if gear != 1.0 else ():
+        if abs(np.log(geared)) < _SAME:
+            each = [*units.each(quantity, n)]
+            each[j] = float(f"{units.factors(quantity, n)[j] / gear:.6g}")
+            told = f"{quantity} belongs to the motor; set [log.units] {quantity} = {listed(each)}"
+            return told, {f"log.units.{quantity}": tuple(each)}
     if all_alike:
+        ratio = float(np.median([abs(other.slope) for other in matches.values()]))
         for unit, factor in OTHERS["t"].items():
             if abs(np.log(ratio * units.factors("t", 1)[0] / factor)) < _SAME:
                 return f"time is in {unit}; set [log.units] t = '{unit}'", {"log.units.t": unit}
@@ -206,7 +209,8 @@ def _alternatives(units: LogUnits, quantity: str, j: int, n: int, wanted: float)
             yield f"-{unit}" if declared < 0 else unit
 
 
-def _listed(units: Sequence[str | float]) -> str:
+def listed(units: Sequence[str | float]) -> str:
+    """Return one unit, or one per joint, as in a robot file."""
     if len(set(units)) == 1:
         return repr(units[0])
     return f"[{', '.join(repr(unit) for unit in units)}]"

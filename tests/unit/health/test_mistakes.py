@@ -13,6 +13,7 @@ from hesr_model.errors import ConfigError
 from hesr_model.findings import Finding
 from hesr_model.health.examine import CHECKS, checked, examine
 from hesr_model.health.findings import HealthError
+from hesr_model.health.proposal import propose
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import Robot
@@ -277,6 +278,33 @@ def test_torques_without_gravity_are_refused(log: Log, arm_model: Robot) -> None
 def test_a_clean_log_has_no_finding(log: Log, arm_model: Robot) -> None:
     assert checked([log], arm_model) == []
     assert checked([replace(log, dq=None)], arm_model) == []
+
+
+REMAINS = {
+    "dq late",  # dq = "" helps, but the velocity may be wanted
+}
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("what", MISTAKES)
+def test_a_remedy_is_offered_only_where_it_helps(
+    what: str, log: Log, arm_model: Robot, tmp_path: Path
+) -> None:
+    """Each change was applied: its finding is gone without a new one, or it is withdrawn."""
+    robot, path = arm_model.description, tmp_path / "log.csv"
+    MISTAKES[what][0](log).write(path)
+    found = propose([path], robot, known=True)
+    first = {(f.check, joint): f for f in found.first for joint in f.joints or ("",)}
+    assert all(f.changes for f in found.first if "; set " in f.remedy)
+    again = examine([Log.read(path, found.robot)], found.robot, Robot(found.robot)).findings
+    assert {f.check for f in again} == {f.check for f in found.examination.findings}
+    for finding in found.examination.findings:
+        assert set(first) & {(finding.check, joint) for joint in finding.joints or ("",)}
+        offered = "; set " in finding.remedy
+        assert offered == (what in REMAINS)
+        assert offered or not finding.changes
+    fixed = {f.check for f in found.first if f.changes} - {f.check for f in again}
+    assert bool(fixed) == (found.robot != robot), (found.reasons, found.examination.findings)
 
 
 @pytest.mark.parametrize("what", MISTAKES)
