@@ -114,7 +114,11 @@ def limited_motion(
                 counts, _ = np.histogram(sign * dq[:, k], edges)
                 row[2].stairs(sign * counts * (t[1] - t[0]), edges, color=SERIES[0], fill=True)
             row[2].set_xscale("log")
-    titles = "position [rad; m where prismatic]", "velocity [rad/s; m/s where prismatic]", "s spent"
+    titles = (
+        "position [rad; m where prismatic]",
+        "velocity [rad/s; m/s where prismatic]",
+        "time [s]",
+    )
     for k, axis in enumerate(axes[0]):
         axis.set_title(titles[k])
         axes[-1, k].set_xlabel(("t [s]", "t [s]", "speed [rad/s; m/s], both ways")[k])
