@@ -13,7 +13,7 @@ from cosim.study.study import Study
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.findings import Finding
 from hesr_model.robots.mjcf import with_includes
-from hesr_model.robots.model_file import arm, driven_joints, joints_of, locked
+from hesr_model.robots.model_file import arm, driven_joints, joints_of, load, locked
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import folder_written_whole, is_empty, models_folder
 from hesr_model.support.text import few
@@ -47,7 +47,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
         )
     used = driven_joints(model, joints) if joints else arm(model)
     others = [joint for joint in joints_of(model) if joint not in used]
-    rest = locked(others)
+    rest, springs = locked(others), load(model).springs
     name = project_name(folder)
     with folder_written_whole(folder) as temporary:
         mjcf = model.suffix.lower() == ".xml"
@@ -64,6 +64,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
                 resting=rest,
                 unused=few([joint.name for joint in others]),
                 names=", ".join(json.dumps(joint.name, ensure_ascii=False) for joint in used),
+                springs=", ".join(json.dumps(own.name) for own in used if own.name in springs),
                 ratios=", ".join(["100.0"] * len(used)),
                 matrix=[
                     ", ".join("100.0" if i == k else "0.0" for i in range(len(used)))

@@ -1,6 +1,6 @@
 """Limits of joints in a model file, of leaders by their followers, and doubts about a model."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,9 +40,15 @@ def doubts_of_model(path: Path, model: Any) -> Iterator[Finding]:
 
 
 def doubts_of_chain(
-    path: Path, joints: Sequence[str], masses: Array, bare: Mask
+    path: Path, joints: Sequence[str], masses: Array, bare: Mask, sprung: Iterable[str]
 ) -> Iterator[Finding]:
-    """Yield doubts about mass matrices (N, n, n) [kg.m2; kg] and joints without a range (n,)."""
+    """Yield doubts about mass matrices (N, n, n) [kg.m2; kg] and joints without a range (n,).
+
+    Joints in `sprung` have a spring in the model file that the robot lacks.
+    """
+    for name in sprung:
+        found = "has a spring, which its torque leaves out"
+        yield _doubt("no-spring", path, name, found, "list it in 'springs' of the robot file")
     least = np.diagonal(masses, axis1=1, axis2=2).min(axis=0)
     for j in np.flatnonzero(least <= 1e-12 * np.abs(masses).max()).tolist():
         found = (

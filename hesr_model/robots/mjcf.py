@@ -253,6 +253,11 @@ def _described(model: Any) -> Compiled:
         "gravity": model.opt.gravity.tolist(),
         "rest": {n: float(model.qpos0[model.jnt_qposadr[j]]) for n, j in single.items()} | held,
         "armature": {name: float(armature[j]) for name, j in single.items()},
+        "springs": {
+            name: (float(k), -float(k * model.qpos_spring[model.jnt_qposadr[j]]))
+            for name, j in single.items()
+            if (k := model.jnt_stiffness[j]) > 0.0 and name not in held
+        },
         "loops": loops,
         "check": _torques(model, single, held),
     }

@@ -30,12 +30,13 @@ class RobotModel:
 
     `rest` are the positions of joints that do not move; `above` are the bodies between each joint
     and the base; `loops` are pairs of bodies that close a chain, and its joints. `gravity` is in
-    [m/s2].
+    [m/s2]; `springs` are the parameters k and const of linear springs.
     """
 
     path: Path
     model: Any
     gravity: tuple[float, ...]
+    springs: Mapping[str, tuple[float, float]]
     rest: dict[str, float]
     followers: Followers
     above: Mapping[str, frozenset[str]]
@@ -167,6 +168,7 @@ def load(path: Path) -> RobotModel:
         path=path,
         model=model,
         gravity=tuple(compiled.get("gravity", (0.0, 0.0, -9.81))),
+        springs=compiled.get("springs", {}),
         rest={name: x for name, x in compiled.get("rest", {}).items() if name in names and x},
         followers=_resolved(path, urdf.followers, names),
         above={own: frozenset(chains[link][0]) - {link} for link, (_, own) in urdf.parents.items()},

@@ -13,7 +13,7 @@ from hesr_model.findings import Finding
 from hesr_model.robots import model_file
 from hesr_model.robots.description import RobotDescription as RobotDescription
 from hesr_model.robots.limits import chain_limits, doubts_of_chain
-from hesr_model.robots.springs import spring_terms
+from hesr_model.robots.springs import LINEAR, spring_terms
 from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.files import path_of
 
@@ -100,7 +100,9 @@ class Robot:
         low, high, _ = self.reach
         q = np.random.default_rng(0).uniform(low, high, (8, self.n))
         masses, _ = self.dynamics(self.nominal_parameters, q, np.zeros_like(q))
-        own = doubts_of_chain(self._file.path, self.joints, masses, self._limits[3])
+        terms = {*self.description.springs, *self.description.balancers}
+        left = [f.name for f in self.tree if f.name in self._file.springs and f.name not in terms]
+        own = doubts_of_chain(self._file.path, self.joints, masses, self._limits[3], left)
         rounded = {f.joints for f in self._file.doubts if f.check == "rounded-inertia"}
         kept = (f for f in own if f.check != "no-inertia" or f.joints not in rounded)
         return (*kept, *self._file.doubts)
@@ -140,10 +142,14 @@ class Robot:
 
     @cached_property
     def nominal_parameters(self) -> Array:
-        """Parameters (P,) of the model file, 0 for springs."""
+        """Parameters (P,) of the model file, 0 for springs that it lacks."""
         links = [np.asarray(body.toDynamicParameters()) for body in list(self._model.inertias)[1:]]
         rotors = [self.rotor_nominal] if self.description.rotor_inertia else []
-        return np.concatenate([*links, *rotors, np.zeros(len(self.springs))])
+        found = [
+            dict(zip(LINEAR, self._file.springs.get(j, ()), strict=False)) for j in self.joints
+        ]
+        springs = [found[term.joint].get(term.name, 0.0) for term in self.springs]
+        return np.concatenate([*links, *rotors, springs])
 
     @cached_property
     def _limits(self) -> tuple[Array, Array, Array, Mask]:
@@ -314,7 +320,10 @@ def description_of_model(path: Path, joints: Sequence[str] = ()) -> RobotDescrip
     """Return the description of a URDF or MJCF whose other joints, by default fingers, rest."""
     used = tuple(joint.name for joint in model_file.driven_joints(path, joints))
     rest = model_file.locked(model_file.joints_of(path), used)
-    return RobotDescription(name=path.stem, model=path.resolve(), joints=used, locked=rest)
+    sprung = tuple(name for name in used if name in model_file.load(path).springs)
+    return RobotDescription(
+        name=path.stem, model=path.resolve(), joints=used, locked=rest, springs=sprung
+    )
 
 
 def model_of(robot: RobotLike) -> Robot:

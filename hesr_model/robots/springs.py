@@ -8,7 +8,7 @@ import numpy as np
 from hesr_model.errors import RobotError
 from hesr_model.support.arrays import Array
 
-_SPRING = ("k", "const")
+LINEAR = ("k", "const")
 _BALANCER = {"const": 0, "cos": 1, "sin": 1, "cos2": 2, "sin2": 2}  # multiples of the angle
 
 
@@ -66,6 +66,6 @@ def spring_terms(
                     "in 'springs'."
                 )
     for number, joint in enumerate(joints):
-        names = [*_SPRING] * (joint in springs) + [*_BALANCER] * (joint in balancers)
+        names = [*LINEAR] * (joint in springs) + [*_BALANCER] * (joint in balancers)
         for name in dict.fromkeys(names):
             yield SpringTerm(joint=number, name=name)

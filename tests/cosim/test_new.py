@@ -400,3 +400,14 @@ def test_files_that_an_mjcf_includes_come_with_it(tmp_path: Path) -> None:
     assert found.joints == expected.joints == ("a", "b")
     np.testing.assert_array_equal(found.nominal_parameters, expected.nominal_parameters)
     np.testing.assert_array_equal(found.rotor_nominal, [0.2, 0.2])
+
+
+def test_springs_of_an_mjcf_are_listed(tmp_path: Path, hesr: Hesr, arm: RobotDescription) -> None:
+    text = arm.model.read_text(encoding="utf-8")
+    spring = text.replace('<joint name="j2"', '<joint name="j2" stiffness="40" springref="0.3"')
+    arm.model.write_text(spring, encoding="utf-8")
+    answer = hesr("new", tmp_path / "own", "--robot", arm.model)
+    assert (answer.code, answer.err) == (0, "")
+    robot = Robot(RobotDescription.read(tmp_path / "own" / "robot.toml"))
+    assert [term.joint for term in robot.springs] == [1, 1]
+    np.testing.assert_allclose(robot.nominal_parameters[robot.inertial :], [40.0, -12.0])

@@ -31,7 +31,7 @@ def arm(name: str, frame: str, *joints: str) -> str:
 
 
 def torques(robot: Robot, path: Path, *, others: dict[str, float] | None = None) -> np.ndarray:
-    """Compare with mj_inverse of the whole file; return HESR's torques."""
+    """Compare with mj_inverse of the whole file without damping; return HESR's torques."""
     mujoco = engine()
     model = mujoco.MjModel.from_xml_path(str(path))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -48,7 +48,7 @@ def torques(robot: Robot, path: Path, *, others: dict[str, float] | None = None)
         data.qpos[place] = slopes @ state[0] + offsets
         data.qvel[dofs], data.qacc[dofs] = slopes @ state[1], slopes @ state[2]
         mujoco.mj_inverse(model, data)
-        expected.append(slopes.T @ (data.qfrc_inverse + data.qfrc_passive)[dofs])
+        expected.append(slopes.T @ (data.qfrc_inverse + data.qfrc_damper)[dofs])
     found = robot.torque(robot.nominal_parameters, q, dq, ddq)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
     return found
@@ -75,8 +75,20 @@ def test_references_frames_slides_and_a_shared_body(tmp_path: Path) -> None:
     torques(robot, path)
     assert robot.slides == (False, True)
     assert robot.nominal_parameters[10] == pytest.approx(7.0)
-    locked = Robot(RobotDescription(name="x", model=path, joints=("a1",)))
+    locked = Robot(RobotDescription(name="x", model=path, joints=("a1",), springs=("a1",)))
     torques(locked, path, others={"s": -0.2})  # its reference
+
+
+def test_springs_of_the_file_are_terms_of_the_body(tmp_path: Path) -> None:
+    turning = 'axis="0 1 0" stiffness="30" springref="0.4" ref="0.1" frictionloss="0.7"'
+    path = mjcf(tmp_path, arm("a", "", turning, 'type="slide" axis="1 0 0" stiffness="8"'))
+    robot = Robot(path)
+    assert robot.description.springs == ("a1", "a2")
+    torques(robot, path)
+    assert not [doubt for doubt in robot.doubts if doubt.check == "no-spring"]
+    without = Robot(robot.description.model_copy(update={"springs": ("a1",)}))
+    (doubt,) = [doubt for doubt in without.doubts if doubt.check == "no-spring"]
+    assert (doubt.joints, doubt.where) == (("a2",), str(path))
 
 
 def test_gravity_and_inertias_of_shapes_are_those_of_the_file(tmp_path: Path) -> None:
