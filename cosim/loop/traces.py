@@ -1,24 +1,23 @@
 """Results of the closed loop: tracking errors, and positions over time."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from cosim.loop.closed_loop import Law, NamedScheme, Scheme
-from hesr_model.errors import ArtifactError
+from hesr_model.errors import ArtifactError, LogError
 from hesr_model.findings import Finding
+from hesr_model.logs.readers.arrays import load_arrays
+from hesr_model.logs.tables import arrow, write_table
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
 from hesr_model.support.typed_json import Numbers, NumbersWithGaps
 
-if TYPE_CHECKING:
-    import pyarrow
-
-TRACES = "closed_loop.parquet"
+TRACES = "closed_loop.npz"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,55 +72,49 @@ class LoopOutcome:
 
 
 def write_traces(path: Path, traces: Iterable[tuple[Scheme, str, Trace]]) -> None:
-    """Write traces of (scheme, law) as one long Parquet table: ``scheme, law, t, q_d1.., q1..``."""
-    import pyarrow
-    import pyarrow.parquet
-
-    tables = [
-        pyarrow.table(
-            {"scheme": [scheme.name] * len(trace.t), "law": [law] * len(trace.t), "t": trace.t}
-            | {f"q_d{k + 1}": column for k, column in enumerate(trace.q_d.T.copy())}
-            | {f"q{k + 1}": column for k, column in enumerate(trace.q.T.copy())}
-        )
-        for scheme, law, trace in traces
-    ]
+    """Write traces of (scheme, law) as long NumPy columns: ``scheme, law, t, q_d1.., q1..``."""
+    runs = list(traces)
+    rows = [len(trace.t) for _, _, trace in runs]
+    columns = {
+        "scheme": np.repeat([scheme.name for scheme, _, _ in runs], rows),
+        "law": np.repeat([law for _, law, _ in runs], rows),
+        "t": np.concatenate([trace.t for _, _, trace in runs]),
+    }
+    for name in ("q_d", "q"):
+        of_joints = np.concatenate([getattr(trace, name) for _, _, trace in runs]).T
+        columns |= {f"{name}{k}": column for k, column in enumerate(of_joints, start=1)}
     with written_whole(path) as temporary:
-        pyarrow.parquet.write_table(pyarrow.concat_tables(tables), temporary, compression="zstd")
+        write_table(temporary, columns)
 
 
 def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
-    """Return the traces of a file by (scheme, law), in its order."""
-    import pyarrow
-    import pyarrow.parquet
-
-    if not path.is_file():
+    """Return the traces of a file, or of the Parquet file of an older result, by (scheme, law)."""
+    older = path.with_suffix(".parquet")
+    if not path.is_file() and not older.is_file():
         raise ArtifactError(
             f"{path}: no such file; 'hesr run' writes it for a study with [tracking]."
         )
+    read = None if path.is_file() else arrow(older).parquet.read_table
     try:
-        table = pyarrow.parquet.read_table(path)
-        names = table["scheme"].to_pylist()
-        schemes = {name: Scheme.of_name(name) for name in dict.fromkeys(names)}
-        laws = table["law"].to_pylist()
-        runs = [(schemes[name], law) for name, law in zip(names, laws, strict=True)]
-        columns = [table[name].to_numpy() for name in ("t", *_of(table, "q_d"), *_of(table, "q"))]
-    except (pyarrow.ArrowException, OSError, KeyError, ValueError) as error:
+        table = load_arrays(path) if read is None else read(older).to_pydict()
+        names = ["t", *_of(table, "q_d"), *_of(table, "q")]
+        values = np.column_stack([np.asarray(table[name], dtype=float) for name in names])
+        runs = list(zip(map(str, table["scheme"]), map(str, table["law"]), strict=True))
+        order = {run: k for k, run in enumerate(dict.fromkeys(runs))}
+        places, joints = np.array([order[run] for run in runs]), len(names) // 2
+        return {
+            (Scheme.of_name(scheme), law): Trace(
+                t=part[:, 0], q_d=part[:, 1 : 1 + joints], q=part[:, 1 + joints :]
+            )
+            for (scheme, law), k in order.items()
+            for part in [values[places == k]]
+        }
+    except (LogError, OSError, KeyError, IndexError, TypeError, ValueError) as error:
         raise ArtifactError(f"{path}: is not a file of closed-loop traces.") from error
-    values = np.column_stack(columns)
-    joints = (values.shape[1] - 1) // 2
-    rows: dict[tuple[Scheme, str], list[int]] = {}
-    for k, run in enumerate(runs):
-        rows.setdefault(run, []).append(k)
-    return {
-        run: Trace(t=part[:, 0], q_d=part[:, 1 : 1 + joints], q=part[:, 1 + joints :])
-        for run, of_run in rows.items()
-        for part in [values[of_run]]
-    }
 
 
-def _of(table: "pyarrow.Table", vector: str) -> list[str]:
-    names = [f"{vector}{k + 1}" for k in range(len(table.column_names))]
-    found = [name for name in names if name in table.column_names]
-    if not found:
+def _of(table: Mapping[str, object], vector: str) -> list[str]:
+    names = [f"{vector}{k + 1}" for k in range(len(table)) if f"{vector}{k + 1}" in table]
+    if not names:
         raise KeyError(vector)
-    return found
+    return names

@@ -15,6 +15,7 @@ from cosim.study.scores import Comparison, LogRecords, Predictions, inputs_of
 from cosim.study.study import Study, TimeBand
 from hesr_model.findings import Finding
 from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.readers.arrays import load_table
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import read_table, write_table
 from hesr_model.rigid_body.identification import RigidBody
@@ -171,7 +172,7 @@ def _save_torques(folder: Path, run: Scored) -> dict[str, str]:
         }
     traces = {}
     for k, (name, predicted) in enumerate(first.items(), start=1):
-        traces[name] = f"torques_{k}.parquet"
+        traces[name] = f"torques_{k}.npz"
         write_torques(folder / traces[name], run.records[name][0], predicted)
     return traces
 
@@ -179,7 +180,7 @@ def _save_torques(folder: Path, run: Scored) -> dict[str, str]:
 def write_torques(
     path: Path, records: Sequence[FrictionRecord], predicted: Mapping[str, Sequence[Array]]
 ) -> None:
-    """Write the torques [N.m] of one log to Parquet: measured, rigid body, and every law.
+    """Write the torques [N.m] of one log as arrays: measured, rigid body, and every law.
 
     Columns are t, and for joint k of 1..n q{k}, dq{k}, tau{k}, tau_rb{k} and {law}.tau_f{k}; of a
     cylinder also tau_load{k}.
@@ -203,8 +204,8 @@ def write_torques(
 
 
 def read_torques(path: Path) -> dict[str, Array]:
-    """Read the columns (N,) of `write_torques`."""
-    table = read_table(path)
+    """Read the columns (N,) of `write_torques`; older results have Parquet files."""
+    table = load_table(path) if path.suffix == ".npz" else read_table(path)
     return dict(zip(table.names, table.numbers(table.names).T, strict=True))
 
 

@@ -43,7 +43,11 @@ def require_content(path: Path) -> None:
 
 
 def write_table(path: Path, columns: Mapping[str, Array]) -> None:
-    """Write columns (N,) as CSV or Parquet, with all digits."""
+    """Write columns (N,) as CSV, Parquet or ``.npz``, with all digits."""
+    if path.suffix == ".npz":
+        with path.open("wb") as archive:
+            np.savez_compressed(archive, allow_pickle=False, **columns)
+        return
     if path.suffix.lower() in _PARQUET:
         arrays = {name: np.ascontiguousarray(values) for name, values in columns.items()}
         arrow(path).parquet.write_table(arrow(path).table(arrays), path)

@@ -16,6 +16,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import PIL.Image
+import pyarrow.parquet
 import pytest
 from small_study import Hesr, hesr_here
 
@@ -32,7 +33,7 @@ from hesr.extras.view.runs import ViewOptions, choose
 from hesr.extras.view.skeleton import Paint, arm
 from hesr.extras.view.stage import HEIGHT, WIDTH, Stage
 from hesr.extras.view.video import RATE, drawing, write_video
-from hesr_model.errors import ArtifactError, RobotError
+from hesr_model.errors import ArtifactError, LogError, RobotError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
@@ -126,6 +127,29 @@ def test_traces_are_those_of_the_scored_runs(result: Path) -> None:
         assert trace.t[-1] == pytest.approx(1.0)
         error = np.sqrt(np.mean((trace.q - trace.q_d) ** 2, axis=0))
         np.testing.assert_allclose(error, row["rmse"][0], rtol=1e-12)
+
+
+def test_traces_have_the_same_bytes_again_and_may_be_parquet(
+    result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Older results have `closed_loop.parquet`, which needs pyarrow."""
+    traces = read_traces(result / TRACES)
+    write_traces(tmp_path / TRACES, [(*key, trace) for key, trace in traces.items()])
+    assert (tmp_path / TRACES).read_bytes() == (result / TRACES).read_bytes()
+    with np.load(tmp_path / TRACES) as file:
+        columns = {name: file[name] for name in file.files}
+    assert list(columns)[:5] == ["scheme", "law", "t", "q_d1", "q_d2"]
+    (tmp_path / TRACES).rename(tmp_path / "unused.npz")
+    older = {name: column.tolist() for name, column in columns.items()}
+    pyarrow.parquet.write_table(pyarrow.table(older), tmp_path / "closed_loop.parquet")
+    found = read_traces(tmp_path / TRACES)
+    assert list(found) == list(traces)
+    for key, trace in traces.items():
+        for name in ("t", "q_d", "q"):
+            np.testing.assert_array_equal(getattr(found[key], name), getattr(trace, name))
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(LogError, match=r"need pyarrow: pip install 'hesr\[formats\]'\.$"):
+        read_traces(tmp_path / TRACES)
 
 
 def test_files_without_traces_are_refused(tmp_path: Path) -> None:

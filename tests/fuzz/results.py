@@ -301,7 +301,7 @@ RESULTS = {
     "verdict": Reader(
         suffix=".json", write=_write_verdict, read=_in_place("verdict.json", _verdict)
     ),
-    "paths": Reader(suffix=".parquet", write=_write_paths, read=_paths),
+    "paths": Reader(suffix=".npz", write=_write_paths, read=_paths),
     "tracked": Reader(
         suffix=".json", write=_write_tracked, read=_result("cosim.loop.tracking", "_Kept")
     ),

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.log_table import LogTable, most_bytes, table_of
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
@@ -58,23 +57,30 @@ def numeric(value: Any, name: str) -> Iterator[tuple[str, Array]]:
         yield name, np.asarray(value, dtype=float)
 
 
-def _read(path: Path, log: LogFormat) -> LogTable:
+def load_arrays(path: Path) -> dict[str, Any]:
+    """Return the arrays of a NumPy file by name, an only one as `data`; raises LogError."""
     require_content(path)
     try:
         with path.open("rb") as file:
             found = np.load(file, allow_pickle=False)
             if isinstance(found, np.ndarray):
-                content = {"": found} if found.dtype.names else {"data": found}
-            elif sum(one.file_size for one in found.zip.infolist()) > most_bytes(path):
+                return {"": found} if found.dtype.names else {"data": found}
+            if sum(one.file_size for one in found.zip.infolist()) > most_bytes(path):
                 raise LogError(f"{path}: claims more data than fits into the file.")
-            else:
-                content = {name: found[name] for name in found.files}
-        arrays = {k: a for name, value in content.items() for k, a in numeric(value, name)}
+            return {name: found[name] for name in found.files}
     except LogError:
         raise
     except Exception as error:  # many kinds
         raise LogError(f"{path}: cannot be read as NumPy arrays without objects.") from error
-    return table_of_arrays(path, arrays, log.columns.t)
 
 
-FORMAT = table_format("NumPy file", {".npz", ".npy"}, _read)
+def load_table(path: Path, time: str = "t") -> LogTable:
+    """Open a NumPy file as the table of its numbers; see `table_of_arrays`."""
+    content = load_arrays(path)
+    arrays = {k: a for name, value in content.items() for k, a in numeric(value, name)}
+    return table_of_arrays(path, arrays, time)
+
+
+FORMAT = table_format(
+    "NumPy file", {".npz", ".npy"}, lambda path, log: load_table(path, log.columns.t)
+)

@@ -297,7 +297,7 @@ def test_measured_logs_have_neither_loop_nor_truth(copied: Path) -> None:
             del comparison["ratios"]["laws"]["true friction"]
 
     edit(copied / "evaluation.json", without_truth)
-    for name in ("closed_loop.json", "closed_loop.parquet", "properties.json"):
+    for name in ("closed_loop.json", "closed_loop.npz", "properties.json"):
         (copied / name).unlink()
     page = Page(write_report(copied))
     assert page.sections == [s for s in SECTIONS if s != "loop"]
@@ -365,8 +365,8 @@ def test_a_folder_without_results_is_refused(hesr: Hesr, tmp_path: Path) -> None
         ("part", "rigid_body.json", "{path}: no such file."),
         ("part", "laws/parfam_h.json", "{path}: no such file."),
         whole("closed_loop.json", "{path}: no such file."),
-        whole("closed_loop.parquet", "{path}: no such file; "),
-        whole("traces/torques_3.parquet", "{path}: no such log file."),
+        whole("closed_loop.npz", "{path}: no such file; "),
+        whole("traces/torques_3.npz", "{path}: no such log file."),
     ],
     indirect=["results"],
 )
@@ -385,9 +385,9 @@ def test_a_missing_file_is_named(copied: Path, name: str, said: str) -> None:
         ("part", "run.json", "not a readable JSON file"),
         ("part", "evaluation.json", "not a readable JSON file"),
         whole("closed_loop.json", "not a readable JSON file"),
-        whole("closed_loop.parquet", "is not a file of closed-loop traces."),
+        whole("closed_loop.npz", "is not a file of closed-loop traces."),
         ("part", "properties.json", "not a readable JSON file"),
-        whole("traces/torques_1.parquet", "cannot be read as Parquet."),
+        whole("traces/torques_1.npz", "cannot be read as NumPy arrays without objects."),
     ],
     indirect=["results"],
 )

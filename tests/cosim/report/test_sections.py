@@ -24,7 +24,7 @@ from cosim.report.results import Results
 from cosim.report.sections import inputs, laws, loop, physics, prediction, summary
 from cosim.report.tables.table import ResultTable
 from cosim.report.tables.text import csv_text
-from cosim.study.results import SavedLog, SavedRun, write_findings, write_torques
+from cosim.study.results import SavedLog, SavedRun, read_torques, write_findings, write_torques
 from cosim.study.scores import ORACLE, Comparison, compare, input_classes, predict_models
 from cosim.study.study import TimeBand
 from hesr_model.findings import Finding
@@ -99,7 +99,7 @@ def results(tmp_path: Path) -> Results:
     }  # fmt: skip
     test = records(2)
     write_torques(
-        tmp_path / "traces" / "torques_1.parquet", test,
+        tmp_path / "traces" / "torques_1.npz", test,
         {name: [one[0] for one in of_law]
          for name, of_law in predict_models(models, [[r] for r in test]).items()}
         | {ORACLE: [r.tau for r in test]},
@@ -108,7 +108,7 @@ def results(tmp_path: Path) -> Results:
     half = scored([r.rows(slice(900, None)) for r in test], models)
     log = SavedLog(
         name="unseen log", file="unseen.csv", sha256="ab", roles=("unseen", "identification"),
-        rows=1800, duration=17.99, rate=100.0, trace="torques_1.parquet",
+        rows=1800, duration=17.99, rate=100.0, trace="torques_1.npz",
     )  # fmt: skip
     other = replace(log, name="train", file="t.csv", roles=("training",), trace="", sample=True)
     run = SavedRun(
@@ -291,3 +291,14 @@ def test_the_closed_loop(results: Results, recorded: Recorded) -> None:
 
 def test_tables_of_the_paper(recorded: Recorded) -> None:
     recorded(second=table_ii(("J1", "J2", "J3")), third=table_iii(("J1", "J2", "J3")))
+
+
+def test_torques_of_older_results_are_parquet(tmp_path: Path) -> None:
+    files = [tmp_path / f"torques_1.{suffix}" for suffix in ("npz", "parquet")]
+    for file in files:
+        write_torques(file, records(2), {"lugre": [r.tau for r in records(2)]})
+    new, old = map(read_torques, files)
+    assert list(new) == list(old)
+    assert {"t", "q1", "tau2", "tau_rb2", "lugre.tau_f1"} <= set(new)
+    for name, values in new.items():
+        np.testing.assert_array_equal(values, old[name], strict=True)
