@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from cosim.report.figures.zoom import unpacked, zoom_data
+from cosim.report.figures.zoom import can_zoom, unpacked, zoom_data
 from cosim.report.tables.table import ResultTable
 from cosim.report.tables.text import csv_text
 from fmu_src.pages.html import TEMPLATES, rendered
@@ -67,7 +67,8 @@ class Pictures:
 
         if chart is None:
             return Markup()
-        self.zooms[key] = zoom_data(chart)
+        if can_zoom():
+            self.zooms[key] = zoom_data(chart)
         return self.figure(key, drawn(chart), **texts)
 
     def drawing(

@@ -1,5 +1,6 @@
 """Report of a run: a first layer, then folded sections, from saved results."""
 
+import logging
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -10,7 +11,7 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
-from cosim.report.figures.zoom import library
+from cosim.report.figures.zoom import can_zoom, library
 from cosim.report.markup import TABLES, Pictures, Section, Tables, render, write_sections
 from cosim.report.results import Results
 from cosim.report.sections import inputs, laws, loop, physics, prediction
@@ -22,6 +23,8 @@ from hesr_model.support.files import folder_written_whole
 from hesr_model.support.progress import Stages, counted, silent
 
 REPORT, FIGURES = "report.html", "figures"
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,8 @@ def compose_report(
         for _ in counted(jobs, partial(progress, "writing the report")):
             made += filter(None, [next(found)])
     zooms = {key: data for one in made for key, data in one.zooms.items()}
+    if not can_zoom():
+        _log.warning("figures of the report do not zoom: pip install 'hesr[report]'.")
     sections = [
         _section(*names, [one for one in made if one.part in of_section], home)
         for names, of_section in folded.items()

@@ -27,7 +27,7 @@ from hesr_model.support.arrays import Array
 _MOST_CSV = 2**31 - 2  # bytes
 _LONGEST_LINE = 2**24  # characters
 _DELIMITERS = ",;\t "
-_MARKS = ("#", "%")  # marks of comments, sometimes of a header
+_MARKS = "#%"  # marks of comments, sometimes of a header
 _SEARCHED = 500  # lines searched for data
 _HEADERLESS = 20  # rows of data that prove the absence of a header
 _UNIT_CELL = re.compile(r"[(\[].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad/s|deg/s|-|")
@@ -55,8 +55,7 @@ def read_text(path: Path, names: Sequence[str] = (), content: bytes | None = Non
     """
     _require_length(path, path.stat().st_size)
     content = _content(path) if content is None else content
-    length = path.stat().st_size if content is None else len(content)
-    _require_length(path, length)
+    _require_length(path, len(content or b""))
     return _table(_dialect(path, content, names))
 
 
@@ -155,7 +154,7 @@ def _table_in(
             cells = _cells(line, delimiter)
             if len(cells) == len(names) and not _is_count(cells):
                 return 0, number, delimiter
-            above = [(k, text.lstrip("#% ")) for k, text in reversed(lines[:at])]
+            above = [(k, text.lstrip(_MARKS + " ")) for k, text in reversed(lines[:at])]
             fitting = [(k, text) for k, text in above if _count(text, delimiter) == len(cells)]
             units = [k for k, text in fitting[:1] if _are_units(text, delimiter)]
             named = fitting[1:] if units and len(fitting) > 1 else fitting
@@ -169,7 +168,7 @@ def _table_in(
         raise _headerless(path, bare[0][1], names)
     number, header = lines[0] if lines else (1, "")
     first = lines[1][1] if len(lines) > 1 else ""
-    header = header.lstrip("#% ")
+    header = header.lstrip(_MARKS + " ")
     there = [d for d in _DELIMITERS if d in header] or [","]
     # Names may contain other delimiters.
     alike = [d for d in there if _count(header, d) == _count(first, d)] or there[:1]
@@ -243,11 +242,14 @@ def _table(text: _Text) -> LogTable:
             if not names:
                 raise LogError(f"{text.path}: is empty; a log needs a header and rows of data.")
             require_columns(text.path, len(names))
-            columns, numbers = [_Column() for _ in names], array("q")
-            for of_rows, part in _parts(text, lines, len(names)):
-                for column, cells in zip(columns, part, strict=True):
+            columns, numbers = [Column() for _ in names], array("q")
+            below = enumerate(lines, start=text.data)
+            while chunk := list(islice(below, max(1, _CHUNK // len(names)))):
+                rows = {k: line for k, line in chunk if line.strip(" \r\n")[:1] not in _MARKS}
+                found = _cells_of(rows, text, len(names)) if rows else ()
+                for column, cells in zip(columns, found, strict=bool(rows)):
                     column.add(cells, len(numbers), text.decimal)
-                numbers.extend(of_rows)
+                numbers.extend(rows)
     except (UnicodeDecodeError, csv.Error) as error:
         raise _no_csv(text.path) from error
     return LogTable(
@@ -259,69 +261,48 @@ def _table(text: _Text) -> LogTable:
     )
 
 
-def _parts(
-    text: _Text, lines: Iterator[str], width: int
-) -> Iterator[tuple[Iterable[int], Iterable[Any]]]:
-    """Yield the line numbers and columns of some rows, as arrays if all cells are numbers."""
-    first = text.data
-    while chunk := list(islice(lines, max(1, _CHUNK // width))):
-        if values := _plain(chunk, text, width):
-            yield range(first, first + len(chunk)), values
-            first += len(chunk)
-            continue
-        rows: dict[int, list[str]] = {}
-        # A quoted cell may continue below the chunk.
-        reader = csv.reader(chain(chunk, lines), delimiter=text.delimiter)
-        while reader.line_num < len(chunk):
-            row, number = next(reader), first + reader.line_num - 1
-            if not row or row[0].lstrip().startswith(_MARKS):
-                continue
-            if len(row) != width:
-                raise LogError(
-                    f"{text.path}: row {number} has {len(row)} cells; the header has {width} "
-                    "columns."
-                )
-            rows[number] = row
-        if rows:
-            yield rows, zip(*rows.values(), strict=True)
-        first += reader.line_num
+def _cells_of(rows: Mapping[int, str], text: _Text, width: int) -> Iterable[Any]:
+    """Return the columns of some lines, as arrays if all cells are numbers."""
+    lines = list(rows.values())
+    commas = text.decimal == ","
+    plain = [line.translate(_SWAPPED) for line in lines] if commas else lines
+    read = partial(np.loadtxt, plain, delimiter=text.delimiter, comments=None, ndmin=2)
+    with suppress(ValueError):
+        values = read()
+        if values.shape == (len(lines), width):
+            columns = list(values.T)
+            for k in np.flatnonzero(np.any(np.abs(values) >= _EXACT, axis=0)):
+                columns[k] = _numbers(read(usecols=k, dtype=str)[:, 0].tolist(), ".")
+            return columns
+    cells = list(csv.reader(lines, delimiter=text.delimiter))
+    for number, row in zip(rows, cells, strict=False):
+        if len(row) != width:
+            raise LogError(
+                f"{text.path}: row {number} has {len(row)} cells; the header has {width} columns."
+            )
+    if len(cells) < len(lines):  # an open quotation mark
+        raise _no_csv(text.path)
+    return zip(*cells, strict=True)
 
 
-def _plain(lines: list[str], text: _Text, width: int) -> list[Array] | None:
-    """Return the columns of lines with nothing but numbers."""
-    if text.decimal == ",":
-        lines = [line.translate(_SWAPPED) for line in lines]
-    read = partial(np.loadtxt, lines, delimiter=text.delimiter, comments=None, ndmin=2)
-    try:
-        values = read() if lines[0].strip() else np.empty(0)  # NumPy skips blank lines
-    except ValueError:
-        return None
-    if values.shape != (len(lines), width):
-        return None
-    columns = list(values.T)
-    for k in np.flatnonzero(np.any(np.abs(values) >= _EXACT, axis=0)):
-        columns[k] = numbers_of(read(usecols=k, dtype=str)[:, 0].tolist())
-    return columns
-
-
-class _Column:
+class Column:
     """A growing column, whose type follows from all cells."""
 
     def __init__(self) -> None:
         self._parts: list[Array] = []
         self._text: TextCell | None = None  # first cell that is not a number
 
-    def add(self, cells: Array | Sequence[str], first: int, decimal: str) -> None:
+    def add(self, cells: Array | Sequence[str], first: int = 0, decimal: str = ".") -> None:
         """Append numbers, or the text from row `first`."""
         if self._text and not self._parts:
             return
-        part = cells if isinstance(cells, np.ndarray) else numbers_of(cells, decimal)
+        part = cells if isinstance(cells, np.ndarray) else _numbers(cells, decimal)
         if part is None:
             cells = ["nan" if cell.strip() in _EMPTY else cell for cell in cells]
-            part = numbers_of(cells, decimal)
+            part = _numbers(cells, decimal)
         if part is None:
             if self._text is None:
-                k = next(k for k, cell in enumerate(cells) if numbers_of([cell], decimal) is None)
+                k = next(k for k, cell in enumerate(cells) if _numbers([cell], decimal) is None)
                 self._text = TextCell(index=first + k, text=cells[k])
             part = _times_or_truths([cell.strip() for cell in cells])
         if part is None:
@@ -339,7 +320,7 @@ class _Column:
         return self._text if self._text and not fits else column
 
 
-def numbers_of(cells: Sequence[str], decimal: str = ".") -> Array | None:
+def _numbers(cells: Sequence[str], decimal: str) -> Array | None:
     """Return floats, or integers if a float has too few digits; None for text."""
     joined = "\0".join(cells)
     if "_" in joined or not joined.isascii():  # allowed by Python

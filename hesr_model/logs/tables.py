@@ -1,13 +1,14 @@
 """Tables of numbers in files that pandas and Arrow write."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.csv_text import numbers_of, read_text
+from hesr_model.logs.csv_text import Column, read_text
 from hesr_model.logs.log_table import LogTable, TextCell, most_bytes, require_columns
 from hesr_model.support.arrays import Array
 
@@ -25,7 +26,7 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
     suffix = path.suffix.lower()
     if suffix not in _PARQUET | _FEATHER:
         return read_text(path, names)
-    table = _read_parquet(path) if suffix in _PARQUET else _read_feather(path)
+    table = _read_arrow(path, "Parquet" if suffix in _PARQUET else "Feather")
     return LogTable(
         path=path,
         names=tuple(table.column_names),
@@ -76,40 +77,34 @@ def _array(cells: Any) -> Array | TextCell:
     is_time = pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
     if is_time or (pa.types.is_integer(kind) and not cells.null_count):
         return np.asarray(cells.to_numpy())
-    try:
+    with suppress(pa.ArrowException):
         return np.asarray(cells.cast(pa.float64(), safe=False).to_numpy(), dtype=float)
-    except pa.ArrowException:
-        return next(
-            TextCell(index=k, text=text)
-            for k, text in enumerate(map(str, cells))
-            if numbers_of([text]) is None
-        )
-
-
-def _read_parquet(path: Path) -> Any:
+    column = Column()
     try:
-        with arrow(path).parquet.ParquetFile(path) as file:
-            _require_size(path, file.metadata.num_rows, file.metadata.num_columns)
-            return file.read()
-    except LogError:
-        raise
-    except Exception as error:  # many kinds
-        raise LogError(f"{path}: cannot be read as Parquet.") from error
+        column.add(["" if cell is None else str(cell) for cell in cells.to_pylist()])
+    except Exception:  # Python cannot show every date
+        return TextCell(index=0, text=str(kind))
+    return column.whole()
 
 
-def _read_feather(path: Path) -> Any:
+def _read_arrow(path: Path, kind: str) -> Any:
+    pa = arrow(path)
     try:
-        with arrow(path).ipc.open_file(path) as file:
-            batches, rows = [], 0
+        if kind == "Parquet":
+            with pa.parquet.ParquetFile(path) as file:
+                _require_size(path, file.metadata.num_rows, file.metadata.num_columns)
+                return file.read()
+        batches, rows = [], 0
+        with pa.ipc.open_file(path) as file:
             for k in range(file.num_record_batches):
                 batches.append(file.get_batch(k))
                 rows += batches[-1].num_rows
                 _require_size(path, rows, len(file.schema))
-            return arrow(path).Table.from_batches(batches, file.schema)
+            return pa.Table.from_batches(batches, file.schema)
     except LogError:
         raise
     except Exception as error:  # many kinds
-        raise LogError(f"{path}: cannot be read as Feather.") from error
+        raise LogError(f"{path}: cannot be read as {kind}.") from error
 
 
 def _require_size(path: Path, rows: int, columns: int) -> None:

@@ -43,12 +43,7 @@ ONLY_IN = {
     "lief": ("fmu_src/check/*",),
     "lxml": ("fmu_src/check/*",),
     "ziglang": ("hesr_model/support/compiler.py",),
-    "pyarrow": (
-        "hesr_model/logs/*.py",
-        "cosim/loop/traces.py",
-        "hesr/extras/sweep/*",
-        "hesr/extras/fleet/*",
-    ),
+    "pyarrow": ("hesr_model/logs/tables.py",),
     "distributed": ("hesr/extras/sweep/cluster.py",),
     # Optional: each reads one log format.
     "h5py": ("hesr_model/logs/readers/hdf5.py",),

@@ -1,4 +1,4 @@
-"""The core without `hesr.extras`: laws, verbs and a complete quick run."""
+"""The core without `hesr.extras` and without optional packages: laws, verbs and a quick run."""
 
 import json
 import os
@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_twin import MOTIONS
 
@@ -26,6 +27,13 @@ class NoExtras:
 sys.meta_path.insert(0, NoExtras())
 """
 """Text of a `sitecustomize`, imported by every Python process."""
+
+NO_PACKAGES = """
+import sys
+
+sys.modules.update(dict.fromkeys(("bokeh", "h5py", "openpyxl", "pandas", "pyarrow", "rosbags")))
+"""
+"""The same for packages of extras."""
 
 VERBS = ("new", "inspect", "excite", "identify", "fit", "export", "check", "simulate", "run",
          "report")  # fmt: skip
@@ -133,3 +141,51 @@ def test_laws_of_the_paper_table_are_fitted(site: Path, tmp_path: Path) -> None:
     assert found.returncode == 0, found.stderr
     scores = json.loads((tmp_path / "results" / "evaluation.json").read_text(encoding="utf-8"))
     assert set(laws_of_paper()) <= set(scores["unseen"]["laws"])
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("base")
+    (folder / "sitecustomize.py").write_text(NO_PACKAGES, encoding="utf-8")
+    return folder
+
+
+def test_logs_need_no_optional_package(base: Path, tmp_path: Path) -> None:
+    """Excited by sines, each joint has its own friction; Parquet names its package."""
+    robot, t = UF850 / "robot.toml", np.arange(0.0, 20.0, 0.005)
+    rates = np.array([1.0, 1.7, 2.3])
+    q, dq = np.sin(np.outer(t, rates)), rates * np.cos(np.outer(t, rates))
+    rows = np.column_stack([t, q, dq, 5.0 * np.sign(dq) + 3.0 * dq])
+    names = ",".join(["t", *(f"{name}{k}" for name in ("q", "dq", "tau") for k in range(1, 4))])
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=names, comments="")
+    found = hesr(base, "inspect", "log.csv", "--robot", robot, "--fail-on", "never", cwd=tmp_path)
+    assert found.returncode == 0, found.stderr
+    assert "its torque is 0 (+- 0.3) times the inertial torque" in found.stdout
+    (tmp_path / "log.parquet").write_bytes(b"PAR1")
+    found = hesr(base, "inspect", "log.parquet", "--robot", robot, cwd=tmp_path)
+    assert found.returncode == 2
+    assert found.stderr == (
+        "hesr: log.parquet: Parquet and Feather need pyarrow: pip install 'hesr[formats]'.\n"
+    )
+
+
+@pytest.mark.ci
+def test_a_twin_needs_no_optional_package(base: Path, tmp_path: Path) -> None:
+    """The main path: a project, its run, the report and a simulation."""
+    for arguments in (
+        ("new", "project", "--twin"),
+        ("run", "--quick"),
+        ("simulate", "results/uf850/closed_loop.toml", "-o", "loop.csv"),
+        ("report", "results/uf850"),
+    ):
+        found = hesr(base, *arguments, cwd=tmp_path)
+        assert found.returncode == 0, found.stderr
+    assert found.stderr == (
+        "hesr: figures of the report do not zoom: pip install 'hesr[report]'.\n"
+    )
+    results = tmp_path / "results" / "uf850"
+    page = (results / "report.html").read_text(encoding="utf-8")
+    assert "Figures zoom after <code>pip install 'hesr[report]'</code>" in page
+    assert 'class="to-zoom"' not in page
+    assert {path.suffix for path in (results / "traces").iterdir()} == {".npz"}
+    assert (results / "closed_loop.npz").is_file()

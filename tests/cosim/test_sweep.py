@@ -16,7 +16,7 @@ from hesr.cli import main
 from hesr.extras.sweep.plan import chosen
 from hesr.extras.sweep.run import replay, run_sweep
 from hesr.extras.sweep.study import SweepStudy
-from hesr_model.errors import ArtifactError, ConfigError, SimulationError
+from hesr_model.errors import ArtifactError, ConfigError, LogError, SimulationError
 
 STUDY = """
 name = "lags"
@@ -379,3 +379,12 @@ reference = "friction.tau[1]"
     assert "'friction.tau' has 3 elements and its reference 'friction.tau[1]' 1." in str(
         error.value
     )
+
+
+def test_a_sweep_needs_pyarrow(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(LogError, match=r"need pyarrow: pip install 'hesr\[formats\]'\.$"):
+        run_sweep(study, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

@@ -1,9 +1,10 @@
-"""Zooming views of charts by Bokeh, whose library is part of the page."""
+"""Zooming views of charts by Bokeh, if installed; its library is part of the page."""
 
 import base64
 import json
 import re
 import zlib
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,11 @@ _MODEL = re.compile(r'"p\d{4,}"')
 _PIXELS = 105  # pixels per inch of a row's height
 _MOST_VALUES = 50_000  # maximum number of values of a chart; more are thinned
 _ROUNDING = np.uint32(0xFFFFE000)  # kept bits of a value; others hardly compress
+
+
+def can_zoom() -> bool:
+    """Return whether Bokeh is installed."""
+    return find_spec("bokeh") is not None
 
 
 def zoom_data(chart: "Chart") -> str:

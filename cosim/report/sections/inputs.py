@@ -7,6 +7,7 @@ from markupsafe import Markup
 
 from cosim.report.figures.chart import Chart, Line, Panel
 from cosim.report.figures.style import MEASURED, strokes
+from cosim.report.figures.zoom import can_zoom
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, number, rounded, row_of
 from cosim.study.results import HEALTH, SavedLog, read_findings
@@ -112,7 +113,7 @@ def provenance(results: Results) -> dict[str, Any]:
     return {
         "run": run,
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
-        "bokeh": version("bokeh"),
+        "bokeh": version("bokeh") if can_zoom() else "",
         "files": [file for file in [*fmus, *_FILES] if (results.folder / file).is_file()],
         "hashes": ResultTable(
             caption="SHA-256 of the input files",

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from hesr.extras.fleet.result import BODY, Fleet, JointResult
+from hesr_model.logs.tables import arrow
 
 _NUMBERS = ("logs", "rows")
 _TRENDS = ("level", "offset", "error")
@@ -12,9 +13,7 @@ _TRENDS = ("level", "offset", "error")
 
 def write_table(path: Path, fleet: Fleet) -> None:
     """Write the file; a rigid body has no joint, a failed robot no law."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
+    pa = arrow(path)
     text, number = pa.string(), pa.float64()
     by_name, texts = pa.map_(text, number), pa.list_(text)
     schema = pa.schema(
@@ -30,7 +29,7 @@ def write_table(path: Path, fleet: Fleet) -> None:
         ]
     )
     table = pa.Table.from_pylist(list(_rows(fleet)), schema=schema)
-    parquet.write_table(table, path, compression="zstd")
+    pa.parquet.write_table(table, path, compression="zstd")
 
 
 def _rows(fleet: Fleet) -> Iterator[dict[str, Any]]:

@@ -24,6 +24,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
 from hesr_model.health.examine import CHECKS
 from hesr_model.health.findings import require_known
+from hesr_model.logs.tables import arrow
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel
 from hesr_model.support.files import written_together
@@ -45,6 +46,7 @@ def run_fleet(
     for kind in study.types.values():
         require_known(kind.accept, CHECKS)
     robots = members(study, path)
+    arrow(output / TABLE)  # before the work
     with taken(output, ROBOTS, ABOUT, {"key": study.name}):
         jobs = [partial(look_at, robot, study, output / ROBOTS / robot.name) for robot in robots]
         names = [robot.name for robot in robots]

@@ -12,6 +12,7 @@ from filelock import FileLock, Timeout
 
 from hesr.extras.sweep.work import RunOutputs
 from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.logs.tables import arrow
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import folder_made, written_whole
 from hesr_model.support.typed_json import read_json, write_json
@@ -33,6 +34,7 @@ class Store:
     """The folder of a sweep, once it is `taken`."""
 
     def __init__(self, folder: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
+        self._arrow = arrow(folder)
         self._folder, self._inputs, self._outputs = folder, inputs, outputs
 
     def file(self, first: int) -> Path:
@@ -41,23 +43,19 @@ class Store:
 
     def write(self, first: int, values: Array, rows: RunOutputs) -> None:
         """Write a chunk; the same runs give the same bytes."""
-        import pyarrow as pa
-        from pyarrow import parquet
-
         columns: dict[str, Any] = {"run": np.arange(first, first + len(values), dtype=np.int64)}
         columns |= dict(zip(self._inputs, values.T, strict=True))
         columns |= dict(zip(self._outputs, rows.outputs.T, strict=True))
-        columns["failure"] = pa.array(rows.failures, pa.string())
+        columns["failure"] = self._arrow.array(rows.failures, self._arrow.string())
+        table = self._arrow.table(columns)
         with written_whole(self.file(first)) as temporary:
-            parquet.write_table(pa.table(columns), temporary, compression="zstd")
+            self._arrow.parquet.write_table(table, temporary, compression="zstd")
 
     def has(self, first: int, values: Array) -> bool:
         """Whether a chunk exists, is readable and has these inputs."""
-        from pyarrow import ArrowException
-
         try:
             return np.array_equal(self._read(first).inputs, values)
-        except (OSError, ValueError, KeyError, ArrowException):
+        except (OSError, ValueError, KeyError, self._arrow.ArrowException):
             return False
 
     def read(self, firsts: list[int]) -> RunTable:
@@ -70,9 +68,7 @@ class Store:
         )
 
     def _read(self, first: int) -> RunTable:
-        from pyarrow import parquet
-
-        found = parquet.read_table(self.file(first))
+        found = self._arrow.parquet.read_table(self.file(first))
 
         def numbers(names: tuple[str, ...]) -> Array:
             return np.column_stack([found.column(name).to_numpy() for name in names])

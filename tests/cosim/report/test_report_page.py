@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import sys
 from collections.abc import Callable
 from html import escape, unescape
 from html.parser import HTMLParser
@@ -326,6 +327,19 @@ def test_only_the_live_plots_need_fmus(copied: Path) -> None:
     assert page.sections == SECTIONS
     assert page.parts == [part for part in PARTS if part != "live"]
     assert 'class="download"' not in page.text
+
+
+def test_without_bokeh_the_page_says_so(
+    copied: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    before = Page(copied / "report.html")
+    assert before.text.count('class="to-zoom"') > 1
+    monkeypatch.setitem(sys.modules, "bokeh", None)
+    after = Page(write_report(copied))
+    assert after.text.count('class="to-zoom"') == after.text.count('class="zoom"') == 0
+    assert "Figures zoom after <code>pip install 'hesr[report]'</code>" in after.text
+    assert caplog.messages == ["figures of the report do not zoom: pip install 'hesr[report]'."]
+    assert (after.parts, after.figures) == (before.parts, before.figures)
 
 
 @of_a_whole_study
