@@ -1,6 +1,6 @@
 """Results of the closed loop: tracking errors, and positions over time."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -71,9 +71,8 @@ class LoopOutcome:
     findings: Annotated[Sequence[Finding], Field(exclude=True)] = ()  # not in JSON
 
 
-def write_traces(path: Path, traces: Iterable[tuple[Scheme, str, Trace]]) -> None:
+def write_traces(path: Path, runs: Sequence[tuple[Scheme, str, Trace]]) -> None:
     """Write traces of (scheme, law) as long NumPy columns: ``scheme, law, t, q_d1.., q1..``."""
-    runs = list(traces)
     rows = [len(trace.t) for _, _, trace in runs]
     columns = {
         "scheme": np.repeat([scheme.name for scheme, _, _ in runs], rows),
@@ -94,10 +93,11 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
         raise ArtifactError(
             f"{path}: no such file; 'hesr run' writes it for a study with [tracking]."
         )
-    read = None if path.is_file() else arrow(older).parquet.read_table
+    read = None if path.is_file() else arrow().parquet.read_table
     try:
         table = load_arrays(path) if read is None else read(older).to_pydict()
-        names = ["t", *_of(table, "q_d"), *_of(table, "q")]
+        every = [f"{name}{k + 1}" for name in ("q_d", "q") for k in range(len(table))]
+        names = ["t", *filter(table.__contains__, every)]
         values = np.column_stack([np.asarray(table[name], dtype=float) for name in names])
         runs = list(zip(map(str, table["scheme"]), map(str, table["law"]), strict=True))
         order = {run: k for k, run in enumerate(dict.fromkeys(runs))}
@@ -111,10 +111,3 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
         }
     except (LogError, OSError, KeyError, IndexError, TypeError, ValueError) as error:
         raise ArtifactError(f"{path}: is not a file of closed-loop traces.") from error
-
-
-def _of(table: Mapping[str, object], vector: str) -> list[str]:
-    names = [f"{vector}{k + 1}" for k in range(len(table)) if f"{vector}{k + 1}" in table]
-    if not names:
-        raise KeyError(vector)
-    return names

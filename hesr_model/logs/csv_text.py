@@ -67,7 +67,7 @@ def _require_length(path: Path, length: int) -> None:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Text:
     path: Path
     content: bytes | None  # instead of the file's
@@ -128,15 +128,8 @@ def _dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _Text:
             )
     except (UnicodeDecodeError, csv.Error) as error:
         raise _no_csv(path) from error
-    return _Text(
-        path=path,
-        content=content,
-        names=tuple(names),
-        delimiter=delimiter,
-        decimal="," if commas else ".",
-        header=header,
-        data=data,
-    )
+    decimal = "," if commas else "."
+    return _Text(path, content, tuple(names), delimiter, decimal, header, data)
 
 
 def _table_in(
@@ -252,20 +245,15 @@ def _table(text: _Text) -> LogTable:
                 numbers.extend(rows)
     except (UnicodeDecodeError, csv.Error) as error:
         raise _no_csv(text.path) from error
-    return LogTable(
-        path=text.path,
-        names=tuple(names),
-        rows=len(numbers),
-        arrays=[column.whole() for column in columns].__getitem__,
-        row=numbers.__getitem__,
-    )
+    arrays = [column.whole() for column in columns]
+    row = numbers.__getitem__
+    return LogTable(text.path, tuple(names), len(numbers), arrays.__getitem__, row=row)
 
 
 def _cells_of(rows: Mapping[int, str], text: _Text, width: int) -> Iterable[Any]:
     """Return the columns of some lines, as arrays if all cells are numbers."""
     lines = list(rows.values())
-    commas = text.decimal == ","
-    plain = [line.translate(_SWAPPED) for line in lines] if commas else lines
+    plain = [line.translate(_SWAPPED) for line in lines] if text.decimal == "," else lines
     read = partial(np.loadtxt, plain, delimiter=text.delimiter, comments=None, ndmin=2)
     with suppress(ValueError):
         values = read()
@@ -289,32 +277,28 @@ class Column:
     """A growing column, whose type follows from all cells."""
 
     def __init__(self) -> None:
-        self._parts: list[Array] = []
+        self._parts: list[Any] = []  # the last is None for text
         self._text: TextCell | None = None  # first cell that is not a number
 
     def add(self, cells: Array | Sequence[str], first: int = 0, decimal: str = ".") -> None:
         """Append numbers, or the text from row `first`."""
-        if self._text and not self._parts:
+        if self._parts and self._parts[-1] is None:
             return
         part = cells if isinstance(cells, np.ndarray) else _numbers(cells, decimal)
         if part is None:
             cells = ["nan" if cell.strip() in _EMPTY else cell for cell in cells]
             part = _numbers(cells, decimal)
         if part is None:
-            if self._text is None:
-                k = next(k for k, cell in enumerate(cells) if _numbers([cell], decimal) is None)
-                self._text = TextCell(index=first + k, text=cells[k])
+            k = next(k for k, cell in enumerate(cells) if _numbers([cell], decimal) is None)
+            self._text = self._text or TextCell(index=first + k, text=cells[k])
             part = _times_or_truths([cell.strip() for cell in cells])
-        if part is None:
-            self._parts.clear()
-        else:
-            self._parts.append(part)
+        self._parts.append(part)
 
     def whole(self) -> Array | TextCell:
         """Return all cells, or the first cell of text, also among times or truth values."""
         try:
             column = np.concatenate(self._parts)
-        except (TypeError, ValueError):  # times and numbers; nothing
+        except (TypeError, ValueError):  # times and numbers; text; nothing
             return self._text or np.empty(0)
         fits = column.dtype.kind == "M" or np.isin(np.nan_to_num(column), (0, 1)).all()
         return self._text if self._text and not fits else column

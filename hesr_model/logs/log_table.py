@@ -26,7 +26,7 @@ class TextCell:
     text: str
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class LogTable:
     """An open table file; messages on missing columns mention `others`.
 
@@ -36,9 +36,9 @@ class LogTable:
 
     path: Path
     names: tuple[str, ...]
-    others: tuple[str, ...] = ()
     rows: int
     arrays: Callable[[int], Array | TextCell]
+    others: tuple[str, ...] = ()
     row: Callable[[int], int] = lambda index: index + 1
 
     def __post_init__(self) -> None:
@@ -123,13 +123,7 @@ def most_bytes(path: Path) -> int:
 def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = ()) -> LogTable:
     """Make a table of columns (N,) of another format."""
     arrays = list(columns.values())
-    return LogTable(
-        path=path,
-        names=tuple(columns),
-        others=tuple(others),
-        rows=len(arrays[0]) if arrays else 0,
-        arrays=arrays.__getitem__,
-    )
+    return LogTable(path, tuple(columns), len(arrays[0]), arrays.__getitem__, tuple(others))
 
 
 def require_columns(path: Path, count: int) -> None:

@@ -27,12 +27,8 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
     if suffix not in _PARQUET | _FEATHER:
         return read_text(path, names)
     table = _read_arrow(path, "Parquet" if suffix in _PARQUET else "Feather")
-    return LogTable(
-        path=path,
-        names=tuple(table.column_names),
-        rows=table.num_rows,
-        arrays=lambda k: _array(table.column(k)),
-    )
+    names = tuple(table.column_names)
+    return LogTable(path, names, table.num_rows, lambda k: _array(table.column(k)))
 
 
 def require_content(path: Path) -> None:
@@ -51,7 +47,7 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
         return
     if path.suffix.lower() in _PARQUET:
         arrays = {name: np.ascontiguousarray(values) for name, values in columns.items()}
-        arrow(path).parquet.write_table(arrow(path).table(arrays), path)
+        arrow().parquet.write_table(arrow().table(arrays), path)
         return
     rows = zip(*(values.tolist() for values in columns.values()), strict=True)
     with path.open("w", encoding="utf-8", newline="") as file:
@@ -59,21 +55,18 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
         file.writelines(",".join(map(repr, row)) + "\n" for row in rows)
 
 
-def arrow(path: Path) -> Any:
-    """Return pyarrow for the file at `path`; raises LogError if it is not installed."""
+def arrow() -> Any:
+    """Return pyarrow with `pyarrow.parquet`; raises LogError if it is not installed."""
     try:
         import pyarrow.parquet
     except ModuleNotFoundError as error:
-        raise LogError(
-            f"{path}: Parquet and Feather need pyarrow: pip install 'hesr[formats]'."
-        ) from error
+        text = "Parquet and Feather files need pyarrow: pip install 'hesr[formats]'."
+        raise LogError(text) from error
     return pyarrow
 
 
 def _array(cells: Any) -> Array | TextCell:
-    import pyarrow as pa
-
-    kind = cells.type
+    pa, kind = arrow(), cells.type
     is_time = pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
     if is_time or (pa.types.is_integer(kind) and not cells.null_count):
         return np.asarray(cells.to_numpy())
@@ -88,7 +81,7 @@ def _array(cells: Any) -> Array | TextCell:
 
 
 def _read_arrow(path: Path, kind: str) -> Any:
-    pa = arrow(path)
+    pa = arrow()
     try:
         if kind == "Parquet":
             with pa.parquet.ParquetFile(path) as file:

@@ -13,7 +13,7 @@ _TRENDS = ("level", "offset", "error")
 
 def write_table(path: Path, fleet: Fleet) -> None:
     """Write the file; a rigid body has no joint, a failed robot no law."""
-    pa = arrow(path)
+    pa = arrow()
     text, number = pa.string(), pa.float64()
     by_name, texts = pa.map_(text, number), pa.list_(text)
     schema = pa.schema(

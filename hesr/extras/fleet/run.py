@@ -46,7 +46,7 @@ def run_fleet(
     for kind in study.types.values():
         require_known(kind.accept, CHECKS)
     robots = members(study, path)
-    arrow(output / TABLE)  # before the work
+    arrow()  # before the work
     with taken(output, ROBOTS, ABOUT, {"key": study.name}):
         jobs = [partial(look_at, robot, study, output / ROBOTS / robot.name) for robot in robots]
         names = [robot.name for robot in robots]

@@ -34,7 +34,7 @@ class Store:
     """The folder of a sweep, once it is `taken`."""
 
     def __init__(self, folder: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
-        self._arrow = arrow(folder)
+        self._arrow = arrow()
         self._folder, self._inputs, self._outputs = folder, inputs, outputs
 
     def file(self, first: int) -> Path:
