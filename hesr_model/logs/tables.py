@@ -12,6 +12,7 @@ from hesr_model.logs.csv_text import Column, read_text
 from hesr_model.logs.log_table import LogTable, TextCell, most_bytes, require_columns
 from hesr_model.support.arrays import Array
 
+_CHUNK = 10_000  # rows written at once
 _PARQUET, _FEATHER = {".parquet", ".pq"}, {".feather", ".arrow", ".ipc"}
 
 
@@ -49,10 +50,11 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
         arrays = {name: np.ascontiguousarray(values) for name, values in columns.items()}
         arrow().parquet.write_table(arrow().table(arrays), path)
         return
-    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(",".join(columns) + "\n")
-        file.writelines(",".join(map(repr, row)) + "\n" for row in rows)
+        for k in range(0, len(next(iter(columns.values()))), _CHUNK):
+            part = zip(*(x[k : k + _CHUNK].tolist() for x in columns.values()), strict=True)
+            file.writelines(",".join(map(repr, row)) + "\n" for row in part)
 
 
 def arrow() -> Any:
