@@ -1,5 +1,6 @@
 """Tables of numbers in files that pandas and Arrow write."""
 
+import csv
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -51,7 +52,7 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
         arrow().parquet.write_table(arrow().table(arrays), path)
         return
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(",".join(columns) + "\n")
+        csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL).writerow(columns)
         for k in range(0, len(next(iter(columns.values()))), _CHUNK):
             part = zip(*(x[k : k + _CHUNK].tolist() for x in columns.values()), strict=True)
             file.writelines(",".join(map(repr, row)) + "\n" for row in part)

@@ -10,7 +10,7 @@ from hesr_model.errors import LogError
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import LogColumns, LogFormat, LogUnits
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.tables import read_table
+from hesr_model.logs.tables import read_table, write_table
 from hesr_model.robots.robot import RobotDescription
 
 HEADER = ["t", "q1", "q2", "dq1", "dq2", "tau1", "tau2"]
@@ -311,3 +311,19 @@ def test_only_dates_are_times(tmp_path: Path) -> None:
     path.write_text("t,q1,dq1\nnow,1.5,2.5\ntoday,1.5,2.5\n", encoding="utf-8")
     with pytest.raises(LogError, match="column 't', row 2: 'now' where a number"):
         read_table(path).times("t", 1.0)
+
+
+def test_written_names_and_numbers_are_read_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A name with a comma, as of FMI arrays, and numbers of all sizes, in several blocks."""
+    monkeypatch.setattr("hesr_model.logs.tables._CHUNK", 7)
+    random = np.random.default_rng(1)
+    sizes = 10.0 ** random.integers(-300, 300, 20)
+    columns = {"t": np.arange(20), "a.q[1,2]": random.normal(size=20) * sizes, 'the "y"': -sizes}
+    write_table(tmp_path / "out.csv", columns)
+    table = read_table(tmp_path / "out.csv")
+    assert table.names == tuple(columns)
+    np.testing.assert_array_equal(
+        table.numbers(table.names), np.column_stack(list(columns.values()))
+    )
