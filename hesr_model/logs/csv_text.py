@@ -128,8 +128,7 @@ def _dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _Text:
             )
     except (UnicodeDecodeError, csv.Error) as error:
         raise _no_csv(path) from error
-    decimal = "," if commas else "."
-    return _Text(path, content, tuple(names), delimiter, decimal, header, data)
+    return _Text(path, content, tuple(names), delimiter, "," if commas else ".", header, data)
 
 
 def _table_in(

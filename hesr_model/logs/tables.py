@@ -28,9 +28,8 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
     suffix = path.suffix.lower()
     if suffix not in _PARQUET | _FEATHER:
         return read_text(path, names)
-    table = _read_arrow(path, "Parquet" if suffix in _PARQUET else "Feather")
-    names = tuple(table.column_names)
-    return LogTable(path, names, table.num_rows, lambda k: _array(table.column(k)))
+    data = _read_arrow(path, "Parquet" if suffix in _PARQUET else "Feather")
+    return LogTable(path, tuple(data.column_names), data.num_rows, lambda k: _array(data.column(k)))
 
 
 def require_content(path: Path) -> None:
@@ -63,8 +62,7 @@ def arrow() -> Any:
     try:
         import pyarrow.parquet
     except ModuleNotFoundError as error:
-        text = "Parquet and Feather files need pyarrow: pip install 'hesr[formats]'."
-        raise LogError(text) from error
+        raise LogError("Parquet and Feather need pyarrow: pip install 'hesr[formats]'.") from error
     return pyarrow
 
 

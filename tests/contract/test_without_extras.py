@@ -165,7 +165,7 @@ def test_logs_need_no_optional_package(base: Path, tmp_path: Path) -> None:
     found = hesr(base, "inspect", "log.parquet", "--robot", robot, cwd=tmp_path)
     assert found.returncode == 2
     assert found.stderr == (
-        "hesr: Parquet and Feather files need pyarrow: pip install 'hesr[formats]'.\n"
+        "hesr: Parquet and Feather need pyarrow: pip install 'hesr[formats]'.\n"
     )
 
 
