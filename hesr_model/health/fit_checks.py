@@ -24,16 +24,10 @@ def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
     joints = model.description.joints
     lowest, q, joint = _least_inertia(body, model)
     if lowest <= 0.0:
-        at = ", ".join(f"{value:.2f}" for value in q)
-        yield Finding(
-            check="mass-matrix",
-            severity="warning",
-            joints=(joints[joint],),
-            found=f"the identified mass matrix is not positive definite (eigenvalue {lowest:.2g}, "
-            f"for instance at q = {at})",
-            remedy="the identified masses are not physically possible; use longer or faster logs, "
-            "or --physical",
-        )
+        at = f"{lowest:.2g}, for instance at q = {', '.join(f'{value:.2f}' for value in q)}"
+        found = f"the identified mass matrix is not positive definite (eigenvalue {at})"
+        remedy = "the identified masses are not physically possible; use longer or faster logs, or "
+        yield of_joint("mass-matrix", joints[joint], found, f"{remedy}--physical", "warning")
     for name, (coulomb, _, _), rmse in zip(joints, body.friction, body.rmse, strict=True):
         if -coulomb > _NEGATIVE * rmse:
             found = f"its Coulomb friction is identified as {coulomb:.3g} N.m"
@@ -72,14 +66,9 @@ def check_laws(
                 ratio = values["F_s"] / values["F_c"]
                 for bound in STATIC_RATIO_BOUNDS:
                     if abs(np.log(max(ratio, 1e-9) / bound)) < _AT_BOUND:
-                        yield Finding(
-                            check="bound",
-                            severity="warning",
-                            joints=(joint,),
-                            found=f"F_s / F_c of the law {name} hit its limit ({ratio:.3g})",
-                            remedy="the logs do not determine it; record slow motion and "
-                            "standstill",
-                        )
+                        found = f"F_s / F_c of the law {name} hit its limit ({ratio:.3g})"
+                        remedy = "the logs do not determine it; record slow motion and standstill"
+                        yield of_joint("bound", joint, found, remedy, "warning")
 
 
 def check_owner(model: FrictionModel, robot: Robot) -> Iterator[Finding]:

@@ -61,12 +61,9 @@ def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
             "missing-rows", "", said, "rows are missing, which blurs reversals", "warning"
         )
     if log.dropped:
-        yield Finding(
-            check="dropped-rows",
-            severity="warning",
-            found=f"{log.dropped} rows lack a number or repeat the time stamp of the row before",
-            remedy="they were left out ([log] missing = 'drop')",
-        )
+        found = f"{log.dropped} rows lack a number or repeat the time stamp of the row before"
+        remedy = "they were left out ([log] missing = 'drop')"
+        yield of_joint("dropped-rows", "", found, remedy, "warning")
 
 
 def check_jumps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
@@ -94,6 +91,11 @@ def check_steps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
     for j, joint in enumerate(robot.joints):
         values = np.unique(log.q[:, j])
         if len(values) < _FEW or np.ptp(values) < _FEW * _COARSE:
+            continue
+        if np.array_equal(values, np.rint(values)):
+            found = "its positions are whole numbers, as counts of an encoder are"
+            remedy = "give the size of a count in rad or m as [log.units] q, or log more digits"
+            yield of_joint("coarse", joint, found, remedy)
             continue
         step = float(np.median(np.diff(values)))
         # Distances of values are random with a fine encoder, equal with a coarse one.
@@ -171,12 +173,9 @@ def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Findi
         for a in joints:
             for b in range(a):
                 if np.std(values[:, a]) > 0 and np.array_equal(values[:, a], values[:, b]):
-                    yield Finding(
-                        check="same-column",
-                        joints=(robot.joints[a],),
-                        found=f"its {kind} equals that of joint '{robot.joints[b]}' in every row",
-                        remedy="one column is used for both; see [log.columns]",
-                    )
+                    found = f"its {kind} equals that of joint '{robot.joints[b]}' in every row"
+                    remedy = "one column is used for both; see [log.columns]"
+                    yield of_joint("same-column", robot.joints[a], found, remedy)
     for j in joints:
         tau = motion.log.tau[:, j]
         if np.ptp(tau) == 0.0:
@@ -184,14 +183,10 @@ def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Findi
             remedy = "its torque is not logged, or another column is"
             yield of_joint("torque-constant", robot.joints[j], found, remedy)
         elif (share := _saturated(tau)) > _SATURATED:
-            yield Finding(
-                check="saturation",
-                severity="warning",
-                joints=(robot.joints[j],),
-                found=f"{100 * share:.1f} % of its rows are at the largest torque, "
-                f"{np.max(np.abs(tau)):.4g}",
-                remedy="the drive or the log clips the torque; friction beyond is not learned",
-            )
+            largest = f"{np.max(np.abs(tau)):.4g}"
+            found = f"{100 * share:.1f} % of its rows are at the largest torque, {largest}"
+            remedy = "the drive or the log clips the torque; friction beyond is not learned"
+            yield of_joint("saturation", robot.joints[j], found, remedy, "warning")
 
 
 def _saturated(tau: Array) -> float:

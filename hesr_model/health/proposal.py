@@ -231,7 +231,8 @@ def _mends(before: Sequence[Finding], mended: Sequence[Finding], after: Sequence
     left, known = _places(after), _places(before)
     gone = _places(f for f in mended if f.changes)
     new = _places(f for f in after if f.severity == "error" or f.check not in _HIDDEN) - known
-    return not left & gone and (hopeless(before) or not new)
+    hidden = hopeless(before) and ("time-unit", "") not in new
+    return not left & gone and (hidden or not new)
 
 
 def _places(findings: Iterable[Finding]) -> set[tuple[str, str]]:

@@ -94,12 +94,7 @@ def check_speed(motion: Motionwise, model: Robot) -> Iterator[Finding]:
         if peaks[j] <= _TOO_FAST * limits[j]:
             continue
         unit = "m/s" if model.slides[j] else "rad/s"
-        yield Finding(
-            check="speed-limit",
-            severity="warning",
-            joints=(model.description.joints[j],),
-            found=f"it reaches {peaks[j]:.3g} {unit}, {peaks[j] / limits[j]:.2g} times the model's "
-            "limit",
-            remedy="the time stamps come from a wrong sample rate, a unit is wrong, or the "
-            "model's limits are",
-        )
+        times = f"{peaks[j] / limits[j]:.2g} times the model's limit"
+        found = f"it reaches {peaks[j]:.3g} {unit}, {times}"
+        remedy = "the time stamps come from a wrong sample rate, a unit is wrong, or the model's "
+        yield of_joint("speed-limit", model.joints[j], found, f"{remedy}limits are", "warning")

@@ -158,7 +158,10 @@ def _why_scaled(
     if everywhere and scale < 1:
         why = "the column contains currents [A] or motor torques; name it under [log.columns] "
         return f"{why}current and give torque_per_ampere", {}
-    return "the unit of the torque is wrong, or the column holds a current; see [log.units] tau", {}
+    return (
+        "the unit of torque or position is wrong, or the column holds a current; see [log.units]",
+        {},
+    )
 
 
 def _no_friction(found: Explained, model: Robot) -> Iterator[Finding]:

@@ -40,7 +40,7 @@ _MEASURED = _words("actual act meas measured msr")
 _TIME = _words("t time timestamp stamp timestamps datetime date clock unix secs seconds sec zeit")
 _UNITS: Mapping[str, Mapping[str, str]] = {
     "q": {"deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "mm": "mm", "rev": "rev"},
-    "dq": {"deg": "deg/s", "degs": "deg/s", "dps": "deg/s", "rpm": "rpm", "degrees": "deg/s"},
+    "dq": dict.fromkeys(("deg", "degs", "dps", "degrees"), "deg/s") | {"rpm": "rpm", "mm": "mm/s"},
     "tau": {"mnm": "mN.m"},
     "current": {"ma": "mA"},
     "temperature": {"kelvin": "K"},
