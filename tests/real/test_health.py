@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hesr_model.health.examine import examine
+from hesr_model.health.proposal import inspected
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 
@@ -44,6 +45,22 @@ def test_only_the_wrist_of_a_tiago_is_odd_for_lack_of_signal() -> None:
     assert sorted(joint for _, joints in found for joint in joints) == [
         "arm_5_joint", "arm_6_joint", "arm_7_joint",
     ]  # fmt: skip
+
+
+def test_backward_currents_of_a_tiago_are_found_from_its_urdf_alone() -> None:
+    """The source of the log gives -8.7 N.m/A for joints 3 and 4; positions stay in the limits."""
+    folder = SHARED / "tiago_arm"
+    if not folder.is_dir():
+        pytest.skip(f"measured logs are not next to the repository, in {SHARED}")
+    found = inspected([folder / "tiago_excitation.csv"], folder / "tiago_arm.urdf")
+    gains = found.robot.log.torque_per_ampere
+    assert gains is not None
+    assert [gain < 0.0 for gain in gains] == [False] * 3 + [True] * 2 + [False] * 3
+    np.testing.assert_allclose(gains[3:5], [-8.7, -8.7], rtol=0.1)
+    assert found.robot.log.units.q == "rad"
+    assert found.reasons["log.torque_per_ampere"].startswith("guess: ")
+    checks = {finding.check for finding in found.examination.findings}
+    assert checks == {"impossible-inertia", "torque-signal"}
 
 
 def one_torque_backwards(log: Log) -> Log:
