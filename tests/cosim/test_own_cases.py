@@ -219,7 +219,12 @@ KINDS: dict[str, Callable[[Path], Given]] = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+AT_ONCE = ("two arms", "mixed names", "npz without time", "UTF-16")
+
+
+@pytest.mark.parametrize(
+    "kind", [k if k in AT_ONCE else pytest.param(k, marks=pytest.mark.ci) for k in KINDS]
+)
 def test_a_log_is_inspected_without_a_finding_and_fitted(
     kind: str, tmp_path: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
 ) -> None:
