@@ -83,9 +83,13 @@ def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
 def hysteresis(results: Results) -> dict[str, Any] | None:
     """Draw the effect of alpha and beta at the values fitted to the first joint."""
     model = results.models.get(papers_law())
-    if model is None or not {"alpha", "beta"} <= set(model.laws[0].values):
+    laws = model.laws if model else ()
+    named = zip(results.joints, laws, strict=bool(laws))
+    # Without an effect of h, a law has no such state.
+    pairs = [(n, law) for n, law in named if any(r.name == "h" for r in law.form.relaxations)]
+    if model is None or not pairs or not {"alpha", "beta"} <= set(pairs[0][1].values):
         return None
-    first = model.laws[0]
+    first = pairs[0][1]
     alpha, beta = first.values["alpha"], first.values["beta"]
     speed = model.trained[0].speed if model.trained else _SPEED
     near = np.linspace(-4.0 / beta, 4.0 / beta, 201)
@@ -99,7 +103,6 @@ def hysteresis(results: Results) -> dict[str, Any] | None:
         _loop(replace(first, values={**first.values, "alpha": f * alpha}), speed, name, styles)
         for f, name in _FACTORS.items()
     )
-    pairs = list(zip(results.joints, model.laws, strict=True))
     styles = strokes(results.joints)
     fitted = tuple(_loop(law, speed, short, styles) for short, law in pairs)
     dq = f"dq [{results.unit('rad/s', 0)}]"

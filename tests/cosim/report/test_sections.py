@@ -275,6 +275,24 @@ def test_the_hysteresis_of_the_papers_law(
     )
 
 
+def test_joints_whose_law_has_no_memory_have_no_loop(
+    results: Results, table1: FrictionModel
+) -> None:
+    run = replace(results.run, joints=table1.joints)
+    forms = [one.form for one in table1.laws]
+    outputs = [
+        form.output.subs({s: 0 for s in form.output.free_symbols if s.name in ("h", "dh")})
+        for form in forms
+    ]
+    pairs = zip(table1.laws, forms, outputs, strict=True)
+    bare = [replace(one, form=replace(f, memory=(), output=o), start=()) for one, f, o in pairs]
+    for count in (1, 3):
+        model = replace(table1, laws=(*bare[:count], *table1.laws[count:]))
+        found = laws.hysteresis(replace(results, run=run, models={"parfam_h": model}))
+        assert (found is None) == (count == 3)
+        assert found is None or found["values"].startswith("J2 ")
+
+
 def test_data_and_rigid_body(results: Results, recorded: Recorded) -> None:
     told_files = inputs.provenance(results)
     del told_files["bokeh"]
