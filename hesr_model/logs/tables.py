@@ -52,9 +52,10 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
         return
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL).writerow(columns)
-        for k in range(0, len(next(iter(columns.values()))), _CHUNK):
-            part = zip(*(x[k : k + _CHUNK].tolist() for x in columns.values()), strict=True)
-            file.writelines(",".join(map(repr, row)) + "\n" for row in part)
+        cells = [np.where(x, "true", "false") if x.dtype == bool else x for x in columns.values()]
+        for k in range(0, len(cells[0]), _CHUNK):
+            part = zip(*(x[k : k + _CHUNK].tolist() for x in cells), strict=True)
+            csv.writer(file, lineterminator="\n").writerows(part)
 
 
 def arrow() -> Any:

@@ -12,6 +12,7 @@ from small_study import hesr_here, uf850
 
 from cosim.report.page import write_report
 from cosim.report.results import Results
+from cosim.study.results import read_torques
 from hesr.extras.observer.chapter import events_of, external_torque
 from hesr.extras.observer.observation import calibration_logs
 from hesr_model.errors import LogError
@@ -29,8 +30,7 @@ def push_trace(results: Path, size: float) -> str:
     """Add a push of 0.4 s to joint 2 in the saved torques of the last log; return its name."""
     log = [log for log in Results.read(results).run.logs if log.trace][-1]
     file = results / "traces" / log.trace
-    table = read_table(file)
-    columns = dict(zip(table.names, table.numbers(table.names).T.copy(), strict=True))
+    columns = {name: values.copy() for name, values in read_torques(file).items()}
     t = columns["t"]
     columns["tau2"][(t > 2.0) & (t < 2.4)] += size
     write_table(file, {name: values.astype(np.float32) for name, values in columns.items()})
