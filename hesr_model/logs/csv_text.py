@@ -38,6 +38,7 @@ _TIME = re.compile(
 )
 _EMPTY = {"", "#N/A", "#NA", "N/A", "NA", "NULL", "n/a", "null"}
 _TRUTHS = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0, "nan": float("nan")}
+_START, _CONTROL = 2**16, re.compile(rb"[\0-\x08\x0e-\x1f]")  # bytes that show the encoding
 _SWAPPED = str.maketrans(",.", ".,")  # a decimal comma excludes points
 _CHUNK = 2**18  # cells converted at once
 _EXACT = 2.0**53  # larger integers exceed the digits of a float
@@ -87,9 +88,9 @@ def _as_text(path: Path, content: bytes | None, newline: str | None = None) -> T
 
 
 def _content(path: Path) -> bytes | None:
-    """Return packed or UTF-16 text as UTF-8; None for any other file."""
+    """Return packed text, or text that is not UTF-8, as UTF-8; None for any other file."""
     with path.open("rb") as file:
-        start, content = file.read(8), None
+        start, content = file.read(_START), None
     if unpack := next((f for magic, f in _UNPACKERS.items() if start.startswith(magic)), None):
         try:
             with unpack(path) as packed:
@@ -101,10 +102,15 @@ def _content(path: Path) -> bytes | None:
             ) from error
         if len(content) > most_bytes(path):
             raise LogError(f"{path}: unpacks to more than {most_bytes(path) / 1e6:.0f} MB.")
-        start = content[:8]
+        start = content[:_START]
     marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     without_mark = {b"\1\0\1\0": "utf-16-le", b"\0\1\0\1": "utf-16-be"}
     encoding = "utf-16" if marked else without_mark.get(bytes(map(bool, start[:4])))
+    if not encoding:
+        try:
+            codecs.getincrementaldecoder("utf-8")().decode(start)
+        except UnicodeDecodeError:  # a degree sign of Windows
+            encoding = None if _CONTROL.search(start) else "cp1252"
     if not encoding:
         return content
     try:

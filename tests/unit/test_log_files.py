@@ -97,6 +97,7 @@ SAVES: dict[str, Callable[[Path], Any]] = {
     "run.csv.gz": lambda path: path.write_bytes(gzip.compress(text(table()).encode())),
     "run.csv.bz2": lambda path: path.write_bytes(bz2.compress(text(table()).encode())),
     "run.csv.xz": lambda path: path.write_bytes(lzma.compress(text(table()).encode())),
+    "windows.csv": lambda path: path.write_bytes(f"# at 20 °C\n{text(table())}".encode("cp1252")),
     "utf16.csv": lambda path: path.write_text(text(table()), encoding="utf-16"),
     "utf16le.txt": lambda path: path.write_bytes(text(table()).encode("utf-16-le")),
     "utf16be.csv.gz": lambda path: path.write_bytes(
@@ -198,6 +199,7 @@ def test_inspect_proposes_to_sort(tmp_path: Path) -> None:
         ("a.gz", gzip.compress(b"t,q1\n" * 99, mtime=0)[:-9], (),
          r"a\.gz: cannot be unpacked; it is trunc"),
         ("a.csv", b"\xff\xfet\x00\x00\xd8", (), r"a\.csv: cannot be read as CSV text\.$"),
+        ("a.csv", b"t,q\xb0\n0,1\n\x01,\xb0\n", (), r"a\.csv: cannot be read as CSV text\.$"),
         ("a.npz", b"PK\x03\x04nothing", (), r"a\.npz: cannot be read as NumPy arrays without obj"),
         ("a.npz", b"", (), r"a\.npz: is empty; a log needs a header and rows of data\.$"),
         ("a.feather", b"ARROW1nothing", (), r"a\.feather: cannot be read as Feather\.$"),
