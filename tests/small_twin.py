@@ -1,15 +1,23 @@
 """Short motions of the digital twin and gains of its closed loop, as TOML."""
 
-MOTIONS = """
+
+def fourier(name: str, seed: int, harmonics: int, period: float, peaks: str) -> str:
+    return f"""
 [[motions]]
-name = "excitation"
+name = "{name}"
 kind = "fourier"
-seed = 86
-harmonics = 5
-period = 6.0
-peak_velocity = [1.0, 0.9, 1.0]
+seed = {seed}
+harmonics = {harmonics}
+period = {period}
+peak_velocity = [{peaks}]
 offset = [0.0, 0.3, -1.9]
-also_reversed = true
+"""
+
+
+EXCITATION = fourier("excitation", 86, 5, 6.0, "1.0, 0.9, 1.0")
+TRIAL = fourier("trial", 1, 5, 5.0, "0.9, 0.8, 0.9")
+
+MOTIONS = f"""{EXCITATION}also_reversed = true
 
 [[motions]]
 name = "sweep"
@@ -22,16 +30,7 @@ swing = [0.3, 0.3, 0.3]
 swing_phase = [-1.57, 0.0, 1.57]
 swing_period = 5.0
 start = [-0.2, -0.6, -2.6]
-
-[[motions]]
-name = "trial"
-kind = "fourier"
-seed = 1
-harmonics = 5
-period = 5.0
-peak_velocity = [0.9, 0.8, 0.9]
-offset = [0.0, 0.3, -1.9]
-"""
+{TRIAL}"""
 
 GAINS = """
 [tracking.gains]

@@ -16,7 +16,7 @@ from hesr_model.fitting.separable import LEAST, SearchSpace
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.friction.records import record_start
-from hesr_model.inference.covariance import Covariance, blocks_of_time, covariance, left_out, pooled
+from hesr_model.inference.covariance import Covariance, blocks_of_time, covariance_of_fit, pooled
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array, Integers
 
@@ -107,13 +107,9 @@ def _covariance(
     residual = np.concatenate([r.tau for r in records]) - torque
     labels = blocks_of_time(log_of_rows(records))
     spreads = [r.tau_load_spread for r in records if r.tau_load_spread is not None]
-    return covariance(
-        [str(k) for k in used],
-        jacobian * left_out(jacobian, residual, jacobian.T @ jacobian)[:, None],
-        [jacobian[labels == k].T @ jacobian[labels == k] for k in range(int(labels[-1]) + 1)],
-        labels,
-        carried=jacobian.T @ np.concatenate(spreads) if len(spreads) == len(records) else None,
-    )
+    known = len(spreads) == len(records)
+    carried = jacobian.T @ np.concatenate(spreads) if known else None
+    return covariance_of_fit([str(k) for k in used], jacobian, residual, labels, carried=carried)
 
 
 def with_pooled_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:

@@ -148,6 +148,24 @@ def covariance(
     return replace(one, within=within, between=between, degrees=degrees)
 
 
+def covariance_of_fit(
+    names: Sequence[str],
+    jacobian: Array,
+    residual: Array,
+    labels: Integers,
+    *,
+    carried: Array | None = None,
+) -> Covariance:
+    """Return the covariance of an unweighted fit from its Jacobian (N, P) and residual (N,).
+
+    `labels` and `carried` are those of `covariance`.
+    """
+    parts = [jacobian[labels == k] for k in range(int(labels[-1]) + 1)]
+    gradients = jacobian * left_out(jacobian, residual, jacobian.T @ jacobian)[:, None]
+    hessians = [part.T @ part for part in parts]
+    return covariance(names, gradients, hessians, labels, carried=carried)
+
+
 def long_run(influences: Sequence[Array]) -> list[Array]:
     """Return each log's covariance (P, P) of the sum of its rows (N, P)."""
     memory = _memory(influences)

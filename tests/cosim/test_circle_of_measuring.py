@@ -144,7 +144,7 @@ def test_unseen_speeds_and_laws_that_differ_are_worth_more() -> None:
 
 def test_a_better_law_promises_larger_errors_of_the_others() -> None:
     law, truth = with_covariance(lugre(), ("F_c", "sigma_2")), lugre(v_s=0.02)
-    fast, slow = rows(0.8), rows(0.04)  # at which the laws differ hardly and much
+    fast, slow = rows(0.8), rows(0.04)  # the laws differ at slow speeds
     known = known_of(law, fast)
     shrinking = known.shrinking(law, slow)
     assert known.expected(law, slow) == shrinking  # no law is better

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_twin import MOTIONS
+from small_twin import MOTIONS, fourier
 
 from cosim.loop.excite import recordings
 from cosim.loop.motions import Motions
@@ -40,6 +40,10 @@ def recorded() -> list[Log]:
         text = text.replace(old, new)
     resting = text.split("[[motions]]")[1].replace("excitation", "resting")
     text += "\n[[motions]]" + resting.replace("[1.0, 0.9, 1.0]", "[1.0, 0.9, 0.0]")
+    return logs_of(text)
+
+
+def logs_of(text: str) -> list[Log]:
     motions = Motions.model_validate(tomllib.loads(text))
     plant = Plant.read(models_folder() / "uf850" / "plant.toml")
     return [recording.log for recording in recordings(motions, plant)]
@@ -109,34 +113,10 @@ def test_reported_lags_are_within_5_ms(recorded: list[Log], arm: Robot, late: fl
     assert {name for name, _ in known} == (WELL_KNOWN if late else set())
 
 
-SLOW_AND_FAST = """
-[[motions]]
-name = "few_harmonics"
-kind = "fourier"
-seed = 1
-harmonics = 5
-period = 20.0
-peak_velocity = [0.9, 0.8, 0.9]
-offset = [0.0, 0.3, -1.9]
-
-[[motions]]
-name = "many_harmonics"
-kind = "fourier"
-seed = 7
-harmonics = 10
-period = 20.0
-peak_velocity = [1.2, 1.0, 1.2]
-offset = [0.0, 0.3, -1.9]
-
-[[motions]]
-name = "long"
-kind = "fourier"
-seed = 18
-harmonics = 12
-period = 40.0
-peak_velocity = [1.2, 1.0, 1.2]
-offset = [0.0, 0.3, -1.9]
-
+FEW = fourier("few_harmonics", 1, 5, 20.0, "0.9, 0.8, 0.9")
+MANY = fourier("many_harmonics", 7, 10, 20.0, "1.2, 1.0, 1.2")
+LONG = fourier("long", 18, 12, 40.0, "1.2, 1.0, 1.2")
+SLOW_AND_FAST = f"""{FEW}{MANY}{LONG}
 [[motions]]
 name = "chirp"
 kind = "chirp"
@@ -150,11 +130,9 @@ start = [-1.1, -0.8, -3.0]
 
 @pytest.mark.ci
 def test_lags_of_slow_and_fast_motions_are_within_5_ms(arm: Robot) -> None:
-    """What memory explains is uncertain; in a slow motion, by more than a small lag."""
-    motions = Motions.model_validate(tomllib.loads(SLOW_AND_FAST))
-    plant = Plant.read(models_folder() / "uf850" / "plant.toml")
+    """In a slow motion, the effect of memory is less certain than a small lag."""
     base, told = base_columns(arm), set()
-    for log in (recording.log for recording in recordings(motions, plant)):
+    for log in logs_of(SLOW_AND_FAST):
         for late in (0.0, 0.01, 0.03, 0.05):
             found = lags(LagRows.of(late_torques(log, late), arm, base), range(arm.n))
             assert late or not found

@@ -288,7 +288,7 @@ def test_counts_of_an_encoder_are_an_error(logged: bool, tmp_path: Path) -> None
 
 
 def test_turns_are_likely_with_one_witness(tmp_path: Path) -> None:
-    """The velocity is one; positions within the limits are none."""
+    """Only the velocity is a witness; the positions stay within the limits."""
     path = mjcf(tmp_path, chain(("j1", "j2")))
     data = motion(Robot(path))
     log = csv(tmp_path / "log.csv", data | {"q": data["q"] / (2 * np.pi)}, ("1", "2"))

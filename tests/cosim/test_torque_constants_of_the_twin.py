@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from small_study import uf850
+from small_twin import fourier
 
 from cosim.loop.excite import recordings
 from cosim.loop.motions import Motions
@@ -12,16 +13,7 @@ from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.torque_constants import point_payload, torque_constants
 from hesr_model.robots.robot import Robot, RobotDescription
 
-MOTIONS = """
-[[motions]]
-name = "excitation"
-kind = "fourier"
-seed = 86
-harmonics = 8
-period = 20.0
-peak_velocity = [1.3, 1.2, 1.3]
-offset = [0.0, 0.3, -1.9]
-"""
+MOTIONS = fourier("excitation", 86, 8, 20.0, "1.3, 1.2, 1.3")
 PAYLOAD = '<body name="payload" pos="0 0 0.1">\n                    <inertial pos="0 0 0" mass="0"'
 WRONG = np.array([0.5, 2.0, 1.3])
 """Ratios of assumed to true constants."""

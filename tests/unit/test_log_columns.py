@@ -316,7 +316,7 @@ def test_only_dates_are_times(tmp_path: Path) -> None:
 def test_written_names_and_numbers_are_read_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A name with a comma, as of FMI arrays, and numbers of all sizes, in several blocks."""
+    """A name with a comma, as FMI arrays have, and numbers of all sizes, in several blocks."""
     monkeypatch.setattr("hesr_model.logs.tables._CHUNK", 7)
     random = np.random.default_rng(1)
     sizes = 10.0 ** random.integers(-300, 300, 20)

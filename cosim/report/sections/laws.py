@@ -83,11 +83,12 @@ def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
 def hysteresis(results: Results) -> dict[str, Any] | None:
     """Draw the effect of alpha and beta at the values fitted to the first joint."""
     model = results.models.get(papers_law())
-    laws = model.laws if model else ()
-    named = zip(results.joints, laws, strict=bool(laws))
+    if model is None:
+        return None
+    named = zip(results.joints, model.laws, strict=True)
     # Without an effect of h, a law has no such state.
     pairs = [(n, law) for n, law in named if any(r.name == "h" for r in law.form.relaxations)]
-    if model is None or not pairs or not {"alpha", "beta"} <= set(pairs[0][1].values):
+    if not pairs or not {"alpha", "beta"} <= set(pairs[0][1].values):
         return None
     first = pairs[0][1]
     alpha, beta = first.values["alpha"], first.values["beta"]

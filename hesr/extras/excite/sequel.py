@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,8 @@ from hesr_model.errors import ConfigError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.inference import comparison
-from hesr_model.inference.covariance import blocks_of_time, covariance, left_out
-from hesr_model.support.arrays import Array, Integers
+from hesr_model.inference.covariance import blocks_of_time, covariance_of_fit
+from hesr_model.support.arrays import Array
 
 MIXES = (
     Mix(),
@@ -50,13 +51,18 @@ class Knowledge:
         pairs = zip(self.torques, self.logs, strict=True)
         return np.concatenate([torque - predict(law, **rows) for torque, rows in pairs])
 
+    @cached_property
+    def _variance(self) -> float:
+        """Mean square error [N^2.m^2] of the first law."""
+        return float(np.mean(self.residual(next(iter(self.laws.values()))) ** 2))
+
     def score(self, new: Rows) -> float:
         """Return what rows would resolve: log widths, difference of laws, and unseen speeds."""
         ratios = [r for law in self.laws.values() for r in self.shrinking(law, new).values()]
         gained = -np.mean(np.log(ratios or [1.0]))
         torques = [predict(law, **new) for law in self.laws.values()]
         apart = np.mean([np.mean((torque - torques[0]) ** 2) for torque in torques])
-        apart /= np.mean(self.residual(next(iter(self.laws.values()))) ** 2)
+        apart /= self._variance
         unseen = (self._times(self.logs) < _SEEN) & (self._times([new]) >= _SEEN)
         return float(gained + 0.25 * np.log1p(apart) + np.mean(unseen))
 
@@ -75,24 +81,26 @@ class Knowledge:
         return dict(zip(law.covariance.names, ratios.tolist(), strict=True))
 
     def expected(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
-        """Return what a fit with further rows is expected to state of `shrinking`.
+        """Return the expected ratios of `shrinking` as a fit with further rows would state them.
 
         The law misses the new motion at least as it misses the logs, and at most also by its
         difference from the best law. The result is the geometric mean of both cases.
         """
-        best = min(self.laws.values(), key=lambda one: np.linalg.norm(self.residual(one)))
-        ratios, least = self.shrinking(law, new), self.residual(best)
+        pairs = [(self.residual(one), one) for one in self.laws.values()]
+        least, best = min(pairs, key=lambda pair: np.linalg.norm(pair[0]))
+        ratios = self.shrinking(law, new)
         if not ratios or best is law:
             return ratios
-        own, slopes = self.residual(law), self._slopes(law)
-        now = _standard_errors(slopes, own, blocks_of_time(np.zeros(len(own), dtype=int)))
+        own, slopes, names = self.residual(law), self._slopes(law), list(ratios)
+        blocks = blocks_of_time(np.zeros(len(own), dtype=int))
+        now = covariance_of_fit(names, slopes, own, blocks).standard_errors
         apart = predict(best, **new) - predict(law, **new)
         missed = np.concatenate([own, np.resize([*least, *least[::-1]], len(apart)) + apart])
         both = np.concatenate([slopes, _slopes(law, new)])
         size = np.maximum(np.linalg.norm(both, axis=0), 1e-150)
         missed -= both @ (np.linalg.lstsq(both / size, missed, rcond=1e-6)[0] / size)
         labels = np.repeat([0, 1], [len(own), len(apart)])
-        then = _standard_errors(both, missed, labels)
+        then = covariance_of_fit(names, both, missed, labels).standard_errors
         most = then / np.maximum(now, 1e-300)
         return {
             name: float(np.sqrt(ratio * max(ratio, top)))
@@ -110,14 +118,6 @@ class Knowledge:
             for time, sign in zip(times, (1.0, -1.0), strict=True):
                 time += step * np.histogram(sign * rows["dq"] / self.speed, _BINS)[0]
         return times
-
-
-def _standard_errors(slopes: Array, residual: Array, labels: Integers) -> Array:
-    each = [slopes[labels == k] for k in range(int(labels[-1]) + 1)]
-    hessians = [own.T @ own for own in each]
-    gradients = slopes * left_out(slopes, residual, np.sum(hessians, axis=0))[:, None]
-    names = [str(k) for k in range(slopes.shape[1])]
-    return covariance(names, gradients, hessians, labels).standard_errors
 
 
 def _slopes(law: FrictionLaw, rows: Rows) -> Array:
