@@ -28,6 +28,7 @@ class JointRows:
     tau_load: Array
     tau: Array
     gear_ratio: float | None = None  # turns of the motor per turn of the joint
+    sliding: bool = False  # in m and N
 
     @property
     def folds(self) -> "list[Mask]":
@@ -53,6 +54,7 @@ class JointRows:
             begins=begins,
             record=logs if logs.any() else np.cumsum(begins) - 1,
             gear_ratio=records[0].gear_ratio,
+            sliding=records[0].sliding,
             **{n: np.concatenate([getattr(r, n) for r in records]) for n in names},
         )
 

@@ -4,9 +4,9 @@ Variable projection (Golub and Pereyra 1973); columns are derivatives by the lin
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import sympy
@@ -43,7 +43,17 @@ class SearchSpace:
         """Names of the searched numbers."""
         return tuple(name for name, _ in self.bounds)
 
+    def at_joint(self, *, slides: bool) -> Self:
+        """Return the space of a joint, whose lengths in m may be a hundredth of those in rad."""
 
+        def low(name: str, limit: float) -> float:
+            return FINEST * limit if slides and name in _LENGTHS else limit
+
+        return replace(self, bounds=tuple((n, (low(n, a), b)) for n, (a, b) in self.bounds))
+
+
+FINEST = 0.01  # smallest scale of a sliding joint's lengths
+_LENGTHS = {"deflection", "v_s", "v_t", "x_0"}  # searched numbers [rad, rad/s; m, m/s]
 LEAST = 1e-9  # [its unit] of a non-negative coefficient that scales others
 _NO_EFFECT = 1e-9  # relative change of the cost
 

@@ -46,7 +46,8 @@ def with_standard_errors(
     """
     if len(law.values) > MOST_COEFFICIENTS:
         return law
-    moved = _searched(law, space) if space else _every(law)
+    slides = records[0].sliding
+    moved = _searched(law, space.at_joint(slides=slides)) if space else _every(law)
     # Initial states are measured, so they are constant.
     starts = [record_start(law, r) for r in records]
 

@@ -206,7 +206,7 @@ def test_no_step_generates_energy(law: FrictionLaw, dt: float) -> None:
     ("structure", "said"),
     [
         ({"stops": [["2", 0]]}, "stop ['2', 0] is unknown"),
-        ({"stops": [["1", 9]]}, "a number from 0 to 8."),
+        ({"stops": [["1", 27]]}, "a number from 0 to 26."),
         ({"viscous": ["z"]}, "viscous term 'z' is unknown"),
         ({"ripple": [0]}, "is invalid for ParFam-S"),
         ({"order": 1}, "is invalid for ParFam-S"),

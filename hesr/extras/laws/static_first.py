@@ -40,8 +40,9 @@ class LuGreStaticFirst(LuGre):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Fit the static curve (seeded by `rng`), then search the deflection F_c / sigma_0."""
-        form, space = self.core({}), self.space()
+        form = self.core({})
         samples = JointRows.of(records, coefficients=len(form.coefficients))
+        space = self.space().at_joint(slides=samples.sliding)
         stiff = replace(
             bristle_space(("F_c", "sigma_2", "tau_0"), 2, ratio=self.ratio, deflection=_STIFF),
             values=(*space.values, ("sigma_1", sympy.Integer(0))),

@@ -9,10 +9,11 @@ import numpy as np
 from hesr_model.fitting.estimator import Estimator, register
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.nonnegative import Normal
+from hesr_model.fitting.ties import first_best
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.laws.ripple import LAG
 from hesr_model.laws.stops import passive, waves
-from hesr_model.laws.stops.form import Structure, start_at_rest, viscous_at
+from hesr_model.laws.stops.form import FINER, Structure, start_at_rest, viscous_at
 from hesr_model.laws.stops.search import Terms, dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
@@ -44,9 +45,11 @@ class _Stops(Estimator):
         """Solve for all forces with sign constraints; `rng` is not used."""
         del rng
         samples = JointRows.of(records, coefficients=20)
-        best = dictionary(samples, load=self.load)
+        scales = range(len(FINER) if samples.sliding else 1)
+        tried = [dictionary(samples, load=self.load, scale=scale) for scale in scales]
         if not self.skeleton_only:
-            best = search(best, load=self.load)
+            tried = [search(terms, load=self.load) for terms in tried]
+        best = tried[first_best([terms.cost for terms in tried])]
         structure, columns = best.active()
         lag = 0.0
         if self.ripple and samples.gear_ratio is not None:

@@ -27,6 +27,8 @@ from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S
 from hesr_model.support.arrays import Array
 
 DEFLECTIONS = np.geomspace(3e-5, 1e-2, 9)  # [rad; m] w of the stops
+FINER = (1.0, 0.1, 0.01)  # scales of the grid; sliding joints may have the finer ones
+WIDTHS = np.outer(FINER, DEFLECTIONS).ravel()
 
 LOAD_SCALE = Coefficient(
     name="load_scale", unit="N.m", description="load torque that makes load bounds 1"
@@ -99,11 +101,11 @@ class Structure:
                 "'viscous', 'ripple' and 'window'."
             ) from error
         for kind, node in found.stops:
-            if kind not in BOUNDS or not 0 <= node < len(DEFLECTIONS):
+            if kind not in BOUNDS or not 0 <= node < len(WIDTHS):
                 raise ArtifactError(
                     f"stop {[kind, node]!r} is unknown; expected a bound of "
                     f"{', '.join(repr(k) for k in BOUNDS)} and a number from 0 to "
-                    f"{len(DEFLECTIONS) - 1}."
+                    f"{len(WIDTHS) - 1}."
                 )
         if unknown := [kind for kind in found.viscous if kind not in _VISCOUS]:
             raise ArtifactError(
@@ -135,7 +137,7 @@ class Structure:
                 name=name.replace("F", "x", 1),
                 unit="1",
                 velocity=DQ,
-                deflection=float(f"{DEFLECTIONS[node]:.4g}"),
+                deflection=float(f"{WIDTHS[node]:.4g}"),
                 bound=BOUNDS[kind],
             )
             stops.append(x)

@@ -31,9 +31,10 @@ _ANY = (1e-12, 1e12)
 VISCOUS = ("1", "v", *SHARES)  # of f
 
 
-def every(kind: str) -> Structure:
-    """Return all stops with one bound."""
-    return Structure(stops=tuple((kind, node) for node in range(len(DEFLECTIONS))))
+def every(kind: str, scale: int = 0) -> Structure:
+    """Return all stops with one bound and the deflections of one of `FINER`."""
+    first = scale * len(DEFLECTIONS)
+    return Structure(stops=tuple((kind, first + node) for node in range(len(DEFLECTIONS))))
 
 
 def fixed(samples: JointRows) -> dict[str, float]:
@@ -98,17 +99,19 @@ class Terms:
     samples: JointRows
     weights: Array  # (N,) 1 or 0
     products: Products  # shared by trials
+    scale: int = 0  # place of the deflections' scale in `FINER`
     cache: dict[str, Array] = field(default_factory=dict)  # weighted columns by bound
 
     @property
     def structure(self) -> Structure:
         """All terms of these bounds."""
-        stops = tuple(stop for kind in self.bounds for stop in every(kind).stops)
+        stops = tuple(stop for kind in self.bounds for stop in every(kind, self.scale).stops)
         return Structure(stops=stops, viscous=VISCOUS)
 
     def _of(self, kind: str) -> Array:
         if kind not in self.cache:
-            own = Structure(viscous=VISCOUS) if kind == "viscous" else every(kind)
+            viscous = kind == "viscous"
+            own = Structure(viscous=VISCOUS) if viscous else every(kind, self.scale)
             self.cache[kind] = self.weights[:, None] * columns(own, self.numbers, self.samples)
         return self.cache[kind]
 
@@ -154,8 +157,8 @@ class Terms:
         return chosen, np.hstack(self.blocks)[:, np.concatenate([enough, flows, [True]])]
 
 
-def dictionary(samples: JointRows, *, load: bool) -> Terms:
-    """Return the bounds of the skeleton with the best v_s and T."""
+def dictionary(samples: JointRows, *, load: bool, scale: int = 0) -> Terms:
+    """Return the bounds of the skeleton with the best v_s and T, at a scale of deflections."""
     speed = float(np.max(np.abs(samples.dq)))
     ageing = times(samples)
     counted = weights(samples, max(ageing, default=0.0))
@@ -165,6 +168,7 @@ def dictionary(samples: JointRows, *, load: bool) -> Terms:
         samples=samples,
         weights=counted,
         products=Products(samples.tau, samples.folds, counted),
+        scale=scale,
     )
     trials, costs = [], []
     if not ageing:
