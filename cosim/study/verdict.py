@@ -14,6 +14,7 @@ from cosim.study.forecast import Forecast
 from cosim.study.scores import RECORDED, Comparison, LawScores
 from fmu_src.friction.predictions import Records
 from hesr_model.audit.properties import combined
+from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.model import MIXED, FrictionModel, compatible
 from hesr_model.friction.trained_range import outside
 from hesr_model.logs.phases import MOVING
@@ -246,11 +247,14 @@ def _improve(
 ) -> Iterable[str]:
     trained, tested = all_at_friction(trained), all_at_friction(tested)
     short = short_names(len(trained))
-    faster, resting, loaded = [], [], []
-    for name, seen, learnt, new in zip(short, model.trained, trained, tested, strict=True):
-        beyond = outside(seen, new).get("dq")
-        if beyond is not None and beyond.rows > _BEYOND:
+    faster, heavier, resting, loaded = [], [], [], []
+    rows = zip(short, model.laws, model.trained, trained, tested, strict=True)
+    for name, law, seen, learnt, new in rows:
+        beyond = {k: e for k, e in outside(seen, new).items() if e.rows > _BEYOND}
+        if "dq" in beyond:
             faster.append(name)
+        if "tau_load" in beyond and TAU_LOAD in law.form.inputs:
+            heavier.append(name)
         dq, load, tau = (
             np.concatenate([getattr(r, what) for r in learnt]) for what in ("dq", "tau_load", "tau")
         )
@@ -260,6 +264,7 @@ def _improve(
             loaded.append(name)
     advice = {
         "the test is faster than the training logs; record faster motion.": faster,
+        "the load of the test exceeds the training logs; record larger loads.": heavier,
         "hardly any standstill in the training logs; record rests.": resting,
         "the load hardly changes; record a log with a payload to model load-dependent "
         "friction.": loaded,

@@ -376,8 +376,13 @@ def _leaving(law: NamedLaw, records: Records) -> list[str]:
     if model is None or not model.trained or model.joints != tuple(r[0].joint for r in records):
         return []
     coupled = [[replace(r, coupling=model.coupling) for r in of_joint] for of_joint in records]
+    warm, moved = model.thermal or (None,) * len(coupled), all_at_friction(coupled)
     found = [
-        {k: v for k, v in outside(trained, r).items() if k in map(str, one.form.inputs)}
-        for one, trained, r in zip(model.laws, model.trained, all_at_friction(coupled), strict=True)
+        {
+            k: v
+            for k, v in outside(trained, r, own).items()
+            if k in (*map(str, law.form.inputs), "temperature")
+        }
+        for law, trained, own, r in zip(model.laws, model.trained, warm, moved, strict=True)
     ]
     return [leaving(model.joints, found, model.sliding)] if any(found) else []

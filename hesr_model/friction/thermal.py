@@ -1,7 +1,7 @@
 """Thermal models: factors on Coulomb and viscous friction, and the heat of friction.
 
     Coulomb     c(T) = c_0 (1 - b_c (T - T_0))       viscous    n(T) = n_0 exp(-b_v (T - T_0))
-    heat        x' = (R |tau dq| - x) / T_th         T = T_a + x
+    heat        x' = (R |tau dq| - x) / T_th         T = T_a + x, within its trained range
 
 The exponential is Reynolds' law of viscosity.
 """
@@ -31,7 +31,7 @@ _LEAST_SCALE = 1e-3  # bounds stay positive
 class Thermal:
     """Thermal model of one joint in the units of `_UNITS`; ArtifactError for an invalid number.
 
-    The resistance is 1 if no temperature was `measured`.
+    The resistance is 1 if no temperature was `measured`. Older files have no trained range.
     """
 
     coulomb: float
@@ -42,6 +42,8 @@ class Thermal:
     resistance: float = 1.0
     time_constant: float = 1200.0
     ambient: float = 20.0
+    coldest: float = -273.15
+    warmest: float = 1e4
     measured: bool = True
 
     def __post_init__(self) -> None:
@@ -54,7 +56,7 @@ class Thermal:
 
     def factors(self, temperature: Array) -> tuple[Array, Array]:
         """Return the Coulomb and viscous factors at temperatures (N,) [degC]."""
-        over = temperature - self.reference
+        over = np.clip(temperature, self.coldest, self.warmest) - self.reference
         coulomb = 1.0 - np.clip(self.coulomb * over, -COULOMB_RANGE, COULOMB_RANGE)
         viscous = np.exp(-np.clip(self.viscous * over, -VISCOUS_RANGE, VISCOUS_RANGE))
         return self.coulomb_scale * coulomb, self.viscous_scale * viscous
@@ -77,6 +79,8 @@ _UNITS = {
     "resistance": ("K/W", "thermal resistance between joint and ambient"),
     "time_constant": ("s", "thermal time constant"),
     "ambient": ("degC", "ambient temperature"),
+    "coldest": ("degC", "lowest temperature in training, which limits that of the factors"),
+    "warmest": ("degC", "highest temperature in training, which limits that of the factors"),
 }
 
 RISE = "rise"
@@ -117,7 +121,8 @@ def warmth(torque: sympy.Expr) -> Warmth:
     heat = Slow(
         name=RISE, unit="K", drive=rate * k["resistance"] * absolute(torque * DQ), rate=rate
     )
-    over = read * TEMPERATURE.symbol + (1 - read) * (k["ambient"] + heat.state) - k["reference"]
+    known = read * TEMPERATURE.symbol + (1 - read) * (k["ambient"] + heat.state)
+    over = -larger(-k["warmest"], -larger(known, k["coldest"])) - k["reference"]
     return Warmth(
         memory=heat,
         coulomb=larger(k["coulomb_scale"], _LEAST_SCALE)

@@ -9,6 +9,7 @@ import numpy as np
 
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import INPUT_UNITS
+from hesr_model.friction.thermal import TEMPERATURE, Thermal
 from hesr_model.rigid_body.residual import FrictionRecord
 
 Range = tuple[float, float]  # least and greatest value
@@ -68,11 +69,14 @@ class Excess:
     above: float
 
 
-def outside(trained: TrainedRange, records: Sequence[FrictionRecord]) -> dict[str, Excess]:
-    """Return the excess of each input of a joint that leaves its range."""
-    found = {}
-    for name in INPUT_UNITS:
-        low, high = getattr(trained, name)
+def outside(
+    trained: TrainedRange, records: Sequence[FrictionRecord], thermal: Thermal | None = None
+) -> dict[str, Excess]:
+    """Return the excess of each input of a joint, and its temperature, that leaves its range."""
+    found, ranges = {}, {name: getattr(trained, name) for name in INPUT_UNITS}
+    if thermal and all(record.temperature is not None for record in records):
+        ranges[TEMPERATURE.name] = thermal.coldest, thermal.warmest
+    for name, (low, high) in ranges.items():
         values = np.concatenate([getattr(record, name) for record in records])
         below, above = low - values, values - high
         beyond = (below > 0.0) | (above > 0.0)

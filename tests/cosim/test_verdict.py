@@ -475,6 +475,9 @@ def rows(*, fast: int = 0, resting: int = 10, load: float = 1.0) -> FrictionReco
         ({"load": 0.51}, {}, None),
         ({"load": 0.49}, {}, "J1: the load hardly changes; record a log with a payload to model "
                              "load-dependent friction."),
+        ({}, {"load": 1.01}, None),
+        ({}, {"load": 1.2}, "J1: the load of the test exceeds the training logs; record larger "
+                            "loads."),
     ],
 )  # fmt: skip
 def test_helpful_data_are_named(
@@ -483,7 +486,7 @@ def test_helpful_data_are_named(
     wide = TrainedRange(
         sample_time=0.01, dq=(-1.0, 1.0), q=(-1.0, 1.0), tau_load=(-1.0, 1.0), tau=(-1.0, 1.0)
     )
-    model = replace(model_of("stribeck", 1), trained=(wide,))
+    model = replace(model_of("lugre_load", 1), trained=(wide,))
     known, new = [[rows(**trained)]], [[rows(**tested)]]  # type: ignore[arg-type]
     found = list(_improve(model, known, new, gear_ratio=True))
     assert found == ([] if advice is None else [advice])

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hesr_model.audit.certificate import certify
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.joint_rows import JointRows
@@ -12,6 +13,7 @@ from hesr_model.fitting.nonnegative import Normal, blocks_of, pays, signed_least
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.predict import predict
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.stops import passive
 from hesr_model.laws.stops.estimator import ParFamS
 from hesr_model.laws.stops.form import BOUNDS, Structure
@@ -219,11 +221,29 @@ def test_other_structures_are_refused(structure: dict[str, object], said: str) -
 
 
 def test_no_bound_is_negative() -> None:
-    for bound in BOUNDS.values():
+    limited = Structure(stops=tuple((kind, 0) for kind in BOUNDS), limited=True).form().stops
+    for bound in (*BOUNDS.values(), *(stop.bound for stop in limited)):
         for load in (-3.0, 0.0, 2.0):
             for most in (-1.0, 0.2, 0.9):
                 at = {"tau_load": load, "load_scale": 2.0, "p": 0.3, "P": most}
                 assert bound.subs({s: at[s.name] for s in bound.free_symbols}) >= 0
+
+
+def test_the_load_of_bounds_stays_within_its_trained_range() -> None:
+    trained = [record("one", 0), record("two", 1)]
+    law = fit_joint("parfam_s_load", trained, seed=0)
+    largest = max(float(np.abs(r.tau_load).max()) for r in trained)
+    assert (law.structure["limited"], law.values["load_scale"]) == (True, largest)
+    assert certify(law, TrainedRange.of(trained)).verdict == "proven"
+    free = {k: v for k, v in law.structure.items() if k != "limited"}  # as in older files
+    older = replace(law, structure=free, form=ParFamS.form(free))
+    for r in trained:
+        np.testing.assert_array_equal(predict(law, **r.motion), predict(older, **r.motion))
+    new = record("three", 2)
+    heavy, heaviest = (replace(new, tau_load=np.full_like(new.t, f * largest)) for f in (1.5, 3.0))
+    np.testing.assert_array_equal(predict(law, **heavy.motion), predict(law, **heaviest.motion))
+    assert np.abs(predict(older, **heaviest.motion)).max() > 1.5 * np.abs(
+        predict(law, **heaviest.motion)).max()  # fmt: skip
 
 
 def broken_away() -> FrictionRecord:

@@ -20,6 +20,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import COULOMB_RANGE, VISCOUS_RANGE, Thermal
 from hesr_model.friction.thermal_law import thermal_component
+from hesr_model.friction.trained_range import TrainedRange, outside
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.transmission import Coupling
 
@@ -51,7 +52,7 @@ def log(
 
 @pytest.fixture(scope="module")
 def logs() -> list[list[FrictionRecord]]:
-    return [[log(stops(), 150.0, 1)], [log(stops(), 150.0, 2, start=25.0)]]
+    return [[log(stops(), 150.0, 1)], [log(stops(), 150.0, 2, start=32.0)]]
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +137,39 @@ def test_factors_stay_within_their_limits() -> None:
     level, viscosity = TRUE.factors(np.array([-1e6, TRUE.reference, 1e6]))
     np.testing.assert_allclose(level, [1.0 + COULOMB_RANGE, 1.0, 1.0 - COULOMB_RANGE])
     np.testing.assert_allclose(viscosity, np.exp([VISCOUS_RANGE, 0.0, -VISCOUS_RANGE]))
+
+
+def test_the_temperature_of_factors_stays_within_its_trained_range(fitted, logs) -> None:
+    known, found = fitted
+    [thermal] = known.thermal
+    seen = np.concatenate([of_joint[0].temperature for of_joint in logs])
+    assert (thermal.coldest, thermal.warmest) == (seen.min(), seen.max()) == (
+        found.thermal.coldest, found.thermal.warmest
+    )  # fmt: skip
+    day = log(stops(), 20.0, 7, start=30.0)
+    for beyond, limit in ((thermal.warmest + 20.0, thermal.warmest),
+                          (thermal.coldest - 20.0, thermal.coldest)):  # fmt: skip
+        torques = [
+            known.predict([replace(day, temperature=np.full_like(day.t, temperature))])
+            for temperature in (beyond, limit)
+        ]
+        np.testing.assert_array_equal(*torques)
+        assert thermal.factors(np.array([beyond])) == thermal.factors(np.array([limit]))
+    # Without a range, as in files of earlier versions, nothing is limited.
+    data = known.to_json()
+    for limit in ("coldest", "warmest"):
+        del data["joints"][0]["thermal"][limit]
+    older = FrictionModel.from_json(data, Path("older.json"))
+    warm = replace(day, temperature=np.full_like(day.t, thermal.warmest + 20.0))
+    assert np.abs(older.predict([warm]) - known.predict([warm])).max() > 0.1
+
+
+def test_temperatures_beyond_training_are_reported(fitted) -> None:
+    [thermal], trained = fitted[0].thermal, TrainedRange.of([log(stops(), 20.0, 1)])
+    hot = replace(log(stops(), 20.0, 7), temperature=np.full(1000, thermal.warmest + 2.0))
+    assert "temperature" not in outside(trained, [hot])
+    excess = outside(trained, [hot], thermal)["temperature"]
+    assert (excess.rows, excess.above) == (1.0, pytest.approx(2.0))
 
 
 @pytest.mark.parametrize("ripple", [(), (200,)])

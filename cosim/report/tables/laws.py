@@ -7,6 +7,7 @@ from cosim.report.tables.table import ResultTable, fixed, joints, row_of, title
 from hesr_model.audit.audit import Audit
 from hesr_model.friction.inputs import INPUT_UNITS
 from hesr_model.friction.registry import registry
+from hesr_model.friction.thermal import TEMPERATURE
 from hesr_model.friction.trained_range import Excess
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.units import unit_of_joint, unit_of_joints
@@ -65,9 +66,10 @@ def leaving(
 ) -> str:
     """Return one line per joint and input that leaves the trained range."""
     slides = sliding or (False,) * len(names)
+    units = {**INPUT_UNITS, TEMPERATURE.name: TEMPERATURE.unit}
     return "\n".join(
         f"{joint}: {name} leaves the trained range in {100.0 * excess.rows:.1f} % of the rows, by "
-        f"up to {max(excess.below, excess.above):.3g} {unit_of_joint(INPUT_UNITS[name], slides=s)}."
+        f"up to {max(excess.below, excess.above):.3g} {unit_of_joint(units[name], slides=s)}."
         for joint, of_joint, s in zip(names, found, slides, strict=True)
         for name, excess in of_joint.items()
     )

@@ -172,10 +172,12 @@ class _Problem:
         found = least_squares(
             lambda x: left(thermal_of(x), x[4]), first, bounds=(low, high), x_scale=scale
         )
-        errors = self._errors(found.jac, found.fun)
+        errors, thermal = self._errors(found.jac, found.fun), thermal_of(found.x)
+        seen = np.concatenate(list(temperatures(thermal)))
+        coldest, warmest = float(np.min(seen)), float(np.max(seen))
         return ThermalFit(
             joint=self._records[0].joint,
-            thermal=thermal_of(found.x),
+            thermal=replace(thermal, coldest=coldest, warmest=warmest),
             coulomb_error=float(errors[2]),
             viscous_error=float(errors[3]),
             rmse_fixed=rmse(left(start, 0.0)),

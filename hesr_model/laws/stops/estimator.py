@@ -51,6 +51,7 @@ class _Stops(Estimator):
             tried = [search(terms, load=self.load) for terms in tried]
         best = tried[first_best([terms.cost for terms in tried])]
         structure, columns = best.active()
+        structure = replace(structure, limited=self.load)
         lag = 0.0
         if self.ripple and samples.gear_ratio is not None:
             chosen = waves.select(columns, samples, best.weights, samples.gear_ratio)
@@ -89,7 +90,11 @@ class _Stops(Estimator):
         )
 
 
-_LOADED = {**_Stops.typical, "stops": [["1", 0], ["1", 4], ["age", 0], ["load", 0]]}
+_LOADED = {
+    **_Stops.typical,
+    "stops": [["1", 0], ["1", 4], ["age", 0], ["load", 0]],
+    "limited": True,
+}
 
 
 @register

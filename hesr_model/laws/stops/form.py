@@ -17,7 +17,7 @@ import numpy as np
 import sympy
 from pydantic import ConfigDict, NonNegativeFloat, PositiveInt, TypeAdapter, ValidationError
 
-from hesr_model.equations.functions import absolute, cardinal_sine, lowered, positive
+from hesr_model.equations.functions import absolute, cardinal_sine, clip, lowered, positive
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
@@ -45,6 +45,7 @@ AGE = Relaxation(
 """Age of the contacts: 1 at rest, falling in motion."""
 
 _LOAD = TAU_LOAD / LOAD_SCALE.symbol
+_LIMITED = {TAU_LOAD: LOAD_SCALE.symbol * clip(_LOAD, 1.001)}  # no training row is at the kink
 BOUNDS: Mapping[str, sympy.Expr] = {
     "1": sympy.Integer(1),
     "age": positive(OLDEST.symbol - positive(OLDEST.symbol - AGE.state)),  # min(p, P)
@@ -89,6 +90,7 @@ class Structure:
     viscous: tuple[str, ...] = ()  # "1", "v" for |v|, "a" for 1 / (1 + |v| / v_a) ..
     ripple: tuple[PositiveInt, ...] = ()  # [1/rad] frequencies in the joint angle
     window: NonNegativeFloat = 0.0  # [s] longest step without averaging of ripple
+    limited: bool = False  # bounds of the load end at the largest one in training
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Self:
@@ -98,7 +100,7 @@ class Structure:
         except ValidationError as error:
             raise ArtifactError(
                 f"structure {dict(data)!r} is invalid for ParFam-S; allowed are the keys 'stops', "
-                "'viscous', 'ripple' and 'window'."
+                "'viscous', 'ripple', 'window' and 'limited'."
             ) from error
         for kind, node in found.stops:
             if kind not in BOUNDS or not 0 <= node < len(WIDTHS):
@@ -129,6 +131,7 @@ class Structure:
 
     def form(self) -> LawForm:
         """Return the expressions."""
+        limit = _LIMITED if self.limited else {}
         terms: list[tuple[Coefficient, sympy.Expr]] = []
         stops: list[Element] = []
         for kind, node in self.stops:
@@ -138,7 +141,7 @@ class Structure:
                 unit="1",
                 velocity=DQ,
                 deflection=float(f"{WIDTHS[node]:.4g}"),
-                bound=BOUNDS[kind],
+                bound=BOUNDS[kind].xreplace(limit),
             )
             stops.append(x)
             terms.append((_torque(name, "torque of a stop at bound 1"), x.state))
