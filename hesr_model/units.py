@@ -6,12 +6,14 @@ from math import pi
 TURNING: Mapping[str, Mapping[str, float]] = {
     "q": {"rad": 1.0, "deg": pi / 180.0, "rev": 2.0 * pi},
     "dq": {"rad/s": 1.0, "deg/s": pi / 180.0, "rpm": pi / 30.0, "rev/s": 2.0 * pi},
+    "q_link": {"rad": 1.0, "deg": pi / 180.0, "rev": 2.0 * pi},
     "tau": {"N.m": 1.0, "mN.m": 1e-3},
 }  # in rad, rad/s, N.m
 
 SLIDING: Mapping[str, Mapping[str, float]] = {
     "q": {"m": 1.0, "mm": 1e-3},
     "dq": {"m/s": 1.0, "mm/s": 1e-3},
+    "q_link": {"m": 1.0, "mm": 1e-3},
     "tau": {"N": 1.0},
 }  # in m, m/s, N
 
@@ -23,7 +25,7 @@ OTHERS: Mapping[str, Mapping[str, float]] = {
 KNOWN: Mapping[str, Mapping[str, float]] = {
     **OTHERS,
     **{quantity: {**TURNING[quantity], **SLIDING[quantity]} for quantity in TURNING},
-}  # in SI, by quantity (t, q, dq, tau, current)
+}  # in SI, by quantity (t, q, dq, q_link, tau, current)
 
 
 def in_si(quantity: str, unit: str | float) -> float:

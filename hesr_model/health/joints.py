@@ -115,7 +115,7 @@ def without(
         key: tuple(joint for joint in getattr(robot, key) if joint not in rest)
         for key in ("springs", "balancers")
     }
-    for key in ["q", "dq", "tau", "current", *(["temperature"] if temperatures else [])]:
+    for key in ["q", "dq", "q_link", "tau", "current", *(["temperature"] if temperatures else [])]:
         pattern = getattr(robot.log.columns, key)
         if pattern and "{name}" not in pattern:
             lists[f"log.columns.{key}"] = tuple(column_names(pattern, robot.joints))

@@ -68,6 +68,7 @@ TEMPERATURES = "temperature{}"
 class LogColumns(Config):
     """Column names; `dq = ""` derives velocity, default temperatures are optional.
 
+    `q_link` names encoders behind elastic gears, whose motors then have `q`, divided by the gear.
     A list instead of the table, or `names`, names all columns of files without a header, in order.
     """
 
@@ -77,6 +78,7 @@ class LogColumns(Config):
     dq: Annotated[str | tuple[str, ...], AfterValidator(_or_empty)] = "dq{}"
     tau: Columns = "tau{}"
     current: Columns = "i{}"
+    q_link: Annotated[str | tuple[str, ...], AfterValidator(_or_empty)] = ""
     temperature: Columns = TEMPERATURES
 
     @model_validator(mode="before")
@@ -98,6 +100,7 @@ class LogUnits(Config):
     t: KnownUnit = "s"
     q: Units = "rad"
     dq: Units = "rad/s"
+    q_link: Units = "rad"
     tau: Units = "N.m"
     current: Units = "A"
     temperature: Literal["degC", "K"] = "degC"

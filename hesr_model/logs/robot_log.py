@@ -22,6 +22,7 @@ _USUAL = 0.95  # share of the shortest steps, whose mean is usual
 _SHORTEST_PART = 1.0  # minimum duration of a part [s]
 _RATE_MARGIN = 1.25
 _LARGEST = 1e20  # in any unit; nanoseconds since 1970 are 2e18
+_MOST_TWIST = 0.1  # of a gear, over the spread of the joint's position
 _LEAST_TRAVEL = 5e-3  # minimum travel of a joint [rad or m]; encoder noise is smaller
 
 
@@ -38,6 +39,7 @@ class Log:
     tau : (N, n) [N.m; N].
     load : (N, n) [N], load of the friction in cylinders; None if it is that of the bodies.
     temperature : (N, n) [degC]; None if not logged.
+    q_link : (N, n) [rad; m] behind elastic gears, `q` being that of the motors; None if not logged.
     path, sha256 : file of the log, and its hash.
     dropped : number of rows left out, by `LogFormat.missing`.
     robot : None if the log was not read from a file.
@@ -50,6 +52,7 @@ class Log:
     tau: Array
     load: Array | None = None
     temperature: Array | None = None
+    q_link: Array | None = None
     path: Path | None = None
     sha256: str = ""
     dropped: int = 0
@@ -116,7 +119,7 @@ class Log:
 
     def rows(self, rows: slice | Integers) -> "Log":
         """Return the log of some rows, a slice or (K,) indices."""
-        return some_rows(self, ("t", "q", "dq", "tau", "load", "temperature"), rows)
+        return some_rows(self, ("t", "q", "dq", "tau", "load", "temperature", "q_link"), rows)
 
     def parts(self) -> "tuple[Log, ...]":
         """Return the parts between gaps that last at least 1 s.
@@ -176,16 +179,18 @@ class Log:
             tau = _torque(path, samples, robot)
         else:
             tau, load = robot.log.cylinder.forces(samples.effort)
+        q = _of_joints(samples.q * units.factors("q", n), robot) + (robot.log.zero or 0.0)
         log = cls(
             name=path.stem,
             t=samples.t,
-            q=_of_joints(samples.q * units.factors("q", n), robot) + (robot.log.zero or 0.0),
+            q=q,
             dq=None if dq is None else _of_joints(dq, robot),
             tau=tau,
             load=load,
             temperature=None
             if samples.temperature is None
             else samples.temperature - units.zero_of_temperature,
+            q_link=_q_link(path, samples, q, robot),
             path=path,
             sha256=sha256(path),
             dropped=len(logged.t) - len(samples.t),
@@ -197,6 +202,7 @@ class Log:
     @property
     def _signals(self) -> dict[str, Array]:
         found = {"q": self.q, "dq": self.dq, "tau": self.tau, "temperature": self.temperature}
+        found["q_link"] = self.q_link
         return {name: values for name, values in found.items() if values is not None}
 
     @property
@@ -224,7 +230,7 @@ class Log:
         ConfigError
             If xarray is not installed.
         """
-        units = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC"}
+        units = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC", "q_link": "rad"}
         signals = {name: (values, units[name]) for name, values in self._signals.items()}
         return frames.xarray_dataset(self.t, signals, self.joints, name=self.name)
 
@@ -292,8 +298,28 @@ def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
     return np.asarray(torque @ np.array(robot.transmission.matrix))
 
 
+def _q_link(path: Path, samples: LogSamples, q: Array, robot: RobotDescription) -> Array | None:
+    if not robot.log.columns.q_link:
+        return None
+    if samples.q_link is None:
+        raise LogError(
+            f"{path}: this format has no link encoders; remove 'log.columns.q_link' from the robot "
+            "file, or write the log as a table."
+        )
+    factors = robot.log.units.factors("q_link", len(robot.joints))
+    link: Array = samples.q_link * factors + (robot.log.zero or 0.0)
+    pairs = zip(robot.joints, np.std(q - link, axis=0), np.std(q, axis=0), strict=True)
+    for joint, twist, moved in pairs:
+        if twist > max(_MOST_TWIST * moved, _LEAST_TRAVEL):
+            raise LogError(
+                f"{path}: the link encoder of joint '{joint}' does not follow its motor "
+                f"(difference {twist:.2g} rad RMS, motion {moved:.2g}); check columns and units."
+            )
+    return link
+
+
 def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
-    for what in ("q", "dq", "effort", "temperature"):
+    for what in ("q", "dq", "effort", "temperature", "q_link"):
         values = getattr(samples, what)
         if values is not None and not np.all(usable := np.abs(values) <= _LARGEST):
             k, joint = np.argwhere(~usable)[0]

@@ -21,7 +21,9 @@ class Motion:
     """The smoothed motion of a log, at its own time stamps.
 
     q, dq, ddq (N, n) [rad, rad/s, rad/s2] are low-passed without lag, dq_causal [rad/s] with it, as
-    users of FMUs have it. tau [N.m], q_raw [rad], load [N] and temperature [degC] are raw.
+    users of FMUs have it. tau [N.m], q_raw [rad], load [N] and temperature [degC] are raw. The
+    links behind elastic gears have q_link, dq_link and ddq_link (N, n), if logged, and tau_smooth
+    is low-passed as they are.
     """
 
     name: str
@@ -34,10 +36,21 @@ class Motion:
     load: Array | None = None
     temperature: Array | None = None
     dq_causal: Array | None = None
+    q_link: Array | None = None
+    dq_link: Array | None = None
+    ddq_link: Array | None = None
+    tau_smooth: Array | None = None
 
     def rows(self, rows: slice | Mask) -> "Motion":
         """Return the motion of some rows, a slice or a mask (N,)."""
         return some_rows(self, self.columns, rows)
+
+    @property
+    def states(self) -> tuple[Array, ...]:
+        """Arguments of `Robot.regressor`."""
+        if self.q_link is None or self.dq_link is None or self.ddq_link is None:
+            return self.q, self.dq, self.ddq
+        return self.q_link, self.dq_link, self.ddq_link, self.ddq
 
     @property
     def columns(self) -> dict[str, Array]:
@@ -87,6 +100,7 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
     velocity = (
         position.derivative() if log.dq is None else make_interp_spline(grid, filtered(log.dq), k=5)
     )
+    link = None if log.q_link is None else make_interp_spline(grid, filtered(log.q_link), k=5)
     return Motion(
         name=log.name,
         t=log.t,
@@ -98,6 +112,10 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
         load=log.load,
         temperature=log.temperature,
         dq_causal=low_passed(log.t, measured_velocity(log), cutoff),
+        q_link=link and link(log.t),
+        dq_link=link and link.derivative()(log.t),
+        ddq_link=link and link.derivative(2)(log.t),
+        tau_smooth=link and make_interp_spline(grid, filtered(log.tau), k=5)(log.t),
     )
 
 

@@ -48,9 +48,17 @@ def known_columns(model: Robot) -> list[int]:
     return [names.index(name) for name in model.description.known or ()]
 
 
-def unknown_columns(model: Robot) -> tuple[int, ...]:
-    """Return a largest set of independent columns among those that are not known."""
-    return _independent(model, known_columns(model))
+def unknown_columns(model: Robot, *, rotors: bool = False) -> tuple[int, ...]:
+    """Return a largest set of independent columns among those that are not known.
+
+    With `rotors`, rotors count as independent, as they are behind elastic gears.
+    """
+    known = known_columns(model)
+    if not rotors:
+        return _independent(model, known)
+    own = range(10 * model.links, model.inertial)
+    others = _independent(model, [*known, *own])
+    return tuple(sorted({*others, *own} - {*known}))
 
 
 def dependence(model: Robot, base: tuple[int, ...]) -> Array:

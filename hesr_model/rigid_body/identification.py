@@ -22,6 +22,7 @@ from hesr_model.logs.signals import Motion, smoothed
 from hesr_model.rigid_body import observations
 from hesr_model.rigid_body import physical as consistent
 from hesr_model.rigid_body.base_parameters import at_random_states, known_columns, unknown_columns
+from hesr_model.rigid_body.elasticity import FIXED, ElasticGear, gear_forms, gears_of, with_gears
 from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of, solve
 from hesr_model.robots.robot import Robot
 from hesr_model.support import html
@@ -62,6 +63,7 @@ class RigidBody:
     logs : names of the logs.
     physical : whether the bodies have positive mass density.
     covariance : covariance of the base parameters; None in results of earlier versions.
+    gears : elastic gears, of robots with link encoders.
     provenance : JSON data: input files with hashes, seed and versions.
     """
 
@@ -81,6 +83,7 @@ class RigidBody:
     weighting: Weighting
     physical: bool = False
     covariance: Covariance | None = None
+    gears: tuple[ElasticGear, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -128,7 +131,7 @@ class RigidBody:
         RobotError
             If `model` is another robot than the identified one.
         """
-        return model.torque(self.parameters_for(model), motion.q, motion.dq, motion.ddq)
+        return model.torque(self.parameters_for(model), *motion.states)
 
     def parameters_for(self, model: Robot) -> Array:
         """Return the parameters (P,), or raise RobotError for another robot."""
@@ -154,7 +157,7 @@ class RigidBody:
         _, s, vt = np.linalg.svd(at_random_states(model)[:, columns] @ spread, full_matrices=False)
         spread = spread @ vt[s > _MATTERS * s[0]].T
         parts = [
-            model.regressor(motion.q[k], motion.dq[k], motion.ddq[k])[:, :, columns] @ spread
+            model.regressor(*(state[k] for state in motion.states))[:, :, columns] @ spread
             for k in (slice(at, at + AT_ONCE) for at in range(0, len(motion.t), AT_ONCE))
         ]
         return np.concatenate(parts)
@@ -165,6 +168,8 @@ class RigidBody:
         names = data.pop("names")
         if data["covariance"] is None:  # as in version 1
             del data["covariance"]
+        if not data["gears"]:
+            del data["gears"]
         data["parameters"] = dict(zip(names, data["parameters"], strict=True))
         return data | {"base": [names[k] for k in self.base]}
 
@@ -235,11 +240,18 @@ def identify_motions(
         raise FitError(
             f"robot '{model.name}': 'physical' excludes 'known' of the robot file; remove one."
         )
+    everything = [*motions, *reversed_motions]
+    forms = gear_forms(everything, observations.used_rows(everything, model))
+    if forms and (physical or method == "paper"):
+        raise FitError(
+            f"robot '{model.name}': link encoders ('log.columns.q_link') exclude 'physical' and "
+            "'method' paper; leave them out."
+        )
     motions, reversed_motions = (
         observations.without_known(m, model) for m in (motions, reversed_motions)
     )
     everything = [*motions, *reversed_motions]
-    base = unknown_columns(model)
+    base = unknown_columns(model, rotors=bool(forms))
     friction = observations.friction_columns(model, base) & (method == "stacked")
     where = "log " + ", ".join(motion.name for motion in everything)
     rows = sum(len(motion.t) for motion in everything)
@@ -249,19 +261,23 @@ def identify_motions(
     def blocks_of(columns: tuple[int, ...]) -> list[Block]:
         if method == "paper":
             return observations.averaged(motions, reversed_motions, model, columns)
-        return observations.stacked(everything, model, columns, friction)
+        blocks = observations.stacked(everything, model, columns, friction)
+        return with_gears(blocks, forms, columns, model) if forms else blocks
 
     blocks = blocks_of(base)
     weighting = weighting or ("ols" if method == "paper" else "wls")
-    scale = scale_of(model, base, friction)
-    loose = loose_of(model, base, friction)
+    columns = [np.sqrt(np.mean(form.columns**2, axis=0)) for form in forms]
+    scale = np.concatenate([scale_of(model, base, friction), *columns])
+    elements = [np.arange(len(size)) >= FIXED for size in columns]
+    loose = np.concatenate([loose_of(model, base, friction), *elements])
     solution = solve(blocks, scale=scale, weighted=weighting == "wls", loose=loose)
     if not physical:
         tell_ridge(where, solution)
     labels = observations.logs_of(motions if method == "paper" else everything)
+    covariance = covariance_of(blocks, solution, labels)
     body = body_of(
         solution,
-        covariance_of(blocks, solution, labels),
+        covariance,
         model,
         base,
         friction,
@@ -270,6 +286,11 @@ def identify_motions(
         method=method,
         weighting=weighting,
     )
+    if forms:
+        places = len(base) + np.cumsum(friction).reshape(friction.shape) - 1
+        errors = covariance.standard_errors
+        gears = gears_of(forms, model.joints, solution.x, errors, places[:, :2])
+        return replace(body, gears=gears)
     if not physical:
         return body
     return _consistent(body, blocks_of(tuple(range(len(body.names)))), model, friction, labels)
@@ -335,8 +356,10 @@ def body_of(
         standard_errors=covariance.standard_errors,
         condition=solution.condition,
         ridge=solution.ridge,
-        friction=observations.per_joint(solution.x[len(base) :], friction),
-        rmse=solution.rmse,
+        friction=observations.per_joint(
+            solution.x[len(base) : len(base) + int(np.sum(friction))], friction
+        ),
+        rmse=solution.rmse[: model.n],
         rows=rows,
         logs=logs,
         method=method,

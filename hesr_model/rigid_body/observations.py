@@ -39,7 +39,13 @@ def without_known(motions: Sequence[Motion], model: Robot) -> list[Motion]:
         return list(motions)
     own = np.zeros_like(model.nominal_parameters)
     own[known] = model.nominal_parameters[known]
-    return [replace(m, tau=m.tau - model.torque(own, m.q, m.dq, m.ddq)) for m in motions]
+    return [replace(m, tau=m.tau - model.torque(own, *m.states)) for m in motions]
+
+
+def used_rows(motions: Sequence[Motion], model: Robot, slow: Array | None = None) -> list[Mask]:
+    """Return whether each friction coordinate is faster than `slow` (n,) in each row."""
+    slow = slow_speeds(peak_speeds(motions, model)) if slow is None else slow
+    return list(slow[:, None] < np.abs(rubbing_speeds(motions, model)).T)
 
 
 def friction_columns(model: Robot, base: tuple[int, ...]) -> Mask:
@@ -72,17 +78,13 @@ def stacked(
 ) -> list[Block]:
     """Return a block per friction coordinate, of rows above `slow`; friction columns are last."""
     n = model.n
-    q, dq, ddq, tau = (
-        np.concatenate([getattr(motion, name) for motion in motions])
-        for name in ("q", "dq", "ddq", "tau")
-    )
-    rigid = model.regressor(q, dq, ddq)[:, :, list(base)]
+    states = [np.concatenate(parts) for parts in zip(*(m.states for m in motions), strict=True)]
+    dq, tau = states[1], np.concatenate([motion.tau for motion in motions])
+    rigid = model.regressor(*states)[:, :, list(base)]
     if (coupling := model.description.coupling) is not None:
         dq, tau, rigid = coupling.motion(dq), coupling.torque(tau), coupling.torque(rigid)
-    slow = slow_speeds(peak_speeds(motions, model)) if slow is None else slow
     blocks = []
-    for joint in range(n):
-        rows = np.abs(dq[:, joint]) > slow[joint]
+    for joint, rows in enumerate(used_rows(motions, model, slow)):
         speed = dq[rows, joint]
         rubbing = np.zeros((len(speed), n, 3))
         rubbing[:, joint] = np.column_stack([np.sign(speed), speed, np.ones_like(speed)])
@@ -132,4 +134,4 @@ def averaged(
 
 
 def _regressor(model: Robot, motion: Motion) -> Array:
-    return model.regressor(motion.q, motion.dq, motion.ddq)
+    return model.regressor(*motion.states)

@@ -62,6 +62,11 @@ class RobotDescription(Config):
 
     @model_validator(mode="after")
     def _one_gear_per_joint(self) -> Self:
+        if self.log.columns.q_link and (self.transmission or not self.rotor_inertia):
+            raise ValueError(
+                "'log.columns.q_link' needs 'rotor_inertia' and excludes 'transmission'; change "
+                "one of them"
+            )
         if self.transmission is None:
             return self
         ratios = tuple(float(ratio) for ratio in np.abs(self.transmission.ratios))

@@ -204,12 +204,13 @@ class Robot:
         self._pin.forwardKinematics(self._model, self._data, self._configurations(q[None])[0])
         return [(one.rotation.copy(), one.translation.copy()) for one in list(self._data.oMi)[1:]]
 
-    def regressor(self, q: Array, dq: Array, ddq: Array) -> Array:
+    def regressor(self, q: Array, dq: Array, ddq: Array, rotors: Array | None = None) -> Array:
         """Return the regressor Y of eq. 5 at every sample.
 
         Parameters
         ----------
         q, dq, ddq : (N, n) [rad, rad/s, rad/s2; m, m/s, m/s2 for prismatic joints].
+        rotors : (N, n) accelerations of the rotors, by default `ddq`.
 
         Returns
         -------
@@ -229,18 +230,21 @@ class Robot:
         if self.description.rotor_inertia:
             motors = self.description.motors
             own = np.eye(self.n) if motors is None else motors.forward
-            out[:, :, links : self.inertial] = (ddq @ own.T)[:, None, :] * own.T
+            turning = (ddq if rotors is None else rotors) @ own.T
+            out[:, :, links : self.inertial] = turning[:, None, :] * own.T
         for column, term in enumerate(self.springs, start=self.inertial):
             out[:, term.joint, column] = term.over(q[:, term.joint])
         return out
 
-    def torque(self, parameters: Array, q: Array, dq: Array, ddq: Array) -> Array:
+    def torque(
+        self, parameters: Array, q: Array, dq: Array, ddq: Array, rotors: Array | None = None
+    ) -> Array:
         """Return the rigid-body torque Y pi for any parameters, also with zero masses.
 
         Parameters
         ----------
         parameters : (P,), or (N, P) with parameters for each row.
-        q, dq, ddq : (N, n) as in `regressor`; dq = ddq = 0 gives the gravity torque.
+        q, dq, ddq, rotors : (N, n) as in `regressor`; dq = ddq = 0 gives the gravity torque.
 
         Returns
         -------
@@ -250,7 +254,8 @@ class Robot:
         parts = [np.empty((0, self.n))]
         for start in range(0, len(q), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)
-            regressor = self.regressor(q[rows], dq[rows], ddq[rows])
+            turning = None if rotors is None else rotors[rows]
+            regressor = self.regressor(q[rows], dq[rows], ddq[rows], turning)
             own = parameters if parameters.ndim == 1 else parameters[rows, :, None]
             parts.append((regressor @ own).reshape(-1, self.n))
         return np.concatenate(parts)

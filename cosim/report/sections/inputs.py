@@ -66,7 +66,7 @@ def body(results: Results) -> dict[str, Any]:
         "errors": ", ".join(map(rounded, found.rmse)),
         "log": log,
         "torques": _torques(results, log) if log else None,
-        "parameters": _parameters(found),
+        "parameters": parameters(found),
     }
 
 
@@ -87,16 +87,21 @@ def _torques(results: Results, log: SavedLog) -> Chart:
     return Chart(x="t [s]", rows=tuple((panel,) for panel in panels), height=1.35)
 
 
-def _parameters(body: RigidBody) -> ResultTable:
+def parameters(body: RigidBody) -> ResultTable:
+    """Return the table of identified parameters."""
     sprung = any(name.endswith(".const") for name in body.names)
     springs = "; springs: k [N.m/rad], others [N.m]" if sprung else ""
+    gears = "; elastic gears: friction of motor and link, SI units" if body.gears else ""
+    more = [(f"{g.joint}.{n}", *found) for g in body.gears for n, found in g.parameters.items()]
+    base = zip(body.base, body.standard_errors, strict=True)
+    rows = [*((body.names[k], body.parameters[k], error) for k, error in base), *more]
     return ResultTable(
         caption="Base parameters: m [kg], mx.. [kg.m], Ixx.. and rotor Ir [kg.m²]"
-        f"{springs}; each includes the parameters that depend on it",
+        f"{springs}{gears}; each includes the parameters that depend on it",
         head=("parameter", "value", "± 95 %"),
         rows=[
-            row_of(body.names[k], number(body.parameters[k], 4), number(_INTERVAL * error, 2))
-            for k, error in zip(body.base, body.standard_errors, strict=True)
+            row_of(name, number(value, 4), number(_INTERVAL * error, 2))
+            for name, value, error in rows
         ],
     )
 

@@ -9,6 +9,7 @@ from hesr_model.friction.inputs import INPUT_UNITS
 from hesr_model.friction.registry import registry
 from hesr_model.friction.thermal import TEMPERATURE
 from hesr_model.friction.trained_range import Excess
+from hesr_model.rigid_body.elasticity import ElasticGear
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.units import unit_of_joint, unit_of_joints
 
@@ -80,8 +81,22 @@ def rigid_body(found: RigidBody, sliding: Sequence[bool] = ()) -> str:
     rotors = sum(name.endswith(".Ir") for name in found.names)
     more = f" ({rotors} of them rotor inertias)" if rotors else ""
     errors = ", ".join(f"{e:.3g}" for e in found.rmse)
-    return (
+    body = (
         f"Rigid body: {len(found.base)} base parameters of {len(found.names)}{more}, condition "
         f"{found.condition:.3g}, from {', '.join(found.logs)}; residual RMSE {errors} "
         f"{unit_of_joints('N.m', sliding)}."
     )
+    return "\n".join([body, *map(_gear, found.gears)])
+
+
+def _gear(gear: ElasticGear) -> str:
+    shown = {
+        name: " +- ".join(f"{float(f'{x:.{n}g}'):.6g}" for x, n in ((value, 4), (1.96 * error, 2)))
+        for name, (value, error) in gear.parameters.items()
+    }
+    if not gear.is_determined:
+        return (
+            f"Gear of {gear.joint}: these logs do not determine its stiffness "
+            f"({shown['stiffness']} N.m/rad); record faster motion, or a payload."
+        )
+    return f"Gear of {gear.joint} [SI]: {', '.join(f'{n} {text}' for n, text in shown.items())}."

@@ -41,6 +41,7 @@ def samples_of(table: LogTable, robot: RobotDescription) -> LogSamples:
         time=time,
         place=lambda k: f"row {table.row(k)}",
         temperature=_temperature(table, robot),
+        q_link=_joints(table, columns.q_link, robot) if columns.q_link else None,
     )
 
 

@@ -20,10 +20,11 @@ class LogSamples:
     time: str
     place: Callable[[int], str]
     temperature: Array | None = None
+    q_link: Array | None = None
 
     def arranged(self, *, drop: bool, sort: bool, first: bool) -> "LogSamples":
         """Sort rows by time, and drop rows that lack a number or repeat a stamp."""
-        columns = ("t", "q", "dq", "effort", "temperature")
+        columns = ("t", "q", "dq", "effort", "temperature", "q_link")
         parts = [part for name in columns if (part := getattr(self, name)) is not None]
         rows = np.arange(len(self.t))
         if drop:

@@ -1,0 +1,173 @@
+"""Elastic gears between the encoders of motor and link, identified with the rigid body.
+
+    tau   = I_r ddq + friction of the motor side + tau_g
+    tau_g = body(q_link) + friction of the link side
+          = k d + D d' + sum F_i x_i(d),    d = q - q_link - zero
+
+An x_i is a Prandtl stop of hysteresis with F_i > 0 (Taghirad and Bélanger 1998) or, with F_i < 0,
+clip(d / w_i, -1, 1): the gear is softer around zero, or has play.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body.least_squares import Block
+from hesr_model.robots.robot import Robot
+from hesr_model.support.arrays import Array, Integers, Mask
+
+_OF_GEAR = ("stiffness", "damping", "offset", "motor_coulomb", "motor_load", "motor_viscous")
+_OF_LINK = ("link_coulomb", "link_viscous")
+FIXED = len(_OF_GEAR)
+_STOPS = 2.0 ** (-0.5 * np.arange(1, 13))  # widths tried, over the largest deflection
+_SOFT = 2.0 ** -np.arange(3.0, 7.0)  # likewise
+_ROUNDS = 3  # of zero, and of the torque in the load
+_LEAST = 1e-3  # torque of an element over that of the gear
+_DETERMINED = 0.2  # half width of the interval of a stiffness over it, at most
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElasticGear:
+    """Elastic gear of a joint, and friction on both sides.
+
+    `parameters` has value and standard error of `stiffness` [N.m/rad], `damping` [N.m.s/rad] and
+    friction [N.m; 1; N.m.s/rad], (motor_coulomb + motor_load |tau_g|) sgn(dq) + motor_viscous dq of
+    the motor and link_coulomb sgn(dq_link) + link_viscous dq_link of the link. `zero` [rad] is the
+    difference of the encoders without torque. `stops` and `soft` have width [rad] and torque [N.m].
+    """
+
+    joint: str
+    zero: float
+    parameters: dict[str, tuple[float, float]]
+    stops: tuple[tuple[float, float], ...]
+    soft: tuple[tuple[float, float], ...]
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the 95 % interval of the stiffness is within 20 %."""
+        value, error = self.parameters["stiffness"]
+        return 1.96 * error < _DETERMINED * value
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GearForm:
+    """Columns (N, `FIXED` + elements) of a gear, before its fit; signals (N,) by name."""
+
+    zero: float
+    stops: Array
+    soft: Array
+    columns: Array
+    signals: dict[str, Array]
+
+
+def gear_forms(motions: Sequence[Motion], used: Sequence[Mask]) -> list[GearForm]:
+    """Return the forms of elastic gears by joint, from `used` rows; none without link encoders."""
+    if not motions or any(motion.q_link is None for motion in motions):
+        return []
+    names = ("q", "dq", "ddq", "tau", "q_link", "dq_link", "tau_smooth")
+    data: dict[str, Array] = {
+        n: np.concatenate([getattr(motion, n) for motion in motions]) for n in names
+    }
+    starts = np.cumsum([0, *(len(motion.t) for motion in motions)])[:-1]
+    each = [{n: x[:, j] for n, x in data.items()} for j in range(len(used))]
+    return [_form(own, starts, rows) for own, rows in zip(each, used, strict=True)]
+
+
+def _form(data: dict[str, Array], starts: Integers, used: Mask) -> GearForm:
+    twist, rate = data["q"] - data["q_link"], data["dq"] - data["dq_link"]
+    direction = np.sign(data["dq"])
+    zero, torque = float(np.mean(twist[used])), np.zeros_like(twist)
+    reach = np.max(np.abs(twist[used] - zero))
+    stops, soft = reach * _STOPS, reach * _SOFT
+    free = np.full(FIXED + 1, np.inf)
+    most = np.concatenate([free, np.full(len(stops), np.inf), np.zeros(len(soft))])
+    least = np.concatenate([-free, np.zeros(len(stops)), np.full(len(soft), -np.inf)])
+    elements = np.arange(FIXED + 1, len(most))
+    for _ in range(_ROUNDS):
+        d = twist - zero
+        fixed = [d, rate, np.ones_like(d), direction, np.abs(torque) * direction, data["dq"]]
+        parts = [*(_stop(d / w, starts) for w in stops), *(np.clip(d / w, -1, 1) for w in soft)]
+        columns = np.column_stack([*fixed, data["ddq"], *parts])
+        # Raw torques contain resonances that the smooth motion lacks.
+        rows = np.column_stack([columns, data["tau_smooth"]])[used]
+        size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+        r: Array = np.asarray(np.linalg.qr(rows / size, mode="r"))
+        bounded = lsq_linear(r[:, :-1], r[:, -1], (least, most), method="bvls")
+        x = bounded.x / size[:-1] * size[-1]
+        elastic = [0, 1, *elements]
+        torque = columns[:, elastic] @ x[elastic]
+        zero += float(-x[2] / x[0])
+    kept = np.abs(x[elements]) > _LEAST * np.std(torque[used])
+    return GearForm(
+        zero=zero,
+        stops=stops[kept[: len(stops)]],
+        soft=soft[kept[len(stops) :]],
+        columns=columns[:, [*range(FIXED), *elements[kept]]],
+        signals=data,
+    )
+
+
+def _stop(x: Array, starts: Integers) -> Array:
+    steps = np.diff(x, prepend=x[0])
+    steps[starts] = 0.0
+    parts = np.split(steps, starts[1:])
+    return np.concatenate(
+        [list(accumulate(p.tolist(), lambda s, dx: min(max(s + dx, -1.0), 1.0))) for p in parts]
+    )
+
+
+def with_gears(
+    blocks: Sequence[Block], forms: Sequence[GearForm], base: tuple[int, ...], model: Robot
+) -> list[Block]:
+    """Return blocks with columns of motor friction, and those of the motor sides."""
+    first = blocks[0].matrix.shape[1]
+    places = first + np.cumsum([0, *(form.columns.shape[1] for form in forms)])
+    whole, motors = [], []
+    for j, (block, form) in enumerate(zip(blocks, forms, strict=True)):
+        k, at, rotor = block.samples, places[j], 10 * model.links + j
+        tau, smooth, turning = (form.signals[n][k] for n in ("tau", "tau_smooth", "ddq"))
+        both, motor = np.zeros((2, len(k), places[-1]))
+        both[:, :first] = block.matrix
+        both[:, at + 3 : at + FIXED] = form.columns[k, 3:FIXED]
+        motor[:, at : places[j + 1]] = form.columns[k]
+        whole.append(Block(matrix=both, target=block.target + smooth - tau, samples=k))
+        if rotor in base:
+            motor[:, base.index(rotor)] = turning
+        else:
+            smooth = smooth - model.nominal_parameters[rotor] * turning
+        motors.append(Block(matrix=motor, target=smooth, samples=k))
+    return [*whole, *motors]
+
+
+def gears_of(
+    forms: Sequence[GearForm], joints: Sequence[str], x: Array, errors: Array, links: Integers
+) -> tuple[ElasticGear, ...]:
+    """Return the gears of a solution `x` (P,) with standard errors, whose last columns they are.
+
+    `links` (n, 2) has the places of Coulomb and viscous friction of each link in `x`.
+    """
+    at, found = len(x) - sum(form.columns.shape[1] for form in forms), []
+    for joint, form, link in zip(joints, forms, links.tolist(), strict=True):
+        places = dict(zip((*_OF_GEAR, *_OF_LINK), [*range(at, at + FIXED), *link], strict=True))
+        torques = x[at + FIXED : at + form.columns.shape[1]]
+        pairs = np.column_stack([np.concatenate([form.stops, form.soft]), torques]).tolist()
+        elements = tuple((width, torque) for width, torque in pairs)
+        found.append(
+            ElasticGear(
+                joint=joint,
+                zero=form.zero,
+                parameters={
+                    name: (float(x[k]), float(errors[k]))
+                    for name, k in places.items()
+                    if name != "offset"
+                },
+                stops=elements[: len(form.stops)],
+                soft=elements[len(form.stops) :],
+            )
+        )
+        at += form.columns.shape[1]
+    return tuple(found)

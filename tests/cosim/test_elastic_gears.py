@@ -1,0 +1,204 @@
+"""Elastic gears, identified from two encoders; the truth is the twin's strain-wave plant."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hesr
+from cosim.report.sections import inputs
+from cosim.report.tables.laws import rigid_body
+from fmu_src.arm.alternative_plants import Truth, write_truth
+from fmu_src.arm.plant import Plant
+from fmu_src.arm.python_arm.simulation import Simulation
+from fmu_src.arm.signals import signals_of
+from fmu_src.arm.table import SignalTable
+from hesr_model.errors import ConfigError, FitError, LogError, RobotError
+from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.elasticity import ElasticGear
+from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.robots.robot import Robot
+from hesr_model.support.files import models_folder
+
+UF850 = models_folder() / "uf850"
+PLANT, TABLE = Plant.read(UF850 / "plant.toml"), SignalTable.read(UF850 / "arm.toml")
+TRUTH = PLANT.truths["strain_wave"]
+ENCODER, TORQUE = 2e-5, np.array([1.5, 1.5, 0.6])  # noise [rad, N.m]
+SECONDS, STEP, EVERY = 40.0, 0.001, 5  # commands at 1 kHz, as a controller interpolates them
+SINES = [
+    [(0.5, 0.13), (0.4, 0.41), (0.4, 1.13), (0.4, 2.3)],
+    [(0.35, 0.11), (0.3, 0.37), (0.2, 1.01), (0.15, 2.1)],
+    [(0.45, 0.17), (0.4, 0.47), (0.25, 1.29), (0.2, 2.7)],
+]
+"""Speed [rad/s] and frequency [Hz] of each joint's motion."""
+
+
+def moved(truth: Truth, folder: Path) -> Log:
+    """A log of the twin without noise, 5 kg in its hand, whose motors carry the weight.
+
+    The twin compensates gravity behind its gears; here the servos hold it through them.
+    """
+    path = folder / "arm.xml"
+    table = write_truth(truth, PLANT.model, PLANT.joints, TABLE, path)
+    text = re.sub(r'(actuator)?gravcomp="[^"]*"', "", path.read_text())
+    path.write_text(text.replace('timestep="0.001"', 'timestep="0.0005"'))
+    t = STEP * np.arange(round(SECONDS / STEP))
+    speeds = [sum(a * np.sin(2 * np.pi * f * t) for a, f in own) for own in SINES]
+    commands = np.column_stack(speeds) * np.minimum(1.0, t / 2.0)[:, None]
+    arm = Simulation(signals_of(path, table))
+    quiet = {f"{name}_noise[{i}]": 0.0 for name in ("q", "tau_meas") for i in (1, 2, 3)}
+    start = {"q0[1]": 0.0, "q0[2]": 0.3, "q0[3]": -1.9, "payload": 5.0}
+    rows = [arm.reset(quiet | start), *(arm.step(row, STEP) for row in commands[:-1])]
+    q, tau, link, *_ = np.moveaxis(np.array(rows)[::EVERY].reshape(len(t) // EVERY, -1, 3), 1, 0)
+    return Log(name="arm", t=t[::EVERY], q=q, dq=None, tau=tau, q_link=link)
+
+
+def noisy(log: Log, seed: int) -> Log:
+    rng = np.random.default_rng(seed)
+    shape, link = log.q.shape, log.q_link
+    assert link is not None
+    return replace(
+        log,
+        q=log.q + ENCODER * rng.standard_normal(shape),
+        q_link=link + ENCODER * rng.standard_normal(shape),
+        tau=log.tau + TORQUE * rng.standard_normal(shape),
+    )
+
+
+@pytest.fixture(scope="module")
+def exact(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    return moved(TRUTH, tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="module")
+def files(exact: Log, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A noisy log as CSV, and the robot file that names its link encoders."""
+    folder = tmp_path_factory.mktemp("files")
+    noisy(exact, 1).write(folder / "arm.csv")
+    text = (UF850 / "robot.toml").read_text().replace("uf850.xml", str(UF850 / "uf850.xml"))
+    columns = '[log.columns]\ndq = ""\nq_link = "q_link{}"\n'
+    (folder / "robot.toml").write_text(text + columns)
+    return folder / "arm.csv", folder / "robot.toml"
+
+
+def expected(joint: int) -> dict[str, float]:
+    gear = TRUTH.transmission
+    assert gear is not None
+    return {
+        "stiffness": gear.stiffness[joint],
+        "motor_coulomb": TRUTH.losses.constant[joint],
+        "motor_load": TRUTH.losses.load[joint],
+        "motor_viscous": TRUTH.viscous[joint],
+        "link_coulomb": 0.0,
+        "link_viscous": 0.0,
+    }
+
+
+def scores(gears: Sequence[ElasticGear]) -> np.ndarray:
+    """Errors over standard errors, (joints, parameters)."""
+    return np.array(
+        [
+            [(gear.parameters[n][0] - true) / gear.parameters[n][1] for n, true in own.items()]
+            for gear, own in ((g, expected(j)) for j, g in enumerate(gears))
+        ]
+    )
+
+
+# --- identification ------------------------------------------------------------------------------
+
+
+def test_stiffness_and_friction_are_those_of_the_plant(
+    files: tuple[Path, Path], tmp_path: Path
+) -> None:
+    log, robot = files
+    body = hesr.identify(log, robot=robot, output=tmp_path / "body.json")
+    for j, gear in enumerate(body.gears):
+        found = {name: value for name, (value, _) in gear.parameters.items()}
+        true = expected(j)
+        assert found["stiffness"] == pytest.approx(true["stiffness"], rel=0.05)
+        for speed in (0.2, 0.5, 1.0):
+            for load in (0.0, 20.0):
+                friction = [
+                    one["motor_coulomb"] + one["motor_load"] * load + one["motor_viscous"] * speed
+                    for one in (found, true)
+                ]
+                assert friction[0] == pytest.approx(friction[1], rel=0.05)
+                link = found["link_coulomb"] + found["link_viscous"] * speed
+                assert abs(link) < 0.1 * friction[1]
+    rotors = [body.parameters[body.names.index(f"{gear.joint}.Ir")] for gear in body.gears]
+    np.testing.assert_allclose(rotors, [0.8, 0.8, 0.35], rtol=0.1)
+    assert RigidBody.read(tmp_path / "body.json").gears == body.gears
+    listed = {str(row.head) for row in inputs.parameters(body).rows}
+    assert {"joint1.Ir", "joint1.stiffness", "joint3.motor_load"} <= listed
+    text = rigid_body(body)
+    assert re.search(r"Gear of joint2 \[SI\]: stiffness (29|30)\d+ \+- \d+, damping", text)
+
+
+def test_intervals_cover_the_truth(exact: Log) -> None:
+    model = Robot(UF850 / "robot.toml")
+    found = np.array([scores(identify([noisy(exact, seed)], model).gears) for seed in range(4)])
+    assert np.mean(np.abs(found) < 1.96) >= 0.9
+    assert np.sqrt(np.mean(found**2)) > 0.4  # the intervals are not just wide
+
+
+def test_hysteresis_and_play_are_those_of_the_plant(exact: Log) -> None:
+    gear = identify([noisy(exact, 1)], Robot(UF850 / "robot.toml")).gears[1]
+    (widths, torques), soft = np.transpose(gear.stops), np.array(gear.soft)
+    assert np.sum(torques) == pytest.approx(6.0, rel=0.1)
+    assert widths @ torques == pytest.approx(2e-4 * 2.0 + 8e-4 * 4.0, rel=0.1)
+    assert np.sum(soft[:, 1]) == pytest.approx(-1.5, rel=0.1)  # stiffness times half the play
+
+
+def test_rigid_gears_have_no_entry(exact: Log, tmp_path: Path) -> None:
+    body = identify([replace(noisy(exact, 1), q_link=None)], Robot(UF850 / "robot.toml"))
+    assert body.gears == ()
+    body.write(tmp_path / "body.json")
+    assert "gears" not in (tmp_path / "body.json").read_text()
+
+
+def test_a_gear_that_hardly_twists_is_reported(exact: Log) -> None:
+    slow = noisy(exact.rows(slice(0, 500)), 1)
+    body = identify([slow], Robot(UF850 / "robot.toml"))
+    assert "Gear of joint1: these logs do not determine its stiffness" in rigid_body(body)
+
+
+# --- refusals ------------------------------------------------------------------------------------
+
+
+def changed(files: tuple[Path, Path], old: str, new: str, folder: Path) -> Path:
+    text = files[1].read_text()
+    assert old in text
+    (folder / "robot.toml").write_text(text.replace(old, new))
+    return folder / "robot.toml"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "kind", "sentence"),
+    [
+        ("[log.columns]", '[log.units]\nq_link = "deg"\n[log.columns]', LogError,
+         "link encoder of joint 'joint1' does not follow its motor"),
+        ('"q_link{}"', '["q_link1"]', RobotError, "log.columns.q_link.* has 1 entries"),
+        ('"q_link{}"', '"x{}"', LogError, "column 'x1' is missing"),
+        ("rotor_inertia = true", "rotor_inertia = false", ConfigError, "needs 'rotor_inertia'"),
+    ],
+)  # fmt: skip
+def test_unsuitable_columns_are_refused(
+    files: tuple[Path, Path],
+    old: str,
+    new: str,
+    kind: type[Exception],
+    sentence: str,
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(kind, match=sentence):
+        Log.read(files[0], changed(files, old, new, tmp_path))
+
+
+@pytest.mark.parametrize("options", [{"physical": True}, {"method": "paper"}])
+def test_methods_for_rigid_gears_are_refused(exact: Log, options: dict[str, Any]) -> None:
+    with pytest.raises(FitError, match=r"link encoders .* exclude 'physical' and 'method' paper"):
+        identify([noisy(exact, 1)], Robot(UF850 / "robot.toml"), **options)
