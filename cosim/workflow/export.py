@@ -124,7 +124,8 @@ def export(
         friction in a dropped log.
     rigid_body : body or path
         Plant, observer and FMU: result of 'hesr identify' for --robot; by default a plant or an
-        observer has the parameters of the model file.
+        observer has the parameters of the model file. Drive: inertia, stiffness and damping of
+        elastic gears.
     kv : float or sequence of float, N.m.s/rad
         Plant: proportional gains of a servo with a speed command; by default no servo.
     ki : float or sequence of float, N.m/rad
@@ -185,7 +186,7 @@ def export(
 
             require_choice(option, options.get(option), get_args(choices))
     given: dict[str, Any] = {k: v for k, v in options.items() if v is not None and v is not False}
-    alone = format in _OF_ROBOTS and "robot" in given
+    alone = format == "drive" or (format in _OF_ROBOTS and "robot" in given)
     if ("robot" in given) != ("rigid_body" in given) and not alone:
         raise ArgumentError("'robot' and 'rigid_body' must be given together.")
     suffix = Path(source).suffix.lower() if isinstance(source, str | Path) else ""
@@ -301,7 +302,11 @@ def _write_law(
     from fmu_src.export.cache import copied, exported
 
     plain = all(isinstance(value, str | int | float) for value in given.values())
-    if isinstance(law, str | Path) and plain and not ({"robot", "band"} & given.keys()):
+    if (
+        isinstance(law, str | Path)
+        and plain
+        and not ({"robot", "rigid_body", "band"} & given.keys())
+    ):
         # Options that are kept were accepted; nothing slow is imported to copy.
         known = {**given, "platforms": list(platform or ("linux64",))}
         if copied(model_file(str(law)), {**known, "format": format, "body": None}, output):
@@ -324,6 +329,8 @@ def _write_law(
     taken = inspect.signature(writer).parameters
     if platform is not None or "platforms" in taken:
         given["platforms"] = list(platform or ("linux64",))
+    if format == "drive" and "rigid_body" in given:
+        given = _motors(given.pop("rigid_body")) | given
     for option in given:
         name = {"robot": "body", "rigid_body": "body"}.get(option, option)
         if name not in taken and not (name == "platforms" and platform is None):
@@ -354,6 +361,23 @@ def _write_law(
         from cosim.systems.parameter_set import export_ssv
 
         export_ssv(model_given(law), output.with_suffix(".ssv"))
+
+
+def _motors(body: BodyArg) -> dict[str, Any]:
+    """Return the options of a drive with the elastic gears of a rigid body."""
+    from hesr_model.rigid_body.identification import RigidBody
+
+    found = body if isinstance(body, RigidBody) else RigidBody.read(body)
+    if not found.gears:
+        raise ArgumentError(
+            "'rigid_body' has no elastic gears, which need link encoders; give 'inertia' instead."
+        )
+    of_gears = {
+        name: [max(gear.parameters[name][0], 0.0) for gear in found.gears]
+        for name in ("stiffness", "damping")
+    }
+    rotors = [found.names.index(f"{gear.joint}.Ir") for gear in found.gears]
+    return {"inertia": found.parameters[rotors].tolist(), **of_gears}
 
 
 def _completed(

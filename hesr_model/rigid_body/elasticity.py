@@ -153,6 +153,7 @@ def gears_of(
     at, found = len(x) - sum(form.columns.shape[1] for form in forms), []
     for joint, form, link in zip(joints, forms, links.tolist(), strict=True):
         places = dict(zip((*_OF_GEAR, *_OF_LINK), [*range(at, at + FIXED), *link], strict=True))
+        del places["offset"]
         torques = x[at + FIXED : at + form.columns.shape[1]]
         pairs = np.column_stack([np.concatenate([form.stops, form.soft]), torques]).tolist()
         elements = tuple((width, torque) for width, torque in pairs)
@@ -160,11 +161,7 @@ def gears_of(
             ElasticGear(
                 joint=joint,
                 zero=form.zero,
-                parameters={
-                    name: (float(x[k]), float(errors[k]))
-                    for name, k in places.items()
-                    if name != "offset"
-                },
+                parameters={n: (float(x[k]), float(errors[k])) for n, k in places.items()},
                 stops=elements[: len(form.stops)],
                 soft=elements[len(form.stops) :],
             )

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import numpy as np
 import pytest
 
@@ -17,7 +18,7 @@ from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_arm.simulation import Simulation
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.table import SignalTable
-from hesr_model.errors import ConfigError, FitError, LogError, RobotError
+from hesr_model.errors import ArgumentError, ConfigError, FitError, LogError, RobotError
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.elasticity import ElasticGear
 from hesr_model.rigid_body.identification import RigidBody, identify
@@ -202,3 +203,26 @@ def test_unsuitable_columns_are_refused(
 def test_methods_for_rigid_gears_are_refused(exact: Log, options: dict[str, Any]) -> None:
     with pytest.raises(FitError, match=r"link encoders .* exclude 'physical' and 'method' paper"):
         identify([noisy(exact, 1)], Robot(UF850 / "robot.toml"), **options)
+
+
+# --- drives --------------------------------------------------------------------------------------
+
+
+def test_a_drive_has_the_identified_gears(exact: Log, tmp_path: Path) -> None:
+    body = identify([noisy(exact, 1)], Robot(UF850 / "robot.toml"))
+    body.write(tmp_path / "body.json")
+    options = {"format": "drive", "rigid_body": tmp_path / "body.json"}
+    drive = hesr.export("uf850-table1", tmp_path / "D.fmu", **options)
+    found = {v.name: v.start for v in fmpy.read_model_description(drive).modelVariables}
+    for i, gear in enumerate(body.gears, start=1):
+        assert (
+            float(found[f"inertia[{i}]"]) == body.parameters[body.names.index(f"{gear.joint}.Ir")]
+        )
+        for name in ("stiffness", "damping"):
+            assert float(found[f"{name}[{i}]"]) == gear.parameters[name][0]
+
+
+def test_a_drive_with_rigid_gears_needs_an_inertia(exact: Log, tmp_path: Path) -> None:
+    body = identify([replace(noisy(exact, 1), q_link=None)], Robot(UF850 / "robot.toml"))
+    with pytest.raises(ArgumentError, match="'rigid_body' has no elastic gears"):
+        hesr.export("uf850-table1", tmp_path / "D.fmu", format="drive", rigid_body=body)
