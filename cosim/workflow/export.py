@@ -329,7 +329,7 @@ def _write_law(
     taken = inspect.signature(writer).parameters
     if platform is not None or "platforms" in taken:
         given["platforms"] = list(platform or ("linux64",))
-    if format == "drive" and "rigid_body" in given:
+    if format == "drive" and "rigid_body" in given and "robot" not in given:
         given = _motors(given.pop("rigid_body")) | given
     for option in given:
         name = {"robot": "body", "rigid_body": "body"}.get(option, option)
