@@ -11,8 +11,7 @@ from fmu_src.friction.predictions import Records, predict_model
 from hesr_model.errors import ConfigError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.metrics import BandScore, Score, score, score_band, time_band
-from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import predict_band
+from hesr_model.friction.model import FrictionModel, band_around
 from hesr_model.friction.registry import laws_with
 from hesr_model.inference.comparison import LEAST_SECONDS, SIGNIFICANCE, LawErrors, holm, law_errors
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -261,21 +260,26 @@ def _band_scores(
     records: Records,
     predictions: Mapping[str, Sequence[Sequence[Array]]],
 ) -> dict[str, tuple[BandScore, ...]]:
-    return {
-        name: tuple(
-            score_band(
-                of_joint,
-                predicted,
-                [
-                    predict_band(law, **r.causal.motion, torque=torque)
-                    for r, torque in zip(of_joint, predicted, strict=True)
-                ],
+    motions = [
+        {n: np.column_stack([r.causal.motion[n] for r in log]) for n in ("dq", "q", "tau_load")}
+        | {"t": log[0].t}
+        for log in zip(*records, strict=True)
+    ]
+    found = {}
+    for name, model in models.items():
+        if model.banded:
+            torques = map(np.column_stack, zip(*predictions[name], strict=True))
+            ends = [
+                band_around(model, **m, torque=torque)
+                for m, torque in zip(motions, torques, strict=True)
+            ]
+            found[name] = tuple(
+                score_band(
+                    of_joint, predictions[name][k], [(lo[:, k], up[:, k]) for lo, up in ends]
+                )
+                for k, of_joint in enumerate(records)
             )
-            for law, of_joint, predicted in zip(model.laws, records, predictions[name], strict=True)
-        )
-        for name, model in models.items()
-        if model.banded
-    }
+    return found
 
 
 def _reference(

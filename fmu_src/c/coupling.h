@@ -36,16 +36,40 @@ static inline void add_torque(double *v, int vector, int i, double torque) {
 static inline void clear_torques(double *v) {
     for (int m = 0; COUPLED && m < JOINTS; m++) {
         v[joints[m].output[0]] = 0.0;
+        for (int end = 0; BAND > 0 && end < 2; end++) {
+            v[joints[m].output[BAND + end]] = 0.0;
+        }
     }
 }
 
-/* Store the outputs y of coordinate i in the values v; the first is a torque. */
+/* Store the outputs y of coordinate i in the values v; the first is a torque. Those of a band are
+ * squares of distances from it, which add until put_ends. */
 static inline void put_outputs(double *v, int i, const double *y) {
     for (int m = 0; COUPLED && m < JOINTS; m++) {
         v[joints[m].output[0]] += forward[i][m] * y[0];
+        for (int end = 0; BAND > 0 && end < 2; end++) {
+            const double square = y[BAND + (forward[i][m] < 0.0 ? 1 - end : end)];
+            v[joints[m].output[BAND + end]] += forward[i][m] * forward[i][m] * square;
+        }
     }
     for (int j = COUPLED ? 1 : 0; j < joints[i].outputs; j++) {
-        v[joints[i].output[j]] = y[j];
+        if (!(COUPLED && BAND > 0) || j < BAND || j > BAND + 1) {
+            v[joints[i].output[j]] = y[j];
+        }
+    }
+}
+
+/* Replace the sums of squares by the ends of the bands of joints, or, of derivatives `to`, by those
+ * of the ends v. */
+static inline void put_ends(const double *v, double *to) {
+    for (int m = 0; COUPLED && BAND > 0 && m < JOINTS; m++) {
+        const int *output = joints[m].output;
+        for (int end = 0; end < 2; end++) {
+            double *found = &to[output[BAND + end]];
+            const double width = fabs(v[output[BAND + end]] - v[output[0]]);
+            const double wide = v == to ? sqrt(*found) : width > 0.0 ? *found / (2.0 * width) : 0.0;
+            *found = to[output[0]] + (end ? wide : -wide);
+        }
     }
 }
 

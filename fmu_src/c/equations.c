@@ -122,6 +122,7 @@ static bool component_output(Component *component, void *workspace, Message *why
                        x + at.joint->states, y, r);
         put_outputs(component->v, i, y);
     }
+    put_ends(component->v, component->v);
     return true;
 }
 
@@ -214,6 +215,7 @@ static void sample(Component *component, double step) {
     own[LAST_STEP] = step;
     clear_torques(component->v);
     EACH_JOINT(STEP)
+    put_ends(component->v, component->v);
     if (component->changed > 0.0) {
         memset(&own[INVARIANTS], 0, (HELD - INVARIANTS) * sizeof(double));
     }
@@ -371,4 +373,5 @@ SELDOM static void component_tangent(const Component *component, const double *s
                        dk, du, tx, &tangent[state + joint->states], ty);
         put_outputs(tangent, i, ty);
     }
+    put_ends(component->v, tangent);
 }

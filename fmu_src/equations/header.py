@@ -12,6 +12,7 @@ from fmu_src.equations.c_printer import declared
 from fmu_src.export.cache import software
 from fmu_src.export.interface import Interface, literal
 from hesr_model.equations.component import Component
+from hesr_model.friction.band import LOWER
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.cache import kept
 
@@ -107,6 +108,7 @@ def equations_header(
         "STEADY": 1,
         "HOLDS": int(any(j.component.holds for j in joints)),
         "COUPLED": int(coupling is not None),
+        "BAND": next((k for k, e in enumerate(joints[0].component.outputs) if e.name == LOWER), 0),
         **{name: table.places[variable] for name, variable in places.items()},
     }
     if "attempts" in wanted:  # whole vectors of two or four

@@ -17,7 +17,15 @@ from hesr_model.equations.component import Component, Equation, Quantity
 from hesr_model.equations.functions import clip, sgn
 from hesr_model.equations.memory import Element, Relaxation
 from hesr_model.equations.program import Jumps, initial_state, initial_symbol, sources
-from hesr_model.friction.band import COVERAGE, GREATEST, LEAST, NUMBERS, band_equations
+from hesr_model.friction.band import (
+    COVERAGE,
+    GREATEST,
+    LEAST,
+    LOWER,
+    NUMBERS,
+    UPPER,
+    band_equations,
+)
 from hesr_model.friction.inputs import DQ, INPUTS, MOVING, QUANTITIES, TAU_LOAD, TORQUE
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -106,18 +114,20 @@ def component(
     more: Iterable[Equation] = (),
     *,
     band: bool = False,
+    coupled: bool = False,
     events: bool = True,
 ) -> Component:
     """Return the equations of a joint: its law with `SCALES`, further outputs and the band.
 
-    Reversals are solver events if `events`, else jumps become steep.
+    Reversals are solver events if `events`, else jumps become steep. Joints that are `coupled` add
+    squares of their bands.
     """
     form = scaled(law.form)
     shared: tuple[Quantity, ...] = SCALES
     equations = (*form.component.equations, *more)
     if band:
         shared = (*shared, *NUMBERS, COVERAGE)
-        equations = (*equations, *band_equations(form.memory, form.output))
+        equations = (*equations, *band_equations(form.memory, form.output, squares=coupled))
     own = replace(
         form.component, parameters=law.form.coefficients, shared=shared, equations=equations
     )
@@ -214,8 +224,8 @@ def _mixed_inputs(coupling: Coupling | None, coordinate: int) -> dict[str, tuple
 def _output_dependencies(
     model: FrictionModel, joints: tuple[Joint, ...], joint: int, output: Equation
 ) -> tuple[str, ...]:
-    torque = output.symbol == joints[0].component.outputs[0].symbol
-    coordinates = adding(joint, model.coupling) if torque else (joint,)
+    added = output.name in (TORQUE, LOWER, UPPER)
+    coordinates = adding(joint, model.coupling) if added else (joint,)
     found = [
         name
         for i in coordinates
@@ -288,7 +298,7 @@ def joints_of(
     # C has no units, the only difference between revolute and prismatic forms.
     laws = [replace(law, form=law.form.sliding) for law in model.laws]
     for joint, law in enumerate(laws, start=1):
-        own = component(law, more, band=band, events=events)
+        own = component(law, more, band=band, coupled=model.coupling is not None, events=events)
         at = place(law, joint)
         stems = {q.name: q.name for q in (*own.inputs, *own.shared, *own.outputs)} | (names or {})
         own_names = {name: f"{stem}[{joint}]" for name, stem in stems.items()}

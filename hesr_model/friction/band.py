@@ -18,7 +18,7 @@ import numpy as np
 import sympy
 
 from hesr_model.equations.component import Equation, Parameter, Quantity
-from hesr_model.equations.functions import clip, larger
+from hesr_model.equations.functions import clip, larger, positive
 from hesr_model.equations.memory import Element
 from hesr_model.equations.program import initial_state, initial_symbol
 from hesr_model.errors import ArtifactError
@@ -97,8 +97,13 @@ def shapes(
     return 1 + 0 * dq, 1 / (1 + (dq / slow_speed) ** 2), resting, dq**2, tau_load**2
 
 
-def band_equations(memory: Sequence[Element], output: sympy.Expr) -> tuple[Equation, ...]:
-    """Return a band's outputs after their intermediate values, from a law's memory and torque."""
+def band_equations(
+    memory: Sequence[Element], output: sympy.Expr, *, squares: bool = False
+) -> tuple[Equation, ...]:
+    """Return a band's outputs after their intermediate values, from a law's memory and torque.
+
+    With `squares` they are squares of the distances from the torque, which coupled joints add.
+    """
     floor, slow, slow_speed, rest, fast, load, tail, envelope = (q.symbol for q in NUMBERS)
     parts = shapes(DQ, TAU_LOAD, slow_speed, most=lambda a, b: clip(a, b))
     sizes = (floor, slow, rest, fast, load)
@@ -116,11 +121,12 @@ def band_equations(memory: Sequence[Element], output: sympy.Expr) -> tuple[Equat
     def side(name: str, sign: int, text: str) -> Equation:
         edge = torque + sign * half.symbol
         furthest = sign * (larger(sign * ahead, sign * behind) + floor * tailed.symbol)
+        end = edge + resting * (furthest - edge)
         return Equation(
             name=name,
             unit="N.m",
             description=f"{text} end of the band of the measured friction {{effort}} of {{joint}}",
-            expression=edge + resting * (furthest - edge),
+            expression=positive(sign * (end - torque)) ** 2 if squares else end,
             output=True,
         )
 

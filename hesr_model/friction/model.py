@@ -315,19 +315,17 @@ class FrictionModel:
         SimulationError
             If the records do not match the model's joints, or the model has no band.
         """
-        self.require_band()
+        columns = {
+            name: np.column_stack([getattr(r, name) for r in records])
+            for name in ("dq", "q", "tau_load")
+        }
         torque = self.predict(records)
-        ends = [
-            predict_band(law, **r.motion, coverage=coverage, torque=torque[:, k])
-            for k, (law, r) in enumerate(zip(self.laws, records, strict=True))
-        ]
-        lower, upper = (np.column_stack(end) for end in zip(*ends, strict=True))
-        return lower, upper
+        return band_around(self, t=records[0].t, **columns, torque=torque, coverage=coverage)
 
     @property
     def banded(self) -> bool:
         """True if the model has a band."""
-        return self.coupling is None and all(law.band for law in self.laws)
+        return all(law.band for law in self.laws)
 
     def require_band(self) -> None:
         """Check that the model has a band.
@@ -335,12 +333,8 @@ class FrictionModel:
         Raises
         ------
         SimulationError
-            If laws have none, or motors turn with several joints.
+            If laws have none.
         """
-        if self.coupling is not None:
-            raise SimulationError(
-                f"friction model '{self.law}': a band does not support coupled joints."
-            )
         if not self.banded:
             raise SimulationError(
                 f"friction model '{self.law}' has no band; fit the model to logs ('hesr fit')."
@@ -366,6 +360,34 @@ class FrictionModel:
                 f"{', '.join(found) or 'none'}; expected one record each of "
                 f"{', '.join(self.joints)}, in this order."
             )
+
+
+def band_around(
+    model: FrictionModel,
+    *,
+    t: Array,
+    dq: Array,
+    q: Array,
+    tau_load: Array,
+    torque: Array,
+    coverage: float = LEVEL,
+) -> tuple[Array, Array]:
+    """Return both ends (N, n) of the band around predicted torques (N, n) of joints.
+
+    Raises SimulationError if the model has no band.
+    """
+    model.require_band()
+    coupling = model.coupling
+    if coupling:
+        dq, q = coupling.motion(dq), coupling.motion(q)
+        tau_load, torque = coupling.torque(tau_load), coupling.torque(torque)
+    inputs = {"dq": dq, "q": q, "tau_load": tau_load, "torque": torque}
+    ends = [
+        predict_band(law, t=t, coverage=coverage, **{n: u[:, k] for n, u in inputs.items()})
+        for k, law in enumerate(model.laws)
+    ]
+    lower, upper = (np.column_stack(end) for end in zip(*ends, strict=True))
+    return coupling.ends(torque, lower, upper) if coupling else (lower, upper)
 
 
 def compatible(one: FrictionModel, other: FrictionModel) -> bool:

@@ -122,6 +122,18 @@ class Coupling:
         """Return torques (N, n) at q from u."""
         return np.asarray(torque @ self.forward)
 
+    def ends(self, torque: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """Return the ends (N, n) at q of independent bands around torques (N, n) at u.
+
+        Squares of the distances from the torque add.
+        """
+        below, above = (np.maximum(x, 0.0) ** 2 for x in (torque - lower, upper - torque))
+        square, same = self.forward**2, self.forward > 0.0
+        middle = self.at_joints(torque)
+        down = below @ (square * same) + above @ (square * ~same)
+        up = above @ (square * same) + below @ (square * ~same)
+        return middle - np.sqrt(down), middle + np.sqrt(up)
+
 
 def onto(coupling: Coupling | None, motion: Array) -> Array:
     """Return the motion (N, n) of friction coordinates."""

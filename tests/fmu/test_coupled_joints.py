@@ -1,6 +1,7 @@
 """FMUs of motors coupled to several joints: connectors are joints, the coupling is internal."""
 
 import ctypes
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from fmu_src.drive.drive_fmu import content as drive
 from fmu_src.drive.drive_fmu import motors as motors_of
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_component import friction_equations
-from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.friction.reference import reference_files
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
@@ -19,7 +20,8 @@ from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.modelica.modelica_package import export_modelica
 from hesr.extras.one_file.c_header import export_c
 from hesr_model.errors import ExportError
-from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.band import Band
+from hesr_model.friction.model import FrictionModel, band_around
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import Coupling, Transmission
 
@@ -45,6 +47,29 @@ def test_the_fmu_matches_the_model(fmu, model, make_motion) -> None:
     assert np.abs(found - expected).max() <= 1e-11 * np.abs(expected).max()
 
 
+@pytest.fixture(scope="module")
+def banded(model) -> FrictionModel:
+    band = Band(floor=0.7, slow=1.3, slow_speed=0.02, rest=0.4, fast=0.5, load=0.05, tail=0.7,
+                envelope=1.0)  # fmt: skip
+    return replace(model, laws=tuple(replace(law, band=band) for law in model.laws))
+
+
+@pytest.fixture(scope="module")
+def banded_fmu(banded, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("banded")
+    return export_fmu(banded, folder / "F.fmu", power=True, band=True)
+
+
+def test_the_band_of_the_fmu_matches_the_model(banded, banded_fmu, make_motion) -> None:
+    t, dq, q, load = make_motion(3)
+    torque = banded.predict(t=t, dq=dq, q=q, tau_load=load)
+    expected = band_around(banded, t=t, dq=dq, q=q, tau_load=load, torque=torque)
+    for name, end in zip(("tau_lower", "tau_upper"), expected, strict=True):
+        found = replay(banded_fmu, t, dq, q, load, output=name)
+        assert np.abs(found - end).max() <= 1e-9 * np.abs(end).max()
+    assert np.abs(replay(banded_fmu, t, dq, q, load) - torque).max() <= 1e-11 * np.abs(torque).max()
+
+
 def test_joint_power_equals_motor_power(model, make_motion) -> None:
     t, dq, q, load = make_motion(3)
     alone = FrictionModel(
@@ -55,11 +80,12 @@ def test_joint_power_equals_motor_power(model, make_motion) -> None:
     np.testing.assert_allclose(power, np.sum(at_motors * (dq @ C.T), axis=1), atol=1e-9)
 
 
-def test_derivatives_and_slopes_include_the_coupling(fmu, load) -> None:
-    binary = load(fmu)
+@pytest.mark.parametrize("name", ["tau", "tau_lower", "tau_upper"])
+def test_derivatives_and_slopes_include_the_coupling(name, fmu, banded_fmu, load) -> None:
+    binary = load(fmu if name == "tau" else banded_fmu)
     point = {f"dq[{i}]": 0.3 * i for i in (1, 2, 3)} | {f"q[{i}]": 0.2 for i in (1, 2, 3)}
     point |= {f"tau_load[{i}]": 5.0 + i for i in (1, 2, 3)}
-    torques = [f"tau[{i}]" for i in (1, 2, 3)]
+    torques = [f"{name}[{i}]" for i in (1, 2, 3)]
 
     def instance(values):
         c = binary.instantiate(kind=1)
@@ -93,6 +119,13 @@ def test_a_joint_depends_on_the_motors_that_move_it(model) -> None:
     assert first == {"dq[1]", "dq[2]"}
     states = {n for n in table["tau[1]"].dependencies if n.startswith("z[")}
     assert states == {"z[2]"}
+
+
+def test_a_band_depends_on_the_motors_that_move_its_joint(banded) -> None:
+    table = {v.name: v for v in friction_equations(banded, band=True)[0].variables}
+    found = set(table["tau_upper[1]"].dependencies)
+    assert {"dq[1]", "dq[2]", "band_floor[1]", "band_floor[2]"} <= found
+    assert "band_floor[3]" not in found
 
 
 def test_a_drive_depends_on_the_links_of_all_its_joints(model, tmp_path) -> None:

@@ -8,6 +8,8 @@ import pytest
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.predictions import predict_fmu
 from hesr_model.fitting.fit import fit
+from hesr_model.inference.covariance import blocks_of_time
+from hesr_model.logs.phases import moving
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
@@ -85,3 +87,24 @@ def test_a_physical_body_predicts_either_end_of_the_motion(
     assert found[False][4] <= 0.55 * found[True][4]
     assert found[False][5] <= 0.8
     assert np.all(found[False][:4] <= 1.1 * found[True][:4])
+
+
+@pytest.mark.parametrize("law", ["lugre", "parfam_s"])
+def test_bands_cover_left_out_blocks_at_the_joints(
+    law: str, coupled: RobotDescription, log: Log
+) -> None:
+    """Of the rows in motion, on each joint; each quarter is left out of the fit in turn."""
+    records, _ = trained(log, coupled, physical=True)
+    labels = blocks_of_time(np.zeros(len(records[0].t), dtype=int))
+    inside: list[list[np.ndarray]] = [[] for _ in records]
+    for k in range(int(labels.max()) + 1):
+        first, *_, last = np.flatnonzero(labels == k)
+        parts = [part for part in (slice(first), slice(last + 1, None)) if len(labels[part])]
+        model = fit(law, *([r.rows(part) for r in records] for part in parts), robot=coupled.name)
+        for held, record, low, high in zip(
+            inside, records, *(end.T for end in model.predict_band(records)), strict=True
+        ):
+            rows = (labels == k) & moving(record.dq)
+            held.append(((record.tau >= low) & (record.tau <= high))[rows])
+    shares = [float(np.concatenate(held).mean()) for held in inside]
+    assert all(0.92 <= share <= 0.98 for share in shares), shares

@@ -11,7 +11,7 @@ from hesr_model.fitting.calibration import calibrated
 from hesr_model.fitting.uncertainty import with_standard_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.robots.transmission import Coupling
 
 TRUTH = law(
@@ -109,6 +109,24 @@ def test_a_missing_band_is_reported(banded: FrictionLaw) -> None:
     record = replace(noisy(0), joint="axis_0")
     with pytest.raises(SimulationError, match="has no band; fit the model to logs"):
         model_of(TRUTH).predict_band([record])
-    coupled = model_of(banded, banded, coupling=Coupling(matrix=((1.0, 0.0), (1.0, 1.0))))
-    with pytest.raises(SimulationError, match="a band does not support coupled joints"):
-        coupled.require_band()
+
+
+def test_squares_of_the_bands_of_coupled_motors_add(banded: FrictionLaw) -> None:
+    """The second motor carries friction of both joints; a reversed one swaps lower and upper."""
+    logs = [replace(noisy(seed), joint=f"axis_{seed}") for seed in range(2)]
+    for sign in (1.0, -1.0):
+        coupling = Coupling(matrix=((1.0, 0.0), (sign, 1.0)))
+        model = model_of(banded, banded, coupling=coupling)
+        assert model.banded
+        plain = model_of(banded, banded)
+        moved = at_friction([replace(r, coupling=coupling) for r in logs])
+        lower, upper = plain.predict_band(moved)
+        torque = plain.predict(moved)
+        below, above = (np.maximum(x, 0.0) for x in (torque - lower, upper - torque))
+        second = (below, above) if sign > 0.0 else (above, below)
+        ends = model.predict_band(logs)
+        for end, way, own, other in zip(ends, (-1.0, 1.0), (below, above), second, strict=True):
+            first = torque @ coupling.forward
+            width = np.hypot(own[:, 0], other[:, 1])
+            np.testing.assert_allclose(end[:, 0], first[:, 0] + way * width, atol=1e-12)
+            np.testing.assert_allclose(end[:, 1], torque[:, 1] + way * own[:, 1], atol=1e-12)

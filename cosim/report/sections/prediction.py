@@ -15,7 +15,8 @@ from cosim.report.tables import scores as tables
 from cosim.report.tables.table import ResultTable, title
 from cosim.study.results import SavedLog
 from cosim.study.scores import BASELINE, ORACLE, input_classes
-from hesr_model.friction.predict import predict_band
+from hesr_model.friction.band import LEVEL
+from hesr_model.friction.model import band_around
 from hesr_model.friction.registry import papers_law
 from hesr_model.support.arrays import Array
 
@@ -146,16 +147,20 @@ def band(results: Results, law: str, joint: int, torques: Mapping[str, Array]) -
     model = results.models.get(law)
     if model is None or not model.banded:
         return ()
-    ends = predict_band(
-        model.laws[joint - 1],
+    load = "tau_load" if "tau_load1" in torques else "tau_rb"
+    names = {"dq": "dq", "q": "q", "tau_load": load, "torque": f"{law}.tau_f"}
+    joints = range(1, len(results.joints) + 1)
+    ends = band_around(
+        model,
         t=torques["t"],
-        dq=torques[f"dq{joint}"],
-        q=torques[f"q{joint}"],
-        tau_load=torques.get(f"tau_load{joint}", torques[f"tau_rb{joint}"]),
-        torque=torques[f"{law}.tau_f{joint}"],
+        coverage=LEVEL,
+        **{
+            name: np.column_stack([torques[f"{own}{k}"] for k in joints])
+            for name, own in names.items()
+        },
     )
-    name = f"95 % band of {title(law)}"
-    return tuple(Line(name=name, x=torques["t"], y=end, stroke=_EDGE) for end in ends)
+    name, k = f"95 % band of {title(law)}", joint - 1
+    return tuple(Line(name=name, x=torques["t"], y=end[:, k], stroke=_EDGE) for end in ends)
 
 
 def loops(results: Results) -> dict[str, Any] | None:
