@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -22,8 +23,7 @@ class Motion:
 
     q, dq, ddq (N, n) [rad, rad/s, rad/s2] are low-passed without lag, dq_causal [rad/s] with it, as
     users of FMUs have it. tau [N.m], q_raw [rad], load [N] and temperature [degC] are raw. The
-    links behind elastic gears have q_link, dq_link and ddq_link (N, n), if logged, and tau_smooth
-    is low-passed as they are.
+    links behind elastic gears have q_link, dq_link and ddq_link (N, n), if logged.
     """
 
     name: str
@@ -39,7 +39,6 @@ class Motion:
     q_link: Array | None = None
     dq_link: Array | None = None
     ddq_link: Array | None = None
-    tau_smooth: Array | None = None
 
     def rows(self, rows: slice | Mask) -> "Motion":
         """Return the motion of some rows, a slice or a mask (N,)."""
@@ -65,9 +64,6 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
     A `cutoff` of 15 Hz is best on the measured arm (8 Hz and less flatten reversals, 25 Hz and more
     let the noise of ddq through).
     """
-    from scipy.interpolate import make_interp_spline
-    from scipy.signal import butter, sosfiltfilt
-
     if len(log.gaps):
         raise LogError(
             f"{log.where}: rows are missing for {np.max(np.diff(log.t)):.4g} s before row "
@@ -80,27 +76,15 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
             f"{log.where}: its rows are {period:.3g} s apart ({1 / period:.4g} Hz); at this rate "
             f"filter_cutoff can be at most {highest:.3g} Hz."
         )
-    steps = max(int(np.ceil((log.t[-1] - log.t[0]) / period)), 1)
-    grid = np.linspace(log.t[0], log.t[-1], steps + 1)
-    sos = butter(_ORDER, cutoff, fs=steps / (grid[-1] - grid[0]), output="sos")
-    padding = int(np.ceil(_PADDING_PERIODS / (cutoff * period)))
-    if steps <= padding:
+    grid, padding = _grid(log.t, cutoff)
+    if len(grid) <= padding + 1:
         raise LogError(
             f"{log.where}: has {len(log.t)} rows; a low pass at {cutoff:g} Hz needs more than "
             f"{padding + 1} at this rate."
         )
-
-    def filtered(values: Array) -> Array:
-        even = make_interp_spline(log.t, values, k=3)(grid)
-        longer = np.concatenate([_before(even, padding), even, _before(even[::-1], padding)[::-1]])
-        found: Array = sosfiltfilt(sos, longer, axis=0, padlen=0)
-        return found[padding:-padding]
-
-    position = make_interp_spline(grid, filtered(log.q), k=5)
-    velocity = (
-        position.derivative() if log.dq is None else make_interp_spline(grid, filtered(log.dq), k=5)
-    )
-    link = None if log.q_link is None else make_interp_spline(grid, filtered(log.q_link), k=5)
+    position = zero_phase(log.t, log.q, cutoff)
+    velocity = position.derivative() if log.dq is None else zero_phase(log.t, log.dq, cutoff)
+    link = None if log.q_link is None else zero_phase(log.t, log.q_link, cutoff)
     return Motion(
         name=log.name,
         t=log.t,
@@ -115,8 +99,27 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
         q_link=link and link(log.t),
         dq_link=link and link.derivative()(log.t),
         ddq_link=link and link.derivative(2)(log.t),
-        tau_smooth=link and make_interp_spline(grid, filtered(log.tau), k=5)(log.t),
     )
+
+
+def zero_phase(t: Array, values: Array, cutoff: float) -> Any:
+    """Return the spline of low-passed values (N, ..) at t (N,) [s], for a `cutoff` [Hz]."""
+    from scipy.interpolate import make_interp_spline
+    from scipy.signal import butter, sosfiltfilt
+
+    grid, padding = _grid(t, cutoff)
+    sos = butter(_ORDER, cutoff, fs=(len(grid) - 1) / (grid[-1] - grid[0]), output="sos")
+    even = make_interp_spline(t, values, k=3)(grid)
+    longer = np.concatenate([_before(even, padding), even, _before(even[::-1], padding)[::-1]])
+    found = sosfiltfilt(sos, longer, axis=0, padlen=0)[padding:-padding]
+    return make_interp_spline(grid, found, k=5)
+
+
+def _grid(t: Array, cutoff: float) -> tuple[Array, int]:
+    """Return even time stamps, and the number of mirrored rows."""
+    period = float(np.median(np.diff(t)))
+    steps = max(int(np.ceil((t[-1] - t[0]) / period)), 1)
+    return np.linspace(t[0], t[-1], steps + 1), int(np.ceil(_PADDING_PERIODS / (cutoff * period)))
 
 
 def measured_velocity(log: Log) -> Array:

@@ -8,14 +8,14 @@ An x_i is a Prandtl stop of hysteresis with F_i > 0 (Taghirad and Bélanger 1998
 clip(d / w_i, -1, 1): the gear is softer around zero, or has play.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from hesr_model.logs.signals import Motion
+from hesr_model.logs.signals import Motion, zero_phase
 from hesr_model.rigid_body.least_squares import Block
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers, Mask
@@ -64,22 +64,34 @@ class GearForm:
     signals: dict[str, Array]
 
 
-def gear_forms(motions: Sequence[Motion], used: Sequence[Mask]) -> list[GearForm]:
-    """Return the forms of elastic gears by joint, from `used` rows; none without link encoders."""
+def gear_forms(motions: Sequence[Motion], model: Robot, used: Sequence[Mask]) -> list[GearForm]:
+    """Return the forms of elastic gears by joint, from `used` rows; none without link encoders.
+
+    Torques and everything that is not linear in the motion are low-passed as the motion is.
+    """
     if not motions or any(motion.q_link is None for motion in motions):
         return []
-    names = ("q", "dq", "ddq", "tau", "q_link", "dq_link", "tau_smooth")
-    data: dict[str, Array] = {
-        n: np.concatenate([getattr(motion, n) for motion in motions]) for n in names
-    }
-    starts = np.cumsum([0, *(len(motion.t) for motion in motions)])[:-1]
-    each = [{n: x[:, j] for n, x in data.items()} for j in range(len(used))]
-    return [_form(own, starts, rows) for own, rows in zip(each, used, strict=True)]
+    names = ("q", "dq", "ddq", "tau", "q_link", "dq_link")
+    data = {n: np.concatenate([getattr(motion, n) for motion in motions]) for n in names}
+    ends = np.cumsum([0, *(len(motion.t) for motion in motions)]).tolist()
+    parts = [slice(*pair) for pair in pairwise(ends)]
+
+    def smooth(values: Array) -> Array:
+        cutoff, pairs = model.description.log.filter_cutoff, zip(motions, parts, strict=True)
+        return np.concatenate([zero_phase(m.t, values[rows], cutoff)(m.t) for m, rows in pairs])
+
+    data |= {"smooth": smooth(data["tau"]), "link": smooth(np.sign(data["dq_link"]))}
+    each = [{n: x[:, j] for n, x in data.items()} for j in range(model.n)]
+    return [_form(own, parts, rows, smooth) for own, rows in zip(each, used, strict=True)]
 
 
-def _form(data: dict[str, Array], starts: Integers, used: Mask) -> GearForm:
+def _form(
+    data: dict[str, Array],
+    parts: Sequence[slice],
+    used: Mask,
+    smooth: Callable[[Array], Array],
+) -> GearForm:
     twist, rate = data["q"] - data["q_link"], data["dq"] - data["dq_link"]
-    direction = np.sign(data["dq"])
     zero, torque = float(np.mean(twist[used])), np.zeros_like(twist)
     reach = np.max(np.abs(twist[used] - zero))
     stops, soft = reach * _STOPS, reach * _SOFT
@@ -88,12 +100,12 @@ def _form(data: dict[str, Array], starts: Integers, used: Mask) -> GearForm:
     least = np.concatenate([-free, np.zeros(len(stops)), np.full(len(soft), -np.inf)])
     elements = np.arange(FIXED + 1, len(most))
     for _ in range(_ROUNDS):
-        d = twist - zero
-        fixed = [d, rate, np.ones_like(d), direction, np.abs(torque) * direction, data["dq"]]
-        parts = [*(_stop(d / w, starts) for w in stops), *(np.clip(d / w, -1, 1) for w in soft)]
-        columns = np.column_stack([*fixed, data["ddq"], *parts])
-        # Raw torques contain resonances that the smooth motion lacks.
-        rows = np.column_stack([columns, data["tau_smooth"]])[used]
+        d, sign = twist - zero, np.sign(data["dq"])
+        shapes = [*(_stop(d / w, parts) for w in stops), *(np.clip(d / w, -1, 1) for w in soft)]
+        bent = smooth(np.column_stack([sign, np.abs(torque) * sign, *shapes]))
+        ones, dq, ddq = np.ones_like(d), data["dq"], data["ddq"]
+        columns = np.column_stack([d, rate, ones, bent[:, :2], dq, ddq, bent[:, 2:]])
+        rows = np.column_stack([columns, data["smooth"]])[used]
         size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
         r: Array = np.asarray(np.linalg.qr(rows / size, mode="r"))
         bounded = lsq_linear(r[:, :-1], r[:, -1], (least, most), method="bvls")
@@ -111,27 +123,32 @@ def _form(data: dict[str, Array], starts: Integers, used: Mask) -> GearForm:
     )
 
 
-def _stop(x: Array, starts: Integers) -> Array:
-    steps = np.diff(x, prepend=x[0])
-    steps[starts] = 0.0
-    parts = np.split(steps, starts[1:])
-    return np.concatenate(
-        [list(accumulate(p.tolist(), lambda s, dx: min(max(s + dx, -1.0), 1.0))) for p in parts]
-    )
+def _stop(x: Array, parts: Sequence[slice]) -> Array:
+    steps = [np.diff(x[rows], prepend=x[rows][0]).tolist() for rows in parts]
+    found = [accumulate(part, lambda s, dx: min(max(s + dx, -1.0), 1.0)) for part in steps]
+    return np.array([state for part in found for state in part])
 
 
 def with_gears(
-    blocks: Sequence[Block], forms: Sequence[GearForm], base: tuple[int, ...], model: Robot
+    blocks: Sequence[Block],
+    forms: Sequence[GearForm],
+    base: tuple[int, ...],
+    model: Robot,
+    links: Integers,
 ) -> list[Block]:
-    """Return blocks with columns of motor friction, and those of the motor sides."""
+    """Return blocks with columns of motor friction, and those of the motor sides.
+
+    `links` (n, 2) has the columns of Coulomb and viscous friction of each link.
+    """
     first = blocks[0].matrix.shape[1]
     places = first + np.cumsum([0, *(form.columns.shape[1] for form in forms)])
     whole, motors = [], []
     for j, (block, form) in enumerate(zip(blocks, forms, strict=True)):
         k, at, rotor = block.samples, places[j], 10 * model.links + j
-        tau, smooth, turning = (form.signals[n][k] for n in ("tau", "tau_smooth", "ddq"))
+        tau, smooth, turning = (form.signals[n][k] for n in ("tau", "smooth", "ddq"))
         both, motor = np.zeros((2, len(k), places[-1]))
         both[:, :first] = block.matrix
+        both[:, links[j, 0]] = form.signals["link"][k]
         both[:, at + 3 : at + FIXED] = form.columns[k, 3:FIXED]
         motor[:, at : places[j + 1]] = form.columns[k]
         whole.append(Block(matrix=both, target=block.target + smooth - tau, samples=k))
@@ -148,7 +165,7 @@ def gears_of(
 ) -> tuple[ElasticGear, ...]:
     """Return the gears of a solution `x` (P,) with standard errors, whose last columns they are.
 
-    `links` (n, 2) has the places of Coulomb and viscous friction of each link in `x`.
+    `links` is that of `with_gears`.
     """
     at, found = len(x) - sum(form.columns.shape[1] for form in forms), []
     for joint, form, link in zip(joints, forms, links.tolist(), strict=True):

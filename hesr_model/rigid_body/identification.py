@@ -241,7 +241,7 @@ def identify_motions(
             f"robot '{model.name}': 'physical' excludes 'known' of the robot file; remove one."
         )
     everything = [*motions, *reversed_motions]
-    forms = gear_forms(everything, observations.used_rows(everything, model))
+    forms = gear_forms(everything, model, observations.used_rows(everything, model))
     if forms and (physical or method == "paper"):
         raise FitError(
             f"robot '{model.name}': link encoders ('log.columns.q_link') exclude 'physical' and "
@@ -254,6 +254,7 @@ def identify_motions(
     base = unknown_columns(model, rotors=bool(forms))
     friction = observations.friction_columns(model, base) & (method == "stacked")
     where = "log " + ", ".join(motion.name for motion in everything)
+    links = len(base) + np.cumsum(friction).reshape(friction.shape)[:, :2] - 1
     rows = sum(len(motion.t) for motion in everything)
     require_samples(where, rows, len(base) + int(np.sum(friction)))
     require_speed(where, observations.peak_speeds(everything, model), model)
@@ -262,7 +263,7 @@ def identify_motions(
         if method == "paper":
             return observations.averaged(motions, reversed_motions, model, columns)
         blocks = observations.stacked(everything, model, columns, friction)
-        return with_gears(blocks, forms, columns, model) if forms else blocks
+        return with_gears(blocks, forms, columns, model, links) if forms else blocks
 
     blocks = blocks_of(base)
     weighting = weighting or ("ols" if method == "paper" else "wls")
@@ -287,9 +288,8 @@ def identify_motions(
         weighting=weighting,
     )
     if forms:
-        places = len(base) + np.cumsum(friction).reshape(friction.shape) - 1
         errors = covariance.standard_errors
-        gears = gears_of(forms, model.joints, solution.x, errors, places[:, :2])
+        gears = gears_of(forms, model.joints, solution.x, errors, links)
         return replace(body, gears=gears)
     if not physical:
         return body

@@ -1,5 +1,6 @@
 """Elastic gears, identified from two encoders; the truth is the twin's strain-wave plant."""
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -165,6 +166,55 @@ def test_a_gear_that_hardly_twists_is_reported(exact: Log) -> None:
     slow = noisy(exact.rows(slice(0, 500)), 1)
     body = identify([slow], Robot(UF850 / "robot.toml"))
     assert "Gear of joint1: these logs do not determine its stiffness" in rigid_body(body)
+
+
+# --- a single axis -------------------------------------------------------------------------------
+
+
+def axis(known: bool, folder: Path) -> tuple[Log, Robot]:
+    """A motor with an elastic gear: 8000 N.m/rad, 6 N.m.s/rad, inertias .05 and .4 kg.m2."""
+    h, end = 1e-4, 20.0
+    t = h * np.arange(round(end / h))
+    waves = ((0.8, 0.3, 0.0), (0.6, 0.9, 1.0), (0.5, 2.1, 2.0), (0.4, 4.3, 0.5))
+    speeds = sum(a * np.sin(2 * np.pi * f * t + p) for a, f, p in waves) * np.minimum(1.0, t)
+    q = link = v = u = integral = 0.0
+    rows = []
+    for k, speed in enumerate(speeds.tolist()):
+        integral += h * (speed - v)
+        tau = 20.0 * (speed - v) + 300.0 * integral
+        gear = 8000.0 * (q - link) + 6.0 * (v - u)
+        if k % 20 == 0:
+            rows.append((q, link, tau))
+        free, stuck = v + h * (tau - gear - 3.0 * v) / 0.05, h * (2.0 + 0.06 * abs(gear)) / 0.05
+        v = math.copysign(max(abs(free) - stuck, 0.0), free)
+        free, stuck = u + h * (gear - 1.2 * u) / 0.4, h * 0.8 / 0.4
+        u = math.copysign(max(abs(free) - stuck, 0.0), free)
+        q, link = q + h * v, link + h * u
+    noise = np.random.default_rng(1).standard_normal((len(rows), 3)) * [2e-5, 2e-5, 0.1]
+    found = (np.array(rows) + noise).T[:, :, None]
+    hesr.new(folder / "axis", bench="rotary", inertia=0.4 if known else None)
+    text = (folder / "axis" / "robot.toml").read_text()
+    (folder / "axis" / "robot.toml").write_text(text.replace("inertia = false", "inertia = true"))
+    log = Log(name="axis", t=t[::20], q=found[0], dq=None, tau=found[2], q_link=found[1])
+    return log, Robot(folder / "axis" / "robot.toml")
+
+
+def test_a_known_inertia_determines_the_gear_of_a_single_axis(tmp_path: Path) -> None:
+    log, robot = axis(True, tmp_path)
+    (gear,) = identify([log], robot).gears
+    true = {"stiffness": 8000.0, "damping": 6.0, "motor_coulomb": 2.0, "motor_load": 0.06,
+            "motor_viscous": 3.0, "link_coulomb": 0.8, "link_viscous": 1.2}  # fmt: skip
+    for name, number in true.items():
+        value, error = gear.parameters[name]
+        assert abs(value - number) < max(2.0 * error, 0.01 * number)
+        if name not in ("damping", "motor_load"):
+            assert value == pytest.approx(number, rel=0.1 if "coulomb" in name else 0.05)
+
+
+def test_an_unknown_inertia_leaves_the_gear_of_a_single_axis_open(tmp_path: Path) -> None:
+    log, robot = axis(False, tmp_path)
+    text = rigid_body(identify([log], robot))
+    assert "these logs do not determine its stiffness" in text
 
 
 # --- refusals ------------------------------------------------------------------------------------
