@@ -372,12 +372,12 @@ def _motors(body: BodyArg) -> dict[str, Any]:
         raise ArgumentError(
             "'rigid_body' has no elastic gears, which need link encoders; give 'inertia' instead."
         )
-    of_gears = {
-        name: [max(gear.parameters[name][0], 0.0) for gear in found.gears]
+    stiffness, damping = (
+        [max(gear.parameters[name][0], 0.0) for gear in found.gears]
         for name in ("stiffness", "damping")
-    }
-    rotors = [found.names.index(f"{gear.joint}.Ir") for gear in found.gears]
-    return {"inertia": found.parameters[rotors].tolist(), **of_gears}
+    )
+    inertia = found.parameters[[found.names.index(f"{joint}.Ir") for joint in found.joints]]
+    return {"inertia": inertia.tolist(), "stiffness": stiffness, "damping": damping}
 
 
 def _completed(

@@ -22,7 +22,7 @@ _USUAL = 0.95  # share of the shortest steps, whose mean is usual
 _SHORTEST_PART = 1.0  # minimum duration of a part [s]
 _RATE_MARGIN = 1.25
 _LARGEST = 1e20  # in any unit; nanoseconds since 1970 are 2e18
-_MOST_TWIST = 0.1  # of a gear, over the spread of the joint's position
+_LEAST_TWIST, _MOST_TWIST = 1e-12, 0.1  # of a gear [rad], and over the joint's motion
 _LEAST_TRAVEL = 5e-3  # minimum travel of a joint [rad or m]; encoder noise is smaller
 
 
@@ -308,12 +308,12 @@ def _q_link(path: Path, samples: LogSamples, q: Array, robot: RobotDescription) 
         )
     factors = robot.log.units.factors("q_link", len(robot.joints))
     link: Array = samples.q_link * factors + (robot.log.zero or 0.0)
-    pairs = zip(robot.joints, np.std(q - link, axis=0), np.std(q, axis=0), strict=True)
-    for joint, twist, moved in pairs:
-        if twist > max(_MOST_TWIST * moved, _LEAST_TRAVEL):
+    for joint, twist, moved in zip(robot.joints, np.std(q - link, 0), np.std(q, 0), strict=True):
+        if not _LEAST_TWIST < twist < max(_MOST_TWIST * moved, _LEAST_TRAVEL):
             raise LogError(
-                f"{path}: the link encoder of joint '{joint}' does not follow its motor "
-                f"(difference {twist:.2g} rad RMS, motion {moved:.2g}); check columns and units."
+                f"{path}: the link encoder of joint '{joint}' does not show the twist of a gear "
+                f"(difference to the motor {twist:.2g} rad RMS, motion {moved:.2g}); check columns "
+                "and units."
             )
     return link
 

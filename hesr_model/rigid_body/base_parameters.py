@@ -54,11 +54,8 @@ def unknown_columns(model: Robot, *, rotors: bool = False) -> tuple[int, ...]:
     With `rotors`, rotors count as independent, as they are behind elastic gears.
     """
     known = known_columns(model)
-    if not rotors:
-        return _independent(model, known)
-    own = range(10 * model.links, model.inertial)
-    others = _independent(model, [*known, *own])
-    return tuple(sorted({*others, *own} - {*known}))
+    own = range(10 * model.links, model.inertial) if rotors else ()
+    return tuple(sorted({*_independent(model, [*known, *own]), *own} - {*known}))
 
 
 def dependence(model: Robot, base: tuple[int, ...]) -> Array:

@@ -23,11 +23,10 @@ from hesr_model.support.arrays import Array, Integers, Mask
 _OF_GEAR = ("stiffness", "damping", "offset", "motor_coulomb", "motor_load", "motor_viscous")
 _OF_LINK = ("link_coulomb", "link_viscous")
 FIXED = len(_OF_GEAR)
-_STOPS = 2.0 ** (-0.5 * np.arange(1, 13))  # widths tried, over the largest deflection
-_SOFT = 2.0 ** -np.arange(3.0, 7.0)  # likewise
+# Widths tried, over the largest deflection; those of softer zones are negative.
+_WIDTHS = np.concatenate([2.0 ** (-0.5 * np.arange(1, 13)), -(2.0 ** -np.arange(3.0, 7.0))])
 _ROUNDS = 3  # of zero, and of the torque in the load
 _LEAST = 1e-3  # torque of an element over that of the gear
-_DETERMINED = 0.2  # half width of the interval of a stiffness over it, at most
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,20 +36,14 @@ class ElasticGear:
     `parameters` has value and standard error of `stiffness` [N.m/rad], `damping` [N.m.s/rad] and
     friction [N.m; 1; N.m.s/rad], (motor_coulomb + motor_load |tau_g|) sgn(dq) + motor_viscous dq of
     the motor and link_coulomb sgn(dq_link) + link_viscous dq_link of the link. `zero` [rad] is the
-    difference of the encoders without torque. `stops` and `soft` have width [rad] and torque [N.m].
+    difference of the encoders without torque. `elements` have width [rad], negative in softer
+    zones, and torque [N.m].
     """
 
     joint: str
     zero: float
     parameters: dict[str, tuple[float, float]]
-    stops: tuple[tuple[float, float], ...]
-    soft: tuple[tuple[float, float], ...]
-
-    @property
-    def is_determined(self) -> bool:
-        """Whether the 95 % interval of the stiffness is within 20 %."""
-        value, error = self.parameters["stiffness"]
-        return 1.96 * error < _DETERMINED * value
+    elements: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,8 +51,7 @@ class GearForm:
     """Columns (N, `FIXED` + elements) of a gear, before its fit; signals (N,) by name."""
 
     zero: float
-    stops: Array
-    soft: Array
+    widths: Array
     columns: Array
     signals: dict[str, Array]
 
@@ -93,15 +85,14 @@ def _form(
 ) -> GearForm:
     twist, rate = data["q"] - data["q_link"], data["dq"] - data["dq_link"]
     zero, torque = float(np.mean(twist[used])), np.zeros_like(twist)
-    reach = np.max(np.abs(twist[used] - zero))
-    stops, soft = reach * _STOPS, reach * _SOFT
+    widths = np.max(np.abs(twist[used] - zero)) * _WIDTHS
     free = np.full(FIXED + 1, np.inf)
-    most = np.concatenate([free, np.full(len(stops), np.inf), np.zeros(len(soft))])
-    least = np.concatenate([-free, np.zeros(len(stops)), np.full(len(soft), -np.inf)])
+    most = np.concatenate([free, np.where(widths > 0.0, np.inf, 0.0)])
+    least = np.concatenate([-free, np.where(widths > 0.0, 0.0, -np.inf)])
     elements = np.arange(FIXED + 1, len(most))
     for _ in range(_ROUNDS):
         d, sign = twist - zero, np.sign(data["dq"])
-        shapes = [*(_stop(d / w, parts) for w in stops), *(np.clip(d / w, -1, 1) for w in soft)]
+        shapes = [_stop(d / w, parts) if w > 0 else np.clip(-d / w, -1, 1) for w in widths]
         bent = smooth(np.column_stack([sign, np.abs(torque) * sign, *shapes]))
         ones, dq, ddq = np.ones_like(d), data["dq"], data["ddq"]
         columns = np.column_stack([d, rate, ones, bent[:, :2], dq, ddq, bent[:, 2:]])
@@ -116,8 +107,7 @@ def _form(
     kept = np.abs(x[elements]) > _LEAST * np.std(torque[used])
     return GearForm(
         zero=zero,
-        stops=stops[kept[: len(stops)]],
-        soft=soft[kept[len(stops) :]],
+        widths=widths[kept],
         columns=columns[:, [*range(FIXED), *elements[kept]]],
         signals=data,
     )
@@ -171,17 +161,11 @@ def gears_of(
     for joint, form, link in zip(joints, forms, links.tolist(), strict=True):
         places = dict(zip((*_OF_GEAR, *_OF_LINK), [*range(at, at + FIXED), *link], strict=True))
         del places["offset"]
-        torques = x[at + FIXED : at + form.columns.shape[1]]
-        pairs = np.column_stack([np.concatenate([form.stops, form.soft]), torques]).tolist()
-        elements = tuple((width, torque) for width, torque in pairs)
+        parameters = {n: (float(x[k]), float(errors[k])) for n, k in places.items()}
+        after = at + form.columns.shape[1]
+        elements = tuple(zip(form.widths.tolist(), x[at + FIXED : after].tolist(), strict=True))
         found.append(
-            ElasticGear(
-                joint=joint,
-                zero=form.zero,
-                parameters={n: (float(x[k]), float(errors[k])) for n, k in places.items()},
-                stops=elements[: len(form.stops)],
-                soft=elements[len(form.stops) :],
-            )
+            ElasticGear(joint=joint, zero=form.zero, parameters=parameters, elements=elements)
         )
-        at += form.columns.shape[1]
+        at = after
     return tuple(found)

@@ -166,10 +166,9 @@ class RigidBody:
     def _by_name(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
         data: dict[str, Any] = serialise(self)
         names = data.pop("names")
-        if data["covariance"] is None:  # as in version 1
-            del data["covariance"]
-        if not data["gears"]:
-            del data["gears"]
+        for name in ("covariance", "gears"):  # as in version 1
+            if not data[name]:
+                del data[name]
         data["parameters"] = dict(zip(names, data["parameters"], strict=True))
         return data | {"base": [names[k] for k in self.base]}
 
@@ -288,9 +287,8 @@ def identify_motions(
         weighting=weighting,
     )
     if forms:
-        errors = covariance.standard_errors
-        gears = gears_of(forms, model.joints, solution.x, errors, links)
-        return replace(body, gears=gears)
+        found = solution.x, covariance.standard_errors
+        return replace(body, gears=gears_of(forms, model.joints, *found, links))
     if not physical:
         return body
     return _consistent(body, blocks_of(tuple(range(len(body.names)))), model, friction, labels)
@@ -356,9 +354,7 @@ def body_of(
         standard_errors=covariance.standard_errors,
         condition=solution.condition,
         ridge=solution.ridge,
-        friction=observations.per_joint(
-            solution.x[len(base) : len(base) + int(np.sum(friction))], friction
-        ),
+        friction=observations.per_joint(solution.x[len(base) :][: np.sum(friction)], friction),
         rmse=solution.rmse[: model.n],
         rows=rows,
         logs=logs,

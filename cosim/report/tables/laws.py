@@ -94,7 +94,8 @@ def _gear(gear: ElasticGear) -> str:
         name: " +- ".join(f"{float(f'{x:.{n}g}'):.6g}" for x, n in ((value, 4), (1.96 * error, 2)))
         for name, (value, error) in gear.parameters.items()
     }
-    if not gear.is_determined:
+    stiffness, error = gear.parameters["stiffness"]
+    if 1.96 * error > 0.2 * stiffness:
         return (
             f"Gear of {gear.joint}: these logs do not determine its stiffness "
             f"({shown['stiffness']} N.m/rad); record faster motion, or a payload."
