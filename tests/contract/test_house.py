@@ -13,7 +13,7 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 BUDGET = {
     "hesr_model": 22_970,
     "fmu_src": 20_332,
-    "cosim": 14_833,
+    "cosim": 14_834,
     "hesr": 823,
     "hesr.extras": 9_043,
     "all": 68_001,
