@@ -7,16 +7,22 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hesr_model.equations.functions import clip
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.estimator import Estimator
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import SearchSpace, Separable
-from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.inputs import TAU_LOAD
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.laws import ripple
 from hesr_model.laws.ripple import Ripple
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_json import to_json
+
+LOAD_MOST = Coefficient(
+    name="load_most", unit="N.m", description="largest load of the bounds, from training"
+)
 
 
 class Described(Estimator):
@@ -26,8 +32,10 @@ class Described(Estimator):
     ----------
     ripple : True to add harmonics of the motor angle if the gear ratio is known.
     start_samples : number of first torques of a log that set the initial state.
+    limited : True to limit the load in the memory to the largest in training.
     """
 
+    limited: ClassVar[bool] = False
     ripple: ClassVar[bool] = False
     start_samples: ClassVar[int] = 0
 
@@ -39,7 +47,12 @@ class Described(Estimator):
     @classmethod
     def form(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions of a structure; {"ripple": ...} adds harmonics."""
-        core = cls.core({key: value for key, value in structure.items() if key != "ripple"})
+        others = ("ripple", *("limited",) * cls.limited)
+        core = cls.core({key: value for key, value in structure.items() if key not in others})
+        if cls.limited and structure.get("limited"):
+            swap = {TAU_LOAD: clip(TAU_LOAD, LOAD_MOST.symbol)}
+            coefficients, memory = core.coefficients, (m.subs(swap) for m in core.memory)
+            core = replace(core, coefficients=(*coefficients, LOAD_MOST), memory=tuple(memory))
         if "ripple" not in structure:
             return core
         return Ripple.of_structure(structure["ripple"]).extend(core)
@@ -59,7 +72,15 @@ class Described(Estimator):
                 (problem.settled(problem.point(numbers | at)) for at in ripple.starts(times)),
                 key=lambda trial: problem.solve(trial)[1],
             )
-        return replace(problem.law(point, self.name, complete), start_samples=self.start_samples)
+        law = replace(problem.law(point, self.name, complete), start_samples=self.start_samples)
+        if not self.limited:
+            return law
+        # No training row is at the kink.
+        most = {LOAD_MOST.name: 1.001 * float(np.max(np.abs(samples.tau_load)))}
+        complete["limited"] = True
+        return replace(
+            law, structure=complete, form=self.form(complete), values={**law.values, **most}
+        )
 
 
 class OneForm(Described):

@@ -64,7 +64,7 @@ def with_standard_errors(
     moves = dict(zip(law.values, slope, strict=True))
     moves = {name: own for name, own in moves.items() if np.any(own != 0.0)}
     whole = replace(law, covariance=found.mapped(list(moves), np.array(list(moves.values()))))
-    if law.structure:
+    if law.structure.keys() - {"limited"}:
         return _stated(whole, {})
     q, r = np.linalg.qr(jacobian)
 
@@ -188,7 +188,7 @@ def _searched(law: FrictionLaw, space: SearchSpace) -> Coordinates:
         known = numbers | dict(zip(names, map(float, point), strict=True))
         computed = _functions(space)(*(known[name] for name in numbers))
         known |= dict(zip((name for name, _ in space.values), map(float, computed), strict=True))
-        return {name: known[name] for name in law.values}
+        return {name: known.get(name, value) for name, value in law.values.items()}
 
     return Coordinates(
         point=np.array([numbers[name] for name in names]), values=values, held=frozenset(held)

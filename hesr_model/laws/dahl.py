@@ -102,6 +102,8 @@ class DahlBasisBound(DahlBasis):
     title = "Dahl basis, load as bound"
     order = 100
     everyday = False
+    limited = True
+    typical: ClassVar[Mapping[str, Any]] = {"limited": True}
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:

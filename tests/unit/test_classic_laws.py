@@ -1,10 +1,12 @@
 """Classic laws available by name only: equations, signs and proofs."""
 
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 
 import numpy as np
 import pytest
+from joint_data import along, path
 from registry_models import everyday
 from test_certificate import TRAINED, law_of, worst_step
 
@@ -17,6 +19,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import registry
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord
 
 NAMES = ("dahl_bound", "strain_wave_bound", *(f"bam_m{k}" for k in range(1, 7)), "gms")
@@ -175,3 +178,31 @@ def test_laws_outside_the_contract_tests_export_as_fmus(tmp_path: Path) -> None:
     for own, tau in zip(laws, found.T, strict=True):
         expected = predict(own, t=t, dq=dq, tau_load=load)
         assert np.abs(tau - expected).max() <= 1e-12 * np.abs(expected).max(), own.name
+
+
+@pytest.mark.parametrize("name", ["dahl_bound", "strain_wave_bound"])
+def test_the_load_of_bounds_stays_within_its_trained_range(name: str) -> None:
+    records = [
+        along(law(name), path(seed), noise=0.05, seed=seed, log=str(seed)) for seed in (0, 1)
+    ]
+    found = fit_joint(name, records, seed=0)
+    largest = max(float(np.abs(r.tau_load).max()) for r in records)
+    assert found.values["load_most"] == pytest.approx(largest, rel=2e-3)
+    assert found.standard_errors
+    proof = certify(found, TrainedRange.of(records))
+    assert (proof.verdict, proof.largest_step) == ("proven", inf)
+    # A law of an earlier version has no limit.
+    values = {k: v for k, v in found.values.items() if k != "load_most"}
+    older = replace(found, structure={}, form=registry()[name].form({}), values=values,
+                    covariance=None)  # fmt: skip
+    for r in records:
+        np.testing.assert_array_equal(predict(found, **r.motion), predict(older, **r.motion))
+    heavy, heaviest = (
+        {**records[0].motion, "tau_load": np.full_like(records[0].t, factor * largest)}
+        for factor in (1.5, 3.0)
+    )
+    np.testing.assert_array_equal(predict(found, **heavy), predict(found, **heaviest))
+    beyond = predict(older, **heaviest) - predict(found, **heaviest)
+    assert np.abs(beyond).max() > 1.0
+    with pytest.raises(ArtifactError, match="has no structure"):
+        registry()["dahl"].form({"limited": True})

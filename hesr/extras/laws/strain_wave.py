@@ -1,7 +1,7 @@
 """Strain-wave laws: gear meshing with friction proportional to the load."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from hesr_model.equations.functions import absolute, positive, sgn
 from hesr_model.equations.memory import Relaxation
@@ -79,6 +79,8 @@ class StrainWaveBound(OneForm):
     order = 150
     classic = True
     everyday = False
+    limited = True
+    typical: ClassVar[Mapping[str, Any]] = {"limited": True}
 
     @staticmethod
     def core(structure: Mapping[str, Any]) -> LawForm:
