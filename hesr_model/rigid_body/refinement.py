@@ -31,8 +31,6 @@ def identify_again(
         records = friction_records(log, model, rigid_body)
         return replace(log, tau=log.tau - friction.predict(records))
 
-    return identify(
-        [without_friction(log) for log in parts_of(logs)],
-        model,
-        reversed_logs=[without_friction(log) for log in parts_of(reversed_logs)],
-    )
+    logs, others = (list(map(without_friction, parts_of(some))) for some in (logs, reversed_logs))
+    # The law is that of both sides of a gear, whose own friction would be left out.
+    return replace(identify(logs, model, reversed_logs=others), gears=rigid_body.gears)

@@ -23,6 +23,7 @@ from hesr_model.errors import ArgumentError, ConfigError, FitError, LogError, Ro
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.elasticity import ElasticGear
 from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.robots.robot import Robot
 from hesr_model.support.files import models_folder
 
@@ -154,6 +155,15 @@ def test_hysteresis_and_play_are_those_of_the_plant(exact: Log) -> None:
     assert np.sum(torques[stops]) == pytest.approx(6.0, rel=0.1)
     assert (widths * torques)[stops].sum() == pytest.approx(2e-4 * 2.0 + 8e-4 * 4.0, rel=0.1)
     assert np.sum(torques[~stops]) == pytest.approx(-1.5, rel=0.1)  # stiffness times half the play
+
+
+def test_a_refined_body_keeps_its_gears(exact: Log) -> None:
+    log, model = noisy(exact, 1), Robot(UF850 / "robot.toml")
+    body = identify([log], model)
+    law = hesr.fit(log, robot=model, rigid_body=body, law="stribeck")
+    refined = identify_again([log], model, body, law)
+    assert refined.gears == body.gears
+    assert not np.array_equal(refined.parameters, body.parameters)
 
 
 def test_rigid_gears_have_no_entry(exact: Log, tmp_path: Path) -> None:
