@@ -45,12 +45,13 @@ def laws() -> Mapping[str, type[Estimator]]:
 def fit(
     logs: Logs,
     *,
-    law: LawArg,
+    law: LawArg | None = None,
     robot: RobotArg | None = None,
     rigid_body: BodyArg | None = None,
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
     add: Sequence[str] = (),
+    prior: Sequence[LawArg] = (),
     output: PathArg | None = None,
     accept: Sequence[str] = (),
     progress: Stages = silent,
@@ -73,6 +74,9 @@ def fit(
         Options of the law, with values as in TOML; repeatable.
     add : sequence of str, optional
         Refinements of the fitted law, such as temperature; repeatable.
+    prior : sequence of laws, optional
+        Instead of law: fitted laws (.json) of this robot to adapt to the logs, from other days;
+        repeatable for laws of one structure.
     output : path, optional
         JSON file to write.
     accept : sequence of str, optional
@@ -98,6 +102,8 @@ def fit(
           --law parfam_h -o law.json --option 'search="paper"'
         $ hesr fit cold.csv warm.csv --robot robot.toml --law law.json --add temperature \
           -o warm.json
+        $ hesr fit seconds.csv --robot robot.toml --rigid-body rigid_body.json \
+          --prior law.json -o adapted.json
 
     In Python:
 
@@ -105,8 +111,12 @@ def fit(
     >>> hesr.fit("sweep.csv", law="stribeck", robot="robot.toml", rigid_body="rigid_body.json")
     FrictionModel('stribeck' of 'arm', 3 joints)
     """
+    from cosim.study.scores import by_joint
     from cosim.workflow.arguments import body_of, checked_logs
     from hesr_model.findings import log_findings
+    from hesr_model.fitting.adaptation import adapt
+    from hesr_model.friction.model import FrictionModel
+    from hesr_model.health.fit_checks import check_owner
     from hesr_model.support.files import path_of
     from hesr_model.support.plugins import load
 
@@ -114,13 +124,21 @@ def fit(
     for name in add:
         if name not in refinements:
             raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
-    fitted = _fitted_law(law, add, options)
+    fitted = _fitted_law(law, add, options, prior)
     read = checked_logs(logs, robot, accept, progress)
     records = read.records(body_of(rigid_body, read.logs, read.robot))
     if fitted is None:
         model = _fit(str(law), records, read, rigid_body, seed, options or {}, progress)
     else:
         model = fitted
+    if prior:
+        log_findings(check_owner(model, read.robot))
+        progress("adapting", 0, 1)
+        model, sentences = adapt(model, by_joint(records))
+        source = _provenance(read, rigid_body, seed, {})
+        earlier = [one for one in prior if not isinstance(one, FrictionModel)]
+        source |= {"prior": [str(path) for path in earlier], "adaptation": sentences}
+        model = replace(model, provenance=source)
     for name in add:
         progress(f"fitting {name}", 0, 1)
         model, sentences = refinements[name].load()(model, records)
@@ -134,13 +152,21 @@ def fit(
 
 
 def _fitted_law(
-    law: LawArg, add: Sequence[str], options: Mapping[str, Any] | None
+    law: LawArg | None,
+    add: Sequence[str],
+    options: Mapping[str, Any] | None,
+    prior: Sequence[LawArg],
 ) -> FrictionModel | None:
     """Return a law that is fitted already, None for the name of a law."""
     from cosim.workflow.arguments import model_given
+    from hesr_model.fitting.adaptation import prior_of
     from hesr_model.friction.model import FrictionModel
     from hesr_model.friction.registry import estimator
 
+    if (law is None) != bool(prior) or (prior and options):
+        raise ArgumentError("give either 'law' or 'prior', fitted laws without 'options'.")
+    if law is None:
+        return prior_of([model_given(one) for one in prior])
     if not isinstance(law, FrictionModel) and not str(law).lower().endswith(".json"):
         estimator(str(law))  # refuse an unknown law before the logs are read
         return None
@@ -161,6 +187,28 @@ def _fit(
     from cosim.study.scores import by_joint
     from hesr_model.fitting.fit import fit_models
     from hesr_model.health.fit_checks import check_laws
+    from hesr_model.support.typed_json import to_json
+
+    source = _provenance(read, rigid_body, seed, options)
+    joined = by_joint(records)
+    model = fit_models(
+        [law],
+        joined,
+        robot=read.robot.description.name,
+        seed=seed,
+        options={law: dict(options)},
+        provenance=source,
+        progress=partial(progress, f"fitting {law}"),
+    )[law]
+    if found := list(check_laws({law: model}, joined)):
+        health = [*source["health"], *map(to_json, found)]
+        model = replace(model, provenance={**model.provenance, "health": health})
+    return model
+
+
+def _provenance(
+    read: CheckedLogs, rigid_body: BodyArg | None, seed: int, options: Mapping[str, Any]
+) -> dict[str, Any]:
     from hesr_model.rigid_body.identification import RigidBody
     from hesr_model.support.files import newest, provenance
     from hesr_model.support.typed_json import to_json
@@ -177,20 +225,7 @@ def _fit(
     source |= description.constants
     if owner := description.owner.known:
         source["owner"] = owner
-    joined = by_joint(records)
-    model = fit_models(
-        [law],
-        joined,
-        robot=description.name,
-        seed=seed,
-        options={law: dict(options)},
-        provenance=source,
-        progress=partial(progress, f"fitting {law}"),
-    )[law]
-    if found := list(check_laws({law: model}, joined)):
-        health += [to_json(finding) for finding in found]
-        model = replace(model, provenance={**model.provenance, "health": health})
-    return model
+    return source
 
 
 def answer(model: FrictionModel, output: PathArg | None) -> Answer:
@@ -204,7 +239,7 @@ def answer(model: FrictionModel, output: PathArg | None) -> Answer:
     if model.trained:
         certificates = datasheet.certificates(model, model.trained)
         lines.append(f"Passivity: {passivity(model.joints, certificates)}.")
-    for name in names("hesr.refinements"):
+    for name in ("adaptation", *names("hesr.refinements")):
         lines += model.provenance.get(name, ())
     return Written(
         format="hesr-friction-model-1",

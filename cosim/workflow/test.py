@@ -10,7 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.workflow.answer import Answer, shortened
+from cosim.workflow.answer import Answer, Written, shortened
 from cosim.workflow.fit import passivity
 from hesr_model.errors import ArgumentError, ConfigError, HesrError
 from hesr_model.support.progress import Stages, silent
@@ -24,9 +24,10 @@ if TYPE_CHECKING:
     from fmu_src.pages.datasheet import ModelAudit
     from hesr_model.audit.properties import Properties
     from hesr_model.findings import Finding
+    from hesr_model.friction.model import FrictionModel
     from hesr_model.support.files import PathArg
 
-KINDS = ("prediction", "passivity", "properties")  # kinds of HESR's own tests
+KINDS = ("prediction", "passivity", "properties", "adaptation")  # kinds of HESR's own tests
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -165,7 +166,9 @@ def test(
         Logs for the prediction, or one leaderboard file (.toml); repeatable.
     kind : sequence of str, optional
         Tests, repeatable: prediction, passivity, properties (thirteen experiments: memory,
-        stick-slip, dissipation, ..); by default prediction and passivity with --on, else passivity.
+        stick-slip, dissipation, ..), adaptation (the law adapted to the first seconds of a log
+        and a fit from scratch, on its rest); by default prediction and passivity with --on, else
+        passivity.
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     rigid_body : body or path, optional
@@ -239,6 +242,9 @@ def test(
     if "properties" in kinds:
         report = _checked(report, inertia, load, file, progress)
     others = {name: plugged[name].load()(tested, logs) for name in kinds if name not in KINDS}
+    if "adaptation" in kinds:
+        models = {law.name: law.model for law in tested if law.model}
+        others["adaptation"] = _adapted(models, logs, robot, rigid_body, accept, progress)
     return replace(report, others=others)
 
 
@@ -284,6 +290,34 @@ def _predicted(
         progress("simulating", 0, 1)
         positions = simulate_tests(models, {"": records}, read.robot, body).get("")
     return replace(report, scores=scores, positions=positions, records=records, findings=findings)
+
+
+def _adapted(
+    models: Mapping[str, FrictionModel],
+    logs: Sequence[LogArg],
+    robot: RobotArg | None,
+    rigid_body: BodyArg | None,
+    accept: Sequence[str],
+    progress: Stages,
+) -> Answer:
+    """Return the errors of models adapted to the first seconds of each log, on its rest."""
+    from cosim.report.tables.scores import adaptation
+    from cosim.study.scores import by_joint
+    from cosim.workflow.arguments import body_of, checked_logs
+    from hesr_model.fitting.adaptation import compare_lengths, prior_of
+
+    if not logs or rigid_body is None:
+        raise ArgumentError("'kind' adaptation needs 'on', a log, and 'rigid_body'.")
+    read = checked_logs(logs, robot, accept, progress)
+    records = read.records(body_of(rigid_body, read.logs, read.robot))
+    lines, tables = [], []
+    for name, model in models.items():
+        for log in records:
+            progress(f"adapting {name}", 0, 1)
+            found = compare_lengths(prior_of([model]), by_joint([log]))
+            lines += [f"{name}, {log[0].log}: {one.sentence}" for one in found]
+            tables.append(adaptation(f"{name}, {log[0].log}", found, model.sliding))
+    return Written(lines=lines, shown=tables)
 
 
 def _certified(report: LawReport, *, alone: bool) -> LawReport:

@@ -61,6 +61,7 @@ _FORMS = {
     "excite.after": Form(metavar="RESULTS"),
     "excite.format": Form(metavar="NAME", complete="hesr.setpoints"),
     "fit.law": Form(metavar="NAME", complete="hesr.laws"),
+    "prior": Form(metavar="LAW"),
     "format": Form(metavar="NAME", complete="hesr.exports"),
     "platform": Form(metavar="NAME", complete="platforms"),
 }

@@ -43,6 +43,7 @@ class Covariance:
     between: float
     degrees: float
     carried: Numbers
+    logs: int = 1  # or blocks of time
 
     def __post_init__(self) -> None:
         shape = (len(self.names),) * 2
@@ -70,6 +71,11 @@ class Covariance:
     def matrix(self) -> Array:
         """(P, P) covariance, in the unknowns' units."""
         return np.asarray(self.factor**2 * self.within + self.carried)
+
+    @property
+    def of_another_log(self) -> Array:
+        """(P, P) covariance of the unknowns of one more log, with the scatter between logs."""
+        return np.asarray(self.matrix + self.logs * (self.factor**2 - 1.0) * self.within)
 
     @property
     def standard_errors(self) -> Array:
@@ -145,7 +151,8 @@ def covariance(
     parts = long_run(influences)
     between, degrees = _between(influences, parts, hessians, whole)
     within = np.sum(parts, axis=0) * _for_few_rows(influences)
-    return replace(one, within=within, between=between, degrees=degrees)
+    logs = len(influences)
+    return replace(one, within=within, between=between, degrees=degrees, logs=logs)
 
 
 def covariance_of_fit(

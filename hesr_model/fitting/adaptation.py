@@ -1,0 +1,256 @@
+"""Adaptation of a fitted law to seconds of a new log: its coefficients' covariance is the prior.
+
+    minimise    sum_t (tau_t - f_t(c))^2 / s^2  +  (c - c_0)' P^-1 (c - c_0)
+    s^2 = (1 + r) / (1 - r) of the residual's mean square,    r: its autocorrelation at one sample
+
+c are the coefficients, c_0 those of an earlier fit and P their covariance in another log, or mean
+and spread of several fits; nonlinear ones of a structure that the data chose are held. The maximum
+a posteriori is found within bounds, and drawn towards c_0 until the law is proven passive if that
+of c_0 is.
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from operator import truediv
+from statistics import geometric_mean
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from hesr_model.audit.certificate import certify
+from hesr_model.errors import FitError, HesrError
+from hesr_model.fitting.fit import fit_joint
+from hesr_model.friction.inputs import DQ
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.metrics import rmse
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.records import predict_record, training_error
+from hesr_model.inference.covariance import Covariance
+from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
+from hesr_model.support.arrays import Array
+
+LENGTHS = (5.0, 10.0, 20.0, 30.0, 60.0)  # [s] of a log in comparisons
+
+_ROUNDS = 3  # of the noise
+_FACTOR = 2.0  # largest change of coefficients within memory or a function
+_SHARES = (1.0, 0.5, 0.25, 0.1)  # of the change, tried until the law is passive
+_RANK = 1e-8  # relative variance of directions that the earlier fits do not know
+_MOST_MEMORY = 0.995  # largest autocorrelation
+_LEAST = 1e-12  # [N.m] of the noise
+
+
+class AdaptationErrors(NamedTuple):
+    """RMSE by joint [N.m] after `seconds` of a log on its rest; None if a fit from them fails."""
+
+    seconds: float
+    prior: tuple[float, ...]
+    adapted: tuple[float, ...]
+    scratch: tuple[float, ...] | None
+
+    @property
+    def sentence(self) -> str:
+        """Mean ratios of the adapted law's errors in words."""
+
+        def ratio(others: Sequence[float]) -> str:
+            return f"{geometric_mean(map(truediv, self.adapted, others)):.2f}"
+
+        scratch = (
+            "a fit from scratch fails"
+            if self.scratch is None
+            else f"{ratio(self.scratch)} times that of a fit from scratch"
+        )
+        return (
+            f"adapted to {self.seconds:g} s, its error on the rest is {ratio(self.prior)} times "
+            f"that before; {scratch}."
+        )
+
+
+def prior_of(models: Sequence[FrictionModel]) -> FrictionModel:
+    """Return a model whose laws have mean and spread of those of `models`, for a further day.
+
+    The covariance is the mean one plus (1 + 1/K) times the scatter of K models of one structure.
+
+    Raises
+    ------
+    FitError
+        If laws have no covariance, or differ in joints, name or structure.
+    """
+    first = models[0]
+    for model in models:
+        if model.thermal:
+            raise FitError(f"friction model '{model.law}': a thermal model cannot be adapted.")
+        if any(law.covariance is None for law in model.laws):
+            raise FitError(
+                f"friction model '{model.law}': its coefficients have no covariance; adapt laws "
+                "that 'hesr fit' has fitted, other than networks."
+            )
+        if model.joints != first.joints or model.coupling != first.coupling:
+            raise FitError(f"friction model '{model.law}': its joints are not those of the first.")
+        for joint, law, own in zip(model.joints, model.laws, first.laws, strict=True):
+            if (law.name, law.form) != (own.name, own.form):
+                raise FitError(
+                    f"friction model '{model.law}': the structure of joint '{joint}' differs from "
+                    "the first; adapt the first to the logs of the second instead."
+                )
+    if len(models) == 1:
+        return first
+    laws = [_mean(of_joint) for of_joint in zip(*(model.laws for model in models), strict=True)]
+    return replace(first, laws=tuple(laws))
+
+
+def _mean(laws: Sequence[FrictionLaw]) -> FrictionLaw:
+    known = [law.covariance for law in laws if law.covariance is not None]
+    names = [n for n in known[0].names if all(n in one.names for one in known)]
+    places = [[one.names.index(n) for n in names] for one in known]
+    own = [one.matrix[np.ix_(at, at)] for one, at in zip(known, places, strict=True)]
+    values = np.array([[law.values[n] for n in names] for law in laws])
+    scatter = np.atleast_2d(np.cov(values, rowvar=False))
+    mean = dict(zip(names, map(float, values.mean(axis=0)), strict=True))
+    covariance = np.mean(own, axis=0) + (1.0 + 1.0 / len(laws)) * scatter
+    return _with(laws[0], mean, covariance)
+
+
+def _with(law: FrictionLaw, values: Mapping[str, float], covariance: Array) -> FrictionLaw:
+    found = Covariance(
+        names=tuple(values),
+        within=covariance,
+        between=1.0,
+        degrees=0.0,
+        carried=np.zeros_like(covariance),
+    )
+    errors = dict(zip(values, map(float, found.standard_errors), strict=True))
+    stated = {n: errors[n] for n in law.standard_errors if n in errors}
+    return replace(law, values={**law.values, **values}, covariance=found, standard_errors=stated)
+
+
+def adapt(
+    prior: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
+) -> tuple[FrictionModel, list[str]]:
+    """Adapt the laws of `prior_of` to records [joint][log]; return them and a sentence per joint.
+
+    Raises
+    ------
+    FitError
+        If joints differ.
+    """
+    if (joints := tuple(of_joint[0].joint for of_joint in records)) != prior.joints:
+        raise FitError(
+            f"the log has the joints {', '.join(joints)}, but the prior {', '.join(prior.joints)}."
+        )
+    moved = all_at_friction(records)
+    laws = [_adapted(prior, k, of_joint) for k, of_joint in enumerate(moved)]
+    errors = tuple(map(training_error, laws, moved))
+    seconds = sum(float(np.ptp(r.t)) for r in moved[0])
+    model = replace(prior, laws=tuple(laws), training_rmse=errors, left_out_rmse=())
+    return model, [
+        f"{joint}: error over {seconds:.3g} s {training_error(law, of_joint):.3g} -> {error:.3g}"
+        for joint, law, of_joint, error in zip(joints, prior.laws, moved, errors, strict=True)
+    ]
+
+
+def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) -> FrictionLaw:
+    law = prior.laws[k]
+    covariance = law.covariance
+    if covariance is None:
+        raise TypeError("a law without a covariance is no prior")
+    limits = _limits(law, covariance.names)
+    names, (low, high) = tuple(limits), np.array(list(limits.values())).T
+    first, tau = np.array([law.values[n] for n in names]), np.concatenate([r.tau for r in records])
+    known = covariance.of_another_log
+    sizes = np.sqrt(np.maximum(np.diag(known), np.finfo(float).tiny))
+    shares, ways = np.linalg.eigh(known / np.outer(sizes, sizes))
+    root = (ways / np.sqrt(np.maximum(shares, _RANK * shares[-1]))).T / sizes  # root' root = P^-1
+    adapted = [covariance.names.index(name) for name in names]
+    root, sizes = root[:, adapted], sizes[adapted]
+
+    def at(point: Array) -> FrictionLaw:
+        moved = dict(zip(names, map(float, point), strict=True))
+        return replace(law, values={**law.values, **moved})
+
+    def error(point: Array) -> Array:
+        moved = at(point)
+        return np.asarray(np.concatenate([predict_record(moved, r) for r in records]) - tau)
+
+    best = first
+    for _ in range(_ROUNDS):
+        noise = _noise(error(best))
+
+        def residual(point: Array, noise: float = noise) -> Array:
+            return np.concatenate([error(point) / noise, root @ (point - first)])
+
+        found = least_squares(
+            residual, best, bounds=(low, high), x_scale=sizes, diff_step=1e-6, max_nfev=20
+        )
+        best = found.x
+    if prior.trained and certify(law, prior.trained[k]).verdict == "proven":
+        tried = (first + share * (best - first) for share in _SHARES)
+        passive = (x for x in tried if certify(at(x), prior.trained[k]).verdict == "proven")
+        best = next(passive, first)
+    moved = dict(zip(names, map(float, best), strict=True))
+    return _with(law, moved, np.linalg.pinv(found.jac.T @ found.jac, hermitian=True))
+
+
+def _limits(law: FrictionLaw, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return the bounds of each coefficient that is adapted.
+
+    Nonlinear ones stay between half and twice their value, others keep their sign, but for offset
+    and ripple: torques at rest without memory.
+    """
+    form = law.form
+    memory = set().union(*(part.free_symbols for m in form.memory for part in m.parts))
+    still = {DQ: 0, **{s: 0 for m in form.memory for s in (m.state, m.derivative)}}
+    found = {}
+    for coefficient in form.coefficients:
+        name, symbol, value = coefficient.name, coefficient.symbol, law.values[coefficient.name]
+        slope = form.output.diff(symbol)
+        if name not in names:
+            continue
+        if symbol in memory or symbol in slope.free_symbols:
+            if not set(law.structure) - {"ripple"}:
+                low, high = sorted((value / _FACTOR, value * _FACTOR))
+                found[name] = low, high
+        elif slope.subs(still) != 0:
+            found[name] = -np.inf, np.inf
+        else:
+            found[name] = (0.0, np.inf) if value > 0.0 else (-np.inf, 0.0)
+    return found
+
+
+def _noise(residual: Array) -> float:
+    """Return the standard deviation of independent errors that determine a mean as well."""
+    power = float(residual @ residual)
+    memory = float(residual[1:] @ residual[:-1]) / power if power else 0.0
+    memory = min(max(memory, 0.0), _MOST_MEMORY)
+    return rmse(residual) * float(np.sqrt((1.0 + memory) / (1.0 - memory))) + _LEAST
+
+
+def compare_lengths(
+    prior: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
+) -> list[AdaptationErrors]:
+    """Compare the prior, its adaptation and a fit from scratch to the first seconds of records.
+
+    `records` are [joint][log], of one log; errors are those on the rest after the longest of
+    `LENGTHS` that is at most two thirds of it.
+    """
+    spans = [r[0].t - r[0].t[0] for r in records]
+    lengths = [s for s in LENGTHS if 1.5 * s <= spans[0][-1]]
+    if not lengths:
+        raise FitError(f"the log takes {spans[0][-1]:.3g} s; give one of {1.5 * LENGTHS[0]:g} s.")
+    pairs = list(zip(records, spans, strict=True))
+    rest = all_at_friction([[r[0].rows(t > lengths[-1])] for r, t in pairs])
+
+    def errors(laws: Sequence[FrictionLaw]) -> tuple[float, ...]:
+        return tuple(map(training_error, laws, rest))
+
+    found = []
+    for seconds in lengths:
+        head = [[r[0].rows(t <= seconds)] for r, t in pairs]
+        scratch = None
+        with suppress(HesrError):
+            fits = zip(prior.laws, all_at_friction(head), strict=True)
+            scratch = errors([fit_joint(law.name, of_joint, seed=0) for law, of_joint in fits])
+        adapted = errors(adapt(prior, head)[0].laws)
+        found.append(AdaptationErrors(seconds, errors(prior.laws), adapted, scratch))
+    return found
