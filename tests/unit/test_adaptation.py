@@ -1,13 +1,16 @@
 """Adaptation of laws to seconds of a new day."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from joint_data import along, law, path, with_tau
+from joint_data import along, path, with_tau
+from joint_data import law as true_law
 
+import hesr
 from hesr_model.audit.certificate import certify
-from hesr_model.errors import FitError, HesrError
+from hesr_model.errors import ArgumentError, FitError, HesrError
 from hesr_model.fitting import adaptation
 from hesr_model.fitting.adaptation import adapt, compare_lengths, prior_of
 from hesr_model.fitting.fit import fit_models
@@ -17,7 +20,7 @@ from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import Thermal
 from hesr_model.rigid_body.residual import FrictionRecord
 
-TRUTH = law(
+TRUTH = true_law(
     "lugre", {}, sigma_0=2000.0, sigma_1=0.0, sigma_2=7.0, F_c=5.0, F_s=6.0, v_s=0.1, tau_0=0.5
 )  # fmt: skip
 
@@ -75,6 +78,10 @@ def test_a_change_that_a_proof_does_not_allow_is_cut(monkeypatch: pytest.MonkeyP
     prior = fitted("parfam_s", *wavy)
     assert any(name.startswith("ripple") for name in prior.laws[0].values)
     assert certify(prior.laws[0], prior.trained[0]).verdict == "proven"
+    (law,) = prior.laws
+    assert law.covariance is not None
+    loose = replace(law.covariance, within=1e6 * law.covariance.within)
+    prior = replace(prior, laws=(replace(law, covariance=loose),))
     new = day(7, sigma_2=0.1, F_c=1.0, F_s=1.0)
     new = replace(new, tau=new.tau + 5.0 * np.cos(20.0 * new.q))
     model, _ = adapt(prior, [[new]])
@@ -140,3 +147,14 @@ def test_priors_that_cannot_be_adapted_are_refused(prior: FrictionModel) -> None
             prior_of(models)
     with pytest.raises(FitError, match="but the prior elbow"):
         adapt(other, [[day(0)]])
+
+
+@pytest.mark.parametrize("given", [{}, {"law": "lugre", "prior": ["law.json"]}])
+def test_either_a_law_or_a_prior_is_needed(given: dict[str, Any]) -> None:
+    with pytest.raises(ArgumentError, match="give either 'law' or 'prior', fitted laws without"):
+        hesr.fit("log.csv", **given)
+
+
+def test_a_comparison_of_lengths_needs_a_log(prior: FrictionModel) -> None:
+    with pytest.raises(ArgumentError, match="'kind' adaptation needs 'on', a log, and"):
+        hesr.test(prior, kind=["adaptation"])
