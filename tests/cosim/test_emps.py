@@ -1,6 +1,7 @@
 """A sliding axis end to end: MATLAB log, mass and friction, open loop, output error, FMU."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import emps
@@ -164,3 +165,23 @@ def test_the_command_line_covers_all_steps(
     torque = replay(fmu, record.t, record.dq[:, None])
     expected = FrictionModel.read(law).predict(t=record.t, dq=record.dq[:, None])
     np.testing.assert_allclose(torque, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("law", ["parfam_s_v", "parfam_s_load"])
+def test_finer_deflections_simulate_a_sliding_axis_better(
+    law: str, folder: Path, logs: tuple[Log, Log]
+) -> None:
+    """In open loop and over windows of an unseen log, against those of rotating joints."""
+    robot = Robot(RobotDescription.read(folder / "robot.toml"))
+    body = identify([logs[0]], robot)
+    records, unseen = (friction_records(log, robot, body) for log in logs)
+    errors = []
+    for sliding in (True, False):
+        model = fit(law, [replace(r, sliding=sliding) for r in records])
+        own = Simulator(robot=robot, parameters=body.parameters, friction=model)
+        found = [
+            position_errors(own.run(windows), windows)[0]
+            for windows in (whole(unseen), windows_of([unseen], 0.2))
+        ]
+        errors.append(np.array(found, dtype=float))
+    assert np.all(errors[0] <= 0.8 * errors[1]), errors

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
+from fmu_src.check.run import check
 from fmu_src.drive.drive_fmu import content as drive
 from fmu_src.drive.drive_fmu import motors as motors_of
 from fmu_src.export.package import write_fmu
@@ -68,6 +69,10 @@ def test_the_band_of_the_fmu_matches_the_model(banded, banded_fmu, make_motion) 
         found = replay(banded_fmu, t, dq, q, load, output=name)
         assert np.abs(found - end).max() <= 1e-9 * np.abs(end).max()
     assert np.abs(replay(banded_fmu, t, dq, q, load) - torque).max() <= 1e-11 * np.abs(torque).max()
+
+
+def test_checkers_find_no_problem_in_a_coupled_band(banded_fmu) -> None:
+    assert check(banded_fmu).problems == ()
 
 
 def test_joint_power_equals_motor_power(model, make_motion) -> None:
