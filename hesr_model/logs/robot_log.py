@@ -201,9 +201,8 @@ class Log:
 
     @property
     def _signals(self) -> dict[str, Array]:
-        found = {"q": self.q, "dq": self.dq, "tau": self.tau, "temperature": self.temperature}
-        found["q_link"] = self.q_link
-        return {name: values for name, values in found.items() if values is not None}
+        names = ("q", "dq", "tau", "temperature", "q_link")
+        return {name: values for name in names if (values := getattr(self, name)) is not None}
 
     @property
     def _columns(self) -> dict[str, Array]:

@@ -162,10 +162,10 @@ def gears_of(
         places = dict(zip((*_OF_GEAR, *_OF_LINK), [*range(at, at + FIXED), *link], strict=True))
         del places["offset"]
         parameters = {n: (float(x[k]), float(errors[k])) for n, k in places.items()}
-        after = at + form.columns.shape[1]
-        elements = tuple(zip(form.widths.tolist(), x[at + FIXED : after].tolist(), strict=True))
+        torques = x[at + FIXED :][: len(form.widths)].tolist()
+        elements = tuple(zip(form.widths.tolist(), torques, strict=True))
         found.append(
             ElasticGear(joint=joint, zero=form.zero, parameters=parameters, elements=elements)
         )
-        at = after
+        at += form.columns.shape[1]
     return tuple(found)

@@ -254,8 +254,7 @@ class Robot:
         parts = [np.empty((0, self.n))]
         for start in range(0, len(q), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)
-            turning = None if rotors is None else rotors[rows]
-            regressor = self.regressor(q[rows], dq[rows], ddq[rows], turning)
+            regressor = self.regressor(*(x[rows] for x in (q, dq, ddq, rotors) if x is not None))
             own = parameters if parameters.ndim == 1 else parameters[rows, :, None]
             parts.append((regressor @ own).reshape(-1, self.n))
         return np.concatenate(parts)
