@@ -12,7 +12,7 @@ from cosim.study.scores import by_joint
 from fmu_src.friction.predictions import Records
 from hesr_model.errors import SimulationError
 from hesr_model.forward.simulation import Simulator, inner_steps, position_errors
-from hesr_model.forward.windows import Logs, Windows, joined, whole, windows_of
+from hesr_model.forward.windows import Windows, joined, weightless, whole, windows_of
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
@@ -21,7 +21,6 @@ from hesr_model.support import parallel
 SIMULATION = "simulation.json"
 LENGTHS = (0.2, 0.5)  # [s] of the windows
 
-_WEIGHTLESS = 1e-9  # threshold of gravity over the largest torque
 _Errors = tuple[float | None, ...]  # [rad; m] by joint; None if the simulation diverges
 
 _log = logging.getLogger(__name__)
@@ -53,7 +52,7 @@ def simulate_tests(
         except SimulationError as error:
             _warn(error)
             continue
-        if _weightless(of_joints, robot, body):
+        if weightless(of_joints, robot, body):
             logs[test] = list(map(whole, of_joints))
     cut = [w for of_test in (*windows.values(), *logs.values()) for w in of_test]
     jobs = [partial(_errors, model, cut, robot, body) for model in models.values()]
@@ -103,13 +102,6 @@ def _errors(
     except SimulationError as error:
         return error
     return [found[i] for i in range(len(cut))]
-
-
-def _weightless(logs: Logs, robot: Robot, body: RigidBody) -> bool:
-    q = np.concatenate([np.column_stack([r.q for r in log]) for log in logs])
-    weight = robot.torque(body.parameters, q, np.zeros_like(q), np.zeros_like(q))
-    largest = max(np.abs(r.measured).max() for log in logs for r in log)
-    return bool(np.abs(weight).max() <= _WEIGHTLESS * largest)
 
 
 def _over_all(errors: Iterator[_Errors], logs: Sequence[Windows]) -> _Errors:

@@ -73,6 +73,8 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     folder = path.resolve().parent
     paths = [log.path.resolve() for log in proposal.logs if log.path]
     files = [Path(relpath(path, folder)).as_posix() for path in paths]
+    one = ['# refinement = "output_error"  # also refine the laws for simulation; it takes longer']
+    one *= len(proposal.robot.joints) == 1 and not proposal.robot.log.cylinder
     lines = [
         "# Proposed by 'hesr inspect'; 'hesr run' runs it. Paths are relative to this file.",
         "",
@@ -81,6 +83,7 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
         "seed = 0",
         f"laws = {json.dumps(laws_of(proposal))}  # 'hesr fit --list' lists all",
         "# physical = true  # physically possible masses, if the logs determine too little",
+        *one,
         "",
         "[logs]",
     ]

@@ -112,6 +112,7 @@ def run_study(
                 found,
                 gear_ratio=job.robot.gear_ratio is not None,
                 expected=Forecast.of(run.files[name] for name in study.logs.training),
+                refined=run.refined if study.refinement else None,
             )
             write_verdict(folder, words)
             made = dict(models) | recommended(
@@ -186,6 +187,8 @@ def score_study(
     }
     models, left_out = job.fit_all(records, source)
     models |= {law: replace(m, provenance=source) for law, m in refined.items() if law in models}
+    refinements = job.simulators(logs, model, rigid_body, models)
+    models |= {law: one.friction for law, one in refinements.items()}
     findings += log_findings(check_laws(models, records_of(study.logs.training, records)))
     write_findings(folder, findings)
     for law, fitted in models.items():
@@ -211,6 +214,7 @@ def score_study(
         fmus=fmus,
         comparisons=comparisons,
         predictions=predictions,
+        refined=refinements,
     )
 
 

@@ -33,7 +33,7 @@ from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.findings import log_findings
 from hesr_model.fitting.day_offsets import with_own
 from hesr_model.fitting.fit import fit_models
-from hesr_model.forward.output_error import refine
+from hesr_model.forward.output_error import Refined, refine
 from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.friction.registry import estimator, registry
 from hesr_model.logs.robot_log import Log
@@ -74,7 +74,7 @@ class Job:
                 raise self._error(f"key 'variants.{name}' has the name of a law; rename it.")
             self._require_law(f"variants.{name}.law", variant.law)
             self._require_law(f"variants.{name}.options", variant.law, variant.options)
-        if study.refinement:
+        if study.refinement and study.refinement.law:
             self._require_law("refinement.law", study.refinement.law)
         for law in study.tracking.sources if study.tracking else ():
             if law not in self.laws:
@@ -243,13 +243,51 @@ class Job:
                 name: [friction_records(part, model, found) for part in log.parts()]
                 for name, log in training.items()
             }
-            friction = self.fit(records, (law,), "refining the rigid body", {})[law]
+            what = "refining the rigid body"
+            if not law:  # every law is refined later, with this body
+                if model.n == 1:
+                    tried = self.fit(records, self.laws, what, {}, left_out=lambda *_: None)
+                    both = self.refine(training, model, found, tried, with_body=True)
+                    found = min(both.values(), key=lambda one: one.size).body
+                continue
+            friction = self.fit(records, (law,), what, {})[law]
             if refinement.kind == "output_error":
                 together = refine(model, found, friction, smoothed(list(training.values()), model))
                 found, refined = together.body, {law: together.friction}
             else:
                 found = identify_again(forward, model, found, friction, reversed_logs=backward)
         return found, refined
+
+    def refine(
+        self,
+        training: Mapping[str, Log],
+        model: Robot,
+        body: RigidBody,
+        models: Mapping[str, FrictionModel],
+        *,
+        with_body: bool = False,
+    ) -> dict[str, Refined]:
+        """Refine laws by output error on the training logs."""
+        motions = smoothed(list(training.values()), model)
+        own = partial(refine, model, body, motions=motions, with_body=with_body)
+        jobs = [partial(own, friction, seed=self.study.seed) for friction in models.values()]
+        costs = [friction.size for friction in models.values()]
+        with parallel.results_of(jobs, None, costs, list(models)) as done:
+            progress = partial(self.progress, "refining by output error")
+            return {law: next(done) for law in counted(list(models), progress)}
+
+    def simulators(
+        self,
+        logs: Mapping[str, Log],
+        model: Robot,
+        body: RigidBody,
+        models: Mapping[str, FrictionModel],
+    ) -> dict[str, Refined]:
+        """Refine every law by output error if the study does; else return nothing."""
+        if self.study.refinement is None or self.study.refinement.law:
+            return {}
+        training = {name: logs[name] for name in self.study.logs.training}
+        return self.refine(training, model, body, models)
 
     def fit(
         self,

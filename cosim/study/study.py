@@ -81,11 +81,25 @@ class TimeBand(Config):
 
 
 class RefinementStudy(Config):
-    """Refinement of the body: again with fitted friction, or both to the simulated position."""
+    """Refinement of the body: again with fitted friction, or both to the simulated position.
+
+    Without `law`, output error refines every law, and the body if the robot has one joint.
+    """
 
     kind: Literal["in_turn", "output_error"] = "in_turn"
-    law: str
+    law: str = ""
     rounds: int = Field(default=1, ge=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _a_name_is_a_kind(cls, data: Any) -> Any:
+        return {"kind": data} if isinstance(data, str) else data
+
+    @model_validator(mode="after")
+    def _a_law_refines_in_turn(self) -> Self:
+        if self.kind == "in_turn" and not self.law:
+            raise ValueError("'law' is missing; only \"output_error\" refines every law")
+        return self
 
 
 class Study(Config):
@@ -111,7 +125,7 @@ class Study(Config):
         for band in self.bands:
             if band.test not in self.logs.test:
                 raise ValueError(f"band '{band.name}': test set '{band.test}' is unknown")
-        if self.physical and self.refinement:
+        if self.physical and self.refinement and self.refinement.law:
             raise ValueError("'physical' and 'refinement' exclude each other; remove one")
         rows = {
             "law": [*self.laws, *self.variants],

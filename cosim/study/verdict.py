@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cosim.report.tables.table import joints as short_names
-from cosim.report.tables.table import on_joints
+from cosim.report.tables.table import on_joints, title
 from cosim.study.forecast import Forecast
 from cosim.study.scores import RECORDED, Comparison, LawScores
 from fmu_src.friction.predictions import Records
 from hesr_model.audit.properties import combined
+from hesr_model.forward.output_error import Refined
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.model import MIXED, FrictionModel, compatible
 from hesr_model.friction.trained_range import outside
@@ -52,6 +53,36 @@ class Separation:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ForSimulation:
+    """Law for simulation, by its position errors on left-out windows of the training logs."""
+
+    law: str
+    fmu: str  # path in the folder of results
+    errors: Mapping[str, float]  # geometric mean by law [rad; m]
+    refined: tuple[str, ...]  # laws that output error improved
+
+    @classmethod
+    def of(cls, refined: Mapping[str, Refined]) -> "ForSimulation | None":
+        """Return the law with the lowest error; None without windows."""
+        errors = {law: one.size for law, one in refined.items() if np.isfinite(one.size)}
+        if not errors:
+            return None
+        law = min(errors, key=errors.__getitem__)
+        improved = tuple(law for law, one in refined.items() if one.ratio < 1.0)
+        return cls(law=law, fmu=f"fmus/{law}.fmu", errors=errors, refined=improved)
+
+    def sentence(self, feed_forward: str) -> str:
+        """Return the recommendation, next to that for feed-forward."""
+        ratio = self.errors[self.law] / self.errors.get(feed_forward, self.errors[self.law])
+        compared = f", {ratio:.2f} times that of {title(feed_forward)}" if ratio < 1.0 else ""
+        return (
+            f"Recommended for simulation: {self.fmu} ({title(self.law)}): it has the lowest "
+            f"position error on left-out windows of the training logs{compared}; output error "
+            f"improved {len(self.refined)} of {len(self.errors)} laws."
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Verdict:
     """Verdict of a run in sentences."""
 
@@ -66,6 +97,7 @@ class Verdict:
     limits: tuple[str, ...] = ()  # of the test
     constants: tuple[str, ...] = ()  # of the robot, with sources
     planned: str = ""  # comparison with the plan of the motion
+    simulation: ForSimulation | None = None  # if the study refines by output error
 
     @property
     def laws(self) -> tuple[str, ...]:
@@ -79,7 +111,8 @@ class Verdict:
         shares = zip(short_names(len(self.unexplained)), self.unexplained.values(), strict=True)
         left = ", ".join(f"{joint} {share:.0f} %" for joint, share in shares)
         return (
-            f"Recommended: {self.fmu} ({on_joints(self.laws)}): {self.why}",
+            f"Recommended: {self.fmu} ({on_joints(self.laws)}), for feed-forward: {self.why}",
+            *([self.simulation.sentence(self.law)] if self.simulation else []),
             *self.constants,
             *self.limits,
             f"Unexplained friction on '{self.test}': {left}.",
@@ -98,8 +131,12 @@ def verdict(
     *,
     gear_ratio: bool,
     expected: Forecast | None = None,
+    refined: Mapping[str, Refined] | None = None,
 ) -> Verdict:
-    """Judge a run by its first test set; records are [joint][log]."""
+    """Judge a run by its first test set; records are [joint][log].
+
+    `refined` are the laws refined by output error, None if the study does not refine.
+    """
     test, scores = next(iter(comparisons.items()))
     laws, why = recommend(scores, models)
     law = laws[0] if len(set(laws)) == 1 else MIXED
@@ -116,7 +153,11 @@ def verdict(
         why=why,
         unexplained=percent,
         weak=tuple(_weak(scores.of(laws), percent, combined(law, properties, laws))),
-        improve=tuple(_improve(models[laws[0]], trained, tested, gear_ratio=gear_ratio)),
+        improve=(
+            *_improve(models[laws[0]], trained, tested, gear_ratio=gear_ratio),
+            *_simulate(trained, refined),
+        ),
+        simulation=ForSimulation.of(refined or {}),
         joints=joints,
         limits=tuple(limits(f"'{test}'", joints)),
         constants=tuple(statements(models[laws[0]].provenance)),
@@ -274,6 +315,13 @@ def _improve(
             yield f"{', '.join(names)}: {sentence}"
     if not gear_ratio:
         yield "Add gear_ratio to the robot file to also fit motor ripple."
+
+
+def _simulate(trained: Records, refined: Mapping[str, Refined] | None) -> Iterator[str]:
+    if refined is None and len(trained) == 1 and trained[0][0].tau_body is None:
+        yield 'To choose and refine a law for simulation, add refinement = "output_error".'
+    if refined and ForSimulation.of(refined) is None:
+        yield "The training logs are too short to choose a law for simulation by left-out windows."
 
 
 def write_verdict(folder: Path, found: Verdict) -> None:

@@ -36,6 +36,9 @@ class RunResult(Answer):
         """Return the verdict, the number of warnings and the report."""
         found = self.outcome.verdict
         located = replace(found, fmu=str(self.outcome.fmus[found.law]))  # can be copied
+        if found.simulation:
+            fmu = str(self.outcome.fmus[found.simulation.law])
+            located = replace(located, simulation=replace(found.simulation, fmu=fmu))
         lines = list(located.sentences)
         if count := len(self.findings):
             lines.append(f"{count} finding{'s' * (count > 1)} of the checks: --verbose lists them.")

@@ -84,7 +84,7 @@ class LawReport(Answer):
         if self.scores.bands:
             shown.append(bands("test", self.scores))
         if self.positions is not None:
-            shown.append(position_errors("test", self.positions, sliding))
+            shown.append(position_errors("test", self.positions, self.scores, sliding))
         return shown
 
     def _audit_tables(self) -> list[ResultTable | str]:

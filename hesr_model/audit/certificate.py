@@ -92,6 +92,15 @@ def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
         )
 
 
+def proven(law: FrictionLaw) -> bool:
+    """Return whether a proof of passivity exists, without a search for cycles."""
+    try:
+        _Proof(law).certificate()
+    except _UnprovenError:
+        return False
+    return True
+
+
 def least_viscosity(law: FrictionLaw) -> float:
     """Return the smallest factor on viscous friction that keeps the proof, else 0."""
     return scale_limits(law)[1][0]

@@ -1,4 +1,4 @@
-"""Joint refinement of body and friction by output error.
+"""Refinement of friction, or of body and friction, by output error.
 
 The cost is the position error over short windows; the torque error determines the other directions
 (DIDIM: Gautier, Janot and Vandanjon 2013, "A new closed-loop output error method for parameter
@@ -7,21 +7,26 @@ has a state).
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hesr_model.audit.certificate import proven
 from hesr_model.forward.simulation import Simulator
-from hesr_model.forward.windows import joined, windows_of
+from hesr_model.forward.windows import RUN_IN, Logs, Windows, joined, weightless, windows_of
 from hesr_model.friction.model import FrictionModel
+from hesr_model.laws.stops.form import OLDEST
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import motion_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
-WINDOW = 0.5  # length of the windows [s]
+LENGTH = 0.5  # [s] windows
+LONG = 2.0  # [s] further windows without gravity, and the blocks of left-out windows
 MOST_TORQUE = 1.02  # largest allowed ratio of a joint's torque error to that before
+MOST_COEFFICIENTS = 64  # of laws that are refined
 _STEP = 1e-3  # finite-difference step, relative
 _TORQUE = 0.5  # weight of the mean square torque error
 _DAMPING = (1e-3, 1e-2, 1e-1, 1.0, 1e1)  # damping of each round, relative to the curvature
@@ -33,14 +38,24 @@ _SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)  # shares of the way to the optimum
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """Refined body and friction, or the original ones with ratio 1 if nothing is better.
+    """Refined body and friction, or the original ones with ratio 1 if left-out windows are worse.
 
-    `ratio` is the RMS ratio of the position errors to those before.
+    `ratio` is the RMS ratio of the position errors to those before. `before` and `left_out` are
+    those on left-out windows, of the original and of this friction, by length and joint [rad; m].
     """
 
     body: RigidBody
     friction: FrictionModel
     ratio: float
+    before: Array
+    left_out: Array
+
+    @property
+    def size(self) -> float:
+        """Geometric mean of the errors on left-out windows; infinite if there are none."""
+        with np.errstate(all="ignore"):
+            found = float(np.exp(np.mean(np.log(self.left_out))))
+        return found if np.isfinite(found) else np.inf
 
 
 def refine(
@@ -49,51 +64,57 @@ def refine(
     friction: FrictionModel,
     motions: Sequence[Motion],
     *,
+    with_body: bool = True,
     rounds: int = 6,
     starts: int = 3,
     seed: int = 0,
 ) -> Refined:
-    """Refine body and friction jointly by output error.
+    """Refine friction, and the body unless it is fixed, by output error.
 
-    The best of several random starts continues for `rounds` damped Gauss-Newton steps. Raises
-    SimulationError if a log is too short.
+    The best of several random starts continues for `rounds` damped Gauss-Newton steps. Every other
+    block of `LONG` is left out in turn; the result counts if these improve. Laws proven passive
+    remain so. Raises SimulationError if a log is too short.
     """
-    problem = _Problem(robot, body, friction, motions)
-    moved = np.random.default_rng(seed).normal(scale=_SPREAD, size=(starts - 1, problem.size))
-    # Only friction varies: least squares determine the body much better.
-    moved[:, : len(problem.columns)] = 0.0
-    theta = np.vstack([np.zeros((1, problem.size)), moved])
-    found = problem.costs(theta)
-    best = theta[int(np.argmin(found))]
-    cost = float(found.min())
-    for _ in range(rounds):
-        residuals, slopes = problem.linearised(best)
-        gradient, curvature = slopes.T @ residuals, slopes.T @ slopes
-        scale = np.diag(np.diag(curvature) + 1e-12 * np.trace(curvature))
-        tried = np.array(
-            [best - np.linalg.solve(curvature + d * scale, gradient) for d in _DAMPING]
-        )
-        tried = np.clip(tried, -_MOST, _MOST)
-        found = problem.costs(tried)
-        if not found.min() < (1.0 - _LEAST) * cost:
-            break
-        best, cost = tried[int(np.argmin(found))], float(found.min())
-    return problem.accepted(best)
+    logs = [motion_records(motion, robot, body) for motion in motions]
+    sets = [windows_of(logs, LENGTH)]
+    longest = max(float(log[0].t[-1] - log[0].t[0]) for log in logs)
+    if longest >= RUN_IN + 4.0 * LONG and weightless(logs, robot, body):
+        sets.append(windows_of(logs, LONG))
+    problem = _Problem(robot, body, friction, motions, logs, sets, with_body=with_body)
+    halves = [problem.of_blocks(k) for k in range(2)]
+    before = after = np.full((len(sets), robot.n), np.nan)
+    if all(len(windows.t) for half in halves for windows in half.sets):
+        changes = [half.solved(rounds, starts, seed) for half in halves]
+        before = _rms(np.array([half.position_sizes for half in halves]))
+        pairs = zip(halves, reversed(changes), strict=True)
+        after = _rms(np.array([half.sizes(change) for half, change in pairs]))
+    if not _rms(after / before, axis=None) < 1.0:
+        return Refined(body=body, friction=friction, ratio=1.0, before=before, left_out=before)
+    return problem.refined(problem.solved(rounds, starts, seed), before, after)
 
 
 class _Problem:
     def __init__(
-        self, robot: Robot, body: RigidBody, friction: FrictionModel, motions: Sequence[Motion]
+        self,
+        robot: Robot,
+        body: RigidBody,
+        friction: FrictionModel,
+        motions: Sequence[Motion],
+        logs: Logs,
+        sets: Sequence[Windows],
+        *,
+        with_body: bool,
     ) -> None:
-        self._robot, self._body, self._friction, self._motions = robot, body, friction, motions
-        self._logs = [motion_records(motion, robot, body) for motion in motions]
-        self._windows = windows_of(self._logs, WINDOW)
-        self.columns = [k for k in body.base if body.parameters[k] != 0.0]
+        self._robot, self._body, self._friction = robot, body, friction
+        self._motions, self._logs, self.sets = motions, logs, sets
+        self._proven = [proven(law) for law in friction.laws]
+        self.columns = [k for k in body.base if with_body and body.parameters[k] != 0.0]
         self._names = [
             (joint, number)
             for joint, law in enumerate(friction.laws)
-            for number, value in enumerate(law.values.values())
-            if value != 0.0
+            for number, (name, value) in enumerate(law.values.items())
+            # P is a limit of the training, and networks have too many coefficients.
+            if value != 0.0 and name != OLDEST.name and len(law.values) <= MOST_COEFFICIENTS
         ]
         self.size = len(self.columns) + len(self._names)
         self._loads = [
@@ -101,8 +122,38 @@ class _Problem:
             for m in motions
         ]
         still = np.zeros(self.size)
-        self._position_sizes = _sizes(self._position(still[None])[0].reshape(-1, robot.n))
-        self._torque_sizes = _sizes(self._torque(still))
+        self.position_sizes = self.sizes(still)
+        self._torque_sizes = _rms(self._torque(still))
+
+    def of_blocks(self, k: int) -> "_Problem":
+        """Return the problem with the windows of every other block of time."""
+        half = copy(self)
+        half.sets = [w.some(w.blocks(LONG) % 2 == k) for w in self.sets]
+        half.position_sizes = half.sizes(np.zeros(self.size))
+        return half
+
+    def solved(self, rounds: int, starts: int, seed: int) -> Array:
+        """Return the best change that is allowed."""
+        moved = np.random.default_rng(seed).normal(scale=_SPREAD, size=(starts - 1, self.size))
+        # Only friction varies: least squares determine the body much better.
+        moved[:, : len(self.columns)] = 0.0
+        theta = np.vstack([np.zeros((1, self.size)), moved])
+        found = self.costs(theta)
+        best = theta[int(np.argmin(found))]
+        cost = float(found.min())
+        for _ in range(rounds):
+            residuals, slopes = self.linearised(best)
+            gradient, curvature = slopes.T @ residuals, slopes.T @ slopes
+            scale = np.diag(np.diag(curvature) + 1e-12 * np.trace(curvature))
+            tried = np.array(
+                [best - np.linalg.solve(curvature + d * scale, gradient) for d in _DAMPING]
+            )
+            tried = np.clip(tried, -_MOST, _MOST)
+            found = self.costs(tried)
+            if not found.min() < (1.0 - _LEAST) * cost:
+                break
+            best, cost = tried[int(np.argmin(found))], float(found.min())
+        return self._allowed(best)
 
     def costs(self, theta: Array) -> Array:
         with np.errstate(all="ignore"):
@@ -113,49 +164,80 @@ class _Problem:
         rows = np.array(self._rows(np.vstack([theta, theta + _STEP * np.eye(self.size)])))
         return rows[0], (rows[1:] - rows[0]).T / _STEP
 
-    def accepted(self, theta: Array) -> Refined:
-        """Return the largest change towards `theta` that no joint's torque error forbids."""
+    def _allowed(self, theta: Array) -> Array:
+        """Return the largest change towards `theta` that keeps torque errors and proofs.
+
+        Joints whose proof fails keep their friction.
+        """
         for share in _SHARES:
             change = share * theta
-            torque = _sizes(self._torque(change))
-            position = _sizes(self._position(change[None])[0].reshape(-1, self._robot.n))
-            ratio = float(np.sqrt(np.mean(np.square(position / self._position_sizes))))
-            if np.all(torque <= MOST_TORQUE * self._torque_sizes) and ratio < 1.0:
-                friction = replace(
-                    self._moved(change), training_rmse=tuple(torque.tolist()), left_out_rmse=()
-                )
-                return Refined(body=self._moved_body(change), friction=friction, ratio=ratio)
-        return Refined(body=self._body, friction=self._friction, ratio=1.0)
+            laws = self._moved(change).laws
+            lost = {j for j, was in enumerate(self._proven) if was and not proven(laws[j])}
+            of_joints = [joint for joint, _ in self._names]
+            change[len(self.columns) :][[joint in lost for joint in of_joints]] = 0.0
+            ratio = _rms(self.sizes(change) / self.position_sizes, axis=None)
+            enough = _rms(self._torque(change)) <= MOST_TORQUE * self._torque_sizes
+            if np.all(enough) and ratio < 1.0:
+                return change
+        return np.zeros_like(theta)
+
+    def refined(self, change: Array, before: Array, left_out: Array) -> Refined:
+        """Return body and friction after a change."""
+        torque = _rms(self._torque(change))
+        known = self._friction.left_out_rmse or ()
+        friction = replace(
+            self._moved(change),
+            training_rmse=tuple(torque.tolist()),
+            left_out_rmse=tuple((known * torque / self._torque_sizes).tolist()) if known else (),
+        )
+        return Refined(
+            body=self._moved_body(change),
+            friction=friction,
+            ratio=float(_rms(self.sizes(change) / self.position_sizes, axis=None)),
+            before=before,
+            left_out=left_out,
+        )
+
+    def sizes(self, change: Array) -> Array:
+        """Return the RMS position errors by length and joint [rad; m]."""
+        return np.array([_rms(part[0], axis=(0, 1)) for part in self._position(change[None])])
 
     def _rows(self, theta: Array) -> list[Array]:
-        positions = zip(self._position(theta), theta, strict=True)
-        return [self._residuals(position, change) for position, change in positions]
+        positions = zip(*self._position(theta), strict=True)
+        return [self._residuals(own, change) for own, change in zip(positions, theta, strict=True)]
 
-    def _residuals(self, position: Array, theta: Array) -> Array:
-        scaled = (position / self._position_sizes).ravel()
+    def _residuals(self, positions: Sequence[Array], theta: Array) -> Array:
+        scaled = [
+            (part / sizes).ravel() / np.sqrt(part.size * len(positions))
+            for part, sizes in zip(positions, self.position_sizes, strict=True)
+        ]
         torque = (self._torque(theta) / self._torque_sizes).ravel()
-        weight = np.sqrt(_TORQUE / torque.size)
-        return np.concatenate([scaled / np.sqrt(scaled.size), weight * torque])
+        return np.concatenate([*scaled, np.sqrt(_TORQUE / torque.size) * torque])
 
-    def _position(self, theta: Array) -> Array:
-        many, windows = len(theta), self._windows
+    def _position(self, theta: Array) -> list[Array]:
+        """Return the position errors (M, W, K + 1, n) of (M, P) changes by length."""
         friction = [self._moved(change) for change in theta]
-        count = len(windows.t)
-        states = [windows.states(model) for model in friction]
         numbers = [[list(law.values.values()) for law in model.laws] for model in friction]
         bodies = np.array([self._moved_body(change).parameters for change in theta])
-        simulator = Simulator(
-            robot=self._robot, parameters=np.repeat(bodies, count, axis=0), friction=self._friction
-        )
-        found = simulator.run(
-            joined([windows] * many),
-            values=[
-                np.repeat(np.array(of_law).T, count, axis=1)
-                for of_law in zip(*numbers, strict=True)
-            ],
-            states=[np.concatenate(of_law, axis=1) for of_law in zip(*states, strict=True)],
-        )
-        return found.reshape(many, *windows.q.shape) - windows.q
+        errors = []
+        for windows in self.sets:
+            count = len(windows.t)
+            states = [windows.states(model) for model in friction]
+            simulator = Simulator(
+                robot=self._robot,
+                parameters=np.repeat(bodies, count, axis=0),
+                friction=self._friction,
+            )
+            found = simulator.run(
+                joined([windows] * len(theta)),
+                values=[
+                    np.repeat(np.array(of_law).T, count, axis=1)
+                    for of_law in zip(*numbers, strict=True)
+                ],
+                states=[np.concatenate(of_law, axis=1) for of_law in zip(*states, strict=True)],
+            )
+            errors.append(found.reshape(len(theta), *windows.q.shape) - windows.q)
+        return errors
 
     def _torque(self, theta: Array) -> Array:
         friction, found = self._moved(theta), []
@@ -179,12 +261,13 @@ class _Problem:
                 law,
                 values=dict(zip(law.values, map(float, own), strict=True)),
                 standard_errors={},  # these belong to another estimate
+                covariance=None,
             )
             for law, own in zip(self._friction.laws, values, strict=True)
         ]
         return replace(self._friction, laws=tuple(laws))
 
 
-def _sizes(errors: Array) -> Array:
+def _rms(errors: Array, axis: int | tuple[int, ...] | None = 0) -> Array:
     with np.errstate(all="ignore"):
-        return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))
+        return np.asarray(np.sqrt(np.mean(np.square(errors), axis=axis)))

@@ -25,6 +25,8 @@ from hesr_model.support.arrays import Array
 SUBSTEP = 2.5e-3  # longest inner step [s]
 _SWEEPS = 2  # sweeps over joints, coupled by the mass matrix
 _ITERATIONS = 12  # iterations of a root
+_WAYS = (0.0, 1.0, 2.5)  # [rad; m] no sine or spring is equal at all three
+_CONSTANT = 1e-12  # spread of a constant weight over the mass
 _ROUNDING = 1e-6  # round-off of time differences, in inner steps
 _PRECISION = 1e-10  # precision of a velocity [rad/s]
 
@@ -82,11 +84,12 @@ class Simulator:
         )
         found = np.empty_like(windows.q)
         found[:, 0] = now.q
+        body = self._body(now.q, now.v) if self._is_constant(now.q) else None
         steps = np.diff(windows.t, axis=1)
         with np.errstate(all="ignore"):  # divergence shows in the result
             for k, dt in enumerate(steps.T):
                 middle = now.q if self.as_plant else now.q + 0.5 * dt[:, None] * now.v
-                inverse, bias = self._body(np.nan_to_num(middle), np.nan_to_num(now.v))
+                inverse, bias = body or self._body(np.nan_to_num(middle), np.nan_to_num(now.v))
                 tau = windows.tau[:, k]
                 if self.as_plant:
                     self._explicit(now, dt, tau - bias, inverse, bias)
@@ -97,6 +100,15 @@ class Simulator:
                         self._implicit(now, dt / parts, tau - bias, inverse, bias)
                 found[:, k + 1] = now.q
         return found
+
+    def _is_constant(self, q: Array) -> bool:
+        """Return whether mass and weight are those of one joint at any position."""
+        if self.robot.n > 1 or self.robot.follow:
+            return False
+        masses, weights = zip(
+            *(self.robot.dynamics(self.parameters, q + way, 0.0 * q) for way in _WAYS), strict=True
+        )
+        return bool(np.ptp(weights, axis=0).max() <= _CONSTANT * np.max(np.abs(masses)))
 
     def _body(self, q: Array, v: Array) -> tuple[Array, Array]:
         mass, bias = self.robot.dynamics(self.parameters, q, v)

@@ -1,18 +1,22 @@
 """Windows of measured motions as starts of a simulation."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from itertools import accumulate
+from dataclasses import dataclass, field, replace
+from itertools import accumulate, compress
 
 import numpy as np
 
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import states_over
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
-from hesr_model.support.arrays import Array
+from hesr_model.robots.robot import Robot
+from hesr_model.support.arrays import Array, Mask
 
 RUN_IN = 1.0  # run-in of friction states before a log's first window [s]
+_WEIGHTLESS = 1e-9  # threshold of gravity over the largest torque
+_ROUNDING = 0.01  # of times, in blocks
 _SIGNALS = ("t", "q", "dq", "tau")
 Logs = Sequence[Sequence[FrictionRecord]]  # records of each part of each log, [part][joint]
 
@@ -30,6 +34,20 @@ class Windows:
     tau: Array
     places: tuple[tuple[int, int], ...]
     logs: Logs = field(repr=False)
+
+    def blocks(self, length: float) -> Array:
+        """Return the number of each window's block of a length [s] after the run-in, (W,).
+
+        Those of the next log begin one higher.
+        """
+        starts = np.array([self.logs[part][0].t[0] + RUN_IN for part, _ in self.places])
+        parts = np.array([part for part, _ in self.places])
+        return np.asarray(parts + np.floor((self.t[:, 0] - starts) / length + _ROUNDING))
+
+    def some(self, rows: Mask) -> "Windows":
+        """Return some of the windows, in the same order."""
+        signals = {name: getattr(self, name)[rows] for name in _SIGNALS}
+        return replace(self, **signals, places=tuple(compress(self.places, rows)))
 
     def states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
         """Return each law's states (m, W), run in along the logs, `delay` rows before windows."""
@@ -94,3 +112,11 @@ def _cut(logs: Logs, places: Sequence[tuple[int, int]], steps: int) -> Windows:
         for name, parts in signals.items()
     }
     return Windows(**cut, places=tuple(places), logs=logs)
+
+
+def weightless(logs: Logs, robot: Robot, body: RigidBody) -> bool:
+    """Return whether gravity acts on no joint; otherwise whole logs diverge with any friction."""
+    q = np.concatenate([np.column_stack([r.q for r in log]) for log in logs])
+    weight = robot.torque(body.parameters, q, np.zeros_like(q), np.zeros_like(q))
+    largest = max(np.abs(r.measured).max() for log in logs for r in log)
+    return bool(np.abs(weight).max() <= _WEIGHTLESS * largest)

@@ -155,7 +155,7 @@ def test_the_command_line_covers_all_steps(
         *("--json", tmp_path / "a.json", "--verbose"),
     )
     assert said.code == 0, said.err
-    assert "simulated position [mm]" in said.out
+    assert "the position [mm]" in said.out
     data = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     (free,) = data["result"]["simulation"]["open_loop"]["stribeck"]
     assert free <= MOST

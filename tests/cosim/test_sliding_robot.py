@@ -84,7 +84,7 @@ def test_a_log_leads_to_an_arm_with_its_friction(tmp_path: Path, hesr: Hesr) -> 
     said = done("test", law, "--on", training, *given, "--verbose")
     assert "predicted torque [N.m (N where it slides)] over all rows" in " ".join(said.split())
 
-    assert "simulated position [mrad (mm where it slides)]" in " ".join(said.split())
+    assert "the position [mrad (mm where it slides)]" in " ".join(said.split())
 
     done("export", law, "-o", tmp_path / "Friction.fmu")
     done("export", mjcf, "-o", tmp_path / "Arm.fmu")

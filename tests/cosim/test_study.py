@@ -104,6 +104,13 @@ def test_optional_keys_have_defaults(write: Callable[[str], Path]) -> None:
     assert study.logs.reversed == ()
 
 
+def test_output_error_refines_every_law_with_any_body(write: Callable[[str], Path]) -> None:
+    text = f'name = "x"\nrobot = "r.toml"\nphysical = true\nrefinement = "output_error"\n{LOGS}'
+    study = Study.read(write(text))
+    assert study.refinement is not None
+    assert (study.refinement.kind, study.refinement.law) == ("output_error", "")
+
+
 HEAD = 'name = "x"\nrobot = "r.toml"\n'
 
 
@@ -122,7 +129,8 @@ HEAD = 'name = "x"\nrobot = "r.toml"\n'
         (f"{HEAD}{LOGS}[variants.a]\noptions = {{}}", "key 'variants.a.law' is missing"),
         (f'{HEAD}{LOGS}[variants.a]\nlaw = "x"\nextra = 1', "unknown key 'variants.a.extra'"),
         (f'{HEAD}{LOGS}[variants."a b"]\nlaw = "x"', "a b"),
-        (f"{HEAD}refinement = {{ rounds = 1 }}\n{LOGS}", "key 'refinement.law' is missing"),
+        (f"{HEAD}refinement = {{ rounds = 1 }}\n{LOGS}", "table 'refinement': 'law' is missing"),
+        (f'{HEAD}refinement = "output"\n{LOGS}', "key 'refinement.kind' is 'output'"),
         (
             f'{HEAD}refinement = {{ law = "x", rounds = 0 }}\n{LOGS}',
             "key 'refinement.rounds' is 0",

@@ -89,7 +89,7 @@ def test_a_verdict_names_the_fmu_the_reason_and_the_residual(
     assert list(found.unexplained) == list(JOINTS)
     text = "\n".join(found.sentences)
     assert text.startswith(
-        "Recommended: fmus/lugre.fmu (LuGre): no law is significantly better, and of those within"
+        "Recommended: fmus/lugre.fmu (LuGre), for feed-forward: no law is significantly better, and"
     )
     assert f"J1 {expected[0]:.0f} %, J2 {expected[1]:.0f} %." in text
 
@@ -292,7 +292,7 @@ def test_a_law_better_on_two_of_six_joints_is_recommended_for_them(trained, test
     assert found.laws == ("lugre",) * 4 + ("lugre_load",) * 2
     assert (found.law, found.fmu) == ("recommended", "fmus/recommended.fmu")
     judge(scores, found.laws, found.why)
-    start = "Recommended: fmus/recommended.fmu (LuGre on J1, J2, J3, J4; LuGre+load on J5, J6): "
+    start = "Recommended: fmus/recommended.fmu (LuGre on J1, J2, J3, J4; LuGre+load on J5, J6), "
     assert found.sentences[0].startswith(start)
     lowest = [min(of.rmse[j] for of in scores.laws.values()) for j in range(6)]
     shares = [100 * e / std for e, std in zip(lowest, scores.tau_std, strict=True)]

@@ -64,7 +64,7 @@ def _test(results: Results, test: str) -> dict[str, Any]:
         "laws": ", ".join(map(title, laws)),
         "window": window,
         "traces": _chart(results, log, laws, window=window) if log and not split else None,
-        "simulated": simulated and tables.position_errors(test, simulated, results.sliding),
+        "simulated": simulated and tables.position_errors(test, simulated, scores, results.sliding),
         "bands": tables.bands(test, scores) if scores.bands else None,
         "separations": tables.separations(test, scores, decided),
     }

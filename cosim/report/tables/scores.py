@@ -213,27 +213,39 @@ def _mean_ratio(errors: Errors, law: str, reference: str) -> float | None:
     return math.exp(math.fsum(logs) / len(logs)) if logs else None
 
 
-def position_errors(name: str, found: PositionErrors, sliding: Sequence[bool] = ()) -> ResultTable:
-    """Return position errors of laws as simulators over windows of a test set."""
-    parts = [
-        (f"windows of {length:g} s", {law: of_law[k] for law, of_law in found.windows.items()})
-        for k, length in enumerate(found.lengths)
-    ]
+def position_errors(
+    name: str, found: PositionErrors, scores: Comparison, sliding: Sequence[bool] = ()
+) -> ResultTable:
+    """Return errors of laws by joint: torque for feed-forward, position for simulation."""
+    laws = list(found.windows)
+    errors: list[list[Sequence[float | None]]] = [[scores.laws[law].rmse for law in laws]]
+    errors += [[found.windows[law][k] for law in laws] for k in range(len(found.lengths))]
+    heads = [f"{length:g} s" for length in found.lengths]
     if found.open_loop:
-        parts.append(("whole logs, open loop", dict(found.open_loop)))
+        errors.append([found.open_loop.get(law, (None,) * len(found.joints)) for law in laws])
+        heads.append("open loop")
     rows = []
-    for heading, errors in parts:
-        scaled = {
-            law: [None if e is None else 1e3 * e for e in of_law] for law, of_law in errors.items()
-        }
-        places = [decimals(column) for column in zip(*scaled.values(), strict=True)]
-        rows.append(row_of(heading))
-        rows += [row_of(title(law), *map(fixed, row, places)) for law, row in scaled.items()]
-    unit = unit_of_joints("mrad", sliding)
+    for j, joint in enumerate(joints(len(found.joints))):
+        columns = [
+            [e and scale * e for e in (of_law[j] for of_law in column)]
+            for column, scale in zip(errors, (1.0, *[1e3] * len(heads)), strict=True)
+        ]
+        least = [min((e for e in column if e is not None), default=None) for column in columns]
+        places = [decimals(column) for column in columns]
+        rows += [row_of(joint)] * (len(found.joints) > 1)
+        rows += [
+            row_of(
+                title(law),
+                *(fixed(e, p, best=e == b) for e, p, b in zip(row, places, least, strict=True)),
+            )
+            for law, *row in zip(laws, *columns, strict=True)
+        ]
+    torque, position = unit_of_joints("N.m", sliding), unit_of_joints("mrad", sliding)
     return ResultTable(
-        caption=f"{name}: RMS error of the simulated position [{unit}]: measured torque in, "
-        "identified body and friction, position out",
-        head=("law", *joints(len(found.joints))),
+        caption=f"{name}: RMS error of the torque [{torque}], and of the position [{position}] "
+        "simulated with measured torque, identified body and friction: over windows, and over "
+        "whole logs in open loop",
+        head=("law", "torque", *heads),
         rows=rows,
     )
 

@@ -128,7 +128,7 @@ def test_errors_on_other_plants_and_of_positions(recorded: Recorded) -> None:
         [
             scores.other_truths(comparisons, {"stiff": other}),
             scores.other_truths(comparisons, {"stiff": other, "soft": other}, "own"),
-            scores.position_errors("unseen", positions, (False, True)),
+            scores.position_errors("unseen", positions, SHORT, (False, True)),
         ]
     )
     assert scores.leading({"unseen": {"dahl": (1.0, 9.0), "lugre": (2.0, 2.0)}}) == "lugre"
