@@ -26,6 +26,8 @@ from hesr_model.support.files import settle
 from hesr_model.support.typed_json import from_json, read_json
 from hesr_model.units import unit_of_joints
 
+AREAS = ("prediction", "at rest", "at reversals", "simulation", "between days")
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Results:
@@ -85,6 +87,28 @@ class Results:
     def recommended(self) -> tuple[str, ...]:
         """Laws of the verdict by joint, or else the best one."""
         return self.verdict.laws if self.verdict else (self.best,) * len(self.joints)
+
+    def against(self, joint: int) -> tuple[str, str, dict[str, float | None]]:
+        """Return recommended law and strongest reference of a joint, and ratios of their errors.
+
+        Ratios are those of the first test set by `AREAS`, None where the run has no such errors.
+        """
+        test = self.tests[0]
+        scores, law = self.comparisons[test], self.recommended[joint]
+        pair = law, scores.ratios.of(law, joint)
+        of_laws = [scores.laws[one] for one in pair]
+        models = [self.models[one] for one in pair]
+        days = sum("training" in log.roles for log in self.run.logs) > 1
+        simulated = self.simulated.get(test)
+        errors = (
+            [of.rmse[joint : joint + 1] for of in of_laws],
+            [of.rmse_rest[joint : joint + 1] for of in of_laws],
+            [of.rmse_reversal[joint : joint + 1] for of in of_laws],
+            [_simulated(simulated, one, joint) for one in pair],
+            [m.left_out_rmse[joint : joint + 1] if days and not m.coupling else () for m in models],
+        )
+        ratios = (o[0] / r[0] if o and r and o[0] and r[0] else None for o, r in errors)
+        return *pair, dict(zip(AREAS, ratios, strict=True))
 
     @property
     def fmu(self) -> str:
@@ -154,6 +178,13 @@ class Results:
             provenance=body.provenance,
             **(_loop(folder) if run.controller else {}),
         )
+
+
+def _simulated(found: PositionErrors | None, law: str, joint: int) -> tuple[float | None, ...]:
+    """Return the position error [rad; m] of whole logs, or else of the longest windows."""
+    if found is None or law not in found.windows:
+        return ()
+    return (found.open_loop.get(law) or found.windows[law][-1])[joint : joint + 1]
 
 
 def _comparisons(path: Path) -> dict[str, Comparison]:

@@ -91,6 +91,7 @@ class LawScores:
     rmse_reversal: tuple[float | None, ...]
     rmse_moving: tuple[float | None, ...]
     r2: tuple[float | None, ...]
+    rmse_rest: tuple[float | None, ...] = ()  # empty in earlier versions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +192,9 @@ def compare(
         joints=tuple(of_joint[0].joint for of_joint in records),
         tau_std=tuple(s.tau_std for s in scores[fallback]),
         laws={
-            law: LawScores(**{m: tuple(getattr(s, m) for s in row) for m in MEASURES})
+            law: LawScores(
+                **{m: tuple(getattr(s, m) for s in row) for m in (*MEASURES, "rmse_rest")}
+            )
             for law, row in scores.items()
         },
         ratios=Ratios(

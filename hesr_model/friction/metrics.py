@@ -22,6 +22,7 @@ class Score:
     rmse_reversal: float | None
     rmse_moving: float | None
     r2: float | None
+    rmse_rest: float | None = None
 
 
 def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Score:
@@ -35,6 +36,7 @@ def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Sc
         rmse_reversal=rmse(error[near]) if np.any(near) else None,
         rmse_moving=rmse(error[fast]) if np.any(fast) else None,
         r2=1.0 - (rmse(error) / tau_std) ** 2 if tau_std > 0 else None,
+        rmse_rest=None if np.all(fast) else rmse(error[~fast]),
     )
 
 
