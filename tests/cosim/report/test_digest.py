@@ -3,8 +3,10 @@
 import csv
 import re
 import shutil
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from statistics import geometric_mean
 
 import pytest
 from click.testing import CliRunner
@@ -102,3 +104,51 @@ def test_the_command_prints_the_written_file(results: Path, tmp_path: Path) -> N
     ended = CliRunner().invoke(app, ["report", str(results), "-o", str(page)])
     assert ended.exit_code == 0, ended.output
     assert page.name in ended.output.replace("\n", "")
+
+
+def test_several_runs_begin_with_a_table_of_recommended_laws(results: Path, tmp_path: Path) -> None:
+    run = Results.read(results)
+    page = write_digest([results, results], tmp_path / "r.md").read_text(encoding="utf-8")
+    assert "## Robots\n" not in write_digest([results], tmp_path / "one.md").read_text("utf-8")
+    lines = page[page.index("## Robots\n") : page.index("## small")].splitlines()
+    test = run.comparisons[run.tests[0]]
+    shown = [cells(line) for line in lines if line.startswith(tuple(f"| {j} " for j in run.joints))]
+    assert len(shown) == 2 * len(run.joints)
+    ratios = []
+    for k, (joint, law, reference, *figures) in enumerate(shown[: len(run.joints)]):
+        names = {title(name): name for name in test.laws}
+        own, other = test.laws[names[law]], test.laws[names[reference]]
+        assert joint == run.joints[k]
+        assert names[law] == run.recommended[k]
+        ratios.append(own.rmse[k] / other.rmse[k])
+        assert float(figures[0]) == pytest.approx(ratios[-1], abs=0.006)
+        assert own.rmse_rest[k]
+        assert other.rmse_rest[k]
+        assert float(figures[1]) == pytest.approx(own.rmse_rest[k] / other.rmse_rest[k], abs=0.006)
+        assert figures[4] == "–"  # a single training log has no other day
+    (mean, again) = (cells(line) for line in lines if line.startswith(f"| {run.run.robot} "))
+    assert mean == again
+    assert float(mean[3]) == pytest.approx(geometric_mean(ratios), abs=0.006)
+    with (tmp_path / "r_tables" / "robots.csv").open(encoding="utf-8") as file:
+        (first, *_) = csv.DictReader(file)
+    assert float(first["prediction"]) == pytest.approx(ratios[0], rel=1e-12)
+
+
+def test_areas_that_a_run_has_not_are_dashes(results: Path) -> None:
+    run = Results.read(results)
+    scores = {
+        name: replace(of, laws={law: replace(s, rmse_rest=()) for law, s in of.laws.items()})
+        for name, of in run.comparisons.items()
+    }
+    _, _, found = replace(run, comparisons=scores, simulated={}).against(0)
+    assert found["prediction"]
+    assert found["at rest"] is found["simulation"] is found["between days"] is None
+
+
+def test_errors_between_days_are_those_of_left_out_training_logs(results: Path) -> None:
+    run = Results.read(results)
+    again = [replace(log, name=f"{log.name} 2") for log in run.run.logs if "training" in log.roles]
+    several = replace(run, run=replace(run.run, logs=(*run.run.logs, *again)))
+    law, reference, found = several.against(0)
+    own, other = (run.models[name].left_out_rmse[0] for name in (law, reference))
+    assert found["between days"] == own / other
