@@ -117,6 +117,7 @@ def record(
         q=truth.q_noisy,
         dq=np.gradient(truth.q_noisy, 1 / rate, axis=0),
         tau=truth.tau_noisy,
+        dq_cmd=commands[first:count],
     )
     return Recording(log=log, truth=truth, desired=desired[first:count])
 

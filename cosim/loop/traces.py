@@ -17,7 +17,8 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
 from hesr_model.support.typed_json import Numbers, NumbersWithGaps
 
-TRACES = "closed_loop.npz"
+TRACES, FOLLOWING = "closed_loop.npz", "following.json"
+_Errors = tuple[float, ...]  # by joint
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,6 +50,32 @@ class Tracked:
     def spread(self) -> Array:
         """Standard deviation over the motions, (n,) [rad]."""
         return np.asarray(self.rmse.std(axis=0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowingError:
+    """Following error under one command: RMS by joint and its interval [rad; m]."""
+
+    command: str
+    error: _Errors
+    low: _Errors
+    high: _Errors
+
+
+@dataclass(frozen=True, kw_only=True)
+class Following:
+    """Following errors of the user's robot; `missing` is the reason if they are unknown.
+
+    The first row is that of the commands as logged, the last that of the recommended law.
+    """
+
+    missing: str = ""
+    log: str = ""
+    latency: float = 0.0  # [s]
+    kv: _Errors = ()  # [N.m.s/rad]
+    ki: _Errors = ()  # [N.m/rad]
+    kp: _Errors = ()  # [1/s]
+    rows: tuple[FollowingError, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

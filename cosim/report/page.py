@@ -59,6 +59,7 @@ SECTIONS = {
     ("loop", "Closed loop"): (
         Chapter("tracking", "", loop.tracking),
         Chapter("robustness", "Robustness", loop.robustness),
+        Chapter("following", "Following error of this robot", loop.following),
     ),
     ("physics", "Physics checks"): (
         Chapter("properties", "", physics.properties),

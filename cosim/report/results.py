@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.loop.closed_loop import Scheme
+from cosim.loop.traces import FOLLOWING, Following, LoopOutcome, Trace, read_traces
 from cosim.loop.traces import TRACES as PATHS
-from cosim.loop.traces import LoopOutcome, Trace, read_traces
 from cosim.report.tables.table import joints
 from cosim.study.position_errors import SIMULATION, PositionErrors
 from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_torques
@@ -42,6 +42,7 @@ class Results:
     simulated: Mapping[str, PositionErrors] = field(default_factory=dict)
     truths: Mapping[str, Errors] = field(default_factory=dict)
     loop: LoopOutcome | None = None
+    following: Following | None = None
     paths: Mapping[tuple[Scheme, str], Trace] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     audited: Mapping[str, ModelAudit] | None = None
@@ -163,7 +164,8 @@ class Results:
         body, battery = RigidBody.read(folder / "rigid_body.json"), folder / "properties.json"
         positions = folder / SIMULATION
         truths = read_json(folder / TRUTHS) if (folder / TRUTHS).is_file() else {}
-        plants = "the errors on alternative plants"
+        plants, path = "the errors on alternative plants", folder / FOLLOWING
+        follow = read_json(path) if path.is_file() else {}
         return cls(
             folder=folder,
             run=run,
@@ -175,6 +177,7 @@ class Results:
             if positions.is_file()
             else {},
             truths=from_json(dict[str, Errors], truths, folder / TRUTHS, plants),
+            following=from_json(Following, follow, path, "following errors") if follow else None,
             provenance=body.provenance,
             **(_loop(folder) if run.controller else {}),
         )

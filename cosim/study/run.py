@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from cosim.loop.artefact import complete_loops
-from cosim.loop.traces import LoopOutcome
+from cosim.loop.traces import Following, LoopOutcome
 from cosim.study.forecast import Forecast
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.results import TRUTHS, Scored, record_files, save_run, write_findings
@@ -58,6 +58,7 @@ class Outcome:
     left_out: Mapping[str, str]  # reasons by law
     properties: "Mapping[str, Properties]"  # empty for a quick run
     verdict: Verdict
+    following: Following = field(default_factory=Following)
     loop: LoopOutcome | None = None
     truths: Mapping[str, Errors] = field(default_factory=dict)  # by alternative plant
     truth: str = ""  # alternative plant
@@ -118,6 +119,7 @@ def run_study(
             made = dict(models) | recommended(
                 words, models, folder, audits, found, platforms=platforms, body=body
             )
+            following = job.following(run, made, words.law, folder)
             save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)
             _report(folder, audits, job.progress)
             record_files(folder)
@@ -131,6 +133,7 @@ def run_study(
         properties=found,
         verdict=words,
         loop=loop,
+        following=following,
         truths=truths,
         truth=(study.twin and study.twin.truth) or "",
         cached=since(used),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.loop.traces import LoopOutcome
+from cosim.loop.traces import FOLLOWING, Following, LoopOutcome
 from cosim.study.results import Scored, read_findings, write_findings
 from cosim.study.scores import (
     ORACLE,
@@ -35,7 +35,7 @@ from hesr_model.fitting.day_offsets import with_own
 from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import Refined, refine
 from hesr_model.friction.model import MIXED, FrictionModel
-from hesr_model.friction.registry import estimator, registry
+from hesr_model.friction.registry import estimator, laws_with, registry
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smoothed
 from hesr_model.logs.tables import read_table
@@ -215,6 +215,20 @@ class Job:
         if outcome.findings:
             write_findings(folder, [*read_findings(folder), *log_findings(outcome.findings)])
         return outcome
+
+    def following(
+        self, run: Scored, models: Mapping[str, FrictionModel], law: str, folder: Path
+    ) -> Following:
+        """Predict and write the robot's following error with feed-forward, at last of `law`."""
+        from cosim.loop.feed_forward import predict_following
+
+        names = [*(name for test in self.study.logs.test.values() for name in test), *run.logs]
+        logs = [run.logs[name] for name in names]
+        shown = {name: models[name] for name in laws_with("quick") if name in models}
+        shown[law] = shown.pop(law, models[law])
+        found = predict_following(logs, run.robot, run.rigid_body, shown, models[law])
+        write_json(folder / FOLLOWING, to_json(found))
+        return found
 
     def other_truths(self, laws: Sequence[str]) -> dict[str, Errors]:
         """Score laws on the alternative plants of the twin; empty if the study names none."""

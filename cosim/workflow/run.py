@@ -34,17 +34,25 @@ class RunResult(Answer):
 
     def summary(self) -> str:
         """Return the verdict, the number of warnings and the report."""
+        from cosim.report.tables import loop
+
         found = self.outcome.verdict
         located = replace(found, fmu=str(self.outcome.fmus[found.law]))  # can be copied
         if found.simulation:
             fmu = str(self.outcome.fmus[found.simulation.law])
             located = replace(located, simulation=replace(found.simulation, fmu=fmu))
         lines = list(located.sentences)
+        if self.outcome.following.rows:
+            lines.append(loop.benefit(self.outcome.following, self._sliding))
         if count := len(self.findings):
             lines.append(f"{count} finding{'s' * (count > 1)} of the checks: --verbose lists them.")
         lines.append(f"FMUs: {self.folder / 'fmus'}")
         lines.append(f"Report: {self.folder / 'report.html'}")
         return shortened(lines)
+
+    @property
+    def _sliding(self) -> Sequence[bool]:
+        return next(iter(self.outcome.models.values())).sliding
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return body, scores, closed loop, physics checks, findings and cache use."""
@@ -54,7 +62,7 @@ class RunResult(Answer):
         from cosim.study.scores import input_classes
 
         outcome = self.outcome
-        sliding = next(iter(outcome.models.values())).sliding
+        sliding = self._sliding
         inputs = input_classes(outcome.models)
         shown: list[ResultTable | str] = [rigid_body(outcome.rigid_body, sliding)]
         for name, comparison in outcome.comparisons.items():
@@ -66,6 +74,8 @@ class RunResult(Answer):
             shown.append(other_truths(outcome.comparisons, outcome.truths, outcome.truth))
         if outcome.loop:
             shown += loop.outcome(outcome.loop)
+        follow = outcome.following
+        shown += filter(None, [loop.following(follow, sliding) or loop.benefit(follow, sliding)])
         if outcome.properties:
             shown += [properties.properties(outcome.properties), properties.legend(sliding)]
         shown.append("Scores come from running these FMUs in FMPy:")
@@ -90,6 +100,7 @@ class RunResult(Answer):
             "verdict": to_json(outcome.verdict),
             "evaluation": {name: to_json(c) for name, c in outcome.comparisons.items()},
             "closed_loop": to_json(outcome.loop) if outcome.loop else None,
+            "following": to_json(outcome.following),
             "cache": {
                 kind: {"reused": reused, "of": asked}
                 for kind, (reused, asked) in outcome.cached.items()

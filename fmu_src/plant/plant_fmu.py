@@ -330,8 +330,12 @@ def export_plant(
     for name, gains in (("ki", ki), ("kp", kp)):
         if kv is None and gains is not None:
             raise ExportError(f"plant: '{name}' needs 'kv', the proportional gain of the servo.")
-    servo = kv and ServoGains(kv=tuple(kv), ki=tuple(ki or (0.0,) * len(kv)), kp=tuple(kp or ()))
-    whole = content(model, body, servo=servo or None, tool=tool, bare=bare)
+    servo = None
+    if kv is not None:
+        still = (0.0,) * len(kv)
+        integral, position = still if ki is None else ki, () if kp is None else kp
+        servo = ServoGains(kv=tuple(kv), ki=tuple(integral), kp=tuple(position))
+    whole = content(model, body, servo=servo, tool=tool, bare=bare)
     return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hesr_model.health.evidence import Torques, rubbing
 from hesr_model.health.torque import sign_change
-from hesr_model.logs.log_format import TEMPERATURES, column_names
+from hesr_model.logs.log_format import OPTIONAL, column_names
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask
 
@@ -135,7 +135,7 @@ def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Ite
         changes = {
             f"log.columns.{key}": tuple(column_names(columns, robot.joints)[k] for k in order)
             for key, columns in robot.log.columns
-            if key != "t" and columns and (key, columns) != ("temperature", TEMPERATURES)
+            if key != "t" and columns and columns != OPTIONAL.get(key)
         }
         what = (
             "the columns are in another order than the joints"

@@ -30,10 +30,12 @@ _WORDS: Mapping[str, frozenset[str]] = {
 }
 """Words in column names; the first match wins."""
 _FORCES = _words("force forces kraft")  # torques of sliding joints, unless a torque is logged
+_COMMANDED = ("q", "dq")  # quantities whose commands are read
 _PLACES = _words("joint axis")  # positions, unless another quantity matches
+_COMMANDS = _words("target desired des ref reference cmd command setpoint goal")
 _OTHERS = _words(
-    "target desired des ref reference cmd command setpoint goal acc acceleration ddq qdd error err "
-    "tcp ext external voltage control window limit mode status dir"
+    "acc acceleration ddq qdd error err tcp ext external voltage control window limit mode status "
+    "dir"
 )  # ignored columns
 _MOTORS = _words("qm motor motors")
 _MEASURED = _words("actual act meas measured msr")
@@ -67,7 +69,7 @@ def vocabulary() -> dict[str, object]:
     return {
         "quantities": {quantity: sorted(words) for quantity, words in _WORDS.items()},
         "places": sorted(_PLACES),
-        "others": sorted(_OTHERS),
+        "others": sorted(_OTHERS | _COMMANDS),
         "measured": sorted(_MEASURED),
         "time": sorted(_TIME),
         "units": {quantity: dict(units) for quantity, units in _UNITS.items()},
@@ -84,7 +86,7 @@ def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) ->
         groups, count = [("", (name,)) for name in table.names], 1
     columns: dict[str, str | tuple[str, ...]] = {}
     units, reasons = {}, {}
-    for quantity in _WORDS:
+    for quantity in (*_WORDS, *(f"{name}_cmd" for name in _COMMANDED)):
         fitting = [g for _, g in groups if _quantity(g[0]) == quantity and len(g) >= count > 0]
         if not fitting and joints:
             alike = tuple(name for name in table.names if _quantity(name) == quantity)
@@ -145,11 +147,14 @@ def _quantity(name: str) -> str:
     if tokens & _OTHERS:
         return ""
     found = next((quantity for quantity, words in _WORDS.items() if tokens & words), "")
-    return found or ("q" if tokens & _PLACES else "")
+    found = found or ("q" if tokens & _PLACES else "")
+    if tokens & _COMMANDS:
+        return f"{found}_cmd" if found in _COMMANDED else ""
+    return found
 
 
 def _unit(quantity: str, name: str) -> str:
-    known = _UNITS[quantity]
+    known = _UNITS.get(quantity, {})
     words = re.split(r"[^a-z°]+", name.lower())  # keeps "mA" in one word
     return next((known[word] for word in (*words, *_tokens(name)) if word in known), "")
 

@@ -62,11 +62,11 @@ def _filled(pattern: str, index: int, name: str) -> str:
     return pattern
 
 
-TEMPERATURES = "temperature{}"
+OPTIONAL = {"q_cmd": "q_cmd{}", "dq_cmd": "dq_cmd{}", "temperature": "temperature{}"}
 
 
 class LogColumns(Config):
-    """Column names; `dq = ""` derives velocity, default temperatures are optional.
+    """Column names; `dq = ""` derives velocity, default commands and temperatures are optional.
 
     `q_link` names encoders behind elastic gears, whose motors then have `q`, divided by the gear.
     A list instead of the table, or `names`, names all columns of files without a header, in order.
@@ -79,7 +79,9 @@ class LogColumns(Config):
     tau: Columns = "tau{}"
     current: Columns = "i{}"
     q_link: Annotated[str | tuple[str, ...], AfterValidator(_or_empty)] = ""
-    temperature: Columns = TEMPERATURES
+    temperature: Columns = OPTIONAL["temperature"]
+    q_cmd: Columns = OPTIONAL["q_cmd"]
+    dq_cmd: Columns = OPTIONAL["dq_cmd"]
 
     @model_validator(mode="before")
     @classmethod

@@ -23,6 +23,8 @@ _SHORTEST_PART = 1.0  # minimum duration of a part [s]
 _RATE_MARGIN = 1.25
 _LARGEST = 1e20  # in any unit; nanoseconds since 1970 are 2e18
 _LEAST_TWIST, _MOST_TWIST = 1e-12, 0.1  # of a gear [rad], and over the joint's motion
+_UNITS = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC"}
+_UNITS |= {"q_link": "rad", "q_cmd": "rad", "dq_cmd": "rad/s"}
 _LEAST_TRAVEL = 5e-3  # minimum travel of a joint [rad or m]; encoder noise is smaller
 
 
@@ -40,6 +42,7 @@ class Log:
     load : (N, n) [N], load of the friction in cylinders; None if it is that of the bodies.
     temperature : (N, n) [degC]; None if not logged.
     q_link : (N, n) [rad; m] behind elastic gears, `q` being that of the motors; None if not logged.
+    q_cmd, dq_cmd : commanded position and velocity (N, n) [rad, rad/s; m, m/s]; None if not logged.
     path, sha256 : file of the log, and its hash.
     dropped : number of rows left out, by `LogFormat.missing`.
     robot : None if the log was not read from a file.
@@ -53,6 +56,8 @@ class Log:
     load: Array | None = None
     temperature: Array | None = None
     q_link: Array | None = None
+    q_cmd: Array | None = None
+    dq_cmd: Array | None = None
     path: Path | None = None
     sha256: str = ""
     dropped: int = 0
@@ -119,7 +124,7 @@ class Log:
 
     def rows(self, rows: slice | Integers) -> "Log":
         """Return the log of some rows, a slice or (K,) indices."""
-        return some_rows(self, ("t", "q", "dq", "tau", "load", "temperature", "q_link"), rows)
+        return some_rows(self, ("t", "load", *self._signals), rows)
 
     def parts(self) -> "tuple[Log, ...]":
         """Return the parts between gaps that last at least 1 s.
@@ -173,18 +178,26 @@ class Log:
         )
         units, n = robot.log.units, len(robot.joints)
         _require_reasonable(path, samples, robot.joints)
-        dq = None if samples.dq is None else samples.dq * units.factors("dq", n)
+
+        def of_joints(quantity: str, values: Array | None) -> Any:
+            if values is None:
+                return None
+            zero = (quantity == "q" and robot.log.zero) or 0.0
+            return _of_joints(values * units.factors(quantity, n), robot) + zero
+
         load = None
         if robot.log.cylinder is None:
             tau = _torque(path, samples, robot)
         else:
             tau, load = robot.log.cylinder.forces(samples.effort)
-        q = _of_joints(samples.q * units.factors("q", n), robot) + (robot.log.zero or 0.0)
+        q = of_joints("q", samples.q)
         log = cls(
             name=path.stem,
             t=samples.t,
             q=q,
-            dq=None if dq is None else _of_joints(dq, robot),
+            dq=of_joints("dq", samples.dq),
+            q_cmd=of_joints("q", samples.q_cmd),
+            dq_cmd=of_joints("dq", samples.dq_cmd),
             tau=tau,
             load=load,
             temperature=None
@@ -201,8 +214,8 @@ class Log:
 
     @property
     def _signals(self) -> dict[str, Array]:
-        names = ("q", "dq", "tau", "temperature", "q_link")
-        return {name: values for name in names if (values := getattr(self, name)) is not None}
+        found = {name: getattr(self, name) for name in _UNITS}
+        return {name: values for name, values in found.items() if values is not None}
 
     @property
     def _columns(self) -> dict[str, Array]:
@@ -229,8 +242,7 @@ class Log:
         ConfigError
             If xarray is not installed.
         """
-        units = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC", "q_link": "rad"}
-        signals = {name: (values, units[name]) for name, values in self._signals.items()}
+        signals = {name: (values, _UNITS[name]) for name, values in self._signals.items()}
         return frames.xarray_dataset(self.t, signals, self.joints, name=self.name)
 
     def write(self, path: PathArg) -> None:

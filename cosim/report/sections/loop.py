@@ -85,6 +85,18 @@ def _figure(results: Results, scheme: Scheme) -> Chart | None:
     return Chart(x="t [s]", rows=tuple(rows), height=1.4)
 
 
+def following(results: Results) -> dict[str, Any] | None:
+    """Return predicted following errors of the robot on a log with commands."""
+    if results.following is None:
+        return None
+    found = results.following
+    return {
+        "found": found,
+        "sentence": tables.benefit(found, results.sliding),
+        "errors": tables.following(found, results.sliding),
+    }
+
+
 def robustness(results: Results) -> dict[str, Any] | None:
     """Return tracking errors with an arm other than the identified one."""
     if results.loop is None or not results.loop.sweeps:

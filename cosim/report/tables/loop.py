@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.loop.closed_loop import StandIn
-from cosim.loop.traces import LoopOutcome, Overcompensation, Tracked
+from cosim.loop.traces import Following, LoopOutcome, Overcompensation, Tracked
 from cosim.report.tables import table
+from hesr_model.units import unit_of_joints
 
 
 def outcome(found: LoopOutcome) -> list[table.ResultTable]:
@@ -59,6 +60,43 @@ def sweeps(rows: Sequence[Tracked]) -> list[table.ResultTable]:
             )
         )
     return tables
+
+
+def following(found: Following, sliding: Sequence[bool]) -> table.ResultTable | None:
+    """Return predicted following errors with half-widths of their intervals; None without any."""
+    if not found.rows:
+        return None
+    rows = []
+    for row in found.rows:
+        columns = zip(row.error, row.low, row.high, strict=True)
+        cells = [
+            table.number(1e3 * error, 2, notes=(f"{1e3 * low:.2g} to {1e3 * high:.2g}",))
+            for error, low, high in columns
+        ]
+        rows.append(table.row_of(table.title(row.command), *cells))
+    return table.ResultTable(
+        caption=f"Following error on {found.log}, RMS [m{unit_of_joints('rad', sliding)}]; small: "
+        "interval",
+        head=("command", *table.joints(len(found.rows[0].error))),
+        rows=rows,
+    )
+
+
+def benefit(found: Following, sliding: Sequence[bool]) -> str:
+    """Return how the recommended law reduces the following error where it does most, or why not."""
+    if not found.rows:
+        return f"The following error was not predicted: {found.missing}." if found.missing else ""
+    first, last = found.rows[0], found.rows[-1]
+    ratios = [new / old for new, old in zip(last.error, first.error, strict=True)]
+    if min(ratios) >= 1.0:
+        return "Feed-forward would not reduce the following error."
+    k = int(np.argmin(ratios))
+    unit = "m" if any(sliding[k : k + 1]) else "rad"
+    old, new, low, high = (1e3 * e[k] for e in (first.error, last.error, last.low, last.high))
+    return (
+        f"Feed-forward of {table.title(last.command)} would reduce the following error on "
+        f"{table.joints(k + 1)[k]} from {old:.2g} to {new:.2g} m{unit} ({low:.2g} to {high:.2g})."
+    )
 
 
 def overcompensation(found: Sequence[Overcompensation]) -> table.ResultTable:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hesr_model.errors import ConfigError, LogError
-from hesr_model.logs.log_format import TEMPERATURES, Columns, LogFormat, column_names
+from hesr_model.logs.log_format import OPTIONAL, Columns, LogFormat, column_names
 from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.readers.bag import is_bag, read_bag
 from hesr_model.logs.readers.samples import LogSamples
@@ -40,8 +40,8 @@ def samples_of(table: LogTable, robot: RobotDescription) -> LogSamples:
         is_current=is_current,
         time=time,
         place=lambda k: f"row {table.row(k)}",
-        temperature=_temperature(table, robot),
         q_link=_joints(table, columns.q_link, robot) if columns.q_link else None,
+        **{quantity: _optional(table, quantity, robot) for quantity in OPTIONAL},
     )
 
 
@@ -65,10 +65,10 @@ def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array
     return table.numbers(column_names(columns, robot.joints), missing=robot.log.missing == "drop")
 
 
-def _temperature(table: LogTable, robot: RobotDescription) -> Array | None:
-    columns = robot.log.columns.temperature
+def _optional(table: LogTable, quantity: str, robot: RobotDescription) -> Array | None:
+    columns = getattr(robot.log.columns, quantity)
     there = set(column_names(columns, robot.joints)) & set(table.names)
-    return None if columns == TEMPERATURES and not there else _joints(table, columns, robot)
+    return None if columns == OPTIONAL[quantity] and not there else _joints(table, columns, robot)
 
 
 def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:

@@ -21,10 +21,12 @@ class LogSamples:
     place: Callable[[int], str]
     temperature: Array | None = None
     q_link: Array | None = None
+    q_cmd: Array | None = None
+    dq_cmd: Array | None = None
 
     def arranged(self, *, drop: bool, sort: bool, first: bool) -> "LogSamples":
         """Sort rows by time, and drop rows that lack a number or repeat a stamp."""
-        columns = ("t", "q", "dq", "effort", "temperature", "q_link")
+        columns = ("t", "q", "dq", "effort", "temperature", "q_link", "q_cmd", "dq_cmd")
         parts = [part for name in columns if (part := getattr(self, name)) is not None]
         rows = np.arange(len(self.t))
         if drop:

@@ -34,7 +34,8 @@ Json = dict[str, Any]
 __all__ = ["hesr_here"]
 
 SECTIONS = ["summary", "prediction", "loop", "physics", "data", "laws", "settings"]
-PARTS = ["chirp", "loops", "robustness", "audit", "body", "hysteresis", "ablation", "live"]
+PARTS = ["chirp", "loops", "robustness", "following", "audit", "body", "hysteresis", "ablation"]
+PARTS += ["live"]
 MOST_BYTES, MOST_TABLES = 3e6, 25
 
 
@@ -298,7 +299,7 @@ def test_measured_logs_have_neither_loop_nor_truth(copied: Path) -> None:
             del comparison["ratios"]["laws"]["true friction"]
 
     edit(copied / "evaluation.json", without_truth)
-    for name in ("closed_loop.json", "closed_loop.npz", "properties.json"):
+    for name in ("closed_loop.json", "closed_loop.npz", "following.json", "properties.json"):
         (copied / name).unlink()
     page = Page(write_report(copied))
     assert page.sections == [s for s in SECTIONS if s != "loop"]

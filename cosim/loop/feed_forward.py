@@ -1,0 +1,204 @@
+"""Following error of the user's own robot under feed-forward, predicted on the generated plant.
+
+The servo is identified from the commands of a log. The plant runs along the commands of the log and
+along those with feed-forward; the difference of the two is added to the measured error, so that
+what the plant lacks, such as ripple, counts only where feed-forward changes it.
+"""
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cosim.loop.closed_loop import StandIn
+from cosim.loop.traces import Following, FollowingError
+from fmu_src.plant.plant_fmu import PlantBody, export_plant
+from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.native import through
+from hesr_model.errors import HesrError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.robot_log import Log
+from hesr_model.logs.signals import Motion, smooth
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.servo import ServoFit, cascade, commanded, identify_servo
+from hesr_model.robots.robot import Robot
+from hesr_model.support.arrays import Array
+from hesr_model.support.files import scratch_folder
+
+AS_LOGGED, AHEAD = "commands as logged", "commands sent ahead by the latency"
+
+_LONGEST = 30.0  # [s] of a log that are run
+_DRAWS = 10  # plants with gains of the servo as likely as the identified ones
+_WIDTH = 2.0  # standard deviations on each side of an interval
+
+_log = logging.getLogger(__name__)
+
+
+def predict_following(
+    logs: Sequence[Log],
+    robot: Robot,
+    body: RigidBody,
+    models: Mapping[str, FrictionModel],
+    plant: FrictionModel,
+) -> Following:
+    """Predict the following error under every law, on the first log with commands.
+
+    `plant` is the friction of the plant.
+    """
+    try:
+        known = [log for log in logs if log.q_cmd is not None or log.dq_cmd is not None]
+        log = max((known or logs)[0].parts(), key=lambda part: np.ptp(part.t))
+        log = log.rows(log.t - log.t[0] <= _LONGEST)
+        servo = identify_servo(log, robot, body.parameters)
+        with scratch_folder() as folder:
+            return _predicted(log, robot, body, models, plant, servo, folder / "Plant.fmu")
+    except HesrError as error:
+        return Following(missing=str(error).rstrip("."))
+
+
+def _predicted(
+    log: Log,
+    robot: Robot,
+    body: RigidBody,
+    models: Mapping[str, FrictionModel],
+    plant: FrictionModel,
+    servo: ServoFit,
+    fmu: Path,
+) -> Following:
+    commands = dict(feed_forward(log, robot, body, models, servo))
+    kv, ki, kp = (tuple(map(float, gains)) for gains in cascade(servo.factors))
+    own = PlantBody.of(robot, body)
+    export_plant(plant, fmu, body=own, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True)
+    error = commanded(log)[0] - log.q
+    missed = _missed(log, robot, body, plant)
+    generator = np.random.default_rng(0)
+    drawn = [servo.factors, *(servo.drawn(generator) for _ in range(_DRAWS))]
+    rows = []
+    with FmuInstance(fmu, name="plant") as instance:
+
+        def run(command: str, torque: Array, factors: Array = servo.factors) -> Array:
+            one = commands[command]
+            return _run(instance, log, one, torque, servo, factors, position=any(kp))
+
+        nothing = np.zeros_like(missed)
+        bases = [run(AS_LOGGED, nothing, factors) for factors in drawn]
+        base = run(AS_LOGGED, missed)
+        for name in commands:
+            runs = [run(name, nothing, factors) for factors in drawn]
+            free = [error + b - q for b, q in zip(bases, runs, strict=True)]
+            held = error + base - run(name, missed)
+            moved = error + base - run(name, _moved(log, missed, runs[0]))
+            middle, *others = (_rms(e) for e in (moved, *free))
+            missing = np.maximum(_rms(moved - held), _rms(moved - free[0]))
+            spread = np.hypot(missing, _WIDTH * np.std(others, axis=0))
+            low, high = np.maximum(middle - spread, 0.0), middle + spread
+            one, below, above = (tuple(map(float, values)) for values in (middle, low, high))
+            rows.append(FollowingError(command=name, error=one, low=below, high=above))
+    return Following(
+        log=log.name,
+        latency=servo.latency,
+        kv=kv,
+        ki=ki,
+        kp=kp if any(kp) else (),
+        rows=tuple(rows),
+    )
+
+
+def feed_forward(
+    log: Log,
+    robot: Robot,
+    body: RigidBody,
+    models: Mapping[str, FrictionModel],
+    servo: ServoFit,
+) -> Iterator[tuple[str, tuple[Array, Array]]]:
+    """Yield commanded positions and velocities (N, n) by name."""
+    t, position, speed = log.t, *commanded(log)
+    yield AS_LOGGED, (position, speed)
+    desired = Log(name=log.name, t=t, q=position, dq=None, tau=np.zeros_like(position))
+    ahead = servo.latency + 0.5 * log.period * servo.held
+    q, dq, ddq = _sent_ahead(smooth(desired, robot.description.log.filter_cutoff), ahead)
+    yield AHEAD, (q, dq)
+    still = np.zeros_like(q)
+    load = robot.torque(body.parameters, q, dq, ddq)
+    supported = servo.gravity_share * robot.torque(body.parameters, q, still, still)
+    yield StandIn.BODY_ONLY, (q, dq + _inverse(load - supported, t, servo))
+    for law, model in models.items():
+        try:
+            friction = model.predict(t=t, dq=dq, q=q, tau_load=load)
+        except HesrError as error:
+            _log.warning("warning: %s has no feed-forward: %s", law, error)
+            continue
+        yield law, (q, dq + _inverse(load + friction - supported, t, servo))
+
+
+def _missed(log: Log, robot: Robot, body: RigidBody, law: FrictionModel) -> Array:
+    """Return the torque (N, n) that body and law miss on a log, smoothed as its motion."""
+    motion = smooth(log, robot.description.log.filter_cutoff)
+    load = robot.torque(body.parameters, motion.q, motion.dq, motion.ddq)
+    missed = log.tau - load - law.predict(t=log.t, dq=motion.dq, q=log.q, tau_load=load)
+    return smooth(replace(log, q=missed, dq=None), robot.description.log.filter_cutoff).q
+
+
+def _rms(errors: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
+
+
+def _moved(log: Log, missed: Array, q: Array) -> Array:
+    """Return the missed torque (N, n) when each joint reaches its positions sooner, as in `q`."""
+    speed = np.gradient(log.q, log.t, axis=0)
+    sooner = np.sum((q - log.q) * speed, axis=0) / np.sum(speed**2, axis=0)
+    columns = zip(sooner, missed.T, strict=True)
+    return np.column_stack([np.interp(log.t + s, log.t, column) for s, column in columns])
+
+
+def _sent_ahead(motion: Motion, ahead: float) -> tuple[Array, ...]:
+    later = np.minimum(motion.t + ahead, motion.t[-1])
+    return tuple(
+        np.column_stack([np.interp(later, motion.t, column) for column in values.T])
+        for values in (motion.q, motion.dq, motion.ddq)
+    )
+
+
+def _inverse(torque: Array, t: Array, servo: ServoFit) -> Array:
+    """Return the velocities (N, n) whose servo adds `torque` to what it holds at first."""
+    kv, ki, _ = cascade(servo.factors)
+    found = np.zeros_like(torque)
+    held = np.where(ki > 0.0, torque[0], 0.0)
+    for k, step in enumerate(np.diff(t)):
+        found[k] = (torque[k] - held) / (kv + 0.5 * step * ki)
+        held = held + step * ki * found[k]
+    found[-1] = found[-2]
+    return found
+
+
+def _run(
+    instance: FmuInstance,
+    log: Log,
+    command: tuple[Array, Array],
+    missed: Array,
+    servo: ServoFit,
+    factors: Array,
+    *,
+    position: bool,
+) -> Array:
+    """Return the positions (N, n) of the plant along commands."""
+    kv, ki, kp = cascade(factors)
+    delay = 0.0 if servo.held else 0.5 * log.period
+    start = {"q_start": log.q[0], "servo_kv": kv, "servo_ki": ki}
+    start |= {"gravity_share": servo.gravity_share} | ({"servo_kp": kp} if position else {})
+    numbers = {name: tuple(map(float, values)) for name, values in start.items()}
+    latency = max(servo.latency - delay, 0.0)
+    if instance.used:
+        instance.reset()
+    instance.initialise(start=instance.variables.expanded({**numbers, "latency": latency}))
+    joints = range(1, log.q.shape[1] + 1)
+    names = ("q_cmd", "dq_cmd") if position else ("dq_cmd",)
+    values = np.hstack([*(command if position else command[1:]), -missed])
+    inputs = instance.buffer([f"{name}[{i}]" for name in (*names, "tau") for i in joints])
+    outputs = instance.buffer([f"q[{i}]" for i in joints])
+    first = outputs.read().copy()
+    steps = np.diff(log.t)
+    rows = through(instance, inputs, outputs, log.t[:-1] - log.t[0], steps, values[:-1])
+    return np.vstack([first, rows])
