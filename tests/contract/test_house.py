@@ -11,15 +11,15 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # 1,600 for the plant, 1,180 for FMUs and SSPs of other tools, 230 for the sandbox of systems, and
 # 850 for the observer and the plug-in of MuJoCo.
 BUDGET = {
-    "hesr_model": 23_361,
-    "fmu_src": 20_332,
-    "cosim": 15_106,
+    "hesr_model": 23_564,
+    "fmu_src": 20_336,
+    "cosim": 15_420,
     "hesr": 824,
     "hesr.extras": 9_045,
-    "all": 68_668,
+    "all": 69_189,
 }
 
-TEMPLATES = 3_779  # lines of templates, styles and scripts, without those of project folders
+TEMPLATES = 3_784  # lines of templates, styles and scripts, without those of project folders
 
 FMT_SKIPS = 20  # lines that `ruff format` must skip
 
