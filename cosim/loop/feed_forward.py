@@ -22,6 +22,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.rigid_body.servo import ServoFit, cascade, commanded, identify_servo
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
@@ -135,9 +136,8 @@ def feed_forward(
 
 def _missed(log: Log, robot: Robot, body: RigidBody, law: FrictionModel) -> Array:
     """Return the torque (N, n) that body and law miss on a log, smoothed as its motion."""
-    motion = smooth(log, robot.description.log.filter_cutoff)
-    load = robot.torque(body.parameters, motion.q, motion.dq, motion.ddq)
-    missed = log.tau - load - law.predict(t=log.t, dq=motion.dq, q=log.q, tau_load=load)
+    records = friction_records(log, robot, body)
+    missed = np.column_stack([record.tau for record in records]) - law.predict(records)
     return smooth(replace(log, q=missed, dq=None), robot.description.log.filter_cutoff).q
 
 

@@ -68,9 +68,9 @@ def following(found: Following, sliding: Sequence[bool]) -> table.ResultTable | 
         return None
     rows = []
     for row in found.rows:
-        columns = zip(row.error, row.low, row.high, strict=True)
+        columns = 1e3 * np.array([row.error, row.low, row.high]).T
         cells = [
-            table.number(1e3 * error, 2, notes=(f"{1e3 * low:.2g} to {1e3 * high:.2g}",))
+            table.number(error, 2, notes=(f"{table.rounded(low, 2)} to {table.rounded(high, 2)}",))
             for error, low, high in columns
         ]
         rows.append(table.row_of(table.title(row.command), *cells))
@@ -92,10 +92,11 @@ def benefit(found: Following, sliding: Sequence[bool]) -> str:
         return "Feed-forward would not reduce the following error."
     k = int(np.argmin(ratios))
     unit = "m" if any(sliding[k : k + 1]) else "rad"
-    old, new, low, high = (1e3 * e[k] for e in (first.error, last.error, last.low, last.high))
+    errors = (first.error, last.error, last.low, last.high)
+    old, new, low, high = (table.rounded(1e3 * e[k], 2) for e in errors)
     return (
         f"Feed-forward of {table.title(last.command)} would reduce the following error on "
-        f"{table.joints(k + 1)[k]} from {old:.2g} to {new:.2g} m{unit} ({low:.2g} to {high:.2g})."
+        f"{table.joints(k + 1)[k]} from {old} to {new} m{unit} ({low} to {high})."
     )
 
 
