@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,12 +20,21 @@ if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.study.position_errors import PositionErrors
     from cosim.study.scores import Comparison
-    from cosim.workflow.arguments import BodyArg, Laws, LogArg, NamedLaw, PerJoint, RobotArg
+    from cosim.workflow.arguments import (
+        BodyArg,
+        CheckedLogs,
+        Laws,
+        LogArg,
+        NamedLaw,
+        PerJoint,
+        RobotArg,
+    )
     from fmu_src.friction.predictions import Records
     from fmu_src.pages.datasheet import ModelAudit
     from hesr_model.audit.properties import Properties
     from hesr_model.findings import Finding
-    from hesr_model.friction.model import FrictionModel
+    from hesr_model.rigid_body.identification import RigidBody
+    from hesr_model.rigid_body.residual import FrictionRecord
     from hesr_model.support.files import PathArg
 
 KINDS = ("prediction", "passivity", "properties", "adaptation")  # kinds of HESR's own tests
@@ -243,12 +253,29 @@ def test(
         report = _checked(report, inertia, load, file, progress)
     others = {name: plugged[name].load()(tested, logs) for name in kinds if name not in KINDS}
     if "adaptation" in kinds:
-        models = {law.name: law.model for law in tested if law.model}
-        others["adaptation"] = _adapted(models, logs, robot, rigid_body, accept, progress)
+        read, body = _read("adaptation", logs, robot, rigid_body, accept, progress)
+        others["adaptation"] = _adapted(tested, read.records(body))
     return replace(report, others=others)
 
 
 test.__test__ = False  # type: ignore[attr-defined]  # keeps pytest off
+
+
+def _read(
+    kind: str,
+    logs: Sequence[LogArg],
+    robot: RobotArg | None,
+    rigid_body: BodyArg | None,
+    accept: Sequence[str],
+    progress: Stages,
+) -> tuple[CheckedLogs, RigidBody]:
+    from cosim.workflow.arguments import body_of, checked_logs
+
+    if not logs or rigid_body is None:
+        missing = "'rigid_body', the result of 'hesr identify'" if logs else "'on', a log"
+        raise ArgumentError(f"'kind' {kind} needs {missing}.")
+    read = checked_logs(logs, robot, accept, progress)
+    return read, body_of(rigid_body, read.logs, read.robot)
 
 
 def _predicted(
@@ -262,16 +289,11 @@ def _predicted(
     """Add the scores of the laws on logs: FMUs are replayed, models computed."""
     from cosim.study.position_errors import simulate_tests
     from cosim.study.scores import by_joint, causal, compare, input_classes, predict_models
-    from cosim.workflow.arguments import body_of, checked_logs
     from fmu_src.friction.predictions import predict_fmu
     from hesr_model.findings import log_findings
     from hesr_model.health.fit_checks import check_owner
 
-    if not logs or rigid_body is None:
-        missing = "'rigid_body', the result of 'hesr identify'" if logs else "'on', a log"
-        raise ArgumentError(f"'kind' prediction needs {missing}.")
-    read = checked_logs(logs, robot, accept, progress)
-    body = body_of(rigid_body, read.logs, read.robot)
+    read, body = _read("prediction", logs, robot, rigid_body, accept, progress)
     records = by_joint(read.records(body))
     models = {law.name: law.model for law in report.laws if law.model and not law.fmu}
     findings = list(read.findings)
@@ -292,32 +314,24 @@ def _predicted(
     return replace(report, scores=scores, positions=positions, records=records, findings=findings)
 
 
-def _adapted(
-    models: Mapping[str, FrictionModel],
-    logs: Sequence[LogArg],
-    robot: RobotArg | None,
-    rigid_body: BodyArg | None,
-    accept: Sequence[str],
-    progress: Stages,
-) -> Answer:
+def _adapted(laws: Sequence[NamedLaw], records: list[list[FrictionRecord]]) -> Answer:
     """Return the errors of models adapted to the first seconds of each log, on its rest."""
-    from cosim.report.tables.scores import adaptation
     from cosim.study.scores import by_joint
-    from cosim.workflow.arguments import body_of, checked_logs
     from hesr_model.fitting.adaptation import compare_lengths, prior_of
 
-    if not logs or rigid_body is None:
-        raise ArgumentError("'kind' adaptation needs 'on', a log, and 'rigid_body'.")
-    read = checked_logs(logs, robot, accept, progress)
-    records = read.records(body_of(rigid_body, read.logs, read.robot))
-    lines, tables = [], []
-    for name, model in models.items():
-        for log in records:
-            progress(f"adapting {name}", 0, 1)
-            found = compare_lengths(prior_of([model]), by_joint([log]))
-            lines += [f"{name}, {log[0].log}: {one.sentence}" for one in found]
-            tables.append(adaptation(f"{name}, {log[0].log}", found, model.sliding))
-    return Written(lines=lines, shown=tables)
+    lines, data = [], {}
+    models = {law.name: law.model for law in laws if law.model}
+    for name, log in product(models, records):
+        data[f"{name}, {log[0].log}"] = found = compare_lengths(
+            prior_of([models[name]]), by_joint([log])
+        )
+        for seconds, (before, scratch) in found.items():
+            fit = "which fails" if scratch is None else f"{scratch:.2f}"
+            lines.append(
+                f"{name} adapted to {seconds:g} s of {log[0].log}: error on its rest over that "
+                f"before {before:.2f}, over that of a fit from scratch {fit}."
+            )
+    return Written(lines=lines, data=data)
 
 
 def _certified(report: LawReport, *, alone: bool) -> LawReport:

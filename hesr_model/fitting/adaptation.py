@@ -12,9 +12,7 @@ of c_0 is.
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from operator import truediv
 from statistics import geometric_mean
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -41,32 +39,6 @@ _MOST_MEMORY = 0.995  # largest autocorrelation
 _LEAST = 1e-12  # [N.m] of the noise
 
 
-class AdaptationErrors(NamedTuple):
-    """RMSE by joint [N.m] after `seconds` of a log on its rest; None if a fit from them fails."""
-
-    seconds: float
-    prior: tuple[float, ...]
-    adapted: tuple[float, ...]
-    scratch: tuple[float, ...] | None
-
-    @property
-    def sentence(self) -> str:
-        """Mean ratios of the adapted law's errors in words."""
-
-        def ratio(others: Sequence[float]) -> str:
-            return f"{geometric_mean(map(truediv, self.adapted, others)):.2f}"
-
-        scratch = (
-            "a fit from scratch fails"
-            if self.scratch is None
-            else f"{ratio(self.scratch)} times that of a fit from scratch"
-        )
-        return (
-            f"adapted to {self.seconds:g} s, its error on the rest is {ratio(self.prior)} times "
-            f"that before; {scratch}."
-        )
-
-
 def prior_of(models: Sequence[FrictionModel]) -> FrictionModel:
     """Return a model whose laws have mean and spread of those of `models`, for a further day.
 
@@ -79,25 +51,24 @@ def prior_of(models: Sequence[FrictionModel]) -> FrictionModel:
     """
     first = models[0]
     for model in models:
-        if model.thermal:
-            raise FitError(f"friction model '{model.law}': a thermal model cannot be adapted.")
-        if any(law.covariance is None for law in model.laws):
+        if model.thermal or any(law.covariance is None for law in model.laws):
             raise FitError(
-                f"friction model '{model.law}': its coefficients have no covariance; adapt laws "
-                "that 'hesr fit' has fitted, other than networks."
+                f"friction model '{model.law}': its coefficients have no covariance or depend on "
+                "temperature; adapt laws of 'hesr fit', other than networks and 'temperature'."
             )
-        if model.joints != first.joints or model.coupling != first.coupling:
-            raise FitError(f"friction model '{model.law}': its joints are not those of the first.")
-        for joint, law, own in zip(model.joints, model.laws, first.laws, strict=True):
-            if (law.name, law.form) != (own.name, own.form):
-                raise FitError(
-                    f"friction model '{model.law}': the structure of joint '{joint}' differs from "
-                    "the first; adapt the first to the logs of the second instead."
-                )
+        if _kind(model) != _kind(first):
+            raise FitError(
+                f"friction model '{model.law}': joints or structures of its laws differ from the "
+                "first; adapt the first to the logs of the second instead."
+            )
     if len(models) == 1:
         return first
     laws = [_mean(of_joint) for of_joint in zip(*(model.laws for model in models), strict=True)]
     return replace(first, laws=tuple(laws))
+
+
+def _kind(model: FrictionModel) -> tuple[object, ...]:
+    return model.joints, model.coupling, [(law.name, law.form) for law in model.laws]
 
 
 def _mean(laws: Sequence[FrictionLaw]) -> FrictionLaw:
@@ -113,12 +84,9 @@ def _mean(laws: Sequence[FrictionLaw]) -> FrictionLaw:
 
 
 def _with(law: FrictionLaw, values: Mapping[str, float], covariance: Array) -> FrictionLaw:
+    none = np.zeros_like(covariance)
     found = Covariance(
-        names=tuple(values),
-        within=covariance,
-        between=1.0,
-        degrees=0.0,
-        carried=np.zeros_like(covariance),
+        names=tuple(values), within=covariance, between=1.0, degrees=0.0, carried=none
     )
     errors = dict(zip(values, map(float, found.standard_errors), strict=True))
     stated = {n: errors[n] for n in law.standard_errors if n in errors}
@@ -228,10 +196,11 @@ def _noise(residual: Array) -> float:
 
 def compare_lengths(
     prior: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
-) -> list[AdaptationErrors]:
-    """Compare the prior, its adaptation and a fit from scratch to the first seconds of records.
+) -> dict[float, tuple[float, float | None]]:
+    """Return the error of the law adapted to the first seconds of a log over those of others.
 
-    `records` are [joint][log], of one log; errors are those on the rest after the longest of
+    By seconds, over the error of the prior, and of a fit from scratch or None if that fails:
+    geometric means over joints on the rest of the log, `records` [joint][log], after the longest of
     `LENGTHS` that is at most two thirds of it.
     """
     spans = [r[0].t - r[0].t[0] for r in records]
@@ -241,16 +210,15 @@ def compare_lengths(
     pairs = list(zip(records, spans, strict=True))
     rest = all_at_friction([[r[0].rows(t > lengths[-1])] for r, t in pairs])
 
-    def errors(laws: Sequence[FrictionLaw]) -> tuple[float, ...]:
-        return tuple(map(training_error, laws, rest))
+    def size(laws: Sequence[FrictionLaw]) -> float:
+        return geometric_mean(map(training_error, laws, rest))
 
-    found = []
+    found: dict[float, tuple[float, float | None]] = {}
     for seconds in lengths:
         head = [[r[0].rows(t <= seconds)] for r, t in pairs]
-        scratch = None
+        adapted, scratch = size(adapt(prior, head)[0].laws), None
         with suppress(HesrError):
             fits = zip(prior.laws, all_at_friction(head), strict=True)
-            scratch = errors([fit_joint(law.name, of_joint, seed=0) for law, of_joint in fits])
-        adapted = errors(adapt(prior, head)[0].laws)
-        found.append(AdaptationErrors(seconds, errors(prior.laws), adapted, scratch))
+            scratch = adapted / size([fit_joint(law.name, of, seed=0) for law, of in fits])
+        found[seconds] = adapted / size(prior.laws), scratch
     return found

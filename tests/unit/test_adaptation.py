@@ -119,15 +119,14 @@ def test_several_days_give_mean_and_spread() -> None:
 def test_lengths_of_a_log_are_compared() -> None:
     prior = fitted("lugre", *(day(k, tau_0=0.5 + 0.5 * k) for k in range(3)))
     new = day(7, seconds=16.0, tau_0=2.0)
-    short, longer = compare_lengths(prior, [[new]])
-    assert (short.seconds, longer.seconds) == (5.0, 10.0)
-    rest = new.rows(new.t - new.t[0] > 10.0)
-    assert short.prior == longer.prior == pytest.approx((error(prior, rest),))
-    assert short.adapted[0] < 0.6 * short.prior[0]
-    assert short.scratch is not None
-    assert short.adapted[0] <= 1.05 * short.scratch[0]
-    ratio = f"{short.adapted[0] / short.prior[0]:.2f}"
-    assert short.sentence.startswith(f"adapted to 5 s, its error on the rest is {ratio} times that")
+    found = compare_lengths(prior, [[new]])
+    assert list(found) == [5.0, 10.0]
+    rest, head = (new.rows(rows) for rows in (new.t - new.t[0] > 10.0, new.t - new.t[0] <= 5.0))
+    adapted = error(adapt(prior, [[head]])[0], rest)
+    assert found[5.0][0] == pytest.approx(adapted / error(prior, rest))
+    assert found[5.0][1] == pytest.approx(adapted / error(fitted("lugre", head), rest), rel=1e-6)
+    assert found[5.0][0] < 0.6
+    assert found[5.0][1] <= 1.05
     with pytest.raises(FitError, match=r"the log takes 7\.04 s; give one of 7\.5 s\."):
         compare_lengths(prior, [[day(7, seconds=7.0)]])
 
@@ -138,10 +137,10 @@ def test_priors_that_cannot_be_adapted_are_refused(prior: FrictionModel) -> None
     other = replace(prior, joints=("elbow",))
     stribeck = fitted("stribeck", day(0))
     for models, words in (
-        ([bare], "no covariance; adapt laws that"),
-        ([warm], "a thermal model cannot be adapted"),
-        ([prior, other], "its joints are not those of the first"),
-        ([prior, stribeck], "the structure of joint .* differs from the first"),
+        ([bare], "no covariance or depend"),
+        ([warm], "depend on temperature; adapt laws"),
+        ([prior, other], "joints or structures of its laws differ"),
+        ([prior, stribeck], "joints or structures of its laws differ"),
     ):
         with pytest.raises(FitError, match=words):
             prior_of(models)
@@ -156,5 +155,5 @@ def test_either_a_law_or_a_prior_is_needed(given: dict[str, Any]) -> None:
 
 
 def test_a_comparison_of_lengths_needs_a_log(prior: FrictionModel) -> None:
-    with pytest.raises(ArgumentError, match="'kind' adaptation needs 'on', a log, and"):
+    with pytest.raises(ArgumentError, match="'kind' adaptation needs 'on', a log"):
         hesr.test(prior, kind=["adaptation"])

@@ -9,7 +9,6 @@ from cosim.report.tables.table import ResultTable, TableCell, decimals, fixed, j
 from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratio
 from cosim.study.verdict import percent_above, separation
-from hesr_model.fitting.adaptation import AdaptationErrors
 from hesr_model.friction.metrics import BandScore
 from hesr_model.friction.model import FrictionModel
 from hesr_model.inference.comparison import CALIBRATION
@@ -248,24 +247,6 @@ def position_errors(
         head=("law", "torque", *heads),
         rows=rows,
     )
-
-
-def adaptation(
-    name: str, found: Sequence[AdaptationErrors], sliding: Sequence[bool] = ()
-) -> ResultTable:
-    """Return the errors of a law, adapted and fitted to the first seconds of a log."""
-    kinds = {"earlier law": "prior", "adapted": "adapted", "from scratch": "scratch"}
-    errors = [getattr(one, kind) for one in found for kind in kinds.values()]
-    places = [decimals(column) for column in zip(*(e for e in errors if e), strict=True)]
-    rows = []
-    for one in found:
-        rows.append(row_of(f"after {one.seconds:g} s"))
-        for words, kind in kinds.items():
-            values = getattr(one, kind) or (None,) * len(places)
-            rows.append(row_of(words, *map(fixed, values, places)))
-    unit = unit_of_joints("N.m", sliding)
-    caption = f"{name}: RMSE of the predicted torque [{unit}] on the rest of the log"
-    return ResultTable(caption=caption, head=("law", *joints(len(places))), rows=rows)
 
 
 def _without_lag(errors: Sequence[float], ideal: Sequence[float] | None) -> TableCell:
