@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from math import exp, fsum, log
 from pathlib import Path
 from statistics import geometric_mean
@@ -13,7 +12,7 @@ from cosim.report.results import AREAS, Results
 from cosim.report.tables.loop import outcome, tracking
 from cosim.report.tables.properties import most_passed, properties
 from cosim.report.tables.scores import bands, errors, leading, left_out, other_truths, own_friction
-from cosim.report.tables.table import ResultTable, TableRow, fixed, on_joints, row_of, title
+from cosim.report.tables.table import ResultTable, TableRow, fixed, row_of, title
 from cosim.report.tables.text import markdown
 from cosim.study.scores import ORACLE, REFERENCE
 from hesr_model.audit.expectations import EXPECTATIONS
@@ -34,10 +33,9 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
     parts = ["# Results\n", _INTRODUCTION]
     with written_together(output) as file:
         if len(runs) > 1:
-            summary, joints = robots(runs), robots(runs, every=True)
-            tables = Tables(data, file)
-            tables.csv(joints, "robots")
-            parts += ["## Robots\n", markdown(summary), markdown(replace(joints, caption=""))]
+            found = robots(runs)
+            Tables(data, file).csv(found, "robots")
+            parts += ["## Robots\n", markdown(found)]
         for results in runs:
             tables = Tables(data / results.run.study, file)
             for name, table in _data(results).items():
@@ -49,28 +47,23 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
     return output
 
 
-def robots(runs: Sequence[Results], *, every: bool = False) -> ResultTable:
-    """Return the recommended law over the strongest reference by robot, or by `every` joint."""
+def robots(runs: Sequence[Results]) -> ResultTable:
+    """Return errors of the recommended law over those of the strongest reference, by joint."""
     rows = []
     for run in runs:
         found = [run.against(k) for k in range(len(run.joints))]
-        laws, references, ratios = zip(*found, strict=True)
-        if every:
-            rows.append(row_of(run.run.robot))
-            rows += [
-                row_of(joint, title(law), title(other), *(fixed(of[a], 2) for a in AREAS))
-                for joint, (law, other, of) in zip(run.joints, found, strict=True)
-            ]
-            continue
-        known = [[of[area] for of in ratios if of[area]] for area in AREAS]
-        means = [fixed(geometric_mean(of) if of else None, 2) for of in known]
-        others = ", ".join(dict.fromkeys(map(title, references)))
-        rows.append(row_of(run.run.robot, on_joints(laws), others, *means))
+        known = [[one for *_, of in found if (one := of[area])] for area in AREAS]
+        means = (fixed(geometric_mean(of) if of else None, 2) for of in known)
+        rows.append(row_of(f"{run.run.robot}, mean", "", "", *means))
+        rows += [
+            row_of(joint, title(law), title(other), *(fixed(of[area], 2) for area in AREAS))
+            for joint, (law, other, of) in zip(run.joints, found, strict=True)
+        ]
     return ResultTable(
         caption="Error of the recommended law over that of the strongest classic law with the same "
-        "inputs or fewer, on the first test set (geometric means over joints; simulation: position "
-        "errors; between days: training logs left out in turn)",
-        head=("joint" if every else "robot", "recommended", "reference", *AREAS),
+        "inputs or fewer, on the first test set (mean: geometric; simulation: position errors; "
+        "between days: training logs left out in turn)",
+        head=("joint", "recommended", "reference", *AREAS),
         rows=rows,
         words=(1, 2),
     )
