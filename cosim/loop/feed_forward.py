@@ -91,6 +91,8 @@ def _predicted(
             free = [error + b - q for b, q in zip(bases, runs, strict=True)]
             held = error + base - run(name, missed)
             moved = error + base - run(name, _moved(log, missed, runs[0]))
+            if log.q_cmd is None:  # a velocity command fixes no position
+                moved, held, *free = (e - e.mean(axis=0) for e in (moved, held, *free))
             middle, *others = (_rms(e) for e in (moved, *free))
             missing = np.maximum(_rms(moved - held), _rms(moved - free[0]))
             spread = np.hypot(missing, _WIDTH * np.std(others, axis=0))

@@ -18,7 +18,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.typed_json import Numbers
 
 _LATEST = 0.1  # longest latency [s]
-_FINE = 20  # latencies tried per sample
+_COARSE, _FINE = 5e-4, 10  # least step of a first search [s], and its parts in a second
 _SURE = 2.0  # least size of a kept integral gain, in standard errors
 _LEAST = 0.8  # least share of the torque without gravity that the servo explains
 _TERMS = 3
@@ -80,10 +80,11 @@ def identify_servo(log: Log, robot: Robot, parameters: Array) -> ServoFit:
     still = np.zeros_like(log.q)
     gravity = robot.torque(parameters, log.q, still, still)
     span = log.t[-1] - log.t[0]
-    coarse = np.arange(0.0, min(_LATEST, 0.1 * span), log.period)
+    step = max(0.25 * log.period, _COARSE)
+    coarse = np.arange(0.0, min(_LATEST, 0.1 * span), step)
     tried = [(held, latency) for held in (True, False) for latency in coarse]
     held, middle = min(tried, key=lambda one: _misfit(log, gravity, *one))
-    near = middle + log.period * np.arange(-_FINE, _FINE + 1) / _FINE
+    near = middle + step * np.arange(-_FINE, _FINE + 1) / _FINE
     fine = [(held, latency) for latency in near[near >= 0.0]]
     held, latency = min(fine, key=lambda one: _misfit(log, gravity, *one))
     found = [_solved(*one) for one in zip(*_problems(log, gravity, held, latency), strict=True)]

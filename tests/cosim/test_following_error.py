@@ -110,7 +110,8 @@ def test_servo_with_position_commands(
     kv, ki = np.array(KV), np.array(KI)
     true = np.column_stack([kv, kv * kp + ki, ki * kp])
     np.testing.assert_allclose(found.factors, true, rtol=0.05)
-    assert abs(found.latency - latency) < 1e-3
+    # the plant logs the mean torque of the step before
+    assert abs(found.latency - latency - 0.5 * step) < 1e-3
     np.testing.assert_allclose(found.gravity_share[1:], share, atol=0.02)
 
 
@@ -166,7 +167,7 @@ def contained(row: FollowingError, true: dict[str, Array]) -> Array:
 
 
 def rms(errors: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
+    return np.asarray(np.std(errors, axis=0))  # a velocity command fixes no position
 
 
 def test_log_without_commands(recorded: Recording, robot: Robot, identified: tuple) -> None:
