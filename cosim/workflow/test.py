@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import product
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.workflow.answer import Answer, Written, shortened
+from cosim.workflow.answer import Answer, shortened
 from cosim.workflow.fit import passivity
 from hesr_model.errors import ArgumentError, ConfigError, HesrError
 from hesr_model.support.progress import Stages, silent
@@ -20,24 +19,14 @@ if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.study.position_errors import PositionErrors
     from cosim.study.scores import Comparison
-    from cosim.workflow.arguments import (
-        BodyArg,
-        CheckedLogs,
-        Laws,
-        LogArg,
-        NamedLaw,
-        PerJoint,
-        RobotArg,
-    )
+    from cosim.workflow.arguments import BodyArg, Laws, LogArg, NamedLaw, PerJoint, RobotArg
     from fmu_src.friction.predictions import Records
     from fmu_src.pages.datasheet import ModelAudit
     from hesr_model.audit.properties import Properties
     from hesr_model.findings import Finding
-    from hesr_model.rigid_body.identification import RigidBody
-    from hesr_model.rigid_body.residual import FrictionRecord
     from hesr_model.support.files import PathArg
 
-KINDS = ("prediction", "passivity", "properties", "adaptation")  # kinds of HESR's own tests
+KINDS = ("prediction", "passivity", "properties")  # kinds of HESR's own tests
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -176,9 +165,7 @@ def test(
         Logs for the prediction, or one leaderboard file (.toml); repeatable.
     kind : sequence of str, optional
         Tests, repeatable: prediction, passivity, properties (thirteen experiments: memory,
-        stick-slip, dissipation, ..), adaptation (the law adapted to the first seconds of a log
-        and a fit from scratch, on its rest); by default prediction and passivity with --on, else
-        passivity.
+        stick-slip, dissipation, ..); by default prediction and passivity with --on, else passivity.
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     rigid_body : body or path, optional
@@ -252,30 +239,10 @@ def test(
     if "properties" in kinds:
         report = _checked(report, inertia, load, file, progress)
     others = {name: plugged[name].load()(tested, logs) for name in kinds if name not in KINDS}
-    if "adaptation" in kinds:
-        read, body = _read("adaptation", logs, robot, rigid_body, accept, progress)
-        others["adaptation"] = _adapted(tested, read.records(body))
     return replace(report, others=others)
 
 
 test.__test__ = False  # type: ignore[attr-defined]  # keeps pytest off
-
-
-def _read(
-    kind: str,
-    logs: Sequence[LogArg],
-    robot: RobotArg | None,
-    rigid_body: BodyArg | None,
-    accept: Sequence[str],
-    progress: Stages,
-) -> tuple[CheckedLogs, RigidBody]:
-    from cosim.workflow.arguments import body_of, checked_logs
-
-    if not logs or rigid_body is None:
-        missing = "'rigid_body', the result of 'hesr identify'" if logs else "'on', a log"
-        raise ArgumentError(f"'kind' {kind} needs {missing}.")
-    read = checked_logs(logs, robot, accept, progress)
-    return read, body_of(rigid_body, read.logs, read.robot)
 
 
 def _predicted(
@@ -289,11 +256,16 @@ def _predicted(
     """Add the scores of the laws on logs: FMUs are replayed, models computed."""
     from cosim.study.position_errors import simulate_tests
     from cosim.study.scores import by_joint, causal, compare, input_classes, predict_models
+    from cosim.workflow.arguments import body_of, checked_logs
     from fmu_src.friction.predictions import predict_fmu
     from hesr_model.findings import log_findings
     from hesr_model.health.fit_checks import check_owner
 
-    read, body = _read("prediction", logs, robot, rigid_body, accept, progress)
+    if not logs or rigid_body is None:
+        missing = "'rigid_body', the result of 'hesr identify'" if logs else "'on', a log"
+        raise ArgumentError(f"'kind' prediction needs {missing}.")
+    read = checked_logs(logs, robot, accept, progress)
+    body = body_of(rigid_body, read.logs, read.robot)
     records = by_joint(read.records(body))
     models = {law.name: law.model for law in report.laws if law.model and not law.fmu}
     findings = list(read.findings)
@@ -312,26 +284,6 @@ def _predicted(
         progress("simulating", 0, 1)
         positions = simulate_tests(models, {"": records}, read.robot, body).get("")
     return replace(report, scores=scores, positions=positions, records=records, findings=findings)
-
-
-def _adapted(laws: Sequence[NamedLaw], records: list[list[FrictionRecord]]) -> Answer:
-    """Return the errors of models adapted to the first seconds of each log, on its rest."""
-    from cosim.study.scores import by_joint
-    from hesr_model.fitting.adaptation import compare_lengths, prior_of
-
-    lines, data = [], {}
-    models = {law.name: law.model for law in laws if law.model}
-    for name, log in product(models, records):
-        data[f"{name}, {log[0].log}"] = found = compare_lengths(
-            prior_of([models[name]]), by_joint([log])
-        )
-        for seconds, (before, scratch) in found.items():
-            fit = "which fails" if scratch is None else f"{scratch:.2f}"
-            lines.append(
-                f"{name} adapted to {seconds:g} s of {log[0].log}: error on its rest over that "
-                f"before {before:.2f}, over that of a fit from scratch {fit}."
-            )
-    return Written(lines=lines, data=data)
 
 
 def _certified(report: LawReport, *, alone: bool) -> LawReport:

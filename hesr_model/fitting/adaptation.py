@@ -10,16 +10,14 @@ of c_0 is.
 """
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
-from statistics import geometric_mean
 
 import numpy as np
+import sympy
 from scipy.optimize import least_squares
 
 from hesr_model.audit.certificate import certify
-from hesr_model.errors import FitError, HesrError
-from hesr_model.fitting.fit import fit_joint
+from hesr_model.errors import FitError
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
@@ -28,8 +26,6 @@ from hesr_model.friction.records import predict_record, training_error
 from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support.arrays import Array
-
-LENGTHS = (5.0, 10.0, 20.0, 30.0, 60.0)  # [s] of a log in comparisons
 
 _ROUNDS = 3  # of the noise
 _FACTOR = 2.0  # largest change of coefficients within memory or a function
@@ -44,10 +40,7 @@ def prior_of(models: Sequence[FrictionModel]) -> FrictionModel:
 
     The covariance is the mean one plus (1 + 1/K) times the scatter of K models of one structure.
 
-    Raises
-    ------
-    FitError
-        If laws have no covariance, or differ in joints, name or structure.
+    Raises FitError for laws without a covariance, or of different joints or structures.
     """
     first = models[0]
     for model in models:
@@ -98,10 +91,7 @@ def adapt(
 ) -> tuple[FrictionModel, list[str]]:
     """Adapt the laws of `prior_of` to records [joint][log]; return them and a sentence per joint.
 
-    Raises
-    ------
-    FitError
-        If joints differ.
+    Raises FitError if joints differ.
     """
     if (joints := tuple(of_joint[0].joint for of_joint in records)) != prior.joints:
         raise FitError(
@@ -125,7 +115,7 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
         raise TypeError("a law without a covariance is no prior")
     limits = _limits(law, covariance.names)
     names, (low, high) = tuple(limits), np.array(list(limits.values())).T
-    first, tau = np.array([law.values[n] for n in names]), np.concatenate([r.tau for r in records])
+    first = np.array([law.values[n] for n in names])
     known = covariance.of_another_log
     sizes = np.sqrt(np.maximum(np.diag(known), np.finfo(float).tiny))
     shares, ways = np.linalg.eigh(known / np.outer(sizes, sizes))
@@ -139,7 +129,7 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
 
     def error(point: Array) -> Array:
         moved = at(point)
-        return np.asarray(np.concatenate([predict_record(moved, r) for r in records]) - tau)
+        return np.concatenate([predict_record(moved, r) - r.tau for r in records])
 
     best = first
     for _ in range(_ROUNDS):
@@ -166,17 +156,14 @@ def _limits(law: FrictionLaw, names: Sequence[str]) -> dict[str, tuple[float, fl
     Nonlinear ones stay between half and twice their value, others keep their sign, but for offset
     and ripple: torques at rest without memory.
     """
-    form = law.form
+    form, found = law.form, {}
     memory = set().union(*(part.free_symbols for m in form.memory for part in m.parts))
     still = {DQ: 0, **{s: 0 for m in form.memory for s in (m.state, m.derivative)}}
-    found = {}
-    for coefficient in form.coefficients:
-        name, symbol, value = coefficient.name, coefficient.symbol, law.values[coefficient.name]
+    for name in names:
+        symbol, value = sympy.Symbol(name, real=True), law.values[name]
         slope = form.output.diff(symbol)
-        if name not in names:
-            continue
         if symbol in memory or symbol in slope.free_symbols:
-            if not set(law.structure) - {"ripple"}:
+            if set(law.structure) <= {"ripple"}:
                 low, high = sorted((value / _FACTOR, value * _FACTOR))
                 found[name] = low, high
         elif slope.subs(still) != 0:
@@ -190,35 +177,5 @@ def _noise(residual: Array) -> float:
     """Return the standard deviation of independent errors that determine a mean as well."""
     power = float(residual @ residual)
     memory = float(residual[1:] @ residual[:-1]) / power if power else 0.0
-    memory = min(max(memory, 0.0), _MOST_MEMORY)
+    memory = float(np.clip(memory, 0.0, _MOST_MEMORY))
     return rmse(residual) * float(np.sqrt((1.0 + memory) / (1.0 - memory))) + _LEAST
-
-
-def compare_lengths(
-    prior: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
-) -> dict[float, tuple[float, float | None]]:
-    """Return the error of the law adapted to the first seconds of a log over those of others.
-
-    By seconds, over the error of the prior, and of a fit from scratch or None if that fails:
-    geometric means over joints on the rest of the log, `records` [joint][log], after the longest of
-    `LENGTHS` that is at most two thirds of it.
-    """
-    spans = [r[0].t - r[0].t[0] for r in records]
-    lengths = [s for s in LENGTHS if 1.5 * s <= spans[0][-1]]
-    if not lengths:
-        raise FitError(f"the log takes {spans[0][-1]:.3g} s; give one of {1.5 * LENGTHS[0]:g} s.")
-    pairs = list(zip(records, spans, strict=True))
-    rest = all_at_friction([[r[0].rows(t > lengths[-1])] for r, t in pairs])
-
-    def size(laws: Sequence[FrictionLaw]) -> float:
-        return geometric_mean(map(training_error, laws, rest))
-
-    found: dict[float, tuple[float, float | None]] = {}
-    for seconds in lengths:
-        head = [[r[0].rows(t <= seconds)] for r, t in pairs]
-        adapted, scratch = size(adapt(prior, head)[0].laws), None
-        with suppress(HesrError):
-            fits = zip(prior.laws, all_at_friction(head), strict=True)
-            scratch = adapted / size([fit_joint(law.name, of, seed=0) for law, of in fits])
-        found[seconds] = adapted / size(prior.laws), scratch
-    return found

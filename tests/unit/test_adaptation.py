@@ -12,7 +12,7 @@ import hesr
 from hesr_model.audit.certificate import certify
 from hesr_model.errors import ArgumentError, FitError, HesrError
 from hesr_model.fitting import adaptation
-from hesr_model.fitting.adaptation import adapt, compare_lengths, prior_of
+from hesr_model.fitting.adaptation import adapt, prior_of
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
@@ -116,21 +116,6 @@ def test_several_days_give_mean_and_spread() -> None:
     assert prior_of(days[:1]) is days[0]
 
 
-def test_lengths_of_a_log_are_compared() -> None:
-    prior = fitted("lugre", *(day(k, tau_0=0.5 + 0.5 * k) for k in range(3)))
-    new = day(7, seconds=16.0, tau_0=2.0)
-    found = compare_lengths(prior, [[new]])
-    assert list(found) == [5.0, 10.0]
-    rest, head = (new.rows(rows) for rows in (new.t - new.t[0] > 10.0, new.t - new.t[0] <= 5.0))
-    adapted = error(adapt(prior, [[head]])[0], rest)
-    assert found[5.0][0] == pytest.approx(adapted / error(prior, rest))
-    assert found[5.0][1] == pytest.approx(adapted / error(fitted("lugre", head), rest), rel=1e-6)
-    assert found[5.0][0] < 0.6
-    assert found[5.0][1] <= 1.05
-    with pytest.raises(FitError, match=r"the log takes 7\.04 s; give one of 7\.5 s\."):
-        compare_lengths(prior, [[day(7, seconds=7.0)]])
-
-
 def test_priors_that_cannot_be_adapted_are_refused(prior: FrictionModel) -> None:
     bare = replace(prior, laws=tuple(replace(own, covariance=None) for own in prior.laws))
     warm = replace(prior, thermal=(Thermal(coulomb=0.0, viscous=0.0),))
@@ -152,8 +137,3 @@ def test_priors_that_cannot_be_adapted_are_refused(prior: FrictionModel) -> None
 def test_either_a_law_or_a_prior_is_needed(given: dict[str, Any]) -> None:
     with pytest.raises(ArgumentError, match="give either 'law' or 'prior', fitted laws without"):
         hesr.fit("log.csv", **given)
-
-
-def test_a_comparison_of_lengths_needs_a_log(prior: FrictionModel) -> None:
-    with pytest.raises(ArgumentError, match="'kind' adaptation needs 'on', a log"):
-        hesr.test(prior, kind=["adaptation"])
