@@ -48,7 +48,7 @@ _LOAD = TAU_LOAD / LOAD_SCALE.symbol
 _LIMITED = {TAU_LOAD: LOAD_SCALE.symbol * clip(_LOAD, 1.001)}  # no training row is at the kink
 BOUNDS: Mapping[str, sympy.Expr] = {
     "1": sympy.Integer(1),
-    "age": positive(OLDEST.symbol - positive(OLDEST.symbol - AGE.state)),  # min(p, P)
+    "age": clip(AGE.state, positive(OLDEST.symbol)),  # min(p, P)
     "p": AGE.state,  # of older files
     "load": absolute(_LOAD),
     "root": sympy.sqrt(absolute(_LOAD)),
