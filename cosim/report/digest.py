@@ -54,7 +54,7 @@ def robots(runs: Sequence[Results]) -> ResultTable:
         found = [run.against(k) for k in range(len(run.joints))]
         known = [[one for *_, of in found if (one := of[area])] for area in AREAS]
         means = (fixed(geometric_mean(of) if of else None, 2) for of in known)
-        rows.append(row_of(f"{run.run.robot}, mean", "", "", *means))
+        rows += [row_of(run.run.robot), row_of("mean", "", "", *means)]
         rows += [
             row_of(joint, title(law), title(other), *(fixed(of[area], 2) for area in AREAS))
             for joint, (law, other, of) in zip(run.joints, found, strict=True)

@@ -35,7 +35,8 @@ def report(
     Parameters
     ----------
     results : path or sequence of paths
-        Folders that 'hesr run' has written; several for Markdown.
+        Folders that 'hesr run' has written; several for Markdown, which begins with a table over
+        robots: recommended law against the strongest reference.
     output : path, optional
         File to write; by default RESULT/report.html.
     view : bool

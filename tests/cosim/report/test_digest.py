@@ -126,8 +126,9 @@ def test_several_runs_begin_with_a_table_of_recommended_laws(results: Path, tmp_
         assert other.rmse_rest[k]
         assert float(figures[1]) == pytest.approx(own.rmse_rest[k] / other.rmse_rest[k], abs=0.006)
         assert figures[4] == "–"  # a single training log has no other day
-    (mean, again) = (cells(line) for line in lines if line.startswith(f"| {run.run.robot}, mean"))
+    (mean, again) = (cells(line) for line in lines if line.startswith("| mean "))
     assert mean == again
+    assert sum(line.startswith(f"| **{run.run.robot}** ") for line in lines) == 2
     assert float(mean[3]) == pytest.approx(geometric_mean(ratios), abs=0.006)
     with (tmp_path / "r_tables" / "robots.csv").open(encoding="utf-8") as file:
         (_, first, *_) = csv.DictReader(file)
